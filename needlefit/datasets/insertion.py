@@ -1,0 +1,134 @@
+"""The nouns of measured data: an insertion, the medium it went into, the dataset."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.surfaces import Surface
+from numpy.typing import NDArray
+
+from needlefit.mechanics.needle import Needle
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Noise:
+    """What a dataset states of its measurement errors, mm.
+
+    Attributes
+    ----------
+    registration_mean : float
+        Mean 3-D error that registration alone leaves at the needle.
+    point_sd : float
+        Standard deviation of independent noise of a centreline point, per axis.
+    correlated_sd, correlation_length : float
+        Standard deviation per axis and length along the needle of the correlated part.
+    """
+
+    registration_mean: float = 0.0
+    point_sd: float = 0.0
+    correlated_sd: float = 0.0
+    correlation_length: float = 5.0
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """One measured insertion, reduced to its bending plane.
+
+    Attributes
+    ----------
+    id, medium, specimen : str
+        `specimen` groups repeats in one piece; folds never split it.
+    layers, layers_alternative : int
+        Layers traversed as listed, and the other reading where it ends at a boundary (else the same).
+    depth : float
+        Inserted arc length, mm.
+    side : int
+        The side of C's x axis that the bevel faces, +1 or -1.
+    frame : Frame
+        C in the world: origin at the tip's first contact, x along the entry, y in the bending plane.
+    pose_source : str
+        "stage", "shaft", "fitted" or "none".
+    pose_shift_sd, pose_angle_sd : float
+        Standard deviation of the entry pose in the plane, mm and rad.
+    centerline : (N, 3) array
+        World points from entry to tip, mm.
+    planar : (N, 2) array
+        The same points in C's xy plane, mm.
+    out_of_plane : (N,) array
+        What the projection drops, mm.
+    boundaries : (n - 1,) array
+        Measured depths of the layer interfaces crossed, along C's x axis, mm.
+    sequence : tuple of int
+        Layer number (from 1) met in each of the n intervals between boundaries.
+    boundary_sd : float
+        Standard deviation of the boundaries, mm.
+    guide_distance : float or None
+        Distance from a clamping guide to the entry, mm, where it is known.
+    """
+
+    id: str
+    medium: str
+    specimen: str
+    layers: int
+    layers_alternative: int
+    depth: float
+    side: int
+    frame: Frame
+    pose_source: Literal["stage", "shaft", "fitted", "none"]
+    pose_shift_sd: float
+    pose_angle_sd: float
+    centerline: Floats
+    planar: Floats
+    out_of_plane: Floats
+    boundaries: Floats
+    sequence: tuple[int, ...]
+    boundary_sd: float
+    guide_distance: float | None = None
+
+    @property
+    def deflection(self) -> float:
+        """Measured deflection of the tip, |y_K - y_1| with y normal to C's x axis, positive toward the bevel, mm."""
+        return float(self.side * (self.planar[-1, 1] - self.planar[0, 1]))
+
+
+@dataclass(frozen=True)
+class Medium:
+    """A medium's layers: surfaces in the world, or depths along the needle shared by all insertions."""
+
+    name: str
+    surfaces: tuple[Surface, ...] = ()
+    boundaries: Floats | None = None
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Insertions measured with one needle, and the media they went into.
+
+    Attributes
+    ----------
+    origin : str
+        "measured" or "synthetic"; a synthetic dataset is called so wherever it appears.
+    pose : str
+        "known", or "free" where shapes are known only up to a rigid motion.
+    drop_proximal : float
+        Proximal length left out of comparisons of free shapes, mm.
+    digest : str
+        SHA-256 over all files read, in the order of their names.
+    """
+
+    name: str
+    title: str
+    origin: Literal["measured", "synthetic"]
+    needle: Needle
+    insertions: tuple[Insertion, ...]
+    media: Mapping[str, Medium]
+    noise: Noise
+    pose: Literal["known", "free"]
+    drop_proximal: float
+    path: Path
+    digest: str

@@ -1,0 +1,63 @@
+"""Every error that needlefit raises on purpose.
+
+::
+
+    NeedlefitError          what all of them are; `except NeedlefitError` catches no bug
+    ├── ConfigError         a scene, study, fit, recipe or name is wrong        exit 3
+    ├── DataError           a dataset is wrong or missing                       exit 3
+    ├── ModelError          the model was asked for something it has not        exit 4
+    └── FitError            a fit or a chain cannot start or go on              exit 4
+
+A solve that does not converge is no exception: it is a value (`NeedleShape.converged`).
+"""
+
+
+class NeedlefitError(Exception):
+    """What went wrong, where, what was expected there, and how to mend it.
+
+    Parameters
+    ----------
+    what : str
+        The fault, in a sentence without a full stop.
+    where : str
+        File, key, line or column; empty if there is none.
+    expected : str
+        What a right value looks like.
+    mend : str
+        What the user can do.
+    """
+
+    exit_code = 1
+
+    def __init__(self, what: str, *, where: str = "", expected: str = "", mend: str = "") -> None:
+        self.what, self.where, self.expected, self.mend = what, where, expected, mend
+        super().__init__(str(self))
+
+    def __str__(self) -> str:
+        head = f"{self.where}: {self.what}" if self.where else self.what
+        tail = [("expected", self.expected), ("mend", self.mend)]
+        return "\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)])
+
+
+class ConfigError(NeedlefitError):
+    """A scene, study, fit, recipe or name is wrong."""
+
+    exit_code = 3
+
+
+class DataError(NeedlefitError):
+    """A dataset is wrong or missing."""
+
+    exit_code = 3
+
+
+class ModelError(NeedlefitError):
+    """The model was asked for something outside its assumptions."""
+
+    exit_code = 4
+
+
+class FitError(NeedlefitError):
+    """A fit or a chain cannot start or go on."""
+
+    exit_code = 4

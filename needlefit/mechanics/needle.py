@@ -1,0 +1,51 @@
+"""The needle: an inextensible Euler-Bernoulli beam."""
+
+import math
+from dataclasses import dataclass
+from typing import Self
+
+from needlefit.errors import ModelError
+from needlefit.project.records.scene import NeedleRecord
+
+
+@dataclass(frozen=True)
+class Needle:
+    """A straight, unloaded beam.
+
+    Attributes
+    ----------
+    length : float
+        From base to tip, mm.
+    flexural_rigidity : float
+        EI, N mm^2.
+    """
+
+    length: float
+    flexural_rigidity: float
+
+    def __post_init__(self) -> None:
+        for name in ("length", "flexural_rigidity"):
+            value = getattr(self, name)
+            if not (math.isfinite(value) and value > 0):
+                raise ModelError(f"needle {name} is {value}", expected="a positive, finite number")
+
+    @classmethod
+    def from_tube(
+        cls, length: float, outer_diameter: float, youngs_modulus: float, inner_diameter: float = 0.0
+    ) -> Self:
+        """Return the needle of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
+        second_moment = math.pi * (outer_diameter**4 - inner_diameter**4) / 64
+        return cls(length, youngs_modulus * second_moment)
+
+    @classmethod
+    def from_record(cls, record: NeedleRecord) -> Self:
+        """Return the needle that a checked record describes."""
+        if record.flexural_rigidity_nmm2 is not None:
+            return cls(record.length_mm, record.flexural_rigidity_nmm2)
+        assert record.outer_diameter_mm is not None and record.youngs_modulus_gpa is not None
+        return cls.from_tube(
+            record.length_mm,
+            record.outer_diameter_mm,
+            record.youngs_modulus_gpa * 1e3,
+            record.inner_diameter_mm,
+        )

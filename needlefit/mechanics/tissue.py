@@ -1,0 +1,80 @@
+"""The tissue: layers that resist the needle's deflection from its own cut."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from needlefit.errors import ModelError
+from needlefit.project.records.scene import LayerRecord
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Tissue:
+    """Layers, from the entry inwards; n is the length of `mu`, never part of a name.
+
+    Attributes
+    ----------
+    mu : (n,) array
+        Effective foundation modulus of each layer, MPa; not a material constant.
+    alpha : (n,) array
+        Nonlinearity of each layer's law.
+    boundaries : (n - 1,) array
+        Depths of the interfaces along C's x axis, mm, increasing.
+    thickness : (n,) array
+        Tissue compressed by the deflection, mm.
+    friction : (n,) array
+        Friction coefficient gamma between shaft and tissue.
+    law : str
+        A file of `mechanics/laws`.
+    """
+
+    mu: Floats
+    alpha: Floats
+    boundaries: Floats = field(default_factory=lambda: np.empty(0))
+    thickness: Floats = field(default_factory=lambda: np.array([40.0]))
+    friction: Floats = field(default_factory=lambda: np.array([0.0]))
+    law: str = "ogden"
+
+    def __post_init__(self) -> None:
+        n = np.size(self.mu)
+        for name, size in (("mu", n), ("alpha", n), ("thickness", n), ("friction", n), ("boundaries", n - 1)):
+            object.__setattr__(self, name, _vector(name, getattr(self, name), size))
+        if np.any(np.diff(self.boundaries) < 0) or np.any(self.boundaries < 0):
+            raise ModelError(
+                f"layer boundaries are {self.boundaries.tolist()} mm",
+                expected="depths that increase, none negative",
+            )
+        if np.any(self.mu <= 0) or np.any(self.thickness <= 0) or np.any(self.friction < 0):
+            raise ModelError("tissue has mu or thickness not above 0, or negative friction")
+
+    @property
+    def layers(self) -> int:
+        """Number of layers."""
+        return len(self.mu)
+
+    @classmethod
+    def from_records(cls, layers: Sequence[LayerRecord], law: str) -> Self:
+        """Return the tissue that checked layer records describe (Pa become MPa)."""
+        return cls(
+            mu=np.array([layer.mu_pa * 1e-6 for layer in layers]),
+            alpha=np.array([layer.alpha for layer in layers]),
+            boundaries=np.array([layer.top_mm for layer in layers[1:]]),
+            thickness=np.array([layer.thickness_mm for layer in layers]),
+            friction=np.array([layer.friction for layer in layers]),
+            law=law,
+        )
+
+
+def _vector(name: str, value: ArrayLike, size: int) -> Floats:
+    """Return `value` as a (size,) array; one number stands for all layers."""
+    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    if array.ndim != 1 or (len(array) != size and not (len(array) == 1 and size > 0)):
+        raise ModelError(f"tissue {name} has shape {array.shape}", expected=f"({size},)")
+    if not np.all(np.isfinite(array)):
+        raise ModelError(f"tissue {name} is not finite: {array.tolist()}")
+    return np.ascontiguousarray(np.broadcast_to(array, (size,)))

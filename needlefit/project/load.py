@@ -1,0 +1,66 @@
+"""TOML file -> checked record; every fault names the file and the key."""
+
+import tomllib
+from pathlib import Path
+from typing import Any, TypeVar
+
+from pydantic import BaseModel, ValidationError
+
+from needlefit.errors import ConfigError
+
+R = TypeVar("R", bound=BaseModel)
+
+
+def load(path: Path, kind: type[R]) -> R:
+    """Read `path` and check it against the record `kind`.
+
+    Raises
+    ------
+    ConfigError
+        If the file is missing, is no TOML, or holds a wrong, missing or unknown key.
+    """
+    return check(read_toml(path), kind, path)
+
+
+def read_toml(path: Path) -> dict[str, Any]:
+    """Return the tables of a TOML file; raise ConfigError with file and line if it cannot be read."""
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except FileNotFoundError:
+        raise ConfigError(
+            "there is no such file", where=str(path), mend="check the name and the path"
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"cannot be read: {error}", where=str(path), expected="a UTF-8 text file") from None
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(
+            f"is not valid TOML: {error}", where=str(path), mend="mend the line named"
+        ) from None
+
+
+def check(tables: dict[str, Any], kind: type[R], path: Path) -> R:
+    """Check parsed tables against the record `kind`; `path` is named in the error.
+
+    Raises
+    ------
+    ConfigError
+        Listing every wrong, missing or unknown key.
+    """
+    try:
+        return kind.model_validate(tables)
+    except ValidationError as error:
+        faults = [_describe(e["loc"], e["msg"], e.get("input")) for e in error.errors()]
+        raise ConfigError(
+            "; ".join(faults), where=str(path), mend=f"mend the key{'s' if len(faults) > 1 else ''} named"
+        ) from None
+
+
+def _describe(location: tuple[int | str, ...], message: str, value: object) -> str:
+    key = ".".join(str(part) for part in location)
+    message = message.removeprefix("Value error, ")
+    if message.startswith("Extra inputs"):
+        return f"key `{key}` is unknown"
+    if message == "Field required":
+        return f"key `{key}` is missing"
+    got = f" (got {value!r})" if isinstance(value, str | int | float | bool) else ""
+    return f"key `{key}`: {message}{got}" if key else f"{message}{got}"

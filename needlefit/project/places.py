@@ -1,0 +1,98 @@
+"""Which file a name means: the working folder's project first, then the copy that ships with needlefit."""
+
+import difflib
+from pathlib import Path
+from typing import Literal
+
+from needlefit.errors import ConfigError
+
+Kind = Literal["scene", "recipe", "study", "fit", "medium", "dataset"]
+
+_PATTERNS: dict[Kind, str] = {
+    "scene": "configs/scenes/{name}.toml",
+    "recipe": "configs/recipes/{name}.toml",
+    "medium": "configs/media/{name}.toml",
+    "fit": "configs/fits/{name}.toml",
+    "study": "studies/{name}.toml",
+    "dataset": "data/{name}/dataset.toml",
+}
+
+
+def shipped() -> Path:
+    """Return the folder that holds the shipped `data/ configs/ studies/`."""
+    package = Path(__file__).resolve().parent.parent
+    wheel = package / "_shipped"
+    return wheel if wheel.is_dir() else package.parent
+
+
+def roots() -> tuple[Path, ...]:
+    """Return the folders searched for a bare name, in order."""
+    here = Path.cwd()
+    local = (here,) if any((here / part).is_dir() for part in ("data", "configs", "studies")) else ()
+    return (*local, shipped())
+
+
+def names(kind: Kind) -> list[str]:
+    """Return every bare name of a kind, sorted."""
+    pattern = _PATTERNS[kind]
+    found = {_name(kind, path) for root in roots() for path in root.glob(pattern.format(name="*"))}
+    return sorted(found)
+
+
+def find(kind: Kind, name: str) -> Path:
+    """Return the file that `name` means: a path (holds `/` or ends in `.toml`) or a bare name.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such file; the nearest names are listed.
+    """
+    if "/" in name or name.endswith(".toml"):
+        path = Path(name)
+        path = path / "dataset.toml" if kind == "dataset" and path.is_dir() else path
+        if path.is_file():
+            return path
+        raise ConfigError(
+            f"there is no such {kind}", where=name, expected="a TOML file", mend="check the path"
+        )
+    for root in roots():
+        path = root / _PATTERNS[kind].format(name=name)
+        if path.is_file():
+            return path
+    raise _unknown(kind, name, names(kind))
+
+
+def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
+    """Return the study or the fit that `name` means; a name found as both is an error."""
+    if "/" in name or name.endswith(".toml"):
+        path = find("fit", name)
+        return ("study" if _is_study(path) else "fit"), path
+    found = [kind for kind in ("study", "fit") if name in names(kind)]  # type: ignore[arg-type]
+    if len(found) == 2:
+        raise ConfigError(
+            f"`{name}` is both a study and a fit",
+            mend=f"say which: studies/{name}.toml or configs/fits/{name}.toml",
+        )
+    if not found:
+        raise _unknown("study or fit", name, names("study") + names("fit"))
+    kind: Literal["study", "fit"] = "study" if found[0] == "study" else "fit"
+    return kind, find(kind, name)
+
+
+def _is_study(path: Path) -> bool:
+    from needlefit.project.load import read_toml
+
+    return bool({"validate", "leave_out"} & read_toml(path).keys())
+
+
+def _name(kind: Kind, path: Path) -> str:
+    return path.parent.name if kind == "dataset" else path.stem
+
+
+def _unknown(kind: str, name: str, known: list[str]) -> ConfigError:
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
+    return ConfigError(
+        f"there is no {kind} called `{name}`",
+        expected=f"one of {', '.join(near) or '(none found)'}",
+        mend="use one of these names, or a path to a TOML file",
+    )

@@ -1,0 +1,1 @@
+"""Checked plain records of the text files that a user writes: one kind of file, one module."""

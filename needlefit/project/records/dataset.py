@@ -1,0 +1,101 @@
+"""A dataset: where its insertions, centrelines and layer surfaces stand, and in which columns."""
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from needlefit.project.records.record import FileRecord, Record
+from needlefit.project.records.scene import NeedleRecord
+
+Scalar = str | float | int
+
+
+class FrameRecord(Record):
+    """What the coordinates mean.
+
+    `pose = "known"`: world coordinates and an entry pose per insertion.
+    `pose = "free"`: shapes known only up to a rigid motion; they are compared after alignment, by arc
+    length from the tip, without the proximal `drop_proximal_mm`.
+    """
+
+    name: str = "world"
+    pose: Literal["known", "free"] = "known"
+    drop_proximal_mm: float = Field(default=0.0, ge=0)
+
+
+class NoiseRecord(Record):
+    """What the data's makers state of their errors (all mm); they set the noise floor."""
+
+    registration_mean_mm: float = Field(default=0.0, ge=0)
+    point_sd_mm: float = Field(default=0.0, ge=0)
+    correlated_sd_mm: float = Field(default=0.0, ge=0)
+    correlation_length_mm: float = Field(default=5.0, gt=0)
+
+
+class InsertionsRecord(Record):
+    """The table of insertions.
+
+    Without `file`, insertions are the groups of the centreline table, named by `id_template` over the
+    group columns. `columns` maps our names to columns, `constants` gives a value to every row.
+    """
+
+    file: str | None = None
+    id_template: str | None = None
+    columns: dict[str, str] = {}
+    constants: dict[str, Scalar] = {}
+
+
+class CenterlinesRecord(Record):
+    """The centrelines: one file per insertion (`pattern` with `{id}`), or one long table (`file`, `group_by`)."""
+
+    pattern: str | None = None
+    file: str | None = None
+    group_by: tuple[str, ...] = ()
+    columns: dict[str, str] = {}
+
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        if (self.pattern is None) == (self.file is None):
+            raise ValueError("give either pattern (one file per insertion) or file (one long table)")
+        if (self.file is not None) != bool(self.group_by):
+            raise ValueError(
+                "file and group_by belong together: group_by names the columns that tell insertions apart"
+            )
+        return self
+
+
+class SurfaceRecord(Record):
+    """A boundary: crossing a `sheet` leads into layer `into`; a `solid` is layer `into` wherever it is."""
+
+    file: str
+    kind: Literal["sheet", "solid"]
+    into: int = Field(ge=1)
+
+
+class DatasetMediumRecord(Record):
+    """The layers of a medium: as surfaces, or as depths along the needle, the same for every insertion."""
+
+    surfaces: tuple[SurfaceRecord, ...] = ()
+    boundaries_mm: tuple[float, ...] | None = None
+    note: str = ""
+
+
+class DatasetRecord(FileRecord):
+    """`data/<name>/dataset.toml`."""
+
+    name: str
+    title: str = ""
+    origin: Literal["measured", "synthetic"]
+    license: str
+    source: str
+    how_to_get: str = ""
+    units: Literal["mm"] = "mm"
+    root: str | None = None
+    notes: str = ""
+    frame: FrameRecord = FrameRecord()
+    needle: NeedleRecord
+    noise: NoiseRecord = NoiseRecord()
+    insertions: InsertionsRecord
+    centerlines: CenterlinesRecord
+    media: dict[str, DatasetMediumRecord] = {}
+    checksums: dict[str, str] = {}

@@ -1,0 +1,39 @@
+"""A medium: how many layers, which of their parameters are free, and within what bounds."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from needlefit.project.records.record import FileRecord, Record
+
+
+class ParameterRecord(Record):
+    """One parameter: free within `bounds`, `fixed`, or tied to another one (`"mu1_pa"`, `"10 * mu1_pa"`)."""
+
+    bounds: tuple[float, float] | None = None
+    fixed: float | None = None
+    tie: str | None = None
+
+    @model_validator(mode="after")
+    def _exactly_one(self) -> Self:
+        given = [k for k in ("bounds", "fixed", "tie") if getattr(self, k) is not None]
+        if len(given) != 1:
+            raise ValueError(f"give exactly one of bounds, fixed, tie; got {', '.join(given) or 'none'}")
+        if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
+            raise ValueError(f"bounds must be [low, high] with low < high, got {list(self.bounds)}")
+        return self
+
+
+class MediumRecord(FileRecord):
+    """`configs/media/<name>.toml`: the model of one medium, as a table of parameters by name.
+
+    Names: `mu1_pa`, `alpha1`, ... one pair per layer, `bevel_mm`, and optionally `guide_distance_mm`.
+    """
+
+    title: str = ""
+    note: str = ""
+    layers: int = Field(ge=1)
+    law: str = "ogden"
+    thickness_mm: float = Field(default=40.0, gt=0)
+    constraint_spacing_mm: float = Field(default=1.0, gt=0)
+    parameters: dict[str, ParameterRecord]

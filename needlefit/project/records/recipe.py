@@ -1,0 +1,36 @@
+"""A recipe: how to search (algorithm, starts, budget), what to minimise, how to sample."""
+
+from pydantic import Field
+
+from needlefit.project.records.record import FileRecord, Record
+
+
+class WeightsRecord(Record):
+    """The metric objective: a weighted mean over insertions of IPE, TE (both mm) and EDP (mm per 100 %)."""
+
+    ipe: float = Field(default=1.0, ge=0)
+    te: float = Field(default=1.0, ge=0)
+    edp: float = Field(default=0.1, ge=0)
+    edp_floor_mm: float = Field(default=0.2, gt=0)
+
+
+class SampleRecord(Record):
+    """emcee: walkers and steps of each of several independent ensembles."""
+
+    ensembles: int = Field(default=4, ge=1)
+    walkers: int = Field(default=32, ge=4)
+    steps: int = Field(default=500, ge=2)
+    burn_in: int = Field(default=200, ge=0)
+
+
+class RecipeRecord(FileRecord):
+    """`configs/recipes/<name>.toml`."""
+
+    title: str = ""
+    algorithm: str = "sbplx"
+    starts: int = Field(default=16, ge=1)
+    seed: int = Field(default=1, ge=0)
+    evaluations: int = Field(default=600, ge=1)
+    tolerance: float = Field(default=1e-4, gt=0)
+    weights: WeightsRecord = WeightsRecord()
+    sample: SampleRecord = SampleRecord()
