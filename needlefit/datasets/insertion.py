@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
-from needlefit.geometry.frames import Frame
-from needlefit.geometry.surfaces import Surface
 from numpy.typing import NDArray
 
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 
 Floats = NDArray[np.float64]

@@ -1,0 +1,133 @@
+"""Where a centreline crosses the layer surfaces, and which layers it meets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.frames import Floats
+from needlefit.geometry.surfaces import Surface
+
+SAME = 1e-6
+"""Hits of one surface closer than this along the curve, mm, are one: its triangles share edges."""
+
+EDGE = 1e-9
+"""Relative slack at the edges of triangles and ends of segments: an edge is hit twice rather than never."""
+
+BLOCK = 200_000
+"""Segment-triangle pairs tested at once; bounds the memory."""
+
+
+@dataclass(frozen=True)
+class Crossings:
+    """The layers along a curve.
+
+    Attributes
+    ----------
+    arc : (m,) array
+        Arc length from the first point at which the layer changes, mm, increasing.
+    points : (m, 3) array
+        The same places in the world, mm.
+    sequence : tuple of int
+        The m + 1 layer numbers met, beginning with that of the first point.
+    """
+
+    arc: Floats
+    points: Floats
+    sequence: tuple[int, ...]
+
+
+def crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
+    """Return where the polyline `points` (N, 3) changes its layer.
+
+    A place belongs to the solid that contains it (the last listed, if several do), else to the layer into
+    which the last sheet crossed leads, whichever way it was crossed, else to layer 1. A touch is no
+    crossing, and a crossing that does not change the layer is not listed.
+    """
+    curve = np.asarray(points, dtype=np.float64)
+    length = float(arc_length(curve)[-1])
+    hits = [(arc, surface) for surface in surfaces for arc in surface_hits(curve, surface)]
+    hits.sort(key=lambda hit: hit[0])
+    stops = [0.0, *(arc for arc, _ in hits), length]
+    middles = at_arc(curve, (np.array(stops[:-1]) + np.array(stops[1:])) / 2)
+    solids = _solid_layers(middles, surfaces)
+    arcs: list[float] = []
+    sequence: list[int] = []
+    sheet = 1
+    for n, (start, end) in enumerate(zip(stops, stops[1:], strict=False)):
+        if n and hits[n - 1][1].kind == "sheet":
+            sheet = hits[n - 1][1].into
+        layer = int(solids[n]) or sheet
+        if end - start < SAME or (sequence and layer == sequence[-1]):
+            continue
+        if sequence:
+            arcs.append(start)
+        sequence.append(layer)
+    return Crossings(np.array(arcs), at_arc(curve, arcs).reshape(-1, 3), tuple(sequence) or (sheet,))
+
+
+def surface_hits(curve: Floats, surface: Surface) -> Floats:
+    """Return the arc lengths (m,) at which the polyline `curve` (N, 3) passes through a surface, increasing.
+
+    A place where it meets triangles from both sides (it touches an edge, or a point of the curve lies on
+    the surface and the curve turns back) is no passage through a sheet; for a solid the question is
+    settled by which stretches lie inside.
+    """
+    arc, sign = _triangle_hits(curve, np.asarray(surface.mesh.triangles, dtype=np.float64))
+    order = np.argsort(arc, kind="stable")
+    arc, sign = arc[order], sign[order]
+    groups = np.split(np.arange(len(arc)), np.flatnonzero(np.diff(arc) > SAME) + 1) if len(arc) else []
+    through = [g for g in groups if surface.kind == "solid" or abs(sign[g].sum()) == len(g)]
+    return np.array([arc[g[0]] for g in through])
+
+
+def _triangle_hits(curve: Floats, triangles: Floats) -> tuple[Floats, Floats]:
+    """Return arc length and side (+1: along the triangle's normal) of every hit of segment and triangle."""
+    low, high = curve.min(axis=0) - SAME, curve.max(axis=0) + SAME
+    near = (triangles.max(axis=1) >= low).all(axis=1) & (triangles.min(axis=1) <= high).all(axis=1)
+    triangles = triangles[near]
+    if len(triangles) == 0:
+        return np.empty(0), np.empty(0)
+    along, step = arc_length(curve), max(1, BLOCK // len(triangles))
+    arcs, signs = [], []
+    for first in range(0, len(curve) - 1, step):
+        starts, ends = curve[first : first + step + 1][:-1], curve[first + 1 : first + step + 1]
+        segment, fraction, sign = _intersect(starts, ends - starts, triangles)
+        lengths = np.diff(along)[first + segment]
+        arcs.append(along[first + segment] + fraction * lengths)
+        signs.append(sign)
+    return np.concatenate(arcs), np.concatenate(signs)
+
+
+def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.ndarray, Floats, Floats]:
+    """Intersect segments `starts + t steps` (N, 3) with triangles (M, 3, 3): segment, t and side of each hit.
+
+    Moller and Trumbore's test: with edges e1, e2 of a triangle at a, solve  start + t step = a + u e1 + v e2.
+    """
+    a = triangles[:, 0]
+    e1, e2 = triangles[:, 1] - a, triangles[:, 2] - a
+    offset = starts[:, None] - a  # (N, M, 3)
+    normal = np.cross(e1, e2)  # (M, 3)
+    slope = steps @ normal.T  # (N, M), minus the determinant
+    turn = np.cross(offset, steps[:, None])
+    scale = np.linalg.norm(steps, axis=1)[:, None] * np.linalg.norm(normal, axis=1)
+    parallel = np.abs(slope) <= 1e-12 * scale
+    safe = np.where(parallel, 1.0, slope)
+    t = -np.einsum("nmk,mk->nm", offset, normal) / safe
+    u = -np.einsum("nmk,mk->nm", turn, e2) / safe
+    v = np.einsum("nmk,mk->nm", turn, e1) / safe
+    inside = (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1 + EDGE) & (t >= -EDGE) & (t <= 1 + EDGE)
+    segment, triangle = np.nonzero(inside & ~parallel)
+    fraction = np.clip(t[segment, triangle], 0.0, 1.0)
+    return segment, fraction, np.sign(slope[segment, triangle])
+
+
+def _solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
+    """Return the layer of the solid that holds each place (K, 3), 0 where there is none."""
+    layers = np.zeros(len(places), dtype=np.int64)
+    for surface in surfaces:
+        if surface.kind == "solid":
+            layers[surface.mesh.contains(places)] = surface.into
+    return layers

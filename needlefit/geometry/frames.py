@@ -1,0 +1,83 @@
+"""Rigid frames of the world, and the rigid motion that lays one planar curve on another."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from needlefit.errors import DataError
+
+Floats = NDArray[np.float64]
+
+PARALLEL = 1e-6
+"""Sine of the angle under which two directions count as parallel."""
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A right-handed frame in the world.
+
+    Attributes
+    ----------
+    origin : (3,) array
+        World position, mm.
+    rotation : (3, 3) array
+        Its columns are the frame's x, y and z axes in the world.
+    """
+
+    origin: Floats
+    rotation: Floats
+
+    def to_local(self, points: ArrayLike) -> Floats:
+        """Return world `points` (N, 3) in this frame."""
+        local: Floats = (np.asarray(points, dtype=np.float64) - self.origin) @ self.rotation
+        return local
+
+    def to_world(self, points: ArrayLike) -> Floats:
+        """Return `points` (N, 3) of this frame in the world."""
+        world: Floats = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.origin
+        return world
+
+
+def unit(vector: ArrayLike, name: str = "direction") -> Floats:
+    """Return `vector` (3,) at length 1; DataError, which calls it `name`, if it is zero or not finite."""
+    array = np.asarray(vector, dtype=np.float64)
+    length = float(np.linalg.norm(array))
+    if array.shape != (3,) or not np.isfinite(length) or length == 0.0:
+        raise DataError(f"{name} is {array.tolist()}", expected="three finite numbers, not all zero")
+    scaled: Floats = array / length
+    return scaled
+
+
+def entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> Frame:
+    """Return C: x along `direction`, y the part of `toward` normal to it, z = x cross y; all (3,), world.
+
+    Raises
+    ------
+    DataError
+        If a direction is zero or the two are parallel.
+    """
+    x, wanted = unit(direction), unit(toward, "bending direction")
+    normal = wanted - (wanted @ x) * x
+    if np.linalg.norm(normal) < PARALLEL:
+        raise DataError(
+            "the bending direction is parallel to the entry direction",
+            expected="a direction across the needle",
+        )
+    y = unit(normal)
+    return Frame(np.asarray(origin, dtype=np.float64), np.column_stack([x, y, np.cross(x, y)]))
+
+
+def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
+    """Return `moving` (N, 2) after the motion of SE(2) that brings it closest to `fixed` (N, 2).
+
+    Least squares over all points; rotation and shift only, never scale or reflection. In the plane the
+    best angle has a closed form: the phase of sum conj(m_j) f_j, with centred points as complex numbers.
+    """
+    m, f = np.asarray(moving, dtype=np.float64), np.asarray(fixed, dtype=np.float64)
+    centre_m, centre_f = m.mean(axis=0), f.mean(axis=0)
+    a, b = m - centre_m, f - centre_f
+    angle = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    c, s = np.cos(angle), np.sin(angle)
+    aligned: Floats = a @ np.array([[c, s], [-s, c]]) + centre_f
+    return aligned

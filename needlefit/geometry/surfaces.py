@@ -1,0 +1,138 @@
+"""Layer boundaries as triangulated surfaces: read, write, build, and what is wrong with one."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from needlefit.errors import DataError
+from needlefit.geometry.frames import unit
+from needlefit.geometry.plane import any_normal
+
+Kind = Literal["sheet", "solid"]
+
+DECIMALS = 4
+"""Coordinates are written to 1e-4 mm."""
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A boundary: crossing a "sheet" leads into layer `into`; a "solid" is layer `into` wherever it is."""
+
+    name: str
+    mesh: trimesh.Trimesh
+    kind: Kind
+    into: int
+
+
+def read_surface(path: Path, kind: Kind, into: int) -> Surface:
+    """Read an STL, PLY or OBJ file, in mm; what is wrong with the mesh itself `surface_faults` says.
+
+    Raises
+    ------
+    DataError
+        If the file is missing or holds no triangles.
+    """
+    expected = "an STL, PLY or OBJ file of triangles, in mm"
+    try:
+        # process=False: trimesh would drop non-finite vertices and hide the fault
+        mesh = trimesh.load_mesh(path, process=False)
+    except FileNotFoundError:
+        raise DataError("there is no such file", where=str(path), expected=expected) from None
+    except Exception as error:  # the readers of the formats raise whatever the bytes provoke
+        raise DataError(f"cannot be read: {error}", where=str(path), expected=expected) from None
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+        raise DataError("holds no triangles", where=str(path), expected=expected)
+    if np.isfinite(mesh.vertices).all():
+        mesh.merge_vertices(merge_tex=True, merge_norm=True)  # an STL file repeats them for every triangle
+    return Surface(path.stem, mesh, kind, into)
+
+
+def write_surface(surface: Surface, path: Path) -> None:
+    """Write a surface as text STL, coordinates rounded to 1e-4 mm; the same surface gives the same bytes."""
+    vertices = np.round(surface.mesh.vertices, DECIMALS) + 0.0  # no "-0.0"
+    mesh = trimesh.Trimesh(vertices, surface.mesh.faces, process=False)
+    normals = np.round(mesh.face_normals, 6) + 0.0
+    mesh = trimesh.Trimesh(vertices, mesh.faces, face_normals=normals, process=False)
+    mesh.metadata["name"] = surface.name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(trimesh.exchange.stl.export_stl_ascii(mesh).encode("ascii"))
+
+
+def sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, into: int) -> Surface:
+    """Return a plane square sheet of edge `size` (mm) around `center` (3,), normal to `normal` (3,)."""
+    z = unit(normal, "normal")
+    x = any_normal(z)
+    y = np.cross(z, x)
+    corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
+    vertices = np.asarray(center, dtype=np.float64) + [size / 2 * (i * x + j * y) for i, j in corners]
+    return Surface(name, trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], process=False), "sheet", into)
+
+
+def cylinder(
+    name: str, ends: tuple[ArrayLike, ArrayLike], radius: float, into: int, facets: int = 96
+) -> Surface:
+    """Return a closed cylinder between the centres `ends` of its two faces, as a prism inscribed in it (mm)."""
+    bottom, top = (np.asarray(end, dtype=np.float64) for end in ends)
+    z = unit(top - bottom, "cylinder axis")
+    x = any_normal(z)
+    angle = 2 * np.pi * np.arange(facets) / facets
+    rim = radius * (np.outer(np.cos(angle), x) + np.outer(np.sin(angle), np.cross(z, x)))  # (facets, 3)
+    vertices = np.vstack([bottom + rim, top + rim, bottom, top])
+    i = np.arange(facets)
+    j, centre_bottom, centre_top = (
+        (i + 1) % facets,
+        np.full(facets, 2 * facets),
+        np.full(facets, 2 * facets + 1),
+    )
+    faces = np.vstack(
+        [
+            np.column_stack([i, j, j + facets]),
+            np.column_stack([i, j + facets, i + facets]),
+            np.column_stack([j, i, centre_bottom]),
+            np.column_stack([i + facets, j + facets, centre_top]),
+        ]
+    )
+    return Surface(name, trimesh.Trimesh(vertices, faces, process=False), "solid", into)
+
+
+def surface_faults(mesh: trimesh.Trimesh, kind: Kind) -> list[str]:
+    """Say what keeps `mesh` from being a boundary: a closed "solid", or a "sheet" in one piece without holes."""
+    if len(mesh.faces) == 0:
+        return ["holds no triangles"]
+    if not np.isfinite(mesh.vertices).all():
+        return ["has coordinates that are not finite"]
+    edges, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
+    faults = []
+    if (counts > 2).any():
+        faults.append(f"has {int((counts > 2).sum())} edges that more than two triangles share")
+    pieces = _components(edges)
+    if pieces > 1:
+        faults.append(f"falls apart into {pieces} pieces")
+    rims = _components(edges[counts == 1])
+    if kind == "solid" and rims:
+        faults.append(
+            f"does not close: {rims} hole{'s' if rims > 1 else ''}, {int((counts == 1).sum())} open edges"
+        )
+    if kind == "sheet" and rims == 0:
+        faults.append("is closed, but listed as a sheet")
+    if kind == "sheet" and rims > pieces:
+        faults.append(f"has {rims - pieces} hole{'s' if rims - pieces > 1 else ''}")
+    if not mesh.is_winding_consistent:
+        faults.append("has neighbouring triangles that face opposite ways")
+    return faults
+
+
+def _components(edges: NDArray[np.int64]) -> int:
+    """Return the number of connected pieces of the graph of `edges` (E, 2), 0 if it has none."""
+    if len(edges) == 0:
+        return 0
+    vertices, flat = np.unique(edges, return_inverse=True)
+    i, j = flat.reshape(-1, 2).T
+    graph = coo_array((np.ones(len(i)), (i, j)), shape=(len(vertices), len(vertices)))
+    return int(connected_components(graph, directed=False)[0])
