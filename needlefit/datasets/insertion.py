@@ -92,7 +92,7 @@ class Insertion:
 
     @property
     def deflection(self) -> float:
-        """Measured deflection of the tip, |y_K - y_1| with y normal to C's x axis, positive toward the bevel, mm."""
+        """Measured tip deflection y_K - y_1 in C, positive toward the bevel, mm."""
         return float(self.side * (self.planar[-1, 1] - self.planar[0, 1]))
 
 

@@ -1,1 +1,1 @@
-"""Frames, curves, surfaces, their crossings, and the comparison of two curves; knows no needle and no file layout."""
+"""Frames, curves, surfaces, crossings, comparison of two curves; knows no needle and no file layout."""

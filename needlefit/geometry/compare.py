@@ -22,7 +22,7 @@ class CurveErrors:
     te : float
         Tip error, `ipe[-1]`.
     edp : float
-        Error as a percentage of the deflection: 100 TE / |y_K - y_1|; infinite where the needle stayed straight.
+        100 TE / |y_K - y_1|, percent; infinite where the measured needle stayed straight.
     median, mean, std, maximum : float
         Of `ipe`; `std` over all K stations (no correction for their number).
     deflection : float

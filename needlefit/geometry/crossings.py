@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -56,7 +57,7 @@ def crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     arcs: list[float] = []
     sequence: list[int] = []
     sheet = 1
-    for n, (start, end) in enumerate(zip(stops, stops[1:], strict=False)):
+    for n, (start, end) in enumerate(pairwise(stops)):
         if n and hits[n - 1][1].kind == "sheet":
             sheet = hits[n - 1][1].into
         layer = int(solids[n]) or sheet

@@ -77,7 +77,7 @@ def sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, into: in
 def cylinder(
     name: str, ends: tuple[ArrayLike, ArrayLike], radius: float, into: int, facets: int = 96
 ) -> Surface:
-    """Return a closed cylinder between the centres `ends` of its two faces, as a prism inscribed in it (mm)."""
+    """Return a closed cylinder (an inscribed prism) between the centres `ends` of its faces; mm."""
     bottom, top = (np.asarray(end, dtype=np.float64) for end in ends)
     z = unit(top - bottom, "cylinder axis")
     x = any_normal(z)
@@ -102,7 +102,7 @@ def cylinder(
 
 
 def surface_faults(mesh: trimesh.Trimesh, kind: Kind) -> list[str]:
-    """Say what keeps `mesh` from being a boundary: a closed "solid", or a "sheet" in one piece without holes."""
+    """Say what keeps `mesh` from being a boundary: a closed "solid", a "sheet" without holes."""
     if len(mesh.faces) == 0:
         return ["holds no triangles"]
     if not np.isfinite(mesh.vertices).all():
