@@ -1,1 +1,1 @@
-"""Where a project's files lie (`places`), and how a TOML file becomes a checked record (`load`, `records`)."""
+"""Where a project's files lie (`places`), and how a TOML file becomes a checked record (`load`)."""

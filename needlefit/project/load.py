@@ -38,8 +38,10 @@ def read_toml(path: Path) -> dict[str, Any]:
         ) from None
 
 
-def check(tables: dict[str, Any], kind: type[R], path: Path) -> R:
-    """Check parsed tables against the record `kind`; `path` is named in the error.
+def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
+    """Check parsed tables against the record `kind`; `where` is named in the error.
+
+    Members of a list are numbered from 1, as layers are: `layers.1` is the first one.
 
     Raises
     ------
@@ -51,12 +53,12 @@ def check(tables: dict[str, Any], kind: type[R], path: Path) -> R:
     except ValidationError as error:
         faults = [_describe(e["loc"], e["msg"], e.get("input")) for e in error.errors()]
         raise ConfigError(
-            "; ".join(faults), where=str(path), mend=f"mend the key{'s' if len(faults) > 1 else ''} named"
+            "; ".join(faults), where=str(where), mend=f"mend the key{'s' if len(faults) > 1 else ''} named"
         ) from None
 
 
 def _describe(location: tuple[int | str, ...], message: str, value: object) -> str:
-    key = ".".join(str(part) for part in location)
+    key = ".".join(str(part + 1 if isinstance(part, int) else part) for part in location)
     message = message.removeprefix("Value error, ")
     if message.startswith("Extra inputs"):
         return f"key `{key}` is unknown"

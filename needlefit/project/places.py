@@ -16,6 +16,8 @@ _PATTERNS: dict[Kind, str] = {
     "study": "studies/{name}.toml",
     "dataset": "data/{name}/dataset.toml",
 }
+PARTS = ("data", "configs", "studies")
+PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 
 
 def shipped() -> Path:
@@ -26,10 +28,14 @@ def shipped() -> Path:
 
 
 def roots() -> tuple[Path, ...]:
-    """Return the folders searched for a bare name, in order."""
+    """Return the folders searched for a bare name, in order; each name is looked up on its own.
+
+    A working folder that holds only some of `data/ configs/ studies/`, or only some names, is completed
+    by the shipped ones.
+    """
     here = Path.cwd()
-    local = (here,) if any((here / part).is_dir() for part in ("data", "configs", "studies")) else ()
-    return (*local, shipped())
+    local = here != shipped() and any((here / part).is_dir() for part in PARTS)
+    return (here, shipped()) if local else (shipped(),)
 
 
 def names(kind: Kind) -> list[str]:
@@ -47,14 +53,12 @@ def find(kind: Kind, name: str) -> Path:
     ConfigError
         If there is no such file; the nearest names are listed.
     """
-    if "/" in name or name.endswith(".toml"):
+    if _is_path(name):
         path = Path(name)
         path = path / "dataset.toml" if kind == "dataset" and path.is_dir() else path
         if path.is_file():
             return path
-        raise ConfigError(
-            f"there is no such {kind}", where=name, expected="a TOML file", mend="check the path"
-        )
+        raise _missing(kind, name)
     for root in roots():
         path = root / _PATTERNS[kind].format(name=name)
         if path.is_file():
@@ -64,8 +68,10 @@ def find(kind: Kind, name: str) -> Path:
 
 def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
-    if "/" in name or name.endswith(".toml"):
-        path = find("fit", name)
+    if _is_path(name):
+        path = Path(name)
+        if not path.is_file():
+            raise _missing("study or fit", name)
         return ("study" if _is_study(path) else "fit"), path
     found = [kind for kind in ("study", "fit") if name in names(kind)]  # type: ignore[arg-type]
     if len(found) == 2:
@@ -79,6 +85,36 @@ def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
     return kind, find(kind, name)
 
 
+def find_studies(name: str) -> list[tuple[str, Path]]:
+    """Return the names and files of the studies that `name` means; `all` is the paper's five.
+
+    Studies on data that is not shipped are never among `all`.
+    """
+    if name != "all":
+        path = find("study", name)
+        return [(path.stem, path)]
+    return [(study, find("study", study)) for study in PAPER_STUDIES]
+
+
+def find_run(name: str) -> Path:
+    """Return the folder of results that `name` means: a path, or bare a folder in `reports/`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such folder, or it holds no `run.json`.
+    """
+    folder = Path(name) if _is_path(name) else Path("reports") / name
+    if (folder / "run.json").is_file():
+        return folder
+    known = sorted(path.parent.name for path in Path("reports").glob("*/run.json"))
+    raise _unknown("run", name, known)
+
+
+def _is_path(name: str) -> bool:
+    return "/" in name or name.endswith(".toml")
+
+
 def _is_study(path: Path) -> bool:
     from needlefit.project.load import read_toml
 
@@ -89,10 +125,15 @@ def _name(kind: Kind, path: Path) -> str:
     return path.parent.name if kind == "dataset" else path.stem
 
 
+def _missing(kind: str, name: str) -> ConfigError:
+    return ConfigError(f"there is no such {kind}", where=name, expected="a TOML file", mend="check the path")
+
+
 def _unknown(kind: str, name: str, known: list[str]) -> ConfigError:
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
+    mend = f"write ./{name} if you mean the one in this folder" if Path(name).exists() else ""
     return ConfigError(
         f"there is no {kind} called `{name}`",
         expected=f"one of {', '.join(near) or '(none found)'}",
-        mend="use one of these names, or a path to a TOML file",
+        mend=mend or "use one of these names, or a path",
     )

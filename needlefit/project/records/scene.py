@@ -1,5 +1,6 @@
 """A scene: one needle, one stack of layers, one bevel, one depth."""
 
+from itertools import pairwise
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -89,7 +90,18 @@ class SceneRecord(FileRecord):
     def _ordered(self) -> Self:
         tops = [layer.top_mm for layer in self.layers]
         if tops[0] != 0:
-            raise ValueError(f"layers.0.top_mm is {tops[0]}: the first layer begins at the entry, top_mm = 0")
-        if any(b <= a for a, b in zip(tops, tops[1:], strict=False)):
+            raise ValueError(f"layers.1.top_mm is {tops[0]}: the first layer begins at the entry, top_mm = 0")
+        if any(b <= a for a, b in pairwise(tops)):
             raise ValueError(f"layers must lie one below the other: top_mm must increase, got {tops}")
+        return self
+
+    @model_validator(mode="after")
+    def _reachable(self) -> Self:
+        reach = self.needle.length_mm - (self.controls.guide_distance_mm or 0.0)
+        if self.depth_mm >= reach:
+            behind = "the guide" if self.controls.guide_distance_mm else "the tissue"
+            raise ValueError(
+                f"depth_mm = {self.depth_mm:g} drives the needle's base into {behind}: "
+                f"expected less than {reach:g} mm"
+            )
         return self

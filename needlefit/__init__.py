@@ -1,0 +1,87 @@
+"""needlefit: fit and cross-validate bevel-tip needle models on measured insertions.
+
+The names below are resolved when first used, so that `import needlefit` costs nothing.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from needlefit.datasets.read import read as read_dataset
+    from needlefit.errors import NeedlefitError
+    from needlefit.inference.optimize import minimize
+    from needlefit.inference.problem import Problem
+    from needlefit.mechanics.control import Bevel, Controls, Rules
+    from needlefit.mechanics.needle import Needle
+    from needlefit.mechanics.scene import Scene
+    from needlefit.mechanics.shape import NeedleShape
+    from needlefit.mechanics.simulate import simulate
+    from needlefit.mechanics.tissue import Tissue
+    from needlefit.reporting.write import write
+    from needlefit.validation.run import run
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "Bevel",
+    "Controls",
+    "Needle",
+    "NeedleShape",
+    "NeedlefitError",
+    "Problem",
+    "Rules",
+    "Scene",
+    "Tissue",
+    "minimize",
+    "open_scene",
+    "read_dataset",
+    "run",
+    "simulate",
+    "write",
+]
+
+_HOMES = {
+    "Bevel": "mechanics.control",
+    "Controls": "mechanics.control",
+    "Needle": "mechanics.needle",
+    "NeedleShape": "mechanics.shape",
+    "NeedlefitError": "errors",
+    "Problem": "inference.problem",
+    "Rules": "mechanics.control",
+    "Scene": "mechanics.scene",
+    "Tissue": "mechanics.tissue",
+    "minimize": "inference.optimize",
+    "read_dataset": "datasets.read:read",
+    "run": "validation.run",
+    "simulate": "mechanics.simulate",
+    "write": "reporting.write",
+}
+
+
+def open_scene(name: str) -> "Scene":
+    """Return the scene that `name` means: a path to a TOML file, or a bare name such as `phantom1`.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such scene, or its file holds a wrong, missing or unknown key.
+    """
+    from needlefit.mechanics.scene import Scene
+    from needlefit.project.load import load
+    from needlefit.project.places import find
+    from needlefit.project.records.scene import SceneRecord
+
+    return Scene.from_record(load(find("scene", name), SceneRecord))
+
+
+def __getattr__(name: str) -> object:
+    if name not in _HOMES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    home, _, attribute = _HOMES[name].partition(":")
+    value = getattr(import_module(f"{__name__}.{home}"), attribute or name)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

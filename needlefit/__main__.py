@@ -1,0 +1,5 @@
+"""`python -m needlefit` is `needlefit`."""
+
+from needlefit.cli import main
+
+main()

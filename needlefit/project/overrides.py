@@ -1,0 +1,72 @@
+"""Changing single keys of a TOML file from the command line: `bevel.offset_mm=0.1`, `layers.1.mu_pa=3e5`."""
+
+import copy
+import difflib
+import tomllib
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, get_args, get_origin
+
+from pydantic import BaseModel
+
+from needlefit.errors import ConfigError
+
+
+def override(
+    tables: Mapping[str, Any], assignments: Sequence[tuple[str, str]], kind: type[BaseModel], where: str
+) -> dict[str, Any]:
+    """Return a copy of `tables` in which each dotted key has its new value.
+
+    Members of a list are numbered from 1, as layers are: `layers.1` is the first layer.
+
+    Raises
+    ------
+    ConfigError
+        If the record `kind` has no such key; the nearest ones are listed.
+    """
+    changed = copy.deepcopy(dict(tables))
+    known = list(keys(kind, tables))
+    for key, text in assignments:
+        if key not in known:
+            near = difflib.get_close_matches(key, known, n=3, cutoff=0.5) or known
+            raise ConfigError(
+                f"there is no key `{key}`",
+                where=where,
+                expected=f"one of {', '.join(near)}",
+                mend="use one of these keys; layers are numbered from 1",
+            )
+        _assign(changed, key.split("."), _parsed(text))
+    return changed
+
+
+def keys(kind: type[BaseModel], tables: Mapping[str, Any]) -> Iterator[str]:
+    """Yield every dotted key that a file of this kind may hold; lists are as long as in `tables`."""
+    for name, field in kind.model_fields.items():
+        name = field.alias or name
+        inner = field.annotation
+        if _is_record(inner):
+            yield from (f"{name}.{key}" for key in keys(inner, tables.get(name, {})))
+        elif get_origin(inner) is tuple and _is_record(get_args(inner)[0]):
+            for number, member in enumerate(tables.get(name, []), start=1):
+                yield from (f"{name}.{number}.{key}" for key in keys(get_args(inner)[0], member))
+        elif name != "schema":
+            yield name
+
+
+def _is_record(annotation: object) -> bool:
+    return isinstance(annotation, type) and issubclass(annotation, BaseModel)
+
+
+def _assign(tables: dict[str, Any], path: list[str], value: object) -> None:
+    """Set the value at the end of `path`, making the tables on the way that the file leaves to defaults."""
+    table: Any = tables
+    for part in path[:-1]:
+        table = table[int(part) - 1] if part.isdigit() else table.setdefault(part, {})
+    table[path[-1]] = value
+
+
+def _parsed(text: str) -> object:
+    """Return a TOML value; what is none (`ogden`) is a string."""
+    try:
+        return tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        return text
