@@ -6,6 +6,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.errors import ModelError
+from needlefit.mechanics.kernel import positions as kernel
+
 Floats = NDArray[np.float64]
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 
@@ -52,3 +55,40 @@ class NeedleShape:
     def deflection(self) -> float:
         """Deflection of the tip in C, mm."""
         return float(self.u[-1])
+
+
+def positions(shape: NeedleShape, s: Floats) -> Floats:
+    """Return the needle's points in C.
+
+    The needle keeps its length: x(s) = integral of cos(atan u') from the base, y = u (the tip therefore
+    lags a little behind its depth).
+
+    Parameters
+    ----------
+    shape : NeedleShape
+    s : (K,) array
+        Beam coordinates, mm: 0 at the entry, `shape.depth` at the tip, negative before the tissue.
+
+    Returns
+    -------
+    (K, 2) array
+        x and y, mm.
+
+    Raises
+    ------
+    ModelError
+        If a coordinate lies outside the needle.
+    """
+    wanted = np.ascontiguousarray(s, dtype=np.float64)
+    slack = 1e-9 * max(1.0, shape.depth)
+    if wanted.min() < shape.x[0] - slack or wanted.max() > shape.x[-1] + slack:
+        raise ModelError(
+            f"beam coordinates {wanted.min():g} ... {wanted.max():g} mm leave the needle",
+            expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
+        )
+    return kernel.positions(shape.x, shape.u, shape.slope, wanted)
+
+
+def inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:
+    """Return points (stations, 2) in C at equal fractions of inserted arc length, entry to tip."""
+    return positions(shape, np.linspace(0.0, shape.depth, stations))

@@ -1,0 +1,1 @@
+"""The model of `mechanics/reference.py`, compiled; a test ties the two."""

@@ -1,0 +1,50 @@
+"""From the beam to the plane: the needle does not stretch, x(s) = integral of cos(atan u')."""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from needlefit.mechanics.kernel.hermite import hermite
+
+Floats = NDArray[np.float64]
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
+_NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
+
+
+@njit(cache=True, nogil=True)
+def positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
+    """Return points (K, 2) in C at beam coordinates `s` (K,), for nodes x, u, slope (N,)."""
+    reached = np.empty(len(x))  # the x coordinate in space of each node
+    reached[0] = x[0]
+    ends = np.empty(4)
+    for e in range(len(x) - 1):
+        _ends(ends, u, slope, e)
+        reached[e + 1] = reached[e] + _advance(ends, x[e + 1] - x[e], x[e + 1] - x[e])
+    points = np.empty((len(s), 2))
+    row = np.empty(8)
+    for i in range(len(s)):
+        e = min(max(np.searchsorted(x, s[i]) - 1, 0), len(x) - 2)
+        _ends(ends, u, slope, e)
+        length = x[e + 1] - x[e]
+        points[i, 0] = reached[e] + _advance(ends, length, s[i] - x[e])
+        hermite(row, s[i] - x[e], length)
+        points[i, 1] = row[0] * ends[0] + row[1] * ends[1] + row[2] * ends[2] + row[3] * ends[3]
+    return points
+
+
+@njit(cache=True, nogil=True, inline="always")
+def _ends(ends: Floats, u: Floats, slope: Floats, e: int) -> None:
+    ends[0], ends[1], ends[2], ends[3] = u[e], slope[e], u[e + 1], slope[e + 1]
+
+
+@njit(cache=True, nogil=True)
+def _advance(ends: Floats, length: float, upto: float) -> float:
+    """Return the integral of cos(atan u') over the first `upto` mm of an element."""
+    row = np.empty(8)
+    total = 0.0
+    for i in range(len(_NODES)):
+        hermite(row, _NODES[i] * upto, length)
+        slope = row[4] * ends[0] + row[5] * ends[1] + row[6] * ends[2] + row[7] * ends[3]
+        total += _WEIGHTS[i] * upto / np.sqrt(1.0 + slope * slope)
+    return total
