@@ -1,0 +1,1 @@
+"""Measured insertions: the nouns (`insertion`), and how they are read, checked, written and selected."""

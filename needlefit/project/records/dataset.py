@@ -1,5 +1,6 @@
 """A dataset: where its insertions, centrelines and layer surfaces stand, and in which columns."""
 
+from itertools import pairwise
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
@@ -30,6 +31,7 @@ class NoiseRecord(Record):
     point_sd_mm: float = Field(default=0.0, ge=0)
     correlated_sd_mm: float = Field(default=0.0, ge=0)
     correlation_length_mm: float = Field(default=5.0, gt=0)
+    note: str = ""
 
 
 class InsertionsRecord(Record):
@@ -46,7 +48,7 @@ class InsertionsRecord(Record):
 
 
 class CenterlinesRecord(Record):
-    """The centrelines: one file per insertion (`pattern` with `{id}`), or one long table (`file`, `group_by`)."""
+    """The centrelines: a file per insertion (`pattern` with `{id}`), or one long table (`file`, `group_by`)."""
 
     pattern: str | None = None
     file: str | None = None
@@ -57,6 +59,8 @@ class CenterlinesRecord(Record):
     def _one_way(self) -> Self:
         if (self.pattern is None) == (self.file is None):
             raise ValueError("give either pattern (one file per insertion) or file (one long table)")
+        if self.pattern is not None and "{id}" not in self.pattern:
+            raise ValueError("pattern must hold {id}, e.g. centerlines/{id}.csv")
         if (self.file is not None) != bool(self.group_by):
             raise ValueError(
                 "file and group_by belong together: group_by names the columns that tell insertions apart"
@@ -79,6 +83,15 @@ class DatasetMediumRecord(Record):
     boundaries_mm: tuple[float, ...] | None = None
     note: str = ""
 
+    @model_validator(mode="after")
+    def _one_way(self) -> Self:
+        depths = self.boundaries_mm
+        if depths is not None and self.surfaces:
+            raise ValueError("give either surfaces or boundaries_mm, not both")
+        if depths and (depths[0] <= 0 or any(b <= a for a, b in pairwise(depths))):
+            raise ValueError(f"boundaries_mm must be positive and increase, got {list(depths)}")
+        return self
+
 
 class DatasetRecord(FileRecord):
     """`data/<name>/dataset.toml`."""
@@ -99,3 +112,11 @@ class DatasetRecord(FileRecord):
     centerlines: CenterlinesRecord
     media: dict[str, DatasetMediumRecord] = {}
     checksums: dict[str, str] = {}
+
+    @model_validator(mode="after")
+    def _has_insertions(self) -> Self:
+        if self.insertions.file is None and self.centerlines.file is None:
+            raise ValueError("without insertions.file the insertions must be the groups of centerlines.file")
+        if self.insertions.file is None and self.insertions.id_template is None:
+            raise ValueError("without insertions.file, insertions.id_template must name the insertions")
+        return self

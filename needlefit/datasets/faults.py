@@ -1,0 +1,34 @@
+"""What is wrong with a dataset, and the error that says so."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from needlefit.errors import DataError, NeedlefitError
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault: `where` (file, with line where there is one), `what`, what was `expected`, how to `mend`."""
+
+    where: str
+    what: str
+    expected: str = ""
+    mend: str = ""
+
+    def __str__(self) -> str:
+        return str(as_error([self], Path(self.where)))
+
+
+def from_error(error: NeedlefitError, where: str = "") -> Fault:
+    """Return the fault that an error describes, at `where` unless the error knows better."""
+    return Fault(error.where or where, error.what, error.expected, error.mend)
+
+
+def as_error(faults: Sequence[Fault], path: Path) -> DataError:
+    """Return the error that lists every fault of the dataset at `path`."""
+    if len(faults) == 1:
+        fault = faults[0]
+        return DataError(fault.what, where=fault.where, expected=fault.expected, mend=fault.mend)
+    listed = "\n".join(str(fault) for fault in faults)
+    return DataError(f"the dataset has {len(faults)} faults\n{listed}", where=str(path))

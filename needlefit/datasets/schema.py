@@ -1,0 +1,66 @@
+"""The columns of `insertions.csv` and of a centreline, and a row of the former."""
+
+import re
+from dataclasses import dataclass
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+PoseSource = Literal["stage", "shaft", "fitted", "none"]
+
+POINT = ("x_mm", "y_mm", "z_mm")
+ENTRY = ("entry_x_mm", "entry_y_mm", "entry_z_mm")
+DIRECTION = ("entry_dx", "entry_dy", "entry_dz")
+BEVEL = ("bevel_x", "bevel_y", "bevel_z")
+POSE = (*ENTRY, *DIRECTION, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg")
+
+REQUIRED = ("id", "medium", "layers", "depth_mm")
+"""Columns every table of insertions has; with a known pose those of `POSE` too."""
+
+COLUMNS = (
+    *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
+    *(*ENTRY, *DIRECTION, *BEVEL, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
+    *("boundary_sd_mm", "guide_distance_mm"),
+)
+"""Every column of `insertions.csv`, in the order in which it is written."""
+
+POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
+
+ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
+"""An id names a file: letters, digits, point, underline, hyphen."""
+
+
+@dataclass(frozen=True)
+class InsertionRow:
+    """One row of `insertions.csv` in internal units (mm, rad); None stands for an empty cell.
+
+    Attributes
+    ----------
+    entry, direction : (3,) array or None
+        Tip at first contact (mm) and unit direction of insertion, in the world; None for free shapes.
+    bevel : (3,) array or None
+        World direction toward which C's +y points; None: the plane and side to which the shape bends.
+    side : int
+        The side of C's x axis that the bevel faces, +1 (toward +y) or -1.
+    line : int
+        Line of the file that it comes from, 0 if from none.
+    """
+
+    id: str
+    medium: str
+    layers: int
+    depth: float
+    specimen: str = ""
+    layers_alternative: int | None = None
+    side: int = 1
+    entry: Floats | None = None
+    direction: Floats | None = None
+    bevel: Floats | None = None
+    pose_source: PoseSource = "none"
+    pose_shift_sd: float = 0.0
+    pose_angle_sd: float = 0.0
+    boundary_sd: float = 0.0
+    guide_distance: float | None = None
+    line: int = 0

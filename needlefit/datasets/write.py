@@ -1,0 +1,110 @@
+"""Write a dataset in the layout of `data/README.md`: the same data gives the same bytes."""
+
+import hashlib
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needlefit.datasets.formats.toml import dumps
+from needlefit.datasets.schema import COLUMNS, POINT, Floats, InsertionRow
+from needlefit.errors import DataError
+from needlefit.geometry.surfaces import Surface, write_surface
+from needlefit.project.records.dataset import DatasetRecord
+
+
+def write_dataset(
+    folder: Path,
+    record: DatasetRecord,
+    rows: Sequence[InsertionRow],
+    centerlines: Mapping[str, ArrayLike],
+    surfaces: Mapping[str, Surface] | None = None,
+) -> Path:
+    """Write a dataset into `folder` and return its `dataset.toml`.
+
+    Parameters
+    ----------
+    record : DatasetRecord
+        With `insertions.file` and `centerlines.pattern` (a .csv with `{id}`) set
+        (`insertions.csv`, `centerlines/{id}.csv`); its checksums are replaced by those of the files written.
+    rows : sequence of InsertionRow
+        In the order in which the table shall list them.
+    centerlines : mapping of id to (N, 3) array
+        World points from entry to tip, mm; one for every row.
+    surfaces : mapping of file to Surface
+        The files that `record.media` names, e.g. `layers/phantom1_top.stl`.
+
+    Notes
+    -----
+    Lengths are rounded to 1e-4 mm, directions to 1e-6. `dataset.toml` is written last, so that a folder
+    with one is complete. Files of an earlier dataset in `folder` that this one does not name stay there.
+
+    Raises
+    ------
+    DataError
+        If a row has no centreline, or a surface that the record names is not given.
+    """
+    surfaces = surfaces or {}
+    table, pattern = record.insertions.file, record.centerlines.pattern
+    named = {s.file for medium in record.media.values() for s in medium.surfaces}
+    missing = [row.id for row in rows if row.id not in centerlines] + sorted(named - surfaces.keys())
+    if table is None or pattern is None or missing:
+        raise DataError(
+            f"nothing to write for {', '.join(missing) or 'the table of insertions or the centrelines'}",
+            where=str(folder),
+            expected="insertions.file, centerlines.pattern, a centreline for every row, every surface named",
+        )
+    files = {table: _rows_text(rows)}
+    files |= {pattern.format(id=row.id): _points_text(centerlines[row.id]) for row in rows}
+    for name, text in files.items():
+        _write(folder / name, text)
+    for name, surface in surfaces.items():
+        write_surface(surface, folder / name)
+    sums = {name: sha256(folder / name) for name in sorted([*files, *surfaces])}
+    record = record.model_copy(update={"checksums": sums})
+    _write(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
+    return folder / "dataset.toml"
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def _write(path: Path, text: str) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_bytes(text.encode("utf-8"))  # bytes: no line ending of the platform's own
+
+
+def _rows_text(rows: Sequence[InsertionRow]) -> str:
+    return "".join(",".join(cells) + "\n" for cells in [COLUMNS, *map(_cells, rows)])
+
+
+def _cells(row: InsertionRow) -> tuple[str, ...]:
+    """Return the cells of a row in the order of `COLUMNS`."""
+    alternative = row.layers if row.layers_alternative is None else row.layers_alternative
+    return (
+        *(row.id, row.medium, row.specimen or row.id, str(row.layers), str(alternative)),
+        *(_number(row.depth), f"{row.side:+d}"),
+        *_vector(row.entry, 4),
+        *_vector(row.direction, 6),
+        *_vector(row.bevel, 6),
+        *(row.pose_source, _number(row.pose_shift_sd), _number(math.degrees(row.pose_angle_sd))),
+        *(_number(row.boundary_sd), "" if row.guide_distance is None else _number(row.guide_distance)),
+    )
+
+
+def _points_text(points: ArrayLike) -> str:
+    lines = [",".join(_vector(point, 4)) for point in np.asarray(points, dtype=np.float64)]
+    return "\n".join([",".join(POINT), *lines]) + "\n"
+
+
+def _vector(values: Floats | None, digits: int) -> tuple[str, ...]:
+    return ("", "", "") if values is None else tuple(_number(float(value), digits) for value in values)
+
+
+def _number(value: float, digits: int = 4) -> str:
+    """Return `value` with fixed digits; never "-0.0000"."""
+    return f"{round(value, digits) + 0.0:.{digits}f}"
