@@ -1,0 +1,103 @@
+"""The answer of a study or a fit: tidy frames, and what a reader needs to know about where they come from."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any, Literal
+
+import pandas as pd
+
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.study import StudyRecord
+
+METRICS = ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent")
+FLOORS = ("floor_median_err_mm", "floor_ipe_mean_mm", "floor_ipe_max_mm", "floor_te_mm")
+BASELINES = ("straight", "constant_curvature", "linear_curvature")
+RIVALS = ("fitted", "hand_tuned", "hand_tuned_b", *BASELINES)
+SCORED = ("fold", "role", "insertion", "rival", "boundaries")
+
+COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "design": ("role", "medium", "layers", "insertions", "depth_min_mm", "depth_max_mm"),
+        "errors": (
+            *("fold", "role", "insertion", "medium", "specimen", "layers", "depth_mm"),
+            *("rival", "boundaries", "comparison"),
+            *METRICS,
+            *("deflection_mm", "predicted_deflection_mm"),
+            *FLOORS,
+            *("edp_flagged", "converged"),
+        ),
+        "shapes": (*SCORED, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
+        "starts": ("fold", "fit", "start", "objective", "evaluations", "failed_solves", "stopped"),
+        "parameters": (
+            *("fold", "rival", "parameter", "value", "status", "bound_low", "bound_high"),
+            *("sd", "spread_low", "spread_high", "determined", "note"),
+        ),
+        "directions": ("fold", "sd", "words"),
+    }
+)
+
+
+@dataclass(frozen=True)
+class Results:
+    """What one study or fit found, as frames with one row per fact and the unit in every column's name.
+
+    Attributes
+    ----------
+    name, title, question : str
+        Of the study; `name` is the name of its file.
+    record : StudyRecord or FitRecord
+        What was asked for.
+    origin : str
+        "measured" or "synthetic", of the dataset.
+    dataset_title : str
+        The dataset, in words.
+    design : DataFrame
+        Insertions and depths per role ("tune", "validate"), medium and layers.
+    errors : DataFrame
+        One row per fold, role, insertion, rival and boundaries ("measured", as the paper does;
+        "planned"). `comparison` is "world", or "aligned" for shapes known only up to a rigid motion;
+        `edp_flagged` marks a deflection under the noise floor.
+    shapes : DataFrame
+        The curves that `errors` compares, j = 0 the entry (or the first scored point), as compared.
+    starts : DataFrame
+        Every start of every search, then one column per parameter.
+    parameters : DataFrame
+        Values per fold and rival; `sd` is of ln for moduli and lengths, of the value for alpha;
+        `spread_low`, `spread_high` is the range among starts practically as good as the best.
+    directions : DataFrame
+        Combinations of parameters in words, with the standard deviation to which each is known.
+    run : dict
+        Versions, seeds, digests, configuration, model rules: no time, no path.
+    timing : dict
+        Times, durations and paths.
+    interrupted : bool
+        Stopped by the user: the best found so far.
+
+    Raises
+    ------
+    ValueError
+        If a frame lacks one of its columns.
+    """
+
+    name: str
+    title: str
+    question: str
+    record: StudyRecord | FitRecord
+    origin: Literal["measured", "synthetic"]
+    dataset_title: str
+    design: pd.DataFrame
+    errors: pd.DataFrame
+    shapes: pd.DataFrame
+    starts: pd.DataFrame
+    parameters: pd.DataFrame
+    directions: pd.DataFrame
+    run: dict[str, Any]
+    timing: dict[str, Any]
+    interrupted: bool
+
+    def __post_init__(self) -> None:
+        for frame, columns in COLUMNS.items():
+            missing = [name for name in columns if name not in getattr(self, frame).columns]
+            if missing:
+                raise ValueError(f"Results.{frame} lacks {', '.join(missing)}")

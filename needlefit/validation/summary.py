@@ -1,0 +1,135 @@
+"""Errors of single insertions, aggregated over insertions in the two ways that differ."""
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+import pandas as pd
+
+from needlefit.validation.results import BASELINES, FLOORS, METRICS, SCORED, Results
+
+How = Literal["macro", "pooled"]
+
+
+def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.DataFrame:
+    """Return one row per group of `results.errors`, groups in the order of their first insertion.
+
+    `macro` takes the mean over insertions of each insertion's own value, as the paper's tables do
+    (`ipe_std_mm` is the mean of the insertions' standard deviations). `pooled` takes the statistics of
+    all points of all insertions together; its TE is the mean over tips and its EDP is the sum of the
+    tip errors over the sum of the measured deflections, so that no small deflection dominates it.
+
+    Insertions whose simulation did not converge have no errors: they are left out of the means and
+    counted in `not_converged`.
+
+    Parameters
+    ----------
+    results : Results
+        What to aggregate.
+    by : sequence of str
+        Columns of `results.errors`; name `rival` and `boundaries` unless one of each is present.
+    how : str
+        "macro" or "pooled".
+
+    Returns
+    -------
+    DataFrame
+        The columns `by`, the metrics and floors (mm, percent), `insertions`, `edp_flagged`,
+        `edp_unflagged_percent` and `not_converged` (counts of insertions).
+    """
+    errors = results.errors.assign(**{m: _finite(results.errors[m]) for m in (*METRICS, *FLOORS)})
+    points = _points(results) if how == "pooled" else None
+    rows = []
+    for key, group in errors.groupby(list(by), sort=False):
+        row: dict[str, Any] = dict(zip(by, key, strict=True))
+        row |= {name: group[name].mean() for name in (*METRICS, *FLOORS)}
+        if points is not None:
+            row |= _pooled(group, points)
+        rows.append(row | _counts(group))
+    columns = [*by, *METRICS, *FLOORS, "insertions", "edp_flagged", "edp_unflagged_percent", "not_converged"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def paired(results: Results, against: str = "fitted", role: str = "validate") -> pd.DataFrame:
+    """Return how every rival compares with `against` on the same insertions, folds and points.
+
+    Returns
+    -------
+    DataFrame
+        `rival`, `boundaries` ("measured"), `insertions`, macro `ipe_mean_mm` and `te_mm`,
+        `difference_mm` (mean over insertions of the rival's mean IPE minus that of `against`; positive:
+        the rival is worse), `difference_se_mm` (its standard error) and `better` (insertions on which
+        `against` has the smaller mean IPE).
+    """
+    errors = results.errors.query("role == @role and boundaries == 'measured'")
+    table = errors.pivot_table(index=["fold", "insertion"], columns="rival", values="ipe_mean_mm", sort=False)
+    tips = errors.groupby("rival")["te_mm"].mean()
+    rows = []
+    for rival in [name for name in errors["rival"].unique() if name in table]:
+        pair = table[[against, rival]].dropna() if rival != against else table[[against]].dropna()
+        gap = (pair[rival] - pair[against]).to_numpy(dtype=np.float64)
+        n = len(gap)
+        rows.append(
+            {
+                "rival": rival,
+                "boundaries": "measured",
+                "insertions": n,
+                "ipe_mean_mm": pair[rival].mean(),
+                "te_mm": tips[rival],
+                "difference_mm": gap.mean() if n else np.nan,
+                "difference_se_mm": gap.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan,
+                "better": int((gap > 0).sum()),
+            }
+        )
+    return pd.DataFrame(rows)
+
+
+def beaten_by(results: Results) -> list[str]:
+    """Return the empirical curves whose mean IPE on the held-out insertions is below the fitted model's."""
+    table = paired(results)
+    wins = table[table["rival"].isin(BASELINES) & (table["difference_mm"] < 0)] if len(table) else table
+    return [str(name) for name in wins["rival"]] if len(table) else []
+
+
+def points(results: Results) -> pd.DataFrame:
+    """Return `results.shapes` with `ipe_mm`, the in-plane error of every point, and medium and layers."""
+    return _points(results)
+
+
+def _points(results: Results) -> pd.DataFrame:
+    shapes = results.shapes
+    gap = np.hypot(
+        shapes["simulated_x_mm"] - shapes["measured_x_mm"], shapes["simulated_y_mm"] - shapes["measured_y_mm"]
+    )
+    about = results.errors[[*SCORED, "medium", "layers"]]
+    return shapes.assign(ipe_mm=gap).merge(about, on=list(SCORED), how="inner")
+
+
+def _pooled(group: pd.DataFrame, points: pd.DataFrame) -> dict[str, Any]:
+    here = points.merge(group[list(SCORED)], on=list(SCORED), how="inner")["ipe_mm"]
+    ipe = _finite(here)
+    known = group[_finite(group["te_mm"]).notna()]
+    deflected = float(known["deflection_mm"].abs().sum())
+    return {
+        "median_err_mm": ipe.median(),
+        "ipe_mean_mm": ipe.mean(),
+        "ipe_std_mm": ipe.std(ddof=0),
+        "ipe_max_mm": ipe.max(),
+        "edp_percent": 100 * float(known["te_mm"].sum()) / deflected if deflected > 0 else np.nan,
+    }
+
+
+def _counts(group: pd.DataFrame) -> dict[str, Any]:
+    flagged = group["edp_flagged"].astype(bool)
+    converged = group["converged"].astype(bool)
+    return {
+        "insertions": group["insertion"].nunique(),
+        "edp_flagged": group.loc[flagged, "insertion"].nunique(),
+        "edp_unflagged_percent": group.loc[~flagged, "edp_percent"].mean(),
+        "not_converged": group.loc[~converged, "insertion"].nunique(),
+    }
+
+
+def _finite(values: pd.Series) -> pd.Series:
+    """Return the values with infinities as NaN, so that a failed solve never enters a mean."""
+    return values.astype(float).where(np.isfinite(values.astype(float)))

@@ -1,0 +1,97 @@
+"""The published tables and the list of the paper's contradictions."""
+
+import pandas as pd
+import pytest
+from needlefit.errors import ConfigError
+from needlefit.validation import paper
+from needlefit.validation.claims import Bound, Claim
+
+
+def by_topic(part: str) -> Claim:
+    (found,) = [claim for claim in paper.claims() if part in claim.topic]
+    return found
+
+
+def test_every_table_is_read_with_its_rows():
+    assert {name: len(paper.table(name)) for name in paper.TABLES} == {
+        "insertions": 7,
+        "study_design": 8,
+        "tuning_by_layers": 4,
+        "tuning_by_media": 4,
+        "validation": 8,
+        "parameters": 10,
+    }
+    assert paper.table("insertions")["insertions"].sum() == 47
+
+
+def test_hand_tuned_set_leaves_out_the_layers_it_has_not():
+    assert paper.hand_tuned("study5") == {"mu1_pa": 4e3, "alpha1": 0.2, "bevel_mm": 0.085}
+    assert paper.hand_tuned("phantom1")["mu3_pa"] == 2e6
+
+
+def test_unknown_hand_tuned_set_lists_the_known_ones():
+    with pytest.raises(ConfigError, match="study5"):
+        paper.hand_tuned("study6")
+
+
+def test_the_local_project_comes_before_the_shipped_one(tmp_path, monkeypatch):
+    (tmp_path / "data" / "paper").mkdir(parents=True)
+    (tmp_path / "data" / "paper" / "validation.csv").write_text("study\n7\n")
+    monkeypatch.chdir(tmp_path)
+    assert paper.table("validation")["study"].tolist() == [7]
+    assert len(paper.table("insertions")) == 7
+
+
+@pytest.mark.parametrize(
+    ("topic", "says", "other"),
+    [
+        ("Four- and three-layer", "9 + 5", "8 + 6"),
+        ("Four-layer insertions that tune", "9", "8"),
+        ("Chicken insertions", "3 × 4 = 12", "3 + 9 = 12"),
+        ("What tunes", "insertions across three layers", "1 insertion and 1 insertion, of 5"),
+        ("In-plane errors in cross-validation", "less than 1 mm", "1.41 mm (study 3, 3 layers)"),
+        ("Average TE by media", "smaller than 0.36 mm", "0.37 mm (phantom 2)"),
+        ("Largest average IPE by layers", "0.62 mm and 0.60 mm", "0.36 mm and 0.27 mm"),
+        ("Mean IPE over the 16", "0.21 mm", "0.221 mm over 9 + 5 + 1 + 1"),
+        ("EDP and depth", "smaller for deeper", "10.3 %"),
+        ("Why chicken has a large EDP", "shallower", "61.22 mm, no phantom deeper than 56.49 mm"),
+        ("Largest median and average IPE of studies 1 and 2", "below 0.39 mm", "0.39 mm (study 1, 1 layer)"),
+        ("Largest average tip error of studies 1 and 2", "0.59 mm", "0.64 mm (study 1, 1 layer)"),
+        ("EDP above 100 %", "across all studies", "study 2 has at most 12 %"),
+        ("EDP above 100 % in study 1", "two- and one-layer", "64.8 %"),
+        ("Why EDP exceeds", "shallower", "50.69 to 54.27 mm"),
+        ("Which tables", "4, 5 and 6", "five tables"),
+    ],
+)
+def test_contradiction_names_both_numbers(topic, says, other):
+    (claim,) = [c for c in paper.contradictions() if c.topic == topic or c.topic.startswith(topic + " ")][:1]
+    assert says in claim.says
+    assert other in claim.other_says
+
+
+def test_the_list_is_complete_and_each_entry_has_two_places():
+    found = paper.contradictions()
+    assert len(found) == 16
+    assert all(claim.place and claim.other_place and claim.place != claim.other_place for claim in found)
+
+
+@pytest.mark.parametrize(
+    "topic",
+    [
+        "Median and average errors by layers",
+        "Largest average TE by layers",
+        "Median and average errors by media",
+        "Largest average maximum IPE of studies 1 and 2",
+        "Errors of study 5",
+    ],
+)
+def test_claims_that_the_tables_bear_out_are_no_contradictions(topic):
+    assert by_topic(topic).holds
+    assert topic not in [claim.topic for claim in paper.contradictions()]
+
+
+def test_a_corrected_table_ends_a_contradiction():
+    bound = Bound("Tip", "text", "below 0.36 mm", "tuning_by_media", ("te_mm",), 0.36)
+    table = pd.DataFrame({"medium": ["phantom1", "phantom2"], "te_mm": [0.29, 0.35]})
+    assert bound.check({"tuning_by_media": table}).holds
+    assert not bound.check({"tuning_by_media": table.assign(te_mm=[0.29, 0.36])}).holds
