@@ -1,0 +1,120 @@
+"""Which points of a simulated and a measured needle are compared.
+
+Pose known: both curves lie in C and are sampled at equal fractions of their own inserted arc length.
+
+Pose free (shapes known only up to a rigid motion): both are sampled at the same arc lengths from the
+tip, over [0, min(measured length, D) - drop], entry side first. The simulated points are then laid on
+the measured ones by the rigid motion that fits them best, so the errors are those `aligned`. Both are
+shown in the axes of the measured entry side: x along the least-squares line through the first fifth of
+the scored points, from the first of them. Errors do not depend on that choice; the deflection does, by
+which EDP divides: it is the tip's distance from the continuation of that line.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.errors import DataError
+from needlefit.geometry.compare import STATIONS
+from needlefit.geometry.curves import arc_length, at_arc, resample
+from needlefit.geometry.frames import align_rigid
+from needlefit.mechanics.shape import NeedleShape, positions
+
+Floats = NDArray[np.float64]
+Curve = Callable[[Floats], Floats]
+Pose = Literal["known", "free"]
+
+ENTRY_SIDE = 0.2
+"""Part of the scored points, from the entry side, whose line is x in a free comparison."""
+
+
+def curve_of(shape: NeedleShape) -> Curve:
+    """Return the curve of a simulated needle: beam coordinates (K,) -> points (K, 2) in C."""
+    return lambda s: positions(shape, s)
+
+
+@dataclass(frozen=True)
+class Target:
+    """The measured side of one comparison.
+
+    Attributes
+    ----------
+    s : (K,) array
+        Where on the beam the simulated points are taken, mm from the entry.
+    measured : (K, 2) array
+        Measured points, entry side first, tip last, mm.
+    pose : "known" or "free"
+    """
+
+    s: Floats
+    measured: Floats
+    pose: Pose
+
+
+def target(pose: Pose, drop: float, insertion: Insertion, stations: int = STATIONS) -> Target:
+    """Return what a curve is compared with; see `scored_points`."""
+    if pose == "known":
+        fractions = np.linspace(0.0, 1.0, stations)
+        return Target(insertion.depth * fractions, resample(insertion.planar, fractions), pose)
+    to_tip = np.linspace(reach_from_tip(drop, insertion), 0.0, stations)
+    length = float(arc_length(insertion.planar)[-1])
+    measured = _in_entry_axes(at_arc(insertion.planar, length - to_tip))
+    return Target(insertion.depth - to_tip, measured, pose)
+
+
+def scored(target: Target, curve: Curve) -> tuple[Floats, Floats]:
+    """Return the simulated and the measured points (K, 2), aligned where the pose is free."""
+    simulated = curve(target.s)
+    if target.pose == "free":
+        simulated = align_rigid(simulated, target.measured)
+    return simulated, target.measured
+
+
+def scored_points(
+    pose: Pose, drop: float, insertion: Insertion, curve: Curve, stations: int = STATIONS
+) -> tuple[Floats, Floats]:
+    """Return the simulated and the measured points (K, 2) that are compared, entry side first, tip last.
+
+    Parameters
+    ----------
+    pose : "known" or "free"
+    drop : float
+        Proximal length left out where the pose is free, mm.
+    insertion : Insertion
+    curve : callable
+        Beam coordinates (K,), 0 at the entry and `insertion.depth` at the tip -> points (K, 2) in C, mm.
+    stations : int
+        K.
+    """
+    return scored(target(pose, drop, insertion, stations), curve)
+
+
+def reach_from_tip(drop: float, insertion: Insertion) -> float:
+    """Return how far from the tip a free comparison begins, mm.
+
+    Raises
+    ------
+    DataError
+        If nothing is left to compare.
+    """
+    reach = min(float(arc_length(insertion.planar)[-1]), insertion.depth) - drop
+    if reach <= 0:
+        raise DataError(
+            f"insertion `{insertion.id}` is not longer than the {drop:g} mm that are left out",
+            mend="lessen frame.drop_proximal_mm, or leave the insertion out",
+        )
+    return reach
+
+
+def _in_entry_axes(points: Floats) -> Floats:
+    first = points[: max(2, round(ENTRY_SIDE * len(points)))]
+    centred = first - first.mean(axis=0)
+    direction = np.linalg.svd(centred, full_matrices=False)[2][0]
+    direction = direction if direction @ (first[-1] - first[0]) >= 0 else -direction
+    to_axes = np.array([[direction[0], -direction[1]], [direction[1], direction[0]]])
+    turned: Floats = (points - points[0]) @ to_axes
+    return turned

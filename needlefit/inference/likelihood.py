@@ -1,0 +1,147 @@
+"""Gaussian likelihood of a measured centreline about a simulated one.
+
+In the plane, with both coordinates of all K points in one vector r (2K,), y after x:
+
+    cov(r) = I_2 (x) ( point^2 I + correlated^2 exp(-|s_i - s_j| / length) )      noise of the points
+             + shift^2 (e_x e_x^T + e_y e_y^T) + angle^2 e_r e_r^T                pose, marginalised
+
+e_x, e_y and e_r are what a small shift and a small rotation about the entry do to the points.
+Neighbouring points share their error and a wrong pose moves all of them at once, which is why
+independent errors would give a posterior far too narrow. The points are the measured ones (thinned,
+never interpolated), so that no error is counted twice. Not in it: errors of the layer depths, and of
+the model.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cholesky, solve_triangular
+
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.frames import align_rigid
+from needlefit.inference.comparison import Curve, Pose, reach_from_tip
+
+Floats = NDArray[np.float64]
+
+MOST_POINTS = 200
+"""A centreline with more points is thinned to about this many."""
+
+FREE_SHIFT, FREE_ANGLE = 100.0, 1.0
+"""Prior standard deviations (mm, rad) that stand for a pose not known at all."""
+
+MEAN_OF_RADIUS = math.sqrt(8.0 / math.pi)
+"""Mean length of an isotropic Gaussian 3-vector of unit standard deviation per axis."""
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """One insertion, ready to be compared.
+
+    Attributes
+    ----------
+    s : (K,) array
+        Beam coordinates of the compared points, mm.
+    measured : (K, 2) array
+        Their measured places, mm.
+    factor : (2K, 2K) array
+        Lower Cholesky factor of the covariance of the residuals.
+    log_norm : float
+        Logarithm of the Gaussian's normalising factor.
+    pose : "known" or "free"
+        A free shape is aligned before its residuals are formed.
+    """
+
+    s: Floats
+    measured: Floats
+    factor: Floats
+    log_norm: float
+    pose: Pose
+
+
+def evidence(dataset: Dataset, insertion: Insertion, noise: Noise | None = None) -> Evidence:
+    """Return the evidence of one insertion; `noise` replaces what the dataset states.
+
+    Raises
+    ------
+    DataError
+        If no noise is stated: without any, a likelihood has no width.
+    """
+    noise = dataset.noise if noise is None else noise
+    s, measured = _compared(dataset, insertion)
+    cov = covariance(s, measured, noise, pose_sds(dataset.pose, insertion, noise))
+    try:
+        factor: Floats = cholesky(cov, lower=True)
+    except np.linalg.LinAlgError:
+        raise DataError(
+            f"the noise stated by `{dataset.name}` leaves the points of `{insertion.id}` without errors",
+            where="noise",
+            expected="point_sd_mm above 0",
+        ) from None
+    log_norm = -float(np.sum(np.log(np.diag(factor)))) - 0.5 * len(factor) * math.log(2 * math.pi)
+    return Evidence(s, measured, factor, log_norm, dataset.pose)
+
+
+def whitened(evidence: Evidence, curve: Curve) -> Floats:
+    """Return the residuals (2K,), uncorrelated and of unit variance where model and noise are right."""
+    simulated = curve(evidence.s)
+    if evidence.pose == "free":
+        simulated = align_rigid(simulated, evidence.measured)
+    residual = (simulated - evidence.measured).T.ravel()  # (2K,)
+    white: Floats = solve_triangular(evidence.factor, residual, lower=True, check_finite=False)
+    return white
+
+
+def log_likelihood(evidence: Evidence, curve: Curve) -> float:
+    """Return the logarithm of the density of the measured points, given the simulated curve."""
+    white = whitened(evidence, curve)
+    return evidence.log_norm - 0.5 * float(white @ white)
+
+
+def covariance(s: Floats, points: Floats, noise: Noise, pose: tuple[float, float]) -> Floats:
+    """Return the covariance (2K, 2K) of the residuals; `pose` is (shift, angle) in mm and rad."""
+    apart = np.abs(s[:, None] - s[None, :])  # (K, K)
+    axis = noise.point_sd**2 * np.eye(len(s)) + noise.correlated_sd**2 * np.exp(
+        -apart / noise.correlation_length
+    )
+    shift, angle = pose
+    ones, zeros = np.ones(len(s)), np.zeros(len(s))
+    x, y = (points - points[0]).T
+    modes = np.stack(
+        [
+            shift * np.concatenate([ones, zeros]),
+            shift * np.concatenate([zeros, ones]),
+            angle * np.concatenate([-y, x]),
+        ]
+    )  # (3, 2K)
+    total: Floats = np.kron(np.eye(2), axis) + modes.T @ modes
+    return total
+
+
+def pose_sds(pose: Pose, insertion: Insertion, noise: Noise) -> tuple[float, float]:
+    """Return the prior standard deviations of the pose in the plane, mm per axis and rad.
+
+    A registration error of mean length m, isotropic in space, has m / sqrt(8 / pi) per axis; it adds to
+    the error of the entry pose itself.
+    """
+    if pose == "free":
+        return FREE_SHIFT, FREE_ANGLE
+    registration = noise.registration_mean / MEAN_OF_RADIUS
+    return math.hypot(insertion.pose_shift_sd, registration), insertion.pose_angle_sd
+
+
+def _compared(dataset: Dataset, insertion: Insertion) -> tuple[Floats, Floats]:
+    """Return beam coordinates (K,) and places (K, 2) of the measured points used."""
+    along = arc_length(insertion.planar)
+    if dataset.pose == "known":
+        at = along * (insertion.depth / along[-1])
+    else:
+        to_tip = along[-1] - along
+        kept = to_tip <= reach_from_tip(dataset.drop_proximal, insertion)
+        along, at = along[kept], insertion.depth - to_tip[kept]
+    step = max(1, math.ceil(len(at) / MOST_POINTS))
+    chosen = np.arange(len(at) - 1, -1, -step)[::-1]  # keeps the tip
+    return at[chosen], at_arc(insertion.planar, along[chosen])

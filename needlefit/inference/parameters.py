@@ -1,0 +1,195 @@
+"""The parameters of a medium: names, bounds, ties, and the vector theta that is searched.
+
+Moduli and lengths are searched in logarithms, because they are positive and known to orders of
+magnitude at most; alpha is searched as it is.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal, Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import ConfigError
+from needlefit.inference.ties import dimension, parse, resolve
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.records.medium import MediumRecord, ParameterRecord
+
+Floats = NDArray[np.float64]
+Theta = Sequence[float] | Floats
+Status = Literal["free", "fixed", "tied"]
+
+
+def in_logarithm(name: str) -> bool:
+    """Return whether theta holds the natural logarithm of this parameter."""
+    return dimension(name) != "exponent"
+
+
+@dataclass(frozen=True)
+class Parameters:
+    """What is free, fixed and tied; every parameter is exactly one of these.
+
+    Attributes
+    ----------
+    names : tuple of str
+        All parameters in the order of layers: mu1_pa, alpha1, ..., bevel_mm, guide_distance_mm.
+    bounds : mapping
+        Low and high of each free parameter, in its own unit.
+    fixed : mapping
+        Value of each fixed parameter.
+    ties : mapping
+        Factor and source of each tied one; a source is never tied itself.
+    """
+
+    names: tuple[str, ...]
+    bounds: Mapping[str, tuple[float, float]]
+    fixed: Mapping[str, float]
+    ties: Mapping[str, tuple[float, str]]
+
+    @classmethod
+    def from_record(cls, record: MediumRecord) -> Self:
+        """Return the parameters of a checked medium.
+
+        Raises
+        ------
+        ConfigError
+            If a name is unknown or missing, a tie leads nowhere, or a bound or value cannot be.
+        """
+        table = record.parameters
+        names = _ordered_names(record)
+        ties = {name: parse(name, p.tie) for name, p in table.items() if p.tie is not None}
+        for name in names:
+            _check_positive(name, table[name])
+        return cls(
+            names=names,
+            bounds={name: bounds for name in names if (bounds := table[name].bounds) is not None},
+            fixed={name: value for name in names if (value := table[name].fixed) is not None},
+            ties=resolve(ties, frozenset(names)),
+        )
+
+    @property
+    def free(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of theta."""
+        return tuple(name for name in self.names if name in self.bounds)
+
+    @property
+    def lower(self) -> Floats:
+        """Lower bounds of theta: (P,)."""
+        return np.array([_forward(name, self.bounds[name][0]) for name in self.free])
+
+    @property
+    def upper(self) -> Floats:
+        """Upper bounds of theta: (P,)."""
+        return np.array([_forward(name, self.bounds[name][1]) for name in self.free])
+
+    @property
+    def status(self) -> dict[str, Status]:
+        """What each parameter is."""
+        return {
+            name: "free" if name in self.bounds else "fixed" if name in self.fixed else "tied"
+            for name in self.names
+        }
+
+    def values(self, theta: Theta) -> dict[str, float]:
+        """Return every parameter's value (Pa, mm), ties and fixed ones resolved, for `theta` (P,)."""
+        if len(theta) != len(self.bounds):
+            raise ValueError(f"theta has {len(theta)} entries, {len(self.bounds)} parameters are free")
+        known = dict(self.fixed)
+        for name, entry in zip(self.free, theta, strict=True):
+            known[name] = math.exp(entry) if in_logarithm(name) else float(entry)
+        for name, (factor, source) in self.ties.items():
+            known[name] = factor * known[source]
+        return {name: known[name] for name in self.names}
+
+    def theta(self, values: Mapping[str, float]) -> Floats:
+        """Return theta (P,) of the free parameters among `values` (Pa, mm)."""
+        return np.array([_forward(name, values[name]) for name in self.free])
+
+    def with_only(self, free: Sequence[str], values: Mapping[str, float]) -> Self:
+        """Return parameters of which only `free` stay free, all others fixed at `values`.
+
+        A tie to a parameter that stays free stays; a parameter with no entry in `values` keeps its own
+        fixed value.
+        """
+        unknown = [name for name in free if name not in self.bounds]
+        if unknown:
+            raise ConfigError(
+                f"cannot leave {', '.join(unknown)} free", expected=f"among {', '.join(self.free)}"
+            )
+        ties = {name: tie for name, tie in self.ties.items() if tie[1] in free}
+        held = [name for name in self.names if name not in free and name not in ties]
+        known = {**self.fixed, **values}
+        lost = [name for name in held if name not in known]
+        if lost:
+            raise ConfigError(f"no value is given for {', '.join(lost)}", mend="give one, or leave it free")
+        return replace(
+            self,
+            bounds={name: self.bounds[name] for name in self.free if name in free},
+            fixed={name: float(known[name]) for name in held},
+            ties=ties,
+        )
+
+
+def tissue(
+    values: Mapping[str, float], sequence: Sequence[int], boundaries: Floats, medium: MediumRecord
+) -> Tissue:
+    """Return the tissue met by one insertion.
+
+    Parameters
+    ----------
+    values : mapping
+        Every parameter (Pa).
+    sequence : sequence of int
+        Layer number, from 1, in each of the n intervals; a layer may be met again.
+    boundaries : (n - 1,) array
+        Depths between the intervals, mm.
+    medium : MediumRecord
+        For the law and the thickness compressed.
+    """
+    beyond = sorted({layer for layer in sequence if not 1 <= layer <= medium.layers})
+    if beyond:
+        raise ConfigError(
+            f"an insertion meets layer {beyond[0]}, the medium `{medium.title}` has {medium.layers}",
+            mend="use the configuration of the medium that the needle went into",
+        )
+    return Tissue(
+        mu=np.array([values[f"mu{layer}_pa"] * 1e-6 for layer in sequence]),
+        alpha=np.array([values[f"alpha{layer}"] for layer in sequence]),
+        boundaries=np.asarray(boundaries, dtype=np.float64),
+        thickness=np.array([medium.thickness_mm]),
+        law=medium.law,
+    )
+
+
+def _forward(name: str, value: float) -> float:
+    return math.log(value) if in_logarithm(name) else float(value)
+
+
+def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
+    """Return the medium's parameter names in the order of layers; ConfigError unless they are complete."""
+    layers = [f"{kind}{i}{unit}" for i in range(1, record.layers + 1) for kind, unit in _PER_LAYER]
+    needed = [*layers, "bevel_mm"]
+    missing = [name for name in needed if name not in record.parameters]
+    extra = [name for name in record.parameters if name not in [*needed, "guide_distance_mm"]]
+    if missing or extra:
+        faults = [f"`{n}` is missing" for n in missing] + [f"`{n}` is unknown here" for n in extra]
+        raise ConfigError(
+            "; ".join(faults),
+            where="parameters",
+            expected=f"{', '.join(needed)} ({record.layers} layers), and guide_distance_mm if wanted",
+        )
+    return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
+
+
+_PER_LAYER = (("mu", "_pa"), ("alpha", ""))
+
+
+def _check_positive(name: str, parameter: ParameterRecord) -> None:
+    """Refuse what has no logarithm; a fixed bevel of 0, the symmetric tip, is allowed."""
+    low = parameter.bounds[0] if parameter.bounds else parameter.fixed
+    if low is None or not in_logarithm(name):
+        return
+    if low < 0 or (low == 0 and not (name == "bevel_mm" and parameter.bounds is None)):
+        raise ConfigError(f"{low:g} is not above 0", where=f"parameters.{name}", expected="a positive number")

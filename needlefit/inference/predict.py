@@ -1,0 +1,65 @@
+"""From parameter values and one insertion's conditions to the simulated needle."""
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.inference.parameters import tissue
+from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import simulate
+from needlefit.project.records.medium import MediumRecord
+
+Floats = NDArray[np.float64]
+
+LONGEST_ELEMENT = 1.0
+"""Mesh size aimed at, mm; the mesh size used divides the constraint spacing."""
+
+
+def predict(
+    values: Mapping[str, float],
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+    boundaries: Floats | None = None,
+    sequence: Sequence[int] | None = None,
+) -> NeedleShape:
+    """Return the shape that the model gives one insertion.
+
+    Parameters
+    ----------
+    values : mapping
+        Every parameter of the medium, ties resolved (Pa, mm).
+    medium : MediumRecord
+        Law, thickness and constraint spacing.
+    needle : Needle
+    insertion : Insertion
+        Its depth, bevel side and guide; nothing of its measured shape but the boundaries is used.
+    boundaries, sequence : (n - 1,) array and n layer numbers, optional
+        The layers met instead of the measured ones, e.g. along the planned path.
+
+    Raises
+    ------
+    ModelError
+        If the needle does not reach the depth; a solve that fails is a value, `converged`.
+    """
+    met = insertion.sequence if sequence is None else sequence
+    depths = insertion.boundaries if boundaries is None else boundaries
+    return simulate(
+        needle,
+        tissue(values, met, depths, medium),
+        Bevel(values["bevel_mm"], insertion.side),
+        insertion.depth,
+        Controls(guide_distance=values.get("guide_distance_mm", insertion.guide_distance)),
+        rules(medium),
+    )
+
+
+def rules(medium: MediumRecord) -> Rules:
+    """Return the rules of a medium: its constraint spacing, and the longest mesh size up to 1 mm in it."""
+    spacing = medium.constraint_spacing_mm
+    return Rules(spacing, spacing / math.ceil(spacing / LONGEST_ELEMENT - 1e-9))

@@ -1,0 +1,152 @@
+"""One fit as a mathematical problem: theta in, objective, residuals or log posterior out."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.errors import ConfigError
+from needlefit.geometry.compare import CurveErrors, compare
+from needlefit.inference.comparison import Target, curve_of, scored, target
+from needlefit.inference.likelihood import Evidence, evidence, log_likelihood, whitened
+from needlefit.inference.parameters import Parameters, Theta
+from needlefit.inference.predict import predict
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import WeightsRecord
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Some insertions of one dataset, a medium's model, and which of its parameters are searched.
+
+    Attributes
+    ----------
+    dataset : Dataset
+        For its needle, its noise and how its shapes are compared.
+    insertions : tuple of Insertion
+        The ones fitted to.
+    medium : MediumRecord
+    parameters : Parameters
+    weights : WeightsRecord
+        Of the objective.
+    noise : Noise or None
+        Replaces what the dataset states, where it states none.
+    """
+
+    dataset: Dataset
+    insertions: tuple[Insertion, ...]
+    medium: MediumRecord
+    parameters: Parameters
+    weights: WeightsRecord
+    noise: Noise | None = None
+
+    def __post_init__(self) -> None:
+        if not self.insertions:
+            raise ConfigError("no insertion is selected to fit to", expected="at least one")
+
+    @property
+    def lower(self) -> Floats:
+        """Lower bounds of theta: (P,)."""
+        return self.parameters.lower
+
+    @property
+    def upper(self) -> Floats:
+        """Upper bounds of theta: (P,)."""
+        return self.parameters.upper
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of theta."""
+        return self.parameters.free
+
+    def values(self, theta: Theta) -> dict[str, float]:
+        """Return every parameter's value (Pa, mm)."""
+        return self.parameters.values(theta)
+
+    def shapes(self, theta: Theta) -> tuple[NeedleShape, ...]:
+        """Return the simulated needle of each insertion."""
+        values = self.values(theta)
+        return tuple(predict(values, self.medium, self.dataset.needle, i) for i in self.insertions)
+
+    def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
+        """Return the simulated and the measured points (K, 2) compared in each insertion, mm."""
+        pairs = zip(self.targets, self.shapes(theta), strict=True)
+        return tuple(scored(goal, curve_of(shape)) for goal, shape in pairs)
+
+    def errors(self, theta: Theta) -> tuple[CurveErrors, ...]:
+        """Return how far each simulated needle lies from the measured one."""
+        return tuple(compare(*pair) for pair in self.points(theta))
+
+    def objective(self, theta: Theta) -> float:
+        """Return the misfit, mm; infinite if any insertion's solve fails.
+
+        The mean over insertions of  ipe * mean_j IPE_j + te * TE + edp * EDP / 100  with the recipe's
+        weights, where EDP / 100 = TE / max(|measured deflection|, edp_floor_mm).
+        """
+        values, total = self.values(theta), 0.0
+        for insertion, goal in zip(self.insertions, self.targets, strict=True):
+            shape = predict(values, self.medium, self.dataset.needle, insertion)
+            if not shape.converged:
+                return float("inf")
+            total += self.misfit(compare(*scored(goal, curve_of(shape))))
+        return total / len(self.insertions)
+
+    def misfit(self, errors: CurveErrors) -> float:
+        """Return what one insertion contributes to the objective, mm."""
+        w = self.weights
+        relative = errors.te / max(abs(errors.deflection), w.edp_floor_mm)
+        return w.ipe * errors.mean + w.te * errors.te + w.edp * relative
+
+    def residuals(self, theta: Theta) -> Floats:
+        """Return the whitened residuals of all insertions, one after the other; NaN if a solve fails."""
+        pairs = zip(self.evidence, self.shapes(theta), strict=True)
+        parts = [
+            whitened(e, curve_of(shape)) if shape.converged else np.full(2 * len(e.s), np.nan)
+            for e, shape in pairs
+        ]
+        return np.concatenate(parts)
+
+    def log_posterior(self, theta: Theta) -> float:
+        """Return the log of the unnormalised posterior density in theta.
+
+        The prior is flat in theta within the bounds: moduli and lengths are log-uniform. -inf outside,
+        and where a solve fails.
+        """
+        inside = np.all(np.asarray(theta) >= self.lower) and np.all(np.asarray(theta) <= self.upper)
+        if not inside:
+            return float("-inf")
+        values, total = self.values(theta), 0.0
+        for insertion, known in zip(self.insertions, self.evidence, strict=True):
+            shape = predict(values, self.medium, self.dataset.needle, insertion)
+            if not shape.converged:
+                return float("-inf")
+            total += log_likelihood(known, curve_of(shape))
+        return total
+
+    def with_parameters(self, parameters: Parameters) -> "Problem":
+        """Return the same problem searched over other parameters, e.g. the bevel alone."""
+        return replace(self, parameters=parameters)
+
+    @cached_property
+    def targets(self) -> tuple[Target, ...]:
+        """What each insertion's simulated needle is compared with; computed once."""
+        pose, drop = self.dataset.pose, self.dataset.drop_proximal
+        return tuple(target(pose, drop, insertion) for insertion in self.insertions)
+
+    @cached_property
+    def evidence(self) -> tuple[Evidence, ...]:
+        """Measured points and their covariance factors, one of each insertion; computed once."""
+        return tuple(evidence(self.dataset, insertion, self.noise) for insertion in self.insertions)
+
+
+def problem(
+    dataset: Dataset, insertions: Sequence[Insertion], medium: MediumRecord, weights: WeightsRecord
+) -> Problem:
+    """Return the problem of fitting `medium` to `insertions`, everything free that the medium frees."""
+    return Problem(dataset, tuple(insertions), medium, Parameters.from_record(medium), weights)

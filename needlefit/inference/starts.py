@@ -1,0 +1,135 @@
+"""What a search does from one start, what it returns, and what watches it."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from needlefit.errors import FitError
+
+INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class Start:
+    """One local search.
+
+    Attributes
+    ----------
+    index : int
+        Which of the recipe's starts, from 0.
+    theta0, theta : tuple of float
+        Where it began and the best point that it saw.
+    objective : float
+        At `theta`, mm; infinite if no evaluation succeeded.
+    evaluations, failures : int
+        Objective evaluations, and those among them in which a solve failed.
+    stopped : str
+        Why it ended: "tolerance", "budget", "roundoff", "interrupted", "no finite value".
+    """
+
+    index: int
+    theta0: tuple[float, ...]
+    theta: tuple[float, ...]
+    objective: float
+    evaluations: int
+    failures: int
+    stopped: str
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The best of all starts.
+
+    Attributes
+    ----------
+    theta : tuple of float
+    values : mapping
+        Every parameter at `theta` (Pa, mm).
+    objective : float
+    starts : tuple of Start
+        In the order of their index; one that was interrupted says so.
+    evaluations, failures : int
+        Over all starts.
+    interrupted : bool
+        Whether the search was stopped before all starts had ended.
+    """
+
+    theta: tuple[float, ...]
+    values: Mapping[str, float]
+    objective: float
+    starts: tuple[Start, ...]
+    evaluations: int
+    failures: int
+    interrupted: bool
+
+
+def _never() -> bool:
+    return False
+
+
+def _ignore(start: Start) -> None:
+    return None
+
+
+def _uncounted(done: int, total: int) -> None:
+    return None
+
+
+@dataclass(frozen=True)
+class Watch:
+    """How a long computation is resumed, followed and stopped.
+
+    Attributes
+    ----------
+    finished : mapping
+        Starts already computed, by index; they are not repeated.
+    report : callable
+        Called with each start that ends, in the calling thread; an interrupted one is not reported,
+        so a resumed search repeats it.
+    stop : callable
+        Asked before every evaluation or step, from any thread.
+    step : callable
+        Called with the steps a sampler has done and all it will do.
+    jobs : int
+        Threads; the result does not depend on their number.
+    """
+
+    finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
+    report: Callable[[Start], None] = _ignore
+    stop: Callable[[], bool] = _never
+    step: Callable[[int, int], None] = _uncounted
+    jobs: int = 1
+
+
+def to_dict(start: Start) -> dict[str, Any]:
+    """Return a start as plain JSON values; every float survives exactly, infinity as None."""
+    return {
+        "index": start.index,
+        "theta0": list(start.theta0),
+        "theta": list(start.theta),
+        "objective": start.objective if math.isfinite(start.objective) else None,
+        "evaluations": start.evaluations,
+        "failures": start.failures,
+        "stopped": start.stopped,
+    }
+
+
+def from_dict(table: Mapping[str, Any]) -> Start:
+    """Return the start that `to_dict` wrote; FitError if a checkpoint was damaged."""
+    try:
+        objective = table["objective"]
+        return Start(
+            index=int(table["index"]),
+            theta0=tuple(float(x) for x in table["theta0"]),
+            theta=tuple(float(x) for x in table["theta"]),
+            objective=math.inf if objective is None else float(objective),
+            evaluations=int(table["evaluations"]),
+            failures=int(table["failures"]),
+            stopped=str(table["stopped"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise FitError(
+            f"the checkpoint holds a damaged start: {error!r}", mend="run again without --resume"
+        ) from None

@@ -1,0 +1,90 @@
+"""Ties between parameters: `"mu1_pa"` or `"10 * mu1_pa"` -> a factor and the parameter it ends at."""
+
+import math
+import re
+from collections.abc import Mapping
+
+from needlefit.errors import ConfigError
+
+_NAME = re.compile(r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm")
+_TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
+
+
+def dimension(name: str) -> str:
+    """Return what `name` measures: "modulus", "exponent" or "length".
+
+    Raises
+    ------
+    ConfigError
+        If it is no parameter's name.
+    """
+    match = _NAME.fullmatch(name)
+    if match is None or (match[1] is not None and (match[1] == "mu") != (match[3] is not None)):
+        raise ConfigError(
+            f"there is no parameter called `{name}`",
+            expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm, guide_distance_mm",
+        )
+    return {"mu": "modulus", "alpha": "exponent"}.get(match[1] or "", "length")
+
+
+def parse(name: str, tie: str) -> tuple[float, str]:
+    """Return (factor, source) of the tie that the parameter `name` states.
+
+    Raises
+    ------
+    ConfigError
+        If the tie cannot be read, joins different quantities, or its factor cannot be.
+    """
+    match = _TIE.fullmatch(tie)
+    if match is None:
+        raise _wrong(name, tie, "cannot be read")
+    try:
+        factor = float(match["factor"] or 1.0)
+    except ValueError:
+        raise _wrong(name, tie, f"has the factor `{match['factor']}`, which is no number") from None
+    if dimension(match["name"]) != dimension(name):
+        raise _wrong(name, tie, f"ties a {dimension(name)} to a {dimension(match['name'])}")
+    positive = dimension(name) != "exponent"
+    if not math.isfinite(factor) or (positive and factor <= 0):
+        raise _wrong(name, tie, f"has the factor {factor:g}; moduli and lengths stay positive")
+    return factor, match["name"]
+
+
+def resolve(ties: Mapping[str, tuple[float, str]], known: frozenset[str]) -> dict[str, tuple[float, str]]:
+    """Return each tied parameter's (factor, source) with a source that is itself not tied.
+
+    Raises
+    ------
+    ConfigError
+        If a tie leads to no parameter of the medium, or in a circle.
+    """
+    return {name: _follow(name, ties, known) for name in ties}
+
+
+def _follow(name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[str]) -> tuple[float, str]:
+    factor, at, seen = 1.0, name, [name]
+    while at in ties:
+        step, at = ties[at]
+        factor *= step
+        if at in seen:
+            raise ConfigError(
+                f"ties run in a circle: {' -> '.join([*seen, at])}",
+                where=f"parameters.{name}.tie",
+                mend="leave one of them free or fixed",
+            )
+        if at not in known:
+            raise ConfigError(
+                f"`{seen[-1]}` is tied to `{at}`, which this medium has not",
+                where=f"parameters.{name}.tie",
+                expected=f"one of {', '.join(sorted(known - set(seen)))}",
+            )
+        seen.append(at)
+    return factor, at
+
+
+def _wrong(name: str, tie: str, fault: str) -> ConfigError:
+    return ConfigError(
+        f"the tie `{tie}` {fault}",
+        where=f"parameters.{name}.tie",
+        expected='another parameter of the same kind, with a factor if wanted: "mu1_pa" or "10 * mu1_pa"',
+    )
