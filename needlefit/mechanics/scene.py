@@ -31,8 +31,8 @@ class Entry:
     def to_world(self, points: ArrayLike) -> Floats:
         """Return points (K, 2) of C in the world, mm."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
-        turned = np.asarray(points, dtype=np.float64) @ np.array([[cos, sin], [-sin, cos]])  # (K, 2)
-        return turned + np.array([self.x, self.y])
+        x, y = np.asarray(points, dtype=np.float64).T  # (K,)
+        return np.column_stack((self.x + cos * x - sin * y, self.y + sin * x + cos * y))
 
 
 @dataclass(frozen=True)

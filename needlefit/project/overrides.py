@@ -42,7 +42,7 @@ def keys(kind: type[BaseModel], tables: Mapping[str, Any]) -> Iterator[str]:
     """Yield every dotted key that a file of this kind may hold; lists are as long as in `tables`."""
     for name, field in kind.model_fields.items():
         name = field.alias or name
-        inner = field.annotation
+        inner: Any = field.annotation
         if _is_record(inner):
             yield from (f"{name}.{key}" for key in keys(inner, tables.get(name, {})))
         elif get_origin(inner) is tuple and _is_record(get_args(inner)[0]):

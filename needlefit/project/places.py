@@ -73,7 +73,7 @@ def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
         if not path.is_file():
             raise _missing("study or fit", name)
         return ("study" if _is_study(path) else "fit"), path
-    found = [kind for kind in ("study", "fit") if name in names(kind)]  # type: ignore[arg-type]
+    found = [kind for kind in ("study", "fit") if name in names(kind)]
     if len(found) == 2:
         raise ConfigError(
             f"`{name}` is both a study and a fit",

@@ -48,7 +48,7 @@ class InsertionsRecord(Record):
 
 
 class CenterlinesRecord(Record):
-    """The centrelines: a file per insertion (`pattern` with `{id}`), or one long table (`file`, `group_by`)."""
+    """The centrelines: one file each (`pattern` with `{id}`), or one long table (`file`, `group_by`)."""
 
     pattern: str | None = None
     file: str | None = None

@@ -25,3 +25,7 @@ class StudyRecord(FitRecord):
         if bool(self.validate_) == (self.leave_out is not None):
             raise ValueError("a study has either [[validate]] selections or leave_out, exactly one of them")
         return self
+
+    def tuning(self) -> FitRecord:
+        """Return the fit that this study begins with."""
+        return FitRecord.model_validate(self.model_dump(by_alias=True, include=set(FitRecord.model_fields)))

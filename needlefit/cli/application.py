@@ -1,0 +1,75 @@
+"""The table of commands, and what every command has in common: how it fails."""
+
+import sys
+from typing import Annotated
+
+import typer
+from typer.core import TyperGroup
+
+from needlefit.cli import failure
+from needlefit.cli.check import check
+from needlefit.cli.paper import paper
+from needlefit.cli.simulate import simulate
+from needlefit.cli.start import init, new_dataset
+from needlefit.cli.tune import tune
+from needlefit.cli.twin import twin_build
+from needlefit.cli.validate import validate
+
+_EPILOG = (
+    "A noun is a path (holds / or ends in .toml) or a bare name, looked up in the working folder's project, "
+    "then in the shipped one. Results go to ./reports/. Exit codes: 0 ok, 1 unexpected, 2 usage, 3 bad data "
+    "or configuration, 4 the solver failed, 5 not converged (result written, marked), 130 interrupted."
+)
+
+
+class _Guarded(TyperGroup):
+    """Turns what a command raises into a message and an exit code; usage errors stay typer's."""
+
+    def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
+        try:
+            result = super().invoke(ctx)
+            sys.stdout.flush()
+            return result
+        except BaseException as error:
+            code = failure.report(error, ctx.find_root().obj)
+            if code is None:
+                raise
+            raise typer.Exit(code) from None
+
+
+def build() -> typer.Typer:
+    """Return the application with all its commands."""
+    plain = {"rich_markup_mode": None, "no_args_is_help": True}
+    app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **plain)  # type: ignore[arg-type]
+    app.callback()(_needlefit)
+    for command in (simulate, check, tune, validate, paper, init):
+        app.command()(command)
+    twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]
+    twin.callback()(_group)
+    twin.command("build")(twin_build)
+    new = typer.Typer(help="Templates of files.", **plain)  # type: ignore[arg-type]
+    new.callback()(_group)
+    new.command("dataset")(new_dataset)
+    app.add_typer(twin, name="twin")
+    app.add_typer(new, name="new")
+    return app
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from needlefit import __version__
+
+        typer.echo(f"needlefit {__version__}")
+        raise typer.Exit
+
+
+def _needlefit(
+    version: Annotated[
+        bool, typer.Option("--version", callback=_version, is_eager=True, help="Show the version and exit.")
+    ] = False,
+) -> None:
+    """Fit and cross-validate bevel-tip needle models on measured insertions."""
+
+
+def _group() -> None:
+    pass

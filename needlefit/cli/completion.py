@@ -1,0 +1,27 @@
+"""The names that the shell completes."""
+
+from needlefit.project.places import names
+
+
+def scenes(incomplete: str) -> list[str]:
+    """Return the scenes whose names begin so."""
+    return _beginning(names("scene"), incomplete)
+
+
+def studies(incomplete: str) -> list[str]:
+    """Return the studies whose names begin so, and `all`."""
+    return _beginning([*names("study"), "all"], incomplete)
+
+
+def targets(incomplete: str) -> list[str]:
+    """Return the studies and fits whose names begin so."""
+    return _beginning([*names("study"), *names("fit")], incomplete)
+
+
+def datasets(incomplete: str) -> list[str]:
+    """Return the datasets whose names begin so."""
+    return _beginning(names("dataset"), incomplete)
+
+
+def _beginning(known: list[str], incomplete: str) -> list[str]:
+    return [name for name in known if name.startswith(incomplete)]

@@ -1,0 +1,91 @@
+"""Running studies and fits: settings, progress, Ctrl-C, where results and checkpoints go."""
+
+import os
+import shutil
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import typer
+
+from needlefit.cli import failure, screen
+from needlefit.cli.interruption import stopping
+from needlefit.cli.invocation import Invocation
+from needlefit.cli.progress import progress
+
+if TYPE_CHECKING:
+    from needlefit.project.records.fit import FitRecord
+    from needlefit.project.records.study import StudyRecord
+    from needlefit.validation.results import Results
+
+
+@dataclass(frozen=True)
+class Execution:
+    """What the options say about a run; results go to `out/<name>/`, checkpoints to `out/<name>.partial/`."""
+
+    invocation: Invocation
+    out: Path
+    seed: int | None
+    jobs: int | None
+    resume: bool
+    sample: bool = False
+
+    def folder(self, name: str) -> Path:
+        """Return where the results of one study or fit go."""
+        return self.out / name
+
+    def checkpoint(self, name: str) -> Path:
+        """Return where a run keeps what it has finished."""
+        return self.out / f"{name}.partial"
+
+    def run(self, name: str, record: "StudyRecord | FitRecord") -> "Results":
+        """Run one study or fit; Ctrl-C makes it stop early and say so in `interrupted`."""
+        from needlefit.validation.run import Settings, run
+
+        with stopping() as stop, progress(self.invocation.quiet) as report:
+            settings = Settings(
+                seed=self.seed,
+                jobs=self.jobs or cores(),
+                checkpoint=self.checkpoint(name),
+                resume=self.resume,
+                sample=self.sample,
+                progress=report,
+                stop=stop,
+            )
+            return run(name, record, settings)
+
+    def write(self, results: "Results") -> Path:
+        """Write the results; return their folder."""
+        from needlefit.reporting.write import write
+
+        folder = self.folder(results.name)
+        write(results, folder)
+        return folder
+
+    def forget(self, name: str) -> None:
+        """Remove the checkpoint of a run that is complete."""
+        shutil.rmtree(self.checkpoint(name), ignore_errors=True)
+
+    def interrupted(self) -> typer.Exit:
+        """Say how to go on; return the exit to raise."""
+        screen.note(f"needlefit: interrupted; to go on: {self.invocation.resuming()}")
+        return typer.Exit(failure.INTERRUPTED)
+
+
+def cores() -> int:
+    """Return the number of cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def require_converged(results: "Results") -> None:
+    """End with the exit code of what did not converge, if a scored simulation of the fit did not.
+
+    The results are written by then, marked.
+    """
+    fitted = results.errors[results.errors["rival"] == "fitted"]
+    failed = int((~fitted["converged"].astype(bool)).sum())
+    if failed:
+        screen.note(
+            f"needlefit: {results.name}: {failed} of {len(fitted)} simulations of the fit did not converge"
+        )
+        raise typer.Exit(failure.NOT_CONVERGED)

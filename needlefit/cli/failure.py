@@ -1,0 +1,44 @@
+"""How a command fails: what stands on stderr, and the exit code."""
+
+import os
+import sys
+import traceback
+
+from needlefit.cli.invocation import Invocation
+from needlefit.errors import NeedlefitError
+
+UNEXPECTED, NOT_CONVERGED, INTERRUPTED = 1, 5, 130
+
+
+def report(error: BaseException, invocation: Invocation) -> int | None:
+    """Say what went wrong and return the exit code; None leaves the error to typer."""
+    if isinstance(error, BrokenPipeError):
+        _forget_stdout()
+        return 0  # the reader has had enough: nothing failed
+    if isinstance(error, KeyboardInterrupt):
+        print("needlefit: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    if _is_typers(error):
+        return None
+    if invocation.verbose:
+        traceback.print_exception(error)
+    if isinstance(error, NeedlefitError):
+        print(f"needlefit: {error}", file=sys.stderr)
+        return error.exit_code
+    hint = "" if invocation.verbose else " (-v shows where)"
+    print(f"needlefit: unexpected {type(error).__name__}: {error}{hint}", file=sys.stderr)
+    return UNEXPECTED
+
+
+def _is_typers(error: BaseException) -> bool:
+    """Whether typer itself says how this ends: an exit code, or a usage error that can show itself."""
+    return (
+        not isinstance(error, Exception)
+        or hasattr(error, "show")
+        or type(error).__name__ in ("Exit", "Abort")
+    )
+
+
+def _forget_stdout() -> None:
+    """Let the flush at the interpreter's end go nowhere instead of failing again."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -1,0 +1,27 @@
+"""Options that several commands share."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def _set_quiet(context: typer.Context, value: bool) -> bool:
+    context.find_root().obj.quiet = value
+    return value
+
+
+def _set_verbose(context: typer.Context, value: bool) -> bool:
+    context.find_root().obj.verbose = value
+    return value
+
+
+Quiet = Annotated[bool, typer.Option("--quiet", "-q", callback=_set_quiet, help="No progress on stderr.")]
+Verbose = Annotated[
+    bool, typer.Option("--verbose", "-v", callback=_set_verbose, help="Tracebacks of errors.")
+]
+Json = Annotated[bool, typer.Option("--json", help="Results as JSON on stdout.")]
+Seed = Annotated[int | None, typer.Option(min=0, help="Seed of all randomness (default: the recipe's).")]
+Jobs = Annotated[int | None, typer.Option(min=1, help="Threads (default: all cores); changes no result.")]
+Out = Annotated[Path, typer.Option(help="Folder that takes the folders of results.")]
+Resume = Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")]

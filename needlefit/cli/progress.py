@@ -1,0 +1,55 @@
+"""How far a long run is: bars on a terminal, otherwise a line a minute; always on stderr."""
+
+import sys
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TextIO
+
+Report = Callable[[str, int, int], None]
+EVERY_SECONDS = 60.0
+
+
+@contextmanager
+def progress(quiet: bool = False) -> Iterator[Report]:
+    """Yield the function that a run calls with what it does, how many steps are done, and of how many."""
+    if quiet:
+        yield lambda label, done, total: None
+    elif sys.stderr.isatty():
+        with _bars() as report:
+            yield report
+    else:
+        yield lines(sys.stderr)
+
+
+def lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Report:
+    """Return a reporter that writes at most one line a minute."""
+    lock, last = threading.Lock(), [clock()]
+
+    def report(label: str, done: int, total: int) -> None:
+        with lock:
+            if clock() - last[0] < EVERY_SECONDS:
+                return
+            last[0] = clock()
+            print(f"needlefit: {label}: {done} of {total}", file=stream, flush=True)
+
+    return report
+
+
+@contextmanager
+def _bars() -> Iterator[Report]:
+    from rich.console import Console
+    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    lock, tasks = threading.Lock(), {}
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
+
+        def report(label: str, done: int, total: int) -> None:
+            with lock:
+                if label not in tasks:
+                    tasks[label] = bars.add_task(label, total=total)
+            bars.update(tasks[label], completed=done, total=total)
+
+        yield report

@@ -1,0 +1,46 @@
+"""`needlefit init` and `needlefit new dataset`: where a user's own work begins."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from needlefit.cli import options, screen
+
+
+def init(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder; it is made if it is missing.")],
+    verbose: options.Verbose = False,
+) -> None:
+    """Write an editable copy of the project to DIR.
+
+    That is data/, configs/ and studies/; in DIR the program then uses those.
+    """
+    from needlefit.project.init import copy_project
+
+    for written in copy_project(folder):
+        screen.say(str(written))
+    screen.note(f"edit them, then: cd {folder} && needlefit validate study3")
+
+
+def new_dataset(
+    folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that does not exist yet.")],
+    source: Annotated[
+        Path | None,
+        typer.Option("--from", metavar="CSV|MAT", help="A table of centreline points to begin with."),
+    ] = None,
+    verbose: options.Verbose = False,
+) -> None:
+    """Write a dataset that passes `check` to DIR.
+
+    It is there to be filled with one's own measurements.
+    """
+    from needlefit.datasets.template import new_dataset as write_template
+
+    for written in write_template(folder, source):
+        screen.say(str(written))
+    screen.note(
+        f"fill them in, then: needlefit check ./{folder}"
+        if not folder.is_absolute()
+        else f"needlefit check {folder}"
+    )

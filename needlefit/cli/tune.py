@@ -1,0 +1,59 @@
+"""`needlefit tune`: fit a medium's parameters to measured needles."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from needlefit.cli import options, screen
+from needlefit.cli.completion import targets
+from needlefit.cli.execution import Execution, require_converged
+from needlefit.cli.show_tuning import as_json, show_tuning
+
+
+def tune(
+    context: typer.Context,
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
+        ),
+    ],
+    sample: Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF).")] = False,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("reports"),
+    resume: options.Resume = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Fit the parameters of a TARGET (mu, alpha, b).
+
+    Stands beside the paper's hand-tuned set, and says what the data leave open.
+
+    A study is tuned only, into OUT/<study>-tune/. Ctrl-C once writes the best so far, marked, and prints
+    the line that goes on; twice leaves at once.
+    """
+    from needlefit.project.load import load
+    from needlefit.project.places import find_target
+    from needlefit.project.records.fit import FitRecord
+    from needlefit.project.records.study import StudyRecord
+
+    kind, path = find_target(target)
+    if kind == "study":
+        name, record = f"{path.stem}-tune", load(path, StudyRecord).tuning()
+    else:
+        name, record = path.stem, load(path, FitRecord)
+    execution = Execution(context.find_root().obj, out, seed, jobs, resume, sample)
+    results = execution.run(name, record)
+    written = execution.write(results)
+    if json:
+        screen.show_json(as_json(results))
+    else:
+        show_tuning(results)
+        screen.say(f"written: {written}/")
+    if results.interrupted:
+        raise execution.interrupted()
+    execution.forget(name)
+    require_converged(results)
