@@ -1,0 +1,145 @@
+"""The command line as a user meets it: exit codes, streams, names, messages."""
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import pytest
+
+from needlefit.cli import main
+from needlefit.cli.failure import report
+from needlefit.cli.invocation import Invocation
+from needlefit.errors import ConfigError, DataError, FitError, ModelError
+
+COMMANDS = ("simulate", "check", "tune", "validate", "paper", "init", "twin", "new")
+
+
+def run(*words: str) -> int:
+    with pytest.raises(SystemExit) as leaving:
+        main(words)
+    return int(leaving.value.code or 0)
+
+
+def python(code: str, *words: str, **kwargs: object) -> subprocess.CompletedProcess[str]:
+    command: Sequence[str] = [sys.executable, "-c", code, *words]
+    return subprocess.run(command, capture_output=True, text=True, check=False, **kwargs)  # type: ignore[call-overload]
+
+
+def test_help_names_every_command(capsys):
+    assert run("--help") == 0
+    out = capsys.readouterr().out
+    assert all(f"\n  {command} " in out for command in COMMANDS)
+
+
+@pytest.mark.parametrize("command", [*COMMANDS[:6], "twin build", "new dataset"])
+def test_every_command_has_help(command, capsys):
+    assert run(*command.split(), "--help") == 0
+    assert f"Usage: needlefit {command}" in capsys.readouterr().out
+
+
+def test_help_loads_nothing_heavy():
+    code = (
+        "import sys, needlefit.cli\n"
+        "try: needlefit.cli.main(['--help'])\n"
+        "except SystemExit: pass\n"
+        "heavy = {'numpy', 'pandas', 'numba', 'pydantic', 'rich', 'scipy', 'matplotlib'}\n"
+        "sys.exit(','.join(sorted(heavy & set(sys.modules))) or 0)"
+    )
+    done = python(code)
+    assert done.returncode == 0, done.stderr
+
+
+def test_version(capsys):
+    from needlefit import __version__
+
+    assert run("--version") == 0
+    assert capsys.readouterr().out == f"needlefit {__version__}\n"
+
+
+@pytest.mark.parametrize("words", [("nothing",), ("simulate",), ("simulate", "phantom1", "--depth", "deep")])
+def test_usage_errors_exit_2(words, capsys):
+    assert run(*words) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ""
+    assert "Usage: needlefit" in captured.err
+
+
+@pytest.mark.parametrize(("kind", "code"), [(ConfigError, 3), (DataError, 3), (ModelError, 4), (FitError, 4)])
+def test_an_error_says_what_where_expected_and_mend(kind, code, capsys):
+    error = kind("the depth is negative", where="a.toml", expected="a depth above 0", mend="change it")
+    assert report(error, Invocation(())) == code
+    assert capsys.readouterr().err == (
+        "needlefit: a.toml: the depth is negative\n  expected: a depth above 0\n  mend: change it\n"
+    )
+
+
+def test_an_unexpected_error_is_one_line_and_a_hint(capsys):
+    assert report(ZeroDivisionError("division by zero"), Invocation(())) == 1
+    assert capsys.readouterr().err == (
+        "needlefit: unexpected ZeroDivisionError: division by zero (-v shows where)\n"
+    )
+
+
+def test_verbose_shows_the_traceback(capsys):
+    assert run("simulate", "phantom9") == 3
+    assert "Traceback" not in capsys.readouterr().err
+    assert run("simulate", "phantom9", "-v") == 3
+    assert "Traceback" in capsys.readouterr().err
+
+
+def test_an_unknown_name_lists_the_nearest(capsys):
+    assert run("simulate", "phantm1") == 3
+    err = capsys.readouterr().err
+    assert "phantm1" in err and "expected: one of phantom1" in err
+
+
+def test_ctrl_c_exits_130(capsys):
+    assert report(KeyboardInterrupt(), Invocation(())) == 130
+
+
+def test_a_reader_that_leaves_is_no_error():
+    code = "import needlefit.cli; needlefit.cli.main(['paper'])"
+    running = subprocess.Popen(
+        [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    assert running.stdout is not None and running.stderr is not None
+    running.stdout.close()
+    assert (running.stderr.read(), running.wait()) == ("", 0)
+    running.stderr.close()
+
+
+def test_no_escape_codes_in_a_pipe_even_if_colour_is_asked_for():
+    done = python(
+        "import needlefit.cli; needlefit.cli.main(['paper'])",
+        env={**os.environ, "NO_COLOR": "1", "FORCE_COLOR": "1"},
+    )
+    assert done.returncode == 0
+    assert "\x1b[3" not in done.stdout and "\x1b[9" not in done.stdout
+
+
+def test_paper_prints_tables_and_contradictions(capsys):
+    import json
+
+    assert run("paper") == 0
+    out = capsys.readouterr().out
+    assert "2.82" in out and "Contradictions" in out
+    assert run("paper", "--json") == 0
+    tables = json.loads(capsys.readouterr().out)
+    assert tables["validation"][5]["te_mm"] == 2.82
+    assert any("9 + 5" in claim["says"] for claim in tables["contradictions"])
+
+
+def test_module_is_the_command(tmp_path: Path):
+    done = subprocess.run(
+        [sys.executable, "-m", "needlefit", "--version"], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.startswith("needlefit ")
+
+
+def test_completion_offers_names():
+    from needlefit.cli.completion import scenes, studies
+
+    assert scenes("phantom2") == ["phantom2", "phantom2_by_layers"]
+    assert "all" in studies("a")

@@ -1,0 +1,129 @@
+"""`needlefit simulate`."""
+
+import json
+import math
+
+import pytest
+from test_cli import run
+
+from needlefit.mechanics.scene import Entry
+
+
+def answer(capsys, *words):
+    assert run("simulate", *words, "--json") == 0
+    return json.loads(capsys.readouterr().out)
+
+
+def test_json_says_what_it_promises(capsys):
+    found = answer(capsys, "phantom1")
+    assert found["converged"] is True
+    assert found["boundaries_mm"] == [20, 28, 45]
+    assert found["depth_mm"] == pytest.approx((50.69 + 54.27) / 2)
+    assert len(found["tip_mm"]) == 2
+    assert found["constraints_mm"][0] == [0, 0]
+    assert found["constraints_mm"][-1][0] == pytest.approx(found["depth_mm"])
+
+
+@pytest.mark.parametrize(
+    ("scene", "implied_mm"), [("phantom1", 1.2), ("phantom3", 1.0), ("chicken", 0.29)]
+)  # the deflections that the published parameters give in this model
+def test_magnitudes(scene, implied_mm, capsys):
+    assert answer(capsys, scene)["deflection_mm"] == pytest.approx(implied_mm, rel=0.15)
+
+
+def test_without_bevel_the_needle_stays_straight(capsys):
+    found = answer(capsys, "phantom1", "--set", "bevel.offset_mm=0", "--depth", "40")
+    assert found["deflection_mm"] == pytest.approx(0, abs=1e-12)
+    assert found["tip_mm"] == pytest.approx([40, 0])
+
+
+def test_the_other_side_mirrors(capsys):
+    left = answer(capsys, "study3")
+    right = answer(capsys, "study3", "--set", "bevel.side=-1")
+    assert right["deflection_mm"] == pytest.approx(-left["deflection_mm"], rel=1e-12)
+
+
+def test_the_entry_moves_the_tip_in_the_world_only(capsys):
+    plain = answer(capsys, "phantom1")
+    x, y = plain["tip_mm"]
+    turned = answer(capsys, "phantom1", "--set", "entry.angle_deg=90", "--set", "entry.x_mm=5")
+    assert turned["deflection_mm"] == plain["deflection_mm"]
+    assert turned["tip_mm"] == pytest.approx([5 - y, x])
+
+
+def test_entry_turns_counter_clockwise():
+    points = Entry(1.0, 2.0, math.pi / 6).to_world([[2.0, 0.0], [0.0, 2.0]])
+    assert points.tolist() == [
+        pytest.approx([1 + math.sqrt(3), 3.0]),
+        pytest.approx([0.0, 2 + math.sqrt(3)]),
+    ]
+
+
+def test_layers_are_numbered_from_1(capsys):
+    plain = answer(capsys, "chicken")
+    stiffer = answer(capsys, "chicken", "--set", "layers.1.mu_pa=3e5")
+    assert stiffer["deflection_mm"] > 1.2 * plain["deflection_mm"]
+    assert run("simulate", "chicken", "--set", "layers.0.mu_pa=3e5") == 3
+    assert "numbered from 1" in capsys.readouterr().err
+
+
+def test_an_unknown_key_lists_the_nearest(capsys):
+    assert run("simulate", "phantom1", "--set", "bevel.ofset_mm=0.1") == 3
+    assert "bevel.offset_mm" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("layers.2.mu_pa=-1", "layers.2.mu_pa"),
+        ("layers.2.mu_pa=soft", "layers.2.mu_pa"),
+        ("bevel.side=0", "bevel.side"),
+        ("layers.2.top_mm=50", "top_mm must increase"),
+        ("needle.youngs_modulus_gpa=nan", "needle.youngs_modulus_gpa"),
+    ],
+)
+def test_a_wrong_value_names_its_key(setting, told, capsys):
+    assert run("simulate", "phantom1", "--set", setting) == 3
+    assert told in capsys.readouterr().err
+
+
+def test_a_needle_too_short_says_how_deep_it_goes(capsys):
+    assert run("simulate", "phantom1", "--depth", "150") == 3
+    assert "less than 150 mm" in capsys.readouterr().err
+    assert run("simulate", "phantom1", "--depth", "120", "--set", "controls.guide_distance_mm=40") == 3
+    assert "less than 110 mm" in capsys.readouterr().err
+
+
+def test_what_is_no_assignment_is_a_usage_error(capsys):
+    assert run("simulate", "phantom1", "--set", "bevel.offset_mm") == 2
+    assert "KEY=VALUE" in capsys.readouterr().err
+
+
+def test_without_convergence_the_answer_is_marked_and_the_exit_code_5(capsys):
+    crushing = ("--set", "bevel.offset_mm=30", "--set", "layers.1.thickness_mm=0.5")
+    assert run("simulate", "phantom1", *crushing, "--json") == 5
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert found["converged"] is False
+    assert found["status"] != "converged"
+    assert "did not converge" in captured.err
+    assert run("simulate", "phantom1", *crushing) == 5
+    assert "NO" in capsys.readouterr().out
+
+
+def test_a_plot_is_drawn_the_same_twice(tmp_path, capsys):
+    for name in ("a.png", "b.png"):
+        assert run("simulate", "phantom1", "--plot", str(tmp_path / name)) == 0
+    first = (tmp_path / "a.png").read_bytes()
+    assert first.startswith(b"\x89PNG") and first == (tmp_path / "b.png").read_bytes()
+    assert run("simulate", "phantom1", "--plot", str(tmp_path / "a.jpeg")) == 3
+
+
+def test_a_path_is_a_scene_too(tmp_path, monkeypatch, capsys):
+    from needlefit.project.places import find
+
+    text = find("scene", "chicken").read_text(encoding="utf-8")
+    (tmp_path / "mine.toml").write_text(text.replace("depth_mm = 44.1", "depth_mm = 20"), encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    assert answer(capsys, "mine.toml")["depth_mm"] == 20
+    assert answer(capsys, "./mine.toml")["depth_mm"] == 20

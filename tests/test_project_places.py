@@ -1,0 +1,111 @@
+"""Names to files: the working folder's project first, then the shipped one."""
+
+from pathlib import Path
+
+import pytest
+
+from needlefit.errors import ConfigError
+from needlefit.project import places
+from needlefit.project.init import copy_project
+from needlefit.project.replace import replacing_synthetic
+
+STUDY = "schema = 1\nvalidate = [{}]\n"
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    for part in ("studies", "configs/fits", "configs/scenes"):
+        (tmp_path / part).mkdir(parents=True)
+    (tmp_path / "studies/mine.toml").write_text(STUDY)
+    (tmp_path / "configs/fits/gel.toml").write_text("schema = 1\n")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_the_working_folder_comes_first(project):
+    (project / "configs/scenes/phantom1.toml").write_text("schema = 1\n")
+    assert places.find("scene", "phantom1") == project / "configs/scenes/phantom1.toml"
+    assert places.find("scene", "phantom2") == places.shipped() / "configs/scenes/phantom2.toml"
+    assert "mine" in places.names("study") and "phantom2" in places.names("scene")
+
+
+def test_an_empty_folder_uses_the_shipped_project(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert places.roots() == (places.shipped(),)
+    assert places.find("scene", "study3").is_file()
+
+
+def test_targets_are_studies_or_fits(project):
+    assert places.find_target("mine") == ("study", project / "studies/mine.toml")
+    assert places.find_target("gel") == ("fit", project / "configs/fits/gel.toml")
+    assert places.find_target("studies/mine.toml") == ("study", Path("studies/mine.toml"))
+
+
+def test_a_name_that_is_both_is_an_error(project):
+    (project / "studies/gel.toml").write_text(STUDY)
+    with pytest.raises(ConfigError, match="both a study and a fit"):
+        places.find_target("gel")
+
+
+def test_a_missing_path_is_no_unknown_name(project):
+    with pytest.raises(ConfigError, match="there is no such study or fit"):
+        places.find_target("studies/none.toml")
+    with pytest.raises(ConfigError, match="there is no such scene"):
+        places.find("scene", "./none.toml")
+
+
+def test_a_folder_of_that_name_is_pointed_out(project):
+    (project / "needles").mkdir()
+    with pytest.raises(ConfigError, match=r"write \./needles"):
+        places.find("dataset", "needles")
+
+
+def test_a_dataset_may_be_named_by_its_folder(project):
+    (project / "gel").mkdir()
+    (project / "gel/dataset.toml").write_text("")
+    assert places.find("dataset", "./gel") == Path("gel/dataset.toml")
+
+
+def test_all_means_the_five_of_the_paper(monkeypatch):
+    monkeypatch.setattr(places, "find", lambda kind, name: Path(f"{name}.toml"))
+    assert [name for name, _ in places.find_studies("all")] == [f"study{n}" for n in (1, 2, 3, 4, 5)]
+    assert places.find_studies("stereo_depth") == [("stereo_depth", Path("stereo_depth.toml"))]
+
+
+def test_a_run_is_a_folder_with_run_json(project):
+    (project / "reports/study3").mkdir(parents=True)
+    with pytest.raises(ConfigError, match="no run called"):
+        places.find_run("study3")
+    (project / "reports/study3/run.json").write_text("{}")
+    assert places.find_run("study3") == Path("reports/study3")
+    assert places.find_run("./reports/study3") == Path("reports/study3")
+
+
+def test_init_copies_once_and_never_overwrites(tmp_path, monkeypatch):
+    copy_project(tmp_path / "mine")
+    monkeypatch.chdir(tmp_path / "mine")
+    assert places.find("scene", "chicken") == tmp_path / "mine/configs/scenes/chicken.toml"
+    with pytest.raises(ConfigError, match="exists already"):
+        copy_project(tmp_path / "mine")
+
+
+def test_only_synthetic_datasets_are_replaced(tmp_path):
+    folder = tmp_path / "twin"
+    for text in ("first", "second"):
+        with replacing_synthetic(folder) as fresh:
+            (fresh / "dataset.toml").write_text(f'origin = "synthetic"\nname = "{text}"')
+    assert "second" in (folder / "dataset.toml").read_text()
+    (folder / "dataset.toml").write_text('origin = "measured"')
+    with pytest.raises(ConfigError.__base__, match="something else"), replacing_synthetic(folder):
+        pass
+
+
+def test_a_build_that_fails_leaves_the_old_dataset(tmp_path):
+    folder = tmp_path / "twin"
+    folder.mkdir()
+    (folder / "dataset.toml").write_text('origin = "synthetic"')
+    with pytest.raises(RuntimeError), replacing_synthetic(folder) as fresh:
+        (fresh / "half").write_text("")
+        raise RuntimeError
+    assert [path.name for path in tmp_path.iterdir()] == ["twin"]
+    assert [path.name for path in folder.iterdir()] == ["dataset.toml"]
