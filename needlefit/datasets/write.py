@@ -1,6 +1,5 @@
 """Write a dataset in the layout of `data/README.md`: the same data gives the same bytes."""
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -10,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from needlefit.datasets.formats.toml import dumps
 from needlefit.datasets.schema import COLUMNS, POINT, Floats, InsertionRow
+from needlefit.datasets.sources import sha256
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface, write_surface
 from needlefit.project.records.dataset import DatasetRecord
@@ -66,11 +66,6 @@ def write_dataset(
     record = record.model_copy(update={"checksums": sums})
     _write(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
     return folder / "dataset.toml"
-
-
-def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def _write(path: Path, text: str) -> None:

@@ -3,7 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needlefit.geometry.frames import unit
+from needlefit.geometry.frames import Frame, entry_frame, unit
 
 Floats = NDArray[np.float64]
 
@@ -33,3 +33,20 @@ def any_normal(direction: ArrayLike) -> Floats:
     x = unit(direction)
     axis = np.eye(3)[int(np.argmin(np.abs(x)))]  # the world axis that is least parallel
     return unit(axis - (axis @ x) * x)
+
+
+def free_frame(centerline: ArrayLike) -> Frame:
+    """Return a constraint frame for a curve (N, 3) that is known only up to a rigid motion.
+
+    Its xy plane is the plane closest to the points. There the parabola that fits them best gives x, its
+    tangent at the first point, and y, the side to which it bends. The origin is the first point, in the plane.
+    """
+    points = np.asarray(centerline, dtype=np.float64)
+    centre = points.mean(axis=0)
+    _, _, (along, across, normal) = np.linalg.svd(points - centre)
+    along = along if along @ (points[-1] - points[0]) >= 0 else -along
+    a, b = (points - points[0]) @ along, (points - points[0]) @ across
+    curvature, slope, _ = np.polyfit(a, b, 2)
+    side = 1.0 if curvature >= 0 else -1.0
+    origin = points[0] - ((points[0] - centre) @ normal) * normal
+    return entry_frame(origin, along + slope * across, side * across)

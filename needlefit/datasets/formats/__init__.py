@@ -1,0 +1,1 @@
+"""One file a format: what it holds, as cells with their lines or as points; nothing about insertions."""

@@ -119,4 +119,6 @@ class DatasetRecord(FileRecord):
             raise ValueError("without insertions.file the insertions must be the groups of centerlines.file")
         if self.insertions.file is None and self.insertions.id_template is None:
             raise ValueError("without insertions.file, insertions.id_template must name the insertions")
+        if self.frame.pose == "free" and any(medium.surfaces for medium in self.media.values()):
+            raise ValueError('surfaces stand in the world: with frame.pose = "free" give boundaries_mm')
         return self

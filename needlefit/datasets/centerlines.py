@@ -1,0 +1,116 @@
+"""The centrelines of a dataset: find the points of each insertion."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from needlefit.datasets.faults import Fault, from_error
+from needlefit.datasets.formats import mat
+from needlefit.datasets.formats.csv import Table, missing_columns, read_points, read_table
+from needlefit.datasets.formats.points import Points
+from needlefit.datasets.schema import POINT, InsertionRow
+from needlefit.errors import DataError
+from needlefit.project.records.dataset import CenterlinesRecord, DatasetRecord, InsertionsRecord
+
+
+@dataclass(frozen=True)
+class LongTable:
+    """A table that holds many centrelines: the rows of each, by insertion id."""
+
+    table: Table
+    groups: dict[str, np.ndarray]
+
+    def first_rows(self) -> Table:
+        """Return the first row of every group, with its id as column `id`."""
+        first = [int(rows[0]) for rows in self.groups.values()]
+        cells = self.table.cells.iloc[first].reset_index(drop=True).assign(id=list(self.groups))
+        return replace(self.table, cells=cells, lines=self.table.lines[first])
+
+    def part(self, rows: np.ndarray) -> Table:
+        """Return some rows as a table of their own."""
+        return replace(
+            self.table, cells=self.table.cells.iloc[rows].reset_index(drop=True), lines=self.table.lines[rows]
+        )
+
+
+def read_long(path: Path, record: DatasetRecord, found: list[Fault]) -> LongTable | None:
+    """Read the long table and sort its rows by insertion; None after a fault."""
+    by = list(record.centerlines.group_by)
+    try:
+        table = read_table(path)
+    except DataError as error:
+        found.append(from_error(error))
+        return None
+    if missing_columns(table, by, found):
+        return None
+    names = _group_names(table.cells[by], record.insertions.id_template, path, found)
+    groups = {name: np.flatnonzero((names == name).to_numpy()) for name in names.unique()}
+    long = LongTable(table, groups)
+    _varying(long, record.insertions, found)
+    return long
+
+
+def _group_names(
+    keys: pd.DataFrame, template: str | None, path: Path, found: list[Fault]
+) -> "pd.Series[str]":
+    """Return every row's insertion id, from the template over the group columns."""
+    template = template or "_".join(f"{{{column}}}" for column in keys)
+    cells = keys.to_dict("records")
+    try:
+        return pd.Series([template.format(**{str(k): v for k, v in row.items()}) for row in cells], dtype=str)
+    except (KeyError, IndexError, ValueError):
+        found.append(
+            Fault(
+                f"{path}:1",
+                f"insertions.id_template is {template!r}",
+                f"text with {{...}} around columns of group_by: {', '.join(map(str, keys))}",
+            )
+        )
+        return pd.Series(dtype=str)
+
+
+def _varying(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> None:
+    """Note a column that should say one thing of an insertion and says several."""
+    if record.file is not None:
+        return
+    for column in record.columns.values():
+        if column not in long.table.cells:
+            continue
+        text = long.table.cells[column]
+        for name, rows in long.groups.items():
+            other = np.flatnonzero((text.iloc[rows] != text.iloc[rows[0]]).to_numpy())
+            if len(other):
+                where = long.table.where(int(rows[other[0]]))
+                found.append(Fault(where, f"column `{column}` changes within insertion {name}", "one value"))
+
+
+def find_points(
+    row: InsertionRow, folder: Path, record: CenterlinesRecord, long: LongTable | None
+) -> tuple[Points | None, list[Fault]]:
+    """Return an insertion's points (None after a fault) and the faults of their cells."""
+    found: list[Fault] = []
+    try:
+        if record.pattern is None:
+            if long is None or row.id not in long.groups:
+                return None, [Fault(str(folder / (record.file or "")), f"has no rows of insertion {row.id}")]
+            return read_points(long.part(long.groups[row.id]), POINT, record.columns, found), found
+        path = folder / record.pattern.format(id=row.id)
+        if path.suffix.lower() == ".mat":
+            return _finite(mat.read_points(path), found), found
+        return read_points(read_table(path), POINT, record.columns, found), found
+    except DataError as error:
+        return None, [*found, from_error(error)]
+
+
+def _finite(points: Points, found: list[Fault]) -> Points | None:
+    bad = np.flatnonzero(~np.isfinite(points.values).all(axis=1))
+    if len(bad) == 0:
+        return points
+    found.append(
+        Fault(
+            points.where(int(bad[0])), f"has {len(bad)} points that are NaN or infinite", "finite numbers, mm"
+        )
+    )
+    return None

@@ -1,0 +1,155 @@
+"""Comma-separated text as a table of cells that remember their lines."""
+
+import csv
+import io
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.formats.points import Points
+from needlefit.errors import DataError
+
+Floats = NDArray[np.float64]
+
+SHOWN = 5
+"""Bad cells of one column that are listed one by one; the rest is counted."""
+
+OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
+
+
+@dataclass(frozen=True)
+class Table:
+    """Cells as text (stripped), and the line of the file on which each row stands, as an editor counts."""
+
+    path: Path
+    cells: pd.DataFrame
+    lines: NDArray[np.int64]  # (N,)
+
+    def where(self, row: int) -> str:
+        """Name the place of a row for a message."""
+        return f"{self.path}:{self.lines[row]}"
+
+
+def read_table(path: Path) -> Table:
+    """Read a CSV file with a header; byte order mark, CRLF and blank lines are fine.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, is no UTF-8 text, has no rows, another delimiter, columns of the same
+        name, or a row with more cells than the header.
+    """
+    rows = _rows(path)
+    if not rows:
+        raise DataError("is empty", where=str(path), expected="a header line and rows below it")
+    (top, header), body = rows[0], rows[1:]
+    _check_header(header, f"{path}:{top}")
+    if not body:
+        raise DataError("has a header but no rows", where=f"{path}:{top}", expected="one row a line below it")
+    for line, row in body:
+        if len(row) > len(header):
+            raise DataError(
+                f"has {len(row)} cells under {len(header)} columns",
+                where=f"{path}:{line}",
+                expected=f"{len(header)} cells, decimal points (not decimal commas)",
+                mend="remove the cells that are too many, or put text that holds a comma in quotes",
+            )
+    width = len(header)
+    cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
+    return Table(path, cells, np.array([line for line, _ in body], dtype=np.int64))
+
+
+def numbers(table: Table, column: str, found: list[Fault], *, optional: bool = False) -> Floats:
+    """Return a column as numbers (N,); NaN where the cell is faulty, or empty and `optional`."""
+    text = table.cells[column]
+    values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+    empty = (text == "").to_numpy()
+    bad = np.flatnonzero(~np.isfinite(values) & ~(empty & optional))
+    for row in bad[:SHOWN]:
+        problem = "is empty" if empty[row] else f"is {text.iloc[row]!r}"
+        found.append(Fault(table.where(row), f"{column} {problem}", "a finite number", "mend the cell"))
+    if len(bad) > SHOWN:
+        more, line = len(bad) - SHOWN, table.lines[bad[SHOWN]]
+        found.append(
+            Fault(
+                f"{table.path}:{line}", f"{column} has {more} more such cells from here on", "finite numbers"
+            )
+        )
+    return np.where(np.isfinite(values), values, np.nan)
+
+
+def read_points(
+    table: Table, columns: Sequence[str], names: Mapping[str, str], found: list[Fault]
+) -> Points | None:
+    """Return the points under the three `columns` (renamed by `names`), or None after a fault."""
+    wanted = [names.get(column, column) for column in columns]
+    if missing_columns(table, wanted, found):
+        return None
+    before = len(found)
+    values = np.column_stack([numbers(table, column, found) for column in wanted])
+    return Points(table.path, values, table.lines) if len(found) == before else None
+
+
+def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault]) -> bool:
+    """Note every column of `wanted` that the table lacks; say whether there was one."""
+    missing = [column for column in wanted if column not in table.cells]
+    for column in missing:
+        found.append(
+            Fault(
+                f"{table.path}:1",
+                f"column `{column}` is missing",
+                f"a column of that name; there are {', '.join(map(str, table.cells.columns))}",
+                "add the column, or name the one that holds it under `columns` in dataset.toml",
+            )
+        )
+    return bool(missing)
+
+
+def _rows(path: Path) -> list[tuple[int, list[str]]]:
+    """Return every line that is not blank: its number and its cells."""
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except FileNotFoundError:
+        raise DataError(
+            "there is no such file",
+            where=str(path),
+            mend="check its name against dataset.toml, or restore it",
+        ) from None
+    except (OSError, UnicodeDecodeError) as error:
+        raise DataError(f"cannot be read: {error}", where=str(path), expected="UTF-8 text") from None
+    # pandas would forget on which line a row stood
+    reader = csv.reader(io.StringIO(text), skipinitialspace=True)
+    rows, end = [], 0
+    try:
+        for cells in reader:
+            begin, end = end + 1, reader.line_num
+            if any(cell.strip() for cell in cells):
+                rows.append((begin, [cell.strip() for cell in cells]))
+    except csv.Error as error:
+        raise DataError(
+            f"cannot be read: {error}", where=f"{path}:{end + 1}", expected="a CSV file"
+        ) from None
+    return rows
+
+
+def _check_header(header: list[str], where: str) -> None:
+    for sign, name in OTHER_DELIMITERS.items():
+        if len(header) == 1 and sign in header[0]:
+            raise DataError(
+                f"columns are separated by {name}",
+                where=where,
+                expected="commas between columns, points in decimals",
+                mend="save it again as comma-separated values",
+            )
+    twice = sorted({name for name in header if header.count(name) > 1})
+    if twice:
+        raise DataError(
+            f"has more than one column `{'`, `'.join(twice)}`",
+            where=where,
+            expected="a name for every column",
+        )

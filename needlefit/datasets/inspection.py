@@ -1,0 +1,152 @@
+"""Go through every file of a dataset once: the dataset, or everything that is wrong with it."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from needlefit.datasets.centerlines import LongTable, find_points, read_long
+from needlefit.datasets.curve_faults import curve_faults
+from needlefit.datasets.faults import Fault, from_error
+from needlefit.datasets.formats.csv import Table, read_table
+from needlefit.datasets.insertion import Dataset, Insertion, Medium, Noise
+from needlefit.datasets.layers import read_media
+from needlefit.datasets.reduce import reduce
+from needlefit.datasets.rows import parse_rows
+from needlefit.datasets.schema import InsertionRow
+from needlefit.datasets.sources import checksum_faults, dataset_file, digest, folders
+from needlefit.errors import ConfigError, DataError
+from needlefit.mechanics.needle import Needle
+from needlefit.project.load import load
+from needlefit.project.records.dataset import DatasetRecord, NoiseRecord
+
+
+@dataclass(frozen=True)
+class Inspection:
+    """What came of reading a dataset: `dataset` is None if there are faults."""
+
+    dataset: Dataset | None
+    faults: tuple[Fault, ...]
+
+
+def inspect(path: Path) -> Inspection:
+    """Read the dataset whose folder or `dataset.toml` is `path`, collecting every fault."""
+    file = dataset_file(path)
+    try:
+        record = load(file, DatasetRecord)
+        roots = folders(record, file)
+    except (ConfigError, DataError) as error:
+        return Inspection(None, (from_error(error),))
+    found: list[Fault] = []
+    for root in roots:
+        found += checksum_faults(record, root)
+    media = read_media(record, roots[0], found)
+    insertions = [insertion for root in roots for insertion in _insertions(record, root, media, found)]
+    found += _repeated(insertions, file)
+    if found:
+        return Inspection(None, tuple(dict.fromkeys(found)))
+    files = {roots[0] / surface.file for medium in record.media.values() for surface in medium.surfaces}
+    for root in roots:
+        files |= _files(record, root, insertions)
+    return Inspection(_dataset(record, file, insertions, media, digest(file, roots, files)), ())
+
+
+def _insertions(
+    record: DatasetRecord, root: Path, media: dict[str, Medium], found: list[Fault]
+) -> Iterator[Insertion]:
+    """Yield the sound insertions of one folder; note the faults of the others."""
+    long = None
+    if record.centerlines.file is not None:
+        long = read_long(root / record.centerlines.file, record, found)
+        if long is None:
+            return
+    table = _table(record, root, long, found)
+    if table is None:
+        return
+    for row in parse_rows(table, record, found):
+        where = f"{table.path}:{row.line}"
+        points, faults = find_points(row, root, record.centerlines, long)
+        if points is not None:
+            faults += curve_faults(points, row, record)
+        found += faults
+        if points is None or faults or row.medium not in media:
+            continue
+        try:
+            insertion = reduce(row, points.values, media[row.medium])
+        except DataError as error:
+            found.append(from_error(error, where))
+            continue
+        found += _layer_faults(insertion, row, where)
+        yield insertion
+
+
+def _table(record: DatasetRecord, root: Path, long: LongTable | None, found: list[Fault]) -> Table | None:
+    """Return the table of insertions: its file, or the first rows of the groups of the long table."""
+    if record.insertions.file is None:
+        assert long is not None  # the record says so
+        return long.first_rows()
+    try:
+        return read_table(root / record.insertions.file)
+    except DataError as error:
+        found.append(from_error(error))
+        return None
+
+
+def _layer_faults(insertion: Insertion, row: InsertionRow, where: str) -> Iterator[Fault]:
+    met = len(insertion.sequence)
+    if met in (insertion.layers, insertion.layers_alternative):
+        return
+    listed = " or ".join(str(n) for n in sorted({insertion.layers, insertion.layers_alternative}))
+    depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
+    order = " > ".join(map(str, insertion.sequence))
+    yield Fault(
+        where,
+        f"{row.id} meets {met} layers ({order}; interfaces at {depths} mm), but {listed} are listed",
+        f"{listed} layers",
+        f"correct layers or layers_alternative, or the boundaries of medium {row.medium}",
+    )
+
+
+def _repeated(insertions: list[Insertion], file: Path) -> Iterator[Fault]:
+    """Yield ids that several folders hold; within one table the rows were compared before."""
+    seen: set[str] = set()
+    for insertion in insertions:
+        if insertion.id in seen:
+            yield Fault(
+                str(file), f"insertion {insertion.id} is in more than one folder of root", "one of each id"
+            )
+        seen.add(insertion.id)
+
+
+def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:
+    tables = {root / name for name in (record.insertions.file, record.centerlines.file) if name is not None}
+    pattern = record.centerlines.pattern
+    curves = {root / pattern.format(id=i.id) for i in insertions} if pattern is not None else set()
+    return tables | {path for path in curves if path.is_file()}
+
+
+def _dataset(
+    record: DatasetRecord,
+    file: Path,
+    insertions: list[Insertion],
+    media: dict[str, Medium],
+    digest_: str,
+) -> Dataset:
+    return Dataset(
+        name=record.name,
+        title=record.title or record.name,
+        origin=record.origin,
+        needle=Needle.from_record(record.needle),
+        insertions=tuple(insertions),
+        media=media,
+        noise=_noise(record.noise),
+        pose=record.frame.pose,
+        drop_proximal=record.frame.drop_proximal_mm,
+        path=file,
+        digest=digest_,
+    )
+
+
+def _noise(record: NoiseRecord) -> Noise:
+    return Noise(
+        record.registration_mean_mm, record.point_sd_mm, record.correlated_sd_mm, record.correlation_length_mm
+    )

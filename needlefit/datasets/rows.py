@@ -1,0 +1,189 @@
+"""The table of insertions: cells -> rows, and what is wrong with a row by itself."""
+
+import math
+from collections.abc import Iterator
+
+import numpy as np
+
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.formats.csv import Table, missing_columns, numbers
+from needlefit.datasets.schema import (
+    BEVEL,
+    COLUMNS,
+    DIRECTION,
+    ENTRY,
+    ID,
+    POSE,
+    POSE_SOURCES,
+    REQUIRED,
+    Floats,
+    InsertionRow,
+)
+from needlefit.project.records.dataset import DatasetRecord, InsertionsRecord
+
+UNIT = 1e-3
+"""Greatest deviation of a direction's length from 1."""
+
+SMALLEST_DEPTH = 1.0
+"""An insertion of less than this, mm, was written in metres."""
+
+
+def parse_rows(table: Table, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
+    """Return the rows without a fault of their own; note the faults of the others."""
+    known = record.frame.pose == "known"
+    named = _our_columns(table, record.insertions, found)
+    if missing_columns(named, (*REQUIRED, *(POSE if known else ())), found):
+        return []
+    cell_faults: list[Fault] = []
+    rows = _rows(named, known, cell_faults)
+    unread = {fault.where for fault in cell_faults}
+    faults = list(_duplicates(named))
+    for n, row in enumerate(rows):
+        if named.where(n) not in unread and _finite(row):
+            faults += _row_faults(row, named.where(n), record)
+    found += [*cell_faults, *faults]
+    bad = unread | {fault.where for fault in faults}
+    return [row for n, row in enumerate(rows) if named.where(n) not in bad and _finite(row)]
+
+
+def _finite(row: InsertionRow) -> bool:
+    """Say whether every number that a row must have could be read; where not, a fault is noted."""
+    pose = [] if row.entry is None or row.direction is None else [*row.entry, *row.direction]
+    return bool(np.isfinite([row.depth, *pose]).all())
+
+
+def _our_columns(table: Table, record: InsertionsRecord, found: list[Fault]) -> Table:
+    """Return the table under our column names; a constant fills a column that is not there."""
+    missing_columns(table, list(record.columns.values()), found)
+    cells = table.cells.rename(columns={theirs: ours for ours, theirs in record.columns.items()})
+    cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
+    absent = {name: str(value) for name, value in record.constants.items() if name not in cells}
+    return Table(table.path, cells.assign(**absent), table.lines)
+
+
+def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
+    """Turn cells into rows; a faulty number leaves a NaN and a note."""
+    text = {name: table.cells[name].tolist() for name in COLUMNS if name in table.cells}
+    blank = [""] * len(table.lines)
+
+    def column(name: str, default: float | None = None) -> Floats:
+        if name not in table.cells:
+            return np.full(len(table.lines), np.nan if default is None else default)
+        values = numbers(table, name, found, optional=default is not None or name in BEVEL)
+        return values if default is None else np.where(np.isnan(values), default, values)
+
+    def vector(names: tuple[str, ...]) -> Floats:
+        return np.column_stack([column(name) for name in names])
+
+    layers, alternative = column("layers"), column("layers_alternative", math.nan)
+    bevel = vector(BEVEL)
+    entry, direction = (vector(ENTRY), vector(DIRECTION)) if known else (None, None)
+    sds = [column(name, 0.0) for name in ("pose_shift_sd_mm", "pose_angle_sd_deg", "boundary_sd_mm")]
+    depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
+    sources = text.get("pose_source", blank) if known else ["none"] * len(blank)
+    return [
+        InsertionRow(
+            id=text["id"][n],
+            medium=text["medium"][n],
+            specimen=text.get("specimen", blank)[n] or text["id"][n],
+            layers=_whole(layers[n]),
+            layers_alternative=_whole(layers[n] if np.isnan(alternative[n]) else alternative[n]),
+            depth=float(depth[n]),
+            side=_whole(side[n]),
+            entry=None if entry is None else entry[n],
+            direction=None if direction is None else direction[n],
+            bevel=None if np.isnan(bevel[n]).all() else bevel[n],
+            pose_source=sources[n],  # type: ignore[arg-type]  # checked with the row
+            pose_shift_sd=float(sds[0][n]),
+            pose_angle_sd=math.radians(sds[1][n]),
+            boundary_sd=float(sds[2][n]),
+            guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
+            line=int(table.lines[n]),
+        )
+        for n in range(len(blank))
+    ]
+
+
+def _whole(value: float) -> int:
+    """Return a whole number as int, 0 (which no column allows) for anything else."""
+    return int(value) if np.isfinite(value) and value == round(value) else 0
+
+
+def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+    """Say what is wrong with one row; numbers that could not be read were noted before."""
+    if not ID.fullmatch(row.id):
+        yield Fault(where, f"id is {row.id!r}", "letters, digits, `.`, `_`, `-`: it names a file")
+    if row.medium not in record.media:
+        listed = ", ".join(record.media) or "(none)"
+        mend = "correct it, or add a table [media.NAME] to dataset.toml"
+        yield Fault(where, f"medium {row.medium!r} is unknown", f"one of {listed}", mend)
+    if row.layers < 1 or (row.layers_alternative or 0) < 1:
+        yield Fault(where, "layers or layers_alternative is not a count", "a whole number from 1")
+    if row.side not in (1, -1):
+        yield Fault(where, "bevel_side is unknown", "+1 (toward +y of C) or -1")
+    for name, value in (
+        ("pose_shift_sd_mm", row.pose_shift_sd),
+        ("pose_angle_sd_deg", row.pose_angle_sd),
+        ("boundary_sd_mm", row.boundary_sd),
+    ):
+        if value < 0:
+            yield Fault(where, f"{name} is negative", "a standard deviation, 0 or more")
+    yield from _depth_faults(row, where, record)
+    yield from _pose_faults(row, where, record)
+
+
+def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+    length, guide = record.needle.length_mm, row.guide_distance
+    if row.depth <= 0:
+        yield Fault(where, f"depth_mm is {row.depth:g}", "an inserted length above 0")
+    elif row.depth < SMALLEST_DEPTH:
+        yield Fault(
+            where,
+            f"depth_mm is {row.depth:g}: this looks like metres",
+            "millimetres",
+            "multiply the column by 1000",
+        )
+    if row.depth >= length:
+        yield Fault(
+            where,
+            f"depth_mm is {row.depth:g}, but the needle is only {length:g} mm long",
+            "a depth smaller than the needle's length",
+            "correct depth_mm, or needle.length_mm in dataset.toml",
+        )
+    if guide is not None and not 0 < guide <= length - row.depth:
+        yield Fault(
+            where,
+            f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle",
+            "above 0, and within the needle outside the tissue",
+        )
+
+
+def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+    if row.bevel is not None and (np.isnan(row.bevel).any() or not np.linalg.norm(row.bevel) > 0):
+        yield Fault(
+            where, f"{', '.join(BEVEL)} are {row.bevel.tolist()}", "a direction, or three empty cells"
+        )
+    if record.frame.pose == "free" or row.direction is None:
+        return
+    if row.pose_source not in POSE_SOURCES[:-1]:
+        expected = f"one of {', '.join(POSE_SOURCES[:-1])}"
+        mend = 'say where the entry pose comes from; where there is none, frame.pose is "free"'
+        yield Fault(where, f"pose_source is {row.pose_source!r}", expected, mend)
+    length = float(np.linalg.norm(row.direction))
+    if abs(length - 1) > UNIT:
+        mend = "divide the three numbers by their length" if length else "give the direction of insertion"
+        yield Fault(
+            where, f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)", mend
+        )
+
+
+def _duplicates(table: Table) -> Iterator[Fault]:
+    first: dict[str, int] = {}
+    for n, name in enumerate(table.cells["id"]):
+        if name in first:
+            yield Fault(
+                table.where(n),
+                f"id {name!r} stands on line {first[name]} already",
+                "a different id for every insertion",
+            )
+        first.setdefault(name, int(table.lines[n]))

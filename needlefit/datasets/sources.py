@@ -1,0 +1,84 @@
+"""Where a dataset's files lie, and whether they are the ones that its author described."""
+
+import hashlib
+import os
+from collections.abc import Iterable
+from pathlib import Path
+
+from needlefit.datasets.faults import Fault
+from needlefit.errors import DataError
+from needlefit.project.records.dataset import DatasetRecord
+
+
+def dataset_file(path: Path) -> Path:
+    """Return the `dataset.toml` that `path`, a dataset's folder or that file, means."""
+    return path / "dataset.toml" if path.is_dir() else path
+
+
+def folders(record: DatasetRecord, path: Path) -> tuple[Path, ...]:
+    """Return the folders that hold the files: that of `path`, or all that `root` matches, sorted.
+
+    Raises
+    ------
+    DataError
+        If `root` names an environment variable that is not set, or matches no folder.
+    """
+    if record.root is None:
+        return (path.parent,)
+    root = os.path.expandvars(record.root)
+    if "$" in root:
+        raise DataError(
+            f"root is {record.root}, and that environment variable is not set",
+            where=str(path),
+            expected="the variable, naming the folder that holds the dataset folders",
+            mend=record.how_to_get or "set it and run again",
+        )
+    absolute = Path(root) if Path(root).is_absolute() else path.parent / root
+    anchor = Path(absolute.anchor or ".")
+    pattern = str(absolute.relative_to(anchor)) if absolute.anchor else str(absolute)
+    found = tuple(sorted(folder for folder in anchor.glob(pattern) if folder.is_dir()))
+    if not found:
+        raise DataError(
+            f"no folder matches root {record.root}",
+            where=str(path),
+            expected=str(absolute),
+            mend=record.how_to_get or "check the path",
+        )
+    return found
+
+
+def sha256(path: Path) -> str:
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def checksum_faults(record: DatasetRecord, folder: Path) -> list[Fault]:
+    """Say which files of `folder` are not those whose sums the record lists."""
+    faults = []
+    for name, expected in record.checksums.items():
+        file = folder / name
+        if not file.is_file():
+            faults.append(
+                Fault(str(file), "there is no such file, but [checksums] lists it", f"sha256 {expected}")
+            )
+        elif (actual := sha256(file)) != expected.lower():
+            mend = f"restore the file, or, if the change is meant, write {actual} under [checksums]"
+            faults.append(
+                Fault(str(file), "is not the file described: wrong checksum", f"sha256 {expected}", mend)
+            )
+    return faults
+
+
+def digest(path: Path, roots: tuple[Path, ...], files: Iterable[Path]) -> str:
+    """Return the SHA-256 over names and contents of the dataset file and `files`, in the order of names.
+
+    Names are relative to the folder of the data, so that a copy elsewhere has the same digest.
+    """
+    named = {"dataset.toml": path}
+    for file in files:
+        root = next(root for root in roots if file.is_relative_to(root))
+        named[str(file.relative_to(root if len(roots) == 1 else root.parent))] = file
+    total = hashlib.sha256()
+    for name, file in sorted(named.items()):
+        total.update(f"{name}\0{sha256(file)}\n".encode())
+    return total.hexdigest()
