@@ -1,0 +1,122 @@
+"""The wheel: built, installed into an empty place, used from an empty folder."""
+
+import json
+import os
+import subprocess
+import sys
+import tarfile
+import tomllib
+from pathlib import Path
+
+import pytest
+
+import needlefit
+from needlefit.project.places import shipped
+
+ROOT = shipped()
+pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not run from the repository")
+TEN_MB = 10 * 2**20
+
+
+def call(*command: str, **kwargs: object) -> str:
+    done = subprocess.run(command, capture_output=True, text=True, check=False, **kwargs)  # type: ignore[call-overload]
+    assert done.returncode == 0, done.stdout + done.stderr
+    return str(done.stdout)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("dist")
+    call(
+        sys.executable,
+        "-m",
+        "build",
+        "--no-isolation",
+        "--wheel",
+        "--sdist",
+        "--outdir",
+        str(folder),
+        str(ROOT),
+    )
+    return folder
+
+
+@pytest.fixture(scope="module")
+def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, str]:
+    """Return the environment in which the wheel comes first."""
+    target = tmp_path_factory.mktemp("site")
+    (wheel,) = built.glob("*.whl")
+    call(sys.executable, "-m", "pip", "install", "--no-deps", "--quiet", "--target", str(target), str(wheel))
+    return {**os.environ, "PYTHONPATH": str(target)}
+
+
+def test_the_wheel_is_small(built):
+    (wheel,) = built.glob("*.whl")
+    assert wheel.stat().st_size <= TEN_MB
+
+
+def test_the_wheel_is_used_not_the_repository(installed, tmp_path):
+    code = "import needlefit, needlefit.project.places as p; print(needlefit.__file__); print(p.shipped())"
+    package, project = call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()
+    assert Path(package).is_relative_to(installed["PYTHONPATH"])
+    assert Path(project) == Path(installed["PYTHONPATH"]) / "needlefit" / "_shipped"
+
+
+def test_it_simulates_from_an_empty_folder(installed, tmp_path):
+    out = call(
+        sys.executable, "-m", "needlefit", "simulate", "phantom1", "--json", env=installed, cwd=tmp_path
+    )
+    assert json.loads(out)["converged"] is True
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_it_finds_everything_that_ships(installed, tmp_path):
+    code = (
+        "from needlefit.project.places import find, find_studies, names\n"
+        "assert [name for name, _ in find_studies('all')] == [f'study{n}' for n in (1, 2, 3, 4, 5)]\n"
+        "assert find('dataset', 'twin').is_file()\n"
+        "print(*(f'{kind}/{name}' for kind in ('scene', 'recipe', 'study', 'fit', 'medium', 'dataset')"
+        " for name in names(kind)))"
+    )
+    from needlefit.project import places
+
+    here = [f"{kind}/{name}" for kind in places._PATTERNS for name in places.names(kind)]
+    assert set(call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()) == set(here)
+
+
+def test_init_from_the_wheel_gives_a_project(installed, tmp_path):
+    call(sys.executable, "-m", "needlefit", "init", "mine", env=installed, cwd=tmp_path)
+    mine = tmp_path / "mine"
+    assert {path.name for path in mine.iterdir()} == {"data", "configs", "studies"}
+    wanted = {p.relative_to(ROOT) for p in (ROOT / "configs").rglob("*.toml")}
+    assert {p.relative_to(mine) for p in (mine / "configs").rglob("*.toml")} == wanted
+
+
+def test_the_source_archive_holds_the_project_and_no_results(built):
+    (archive,) = built.glob("*.tar.gz")
+    with tarfile.open(archive) as tar:
+        inside = {name.partition("/")[2] for name in tar.getnames()}
+    assert {
+        "pyproject.toml",
+        "README.md",
+        "LICENSE",
+        "needlefit/cli/__init__.py",
+        "tests/test_packaging.py",
+    } <= inside
+    assert "data/paper/validation.csv" in inside and "configs/scenes/study3.toml" in inside
+    strays = (".venv", "__pycache__", ".git/", ".partial", "reports/study")
+    assert [name for name in inside if any(stray in name for stray in strays)] == []
+
+
+def test_versions_agree():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    assert project["version"] == needlefit.__version__
+    assert f"\nversion: {needlefit.__version__}\n" in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
+
+
+def test_public_names_resolve():
+    for name in needlefit.__all__:
+        assert getattr(needlefit, name) is not None
+    assert set(needlefit.__all__) <= set(dir(needlefit))
+    with pytest.raises(AttributeError, match="no attribute 'nothing'"):
+        _ = needlefit.nothing  # type: ignore[attr-defined]
