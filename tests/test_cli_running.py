@@ -1,0 +1,78 @@
+"""Long runs: progress, Ctrl-C, and the line that goes on."""
+
+import io
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+
+from needlefit.cli import screen
+from needlefit.cli.interruption import stopping
+from needlefit.cli.invocation import Invocation
+from needlefit.cli.progress import lines, progress
+
+
+def test_a_pipe_gets_one_line_a_minute():
+    stream, times = io.StringIO(), iter([0.0, 1.0, 59.0, 60.0, 60.0, 61.0, 119.0, 120.0, 120.0])
+    report = lines(stream, lambda: next(times))
+    for done in range(6):
+        report("study3: starts", done, 16)
+    assert stream.getvalue() == "needlefit: study3: starts: 2 of 16\nneedlefit: study3: starts: 5 of 16\n"
+
+
+def test_quiet_says_nothing(capsys):
+    with progress(quiet=True) as report:
+        report("study3", 1, 2)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_ctrl_c_once_raises_a_flag_and_gives_the_signal_back(capfd):
+    before = signal.getsignal(signal.SIGINT)
+    with stopping() as stop:
+        assert not stop()
+        os.kill(os.getpid(), signal.SIGINT)
+        assert stop()
+    assert signal.getsignal(signal.SIGINT) is before
+    assert "stopping after this step" in capfd.readouterr().err
+
+
+def test_ctrl_c_twice_leaves_at_once():
+    code = (
+        "import time\n"
+        "from needlefit.cli.interruption import stopping\n"
+        "with stopping():\n"
+        "    print('ready', flush=True)\n"
+        "    time.sleep(60)\n"
+    )
+    running = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE)
+    assert running.stdout is not None and running.stderr is not None
+    running.stdout.readline()
+    started = time.monotonic()
+    running.send_signal(signal.SIGINT)
+    running.stderr.read(10)  # the first one has been heard
+    running.send_signal(signal.SIGINT)
+    assert running.wait(timeout=30) == 130
+    assert time.monotonic() - started < 30
+    running.stdout.close()
+    running.stderr.close()
+
+
+def test_the_resuming_line_is_the_command_with_resume():
+    typed = ("tune", "my fits/gel.toml", "--seed", "3")
+    assert Invocation(typed).resuming() == "needlefit tune 'my fits/gel.toml' --seed 3 --resume"
+    assert Invocation((*typed, "--resume")).resuming().count("--resume") == 1
+
+
+def test_json_has_no_nan(capsys):
+    screen.show_json({"te_mm": float("nan"), "bound": float("inf"), "points": ((1.5, 2.0),), "name": "µ"})
+    out = capsys.readouterr().out
+    assert json.loads(out) == {"te_mm": None, "bound": None, "points": [[1.5, 2.0]], "name": "µ"}
+    assert "µ" in out
+
+
+def test_a_table_in_a_pipe_is_never_cut(capsys):
+    screen.show_table(["name", "te_mm"], [["x" * 300, 2.82], ["short", float("nan")]], "Title")
+    out = capsys.readouterr().out
+    assert "x" * 300 in out and "2.82" in out and "nan" not in out
