@@ -6,9 +6,13 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from needlefit.validation.results import BASELINES, FLOORS, METRICS, SCORED, Results
+from needlefit.validation.results import BASELINES, FLOORS, METRICS, RIVALS, SCORED, Results
 
 How = Literal["macro", "pooled"]
+_PAIRED = (
+    *("rival", "boundaries", "insertions", "ipe_mean_mm", "te_mm"),
+    *("difference_mm", "difference_se_mm", "better"),
+)
 
 
 def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.DataFrame:
@@ -38,13 +42,13 @@ def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.Dat
         `edp_unflagged_percent` and `not_converged` (counts of insertions).
     """
     errors = results.errors.assign(**{m: _finite(results.errors[m]) for m in (*METRICS, *FLOORS)})
-    points = _points(results) if how == "pooled" else None
+    everywhere = points(results) if how == "pooled" else None
     rows = []
     for key, group in errors.groupby(list(by), sort=False):
         row: dict[str, Any] = dict(zip(by, key, strict=True))
         row |= {name: group[name].mean() for name in (*METRICS, *FLOORS)}
-        if points is not None:
-            row |= _pooled(group, points)
+        if everywhere is not None:
+            row |= _pooled(group, everywhere)
         rows.append(row | _counts(group))
     columns = [*by, *METRICS, *FLOORS, "insertions", "edp_flagged", "edp_unflagged_percent", "not_converged"]
     return pd.DataFrame(rows, columns=columns)
@@ -61,42 +65,40 @@ def paired(results: Results, against: str = "fitted", role: str = "validate") ->
         the rival is worse), `difference_se_mm` (its standard error) and `better` (insertions on which
         `against` has the smaller mean IPE).
     """
-    errors = results.errors.query("role == @role and boundaries == 'measured'")
-    table = errors.pivot_table(index=["fold", "insertion"], columns="rival", values="ipe_mean_mm", sort=False)
-    tips = errors.groupby("rival")["te_mm"].mean()
+    errors = results.errors[(results.errors["role"] == role) & (results.errors["boundaries"] == "measured")]
+    ipe, te = (
+        errors.set_index(["fold", "insertion", "rival"])[metric].astype(float).unstack("rival")
+        for metric in ("ipe_mean_mm", "te_mm")
+    )
     rows = []
-    for rival in [name for name in errors["rival"].unique() if name in table]:
-        pair = table[[against, rival]].dropna() if rival != against else table[[against]].dropna()
-        gap = (pair[rival] - pair[against]).to_numpy(dtype=np.float64)
+    for rival in [name for name in RIVALS if name in ipe]:
+        both = np.isfinite(ipe[rival]) & np.isfinite(ipe[against])
+        gap = (ipe[rival] - ipe[against])[both].to_numpy(dtype=np.float64)
         n = len(gap)
         rows.append(
             {
                 "rival": rival,
                 "boundaries": "measured",
                 "insertions": n,
-                "ipe_mean_mm": pair[rival].mean(),
-                "te_mm": tips[rival],
+                "ipe_mean_mm": ipe[rival][both].mean(),
+                "te_mm": te[rival][both].mean(),
                 "difference_mm": gap.mean() if n else np.nan,
                 "difference_se_mm": gap.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan,
                 "better": int((gap > 0).sum()),
             }
         )
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=_PAIRED)
 
 
 def beaten_by(results: Results) -> list[str]:
     """Return the empirical curves whose mean IPE on the held-out insertions is below the fitted model's."""
     table = paired(results)
-    wins = table[table["rival"].isin(BASELINES) & (table["difference_mm"] < 0)] if len(table) else table
-    return [str(name) for name in wins["rival"]] if len(table) else []
+    wins = table[table["rival"].isin(BASELINES) & (table["difference_mm"] < 0)]
+    return [str(name) for name in wins["rival"]]
 
 
 def points(results: Results) -> pd.DataFrame:
     """Return `results.shapes` with `ipe_mm`, the in-plane error of every point, and medium and layers."""
-    return _points(results)
-
-
-def _points(results: Results) -> pd.DataFrame:
     shapes = results.shapes
     gap = np.hypot(
         shapes["simulated_x_mm"] - shapes["measured_x_mm"], shapes["simulated_y_mm"] - shapes["measured_y_mm"]
@@ -105,8 +107,8 @@ def _points(results: Results) -> pd.DataFrame:
     return shapes.assign(ipe_mm=gap).merge(about, on=list(SCORED), how="inner")
 
 
-def _pooled(group: pd.DataFrame, points: pd.DataFrame) -> dict[str, Any]:
-    here = points.merge(group[list(SCORED)], on=list(SCORED), how="inner")["ipe_mm"]
+def _pooled(group: pd.DataFrame, everywhere: pd.DataFrame) -> dict[str, Any]:
+    here = everywhere.merge(group[list(SCORED)], on=list(SCORED), how="inner")["ipe_mm"]
     ipe = _finite(here)
     known = group[_finite(group["te_mm"]).notna()]
     deflected = float(known["deflection_mm"].abs().sum())

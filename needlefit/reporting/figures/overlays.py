@@ -1,0 +1,110 @@
+"""Measured and simulated needles of every held-out insertion, one over the other."""
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from needlefit.reporting.figures.style import WIDTH, draw, label_origin
+from needlefit.reporting.names import INK, RIVAL_COLOURS
+from needlefit.validation.results import Results
+
+_STRETCHES = (1, 2, 5, 10, 20, 50, 100)
+_SHOWN = ("hand_tuned", "fitted")
+
+
+def overlays(results: Results, path: Path, role: str = "validate") -> Path:
+    """Draw each insertion of a role: the measured needle as dots, the model's prediction as a line.
+
+    All panels have the same axes in mm; y is stretched by the factor that its label states.
+    """
+    return draw(path, lambda: _paint(results, role))
+
+
+def stretch(width: float, height: float) -> int:
+    """Return the largest of 1, 2, 5, ... at which a drawing `height` mm high is not taller than it is wide."""
+    fitting = [factor for factor in _STRETCHES if factor * height <= 0.62 * width]
+    return fitting[-1] if fitting else 1
+
+
+def _paint(results: Results, role: str) -> Figure:
+    where = "role == @role and boundaries == 'measured' and rival in @_SHOWN"
+    shapes = results.shapes.query(where, local_dict={"role": role, "_SHOWN": _SHOWN})
+    scored = results.errors.query("role == @role and boundaries == 'measured' and rival == 'fitted'")
+    x, y = _limits(shapes)
+    factor = stretch(x[1] - x[0], y[1] - y[0])
+    columns = min(3, len(scored))
+    rows = math.ceil(len(scored) / columns)
+    panel = WIDTH / 3
+    height = panel * 0.86 * factor * (y[1] - y[0]) / (x[1] - x[0]) + 0.32
+    size = (max(columns, 2) * panel, rows * height + 0.75)
+    figure = Figure(figsize=size)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, (_, row) in zip(grid.flat, scored.iterrows(), strict=False):
+        here = (shapes["fold"] == row["fold"]) & (shapes["insertion"] == row["insertion"])
+        _panel(axes, shapes[here], row)
+        axes.set(xlim=x, ylim=y)
+        axes.set_aspect(factor)
+    _unused(grid.flat[len(scored) :], grid, columns)
+    figure.supxlabel("depth x (mm)", fontsize=7.5)
+    drawn = "" if factor == 1 else f", drawn {factor}× as large as x"
+    figure.supylabel(f"deflection y (mm){drawn}", fontsize=7.5)
+    _explain(figure, shapes)
+    label_origin(figure, results.origin == "synthetic")
+    return figure
+
+
+def _panel(axes: Axes, shapes: pd.DataFrame, row: pd.Series) -> None:
+    for rival in _SHOWN:
+        curve = shapes[shapes["rival"] == rival]
+        width = 1.5 if rival == "fitted" else 1.0
+        axes.plot(
+            curve["simulated_x_mm"],
+            curve["simulated_y_mm"],
+            color=RIVAL_COLOURS[rival],
+            lw=width,
+            zorder=3 if rival == "fitted" else 2,
+        )
+    measured = shapes[shapes["rival"] == shapes["rival"].iloc[0]] if len(shapes) else shapes
+    dots = measured[measured["j"] % 5 == 0]
+    axes.plot(dots["measured_x_mm"], dots["measured_y_mm"], ".", color=INK, ms=2.6, mew=0, zorder=4)
+    axes.set_title(f"{row['insertion']}", loc="left", pad=3)
+    errors = f"IPE {row['ipe_mean_mm']:.2f}, TE {row['te_mm']:.2f} mm"
+    said = errors if row["converged"] else "did not converge"
+    axes.set_title(said, loc="right", pad=3, fontsize=6.5, color=RIVAL_COLOURS["fitted"])
+
+
+def _limits(shapes: pd.DataFrame) -> tuple[tuple[float, float], tuple[float, float]]:
+    def span(axis: str) -> tuple[float, float]:
+        values = shapes[[f"measured_{axis}_mm", f"simulated_{axis}_mm"]].to_numpy(dtype=np.float64)
+        low, high = (float(f(values)) for f in (np.nanmin, np.nanmax))
+        margin = 0.06 * max(high - low, 0.2)
+        return low - margin, high + margin
+
+    return span("x"), span("y")
+
+
+def _unused(spare: Sequence[Axes], grid: np.ndarray, columns: int) -> None:
+    """Take empty panels away; the panels above them get the x labels back."""
+    for axes in spare:
+        axes.set_visible(False)
+    for column in range(columns - len(spare), columns):
+        if len(grid) > 1:
+            grid[-2, column].tick_params(labelbottom=True)
+
+
+def _explain(figure: Figure, shapes: pd.DataFrame) -> None:
+    present = set(shapes["rival"])
+    said = [("measured", INK, "."), ("needlefit, fitted", RIVAL_COLOURS["fitted"], "")]
+    if "hand_tuned" in present:
+        said.append(("paper's hand-tuned set", RIVAL_COLOURS["hand_tuned"], ""))
+    handles = [
+        Line2D([], [], color=colour, marker=marker, lw=0 if marker else 1.5, label=label)
+        for label, colour, marker in said
+    ]
+    figure.legend(handles=handles, loc="outside upper left", ncols=3, handlelength=1.3)

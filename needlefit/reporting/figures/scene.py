@@ -1,0 +1,92 @@
+"""A picture of one simulated scene: the needle in its layers."""
+
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.colors import LinearSegmentedColormap
+from matplotlib.figure import Figure
+
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.reporting.figures.overlays import stretch
+from needlefit.reporting.figures.style import WIDTH, draw
+from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
+from needlefit.reporting.numbers import number, typeset
+
+_LAYERS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
+_OUTSIDE = 0.22  # share of the depth drawn before the entry
+
+
+def draw_scene(title: str, scene: Scene, shape: NeedleShape, path: Path) -> None:
+    """Draw the needle, its layers and its constraint points in C, mm, to a .pdf, .png or .svg file.
+
+    Deflections are small beside depths: y is stretched by the factor that its label states, by none where
+    the needle bends enough.
+
+    Raises
+    ------
+    ConfigError
+        If the ending of `path` is another one, or its folder does not exist.
+    """
+    draw(path, lambda: _paint(title, scene, shape))
+
+
+def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
+    start = max(float(shape.x[0]), -_OUTSIDE * scene.depth)
+    needle = positions(shape, np.linspace(start, shape.depth, 400))  # (400, 2)
+    bend = float(np.abs(needle[:, 1]).max()) or 1.0
+    y = (min(needle[:, 1].min(), 0.0) - 0.35 * bend, max(needle[:, 1].max(), 0.0) + 0.35 * bend)
+    x = (-_OUTSIDE * scene.depth, 1.04 * scene.depth)
+    factor = stretch(0.8 * (x[1] - x[0]), y[1] - y[0])
+    height = factor * (y[1] - y[0]) / (x[1] - x[0])
+    figure = Figure(figsize=(WIDTH, 0.95 + (WIDTH - 0.6) * height))
+    axes = figure.add_subplot()
+    axes.set(xlim=x, ylim=y)
+    axes.set_aspect(factor)
+    _draw_layers(axes, scene, x[1])
+    _draw_needle(axes, shape, needle)
+    state = "" if shape.converged else f"   NOT CONVERGED: {shape.status}"
+    axes.set_title(f"{title}{state}", loc="left", pad=6)
+    axes.set_xlabel("x along the entry (mm)")
+    axes.set_ylabel("deflection y (mm)" + ("" if factor == 1 else f",\ndrawn {factor}× as large as x"))
+    return figure
+
+
+def _draw_layers(axes: Axes, scene: Scene, end: float) -> None:
+    """Shade the layers, the darker the stiffer, and write each one's modulus along the upper edge."""
+    edges = np.minimum([0.0, *scene.tissue.boundaries, np.inf], end)
+    stiffness = np.log10(scene.tissue.mu)
+    decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
+    for i, (top, bottom) in enumerate(pairwise(edges)):
+        if bottom <= top:
+            continue
+        shade = _LAYERS(float((stiffness[i] - stiffness.min()) / decades))
+        axes.axvspan(top, bottom, color=shade, lw=0, zorder=0)
+        wide = bottom - top > 0.16 * (end - axes.get_xlim()[0])
+        name = f"layer {i + 1}" + (f": μ = {typeset(number(scene.tissue.mu[i] * 1e6))} Pa" if wide else "")
+        axes.text(
+            (top + bottom) / 2, 0.97, name if wide else str(i + 1), ha="center", va="top", fontsize=6.5,
+            transform=axes.get_xaxis_transform(),
+        )  # fmt: skip
+    for depth in scene.tissue.boundaries[scene.tissue.boundaries < end]:
+        axes.axvline(depth, color="white", lw=1.2, zorder=0.5)
+    axes.axvline(0.0, color=INK, lw=0.6, zorder=0.5)
+
+
+def _draw_needle(axes: Axes, shape: NeedleShape, needle: np.ndarray) -> None:
+    axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
+    axes.plot(*shape.constraints.T, "x", color=PAPER, ms=2.6, mew=0.6, zorder=2)
+    axes.plot(needle[:, 0], needle[:, 1], color=RIVAL_COLOURS["fitted"], lw=1.8, zorder=3)
+    tip = needle[-1]
+    axes.plot(*tip, "o", color=RIVAL_COLOURS["fitted"], ms=3.5, zorder=4)
+    below = -1 if tip[1] >= 0 else 1
+    axes.annotate(
+        f"tip {tip[1]:+.2f} mm".replace("-", "−"), tip, xytext=(-4, 9 * below), textcoords="offset points",
+        ha="right", va="center", color=RIVAL_COLOURS["fitted"],
+    )  # fmt: skip
+    axes.annotate(
+        "constraint points", shape.constraints[len(shape.constraints) // 3], xytext=(0, 9 * below),
+        textcoords="offset points", ha="center", va="center", color=PAPER,
+    )  # fmt: skip

@@ -1,0 +1,85 @@
+"""How every figure looks, and how it is saved so that the same results give the same bytes."""
+
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from needlefit.errors import ConfigError
+from needlefit.reporting.names import GREY, INK, SYNTHETIC
+
+WIDTH = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
+_METADATA: dict[str, dict[str, None]] = {
+    ".pdf": {"CreationDate": None},
+    ".svg": {"Date": None},
+    ".png": {"Software": None},
+}
+_LOOK = {
+    "font.family": "DejaVu Sans",  # ships with matplotlib
+    "font.size": 7.5,
+    "axes.titlesize": 7.5,
+    "axes.labelsize": 7.5,
+    "xtick.labelsize": 7,
+    "ytick.labelsize": 7,
+    "axes.linewidth": 0.6,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "xtick.major.width": 0.6,
+    "ytick.major.width": 0.6,
+    "xtick.major.size": 2.5,
+    "ytick.major.size": 2.5,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "lines.solid_capstyle": "round",
+    "legend.frameon": False,
+    "pdf.fonttype": 42,
+    "svg.fonttype": "path",
+    "svg.hashsalt": "needlefit",
+    "figure.constrained_layout.use": True,
+    "figure.dpi": 100,
+    "savefig.dpi": 200,
+    "axes.unicode_minus": True,
+}
+
+
+def draw(path: Path, paint: Callable[[], Figure]) -> Path:
+    """Paint a figure in the house style, whatever the user's own, and save it by its suffix.
+
+    Raises
+    ------
+    ConfigError
+        If the suffix is none of .pdf, .png and .svg, or the folder does not exist.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in _METADATA:
+        raise ConfigError(
+            f"cannot draw a `{suffix}` file" if suffix else "the file name has no ending",
+            where=str(path),
+            expected="a name that ends in .pdf, .png or .svg",
+            mend=f"write to {path.stem or 'figure'}.pdf",
+        )
+    if not path.parent.is_dir():
+        raise ConfigError("there is no such folder", where=str(path.parent), mend="make it first")
+    with matplotlib.style.context(["default", _LOOK]):
+        figure = paint()
+        FigureCanvasAgg(figure)
+        figure.savefig(path, format=suffix[1:], metadata=_METADATA[suffix])
+    return path
+
+
+def label_origin(figure: Figure, synthetic: bool) -> None:
+    """Write SYNTHETIC DATA across the top of a figure whose data are."""
+    if synthetic:
+        figure.suptitle("SYNTHETIC DATA", x=0.995, ha="right", fontsize=7.5, weight="bold", color=SYNTHETIC)
+
+
+def light_grid(axes: Axes, axis: str) -> None:
+    """Draw faint lines behind the data, along one axis only."""
+    axes.set_axisbelow(True)
+    axes.grid(axis="y" if axis == "y" else "x", color=GREY, alpha=0.25, linewidth=0.4)

@@ -1,0 +1,134 @@
+"""Frames set as tables for print: our rows above the paper's, so that each column reads downwards."""
+
+from collections.abc import Sequence
+
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.names import medium_name
+from needlefit.reporting.numbers import MISSING, fixed, percent
+from needlefit.reporting.tables import Row, records, study_label, tuning_table, validation_table
+from needlefit.validation.results import Results
+
+_SCORES = (
+    Column("Median", "mm"),
+    Column("IPE", "mm"),
+    Column("Max IPE", "mm"),
+    Column("TE", "mm"),
+    Column("EDP", "%"),
+)
+_AVERAGES = (
+    "Each cell is the mean over insertions of each one's value; IPE is mean ± standard deviation. "
+    "“Noise floor” is what perfect parameters would still show.",
+    "“Planned boundaries” scores the same model with layer depths from the planned straight path: "
+    "the measured crossings of a held-out insertion leak its outcome.",
+)
+
+
+def validation_layout(results: Sequence[Results]) -> Display:
+    """Return the validation table: per held-out group ours, with planned boundaries, floor, and the paper."""
+    table = records(validation_table(*results))
+    heads = (text("Study"), text("Held out"), Column("Layers"), Column("n"), text("Row"))
+    ways = [("needlefit", ""), ("planned boundaries", "planned_"), ("all points pooled", "pooled_")]
+    return _stacked(
+        Display("validation", "Errors on held-out insertions, beside the paper’s.", heads, ()),
+        [(_group(row, row["validate_medium"], row["validate_layers"]), row) for row in table],
+        ways,
+    )
+
+
+def tuning_layout(results: Sequence[Results], by: str) -> Display:
+    """Return the in-sample errors `by` "layers" or "media", beside the paper's tuned models."""
+    table = [row for row in records(tuning_table(*results)) if row["by"] == by]
+    heads = (text("Fit of"), text("Tuned on"), Column("Layers"), Column("n"), text("Row"))
+    what = "number of layers" if by == "layers" else "medium"
+    return _stacked(
+        Display(f"tuning_by_{by}", f"In-sample errors of the tuned models by {what}.", heads, ()),
+        [(_group(row, row["medium"], row["layers"]), row) for row in table],
+        [("needlefit", "")],
+    )
+
+
+def design_layout(results: Sequence[Results]) -> Display:
+    """Return what tunes and what validates: counts and depth ranges."""
+    heads = (text("Study"), text("Role"), text("Medium"), Column("Layers"), Column("Insertions"))
+    rows: list[tuple[str, ...]] = []
+    breaks: list[int] = []
+    for one in results:
+        breaks += [len(rows)] if rows else []
+        for i, row in enumerate(records(one.design)):
+            depth = [fixed(row[key]) for key in ("depth_min_mm", "depth_max_mm")]
+            cells = ("tunes" if row["role"] == "tune" else "validates", medium_name(row["medium"]))
+            counts = (str(row["layers"]), str(row["insertions"]))
+            span = depth[0] if depth[0] == depth[1] else f"{depth[0]} to {depth[1]}"
+            rows.append((str(study_label(one)) if i == 0 else "", *cells, *counts, span, one.origin))
+    columns = (*heads, Column("Depth", "mm"), text("Origin"))
+    return Display("design", "What tunes and what validates.", columns, tuple(rows), tuple(breaks))
+
+
+def _stacked(
+    frame: Display, groups: list[tuple[tuple[str, ...], Row]], ways: list[tuple[str, str]]
+) -> Display:
+    """Return `frame` filled with one block of rows per group; only its first row names the group."""
+    rows: list[tuple[str, ...]] = []
+    breaks, strong, sentences = [], [], []
+    for head, row in groups:
+        breaks += [len(rows)] if rows else []
+        strong.append(len(rows))
+        for name, cells in _block(row, ways):
+            begins = len(rows) == strong[-1]
+            origin = "paper, measured" if name == "paper" else str(row["origin"])
+            rows.append((*(head if begins else ("",) * len(head)), name, *cells, origin))
+        sentences += [_comparable(head, row), *_caveats(head, row)]
+    columns = (*frame.columns, *_SCORES, text("Origin"))
+    planned = _AVERAGES if any(prefix == "planned_" for _, prefix in ways) else _AVERAGES[:1]
+    return Display(
+        frame.name, frame.caption, columns, tuple(rows), tuple(breaks), tuple(strong), (*planned, *sentences)
+    )
+
+
+def _block(row: Row, ways: list[tuple[str, str]]) -> list[tuple[str, tuple[str, ...]]]:
+    digits = 3 if row.get("comparison") == "aligned" else 2
+    lines = [(name, _scores(row, prefix, digits)) for name, prefix in ways]
+    lines += [("noise floor", _scores(row, "floor_", digits)), ("paper", _scores(row, "paper_", 2))]
+    return [(name, cells) for name, cells in lines if any(cell != MISSING for cell in cells)]
+
+
+def _scores(row: Row, prefix: str, digits: int) -> tuple[str, ...]:
+    def cell(name: str) -> str:
+        return fixed(row.get(f"{prefix}{name}_mm"), digits)
+
+    spread = f" ± {cell('ipe_std')}" if cell("ipe_std") != MISSING else ""
+    flag = "†" if prefix != "paper_" and row["edp_flagged"] else ""
+    edp = percent(row.get(f"{prefix}edp_percent"))
+    edp = edp if edp == MISSING else edp + flag
+    return (cell("median_err"), cell("ipe_mean") + spread, cell("ipe_max"), cell("te"), edp)
+
+
+def _group(row: Row, medium: str, layers: int | None) -> tuple[str, ...]:
+    return (str(row["study"]), medium_name(medium), str(layers or "all"), str(row["insertions"]))
+
+
+def _comparable(head: tuple[str, ...], row: Row) -> str:
+    return f"{_called(head)}: {row['comparable']}"
+
+
+def _caveats(head: tuple[str, ...], row: Row) -> list[str]:
+    said = []
+    if row["edp_flagged"]:
+        rest = percent(row["edp_unflagged_percent"])
+        without = "" if rest == MISSING else f"; without them EDP is {rest} %"
+        said.append(
+            f"† {_called(head)}: {row['edp_flagged']} of {row['insertions']} deflect less than the noise "
+            f"floor, so their EDP means little{without}."
+        )
+    if row["not_converged"]:
+        said.append(
+            f"{_called(head)}: {row['not_converged']} of {row['insertions']} simulations did not converge "
+            "and are missing from the means."
+        )
+    return said
+
+
+def _called(head: tuple[str, ...]) -> str:
+    study = f"Study {head[0]}" if head[0].isdigit() else head[0]
+    layers = "all layers" if head[2] == "all" else "1 layer" if head[2] == "1" else f"{head[2]} layers"
+    return f"{study}, {head[1]}, {layers}"

@@ -1,0 +1,40 @@
+"""How rivals, media and groups are called in print, and in which colour they are drawn."""
+
+from needlefit.validation.results import Results
+
+INK, GREY, PAPER, SYNTHETIC = "#1a1a1a", "#8a8a8a", "#D55E00", "#B23A00"
+
+RIVAL_NAMES = {
+    "fitted": "needlefit, fitted",
+    "hand_tuned": "paper's hand-tuned set",
+    "hand_tuned_b": "hand-tuned set, b re-tuned",
+    "straight": "straight line",
+    "constant_curvature": "constant curvature",
+    "linear_curvature": "curvature linear in arc length",
+}
+RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
+    "fitted": "#0072B2",
+    "hand_tuned": "#E69F00",
+    "hand_tuned_b": "#CC79A7",
+    "straight": "#8a8a8a",
+    "constant_curvature": "#009E73",
+    "linear_curvature": "#56B4E9",
+}
+
+
+def medium_name(name: str) -> str:
+    """Return a medium as print has it: `phantom2` is "phantom 2"."""
+    stem = name.rstrip("0123456789")
+    return f"{stem} {name[len(stem) :]}".strip().replace("_", " ")
+
+
+def layers_name(layers: int) -> str:
+    """Return "1 layer", "3 layers"."""
+    return f"{layers} layer" if layers == 1 else f"{layers} layers"
+
+
+def rival_name(rival: str, results: Results) -> str:
+    """Return the rival's name; on synthetic data the paper's set was not tuned on this data."""
+    name = RIVAL_NAMES.get(rival, rival)
+    foreign = rival == "hand_tuned" and results.origin == "synthetic"
+    return f"{name} (not tuned on this data)" if foreign else name

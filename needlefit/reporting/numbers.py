@@ -1,0 +1,57 @@
+"""Numbers as words: digits that mean something, exponents that read well, a dash for what is missing."""
+
+import math
+
+MISSING = "–"
+_RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
+
+
+def fixed(value: float | None, digits: int = 2) -> str:
+    """Return a length in mm as the paper prints it."""
+    return f"{value:.{digits}f}" if _is_known(value) else MISSING
+
+
+def percent(value: float | None) -> str:
+    """Return a percentage with three significant digits, as the paper prints it: 4.77, 10.3, 254."""
+    if not _is_known(value):
+        return MISSING
+    assert value is not None
+    digits = 2 if abs(value) < 9.995 else 1 if abs(value) < 99.95 else 0
+    return f"{value:.{digits}f}"
+
+
+def number(value: float | None) -> str:
+    """Return three significant digits in a form that reads back: 0.0847, 2.13e5."""
+    if not _is_known(value):
+        return ""
+    assert value is not None
+    mantissa, _, exponent = f"{value:.2e}".partition("e")
+    power = int(exponent)
+    if -3 <= power < 4:
+        digits = max(0, 2 - power)
+        plain = f"{float(f'{value:.2e}'):.{digits}f}"
+        return plain.rstrip("0").rstrip(".") if digits else plain
+    return f"{mantissa.rstrip('0').rstrip('.')}e{power}"
+
+
+def typeset(text: str) -> str:
+    """Return a `number` as a book prints it: 2.13 × 10⁵, with a true minus."""
+    mantissa, e, exponent = text.partition("e")
+    if e and exponent.lstrip("-").isdigit():
+        power = f"10{exponent.translate(_RAISED)}"
+        return power if mantissa == "1" else f"{mantissa.replace('-', '−')} × {power}"
+    return text.replace("-", "−") if text[1:2].isdigit() else text
+
+
+def symbol(parameter: str) -> str:
+    """Return the symbol and unit of a parameter: `mu1_pa` is μ₁ (Pa)."""
+    for name, sign, unit in (("mu", "μ", " (Pa)"), ("alpha", "α", "")):
+        index = parameter.removeprefix(name).removesuffix("_pa")
+        if parameter.startswith(name) and index.isdigit():
+            return sign + index.translate(_LOWERED) + unit
+    return {"bevel_mm": "b (mm)", "guide_distance_mm": "guide to entry (mm)"}.get(parameter, parameter)
+
+
+def _is_known(value: float | None) -> bool:
+    return value is not None and math.isfinite(value)

@@ -1,0 +1,61 @@
+"""The parameter table: ours beside the paper's, and what cannot be determined said instead of printed."""
+
+import pandas as pd
+
+from needlefit.reporting.numbers import number
+from needlefit.reporting.tables import Row, records, study_label
+from needlefit.validation.results import Results
+
+NOT_DETERMINED = "not determined"
+_COLUMNS = (
+    *("study", "medium", "fold", "parameter", "fitted", "determined", "status"),
+    *("sd", "sd_of", "spread_low", "spread_high", "bound_low", "bound_high", "value_used"),
+    *("hand_tuned", "hand_tuned_b", "hand_tuned_b_value_used", "note", "origin"),
+)
+
+
+def parameters_table(*results: Results) -> pd.DataFrame:
+    """Return one row per study, fold and parameter.
+
+    `fitted`, `hand_tuned` (the paper's set) and `hand_tuned_b` (that set with b alone re-tuned) are as
+    printed: a parameter that the data cannot determine reads "not determined". `value_used` is the number
+    that the predictions of this run were made with; where `determined` is false it is one of many that do
+    as well, and no estimate. `sd` is of ln for moduli and lengths, of the value for alpha (`sd_of`).
+    """
+    return pd.DataFrame([row for one in results for row in _rows(one)], columns=_COLUMNS)
+
+
+def undetermined(results: Results) -> list[str]:
+    """Return the fitted parameters that some fold could not determine, in the order of the model."""
+    rows = [r for r in records(results.parameters) if r["rival"] == "fitted" and not r["determined"]]
+    return list(dict.fromkeys(str(row["parameter"]) for row in rows))
+
+
+def _rows(results: Results) -> list[Row]:
+    cells = {(r["rival"], r["fold"], r["parameter"]): r for r in records(results.parameters)}
+    rows = []
+    for (rival, fold, name), ours in cells.items():
+        if rival != "fitted":
+            continue
+        retuned = cells.get(("hand_tuned_b", fold, name))
+        rows.append(
+            {"study": study_label(results), "medium": results.record.medium, "fold": fold}
+            | {"parameter": name, "fitted": _printed(ours), "determined": bool(ours["determined"])}
+            | {key: ours[key] for key in ("status", "sd", "spread_low", "spread_high")}
+            | {"sd_of": "" if ours["sd"] is None else "value" if name.startswith("alpha") else "ln"}
+            | {key: ours[key] for key in ("bound_low", "bound_high", "note")}
+            | {"value_used": ours["value"], "hand_tuned": _printed(cells.get(("hand_tuned", fold, name)))}
+            | {"hand_tuned_b": _printed(retuned)}
+            | {"hand_tuned_b_value_used": None if retuned is None else retuned["value"]}
+            | {"origin": results.origin}
+        )
+    return rows
+
+
+def _printed(row: Row | None) -> str:
+    """Return the cell of one parameter; the status decides whether it could have been determined at all."""
+    if row is None:
+        return ""
+    if row["status"] in ("free", "tied") and not row["determined"]:
+        return NOT_DETERMINED
+    return number(row["value"])

@@ -1,0 +1,145 @@
+"""Our rows beside the paper's, as frames: what the CSV files, `--json` and the printed tables hold."""
+
+import math
+from typing import Any
+
+import pandas as pd
+
+from needlefit.reporting.comparability import comparable_tuning, comparable_validation
+from needlefit.validation import paper
+from needlefit.validation.results import FLOORS, METRICS, RIVALS, Results
+from needlefit.validation.summary import aggregate
+
+_KEYS = ("study", "validate_medium", "validate_layers")
+_COUNTS = ("insertions", "not_converged", "edp_flagged", "edp_unflagged_percent")
+_BY = ("role", "rival", "boundaries", "medium", "layers")
+
+Row = dict[str, Any]
+
+
+def validation_table(*results: Results) -> pd.DataFrame:
+    """Return one row per held-out group: ours, its noise floor, other ways of scoring it, the paper's.
+
+    The first columns are those of the paper's validation table (fitted model, measured boundaries, mean
+    over insertions). `floor_*` is what perfect parameters would still show; `planned_*` the same score
+    with boundaries from the planned straight path, because the measured crossings of a held-out insertion
+    leak its outcome; `pooled_*` the statistics of all points together; `<rival>_ipe_mean_mm` and
+    `<rival>_te_mm` the rivals; `paper_*` the paper's cell, blank where it has none; `comparable` says what
+    makes the two comparable or not.
+    """
+    return _frame([row for one in results for row in _validation_rows(one)], _validation_columns())
+
+
+def tuning_table(*results: Results) -> pd.DataFrame:
+    """Return the in-sample errors of every fit by layers and by media, beside the paper's tuned models."""
+    columns = [*("study", "by", "medium", "layers"), *METRICS, *_COUNTS, *FLOORS]
+    columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions", "comparable", "origin"]
+    return _frame([row for one in results for row in _tuning_rows(one)], columns)
+
+
+def records(frame: pd.DataFrame) -> list[Row]:
+    """Return the rows as plain values for JSON; what is missing is None."""
+    return [{str(k): _plain(v) for k, v in row.items()} for row in frame.to_dict("records")]
+
+
+def study_label(results: Results) -> str | int:
+    """Return the paper's number of the study, or its name where the paper has none."""
+    number = getattr(results.record, "paper_study", None)
+    return results.name if number is None else int(number)
+
+
+def _validation_rows(results: Results) -> list[Row]:
+    macro, pooled = (
+        [row for row in records(aggregate(results, _BY, how)) if row["role"] == "validate"]
+        for how in ("macro", "pooled")
+    )
+    rows = []
+    for ours in _pick(macro, "fitted", "measured"):
+        same = {"medium": ours["medium"], "layers": ours["layers"]}
+        rows.append(
+            dict(zip(_KEYS, (study_label(results), ours["medium"], ours["layers"]), strict=True))
+            | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOORS)}
+            | _prefixed("planned", _pick(macro, "fitted", "planned", **same), METRICS)
+            | _prefixed("pooled", _pick(pooled, "fitted", "measured", **same), METRICS)
+            | _rivals(macro, same)
+            | _paper_row(results, ours)
+            | {"comparison": _comparison(results), "origin": results.origin}
+        )
+    return rows
+
+
+def _validation_columns() -> list[str]:
+    columns = [*_KEYS, *METRICS, *_COUNTS, *FLOORS]
+    columns += [f"{way}_{m}" for way in ("planned", "pooled") for m in METRICS]
+    columns += [f"{rival}_{m}" for rival in RIVALS[1:] for m in ("ipe_mean_mm", "te_mm")]
+    columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions"]
+    return [*columns, "comparable", "comparison", "origin"]
+
+
+def _rivals(macro: list[Row], same: Row) -> Row:
+    found: Row = {}
+    for rival in RIVALS[1:]:
+        found |= _prefixed(rival, _pick(macro, rival, "measured", **same), ("ipe_mean_mm", "te_mm"))
+    return found
+
+
+def _paper_row(results: Results, ours: Row) -> Row:
+    match = {"study": study_label(results), "validate_medium": ours["medium"]}
+    match["validate_layers"] = ours["layers"]
+    printed = _matching("validation", match)
+    count = _matching("study_design", match)
+    paper_count = count[0]["validate_insertions"] if count else None
+    return (
+        _prefixed("paper", printed, METRICS)
+        | {"paper_insertions": paper_count}
+        | {"comparable": comparable_validation(results, ours["insertions"], paper_count)}
+    )
+
+
+def _tuning_rows(results: Results) -> list[Row]:
+    rows = []
+    for by, keys in (("layers", ("medium", "layers")), ("media", ("medium",))):
+        grouped = records(aggregate(results, ("role", "rival", "boundaries", *keys)))
+        for ours in _pick([row for row in grouped if row["role"] == "tune"], "fitted", "measured"):
+            match = {key: ours[key] for key in keys}
+            listed = [r["insertions"] for r in _matching("insertions", match)]
+            printed = _matching("tuning_by_layers" if by == "layers" else "tuning_by_media", match)
+            count = sum(listed) if printed else None
+            rows.append(
+                {"study": study_label(results), "by": by, "medium": ours["medium"]}
+                | {"layers": ours.get("layers")}
+                | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOORS)}
+                | _prefixed("paper", printed, METRICS)
+                | {"paper_insertions": count, "origin": results.origin}
+                | {"comparable": comparable_tuning(results, ours["insertions"], count)}
+            )
+    return rows
+
+
+def _matching(name: paper.Table, match: Row) -> list[Row]:
+    return [r for r in records(paper.table(name)) if all(r[key] == value for key, value in match.items())]
+
+
+def _pick(rows: list[Row], rival: str, boundaries: str, **match: Any) -> list[Row]:  # noqa: ANN401
+    wanted = {"rival": rival, "boundaries": boundaries, **match}
+    return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
+
+
+def _prefixed(prefix: str, rows: list[Row], names: tuple[str, ...]) -> Row:
+    return {f"{prefix}_{name}": rows[0][name] if rows else None for name in names}
+
+
+def _comparison(results: Results) -> str:
+    return str(results.errors["comparison"].iloc[0])
+
+
+def _frame(rows: list[Row], columns: list[str]) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=columns)
+
+
+def _plain(value: object) -> object:
+    """Return a value that JSON knows: NaN and infinity become None, numpy scalars Python's."""
+    value = value.item() if hasattr(value, "item") else value
+    if value is pd.NaT or (isinstance(value, float) and not math.isfinite(value)):
+        return None
+    return value
