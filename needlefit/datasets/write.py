@@ -21,6 +21,7 @@ def write_dataset(
     rows: Sequence[InsertionRow],
     centerlines: Mapping[str, ArrayLike],
     surfaces: Mapping[str, Surface] | None = None,
+    checksums: bool = True,
 ) -> Path:
     """Write a dataset into `folder` and return its `dataset.toml`.
 
@@ -35,6 +36,8 @@ def write_dataset(
         World points from entry to tip, mm; one for every row.
     surfaces : mapping of file to Surface
         The files that `record.media` names, e.g. `layers/phantom1_top.stl`.
+    checksums : bool
+        False for files that are there to be edited.
 
     Notes
     -----
@@ -63,7 +66,7 @@ def write_dataset(
     for name, surface in surfaces.items():
         write_surface(surface, folder / name)
     sums = {name: sha256(folder / name) for name in sorted([*files, *surfaces])}
-    record = record.model_copy(update={"checksums": sums})
+    record = record.model_copy(update={"checksums": sums if checksums else {}})
     _write(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
     return folder / "dataset.toml"
 

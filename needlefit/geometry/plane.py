@@ -39,11 +39,11 @@ def free_frame(centerline: ArrayLike) -> Frame:
     """Return a constraint frame for a curve (N, 3) that is known only up to a rigid motion.
 
     Its xy plane is the plane closest to the points. There the parabola that fits them best gives x, its
-    tangent at the first point, and y, the side to which it bends. The origin is the first point, in the plane.
+    tangent at the first point, and y, the side to which it bends. The origin is the first point there.
     """
     points = np.asarray(centerline, dtype=np.float64)
     centre = points.mean(axis=0)
-    _, _, (along, across, normal) = np.linalg.svd(points - centre)
+    _, _, (along, across, normal) = np.linalg.svd(points - centre, full_matrices=False)
     along = along if along @ (points[-1] - points[0]) >= 0 else -along
     a, b = (points - points[0]) @ along, (points - points[0]) @ across
     curvature, slope, _ = np.polyfit(a, b, 2)

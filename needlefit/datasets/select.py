@@ -1,0 +1,62 @@
+"""Which insertions of a dataset a fit or a study means."""
+
+from collections.abc import Iterable
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.errors import ConfigError
+from needlefit.project.records.fit import Reading, SelectionRecord
+
+
+def select(
+    dataset: Dataset, selection: SelectionRecord, reading: Reading = "listed"
+) -> tuple[Insertion, ...]:
+    """Return the insertions that meet every key of `selection`, in the dataset's order.
+
+    `reading` decides which count of layers holds for an insertion that ends at a boundary.
+
+    Raises
+    ------
+    ConfigError
+        If a medium, specimen or insertion is unknown, or no insertion is left.
+    """
+    known = dataset.insertions
+    _all_known("medium", [selection.medium] if selection.medium else (), dataset.media)
+    _all_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
+    _all_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
+    chosen = tuple(insertion for insertion in known if _meets(insertion, selection, reading))
+    if not chosen:
+        given = selection.model_dump(exclude_none=True)
+        raise ConfigError(
+            f"no insertion of dataset {dataset.name} meets {given}",
+            expected="a selection that leaves at least one insertion",
+            mend="widen or correct the selection",
+        )
+    return chosen
+
+
+def layers_of(insertion: Insertion, reading: Reading) -> int:
+    """Return how many layers an insertion traverses by this reading."""
+    return insertion.layers if reading == "listed" else insertion.layers_alternative
+
+
+def _meets(insertion: Insertion, selection: SelectionRecord, reading: Reading) -> bool:
+    low, high = selection.depth_min_mm, selection.depth_max_mm
+    return (
+        (selection.medium is None or insertion.medium == selection.medium)
+        and (selection.layers is None or layers_of(insertion, reading) in selection.layers)
+        and (selection.specimens is None or insertion.specimen in selection.specimens)
+        and (selection.insertions is None or insertion.id in selection.insertions)
+        and (low is None or insertion.depth >= low)
+        and (high is None or insertion.depth <= high)
+    )
+
+
+def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
+    names = sorted(known)
+    unknown = [name for name in wanted if name not in names]
+    if unknown:
+        raise ConfigError(
+            f"{kind} {', '.join(unknown)} is not in the dataset",
+            expected=f"one of {', '.join(names) or '(none)'}",
+            mend="correct the selection",
+        )

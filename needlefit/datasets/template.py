@@ -1,0 +1,133 @@
+"""Begin a dataset: an example to overwrite, or somebody's centrelines in our layout."""
+
+import re
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.check import check
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.formats import mat
+from needlefit.datasets.formats.csv import Table, read_points, read_table
+from needlefit.datasets.schema import POINT, Floats, InsertionRow
+from needlefit.datasets.write import write_dataset
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.surfaces import sheet
+from needlefit.project.records.dataset import DatasetRecord
+
+FILL_IN = "TO FILL IN"
+
+EXAMPLE_NOTE = """\
+# A template with made-up numbers: two insertions through one layer boundary. Replace every number and text,
+# then run `needlefit check` on this folder. data/README.md of needlefit describes every key and column.
+"""
+
+CONVERTED_NOTE = """\
+# Made from {source}. Shapes are taken as known up to a rigid motion (frame.pose = "free"), depths as the
+# lengths of the centrelines, the needle as an 18 gauge one: check and fill in. With the entry pose of every
+# insertion in insertions.csv, frame.pose = "known". data/README.md describes all keys and columns.
+"""
+
+
+def template(folder: Path, source: Path | None = None) -> Path:
+    """Write a dataset that passes `check` into `folder` and return its `dataset.toml`.
+
+    Parameters
+    ----------
+    source : Path or None
+        None: a small example, marked as made up. A CSV with columns x_mm, y_mm, z_mm and, for more than
+        one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name.
+
+    Raises
+    ------
+    DataError
+        If `folder` holds something, or the source has faults.
+    """
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise DataError("exists already", where=str(folder), expected="a new or empty folder")
+    if source is None:
+        file, note = _example(folder), EXAMPLE_NOTE
+    else:
+        file, note = _converted(folder, _curves(source)), CONVERTED_NOTE.format(source=source.name)
+    file.write_bytes((note + file.read_text(encoding="utf-8")).encode("utf-8"))
+    faults = check(file)
+    if faults:
+        raise as_error(faults, file)
+    return file
+
+
+def _record(name: str, origin: str, pose: str, length: float, medium: Mapping[str, object]) -> DatasetRecord:
+    return DatasetRecord.model_validate(
+        {
+            "schema": 1,
+            "name": name,
+            "title": f"{FILL_IN}: what was inserted into what",
+            "origin": origin,
+            "license": FILL_IN,
+            "source": f"{FILL_IN}: who measured this, when, how",
+            "frame": {"pose": pose},
+            "needle": {"length_mm": length, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+            "insertions": {"file": "insertions.csv"},
+            "centerlines": {"pattern": "centerlines/{id}.csv"},
+            "media": {"medium1": medium},
+        }
+    )
+
+
+def _example(folder: Path) -> Path:
+    """Write two arcs, straight along x and tilted by 10 degrees, through one sheet 20 mm below the entry."""
+    surface = "layers/boundary.stl"
+    medium = {"surfaces": [{"file": surface, "kind": "sheet", "into": 2}], "note": "made up"}
+    record = _record(folder.resolve().name, "synthetic", "known", 150.0, medium)
+    rows, curves = [], {}
+    for name, tilt, depth in (("example1", 0.0, 50.0), ("example2", 10.0, 45.0)):
+        angle = np.radians(tilt)
+        direction = np.array([np.cos(angle), np.sin(angle), 0.0])
+        bevel = np.array([-np.sin(angle), np.cos(angle), 0.0])
+        s = np.linspace(0.0, depth, 51)[:, None]
+        curves[name] = s * direction + 4e-4 * s**2 * bevel
+        rows.append(
+            InsertionRow(
+                *(name, "medium1", 2, depth),
+                entry=np.zeros(3),
+                direction=direction,
+                bevel=bevel,
+                pose_source="stage",
+            )
+        )
+    surfaces = {surface: sheet("boundary", (20.0, 0.0, 0.0), (1.0, 0.0, 0.0), 80.0, into=2)}
+    return write_dataset(folder, record, rows, curves, surfaces, checksums=False)
+
+
+def _converted(folder: Path, curves: Mapping[str, Floats]) -> Path:
+    depths = {name: float(arc_length(curve)[-1]) for name, curve in curves.items()}
+    length = max(150.0, float(np.ceil(max(depths.values()) + 50.0)))
+    record = _record(folder.resolve().name, "measured", "free", length, {"note": FILL_IN})
+    rows = [InsertionRow(name, "medium1", 1, depth) for name, depth in depths.items()]
+    return write_dataset(folder, record, rows, curves, checksums=False)
+
+
+def _curves(source: Path) -> dict[str, Floats]:
+    """Return the centrelines of a CSV or .mat file by id."""
+    suffix = source.suffix.lower()
+    if suffix == ".mat":
+        named = {name: points.values for name, points in mat.read_curves(source).items()}
+    elif suffix == ".csv":
+        named = _split(read_table(source))
+    else:
+        raise DataError(f"has the ending {suffix!r}", where=str(source), expected=".csv or .mat")
+    return {re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip("._-") or "curve": c for name, c in named.items()}
+
+
+def _split(table: Table) -> dict[str, Floats]:
+    """Return the points of a long table by its column `id`; without one, all rows are one insertion."""
+    found: list[Fault] = []
+    points = read_points(table, POINT, {}, found)
+    if points is None:
+        raise as_error(found, table.path)
+    if "id" not in table.cells:
+        return {table.path.stem: points.values}
+    ids = table.cells["id"]
+    return {str(name): points.values[(ids == name).to_numpy()] for name in ids.unique()}

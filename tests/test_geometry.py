@@ -1,0 +1,178 @@
+"""Laws of frames, curves and comparisons: rigid invariance, known motions, straight lines, shifts."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from needlefit.errors import DataError
+from needlefit.geometry.compare import STATIONS, compare
+from needlefit.geometry.curves import arc_length, at_arc, resample
+from needlefit.geometry.frames import Frame, align_rigid, entry_frame
+from needlefit.geometry.plane import any_normal, bending_plane, free_frame
+
+seeds = st.integers(0, 2**32 - 1)
+angles = st.floats(-np.pi, np.pi)
+shifts = st.floats(-100, 100)
+
+
+def arc(radius, length, points=101):
+    """A circle of this radius that starts along x and bends toward +y."""
+    angle = np.linspace(0, length / radius, points)
+    return radius * np.column_stack([np.sin(angle), 1 - np.cos(angle)])
+
+
+def in_space(planar):
+    return np.column_stack([planar, np.zeros(len(planar))])
+
+
+def turn(curve, angle, shift=(0.0, 0.0)):
+    c, s = np.cos(angle), np.sin(angle)
+    return curve @ np.array([[c, s], [-s, c]]) + np.asarray(shift)
+
+
+@given(seeds)
+def test_a_frame_and_back_is_the_identity_and_keeps_distances(seed):
+    rng = np.random.default_rng(seed)
+    frame = Frame(rng.normal(size=3) * 50, Rotation.random(rng=rng).as_matrix())
+    points = rng.normal(size=(20, 3)) * 80
+    local = frame.to_local(points)
+    np.testing.assert_allclose(frame.to_world(local), points, atol=1e-10)
+    np.testing.assert_allclose(arc_length(local), arc_length(points), atol=1e-10)
+
+
+def test_entry_frame_by_hand():
+    frame = entry_frame((1, 2, 3), (0, 0, 2), (0, 5, 7))
+    np.testing.assert_allclose(frame.rotation, [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15)
+    np.testing.assert_allclose(
+        frame.to_local([[1, 2, 13], [1, 4, 3], [2, 2, 3]]), [[10, 0, 0], [0, 2, 0], [0, 0, -1]]
+    )
+
+
+@given(seeds)
+def test_entry_frame_is_right_handed_with_toward_on_its_left(seed):
+    rng = np.random.default_rng(seed)
+    direction, toward = rng.normal(size=(2, 3))
+    frame = entry_frame((0, 0, 0), direction, toward)
+    np.testing.assert_allclose(frame.rotation.T @ frame.rotation, np.eye(3), atol=1e-9)
+    assert np.linalg.det(frame.rotation) == pytest.approx(1)
+    assert frame.to_local([toward])[0, 1] > 0
+    assert frame.to_local([toward])[0, 2] == pytest.approx(0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("direction", "toward"), [((0, 0, 0), (0, 1, 0)), ((1, 0, 0), (2, 0, 0)), ((1, np.nan, 0), (0, 1, 0))]
+)
+def test_entry_frame_refuses_directions_that_span_no_plane(direction, toward):
+    with pytest.raises(DataError, match="expected"):
+        entry_frame((0, 0, 0), direction, toward)
+
+
+@given(angles, shifts, shifts)
+def test_alignment_undoes_a_known_motion(angle, dx, dy):
+    curve = arc(300, 60)
+    np.testing.assert_allclose(align_rigid(turn(curve, angle, (dx, dy)), curve), curve, atol=1e-9)
+
+
+def test_alignment_never_mirrors_or_scales():
+    curve = arc(100, 60)
+    mirrored = curve * [1, -1]
+    aligned = align_rigid(mirrored, curve)
+    assert np.abs(aligned - curve).max() > 1
+    np.testing.assert_allclose(arc_length(align_rigid(2 * curve, curve)), 2 * arc_length(curve), rtol=1e-12)
+
+
+@given(seeds)
+def test_alignment_is_the_least_squares_motion(seed):
+    rng = np.random.default_rng(seed)
+    moving, fixed = rng.normal(size=(2, 12, 2))
+    best = np.sum((align_rigid(moving, fixed) - fixed) ** 2)
+    for angle, dx, dy in rng.normal(size=(10, 3)) * 0.1:
+        other = turn(align_rigid(moving, fixed), angle, (dx, dy))
+        assert np.sum((other - fixed) ** 2) >= best - 1e-9
+
+
+@given(seeds, st.integers(2, 30))
+def test_resampling_a_straight_line_is_exact(seed, count):
+    rng = np.random.default_rng(seed)
+    start, end = rng.normal(size=(2, 3)) * 60
+    inner = np.sort(rng.uniform(0, 1, count))[:, None]
+    line = start + np.vstack([[[0.0]], inner, [[1.0]]]) * (end - start)
+    fractions = np.linspace(0, 1, 17)
+    np.testing.assert_allclose(
+        resample(line, fractions), start + fractions[:, None] * (end - start), atol=1e-9
+    )
+
+
+def test_arc_length_by_hand_and_at_its_ends():
+    corner = np.array([[0.0, 0], [3, 4], [3, 10]])
+    np.testing.assert_allclose(arc_length(corner), [0, 5, 11])
+    np.testing.assert_allclose(at_arc(corner, [-1, 2.5, 8, 12]), [[0, 0], [1.5, 2], [3, 7], [3, 10]])
+
+
+@given(seeds)
+def test_bending_plane_follows_the_curve_into_any_frame(seed):
+    rng = np.random.default_rng(seed)
+    rotation = Rotation.random(rng=rng).as_matrix()
+    curve = in_space(arc(200, 55)) @ rotation.T + rng.normal(size=3) * 50
+    np.testing.assert_allclose(bending_plane(curve, rotation[:, 0]), rotation[:, 1], atol=1e-9)
+
+
+def test_a_straight_curve_bends_in_some_plane_through_it():
+    toward = bending_plane([[0, 0, 0], [0, 0, 5.0], [0, 0, 9.0]], (0, 0, 1))
+    assert toward @ [0, 0, 1] == 0
+    np.testing.assert_array_equal(toward, any_normal((0, 0, 1)))
+
+
+@given(seeds)
+def test_free_frame_is_the_same_from_everywhere(seed):
+    """A parabola y = x^2 / 500 keeps its coordinates in the frame made from it, however it lies."""
+    rng = np.random.default_rng(seed)
+    x = np.linspace(0, 60, 61)
+    parabola = np.column_stack([x, x**2 / 500, 0 * x])
+    moved = parabola @ Rotation.random(rng=rng).as_matrix().T + rng.normal(size=3) * 40
+    local, at_home = free_frame(moved).to_local(moved), free_frame(parabola).to_local(parabola)
+    np.testing.assert_allclose(local[:, :2], at_home[:, :2], atol=1e-8)
+    np.testing.assert_allclose(local[:, 2], 0, atol=1e-8)
+    assert local[-1, 1] == pytest.approx(60**2 / 500, rel=0.05)  # x is nearly the tangent at the entry
+
+
+@given(st.floats(-5, 5), st.floats(-5, 5))
+def test_a_shifted_curve_errs_by_the_shift(dx, dy):
+    curve = arc(150, 50)
+    errors = compare(curve + np.array([dx, dy]), curve)
+    shift = np.hypot(dx, dy)
+    for value in (errors.te, errors.median, errors.mean, errors.maximum):
+        assert value == pytest.approx(shift, abs=1e-12)
+    assert errors.std == pytest.approx(0, abs=1e-12)
+    assert errors.edp == pytest.approx(100 * shift / curve[-1, 1])
+
+
+@given(angles, shifts, shifts)
+@settings(max_examples=50)
+def test_distances_do_not_depend_on_the_frame(angle, dx, dy):
+    a, b = arc(150, 50), arc(250, 50)
+    here, there = compare(a, b), compare(turn(a, angle, (dx, dy)), turn(b, angle, (dx, dy)))
+    np.testing.assert_allclose(there.ipe, here.ipe, atol=1e-9)
+
+
+def test_errors_by_hand():
+    measured = np.array([[0.0, 1], [10, 1], [20, 5]])
+    errors = compare(measured + np.array([[0, 0], [0, 1], [3, 4]]), measured)
+    np.testing.assert_allclose(errors.ipe, [0, 1, 5])
+    assert (errors.te, errors.edp, errors.median, errors.mean, errors.maximum) == (5, 125, 1, 2, 5)
+    assert errors.std == pytest.approx(np.sqrt(14 / 3))
+    assert errors.deflection == 4
+    assert STATIONS == 101
+
+
+def test_a_needle_that_stayed_straight_has_no_finite_edp():
+    line = np.column_stack([np.arange(5.0), np.zeros(5)])
+    assert compare(line, line).edp == 0
+    assert compare(line + np.array([0, 1]), line).edp == np.inf
+
+
+def test_curves_of_different_stations_are_not_compared():
+    with pytest.raises(ValueError, match="cannot be compared"):
+        compare(arc(100, 50, 11), arc(100, 50, 12))
