@@ -46,7 +46,7 @@ def simulate(
     """
     check_reach(needle, depth, controls)
     depths = constraint_depths(float(depth), rules.spacing)
-    beam, foundation, grid = _compile(needle, tissue, depths, controls, rules)
+    beam, foundation, grid = compile_inputs(needle, tissue, depths, controls, rules)
     turn = bevel.side * bevel.offset / rules.spacing
     newton = Newton(rules.tolerance, rules.max_iterations)
     state, y, track, status, iterations = insert(beam, foundation, grid, depths, turn, newton)
@@ -73,7 +73,7 @@ def equilibrium(
     constraints = np.ascontiguousarray(constraints, dtype=np.float64)
     check_reach(needle, float(constraints[-1, 0]), controls)
     depths, y = constraints[:, 0].copy(), constraints[:, 1].copy()
-    beam, foundation, grid = _compile(needle, tissue, depths, controls, rules)
+    beam, foundation, grid = compile_inputs(needle, tissue, depths, controls, rules)
     state = np.zeros((len(grid.nodes) + 1, 2))
     last = len(depths) - 1
     newton = Newton(rules.tolerance, rules.max_iterations)
@@ -103,7 +103,7 @@ def check_reach(needle: Needle, depth: float, controls: Controls) -> None:
         )
 
 
-def _compile(
+def compile_inputs(
     needle: Needle, tissue: Tissue, depths: Floats, controls: Controls, rules: Rules
 ) -> tuple[Beam, Foundation, Grid]:
     """Return the nouns as the kernel reads them."""

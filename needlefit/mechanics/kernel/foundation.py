@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-TERMS = 9  # of the series in the compression d
-SMALL = 0.02  # largest d for which the series is used: its truncation is then below 1e-12 for |alpha| <= 10
+TERMS = 9  # of the series of k in the compression
+SMALL = 0.02  # compression up to which the series is used: truncated below 1e-12 for |alpha| <= 10
 
 
 class Foundation(NamedTuple):
@@ -18,53 +18,38 @@ class Foundation(NamedTuple):
     mu: Floats  # (n,) MPa
     coefficients: Floats  # (n, P) of the law's powers of the stretch
     exponents: Floats  # (n, P)
-    series: Floats  # (n, TERMS) of k in d = |e| / t
     thickness: Floats  # (n,) mm
     friction: Floats  # (n,)
+    series: Floats  # (n, TERMS) of k in the deflection |e|, MPa / mm^j
+    limit: Floats  # (n,) the |e| up to which the series is used, mm
+    rough: bool  # whether any layer has friction
 
 
 @njit(cache=True)
 def make_foundation(
     mu: Floats, coefficients: Floats, exponents: Floats, thickness: Floats, friction: Floats
 ) -> Foundation:
-    """Return the layers with the Taylor series of k(1 - d) about d = 0."""
+    """Return the layers with the Taylor series of k about |e| = 0."""
     series = np.zeros((len(mu), TERMS))
     for i in range(len(mu)):
         for p in range(coefficients.shape[1]):
             term = mu[i] * coefficients[i, p]
             for j in range(TERMS):
                 series[i, j] += term
-                term *= -(exponents[i, p] - j) / (j + 1)
-    return Foundation(mu, coefficients, exponents, series, thickness, friction)
+                term *= -(exponents[i, p] - j) / ((j + 1) * thickness[i])
+    rough = bool(np.any(friction > 0.0))
+    return Foundation(mu, coefficients, exponents, thickness, friction, series, SMALL * thickness, rough)
 
 
-@njit(cache=True, nogil=True, inline="always")
-def reaction(foundation: Foundation, layer: int, e: float, slope: float) -> tuple[float, float, float, bool]:
-    """Return f = k(lambda) e g, df/de, df/du' (N/mm per mm and per unit slope), and whether tissue is left.
+@njit(cache=True, nogil=True, error_model="numpy")
+def power(exponent: float, d: float) -> tuple[float, float]:
+    """Return lambda^q, one term of k, and d(lambda^q e)/de at a compression d = 1 - lambda < 1."""
+    part = np.exp(exponent * np.log1p(-d))
+    return part, part * (1.0 - d * exponent / (1.0 - d))
 
-    `e` is the deflection (mm) from the constraint point, g = 1 - gamma sin^2(atan u').
-    """
-    d = abs(e) / foundation.thickness[layer]
-    if d >= 1.0:
-        return 0.0, 0.0, 0.0, False
-    k = 0.0
-    tangent = 0.0
-    if d <= SMALL:
-        series = foundation.series[layer]
-        for j in range(TERMS - 1, -1, -1):
-            k = k * d + series[j]
-            tangent = tangent * d + (j + 1) * series[j]
-    else:
-        log_stretch = np.log1p(-d)
-        for p in range(foundation.exponents.shape[1]):
-            exponent = foundation.exponents[layer, p]
-            part = foundation.mu[layer] * foundation.coefficients[layer, p] * np.exp(exponent * log_stretch)
-            k += part
-            tangent += part * (1.0 - d * exponent / (1.0 - d))
-    gamma = foundation.friction[layer]
-    if gamma == 0.0:
-        return k * e, tangent, 0.0, True
+
+@njit(cache=True, nogil=True)
+def drag(gamma: float, slope: float) -> tuple[float, float]:
+    """Return the friction factor g = 1 - gamma sin^2(atan u') and dg/du'."""
     square = slope * slope
-    g = 1.0 - gamma * square / (1.0 + square)
-    g_slope = -2.0 * gamma * slope / ((1.0 + square) * (1.0 + square))
-    return k * e * g, tangent * g, k * e * g_slope, True
+    return 1.0 - gamma * square / (1.0 + square), -2.0 * gamma * slope / ((1.0 + square) * (1.0 + square))

@@ -4,13 +4,13 @@ The free span is one exact cubic element; each Newton step is one fused sweep fr
 integrates an element, adds it and eliminates the 2 x 2 block of its first node, and one sweep back.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.foundation import Foundation, reaction
+from needlefit.mechanics.kernel.foundation import TERMS, Foundation, drag, power
 from needlefit.mechanics.kernel.grid import Grid
 from needlefit.mechanics.kernel.hermite import hermite
 
@@ -117,27 +117,74 @@ def _sweep(
 ) -> bool:  # fmt: skip
     """Linearise about `state`, eliminate from base to tip; False where tissue is compressed to nothing.
 
-    Scalars, not small arrays: the compiler keeps them in registers, which is a factor of three.
+    Scalars, not small arrays, and no calls with arrays in the loops: the compiler then keeps everything
+    in registers and counts no references, which is a factor of five.
     """
+    nodes, first, weight, layer, nearest = grid.nodes, grid.first, grid.weight, grid.layer, grid.constraint
+    mu, coefficients, exponents = foundation.mu, foundation.coefficients, foundation.exponents
+    thickness, friction = foundation.thickness, foundation.friction
+    series, limit, rough = foundation.series, foundation.limit, foundation.rough
     s00 = s01 = s10 = s11 = r0 = r1 = 0.0
     start = held
     for e in range(last + 1):
-        (
-            k00, k01, k02, k03, k10, k11, k12, k13, k20, k21, k22, k23, k30, k31, k32, k33,
-            f0, f1, f2, f3, bearing,
-        ) = _tissue(state, e, foundation, grid, shapes, y)  # fmt: skip
-        if not bearing:
-            return False
-        a, b, c, d = _bending(rigidity, grid.nodes[e] - start)
-        start = grid.nodes[e]
-        k02, k03, k12, k13 = k02 - a, k03 + b, k12 - b, k13 + d
-        k20, k21, k30, k31 = k20 - a, k21 - b, k30 + b, k31 + d
+        k00 = k01 = k02 = k03 = k11 = k12 = k13 = k22 = k23 = k33 = f0 = f1 = f2 = f3 = 0.0
+        x00 = x01 = x02 = x03 = x10 = x11 = x12 = x13 = 0.0  # what friction adds, which is not symmetric
+        x20 = x21 = x22 = x23 = x30 = x31 = x32 = x33 = 0.0
+        a0, a1, b0, b1 = state[e, 0], state[e, 1], state[e + 1, 0], state[e + 1, 1]
+        for q in range(first[e], first[e + 1]):
+            n0, n1, n2, n3 = shapes[q, 0], shapes[q, 1], shapes[q, 2], shapes[q, 3]
+            u = n0 * a0 + n1 * a1 + n2 * b0 + n3 * b1
+            away = u - y[nearest[q]]
+            here = layer[q]
+            size = abs(away)
+            if size <= limit[here]:
+                k = tangent = 0.0
+                for j in range(TERMS - 1, -1, -1):
+                    k = k * size + series[here, j]
+                    tangent = tangent * size + (j + 1) * series[here, j]
+            else:
+                d = size / thickness[here]
+                if d >= 1.0:
+                    return False
+                k = tangent = 0.0
+                for p in range(exponents.shape[1]):
+                    part, tangent_part = power(exponents[here, p], d)
+                    k += mu[here] * coefficients[here, p] * part
+                    tangent += mu[here] * coefficients[here, p] * tangent_part
+            w = weight[q]
+            r = 0.0
+            if rough:
+                m0, m1, m2, m3 = shapes[q, 4], shapes[q, 5], shapes[q, 6], shapes[q, 7]
+                slope = m0 * a0 + m1 * a1 + m2 * b0 + m3 * b1
+                g, g_slope = drag(friction[here], slope)
+                h = w * k * away * g_slope
+                h0, h1, h2, h3 = h * n0, h * n1, h * n2, h * n3
+                x00, x01, x02, x03 = x00 + h0 * m0, x01 + h0 * m1, x02 + h0 * m2, x03 + h0 * m3
+                x10, x11, x12, x13 = x10 + h1 * m0, x11 + h1 * m1, x12 + h1 * m2, x13 + h1 * m3
+                x20, x21, x22, x23 = x20 + h2 * m0, x21 + h2 * m1, x22 + h2 * m2, x23 + h2 * m3
+                x30, x31, x32, x33 = x30 + h3 * m0, x31 + h3 * m1, x32 + h3 * m2, x33 + h3 * m3
+                r = h * slope
+                w *= g
+            by_u = w * tangent
+            r += by_u * u - w * k * away
+            t0, t1, t2, t3 = by_u * n0, by_u * n1, by_u * n2, by_u * n3
+            k00, k01, k02, k03 = k00 + n0 * t0, k01 + n0 * t1, k02 + n0 * t2, k03 + n0 * t3
+            k11, k12, k13 = k11 + n1 * t1, k12 + n1 * t2, k13 + n1 * t3
+            k22, k23, k33 = k22 + n2 * t2, k23 + n2 * t3, k33 + n3 * t3
+            f0, f1, f2, f3 = f0 + n0 * r, f1 + n1 * r, f2 + n2 * r, f3 + n3 * r
+        a, b, c, d = _bending(rigidity, nodes[e] - start)
+        start = nodes[e]
+        k10, k20, k21 = k01 + b + x10, k02 - a + x20, k12 - b + x21
+        k30, k31, k32 = k03 + b + x30, k13 + d + x31, k23 - b + x32
+        k00, k01, k02, k03 = k00 + a + x00, k01 + b + x01, k02 - a + x02, k03 + b + x03
+        k11, k12, k13 = k11 + c + x11, k12 - b + x12, k13 + d + x13
+        k22, k23, k33 = k22 + a + x22, k23 - b + x23, k33 + c + x33
         if e == 0:  # the held end is known: it only loads the first node
             r0 = f2 - k20 * state[0, 0] - k21 * state[0, 1]
             r1 = f3 - k30 * state[0, 0] - k31 * state[0, 1]
-            s00, s01, s10, s11 = k22 + a, k23 - b, k32 - b, k33 + c
+            s00, s01, s10, s11 = k22, k23, k32, k33
             continue
-        s00, s01, s10, s11 = s00 + k00 + a, s01 + k01 + b, s10 + k10 + b, s11 + k11 + c
+        s00, s01, s10, s11 = s00 + k00, s01 + k01, s10 + k10, s11 + k11
         r0 += f0
         r1 += f1
         inverse = 1.0 / (s00 * s11 - s01 * s10)
@@ -146,45 +193,13 @@ def _sweep(
         z0, z1 = (s11 * r0 - s01 * r1) * inverse, (s00 * r1 - s10 * r0) * inverse
         solution[e, 0], solution[e, 1], solution[e, 2], solution[e, 3] = g00, g01, g10, g11
         solution[e, 4], solution[e, 5] = z0, z1
-        s00, s01 = k22 + a - k20 * g00 - k21 * g10, k23 - b - k20 * g01 - k21 * g11
-        s10, s11 = k32 - b - k30 * g00 - k31 * g10, k33 + c - k30 * g01 - k31 * g11
+        s00, s01 = k22 - k20 * g00 - k21 * g10, k23 - k20 * g01 - k21 * g11
+        s10, s11 = k32 - k30 * g00 - k31 * g10, k33 - k30 * g01 - k31 * g11
         r0, r1 = f2 - k20 * z0 - k21 * z1, f3 - k30 * z0 - k31 * z1
     inverse = 1.0 / (s00 * s11 - s01 * s10)
     solution[last + 1, 4] = (s11 * r0 - s01 * r1) * inverse
     solution[last + 1, 5] = (s00 * r1 - s10 * r0) * inverse
     return True
-
-
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, inline="always")
-def _tissue(
-    state: Floats, e: int, foundation: Foundation, grid: Grid, shapes: Floats, y: Floats
-) -> tuple[Any, ...]:
-    """Integrate one element: its tangent, row by row (16), its load (4), and whether all tissue bears."""
-    k00 = k01 = k02 = k03 = k10 = k11 = k12 = k13 = 0.0
-    k20 = k21 = k22 = k23 = k30 = k31 = k32 = k33 = f0 = f1 = f2 = f3 = 0.0
-    a0, a1, b0, b1 = state[e, 0], state[e, 1], state[e + 1, 0], state[e + 1, 1]
-    bearing = True
-    for q in range(grid.first[e], grid.first[e + 1]):
-        n0, n1, n2, n3 = shapes[q, 0], shapes[q, 1], shapes[q, 2], shapes[q, 3]
-        m0, m1, m2, m3 = shapes[q, 4], shapes[q, 5], shapes[q, 6], shapes[q, 7]
-        u = n0 * a0 + n1 * a1 + n2 * b0 + n3 * b1
-        slope = m0 * a0 + m1 * a1 + m2 * b0 + m3 * b1
-        force, by_u, by_slope, bears = reaction(foundation, grid.layer[q], u - y[grid.constraint[q]], slope)
-        bearing = bearing and bears
-        w = grid.weight[q]
-        by_u, by_slope, force = w * by_u, w * by_slope, w * force
-        t0, t1 = by_u * n0 + by_slope * m0, by_u * n1 + by_slope * m1
-        t2, t3 = by_u * n2 + by_slope * m2, by_u * n3 + by_slope * m3
-        r = by_u * u + by_slope * slope - force
-        k00, k01, k02, k03 = k00 + n0 * t0, k01 + n0 * t1, k02 + n0 * t2, k03 + n0 * t3
-        k10, k11, k12, k13 = k10 + n1 * t0, k11 + n1 * t1, k12 + n1 * t2, k13 + n1 * t3
-        k20, k21, k22, k23 = k20 + n2 * t0, k21 + n2 * t1, k22 + n2 * t2, k23 + n2 * t3
-        k30, k31, k32, k33 = k30 + n3 * t0, k31 + n3 * t1, k32 + n3 * t2, k33 + n3 * t3
-        f0, f1, f2, f3 = f0 + n0 * r, f1 + n1 * r, f2 + n2 * r, f3 + n3 * r
-    return (
-        k00, k01, k02, k03, k10, k11, k12, k13, k20, k21, k22, k23, k30, k31, k32, k33,
-        f0, f1, f2, f3, bearing,
-    )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

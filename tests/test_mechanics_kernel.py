@@ -1,0 +1,115 @@
+"""The compiled kernel is the reference, over random and extreme cases."""
+
+import numpy as np
+import pytest
+
+from needlefit.errors import ModelError
+from needlefit.mechanics import laws, reference
+from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import inserted_points, positions
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+
+
+def random_case(rng: np.random.Generator) -> dict:
+    layers = int(rng.integers(1, 5))
+    element = float(rng.choice([1.0, 0.5, 0.25]))
+    thickness = rng.uniform(5.0, 80.0, layers)
+    return {
+        "needle": Needle(rng.uniform(60, 200), 10 ** rng.uniform(3, 5)),
+        "tissue": Tissue(
+            mu=10 ** rng.uniform(-3, 2, layers),
+            alpha=rng.uniform(-10, 10, layers),
+            boundaries=np.sort(rng.uniform(1, 20, layers - 1)),
+            thickness=thickness,
+            friction=rng.choice([0.0, 0.3]) * rng.uniform(size=layers),
+            law=str(rng.choice(laws.names())),
+        ),
+        "bevel": Bevel(rng.uniform(0, 0.3), int(rng.choice([-1, 1]))),
+        "depth": float(rng.choice([rng.uniform(0.2, 22), rng.integers(1, 22), rng.integers(1, 22) + 1e-4])),
+        "controls": Controls(
+            base_y=rng.uniform(-1, 1),
+            base_slope=rng.uniform(-0.01, 0.01),
+            guide_distance=float(rng.uniform(5, 35)) if rng.random() < 0.4 else None,
+        ),
+        "rules": Rules(element=element),
+    }
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_kernel_equals_reference(seed: int) -> None:
+    case = random_case(np.random.default_rng(seed))
+    fast, slow = simulate(**case), reference.simulate(**case)
+    assert fast.converged
+    np.testing.assert_allclose(fast.x, slow.x, atol=1e-12)
+    np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
+    np.testing.assert_allclose(fast.slope, slow.slope, atol=1e-7)
+    np.testing.assert_allclose(fast.constraints, slow.constraints, atol=1e-7)
+
+
+@pytest.mark.parametrize("depth", [19.63, 23.79, 44.0, 55.0])
+def test_kernel_equals_reference_at_the_papers_depths(depth: float) -> None:
+    tissue = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
+    fast = simulate(NEEDLE, tissue, Bevel(0.085), depth)
+    slow = reference.simulate(NEEDLE, tissue, Bevel(0.085), depth)
+    np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
+
+
+def test_large_compression_leaves_the_series_and_still_agrees() -> None:
+    """A base moved sideways compresses thin tissue by a third: far beyond the series."""
+    tissue = Tissue(mu=[0.05], alpha=[8.0], thickness=[3.0])
+    case = (NEEDLE, tissue, Bevel(0.02), 12.0, Controls(base_y=1.0))
+    fast, slow = simulate(*case), reference.simulate(*case)
+    assert np.max(np.abs(fast.u[1:])) / 3.0 > 0.1
+    np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
+
+
+def test_over_compression_is_a_value_with_its_reason() -> None:
+    shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
+    assert not shape.converged
+    assert shape.status == "over-compressed"
+
+
+def test_too_few_iterations_is_not_converged() -> None:
+    shape = simulate(
+        NEEDLE,
+        Tissue(mu=[0.2], alpha=[1.0]),
+        Bevel(0.1),
+        10.0,
+        rules=Rules(tolerance=1e-14, max_iterations=1),
+    )
+    assert shape.status == "not converged"
+
+
+def test_needle_too_short_is_refused() -> None:
+    with pytest.raises(ModelError, match="cannot be inserted 149"):
+        simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 149.0, Controls(guide_distance=2.0))
+
+
+def test_positions_keep_the_length() -> None:
+    """Along (x, y) the arc length from entry to tip is the depth, to third order in the slope."""
+    tissue = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
+    shape = simulate(NEEDLE, tissue, Bevel(0.085), 55.0)
+    points = positions(shape, np.linspace(0, 55, 5001))
+    length = np.sum(np.hypot(*np.diff(points, axis=0).T))
+    assert abs(length - 55.0) < 2e-3
+    assert 0.05 < 55.0 - points[-1, 0] < 0.3  # the tip lags
+
+
+def test_positions_of_a_straight_tilted_needle_are_exact() -> None:
+    """No bevel and a guide-free, tilted base in almost nothing: a straight line of slope 0.1."""
+    shape = simulate(NEEDLE, Tissue(mu=[1e-12], alpha=[1.0]), Bevel(0.0), 30.0, Controls(base_slope=0.1))
+    points = positions(shape, np.array([0.0, 30.0]))
+    advance = points[1] - points[0]
+    np.testing.assert_allclose(advance, [30.0 / np.sqrt(1.01), 3.0], rtol=1e-7)
+
+
+def test_inserted_points_begin_at_the_entry_and_end_at_the_tip() -> None:
+    shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 30.25)
+    points = inserted_points(shape, 7)
+    assert points.shape == (7, 2)
+    assert points[-1, 1] == pytest.approx(shape.deflection)
+    assert -0.01 < points[0, 0] <= 0.0  # the free span lags by a little too

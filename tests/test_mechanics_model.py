@@ -1,0 +1,116 @@
+"""What the model must do whatever the numbers: symmetry, continuity, refinement, magnitudes."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from needlefit.errors import ModelError
+from needlefit.mechanics import laws
+from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+
+
+def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
+    return Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=np.array(boundaries))
+
+
+def tip(depth: float, boundaries: tuple[float, ...] = (20.0, 28.0, 45.0), element: float = 1.0) -> float:
+    return simulate(NEEDLE, phantom(boundaries), Bevel(0.085), depth, rules=Rules(element=element)).deflection
+
+
+@settings(deadline=None, max_examples=25)
+@given(st.floats(0.001, 0.2), st.floats(1.0, 60.0), st.floats(0.01, 50.0))
+def test_mirrored_bevel_gives_the_mirrored_needle(offset: float, depth: float, mu: float) -> None:
+    tissue = Tissue(mu=[mu], alpha=[1.0])
+    left, right = (simulate(NEEDLE, tissue, Bevel(offset, side), depth) for side in (1, -1))
+    np.testing.assert_array_equal(left.u, -right.u)
+
+
+def test_without_bevel_the_needle_stays_straight() -> None:
+    shape = simulate(NEEDLE, phantom(), Bevel(0.0), 55.0)
+    assert np.max(np.abs(shape.u)) == 0.0
+
+
+@pytest.mark.parametrize("depth", [50.0, 50.5, 45.0, 28.0, 20.5, 49.75])
+def test_tip_is_continuous_in_depth(depth: float) -> None:
+    """At whole cells, where the entry loses its node, and where the tip enters a layer.
+
+    What is left of a jump is the discretisation error of the mesh that changes there.
+    """
+    near = [abs(tip(depth + d) - tip(depth - d)) for d in (1e-3, 1e-5)]
+    assert near[0] < 8.0 * 2e-3
+    assert near[1] < 2e-4
+
+
+@pytest.mark.parametrize("third", [44.5, 45.0, 45.25, 54.5, 55.0])
+def test_tip_is_continuous_in_boundary_position(third: float) -> None:
+    """Through a node, a change of constraint, the tip: steep at most, never a jump."""
+    step = abs(tip(55.0, (20.0, 28.0, third + 1e-5)) - tip(55.0, (20.0, 28.0, third - 1e-5)))
+    assert step < 8.0 * 2e-5 + 1e-7
+
+
+def test_a_boundary_below_the_tip_changes_nothing() -> None:
+    assert tip(44.0, (20.0, 28.0, 45.0)) == tip(44.0, (20.0, 28.0, 52.0))
+
+
+def test_default_mesh_is_converged() -> None:
+    assert abs(tip(55.0) - tip(55.0, element=0.125)) < 1e-4
+    odd = (20.3, 28.7, 45.1)
+    assert abs(tip(52.37, odd) - tip(52.37, odd, element=0.125)) < 1e-4
+
+
+def test_a_layer_cut_in_two_is_the_same_layer() -> None:
+    whole = Tissue(mu=[0.2, 33], alpha=[1, -1], boundaries=[17.2])
+    cut = Tissue(mu=[0.2, 0.2, 33], alpha=[1, 1, -1], boundaries=[9.37, 17.2])
+    one, two = (simulate(NEEDLE, tissue, Bevel(0.085), 30.0) for tissue in (whole, cut))
+    np.testing.assert_allclose(one.u, two.u, atol=1e-6)
+
+
+@pytest.mark.parametrize(("depth", "expected"), [(52.79, 3.3), (44.19, 2.2), (23.79, 0.69), (19.63, 0.42)])
+def test_magnitudes_with_the_papers_parameters(depth: float, expected: float) -> None:
+    """Parameters read as Pa and mm, boundaries invented: the tables imply 4.3, 3.4, 0.9, 0.4 mm."""
+    assert tip(depth) == pytest.approx(expected, rel=0.06)
+
+
+def test_one_more_modulus_bends_more_in_stiff_tissue() -> None:
+    deflections = [
+        simulate(NEEDLE, Tissue(mu=[mu], alpha=[1.0]), Bevel(0.085), 50.0).deflection for mu in (0.01, 0.1, 1)
+    ]
+    assert deflections == sorted(deflections)
+
+
+def test_laws_agree_where_they_must() -> None:
+    """k(1) = 3 mu for every law; neo-Hookean is Ogden at alpha = 2."""
+    for law in laws.names():
+        coefficients, _ = laws.power_terms(law, np.array([-7.3, 2.0]))
+        np.testing.assert_allclose(coefficients.sum(axis=1), 3.0)
+    c, q = laws.power_terms("ogden", np.array([2.0]))
+    n, r = laws.power_terms("neo_hookean", np.array([9.9]))
+    np.testing.assert_array_equal(c, n)
+    np.testing.assert_array_equal(q, r)
+
+
+def test_ogden_modulus_by_hand() -> None:
+    """alpha = 3, lambda = 1/4: 2 mu (1/16 + 1/2 * 4^(5/2)) = 32.125 mu."""
+    c, q = laws.power_terms("ogden", np.array([3.0]))
+    assert float(np.sum(c * 0.25**q)) == pytest.approx(32.125)
+
+
+def test_unknown_law_names_the_known_ones() -> None:
+    with pytest.raises(ModelError, match="linear, neo_hookean, ogden"):
+        simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], law="fung"), Bevel(0.1), 10.0)
+
+
+def test_alpha_hardly_moves_the_tip() -> None:
+    """Why shapes cannot tell alpha: over its whole range the tip moves by 0.01 mm at t = 40 mm."""
+    ends = [
+        simulate(NEEDLE, Tissue(mu=[0.2, 33], alpha=[a, a], boundaries=[20]), Bevel(0.085), 50.0).deflection
+        for a in (-3.0, 5.0)
+    ]
+    assert abs(ends[1] - ends[0]) < 0.015
+    assert abs(ends[1] - ends[0]) > 1e-4
