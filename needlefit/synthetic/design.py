@@ -1,0 +1,148 @@
+"""The 47 insertions of the twin: counts, layers and ends of the depth ranges are the paper's.
+
+The rest is invented: depths between the ends, entry positions, tilts and bevel sides are chosen so that
+each needle meets the layers that its row says. One needle of phantom 2 ends at the top of the cylinder:
+it is listed with four layers, as the paper's table of insertions counts it, and could be read as three.
+"""
+
+import math
+from dataclasses import dataclass
+from itertools import count
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Planned:
+    """An insertion as it is planned.
+
+    Attributes
+    ----------
+    id, medium, specimen : str
+        `specimen` is the piece that is punctured.
+    layers, layers_alternative : int
+        Layers met, and the other reading of a needle that ends at a boundary (else the same).
+    depth : float
+        Inserted arc length, mm.
+    tilt : float
+        Angle of the phantom on its stage, degrees, about the vertical z.
+    y, z : float
+        Entry position on the face x = 0, mm.
+    side : int
+        The side of the entry axis that the bevel faces, +1: toward +y at tilt 0.
+    grain : float
+        Angle between the bevel and the muscle's fibres, degrees; 0 in a phantom.
+    """
+
+    id: str
+    medium: str
+    specimen: str
+    layers: int
+    layers_alternative: int
+    depth: float
+    tilt: float
+    y: float
+    z: float
+    side: int
+    grain: float = 0.0
+
+    @property
+    def origin(self) -> Floats:
+        """Where the tip first touches, (3,), world, mm."""
+        return np.array([0.0, self.y, self.z])
+
+    @property
+    def direction(self) -> Floats:
+        """The stage's axis, (3,), world."""
+        angle = math.radians(self.tilt)
+        return np.array([math.cos(angle), math.sin(angle), 0.0])
+
+    @property
+    def toward(self) -> Floats:
+        """The direction that the bevel is stated to face, (3,), world: across the axis, in the xy plane."""
+        angle = math.radians(self.tilt)
+        return self.side * np.array([-math.sin(angle), math.cos(angle), 0.0])
+
+
+# depth mm, tilt deg, y mm, z mm, side; in phantom 2 also the layers, and the layers read otherwise
+_PHANTOM1 = (
+    (50.69, 0, 2.0, -8.0, 1),
+    (51.12, 10, -9.0, 10.0, -1),
+    (51.58, -10, 6.0, -15.0, 1),
+    (51.97, 20, -14.0, 4.0, 1),
+    (52.33, -20, 12.0, 14.0, -1),
+    (52.71, 0, -7.0, 20.0, -1),
+    (53.06, 10, 1.0, -22.0, 1),
+    (53.42, -10, 15.0, 0.0, -1),
+    (53.85, 30, -18.0, 9.0, -1),
+    (54.27, -30, 17.0, -6.0, 1),
+)
+_PHANTOM2 = (
+    (49.09, 0, 3.0, -4.0, 1, 4, 4),
+    (50.27, 30, -16.0, 13.7, -1, 4, 3),
+    (51.34, -10, 7.0, 0.0, -1, 4, 4),
+    (52.18, 20, -15.0, -7.0, 1, 4, 4),
+    (52.95, -20, 13.0, 3.0, -1, 4, 4),
+    (53.82, 0, -5.0, 9.0, -1, 4, 4),
+    (54.66, 10, -8.0, 6.0, 1, 4, 4),
+    (55.51, -10, 11.0, -9.0, 1, 4, 4),
+    (56.49, -30, 17.0, 2.0, 1, 4, 4),
+    (33.60, 0, 0.0, 5.0, -1, 3, 3),
+    (50.83, 10, -6.0, 29.0, -1, 3, 3),
+    (52.41, -20, 14.0, -28.0, 1, 3, 3),
+    (53.67, 0, 4.0, -31.0, 1, 3, 3),
+    (54.78, 20, -12.0, 30.0, -1, 3, 3),
+    (23.79, 10, -3.0, -12.0, 1, 2, 2),
+    (19.63, -30, 8.0, 7.0, -1, 1, 1),
+)
+_PHANTOM3 = (
+    (37.68, 0, -2.0, 0.0, 1),
+    (45.21, 10, -7.0, 5.0, -1),
+    (48.36, -10, 6.0, -6.0, 1),
+    (50.14, 0, 4.0, 9.0, -1),
+    (51.57, 20, -13.0, -3.0, 1),
+    (52.69, -20, 12.0, 7.0, -1),
+    (53.72, 10, -10.0, -10.0, 1),
+    (54.58, -30, 16.0, 4.0, 1),
+    (55.32, 30, -17.0, 1.0, -1),
+)
+# depth mm, tilt deg, y mm, z mm, side, grain deg; the first three in piece 1, the next three in piece 2,
+# the others in piece 3, which is turned after its first three
+_CHICKEN = (
+    (38.47, 0, -12.0, 3.0, 1, 57.0),
+    (50.92, 0, 5.0, -9.0, -1, 45.0),
+    (57.43, 0, 14.0, 8.0, 1, 39.0),
+    (26.98, 0, -10.0, -6.0, 1, 68.0),
+    (47.36, 0, 2.0, 11.0, -1, 48.0),
+    (55.14, 0, 13.0, -3.0, 1, 30.0),
+    (44.25, 10, -14.0, 6.0, -1, 60.0),
+    (53.08, 10, -3.0, -10.0, 1, 45.0),
+    (61.22, 10, 4.0, 2.0, 1, 12.0),
+    (34.71, -30, 17.0, -5.0, 1, 69.0),
+    (51.59, -30, 10.0, 9.0, -1, 48.0),
+    (58.85, -30, 21.0, 0.0, -1, 36.0),
+)
+
+
+def insertions() -> tuple[Planned, ...]:
+    """Return all 47 insertions, phantom by phantom; the plan is the same for every seed."""
+    phantoms = (
+        *(_in_phantom("phantom1", n, (*row, 3, 3)) for n, row in enumerate(_PHANTOM1, start=1)),
+        *(_in_phantom("phantom2", n, row) for n, row in enumerate(_PHANTOM2, start=1)),
+        *(_in_phantom("phantom3", n, (*row, 4, 4)) for n, row in enumerate(_PHANTOM3, start=1)),
+    )
+    pieces = (1, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3)
+    chicken = (
+        Planned(f"chicken-{n:02}", "chicken", f"chicken-piece{piece}", 1, 1, *row[:4], int(row[4]), row[5])
+        for n, piece, row in zip(count(1), pieces, _CHICKEN, strict=False)
+    )
+    return (*phantoms, *chicken)
+
+
+def _in_phantom(medium: str, n: int, row: tuple[float, float, float, float, int, int, int]) -> Planned:
+    *pose, side, layers, alternative = row
+    depth, tilt, y, z = pose
+    return Planned(f"{medium}-{n:02}", medium, medium, layers, alternative, depth, tilt, y, z, side)
