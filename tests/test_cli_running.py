@@ -8,6 +8,8 @@ import subprocess
 import sys
 import time
 
+import pandas as pd
+
 from needlefit.cli import screen
 from needlefit.cli.interruption import stopping
 from needlefit.cli.invocation import Invocation
@@ -73,6 +75,7 @@ def test_json_has_no_nan(capsys):
 
 
 def test_a_table_in_a_pipe_is_never_cut(capsys):
-    screen.show_table(["name", "te_mm"], [["x" * 300, 2.82], ["short", float("nan")]], "Title")
+    frame = pd.DataFrame({"name": ["x" * 300, "short"], "te_mm": [2.82, float("nan")]})
+    screen.show_frame(frame, "Title")
     out = capsys.readouterr().out
     assert "x" * 300 in out and "2.82" in out and "nan" not in out

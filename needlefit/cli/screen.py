@@ -4,7 +4,10 @@ import json
 import math
 import sys
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from needlefit.reporting.display import Display
 
 
 def say(text: str = "") -> None:
@@ -22,28 +25,43 @@ def show_json(value: object) -> None:
     print(json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False))
 
 
-def show_table(columns: Sequence[str], rows: Iterable[Sequence[object]], title: str = "") -> None:
-    """Print a table; numbers are right-aligned, missing ones empty, and nothing is cut off in a pipe."""
+def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFrame, not imported here
+    """Print a DataFrame under a title; missing values are empty."""
+    rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False)]
+    right = [any(is_number for _, is_number in column) for column in zip(*rows, strict=True)]
+    columns = [(str(name), at_right) for name, at_right in zip(frame.columns, right, strict=True)]
+    say(title)
+    _show(columns, [[text for text, _ in row] for row in rows])
+
+
+def show_display(table: "Display") -> None:
+    """Print a table that is ready to be set: its caption, its cells, its notes."""
+    columns = [(f"{column.label} {column.unit}".strip(), column.align == "right") for column in table.columns]
+    say(table.caption)
+    _show(columns, table.rows, breaks=table.breaks, strong=table.strong)
+    for line in table.notes:
+        say(line)
+
+
+def _show(
+    columns: Sequence[tuple[str, bool]],
+    rows: Sequence[Sequence[str]],
+    breaks: Sequence[int] = (),
+    strong: Sequence[int] = (),
+) -> None:
+    """Print cells under (head, whether it stands at the right); in a pipe nothing is cut off or wrapped."""
     from rich import box
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    cells = [[_cell(value) for value in row] for row in rows]
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for number, column in enumerate(columns):
-        right = any(row[number][1] for row in cells)
-        table.add_column(Text(column), justify="right" if right else "left", overflow="fold")
-    for row in cells:
-        table.add_row(*(Text(text) for text, _ in row))
-    if title:
-        print(title)
+    for head, at_right in columns:
+        table.add_column(Text(head), justify="right" if at_right else "left", overflow="fold")
+    for number, row in enumerate(rows):
+        style = "bold" if number in strong else None
+        table.add_row(*map(Text, row), style=style, end_section=number + 1 in breaks)
     Console(width=None if sys.stdout.isatty() else 1000).print(table)
-
-
-def show_frame(frame: Any, title: str = "") -> None:  # noqa: ANN401  a pandas.DataFrame, not imported here
-    """Print a DataFrame as a table."""
-    show_table([str(name) for name in frame.columns], frame.itertuples(index=False), title)
 
 
 def _cell(value: object) -> tuple[str, bool]:

@@ -3,40 +3,62 @@
 from typing import TYPE_CHECKING, Any
 
 from needlefit.cli import screen
-from needlefit.cli.show_validation import origin
+from needlefit.cli.show_validation import show_head
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from needlefit.validation.results import Results
 
-_NAMES = {"fitted": "fitted", "hand_tuned": "paper, by hand", "hand_tuned_b": "paper, b re-tuned"}
-_METRICS = ["median_err_mm", "ipe_mean_mm", "ipe_max_mm", "te_mm", "edp_percent"]
+_PARAMETERS = {
+    "fold": "fold",
+    "parameter": "parameter",
+    "fitted": "fitted",
+    "hand_tuned": "paper, by hand",
+    "hand_tuned_b": "paper, b re-tuned",
+    "status": "status",
+    "sd": "sd",
+    "sd_of": "sd of",
+    "spread_low": "as good from",
+    "spread_high": "to",
+}
+_METRICS = {
+    "median_err_mm": "median mm",
+    "ipe_mean_mm": "IPE mm",
+    "ipe_max_mm": "max mm",
+    "te_mm": "TE mm",
+    "edp_percent": "EDP %",
+}
 _AGREE = 0.01
 
 
 def show_tuning(results: "Results") -> None:
     """Print the parameters and errors of the fit and its rivals, the waterfall, and what stays open."""
-    screen.say(f"{results.name}: {results.title}")
-    screen.say(f"  {origin(results)}")
-    if results.interrupted:
-        screen.say("  INTERRUPTED: the best found so far")
-    for fold, rows in results.parameters.groupby("fold", sort=False):
-        several = results.parameters["fold"].nunique() > 1
-        _show_parameters(rows, f"Parameters, {fold}" if several else "Parameters")
-        screen.say(waterfall(results.starts.query("fold == @fold and fit == 'fitted'")))
-        for sentence in open_questions(rows, results.directions.query("fold == @fold")):
-            screen.say(sentence)
+    from needlefit.reporting.parameters import parameters_table
+
+    show_head(results)
+    table = parameters_table(results)
+    several = table["fold"].nunique() > 1
+    wanted = [name for name in _PARAMETERS if (name != "fold" or several) and _says(table[name])]
+    screen.show_frame(table[wanted].rename(columns=_PARAMETERS), "Parameters.")
+    for fold, starts in results.starts.query("fit == 'fitted'").groupby("fold", sort=False):
+        screen.say(f"Fold {fold}. {waterfall(starts)}" if several else waterfall(starts))
+    for sentence in open_questions(table, results.directions):
+        screen.say(sentence)
+    screen.say()
     _show_errors(results)
     if results.origin == "synthetic" and "hand_tuned" in set(results.errors["rival"]):
-        screen.say("The paper's hand-tuned set was not tuned on this data; the fair rival has b re-tuned.")
+        screen.say("The paper's set was not tuned on this data; the fair rival is the one with b re-tuned.")
 
 
 def as_json(results: "Results") -> dict[str, Any]:
-    """Return the fit for machines: every frame as rows under its column names."""
-    frames = ("parameters", "errors", "starts", "directions")
-    rows = {name: getattr(results, name).to_dict("records") for name in frames}
+    """Return the fit for machines: rows under the column names of the files."""
+    from needlefit.reporting.parameters import parameters_table
+
     about = {"name": results.name, "origin": results.origin, "dataset": results.dataset_title}
+    frames = {"parameters": parameters_table(results)}
+    frames |= {name: getattr(results, name) for name in ("errors", "starts", "directions")}
+    rows = {name: frame.to_dict("records") for name, frame in frames.items()}
     return {**about, "interrupted": results.interrupted, **rows}
 
 
@@ -46,48 +68,29 @@ def waterfall(starts: "pd.DataFrame") -> str:
     agree = int((starts["objective"] <= best * (1 + _AGREE)).sum())
     failed = int(starts["failed_solves"].sum())
     share = f"{agree} of {len(starts)} starts end within {_AGREE:.0%} of the best objective"
-    text = f"Waterfall: {share}, {best:.4g}"
-    return f"{text}; {failed} failed solves." if failed else f"{text}."
+    return f"Waterfall: {share}, {best:.4g}; {failed} of {int(starts['evaluations'].sum())} solves failed."
 
 
 def open_questions(parameters: "pd.DataFrame", directions: "pd.DataFrame") -> list[str]:
-    """Return sentences on what one fit's data do not determine."""
-    free = parameters.query("rival == 'fitted' and status == 'free'")
-    loose = free[~free["determined"].astype(bool)]
-    sentences = [
-        f"NOT determined by these data: {row.parameter} (practically equal fits from {row.spread_low:.3g} "
-        f"to {row.spread_high:.3g}){f'; {row.note}' if row.note else ''}"
-        for row in loose.itertuples()
-    ]
-    return [*sentences, *(f"Known to {row.sd:.2g}: {row.words}" for row in directions.itertuples())]
+    """Return sentences on what the data do not determine, and to what the combinations are known."""
+    loose = parameters[~parameters["determined"].astype(bool)]
+    sentences = []
+    for note, rows in loose.groupby("note", sort=False):
+        names = ", ".join(rows["parameter"].unique())
+        sentences.append(f"NOT determined by these data: {names}{f' ({note})' if note else ''}.")
+    return [*sentences, *(f"Known to {row.sd:.2g}: {row.words}." for row in directions.itertuples())]
 
 
-def _show_parameters(rows: "pd.DataFrame", title: str) -> None:
-    rivals = [rival for rival in _NAMES if rival in set(rows["rival"])]
-    values = {rival: rows[rows["rival"] == rival].set_index("parameter")["value"] for rival in rivals}
-    fitted = rows[rows["rival"] == "fitted"]
-    table = [
-        [
-            row.parameter,
-            *(values[rival].get(row.parameter) for rival in rivals),
-            row.status,
-            row.sd,
-            ("yes" if row.determined else "NO") if row.status == "free" else "",
-        ]
-        for row in fitted.itertuples()
-    ]
-    columns = ["parameter", *(_NAMES[rival] for rival in rivals), "status", "sd", "determined"]
-    screen.show_table(columns, table, title)
+def _says(column: "pd.Series[Any]") -> bool:
+    return bool((column.notna() & (column.astype(str) != "")).any())
 
 
 def _show_errors(results: "Results") -> None:
+    from needlefit.reporting.names import rival_name
+
     errors = results.errors.query("role == 'tune' and boundaries == 'measured'")
-    means = errors.groupby("rival", sort=False)[_METRICS].mean()
-    rows = [
-        [_NAMES.get(str(rival), str(rival).replace("_", " ")), *row]
-        for rival, row in zip(means.index, means.to_numpy().tolist(), strict=True)
-    ]
-    labels = ["", "median mm", "IPE mm", "max mm", "TE mm", "EDP %"]
-    screen.show_table(
-        labels, rows, f"Errors on the {errors['insertion'].nunique()} tuning insertions, mean over insertions"
-    )
+    means = errors.groupby("rival", sort=False)[list(_METRICS)].mean().reset_index()
+    names = [rival_name(str(rival), results) for rival in means["rival"]]
+    count = errors["insertion"].nunique()
+    title = f"Errors on the {count} tuning insertion{'s' if count > 1 else ''}, mean over insertions."
+    screen.show_frame(means.assign(rival=names).round(3).rename(columns=_METRICS), title)

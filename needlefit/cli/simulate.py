@@ -50,7 +50,7 @@ def simulate(
     else:
         _print(title, answer)
     if plot is not None:
-        from needlefit.reporting.scene_figure import draw_scene
+        from needlefit.reporting.figures.scene import draw_scene
 
         draw_scene(title, built, shape, plot)
         screen.note(f"drawn: {plot}")

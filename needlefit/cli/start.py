@@ -35,12 +35,8 @@ def new_dataset(
 
     It is there to be filled with one's own measurements.
     """
-    from needlefit.datasets.template import new_dataset as write_template
+    from needlefit.datasets.template import template
 
-    for written in write_template(folder, source):
-        screen.say(str(written))
-    screen.note(
-        f"fill them in, then: needlefit check ./{folder}"
-        if not folder.is_absolute()
-        else f"needlefit check {folder}"
-    )
+    screen.say(str(template(folder, source)))
+    path = folder if folder.is_absolute() else f"./{folder}"
+    screen.note(f"fill it in, then: needlefit check {path}")

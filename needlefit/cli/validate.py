@@ -56,9 +56,10 @@ def validate(
             screen.say(f"written: {written}/\n")
         done.append(results)
     if json:
+        from needlefit.reporting.tables import records as rows
         from needlefit.reporting.tables import validation_table
 
-        screen.show_json([row for results in done for row in validation_table(results).to_dict("records")])
+        screen.show_json(rows(validation_table(*done)))
     if study == "all":
         from needlefit.reporting.write import write_all
 

@@ -1,0 +1,153 @@
+"""`validate` and `tune`: what they print, write, and how they end; the fitting itself is made up here."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import pytest
+from reporting_results import stereo, study
+from test_cli import run
+
+from needlefit.project import places
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.study import StudyRecord
+
+STUDY = 'schema = 1\ntitle = "Mine"\ndataset = "twin"\nmedium = "phantom2"\nvalidate = [{}]\n'
+FIT = 'schema = 1\ndataset = "twin"\nmedium = "phantom2"\n'
+with (places.shipped() / "data/paper/validation.csv").open(encoding="utf-8") as _file:
+    COLUMNS = _file.readline().strip().split(",")
+
+
+class Stub:
+    """Stands for the run of a study; keeps what it was asked."""
+
+    def __init__(self, results):
+        self.results, self.asked, self.written = results, [], []
+
+    def run(self, name, record, settings):
+        settings.progress("starts", 1, 2)
+        if settings.checkpoint is not None:
+            settings.checkpoint.mkdir(parents=True, exist_ok=True)
+        self.asked.append((name, record, settings))
+        return dataclasses.replace(self.results, name=name, record=record, title="Made up")
+
+    def write(self, results, folder):
+        folder.mkdir(parents=True)
+        self.written.append((results, folder))
+        return []
+
+
+@pytest.fixture
+def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    for folder, name, text in (("studies", "mine", STUDY), ("configs/fits", "gel", FIT)):
+        (tmp_path / folder).mkdir(parents=True)
+        (tmp_path / folder / f"{name}.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+
+    def install(results) -> Stub:
+        made = Stub(results)
+        monkeypatch.setattr("needlefit.validation.run.run", made.run)
+        monkeypatch.setattr("needlefit.reporting.write.write", made.write)
+        return made
+
+    return install
+
+
+def test_validate_writes_prints_and_removes_the_checkpoint(stub, capsys):
+    made = stub(study(1))
+    assert run("validate", "mine", "--seed", "7", "--jobs", "2") == 0
+    ((name, record, settings),) = made.asked
+    assert (name, type(record)) == ("mine", StudyRecord)
+    assert (settings.seed, settings.jobs, settings.resume, settings.sample) == (7, 2, False, False)
+    assert made.written[0][1] == Path("reports/mine")
+    assert not Path("reports/mine.partial").exists()
+    out = capsys.readouterr().out
+    assert "SYNTHETIC data" in out and "noise floor" in out and "constant curvature" in out
+
+
+def test_validate_json_has_the_paper_s_columns_first(stub, capsys):
+    stub(study(1))
+    Path("studies/mine.toml").write_text(STUDY.replace("validate", "paper_study = 1\nvalidate"))
+    assert run("validate", "mine", "--json") == 0
+    rows = json.loads(capsys.readouterr().out)
+    metrics = COLUMNS[3:]
+    assert all(list(row)[: len(COLUMNS)] == COLUMNS for row in rows)
+    assert all(f"paper_{metric}" in row for row in rows for metric in metrics)
+    three_layers = rows[0]
+    assert (three_layers["study"], three_layers["validate_medium"], three_layers["validate_layers"]) == (
+        1,
+        "phantom2",
+        3,
+    )
+    assert (three_layers["paper_te_mm"], three_layers["paper_edp_percent"]) == (0.14, 5.56)
+    assert three_layers["origin"] == "synthetic"
+
+
+def test_validate_reference_writes_evidence(stub):
+    made = stub(study(1))
+    assert run("validate", "mine", "--reference", "-q") == 0
+    assert made.written[0][1] == Path("reports/reference/mine")
+
+
+def test_a_curve_that_beats_the_model_is_named(stub, capsys):
+    stub(stereo())
+    assert run("validate", "mine") == 0
+    assert "does better here than the model: straight line" in capsys.readouterr().out
+
+
+def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
+    made = stub(study(3))
+    assert run("validate", "mine") == 5
+    assert made.written
+    assert "did not converge" in capsys.readouterr().err
+
+
+def test_validate_interrupted_keeps_its_checkpoint_and_says_how_to_go_on(stub, capsys):
+    made = stub(dataclasses.replace(study(1), interrupted=True))
+    assert run("validate", "mine", "--seed", "7") == 130
+    assert made.written == []
+    assert Path("reports/mine.partial").is_dir()
+    assert "to go on: needlefit validate mine --seed 7 --resume" in capsys.readouterr().err
+
+
+def test_tune_of_a_study_tunes_only(stub, capsys):
+    made = stub(study(1))
+    assert run("tune", "mine", "--sample", "--out", "mine out") == 0
+    ((name, record, settings),) = made.asked
+    assert (name, type(record), settings.sample) == ("mine-tune", FitRecord, True)
+    assert record.medium == "phantom2"
+    assert made.written[0][1] == Path("mine out/mine-tune")
+    out = capsys.readouterr().out
+    assert "NOT determined by these data: alpha1, alpha2" in out
+    assert "not tuned on this data" in out and "b re-tuned" in out
+    assert "4 of 8 starts end within 1% of the best objective" in out
+    assert "mu1_pa * bevel_mm^1.9" in out
+
+
+def test_tune_never_prints_what_is_not_determined_as_a_value(stub, capsys):
+    stub(study(1))
+    assert run("tune", "gel", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    rows = {row["parameter"]: row for row in found["parameters"]}
+    assert rows["alpha1"]["fitted"] == "not determined" and rows["alpha1"]["determined"] is False
+    assert rows["bevel_mm"]["fitted"] == "0.0847"
+    assert found["starts"][0]["objective"] is None  # infinite: every solve of that start failed
+    assert (found["origin"], found["interrupted"]) == ("synthetic", False)
+
+
+def test_tune_interrupted_writes_the_best_so_far_marked(stub, capsys):
+    made = stub(dataclasses.replace(study(1), interrupted=True))
+    assert run("tune", "gel") == 130
+    assert made.written[0][0].interrupted
+    captured = capsys.readouterr()
+    assert "INTERRUPTED: the best found so far" in captured.out
+    assert "needlefit tune gel --resume" in captured.err
+    assert Path("reports/gel.partial").is_dir()
+
+
+def test_a_wrong_study_is_told_before_anything_runs(stub, capsys):
+    made = stub(study(1))
+    Path("studies/mine.toml").write_text(STUDY + "validat = 1\n")
+    assert run("validate", "mine") == 3
+    assert "`validat` is unknown" in capsys.readouterr().err
+    assert made.asked == []
