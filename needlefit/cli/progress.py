@@ -1,4 +1,4 @@
-"""How far a long run is: bars on a terminal, otherwise a line a minute; always on stderr."""
+"""How far a long run is: a bar on a terminal, otherwise a line a minute; always on stderr."""
 
 import sys
 import threading
@@ -17,7 +17,7 @@ def progress(quiet: bool = False) -> Iterator[Report]:
     if quiet:
         yield lambda label, done, total: None
     elif sys.stderr.isatty():
-        with _bars() as report:
+        with _bar() as report:
             yield report
     else:
         yield lines(sys.stderr)
@@ -38,18 +38,11 @@ def lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Report
 
 
 @contextmanager
-def _bars() -> Iterator[Report]:
+def _bar() -> Iterator[Report]:
     from rich.console import Console
     from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    lock, tasks = threading.Lock(), {}
-    with Progress(*columns, console=Console(stderr=True), transient=True) as bars:
-
-        def report(label: str, done: int, total: int) -> None:
-            with lock:
-                if label not in tasks:
-                    tasks[label] = bars.add_task(label, total=total)
-            bars.update(tasks[label], completed=done, total=total)
-
-        yield report
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task("starting", total=None)
+        yield lambda label, done, total: bar.update(task, description=label, completed=done, total=total)

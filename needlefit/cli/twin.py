@@ -11,7 +11,7 @@ from needlefit.cli.progress import progress
 
 def twin_build(
     context: typer.Context,
-    seed: Annotated[int, typer.Option(min=0, help="Seed; the shipped twin has the default.")] = 1,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the shipped twin's).")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the dataset.")] = Path("data/twin"),
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
@@ -23,8 +23,9 @@ def twin_build(
     The same seed gives the same bytes. A folder that holds anything but a synthetic dataset is not touched.
     """
     from needlefit.project.replace import replacing_synthetic
-    from needlefit.synthetic.build import build
+    from needlefit.synthetic.build import SEED, build
 
+    seed = SEED if seed is None else seed
     with replacing_synthetic(out) as fresh, progress(context.find_root().obj.quiet) as report:
         build(fresh, seed, report)
     screen.say(f"{out}: synthetic dataset, seed {seed}")
