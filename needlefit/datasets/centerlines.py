@@ -105,12 +105,14 @@ def find_points(
 
 
 def _finite(points: Points, found: list[Fault]) -> Points | None:
-    bad = np.flatnonzero(~np.isfinite(points.values).all(axis=1))
+    bad = points.unusable()
     if len(bad) == 0:
         return points
     found.append(
         Fault(
-            points.where(int(bad[0])), f"has {len(bad)} points that are NaN or infinite", "finite numbers, mm"
+            points.where(int(bad[0])),
+            f"has {len(bad)} points that are NaN, infinite or too far away",
+            "finite numbers, mm",
         )
     )
     return None

@@ -59,16 +59,22 @@ def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord) -> It
 
 
 def _unit_fault(points: Points, row: InsertionRow) -> Fault | None:
-    chord = float(np.linalg.norm(points.values[-1] - points.values[0]))
+    span = _span(points.values)
     for name, factor in UNITS.items():
-        if abs(chord * factor / row.depth - 1) < 0.25:
+        if abs(span * factor / row.depth - 1) < 0.25:
             return Fault(
                 points.where(),
-                f"spans {chord:.4g} where depth_mm is {row.depth:.4g}: this looks like {name}",
+                f"spans {span:.4g} where depth_mm is {row.depth:.4g}: this looks like {name}",
                 "millimetres",
                 f"multiply the coordinates by {factor:g}",
             )
     return None
+
+
+def _span(curve: Floats) -> float:
+    """Return the distance of the two ends of a curve, in whatever order its points are."""
+    end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]
+    return float(np.linalg.norm(curve - end, axis=1).max())
 
 
 def _order_faults(points: Points) -> Iterator[Fault]:

@@ -39,11 +39,11 @@ def read_surface(path: Path, kind: Kind, into: int) -> Surface:
         If the file is missing or holds no triangles.
     """
     expected = "an STL, PLY or OBJ file of triangles, in mm"
+    if not path.is_file():
+        raise DataError("there is no such file", where=str(path), expected=expected)
     try:
         # process=False: trimesh would drop non-finite vertices and hide the fault
         mesh = trimesh.load_mesh(path, process=False)
-    except FileNotFoundError:
-        raise DataError("there is no such file", where=str(path), expected=expected) from None
     except Exception as error:  # the readers of the formats raise whatever the bytes provoke
         raise DataError(f"cannot be read: {error}", where=str(path), expected=expected) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:

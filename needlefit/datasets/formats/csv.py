@@ -11,7 +11,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.formats.points import Points
+from needlefit.datasets.formats.points import LARGEST, Points
 from needlefit.errors import DataError
 
 Floats = NDArray[np.float64]
@@ -68,11 +68,19 @@ def numbers(table: Table, column: str, found: list[Fault], *, optional: bool = F
     """Return a column as numbers (N,); NaN where the cell is faulty, or empty and `optional`."""
     text = table.cells[column]
     values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+    values = np.where(np.abs(values) <= LARGEST, values, np.nan)
     empty = (text == "").to_numpy()
-    bad = np.flatnonzero(~np.isfinite(values) & ~(empty & optional))
+    bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
     for row in bad[:SHOWN]:
         problem = "is empty" if empty[row] else f"is {text.iloc[row]!r}"
-        found.append(Fault(table.where(row), f"{column} {problem}", "a finite number", "mend the cell"))
+        found.append(
+            Fault(
+                table.where(row),
+                f"{column} {problem}",
+                f"a finite number, at most {LARGEST:g}",
+                "mend the cell",
+            )
+        )
     if len(bad) > SHOWN:
         more, line = len(bad) - SHOWN, table.lines[bad[SHOWN]]
         found.append(
@@ -80,7 +88,7 @@ def numbers(table: Table, column: str, found: list[Fault], *, optional: bool = F
                 f"{table.path}:{line}", f"{column} has {more} more such cells from here on", "finite numbers"
             )
         )
-    return np.where(np.isfinite(values), values, np.nan)
+    return values
 
 
 def read_points(

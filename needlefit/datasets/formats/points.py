@@ -6,6 +6,9 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+LARGEST = 1e6
+"""No number of a dataset is greater: a kilometre in mm."""
+
 
 @dataclass(frozen=True)
 class Points:
@@ -22,6 +25,11 @@ class Points:
     path: Path
     values: NDArray[np.float64]
     lines: NDArray[np.int64] | None = None
+
+    def unusable(self) -> NDArray[np.int64]:
+        """Return the points that are not finite, or absurdly far away."""
+        sound = (np.abs(np.nan_to_num(self.values, nan=np.inf)) <= LARGEST).all(axis=1)
+        return np.flatnonzero(~sound)
 
     def where(self, index: int = 0) -> str:
         """Name the place of point `index` for a message."""

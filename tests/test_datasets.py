@@ -1,0 +1,226 @@
+"""A dataset written and read again is the same; known layers, planes, selections and noise come out."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needlefit.datasets.check import check
+from needlefit.datasets.formats.toml import dumps
+from needlefit.datasets.insertion import Noise
+from needlefit.datasets.noise import noise_floor, point_noise
+from needlefit.datasets.read import read
+from needlefit.datasets.schema import InsertionRow
+from needlefit.datasets.select import select
+from needlefit.datasets.write import write_dataset
+from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.surfaces import cylinder, sheet
+from needlefit.project.records.dataset import DatasetRecord
+from needlefit.project.records.fit import SelectionRecord
+
+
+def record(**changes):
+    tables = {
+        "schema": 1,
+        "name": "block",
+        "origin": "synthetic",
+        "license": "CC0-1.0",
+        "source": "made up for the tests",
+        "needle": {"length_mm": 150.0, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+        "insertions": {"file": "insertions.csv"},
+        "centerlines": {"pattern": "centerlines/{id}.csv"},
+        "noise": {"registration_mean_mm": 0.19},
+        "media": {
+            "block": {
+                "surfaces": [
+                    {"file": "layers/sheet.stl", "kind": "sheet", "into": 2},
+                    {"file": "layers/core.stl", "kind": "solid", "into": 4},
+                ]
+            },
+            "given": {"boundaries_mm": [20.0, 50.5, 70.0]},
+        },
+    }
+    return DatasetRecord.model_validate(tables | changes)
+
+
+SURFACES = {
+    "layers/sheet.stl": sheet("sheet", (20, 0, 0), (1, 0, 0), 120, into=2),
+    "layers/core.stl": cylinder("core", ((40, 0, -40), (40, 0, 40)), 5.0, into=4, facets=192),
+}
+
+X = np.linspace(0, 50, 101)
+CURVE = np.column_stack([X, 4e-4 * X**2, 0 * X])  # bends toward +y, 1 mm at 50 mm
+
+
+def row(name, medium="block", **changes):
+    given = {
+        "layers": 4,
+        "depth": 50.0,
+        "entry": np.zeros(3),
+        "direction": np.array([1.0, 0, 0]),
+        "pose_source": "stage",
+    }
+    return InsertionRow(name, medium, **(given | changes))
+
+
+def block(folder, **changes):
+    rows = [
+        row("a", specimen="one"),
+        row("b", medium="given", layers=2, specimen="two", layers_alternative=3, guide_distance=30.0),
+        row("c", medium="given", layers=2, depth=50.0, specimen="two", bevel=np.array([0, -1.0, 0]), side=-1),
+    ]
+    return write_dataset(folder, record(**changes), rows, dict.fromkeys("abc", CURVE), SURFACES)
+
+
+def test_what_is_written_is_read(tmp_path):
+    dataset = read(block(tmp_path))
+    assert check(tmp_path) == []
+    a, b, _ = dataset.insertions
+    assert (dataset.name, dataset.origin, dataset.pose, dataset.noise.registration_mean) == (
+        *("block", "synthetic", "known"),
+        0.19,
+    )
+    assert dataset.needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
+    assert (a.specimen, a.layers, a.layers_alternative, a.guide_distance) == ("one", 4, 4, None)
+    assert (b.specimen, b.layers, b.layers_alternative, b.guide_distance) == ("two", 2, 3, 30.0)
+    np.testing.assert_allclose(a.centerline, CURVE, atol=0.5e-4)
+    np.testing.assert_allclose(a.planar, CURVE[:, :2], atol=1e-4)
+    assert a.deflection == pytest.approx(1.0)
+
+
+def test_layers_come_from_the_surfaces_by_intersection(tmp_path):
+    """Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45."""
+    a = read(block(tmp_path)).insertions[0]
+    assert a.sequence == (1, 2, 4, 2)
+    y = 4e-4 * 40**2
+    half = math.sqrt(25 - y**2)
+    assert a.boundaries == pytest.approx([20, 40 - half, 40 + half], abs=0.03)
+
+
+def test_layers_given_as_depths_end_at_the_tip(tmp_path):
+    b = read(block(tmp_path)).insertions[1]
+    assert b.sequence == (1, 2) and b.boundaries.tolist() == [20.0]
+
+
+def test_the_plane_is_the_bevels_or_the_shapes(tmp_path):
+    _, b, c = read(block(tmp_path)).insertions
+    np.testing.assert_allclose(b.frame.rotation[:, 1], [0, 1, 0], atol=1e-6)
+    np.testing.assert_allclose(c.frame.rotation[:, 1], [0, -1, 0], atol=1e-6)
+    assert c.planar[-1, 1] == pytest.approx(-1.0)
+    assert b.deflection == c.deflection == pytest.approx(1.0)  # both toward the bevel
+
+
+def test_what_leaves_the_plane_is_kept_beside_it(tmp_path):
+    twisted = CURVE + np.column_stack([0 * X, 0 * X, 0.3 * np.sin(X / 8)])
+    bevel = np.array([0, 1.0, 0])
+    file = write_dataset(tmp_path, record(), [row("a", bevel=bevel)], {"a": twisted}, SURFACES)
+    a = read(file).insertions[0]
+    np.testing.assert_allclose(a.out_of_plane, 0.3 * np.sin(X / 8), atol=1e-4)
+
+
+def test_the_pose_of_a_tilted_insertion_is_its_own(tmp_path):
+    """Moving needle and pose together changes nothing in C."""
+    c, s = math.cos(0.4), math.sin(0.4)
+    turn = np.array([[c, 0, -s], [0, 1, 0], [s, 0, c]])
+    shift = np.array([3.0, -5.0, 12.0])
+    moved = row("a", "given", layers=2, entry=shift, direction=turn[:, 0])
+    file = write_dataset(tmp_path, record(), [moved], {"a": CURVE @ turn.T + shift}, SURFACES)
+    np.testing.assert_allclose(read(file).insertions[0].planar, CURVE[:, :2], atol=2e-4)
+
+
+def test_the_same_data_gives_the_same_bytes_and_digest(tmp_path):
+    one, two = block(tmp_path / "one"), block(tmp_path / "two")
+    files = sorted(path.relative_to(tmp_path / "one") for path in one.parent.rglob("*.*"))
+    assert len(files) == 7
+    for file in files:
+        assert (one.parent / file).read_bytes() == (two.parent / file).read_bytes()
+    assert read(one).digest == read(two).digest
+    assert read(block(tmp_path / "three", title="another")).digest != read(one).digest
+
+
+def test_writing_needs_every_centreline_and_surface(tmp_path):
+    with pytest.raises(DataError, match=r"b, layers/core\.stl, layers/sheet\.stl"):
+        write_dataset(tmp_path, record(), [row("a"), row("b")], {"a": CURVE})
+
+
+def test_what_spreadsheets_add_is_read_alike(tmp_path):
+    """A byte order mark, CRLF, blank lines, spaces and quotes change nothing but the checksum."""
+    file = block(tmp_path)
+    before = read(file)
+    for path in (tmp_path / "insertions.csv", tmp_path / "centerlines" / "a.csv"):
+        lines = path.read_text().splitlines()
+        lines = [", ".join(f'"{cell}"' for cell in line.split(",")) for line in lines]
+        path.write_bytes(("\ufeff" + "\r\n\r\n".join(lines) + "\r\n").encode())
+    without_checksums(file)
+    np.testing.assert_array_equal(read(file).insertions[0].planar, before.insertions[0].planar)
+
+
+def without_checksums(file: Path):
+    file.write_text(file.read_text().split("[checksums]")[0])
+
+
+def test_selection(tmp_path):
+    dataset = read(block(tmp_path))
+
+    def ids(reading="listed", **keys):
+        return "".join(i.id for i in select(dataset, SelectionRecord(**keys), reading))
+
+    assert ids() == "abc"
+    assert ids(medium="given") == ids(specimens=("two",)) == ids(layers=(2, 3)) == "bc"
+    assert ids("alternative", layers=(2,)) == "c"
+    assert ids("alternative", layers=(3,)) == "b"
+    assert ids(insertions=("c", "a"), depth_max_mm=50.0, depth_min_mm=50.0) == "ac"
+
+
+@pytest.mark.parametrize(
+    ("keys", "words"),
+    [
+        ({"medium": "gel"}, "medium gel"),
+        ({"insertions": ("a", "z")}, "insertion z"),
+        ({"specimens": ("three",)}, "specimen three"),
+        ({"depth_min_mm": 51.0}, "no insertion"),
+    ],
+)
+def test_a_selection_that_cannot_be_met_says_so(tmp_path, keys, words):
+    dataset = read(block(tmp_path))
+    with pytest.raises(ConfigError, match=words):
+        select(dataset, SelectionRecord(**keys))
+
+
+def test_noise_floor_of_a_shift_is_the_mean_of_a_rayleigh(tmp_path):
+    """An isotropic shift of mean length m in 3-D has mean length m pi / 4 in a plane."""
+    dataset = read(block(tmp_path))
+    floor = noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
+    expected = 0.19 * math.pi / 4
+    assert floor.te_mm == pytest.approx(expected, rel=0.03)
+    assert [floor.ipe_mean_mm, floor.ipe_max_mm, floor.median_err_mm] == pytest.approx([floor.te_mm] * 3)
+
+
+def test_noise_floor_of_an_angle_grows_from_the_entry(tmp_path):
+    """A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall."""
+    turned = row("a", "given", layers=2, pose_angle_sd=0.01)
+    dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
+    floor = noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
+    assert floor.te_mm == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
+    assert floor.ipe_mean_mm == pytest.approx(floor.te_mm / 2, rel=0.01)
+
+
+def test_noise_that_is_not_stated_has_no_floor(tmp_path):
+    dataset = read(block(tmp_path, noise={}))
+    assert math.isnan(noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1)).te_mm)
+
+
+def test_point_noise_has_the_stated_covariance():
+    curve = np.column_stack([np.arange(8.0), np.zeros(8)])
+    noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=2.0)
+    drawn = point_noise(curve, noise, np.random.default_rng(1), 20000)[:, :, 1]
+    lag = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
+    np.testing.assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
+
+
+def test_toml_text_is_read_back():
+    import tomllib
+
+    tables = {"a": 1, "b": 'say "x"\nü', "c": {"d e": [1.5, 2.0], "f": [{"g": True}]}, "h": {"i": {}}}
+    assert tomllib.loads(dumps(tables | {"none": None, "empty": ""})) == tables | {"h": {}}

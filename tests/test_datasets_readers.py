@@ -1,0 +1,75 @@
+"""Readers on anything: a table, or an error that names the place; never another exception."""
+
+from pathlib import Path
+
+import numpy as np
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from test_datasets import block, without_checksums
+
+from needlefit.datasets.check import check
+from needlefit.datasets.formats.csv import numbers, read_table
+from needlefit.errors import DataError
+
+anything = settings(
+    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+finite = st.floats(-1e6, 1e6)
+
+
+@given(
+    st.binary(max_size=200)
+    | st.text(max_size=200).map(str.encode)
+    | st.text('a,1"\n;', max_size=60).map(str.encode)
+)
+@anything
+def test_any_bytes_are_a_table_or_a_data_error(tmp_path, content):
+    path = tmp_path / "any.csv"
+    path.write_bytes(content)
+    try:
+        table = read_table(path)
+    except DataError as error:
+        assert error.where.startswith(str(path))
+    else:
+        assert len(table.cells) == len(table.lines) > 0
+
+
+@given(st.lists(st.tuples(finite, finite, st.integers(0, 3)), min_size=1, max_size=20))
+@anything
+def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, rows):
+    path = tmp_path / "t.csv"
+    text, lines = "a,b\n", []
+    for a, b, blanks in rows:
+        text += "\n" * blanks
+        lines.append(text.count("\n") + 1)
+        text += f"{a!r},{b!r}\n"
+    path.write_text(text)
+    table, found = read_table(path), []
+    values = np.column_stack([numbers(table, column, found) for column in "ab"])
+    assert not found and table.lines.tolist() == lines
+    np.testing.assert_allclose(values, [row[:2] for row in rows], rtol=1e-14)
+
+
+@given(st.data())
+@anything
+def test_check_answers_whatever_a_cell_holds(tmp_path, data):
+    folder = tmp_path / "block"
+    if not folder.exists():
+        without_checksums(block(folder))
+    name = data.draw(st.sampled_from(["insertions.csv", "centerlines/b.csv"]))
+    path: Path = folder / name
+    original = path.read_text()
+    lines = original.split("\n")
+    line = data.draw(st.integers(0, min(len(lines), 8) - 1))
+    cells = lines[line].split(",")
+    place = data.draw(st.integers(0, len(cells) - 1))
+    cells[place] = data.draw(
+        st.sampled_from(["", "0", "-1", "1e308", "nan", "inf", "x", ",", '"', "é", "a", "1e-320"])
+    )
+    lines[line] = ",".join(cells)
+    try:
+        path.write_text("\n".join(lines))
+        for fault in check(folder):
+            assert fault.where and fault.what and str(folder) in fault.where
+    finally:
+        path.write_text(original)

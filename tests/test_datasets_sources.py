@@ -1,0 +1,219 @@
+"""Other people's files: long tables, MATLAB, templates, and the public stereo shapes where they lie."""
+
+import os
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pytest
+from scipy.io import savemat
+from test_datasets import CURVE, SURFACES, record, row
+
+from needlefit.datasets.check import check
+from needlefit.datasets.formats.mat import read_curves
+from needlefit.datasets.noise import noise_floor
+from needlefit.datasets.read import read
+from needlefit.datasets.template import template
+from needlefit.datasets.write import write_dataset
+from needlefit.errors import DataError
+
+SHIPPED = Path(__file__).parent.parent / "data"
+
+LONG = """\
+schema = 1
+name = "long"
+origin = "synthetic"
+license = "CC0-1.0"
+source = "made up for the tests"
+how_to_get = "ask the tests"
+root = "$NEEDLEFIT_TEST_DATA/lab-*"
+frame = { pose = "free", drop_proximal_mm = 10.0 }
+needle = { length_mm = 150.0, flexural_rigidity_nmm2 = 6000.0 }
+media = { gel = {} }
+[insertions]
+id_template = "hole{hole}_{depth}"
+columns = { specimen = "hole", depth_mm = "depth" }
+constants = { medium = "gel", layers = 1 }
+[centerlines]
+file = "shapes.csv"
+group_by = ["hole", "depth"]
+columns = { x_mm = "u", y_mm = "w", z_mm = "out" }
+"""
+
+
+def shapes(folder, holes, depth=50):
+    folder.mkdir()
+    lines = [f"{h},{depth},{u:.4f},{w:.4f},{z:.4f}" for h in holes for u, w, z in CURVE]
+    (folder / "shapes.csv").write_text("\n".join(["hole,depth,u,w,out", *lines]) + "\n")
+
+
+@pytest.fixture
+def long(tmp_path, monkeypatch):
+    monkeypatch.setenv("NEEDLEFIT_TEST_DATA", str(tmp_path))
+    (tmp_path / "dataset.toml").write_text(LONG)
+    shapes(tmp_path / "lab-a", [1, 2])
+    shapes(tmp_path / "lab-b", [3])
+    return tmp_path / "dataset.toml"
+
+
+def test_a_long_table_is_read_through_its_mapping(long):
+    dataset = read(long)
+    assert [i.id for i in dataset.insertions] == ["hole1_50", "hole2_50", "hole3_50"]
+    assert [i.specimen for i in dataset.insertions] == ["1", "2", "3"]
+    first = dataset.insertions[0]
+    assert (dataset.pose, dataset.drop_proximal, first.depth, first.pose_source) == (
+        "free",
+        10.0,
+        50.0,
+        "none",
+    )
+    np.testing.assert_allclose(first.planar, CURVE[:, :2], atol=1e-3)  # x is the tangent at the entry
+    assert first.sequence == (1,)
+
+
+def test_faults_of_a_long_table_name_its_lines(long):
+    path = long.parent / "lab-a" / "shapes.csv"
+    lines = path.read_text().split("\n")
+    lines[129] = "2,50,nan,0,0"
+    path.write_text("\n".join(lines))
+    [fault] = check(long)
+    assert fault.where == f"{path}:130" and "u is 'nan'" in fault.what
+
+
+def test_an_insertion_in_two_folders_is_a_fault(long):
+    shapes(long.parent / "lab-c", [2])
+    [fault] = check(long)
+    assert "hole2_50 is in more than one folder" in fault.what
+
+
+def test_a_mapped_column_must_exist_and_say_one_thing(long):
+    long.write_text(LONG.replace('specimen = "hole"', 'specimen = "piece"'))
+    assert {fault.what for fault in check(long)} == {"column `piece` is missing"}
+    long.write_text(LONG.replace('specimen = "hole"', 'specimen = "w"'))
+    assert {fault.what for fault in check(long)} >= {"column `w` changes within insertion hole1_50"}
+    long.write_text(LONG.replace("{depth}", "{length}"))
+    assert all("id_template" in fault.what for fault in check(long)) and check(long)
+
+
+def test_data_that_is_not_there_says_how_to_get_it(long, monkeypatch):
+    monkeypatch.setenv("NEEDLEFIT_TEST_DATA", str(long.parent / "elsewhere"))
+    with pytest.raises(DataError, match=r"no folder matches[\s\S]*ask the tests"):
+        read(long)
+    monkeypatch.delenv("NEEDLEFIT_TEST_DATA")
+    with pytest.raises(DataError, match=r"not set[\s\S]*ask the tests"):
+        read(long)
+
+
+def test_free_shapes_have_a_noise_floor_after_alignment(long):
+    """A correlated length much longer than the shape moves it as a whole, which alignment undoes."""
+    for length, low, high in ((1e6, 0.0, 0.005), (5.0, 0.05, 0.15)):
+        long.write_text(LONG + f"[noise]\ncorrelated_sd_mm = 0.1\ncorrelation_length_mm = {length}\n")
+        dataset = read(long)
+        floor = noise_floor(dataset, dataset.insertions[0], np.random.default_rng(2))
+        assert low < floor.ipe_mean_mm < high
+
+
+def test_matlab_centrelines_are_read_like_csv(tmp_path):
+    (tmp_path / "centerlines").mkdir(parents=True)
+    file = write_dataset(
+        tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
+    )
+    planar = read(file).insertions[0].planar
+    (tmp_path / "centerlines" / "a.csv").unlink()
+    savemat(tmp_path / "centerlines" / "a.mat", {"needle": CURVE.round(4), "note": "a text", "rate": 3.0})
+    file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
+    np.testing.assert_array_equal(read(file).insertions[0].planar, planar)
+
+
+def test_matlab_faults(tmp_path):
+    file = write_dataset(
+        tmp_path, record(), [row("a", "given", layers=2)], {"a": CURVE}, SURFACES, checksums=False
+    )
+    file.write_text(file.read_text().replace("{id}.csv", "{id}.mat"))
+    path = tmp_path / "centerlines" / "a.mat"
+
+    def fault():
+        [only] = check(file)
+        assert only.where.startswith(str(path))
+        return only.what
+
+    assert "no such file" in fault()
+    path.write_bytes(b"nothing of MATLAB's, but long enough to look at" * 10)
+    assert "cannot be read" in fault()
+    savemat(path, {"x": np.zeros((5, 2))})
+    assert "holds no curve; its variables are x" in fault()
+    savemat(path, {"x": CURVE, "y": CURVE})
+    assert "holds 2 curves: x, y" in fault()
+    broken = CURVE.copy()
+    broken[4, 1] = np.nan
+    savemat(path, {"x": broken})
+    assert "NaN" in fault()
+    assert check(file)[0].where.endswith("point 5")
+
+
+def test_matlab_structs_cells_and_version_7_3(tmp_path):
+    cells = np.empty(2, dtype=object)
+    cells[:] = [CURVE, 2 * CURVE]
+    savemat(tmp_path / "old.mat", {"run": {"shape": CURVE, "depth": 50.0}, "all": cells})
+    curves = read_curves(tmp_path / "old.mat")
+    assert sorted(curves) == ["all_1", "all_2", "run_shape"]
+    np.testing.assert_array_equal(curves["all_2"].values, 2 * CURVE)
+    with h5py.File(tmp_path / "new.mat", "w") as new:  # version 7.3 is HDF5, its matrices turned
+        new["x"] = CURVE.T
+        new["run/shape"] = 3 * CURVE.T
+        new["#refs#/a"] = 2 * CURVE.T
+        new.create_dataset("all", data=[[new["#refs#/a"].ref]], dtype=h5py.ref_dtype)
+    curves = read_curves(tmp_path / "new.mat")
+    assert sorted(curves) == ["all_1", "run_shape", "x"]
+    np.testing.assert_array_equal(curves["run_shape"].values, 3 * CURVE)
+
+
+def test_the_template_passes_check_and_says_that_it_is_made_up(tmp_path):
+    file = template(tmp_path / "mine")
+    assert check(tmp_path / "mine") == []
+    dataset = read(file)
+    assert dataset.origin == "synthetic" and "made-up" in file.read_text()
+    assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
+    with pytest.raises(DataError, match="exists already"):
+        template(tmp_path / "mine")
+
+
+def test_a_template_from_centrelines(tmp_path):
+    lines = [f"{name},{x},{y},{z}" for name in ("first run", "r2") for x, y, z in 3 * CURVE]
+    (tmp_path / "runs.csv").write_text("\n".join(["id,x_mm,y_mm,z_mm", *lines]))
+    savemat(tmp_path / "runs.mat", {"r1": CURVE, "r2": CURVE})
+    from_csv = read(template(tmp_path / "a", tmp_path / "runs.csv"))
+    assert [i.id for i in from_csv.insertions] == ["first_run", "r2"]
+    assert from_csv.pose == "free" and from_csv.needle.length > from_csv.insertions[0].depth > 149
+    assert [i.id for i in read(template(tmp_path / "b", tmp_path / "runs.mat")).insertions] == ["r1", "r2"]
+
+
+def test_a_template_from_faulty_centrelines_lists_the_faults(tmp_path):
+    (tmp_path / "c.csv").write_text(
+        "x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},{z}\n" for x, y, z in CURVE / 1000)
+    )
+    with pytest.raises(DataError, match="metres"):
+        template(tmp_path / "c", tmp_path / "c.csv")
+    (tmp_path / "d.csv").write_text("x,y\n1,2\n")
+    with pytest.raises(DataError, match="`x_mm` is missing"):
+        template(tmp_path / "d", tmp_path / "d.csv")
+    with pytest.raises(DataError, match="ending"):
+        template(tmp_path / "e", tmp_path / "e.xlsx")
+
+
+@pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
+def test_the_public_stereo_shapes():
+    dataset = read(SHIPPED / "stereo_shapes")
+    depths = {insertion.depth for insertion in dataset.insertions}
+    assert depths == {105.0, 110.0, 115.0, 120.0}
+    assert len(dataset.insertions) == 4 * len({i.specimen for i in dataset.insertions}) >= 24
+    assert (dataset.needle.length, dataset.needle.flexural_rigidity) == (200.0, 6441.0)
+    for insertion in dataset.insertions:
+        assert np.sqrt(np.mean(insertion.out_of_plane**2)) < 0.31  # the source's greatest is 0.3
+        assert 2 < insertion.deflection < 20
+
+
+def test_the_public_stereo_shapes_say_how_to_get_them(monkeypatch):
+    monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
+    [fault] = check(SHIPPED / "stereo_shapes")
+    assert "not set" in fault.what and "dlezcan1" not in fault.what and "shapes_planar.csv" in fault.mend
