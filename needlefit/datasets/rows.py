@@ -67,10 +67,7 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
     blank = [""] * len(table.lines)
 
     def column(name: str, default: float | None = None) -> Floats:
-        if name not in table.cells:
-            return np.full(len(table.lines), np.nan if default is None else default)
-        values = numbers(table, name, found, optional=default is not None or name in BEVEL)
-        return values if default is None else np.where(np.isnan(values), default, values)
+        return _column(table, name, default, found)
 
     def vector(names: tuple[str, ...]) -> Floats:
         return np.column_stack([column(name) for name in names])
@@ -102,6 +99,15 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
         )
         for n in range(len(blank))
     ]
+
+
+def _column(table: Table, name: str, default: float | None, found: list[Fault]) -> Floats:
+    """Return a column as numbers; `default` (None: NaN) where it is absent or, if it may be, empty."""
+    fill = math.nan if default is None else default
+    if name not in table.cells:
+        return np.full(len(table.lines), fill)
+    values = numbers(table, name, found, optional=default is not None or name in BEVEL)
+    return np.where(np.isnan(values), fill, values)
 
 
 def _whole(value: float) -> int:

@@ -1,7 +1,7 @@
 """Write a dataset in the layout of `data/README.md`: the same data gives the same bytes."""
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from pathlib import Path
 
 import numpy as np
@@ -50,15 +50,7 @@ def write_dataset(
         If a row has no centreline, or a surface that the record names is not given.
     """
     surfaces = surfaces or {}
-    table, pattern = record.insertions.file, record.centerlines.pattern
-    named = {s.file for medium in record.media.values() for s in medium.surfaces}
-    missing = [row.id for row in rows if row.id not in centerlines] + sorted(named - surfaces.keys())
-    if table is None or pattern is None or missing:
-        raise DataError(
-            f"nothing to write for {', '.join(missing) or 'the table of insertions or the centrelines'}",
-            where=str(folder),
-            expected="insertions.file, centerlines.pattern, a centreline for every row, every surface named",
-        )
+    table, pattern = _named_files(folder, record, {row.id for row in rows} - centerlines.keys(), surfaces)
     files = {table: _rows_text(rows)}
     files |= {pattern.format(id=row.id): _points_text(centerlines[row.id]) for row in rows}
     for name, text in files.items():
@@ -69,6 +61,22 @@ def write_dataset(
     record = record.model_copy(update={"checksums": sums if checksums else {}})
     _write(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
     return folder / "dataset.toml"
+
+
+def _named_files(
+    folder: Path, record: DatasetRecord, without: Set[str], surfaces: Mapping[str, Surface]
+) -> tuple[str, str]:
+    """Return the table of insertions and the pattern of centrelines; DataError if anything is not given."""
+    table, pattern = record.insertions.file, record.centerlines.pattern
+    named = {surface.file for medium in record.media.values() for surface in medium.surfaces}
+    missing = sorted(without) + sorted(named - surfaces.keys())
+    if table is None or pattern is None or missing:
+        raise DataError(
+            f"nothing to write for {', '.join(missing) or 'the table of insertions or the centrelines'}",
+            where=str(folder),
+            expected="insertions.file, centerlines.pattern, a centreline for every row, every surface named",
+        )
+    return table, pattern
 
 
 def _write(path: Path, text: str) -> None:
