@@ -80,6 +80,8 @@ def test_an_unknown_key_lists_the_nearest(capsys):
         ("bevel.side=0", "bevel.side"),
         ("layers.2.top_mm=50", "top_mm must increase"),
         ("needle.youngs_modulus_gpa=nan", "needle.youngs_modulus_gpa"),
+        ("law=rubber", "no tissue law called `rubber`"),
+        ("rules.element_mm=0.3", "does not divide the constraint spacing"),
     ],
 )
 def test_a_wrong_value_names_its_key(setting, told, capsys):

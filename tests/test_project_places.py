@@ -66,10 +66,16 @@ def test_a_dataset_may_be_named_by_its_folder(project):
     assert places.find("dataset", "./gel") == Path("gel/dataset.toml")
 
 
-def test_all_means_the_five_of_the_paper(monkeypatch):
-    monkeypatch.setattr(places, "find", lambda kind, name: Path(f"{name}.toml"))
+def test_all_means_the_five_of_the_paper():
     assert [name for name, _ in places.find_studies("all")] == [f"study{n}" for n in (1, 2, 3, 4, 5)]
-    assert places.find_studies("stereo_depth") == [("stereo_depth", Path("stereo_depth.toml"))]
+
+
+def test_one_study_is_called_by_its_file(project):
+    assert places.find_studies("mine") == [("mine", project / "studies/mine.toml")]
+    assert places.find_studies("studies/mine.toml") == [("mine", Path("studies/mine.toml"))]
+    with pytest.raises(ConfigError, match="no study called `al`") as fault:
+        places.find_studies("al")
+    assert "all" in fault.value.expected
 
 
 def test_a_run_is_a_folder_with_run_json(project):

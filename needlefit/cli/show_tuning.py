@@ -77,7 +77,8 @@ def open_questions(parameters: "pd.DataFrame", directions: "pd.DataFrame") -> li
     sentences = []
     for note, rows in loose.groupby("note", sort=False):
         names = ", ".join(rows["parameter"].unique())
-        sentences.append(f"NOT determined by these data: {names}{f' ({note})' if note else ''}.")
+        why = str(note)
+        sentences.append(f"NOT determined by these data: {names}{f' ({why})' if why else ''}.")
     return [*sentences, *(f"Known to {row.sd:.2g}: {row.words}." for row in directions.itertuples())]
 
 

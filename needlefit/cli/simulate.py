@@ -7,10 +7,12 @@ import typer
 
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import scenes
+from needlefit.errors import ConfigError, ModelError
 
 if TYPE_CHECKING:
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.shape import NeedleShape
+    from needlefit.project.records.scene import SceneRecord
 
 
 def simulate(
@@ -40,10 +42,9 @@ def simulate(
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
-    title, built = _scene(scene, depth, set_ or [])
-    from needlefit.mechanics.simulate import simulate as insert
-
-    shape = insert(built.needle, built.tissue, built.bevel, built.depth, built.controls, built.rules)
+    where, record = _record(scene, depth, set_ or [])
+    title = record.title or scene
+    built, shape = _insert(record, where)
     answer = summary(built, shape)
     if json:
         screen.show_json(answer)
@@ -77,12 +78,24 @@ def summary(scene: "Scene", shape: "NeedleShape") -> dict[str, Any]:
     }
 
 
-def _scene(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "Scene"]:
-    """Return the title and the scene that the arguments describe."""
+def _insert(record: "SceneRecord", where: str) -> tuple["Scene", "NeedleShape"]:
+    """Simulate; what the model will not take is a fault of the scene, a solution not found is none."""
+    from needlefit.mechanics.scene import Scene
+    from needlefit.mechanics.simulate import simulate as insert
+
+    try:
+        scene = Scene.from_record(record)
+        shape = insert(scene.needle, scene.tissue, scene.bevel, scene.depth, scene.controls, scene.rules)
+    except ModelError as error:
+        raise ConfigError(error.what, where=where, expected=error.expected, mend=error.mend) from error
+    return scene, shape
+
+
+def _record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:
+    """Return where the scene stands and what it says, with what the options change."""
     pairs = [_pair(text) for text in assignments]
     if depth is not None:
         pairs.append(("depth_mm", repr(depth)))
-    from needlefit.mechanics.scene import Scene
     from needlefit.project.load import check, load, read_toml
     from needlefit.project.overrides import override
     from needlefit.project.places import find
@@ -90,10 +103,10 @@ def _scene(name: str, depth: float | None, assignments: list[str]) -> tuple[str,
 
     path = find("scene", name)
     record = load(path, SceneRecord)
-    if pairs:
-        where = f"{path}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
-        record = check(override(read_toml(path), pairs, SceneRecord, str(path)), SceneRecord, where)
-    return record.title or path.stem, Scene.from_record(record)
+    if not pairs:
+        return str(path), record
+    where = f"{path}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
+    return where, check(override(read_toml(path), pairs, SceneRecord, str(path)), SceneRecord, where)
 
 
 def _pair(text: str) -> tuple[str, str]:

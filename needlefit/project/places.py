@@ -90,10 +90,13 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
 
     Studies on data that is not shipped are never among `all`.
     """
-    if name != "all":
-        path = find("study", name)
-        return [(path.stem, path)]
-    return [(study, find("study", study)) for study in PAPER_STUDIES]
+    if name == "all":
+        return [(study, find("study", study)) for study in PAPER_STUDIES]
+    known = names("study")
+    if not _is_path(name) and name not in known:
+        raise _unknown("study", name, [*known, "all"])
+    path = find("study", name)
+    return [(path.stem, path)]
 
 
 def find_run(name: str) -> Path:
