@@ -9,6 +9,7 @@ from needlefit.datasets.schema import InsertionRow
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.surfaces import Surface
 from needlefit.synthetic.design import Planned, insertions
+from needlefit.synthetic.measure import TURN_SD
 from needlefit.synthetic.phantoms import PHANTOMS, surfaces
 from needlefit.synthetic.statement import BOUNDARY_SD, statement, surface_file
 from needlefit.synthetic.truth import POSE_ANGLE_SD, POSE_SHIFT_SD
@@ -64,7 +65,8 @@ def _row(planned: Planned) -> InsertionRow:
         bevel=planned.side * planned.toward,
         pose_source="stage",
         pose_shift_sd=POSE_SHIFT_SD,
-        pose_angle_sd=float(np.radians(POSE_ANGLE_SD)),
+        # what turns the centreline against the stage: the stage itself, and the registration
+        pose_angle_sd=float(np.hypot(np.radians(POSE_ANGLE_SD), TURN_SD)),
         boundary_sd=BOUNDARY_SD if planned.medium != "chicken" else 0.0,
     )
 

@@ -17,8 +17,11 @@ NOISE = Noise(registration_mean=0.19, point_sd=0.03, correlated_sd=0.1, correlat
 CENTRE = np.array([40.0, 0.0, 0.0])
 """Registration turns about the middle of the box, where the markers' centre lies (world, mm)."""
 
-TURN_PER_SHIFT = 0.02
+TURN_PER_SHIFT = 0.01
 """Deviation of a registration's rotation, rad, per mm of deviation of its shift."""
+
+TURN_SD = TURN_PER_SHIFT * NOISE.registration_mean / np.sqrt(8 / np.pi)
+"""Deviation of a registration's rotation per axis, rad (to a few percent: `draw_registration` is exact)."""
 
 
 @dataclass(frozen=True)

@@ -46,8 +46,8 @@ class Phantom:
 
 PHANTOMS = {
     "phantom1": Phantom((20.0, 26.0, 62.0)),
-    "phantom2": Phantom((19.0, 27.0), Cylinder(top=40.0, radius=22.0, length=64.0)),
-    "phantom3": Phantom((17.5, 22.5), Cylinder(top=35.5, radius=22.0, length=64.0)),
+    "phantom2": Phantom((19.0, 27.0), Cylinder(top=40.0, radius=19.0, length=64.0)),
+    "phantom3": Phantom((17.5, 22.5), Cylinder(top=35.5, radius=19.0, length=64.0)),
     "chicken": Phantom(()),
 }
 

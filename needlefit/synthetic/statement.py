@@ -21,11 +21,12 @@ NOTES = (
     "Synthetic: no needle was ever inserted. Counts of insertions, layers traversed and ends of the depth "
     "ranges are the paper's; the layers' places, entry positions, tilts, bevel sides and the depths in "
     "between are invented. The world's x axis points into the 80 mm box, whose entry face is x = 0, "
-    "-40 <= y, z <= 40. Entry poses are those of the stage, bevel_x, bevel_y, bevel_z the direction in "
-    "which +y of the constraint frame points, and bevel_side the side to which the bevel faces. "
-    "Centrelines carry the registration's error, correlated and independent noise. The insertion with "
-    "layers_alternative = 3 beside layers = 4 ends at the top of the cylinder. What generated the data is "
-    "not the model that is fitted to it."
+    "-40 <= y, z <= 40. Entry poses are those of the stage; bevel_x, bevel_y, bevel_z is the direction in "
+    "which +y of the constraint frame points, bevel_side the side to which the bevel faces. Centrelines "
+    "carry the registration's error, correlated and independent noise; pose_angle_sd_deg is of stage and "
+    "registration together, pose_shift_sd_mm of the stage alone. The insertion with layers_alternative = 3 "
+    "beside layers = 4 ends at the top of the cylinder. What generated the data is not the model that is "
+    "fitted to it."
 )
 
 _LAYERS = {

@@ -1,0 +1,274 @@
+"""The parts of the twin: plan, phantoms, one insertion, what is measured of it."""
+
+import csv
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from needlefit.errors import ModelError
+from needlefit.geometry.crossings import crossings
+from needlefit.mechanics.control import Bevel
+from needlefit.mechanics.shape import positions
+from needlefit.mechanics.simulate import simulate
+from needlefit.project.places import shipped
+from needlefit.synthetic import insert as insert_module
+from needlefit.synthetic.design import insertions
+from needlefit.synthetic.field import Field
+from needlefit.synthetic.insert import RULES, insert, stated_frame
+from needlefit.synthetic.measure import (
+    CENTRE,
+    NOISE,
+    TURN_PER_SHIFT,
+    Registration,
+    correlated,
+    draw_registration,
+    mean_error,
+    measure,
+)
+from needlefit.synthetic.phantoms import PHANTOMS, displaced, surfaces
+from needlefit.synthetic.truth import (
+    MEDIA,
+    NOMINAL,
+    true_bevel,
+    true_deviations,
+    true_needle,
+    true_specimen,
+)
+
+PLAN = {planned.id: planned for planned in insertions()}
+
+
+def paper(name):
+    with (shipped() / "data" / "paper" / name).open(newline="") as file:
+        return list(csv.DictReader(file))
+
+
+def truly_inserted(name, seed=1):
+    planned = PLAN[name]
+    specimen = true_specimen(seed, planned.medium, planned.specimen)
+    return planned, specimen, insert(planned, true_needle(seed), specimen, true_deviations(seed, planned))
+
+
+# ---- the plan
+
+
+@pytest.mark.parametrize("row", paper("insertions.csv"), ids=lambda row: f"{row['medium']}-{row['layers']}")
+def test_counts_and_depth_ranges_are_the_papers(row):
+    depths = [p.depth for p in PLAN.values() if (p.medium, str(p.layers)) == (row["medium"], row["layers"])]
+    assert len(depths) == int(row["insertions"])
+    assert (min(depths), max(depths)) == (float(row["depth_min_mm"]), float(row["depth_max_mm"]))
+    assert len(set(depths)) == len(depths)
+
+
+def test_47_insertions_vary_as_in_the_paper():
+    assert len(PLAN) == 47
+    assert {p.tilt for p in PLAN.values()} == {0, 10, -10, 20, -20, 30, -30}
+    assert {p.side for p in PLAN.values()} == {1, -1}
+    assert len({(p.medium, p.y, p.z) for p in PLAN.values()}) == 47
+
+
+def test_chicken_pieces_have_3_3_and_6_insertions_the_last_at_two_orientations():
+    pieces = {}
+    for planned in PLAN.values():
+        if planned.medium == "chicken":
+            pieces.setdefault(planned.specimen, []).append(planned.tilt)
+    assert [len(tilts) for tilts in pieces.values()] == [3, 3, 6]
+    assert [len(set(tilts)) for tilts in pieces.values()] == [1, 1, 2]
+
+
+def test_one_insertion_carries_both_readings_of_the_paper():
+    both = [p for p in PLAN.values() if p.layers != p.layers_alternative]
+    assert [(p.medium, p.layers, p.layers_alternative) for p in both] == [("phantom2", 4, 3)]
+    read_otherwise = [p.layers_alternative for p in PLAN.values() if p.medium == "phantom2"]
+    assert [read_otherwise.count(n) for n in (4, 3, 2, 1)] == [8, 6, 1, 1]
+
+
+def test_axis_and_bevel_of_a_tilted_plan():
+    planned = PLAN["phantom1-09"]  # tilt 30, bevel to -y
+    assert planned.direction == pytest.approx([math.sqrt(3) / 2, 0.5, 0])
+    assert planned.toward == pytest.approx([0.5, -math.sqrt(3) / 2, 0])
+    for other in PLAN.values():
+        frame = stated_frame(other)
+        assert frame.rotation[:, 2] == pytest.approx([0, 0, other.side])
+
+
+# ---- phantoms and truth
+
+
+def test_boundaries_of_the_phantoms():
+    assert [s.kind for s in surfaces(PHANTOMS["phantom1"])] == ["sheet"] * 3
+    assert [(s.kind, s.into) for s in surfaces(PHANTOMS["phantom2"])] == [
+        ("sheet", 2),
+        ("sheet", 3),
+        ("solid", 4),
+    ]
+    assert surfaces(PHANTOMS["chicken"]) == ()
+    moved = surfaces(displaced(PHANTOMS["phantom2"], [0.5, 0.0, -1.0]))
+    tops = [s.mesh.bounds[0, 0] for s in moved]
+    assert tops == pytest.approx([19.5, 27.0, 39.0], abs=0.02)
+
+
+def test_layers_lie_in_the_box():
+    for phantom in PHANTOMS.values():
+        for surface in surfaces(phantom):
+            low, high = surface.mesh.bounds
+            assert low[0] > 0 and high[0] < 80
+            assert np.abs([low[1:], high[1:]]).max() <= 40
+
+
+def test_true_moduli_are_those_of_the_papers_table():
+    rows = {row["set"]: row for row in paper("parameters.csv")}
+    for name, medium in MEDIA.items():
+        row, layers = rows[name], range(1, len(medium.mu_pa) + 1)
+        assert medium.mu_pa == tuple(float(row[f"mu{n}_pa"]) for n in layers)
+        assert medium.alpha == tuple(float(row[f"alpha{n}"]) for n in layers)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_true_needle_is_a_few_percent_off(seed):
+    off = true_needle(seed).flexural_rigidity / NOMINAL.flexural_rigidity - 1
+    assert 0.02 <= abs(off) <= 0.05
+
+
+def test_pieces_of_chicken_differ_and_phantoms_do_not_vary_within():
+    one, other = (true_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
+    assert one.mu != other.mu
+    assert not np.array_equal(one.field.at(np.zeros((1, 3))), other.field.at(np.zeros((1, 3))))
+    assert true_specimen(1, "phantom2", "phantom2").field is None
+
+
+def test_bevel_along_across_and_between_the_fibres():
+    specimen = true_specimen(1, "chicken", "chicken-piece1")
+    offset = MEDIA["chicken"].bevel
+    planned = PLAN["chicken-02"]
+    assert planned.grain == 45.0
+    assert true_bevel(specimen, planned) == pytest.approx(offset)
+    assert true_bevel(true_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
+
+
+def test_the_field_is_smooth_and_has_its_deviation():
+    points = np.random.default_rng(0).uniform(-40, 40, (200, 3))
+    draws = [Field.draw(np.random.default_rng(n), sd=0.4, length=12.0) for n in range(200)]
+    values = np.array([field.at(points[:1])[0] for field in draws])
+    assert np.std(values) == pytest.approx(0.4, rel=0.2)
+    near = np.concatenate([field.at(points + np.array([1, 0, 0])) - field.at(points) for field in draws[:20]])
+    # for a Gaussian covariance, sd of a difference over 1 mm is sd sqrt(2 - 2 exp(-1 / 288))
+    assert np.std(near) == pytest.approx(0.4 * math.sqrt(2 - 2 * math.exp(-1 / 288)), rel=0.15)
+
+
+# ---- one insertion
+
+
+@pytest.mark.parametrize("name", ["phantom1-09", "phantom2-02", "phantom2-09", "phantom3-03"])
+def test_needle_and_layers_agree(name):
+    planned, specimen, found = truly_inserted(name)
+    met = crossings(found.centerline, specimen.surfaces)
+    assert met.sequence == found.sequence == tuple(range(1, planned.layers + 1))
+    assert found.frame.to_local(met.points)[:, 0] == pytest.approx(found.boundaries, abs=1e-4)
+    shape = simulate(
+        true_needle(1), found.tissue, Bevel(true_bevel(specimen, planned)), planned.depth, rules=RULES
+    )
+    assert shape.deflection == pytest.approx(found.shape.deflection, abs=1e-4)
+
+
+def test_crossings_lie_on_plane_and_cylinder():
+    _, specimen, found = truly_inserted("phantom2-09")
+    points = crossings(found.centerline, specimen.surfaces).points
+    tops = [s.mesh.bounds[0, 0] for s in specimen.surfaces]
+    assert points[:2, 0] == pytest.approx(tops[:2], abs=1e-9)
+    radius = PHANTOMS["phantom2"].cylinder.radius
+    sagitta = radius * (1 - math.cos(math.pi / 96))  # the cylinder is a prism
+    assert radius - math.hypot(points[2, 0] - tops[2] - radius, points[2, 2]) == pytest.approx(
+        sagitta / 2, abs=sagitta
+    )
+
+
+def test_the_needle_starts_at_the_entry_keeps_its_length_and_leaves_its_plane():
+    planned, _, found = truly_inserted("phantom2-08")
+    steps = np.linalg.norm(np.diff(found.centerline, axis=0), axis=1)
+    assert steps.max() <= 0.51
+    assert steps.sum() == pytest.approx(planned.depth, abs=0.03)  # bending aside adds a hundredth
+    local = found.frame.to_local(found.centerline)
+    assert np.linalg.norm(local[0]) < 0.5
+    assert abs(local[-1, 2]) > 0.01 and local[0, 2] == 0.0
+    assert found.deflection == pytest.approx(local[-1, 1] - local[0, 1])
+    assert found.deflection > 0  # toward the bevel
+    tip = positions(found.shape, np.array([planned.depth]))[0]
+    assert local[-1, :2] == pytest.approx(tip)
+
+
+def test_a_heterogeneous_piece_is_cut_in_thin_slices():
+    planned, specimen, found = truly_inserted("chicken-03")
+    assert found.sequence == (1,)
+    assert np.diff(found.tissue.boundaries) == pytest.approx(2.0)
+    assert found.tissue.layers == math.ceil(found.frame.to_local(found.centerline)[-1, 0] / 2)
+    assert np.abs(np.diff(np.log(found.tissue.mu))).max() < 0.4  # smooth
+    assert np.ptp(np.log(found.tissue.mu)) > 0.1  # but not constant
+    assert np.all(found.tissue.friction > 0)
+    assert planned.depth == 57.43 and specimen.medium == "chicken"
+
+
+def test_a_needle_that_does_not_settle_is_an_error(monkeypatch):
+    monkeypatch.setattr(insert_module, "ROUNDS", 1)
+    with pytest.raises(ModelError, match="phantom2-08 does not settle"):
+        truly_inserted("phantom2-08")
+
+
+# ---- what is measured
+
+
+@given(
+    turn=st.tuples(*[st.floats(-0.1, 0.1)] * 3),
+    shift=st.tuples(*[st.floats(-1, 1)] * 3),
+)
+@settings(max_examples=50, deadline=None)
+def test_registration_is_rigid(turn, shift):
+    points = np.array([[0.0, 1, 2], [50, 3, -4], [20, -9, 8]])
+    moved = Registration(np.array(shift), np.array(turn)).move(points)
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        assert np.linalg.norm(moved[i] - moved[j]) == pytest.approx(np.linalg.norm(points[i] - points[j]))
+
+
+def test_registration_turns_about_the_box_centre():
+    quarter = Registration(np.zeros(3), np.array([0, 0, math.pi / 2]))
+    assert quarter.move(CENTRE) == pytest.approx(CENTRE)
+    assert quarter.move(CENTRE + np.array([1, 0, 0])) == pytest.approx(CENTRE + np.array([0, 1, 0]))
+
+
+def test_expected_registration_error_in_closed_form():
+    assert mean_error(CENTRE[None]) == pytest.approx(math.sqrt(8 / math.pi))  # no lever: a pure shift
+    rng = np.random.default_rng(3)
+    far = CENTRE + np.array([300.0, 0, 0])  # a lever long enough to matter
+    q = TURN_PER_SHIFT * 300
+    draws = rng.normal(size=(200_000, 3)) * [1, math.hypot(1, q), math.hypot(1, q)]
+    assert mean_error(far[None]) == pytest.approx(np.linalg.norm(draws, axis=1).mean(), rel=0.01)
+
+
+def test_mean_registration_error_is_the_papers():
+    needle = np.column_stack([np.linspace(0, 55, 56), np.linspace(0, 4, 56) ** 2 / 4, np.zeros(56)])
+    rng = np.random.default_rng(5)
+    errors = [
+        np.linalg.norm(draw_registration(needle, rng).move(needle) - needle, axis=1).mean()
+        for _ in range(4000)
+    ]
+    standard_error = np.std(errors) / math.sqrt(len(errors))
+    assert abs(np.mean(errors) - 0.19) < 4 * standard_error < 0.006
+
+
+def test_correlated_noise_has_its_covariance():
+    arc = np.array([0.0, 0.5, 1.5, 11.5])
+    rng = np.random.default_rng(7)
+    draws = np.concatenate([correlated(arc, rng).T for _ in range(20_000)])  # (3 * 20000, 4)
+    expected = NOISE.correlated_sd**2 * np.exp(-np.abs(arc[:, None] - arc) / NOISE.correlation_length)
+    assert np.cov(draws.T) == pytest.approx(expected, abs=0.02 * NOISE.correlated_sd**2)
+
+
+def test_measured_points_scatter_as_stated():
+    line = np.column_stack([np.linspace(0, 50, 101), np.zeros(101), np.zeros(101)])
+    still = Registration(np.zeros(3), np.zeros(3))
+    rng = np.random.default_rng(11)
+    noise = np.array([measure(line, still, rng) - line for _ in range(1000)])
+    assert noise.std() == pytest.approx(math.hypot(NOISE.point_sd, NOISE.correlated_sd), rel=0.03)

@@ -1,0 +1,151 @@
+"""The twin as a whole: the same bytes again, the shipped copy, its truth apart."""
+
+import csv
+import re
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import needlefit
+from needlefit.datasets.check import check
+from needlefit.datasets.read import read
+from needlefit.project.places import shipped
+from needlefit.synthetic.build import SEED, build
+from needlefit.synthetic.design import insertions
+from needlefit.synthetic.twin import synthesize
+
+TWIN = shipped() / "data" / "twin"
+PACKAGE = Path(needlefit.__file__).parent
+
+TARGETS = {  # tip deflection, mm, that the paper's tables imply
+    "phantom1_layers3": 1.1,
+    "phantom2_layers4": 4.3,
+    "phantom2_layers3": 3.4,
+    "phantom2_layers2": 0.9,
+    "phantom2_layers1": 0.4,
+    "phantom3_layers4": 1.1,
+    "chicken_layers1": 0.46,
+}
+
+
+def files(folder):
+    return sorted(path.relative_to(folder) for path in folder.rglob("*") if path.is_file())
+
+
+def contents(folder):
+    return {name: (folder / name).read_bytes() for name in files(folder)}
+
+
+@pytest.fixture(scope="module")
+def rebuilt(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("rebuilt")
+    build(folder, SEED)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def truth():
+    return tomllib.loads((TWIN / "truth.toml").read_text(encoding="utf-8"))
+
+
+def test_the_same_seed_gives_the_same_bytes(rebuilt, tmp_path):
+    steps = []
+    build(tmp_path, SEED, lambda what, done, of: steps.append((what, done, of)))
+    assert contents(tmp_path) == contents(rebuilt)
+    assert steps[0] == ("phantom1-01", 0, 47) and steps[-1] == ("writing", 47, 47)
+
+
+def test_another_seed_gives_another_twin(rebuilt, tmp_path):
+    build(tmp_path, SEED + 1)
+    same = [name for name, data in contents(tmp_path).items() if (rebuilt / name).read_bytes() == data]
+    assert all(name.parts[0] == "layers" or name.name == "insertions.csv" for name in same)
+
+
+def test_the_shipped_twin_is_a_rebuild(rebuilt):
+    """On the machine that built it to the last byte; elsewhere rounding may turn a last digit."""
+    assert files(TWIN) == files(rebuilt)
+    for name in files(TWIN):
+        if name.suffix == ".csv":
+            ours, theirs = ((folder / name).read_text().splitlines() for folder in (TWIN, rebuilt))
+            assert len(ours) == len(theirs) and ours[0] == theirs[0]
+            for a, b in zip(ours[1:], theirs[1:], strict=True):
+                assert _equal(a, b), f"{name}: {a} | {b}"
+
+
+def _equal(line, other):
+    for a, b in zip(line.split(","), other.split(","), strict=True):
+        if a != b and not abs(float(a) - float(b)) < 1.5e-4:
+            return False
+    return True
+
+
+def test_an_insertion_does_not_depend_on_the_others():
+    planned = insertions()[30]
+    with (TWIN / "centerlines" / f"{planned.id}.csv").open(newline="") as file:
+        written = np.array([[float(cell) for cell in row] for row in list(csv.reader(file))[1:]])
+    assert synthesize(planned, SEED).measured == pytest.approx(written, abs=1e-4)
+
+
+def test_the_shipped_twin_has_no_fault_and_is_small():
+    assert check(TWIN) == []
+    assert sum((TWIN / name).stat().st_size for name in files(TWIN)) < 1_000_000
+
+
+def test_what_the_dataset_states():
+    dataset = read(TWIN)
+    assert (dataset.origin, dataset.pose, len(dataset.insertions)) == ("synthetic", "known", 47)
+    assert dataset.needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
+    assert dataset.noise.registration_mean == 0.19
+    for insertion in dataset.insertions:
+        assert len(insertion.sequence) in {insertion.layers, insertion.layers_alternative}
+        assert insertion.pose_source == "stage" and insertion.pose_shift_sd > 0
+        assert np.linalg.norm(insertion.centerline[0] - insertion.frame.origin) < 1.0
+        steps = np.linalg.norm(np.diff(insertion.centerline, axis=0), axis=1)
+        assert np.median(steps) == pytest.approx(0.5, abs=0.03)
+
+
+def test_measured_layer_depths_scatter_about_the_true_ones_as_stated(truth):
+    true = {row["id"]: row for row in truth["insertions"]}
+    off = [
+        measured - actual
+        for insertion in read(TWIN).insertions
+        for measured, actual in zip(
+            insertion.boundaries, true[insertion.id].get("boundaries_mm", []), strict=False
+        )
+    ]
+    stated = max(insertion.boundary_sd for insertion in read(TWIN).insertions)
+    assert len(off) > 70
+    assert 0.5 * stated < np.sqrt(np.mean(np.square(off))) < 1.3 * stated
+
+
+def test_group_means_resemble_the_papers(truth):
+    groups = {name.removesuffix("_mean_deflection_mm"): mean for name, mean in truth["groups"].items()}
+    assert groups.keys() == TARGETS.keys()
+    for name, target in TARGETS.items():
+        assert groups[name] == pytest.approx(target, rel=0.3), name
+    chicken = [row["deflection_mm"] for row in truth["insertions"] if row["id"].startswith("chicken")]
+    assert 0.01 < min(chicken) < 0.05 and 1.0 < max(chicken) < 1.5
+
+
+def test_the_truth_is_not_the_model_that_is_fitted(truth):
+    assert truth["model"]["element_mm"] == 0.25
+    needle = truth["needle"]
+    assert needle["flexural_rigidity_nmm2"] != needle["nominal_flexural_rigidity_nmm2"]
+    assert all(medium["friction"] > 0 for medium in truth["media"].values())
+    rows = truth["insertions"]
+    assert np.std([row["bevel_plane_deg"] for row in rows]) == pytest.approx(3, rel=0.3)
+    assert np.mean([abs(row["out_of_plane_mm"]) for row in rows]) > 0.05
+    assert np.mean([row["registration_error_mm"] for row in rows]) == pytest.approx(0.19, rel=0.2)
+    assert any(len(row["mu_pa"]) > 10 for row in rows)
+
+
+def test_nothing_that_fits_reads_the_truth():
+    for path in PACKAGE.rglob("*.py"):
+        part = path.relative_to(PACKAGE).parts[0]
+        text = path.read_text(encoding="utf-8")
+        if part != "synthetic":
+            assert not re.search(r"truth\.toml|truth_file", text), path
+        if part in {"inference", "validation", "datasets"}:
+            assert "needlefit.synthetic" not in text and not re.search(r"['\"]truth", text), path
