@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cholesky, solve_triangular
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.noise import MEAN_OF_NORM
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import align_rigid
@@ -32,9 +33,6 @@ MOST_POINTS = 200
 
 FREE_SHIFT, FREE_ANGLE = 100.0, 1.0
 """Prior standard deviations (mm, rad) that stand for a pose not known at all."""
-
-MEAN_OF_RADIUS = math.sqrt(8.0 / math.pi)
-"""Mean length of an isotropic Gaussian 3-vector of unit standard deviation per axis."""
 
 
 @dataclass(frozen=True)
@@ -124,13 +122,13 @@ def covariance(s: Floats, points: Floats, noise: Noise, pose: tuple[float, float
 def pose_sds(pose: Pose, insertion: Insertion, noise: Noise) -> tuple[float, float]:
     """Return the prior standard deviations of the pose in the plane, mm per axis and rad.
 
-    A registration error of mean length m, isotropic in space, has m / sqrt(8 / pi) per axis; it adds to
-    the error of the entry pose itself.
+    A registration error of mean length m, isotropic in space, has m / sqrt(8 / pi) per axis. It and the
+    row's pose deviation are often one error told twice: the larger one counts, as in the noise floor.
     """
     if pose == "free":
         return FREE_SHIFT, FREE_ANGLE
-    registration = noise.registration_mean / MEAN_OF_RADIUS
-    return math.hypot(insertion.pose_shift_sd, registration), insertion.pose_angle_sd
+    registration = noise.registration_mean / MEAN_OF_NORM
+    return max(insertion.pose_shift_sd, registration), insertion.pose_angle_sd
 
 
 def _compared(dataset: Dataset, insertion: Insertion) -> tuple[Floats, Floats]:

@@ -29,36 +29,34 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Algorithm:
-    """nlopt algorithms one after the other, each with its share of the budget.
+    """One of nlopt's algorithms.
 
     Attributes
     ----------
-    stages : tuple of (int, float)
-        nlopt's code and the share.
+    code : int
+        nlopt's.
     stochastic : bool
         Whether it draws random numbers.
     dimensions : int
-        The fewest free parameters that it can search; below, sbplx takes its place.
+        The fewest free parameters that it can search; below, Nelder-Mead takes its place.
     """
 
-    stages: tuple[tuple[int, float], ...]
+    code: int
     stochastic: bool = False
     dimensions: int = 1
 
 
-SBPLX = Algorithm(((nlopt.LN_SBPLX, 1.0),))
-
 ALGORITHMS = {
-    "sbplx": SBPLX,
-    "bobyqa": Algorithm(((nlopt.LN_BOBYQA, 1.0),), dimensions=2),
-    "neldermead": Algorithm(((nlopt.LN_NELDERMEAD, 1.0),)),
-    "cobyla": Algorithm(((nlopt.LN_COBYLA, 1.0),)),
-    "praxis": Algorithm(((nlopt.LN_PRAXIS, 1.0),), stochastic=True, dimensions=2),
-    "crs2": Algorithm(((nlopt.GN_CRS2_LM, 0.6), (nlopt.LN_SBPLX, 0.4)), stochastic=True),
-    "isres": Algorithm(((nlopt.GN_ISRES, 0.6), (nlopt.LN_SBPLX, 0.4)), stochastic=True),
-    "esch": Algorithm(((nlopt.GN_ESCH, 0.6), (nlopt.LN_SBPLX, 0.4)), stochastic=True),
+    "sbplx": Algorithm(nlopt.LN_SBPLX),
+    "bobyqa": Algorithm(nlopt.LN_BOBYQA, dimensions=2),
+    "neldermead": Algorithm(nlopt.LN_NELDERMEAD),
+    "cobyla": Algorithm(nlopt.LN_COBYLA),
+    "praxis": Algorithm(nlopt.LN_PRAXIS, stochastic=True, dimensions=2),
+    "crs2": Algorithm(nlopt.GN_CRS2_LM, stochastic=True),
+    "isres": Algorithm(nlopt.GN_ISRES, stochastic=True),
+    "esch": Algorithm(nlopt.GN_ESCH, stochastic=True),
 }
-"""What a recipe may ask for. A global search is polished by sbplx."""
+"""What a recipe may ask for, alone or one after the other: `sbplx`, `bobyqa+neldermead`, `crs2+sbplx`."""
 
 FIRST_STEP = 0.1
 """Initial step of a local search, as a part of each parameter's range."""
@@ -88,14 +86,14 @@ def minimize(
         If no evaluation of any start succeeded, or finished starts belong to another fit.
     """
     watch = Watch() if watch is None else watch
-    algorithm = _algorithm(recipe.algorithm, len(problem.lower))
+    plan = stages(recipe.algorithm, len(problem.lower))
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     seeds = rng.integers(1, 2**31, size=len(design))
     done = _resumed(watch, design)
 
     def run(index: int, stop: Callable[[], bool]) -> Start:
         books = Ledger(problem, recipe.evaluations, stop)
-        return _search(books, algorithm, recipe.tolerance, (index, design[index], int(seeds[index])))
+        return _search(books, plan, recipe.tolerance, (index, design[index], int(seeds[index])))
 
     for start in _in_threads(run, [i for i in range(len(design)) if i not in done], watch):
         if start.stopped != INTERRUPTED:
@@ -117,14 +115,24 @@ def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Gen
     return spread
 
 
-def _algorithm(name: str, dimensions: int) -> Algorithm:
-    if name not in ALGORITHMS:
+def stages(name: str, dimensions: int) -> tuple[Algorithm, ...]:
+    """Return the algorithms that a recipe's `algorithm` names, e.g. `bobyqa+neldermead`.
+
+    Raises
+    ------
+    ConfigError
+        If one of them is unknown.
+    """
+    parts = [part.strip() for part in name.split("+")]
+    unknown = [part for part in parts if part not in ALGORITHMS]
+    if unknown:
         raise ConfigError(
-            f"there is no algorithm `{name}`",
+            f"there is no algorithm `{unknown[0]}`",
             where="recipe, key `algorithm`",
-            expected=f"one of {', '.join(ALGORITHMS)}",
+            expected=f"one of {', '.join(ALGORITHMS)}, or several joined by +",
         )
-    return ALGORITHMS[name] if dimensions >= ALGORITHMS[name].dimensions else SBPLX
+    named = (ALGORITHMS[part] for part in parts)
+    return tuple(a if dimensions >= a.dimensions else ALGORITHMS["neldermead"] for a in named)
 
 
 def _resumed(watch: Watch, design: Floats) -> dict[int, Start]:
@@ -184,15 +192,17 @@ def _best(problem: Target, starts: tuple[Start, ...], design: Floats) -> Fit:
     )
 
 
-def _search(books: Ledger, algorithm: Algorithm, tolerance: float, place: tuple[int, Floats, int]) -> Start:
+def _search(
+    books: Ledger, plan: tuple[Algorithm, ...], tolerance: float, place: tuple[int, Floats, int]
+) -> Start:
     """Return what the start at `place` (index, theta0, seed) comes to."""
     index, theta0, seed = place
-    if algorithm.stochastic:
+    if any(algorithm.stochastic for algorithm in plan):
         with _RANDOM:
             nlopt.srand(seed)
-            reason = _stages(books, algorithm, tolerance, theta0)
+            reason = _in_turn(books, plan, tolerance, theta0)
     else:
-        reason = _stages(books, algorithm, tolerance, theta0)
+        reason = _in_turn(books, plan, tolerance, theta0)
     if books.theta is None and reason != INTERRUPTED:
         reason = "no finite value"
     return Start(
@@ -206,14 +216,17 @@ def _search(books: Ledger, algorithm: Algorithm, tolerance: float, place: tuple[
     )
 
 
-def _stages(books: Ledger, algorithm: Algorithm, tolerance: float, theta0: Floats) -> str:
-    """Run the stages, each from the best point so far; return why the last one ended."""
-    total, spent, reason = books.budget, 0.0, ""
-    for code, share in algorithm.stages:
-        spent += share
-        books.budget, books.reason = max(1, round(total * spent)), ""
+def _in_turn(books: Ledger, plan: tuple[Algorithm, ...], tolerance: float, theta0: Floats) -> str:
+    """Run the stages, each from the best point so far with its share of what is left of the budget.
+
+    Returns why the last one ended.
+    """
+    total, reason = books.budget, ""
+    for k, algorithm in enumerate(plan):
+        left = total - books.evaluations
+        books.budget, books.reason = books.evaluations + -(-left // (len(plan) - k)), ""
         start = theta0 if books.theta is None else books.theta
-        reason = _stage(books, code, tolerance, books.to_cube(start))
+        reason = _stage(books, algorithm.code, tolerance, books.to_cube(start))
         if reason == INTERRUPTED:
             break
     return reason
@@ -225,20 +238,25 @@ def _stage(books: Ledger, code: int, tolerance: float, start: Floats) -> str:
         with suppress(Ended):
             books.evaluate(start)
         return books.reason or "nothing is free"
+    optimizer = _optimizer(code, tolerance, len(start))
     bugs: list[BaseException] = []
 
     def function(cube: Floats, gradient: Floats) -> float:
         try:
             value = books.evaluate(cube)
         except Ended:
-            raise nlopt.ForcedStop from None
-        except BaseException as error:  # nothing but ForcedStop may travel through nlopt's C code
+            value = math.inf
+            optimizer.force_stop()
+        except BaseException as error:
+            value = math.inf
             bugs.append(error)
-            raise nlopt.ForcedStop from None
+            optimizer.force_stop()
         worst = 2 * abs(books.worst) + 1 if math.isfinite(books.worst) else PENALTY
         return value if math.isfinite(value) else worst
 
-    reason = _run(_optimizer(code, tolerance, len(start)), function, start)
+    # Nothing is raised inside: some algorithms call on after an exception, which Python does not survive.
+    optimizer.set_min_objective(function)
+    reason = _run(optimizer, start)
     if bugs:
         raise bugs[0]
     return books.reason or reason
@@ -254,9 +272,8 @@ def _optimizer(code: int, tolerance: float, dimensions: int) -> "nlopt.opt":
     return optimizer
 
 
-def _run(optimizer: "nlopt.opt", function: Callable[[Floats, Floats], float], start: Floats) -> str:
+def _run(optimizer: "nlopt.opt", start: Floats) -> str:
     """Return why nlopt ended; its answer is not looked at."""
-    optimizer.set_min_objective(function)
     try:
         optimizer.optimize(start)
     except nlopt.ForcedStop:

@@ -1,0 +1,173 @@
+"""Which parameters the data determine, and in which combinations only.
+
+A parameter is called determined if the shapes could tell it (its Cramer-Rao standard deviation is
+below `SD_LOG` in the logarithm, `SD_ALPHA` for alpha), if the starts that ended practically as well as
+the best agree on it (their range is below `SPREAD` such deviations), and if it does not lie at a bound.
+
+The information is J^T J of the whitened residuals plus that of the bounds, 12 / width^2 (the precision
+of a uniform distribution): without it, an alpha free to be 300 would take mu with it.
+"""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.inference.information import (
+    Direction,
+    cramer_rao,
+    directions,
+    jacobian,
+    precision_words,
+    steps,
+)
+from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.problem import Problem
+from needlefit.inference.starts import Fit, Start
+
+Floats = NDArray[np.float64]
+
+SD_LOG, SD_ALPHA = 0.3, 0.5
+"""Largest standard deviations, of a logarithm and of alpha, of a parameter called determined."""
+
+SPREAD = 4.0
+"""Largest range among equal starts, in these standard deviations, of a parameter called determined."""
+
+EQUAL_RELATIVE, EQUAL_MM = 0.01, 0.002
+"""A start is practically as good as the best if it is within 1 % or 0.002 mm of it."""
+
+AT_BOUND = 1e-3
+"""A parameter closer to a bound than this part of its range lies at it."""
+
+TOLD = 0.3
+"""Weight from which on a direction is named in the note of a parameter."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What the data say of each free parameter; mappings go by its name.
+
+    Attributes
+    ----------
+    sds : mapping
+        Cramer-Rao standard deviation, of the logarithm (of alpha itself for alpha).
+    determined : mapping
+        Whether the data determine it.
+    at_bound : mapping
+        "lower" or "upper" where the best point lies at a bound, else "".
+    spread_low, spread_high : mapping
+        Its range among the starts practically as good as the best (Pa, mm).
+    equal_starts : int
+        How many starts these are.
+    directions : tuple of Direction
+        Principal directions of the information, best known first.
+    notes : mapping
+        One sentence for a person.
+    noise_estimated : bool
+        Whether the dataset states no noise, so that the fit's residuals had to stand for it.
+    """
+
+    sds: Mapping[str, float]
+    determined: Mapping[str, bool]
+    at_bound: Mapping[str, str]
+    spread_low: Mapping[str, float]
+    spread_high: Mapping[str, float]
+    equal_starts: int
+    directions: tuple[Direction, ...]
+    notes: Mapping[str, str]
+    noise_estimated: bool
+
+
+def identify(problem: Problem, fit: Fit) -> Verdict:
+    """Return what the data determine at the best point of a fit."""
+    theta, names = np.array(fit.theta), problem.names
+    weighed = with_noise(problem, theta)
+    slope = np.nan_to_num(jacobian(weighed.residuals, theta, steps(names)))  # (R, P)
+    information = slope.T @ slope + np.diag(12.0 / (problem.upper - problem.lower) ** 2)
+    sds = dict(zip(names, cramer_rao(information).tolist(), strict=True))
+    found = directions(information, names)
+    equal = np.array([s.theta for s in practically_equal(fit)] or [fit.theta]).reshape(-1, len(names))
+    bounds = dict(zip(names, _at_bounds(problem, theta), strict=True))
+    ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
+    determined = {n: not bounds[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
+    low, high = (problem.values(end(equal, axis=0)) for end in (np.min, np.max))
+    notes = {n: _note(problem, theta, n, sds[n]) for n in names}
+    for k, n in enumerate(names):
+        if bounds[n]:
+            notes[n] = f"at its {bounds[n]} bound: the data say no more than this"
+        elif determined[n]:
+            notes[n] = f"determined {precision_words(sds[n], in_logarithm(n))}"
+        else:
+            notes[n] += _only_as(k, found)
+    return Verdict(
+        sds=sds,
+        determined=determined,
+        at_bound=bounds,
+        spread_low={n: low[n] for n in names},
+        spread_high={n: high[n] for n in names},
+        equal_starts=len(equal),
+        directions=found,
+        notes=notes,
+        noise_estimated=weighed is not problem,
+    )
+
+
+def practically_equal(fit: Fit) -> tuple[Start, ...]:
+    """Return the starts that ended practically as well as the best."""
+    limit = fit.objective + max(EQUAL_RELATIVE * abs(fit.objective), EQUAL_MM)
+    return tuple(start for start in fit.starts if start.objective <= limit)
+
+
+def with_noise(problem: Problem, theta: Floats) -> Problem:
+    """Return the problem with a noise: the stated one, or the rms residual at `theta` where none is."""
+    stated = problem.dataset.noise if problem.noise is None else problem.noise
+    if stated.point_sd > 0 or stated.correlated_sd > 0:
+        return problem
+    squares = [np.mean((sim - measured) ** 2) for sim, measured in problem.points(theta)]
+    rms = max(math.sqrt(float(np.mean(squares))), 1e-6)
+    return replace(problem, noise=replace(stated, point_sd=rms))
+
+
+def tip_range(problem: Problem, theta: Floats, name: str) -> float:
+    """Return how far any tip moves while one parameter goes through its bounds, the others held, mm."""
+    k = problem.names.index(name)
+    tips = []
+    for end in (problem.lower[k], problem.upper[k]):
+        moved = theta.copy()
+        moved[k] = end
+        tips.append([s.deflection if s.converged else math.nan for s in problem.shapes(moved)])
+    low, high = np.array(tips)
+    return float(np.max(np.abs(high - low)))
+
+
+def _is_determined(name: str, sd: float, spread: float) -> bool:
+    limit = SD_LOG if in_logarithm(name) else SD_ALPHA
+    return sd < limit and spread < SPREAD * limit
+
+
+def _at_bounds(problem: Problem, theta: Floats) -> list[str]:
+    place = (theta - problem.lower) / (problem.upper - problem.lower)
+    return ["lower" if p < AT_BOUND else "upper" if p > 1 - AT_BOUND else "" for p in place]
+
+
+def _note(problem: Problem, theta: Floats, name: str, sd: float) -> str:
+    """Return why a parameter is not determined."""
+    if in_logarithm(name):
+        disagree = ", but equally good starts disagree" if sd < SD_LOG else ""
+        return f"not determined (known {precision_words(sd, True)}{disagree})"
+    moved = tip_range(problem, theta, name)
+    low, high = problem.parameters.bounds[name]
+    return (
+        f"not determined: going through its whole range, {low:g} to {high:g}, it moves no tip by more "
+        f"than {moved:.2g} mm"
+    )
+
+
+def _only_as(k: int, found: tuple[Direction, ...]) -> str:
+    """Return in which best-known combination the parameter k is known, if it is known in any."""
+    for direction in found:
+        if abs(direction.weights[k]) >= TOLD and direction.sd < SD_LOG:
+            return f"; only a combination is: {direction.words}"
+    return ""

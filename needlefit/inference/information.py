@@ -1,0 +1,129 @@
+"""What residuals tell of parameters: Jacobian, Fisher information, and its directions in words."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.inference.parameters import in_logarithm
+
+Floats = NDArray[np.float64]
+
+STEP, STEP_ALPHA = 1e-3, 5e-2
+"""Steps of the differences: in a logarithm, and in alpha, on which shapes hardly depend."""
+
+NEARLY_FREE = 0.5
+"""Standard deviation of a combination's logarithm (of alpha's sum) above which it is called nearly free."""
+
+NEGLIGIBLE = 0.05
+"""Weights below this part of the largest are left out of the words."""
+
+
+@dataclass(frozen=True)
+class Direction:
+    """One principal direction of what is known about theta.
+
+    Attributes
+    ----------
+    sd : float
+        Standard deviation of theta along it (unit length in theta).
+    weights : tuple of float
+        Its components, in the order of the free parameters.
+    words : str
+        The same in words, for a person.
+    """
+
+    sd: float
+    weights: tuple[float, ...]
+    words: str
+
+
+def jacobian(residuals: Callable[[Floats], Floats], theta: Floats, steps: Floats) -> Floats:
+    """Return d residuals / d theta (R, P): central differences, one-sided where one neighbour fails.
+
+    A column is NaN where neither neighbour can be solved.
+    """
+    centre = residuals(theta)
+    columns = []
+    for k, step in enumerate(steps):
+        move = step * np.eye(len(theta))[k]
+        ahead, behind = residuals(theta + move), residuals(theta - move)
+        column = (ahead - behind) / (2 * step)
+        if not np.all(np.isfinite(column)):
+            forward, backward = (ahead - centre) / step, (centre - behind) / step
+            column = forward if np.all(np.isfinite(forward)) else backward
+        columns.append(column)
+    return np.stack(columns, axis=1) if columns else np.empty((len(centre), 0))
+
+
+def steps(names: Sequence[str]) -> Floats:
+    """Return the difference step (P,) of each parameter of theta."""
+    return np.array([STEP if in_logarithm(name) else STEP_ALPHA for name in names])
+
+
+def cramer_rao(information: Floats) -> Floats:
+    """Return the Cramer-Rao standard deviations (P,) of theta; infinite where nothing is known."""
+    precision, vectors = np.linalg.eigh(information)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        variance = np.where(vectors**2 > 1e-14, vectors**2 / np.maximum(precision, 0.0), 0.0)
+    sd: Floats = np.sqrt(variance.sum(axis=1))
+    return sd
+
+
+def directions(information: Floats, names: Sequence[str]) -> tuple[Direction, ...]:
+    """Return the principal directions of the information (P, P), best known first, in words."""
+    precision, vectors = np.linalg.eigh(information)
+    found = []
+    for value, vector in zip(precision[::-1], vectors.T[::-1], strict=True):
+        sd = 1 / math.sqrt(value) if value > 0 else math.inf
+        vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
+        found.append(Direction(sd, tuple(vector.tolist()), _words(sd, vector, names)))
+    return tuple(found)
+
+
+def combination(weights: Floats, names: Sequence[str]) -> str:
+    """Return a combination in words, its largest weight scaled to 1: `mu1 * b^1.9`; with alpha, a sum."""
+    scaled = weights / np.max(np.abs(weights))
+    parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= NEGLIGIBLE]
+    if all(in_logarithm(name) for name, _ in parts):
+        return " * ".join(_power(short(name), weight) for name, weight in parts)
+    terms = [_term(f"ln {short(n)}" if in_logarithm(n) else short(n), w) for n, w in parts]
+    return " ".join(terms).removeprefix("+ ")
+
+
+def short(name: str) -> str:
+    """Return a parameter's name without its unit; the bevel offset is b."""
+    return {"bevel_mm": "b", "guide_distance_mm": "guide_distance"}.get(name, name.removesuffix("_pa"))
+
+
+def precision_words(sd: float, logarithm: bool) -> str:
+    """Return in words how well something is known whose logarithm (or value) has this sd."""
+    if not logarithm:
+        return f"to {sd:.2g}"
+    return f"to {100 * sd:.2g} %" if sd < NEARLY_FREE else f"within a factor of {_factor(sd)} only"
+
+
+def _words(sd: float, weights: Floats, names: Sequence[str]) -> str:
+    scaled_sd = sd / float(np.max(np.abs(weights)))
+    logarithm = all(
+        in_logarithm(n)
+        for n, w in zip(names, weights / np.max(np.abs(weights)), strict=True)
+        if abs(w) >= NEGLIGIBLE
+    )
+    known = "is known" if scaled_sd < NEARLY_FREE else "is nearly free: known"
+    return f"{combination(weights, names)} {known} {precision_words(scaled_sd, logarithm)}"
+
+
+def _factor(sd: float) -> str:
+    return f"{math.exp(sd):.2g}" if sd < math.log(1e6) else "more than 1e6"
+
+
+def _power(name: str, weight: float) -> str:
+    return name if abs(weight - 1) < 0.005 else f"{name}^{weight:.2g}"
+
+
+def _term(name: str, weight: float) -> str:
+    sign = "-" if weight < 0 else "+"
+    return f"{sign} {name}" if abs(abs(weight) - 1) < 0.005 else f"{sign} {abs(weight):.2g} {name}"
