@@ -193,7 +193,7 @@ def test_the_needle_starts_at_the_entry_keeps_its_length_and_leaves_its_plane():
     assert steps.sum() == pytest.approx(planned.depth, abs=0.03)  # bending aside adds a hundredth
     local = found.frame.to_local(found.centerline)
     assert np.linalg.norm(local[0]) < 0.5
-    assert abs(local[-1, 2]) > 0.01 and local[0, 2] == 0.0
+    assert abs(local[-1, 2]) > 0.01 and abs(local[0, 2]) < 1e-9
     assert found.deflection == pytest.approx(local[-1, 1] - local[0, 1])
     assert found.deflection > 0  # toward the bevel
     tip = positions(found.shape, np.array([planned.depth]))[0]
