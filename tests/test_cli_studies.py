@@ -31,7 +31,7 @@ class Stub:
         self.asked.append((name, record, settings))
         return dataclasses.replace(self.results, name=name, record=record, title="Made up")
 
-    def write(self, results, folder):
+    def write(self, results, folder, also):
         folder.mkdir(parents=True)
         self.written.append((results, folder))
         return []

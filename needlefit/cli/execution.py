@@ -56,10 +56,11 @@ class Execution:
 
     def write(self, results: "Results") -> Path:
         """Write the results; return their folder."""
+        from needlefit.reporting.posterior import posterior_files
         from needlefit.reporting.write import write
 
         folder = self.folder(results.name)
-        write(results, folder)
+        write(results, folder, posterior_files(results))
         return folder
 
     def forget(self, name: str) -> None:
@@ -78,14 +79,16 @@ def cores() -> int:
 
 
 def require_converged(results: "Results") -> None:
-    """End with the exit code of what did not converge, if a scored simulation of the fit did not.
+    """End with its exit code if a scored simulation of the fit, or a posterior, did not converge.
 
     The results are written by then, marked.
     """
     fitted = results.errors[results.errors["rival"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
-    if failed:
-        screen.note(
-            f"needlefit: {results.name}: {failed} of {len(fitted)} simulations of the fit did not converge"
-        )
+    faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
+    for posterior in results.posteriors.values():
+        faults += [f"the posterior has not converged: {why}" for why in posterior.faults]
+    for fault in faults:
+        screen.note(f"needlefit: {results.name}: {fault}")
+    if faults:
         raise typer.Exit(failure.NOT_CONVERGED)

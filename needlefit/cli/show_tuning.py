@@ -47,6 +47,10 @@ def show_tuning(results: "Results") -> None:
         screen.say(sentence)
     screen.say()
     _show_errors(results)
+    if results.posteriors:
+        from needlefit.reporting.posterior import percentiles_table
+
+        screen.show_frame(percentiles_table(results), "Posterior: percentiles in Pa and mm.")
     if results.origin == "synthetic" and "hand_tuned" in set(results.errors["rival"]):
         screen.say("The paper's set was not tuned on this data; the fair rival is the one with b re-tuned.")
 
@@ -54,10 +58,13 @@ def show_tuning(results: "Results") -> None:
 def as_json(results: "Results") -> dict[str, Any]:
     """Return the fit for machines: rows under the column names of the files."""
     from needlefit.reporting.parameters import parameters_table
+    from needlefit.reporting.posterior import percentiles_table
 
     about = {"name": results.name, "origin": results.origin, "dataset": results.dataset_title}
     frames = {"parameters": parameters_table(results)}
     frames |= {name: getattr(results, name) for name in ("errors", "starts", "directions")}
+    if results.posteriors:
+        frames["posterior"] = percentiles_table(results)
     rows = {name: frame.to_dict("records") for name, frame in frames.items()}
     return {**about, "interrupted": results.interrupted, **rows}
 
