@@ -27,6 +27,7 @@ def curves(insertion: dict, rival: str, boundaries: str) -> pd.DataFrame:
     share *= 1.6 if boundaries == "planned" else 1.0
     y = bend * FRACTIONS**2.2
     miss = sway * share * abs(bend) * FRACTIONS**2 + shift * np.sin(3 * FRACTIONS + sway)
+    miss = miss + 0.25 * sway * np.cos(9 * FRACTIONS + sway)
     miss = miss + insertion["foreign"] * FRACTIONS**1.8 * (rival != "straight")
     return pd.DataFrame(
         {

@@ -32,9 +32,13 @@ def _sentence(results: Results, insertions: int, paper_insertions: int, way: str
         else "the needles are not the paper's"
     )
     count = (
-        "" if insertions == paper_insertions else f", {insertions} insertions here, {paper_insertions} there"
+        "" if insertions == paper_insertions else f", {_counted(insertions)} here, {paper_insertions} there"
     )
     verdict = (
         "Same metrics and design, other data" if not count else "Same metrics, other data and insertions"
     )
     return f"{verdict}: {way}; {data}{count}; ours are tuned automatically, the paper's by hand."
+
+
+def _counted(insertions: int) -> str:
+    return "1 insertion" if insertions == 1 else f"{insertions} insertions"

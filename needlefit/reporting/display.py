@@ -8,11 +8,12 @@ Align = Literal["left", "right"]
 
 @dataclass(frozen=True)
 class Column:
-    """A column's head, its unit (under the head) and the side its cells stand on."""
+    """A column's head, its unit (under the head), its side, and whether it takes the space that is left."""
 
     label: str
     unit: str = ""
     align: Align = "right"
+    wide: bool = False
 
 
 @dataclass(frozen=True)
@@ -45,9 +46,9 @@ class Display:
     notes: tuple[str, ...] = ()
 
 
-def text(label: str) -> Column:
+def text(label: str, wide: bool = False) -> Column:
     """Return a column of words."""
-    return Column(label, align="left")
+    return Column(label, align="left", wide=wide)
 
 
 def without_empty(table: Display) -> Display:

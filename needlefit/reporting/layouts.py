@@ -69,7 +69,10 @@ def _stacked(
 ) -> Display:
     """Return `frame` filled with one block of rows per group; only its first row names the group."""
     rows: list[tuple[str, ...]] = []
-    breaks, strong, sentences = [], [], []
+    breaks: list[int] = []
+    strong: list[int] = []
+    caveats: list[str] = []
+    same: dict[str, list[str]] = {}
     for head, row in groups:
         breaks += [len(rows)] if rows else []
         strong.append(len(rows))
@@ -77,12 +80,13 @@ def _stacked(
             begins = len(rows) == strong[-1]
             origin = "paper, measured" if name == "paper" else str(row["origin"])
             rows.append((*(head if begins else ("",) * len(head)), name, *cells, origin))
-        sentences += [_comparable(head, row), *_caveats(head, row)]
+        same.setdefault(str(row["comparable"]), []).append(_called(head))
+        caveats += _caveats(head, row)
     columns = (*frame.columns, *_SCORES, text("Origin"))
+    compared = [f"{'; '.join(heads)}: {sentence}" for sentence, heads in same.items()]
     planned = _AVERAGES if any(prefix == "planned_" for _, prefix in ways) else _AVERAGES[:1]
-    return Display(
-        frame.name, frame.caption, columns, tuple(rows), tuple(breaks), tuple(strong), (*planned, *sentences)
-    )
+    notes = (*planned, *compared, *caveats)
+    return Display(frame.name, frame.caption, columns, tuple(rows), tuple(breaks), tuple(strong), notes)
 
 
 def _block(row: Row, ways: list[tuple[str, str]]) -> list[tuple[str, tuple[str, ...]]]:
@@ -105,10 +109,6 @@ def _scores(row: Row, prefix: str, digits: int) -> tuple[str, ...]:
 
 def _group(row: Row, medium: str, layers: int | None) -> tuple[str, ...]:
     return (str(row["study"]), medium_name(medium), str(layers or "all"), str(row["insertions"]))
-
-
-def _comparable(head: tuple[str, ...], row: Row) -> str:
-    return f"{_called(head)}: {row['comparable']}"
 
 
 def _caveats(head: tuple[str, ...], row: Row) -> list[str]:

@@ -1,8 +1,10 @@
 """Numbers as words: digits that mean something, exponents that read well, a dash for what is missing."""
 
 import math
+import re
 
 MISSING = "–"
+_NAME = re.compile(r"\b(?:mu\d+(?:_pa)?|alpha\d+|bevel_mm|guide_distance_mm)\b")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
@@ -51,6 +53,12 @@ def symbol(parameter: str) -> str:
         if parameter.startswith(name) and index.isdigit():
             return sign + index.translate(_LOWERED) + unit
     return {"bevel_mm": "b (mm)", "guide_distance_mm": "guide to entry (mm)"}.get(parameter, parameter)
+
+
+def in_symbols(words: str) -> str:
+    """Return a sentence with the names of parameters as their symbols: `mu1_pa * bevel_mm` is μ₁ · b."""
+    named = _NAME.sub(lambda found: symbol(found[0]).split(" (")[0], words)
+    return named.replace(" * ", " · ")
 
 
 def _is_known(value: float | None) -> bool:

@@ -33,7 +33,7 @@ def validation_table(*results: Results) -> pd.DataFrame:
 def tuning_table(*results: Results) -> pd.DataFrame:
     """Return the in-sample errors of every fit by layers and by media, beside the paper's tuned models."""
     columns = [*("study", "by", "medium", "layers"), *METRICS, *_COUNTS, *FLOORS]
-    columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions", "comparable", "origin"]
+    columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions", "comparable", "comparison", "origin"]
     return _frame([row for one in results for row in _tuning_rows(one)], columns)
 
 
@@ -110,7 +110,7 @@ def _tuning_rows(results: Results) -> list[Row]:
                 | {"layers": ours.get("layers")}
                 | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOORS)}
                 | _prefixed("paper", printed, METRICS)
-                | {"paper_insertions": count, "origin": results.origin}
+                | {"paper_insertions": count, "comparison": _comparison(results), "origin": results.origin}
                 | {"comparable": comparable_tuning(results, ours["insertions"], count)}
             )
     return rows
@@ -134,12 +134,15 @@ def _comparison(results: Results) -> str:
 
 
 def _frame(rows: list[Row], columns: list[str]) -> pd.DataFrame:
-    return pd.DataFrame(rows, columns=columns)
+    """Return the rows as a frame in which counts stay whole numbers where some are missing."""
+    frame = pd.DataFrame(rows, columns=columns)
+    counts = [name for name in ("layers", "paper_insertions") if name in columns]
+    return frame.astype(dict.fromkeys(counts, "Int64"))
 
 
 def _plain(value: object) -> object:
     """Return a value that JSON knows: NaN and infinity become None, numpy scalars Python's."""
     value = value.item() if hasattr(value, "item") else value
-    if value is pd.NaT or (isinstance(value, float) and not math.isfinite(value)):
+    if value is pd.NA or value is pd.NaT or (isinstance(value, float) and not math.isfinite(value)):
         return None
     return value

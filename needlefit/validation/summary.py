@@ -42,13 +42,13 @@ def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.Dat
         `edp_unflagged_percent` and `not_converged` (counts of insertions).
     """
     errors = results.errors.assign(**{m: _finite(results.errors[m]) for m in (*METRICS, *FLOORS)})
-    everywhere = points(results) if how == "pooled" else None
+    clouds = _clouds(results, errors, by) if how == "pooled" else {}
     rows = []
     for key, group in errors.groupby(list(by), sort=False):
         row: dict[str, Any] = dict(zip(by, key, strict=True))
         row |= {name: group[name].mean() for name in (*METRICS, *FLOORS)}
-        if everywhere is not None:
-            row |= _pooled(group, everywhere)
+        if how == "pooled":
+            row |= _pooled(group, clouds.get(key, pd.Series(dtype=float)))
         rows.append(row | _counts(group))
     columns = [*by, *METRICS, *FLOORS, "insertions", "edp_flagged", "edp_unflagged_percent", "not_converged"]
     return pd.DataFrame(rows, columns=columns)
@@ -99,17 +99,25 @@ def beaten_by(results: Results) -> list[str]:
 
 def points(results: Results) -> pd.DataFrame:
     """Return `results.shapes` with `ipe_mm`, the in-plane error of every point, and medium and layers."""
-    shapes = results.shapes
-    gap = np.hypot(
+    about = results.errors[[*SCORED, "medium", "layers"]]
+    return results.shapes.assign(ipe_mm=_gap(results.shapes)).merge(about, on=list(SCORED), how="inner")
+
+
+def _clouds(results: Results, errors: pd.DataFrame, by: Sequence[str]) -> dict[Any, pd.Series]:
+    """Return the in-plane errors of all points by group."""
+    keys = errors[[*SCORED, *(name for name in by if name not in SCORED)]]
+    cloud = results.shapes.assign(ipe_mm=_gap(results.shapes)).merge(keys, on=list(SCORED), how="inner")
+    return {key: group["ipe_mm"] for key, group in cloud.groupby(list(by), sort=False)}
+
+
+def _gap(shapes: pd.DataFrame) -> pd.Series:
+    return np.hypot(
         shapes["simulated_x_mm"] - shapes["measured_x_mm"], shapes["simulated_y_mm"] - shapes["measured_y_mm"]
     )
-    about = results.errors[[*SCORED, "medium", "layers"]]
-    return shapes.assign(ipe_mm=gap).merge(about, on=list(SCORED), how="inner")
 
 
-def _pooled(group: pd.DataFrame, everywhere: pd.DataFrame) -> dict[str, Any]:
-    here = everywhere.merge(group[list(SCORED)], on=list(SCORED), how="inner")["ipe_mm"]
-    ipe = _finite(here)
+def _pooled(group: pd.DataFrame, cloud: pd.Series) -> dict[str, Any]:
+    ipe = _finite(cloud)
     known = group[_finite(group["te_mm"]).notna()]
     deflected = float(known["deflection_mm"].abs().sum())
     return {

@@ -56,7 +56,7 @@ def _groups(results: Results) -> list[_Group]:
 
 
 def _paint(groups: list[_Group], synthetic: bool) -> Figure:
-    figure = Figure(figsize=(max(3.6, min(WIDTH, 1.6 + 0.95 * len(groups))), 3.0))
+    figure = Figure(figsize=(max(5.6, min(WIDTH, 1.6 + 0.95 * len(groups))), 3.0))
     axes = figure.add_subplot()
     for x, group in enumerate(groups):
         _box(axes, x - 0.19, group.ipe, _IPE)
@@ -68,11 +68,12 @@ def _paint(groups: list[_Group], synthetic: bool) -> Figure:
             _mark(axes, x + shift, (group.row, metric), colour)
     axes.set_xticks(range(len(groups)), [group.label for group in groups], linespacing=1.25)
     axes.tick_params(axis="x", length=0, pad=5)
-    axes.set_xlim(-0.55, len(groups) - 0.45)
+    margin = 0.55 + 0.4 * max(0, 3 - len(groups))  # one or two groups do not fill the whole width
+    axes.set_xlim(-margin, len(groups) - 1 + margin)
     axes.set_ylim(bottom=0)
     axes.set_ylabel("error (mm)")
     light_grid(axes, "y")
-    _explain(figure)
+    _explain(figure, any(group.row["paper_te_mm"] is not None for group in groups))
     label_origin(figure, synthetic)
     return figure
 
@@ -106,7 +107,7 @@ def _mark(axes: Axes, x: float, cell: tuple[Row, str], colour: str) -> None:
         axes.plot(x, printed, "D", ms=3.6, mfc="white", mec=PAPER, mew=1.0, zorder=6)
 
 
-def _explain(figure: Figure) -> None:
+def _explain(figure: Figure, printed: bool) -> None:
     handles = [
         Line2D([], [], color=_IPE, alpha=0.5, lw=5, label="in-plane error, all points"),
         Line2D([], [], color=_TE, alpha=0.5, lw=5, label="tip error"),
@@ -114,11 +115,8 @@ def _explain(figure: Figure) -> None:
         Line2D([], [], color=PAPER, marker="D", mfc="white", ms=3.6, lw=0, label="paper's mean"),
         Line2D([], [], color=INK, lw=0.8, ls=(0, (2, 1.5)), label="noise floor"),
     ]
+    handles = handles if printed else [*handles[:3], handles[4]]
+    columns = 5 if figure.get_figwidth() > 6 else 3
     figure.legend(
-        handles=handles,
-        loc="outside upper left",
-        ncols=5,
-        handlelength=1.3,
-        columnspacing=1.4,
-        labelcolor=INK,
+        handles=handles, loc="outside upper left", ncols=columns, handlelength=1.3, columnspacing=1.4
     )

@@ -1,7 +1,6 @@
 """Measured and simulated needles of every held-out insertion, one over the other."""
 
 import math
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
 from needlefit.reporting.figures.style import WIDTH, draw, label_origin
 from needlefit.reporting.names import INK, RIVAL_COLOURS
@@ -27,7 +27,7 @@ def overlays(results: Results, path: Path, role: str = "validate") -> Path:
 
 
 def stretch(width: float, height: float) -> int:
-    """Return the largest of 1, 2, 5, ... at which a drawing `height` mm high is not taller than it is wide."""
+    """Return the largest of 1, 2, 5, ... that keeps a drawing of `width` by `height` mm wider than high."""
     fitting = [factor for factor in _STRETCHES if factor * height <= 0.62 * width]
     return fitting[-1] if fitting else 1
 
@@ -50,9 +50,9 @@ def _paint(results: Results, role: str) -> Figure:
         _panel(axes, shapes[here], row)
         axes.set(xlim=x, ylim=y)
         axes.set_aspect(factor)
-    _unused(grid.flat[len(scored) :], grid, columns)
+    _hide(list(grid.flat)[len(scored) :], grid)
     figure.supxlabel("depth x (mm)", fontsize=7.5)
-    drawn = "" if factor == 1 else f", drawn {factor}× as large as x"
+    drawn = "" if factor == 1 else f",\ndrawn {factor}× as large as x"
     figure.supylabel(f"deflection y (mm){drawn}", fontsize=7.5)
     _explain(figure, shapes)
     label_origin(figure, results.origin == "synthetic")
@@ -74,7 +74,8 @@ def _panel(axes: Axes, shapes: pd.DataFrame, row: pd.Series) -> None:
     dots = measured[measured["j"] % 5 == 0]
     axes.plot(dots["measured_x_mm"], dots["measured_y_mm"], ".", color=INK, ms=2.6, mew=0, zorder=4)
     axes.set_title(f"{row['insertion']}", loc="left", pad=3)
-    errors = f"IPE {row['ipe_mean_mm']:.2f}, TE {row['te_mm']:.2f} mm"
+    digits = 3 if row["comparison"] == "aligned" else 2
+    errors = f"IPE {row['ipe_mean_mm']:.{digits}f}, TE {row['te_mm']:.{digits}f} mm"
     said = errors if row["converged"] else "did not converge"
     axes.set_title(said, loc="right", pad=3, fontsize=6.5, color=RIVAL_COLOURS["fitted"])
 
@@ -89,13 +90,12 @@ def _limits(shapes: pd.DataFrame) -> tuple[tuple[float, float], tuple[float, flo
     return span("x"), span("y")
 
 
-def _unused(spare: Sequence[Axes], grid: np.ndarray, columns: int) -> None:
+def _hide(spare: list[Axes], grid: NDArray[np.object_]) -> None:
     """Take empty panels away; the panels above them get the x labels back."""
-    for axes in spare:
+    for i, axes in enumerate(reversed(spare), start=1):
         axes.set_visible(False)
-    for column in range(columns - len(spare), columns):
         if len(grid) > 1:
-            grid[-2, column].tick_params(labelbottom=True)
+            grid[-2, -i].tick_params(labelbottom=True)
 
 
 def _explain(figure: Figure, shapes: pd.DataFrame) -> None:

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
-from needlefit.reporting.names import INK, RIVAL_COLOURS, RIVAL_NAMES, layers_name, medium_name
+from needlefit.reporting.names import INK, PAPER, RIVAL_COLOURS, RIVAL_NAMES, layers_name, medium_name
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import RIVALS, Results
 
@@ -21,29 +21,39 @@ def rivals(results: Sequence[Results], path: Path) -> Path:
 
 
 def _paint(rows: list[Row], synthetic: bool) -> Figure:
-    figure = Figure(figsize=(WIDTH, 0.95 + 0.27 * len(rows)))
+    figure = Figure(figsize=(WIDTH, 1.05 + 0.42 * len(rows)))
     axes = figure.add_subplot()
     present = [rival for rival in RIVALS if any(_error(row, rival) is not None for row in rows)]
     for y, row in enumerate(rows):
-        axes.axhline(y, color=INK, lw=0.3, alpha=0.25)
+        axes.axhline(y + 0.5, color=INK, lw=0.3, alpha=0.25)
         _floor(axes, y, row)
-        for rival in reversed(present):
-            error = _error(row, rival)
-            size = 6 if rival == "fitted" else 4.2
-            if error is not None:
-                axes.plot(error, y, _MARKERS[rival], ms=size, mfc=RIVAL_COLOURS[rival], mec="white", mew=0.5)
+        for i, rival in enumerate(present):
+            level = y + 0.6 * (i - (len(present) - 1) / 2) / max(len(present) - 1, 1)
+            _mark(axes, _error(row, rival), level, rival)
+        if row["paper_ipe_mean_mm"] is not None:
+            axes.plot(row["paper_ipe_mean_mm"], y, "D", ms=4, mfc="white", mec=PAPER, mew=1.0, zorder=5)
     _dress(axes, rows)
     for rival in present:
         axes.plot([], [], _MARKERS[rival], ms=4.5, color=RIVAL_COLOURS[rival], label=RIVAL_NAMES[rival])
-    axes.plot([], [], "|", ms=7, mew=1.0, color=INK, label="noise floor")
-    figure.legend(loc="outside upper left", ncols=4, handletextpad=0.2, columnspacing=1.2)
+    if any(row["paper_ipe_mean_mm"] is not None for row in rows):
+        axes.plot([], [], "D", ms=4, mfc="white", mec=PAPER, mew=1.0, label="paper, on its own needles")
+    axes.plot([], [], color=INK, lw=0.9, ls=(0, (2, 1.5)), label="noise floor")
+    figure.legend(loc="outside upper left", ncols=3, handletextpad=0.2, columnspacing=1.2)
     label_origin(figure, synthetic)
     return figure
 
 
+def _mark(axes: Axes, error: float | None, level: float, rival: str) -> None:
+    if error is not None:
+        size = 5.5 if rival == "fitted" else 4
+        colour = RIVAL_COLOURS[rival]
+        axes.plot(error, level, _MARKERS[rival], ms=size, mfc=colour, mec="white", mew=0.4, zorder=4)
+
+
 def _floor(axes: Axes, y: int, row: Row) -> None:
-    if row["floor_ipe_mean_mm"] is not None:
-        axes.plot(row["floor_ipe_mean_mm"], y, "|", ms=9, mew=1.0, color=INK, zorder=5)
+    floor = row["floor_ipe_mean_mm"]
+    if floor is not None:
+        axes.vlines(floor, y - 0.4, y + 0.4, color=INK, lw=0.9, ls=(0, (2, 1.5)), zorder=3)
 
 
 def _dress(axes: Axes, rows: list[Row]) -> None:

@@ -16,6 +16,7 @@ from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
 from needlefit.reporting.numbers import number, typeset
 
 _LAYERS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
+_TALLEST = 5.5  # inches: a needle that bends further is drawn narrower
 _OUTSIDE = 0.22  # share of the depth drawn before the entry
 
 
@@ -41,11 +42,12 @@ def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     x = (-_OUTSIDE * scene.depth, 1.04 * scene.depth)
     factor = stretch(0.8 * (x[1] - x[0]), y[1] - y[0])
     height = factor * (y[1] - y[0]) / (x[1] - x[0])
-    figure = Figure(figsize=(WIDTH, 0.95 + (WIDTH - 0.6) * height))
+    width = min(WIDTH - 0.6, _TALLEST / height)
+    figure = Figure(figsize=(width + 0.6, 0.95 + width * height))
     axes = figure.add_subplot()
     axes.set(xlim=x, ylim=y)
     axes.set_aspect(factor)
-    _draw_layers(axes, scene, x[1])
+    _draw_layers(axes, scene, width)
     _draw_needle(axes, shape, needle)
     state = "" if shape.converged else f"   NOT CONVERGED: {shape.status}"
     axes.set_title(f"{title}{state}", loc="left", pad=6)
@@ -54,8 +56,9 @@ def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     return figure
 
 
-def _draw_layers(axes: Axes, scene: Scene, end: float) -> None:
+def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
     """Shade the layers, the darker the stiffer, and write each one's modulus along the upper edge."""
+    start, end = axes.get_xlim()
     edges = np.minimum([0.0, *scene.tissue.boundaries, np.inf], end)
     stiffness = np.log10(scene.tissue.mu)
     decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
@@ -64,11 +67,11 @@ def _draw_layers(axes: Axes, scene: Scene, end: float) -> None:
             continue
         shade = _LAYERS(float((stiffness[i] - stiffness.min()) / decades))
         axes.axvspan(top, bottom, color=shade, lw=0, zorder=0)
-        wide = bottom - top > 0.16 * (end - axes.get_xlim()[0])
-        name = f"layer {i + 1}" + (f": μ = {typeset(number(scene.tissue.mu[i] * 1e6))} Pa" if wide else "")
+        inches = (bottom - top) / (end - start) * width
+        modulus = f"layer {i + 1}\n{typeset(number(scene.tissue.mu[i] * 1e6))} Pa"
         axes.text(
-            (top + bottom) / 2, 0.97, name if wide else str(i + 1), ha="center", va="top", fontsize=6.5,
-            transform=axes.get_xaxis_transform(),
+            (top + bottom) / 2, 0.97, modulus if inches > 0.75 else f"{i + 1}", ha="center", va="top",
+            fontsize=6.5, linespacing=1.3, transform=axes.get_xaxis_transform(),
         )  # fmt: skip
     for depth in scene.tissue.boundaries[scene.tissue.boundaries < end]:
         axes.axvline(depth, color="white", lw=1.2, zorder=0.5)
@@ -77,16 +80,15 @@ def _draw_layers(axes: Axes, scene: Scene, end: float) -> None:
 
 def _draw_needle(axes: Axes, shape: NeedleShape, needle: np.ndarray) -> None:
     axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
-    axes.plot(*shape.constraints.T, "x", color=PAPER, ms=2.6, mew=0.6, zorder=2)
-    axes.plot(needle[:, 0], needle[:, 1], color=RIVAL_COLOURS["fitted"], lw=1.8, zorder=3)
+    axes.plot(*shape.constraints.T, "x", color=PAPER, ms=2.6, mew=0.6, zorder=2, label="constraint points")
+    axes.plot(needle[:, 0], needle[:, 1], color=RIVAL_COLOURS["fitted"], lw=1.8, zorder=3, label="needle")
     tip = needle[-1]
     axes.plot(*tip, "o", color=RIVAL_COLOURS["fitted"], ms=3.5, zorder=4)
-    below = -1 if tip[1] >= 0 else 1
+    outward = 1 if tip[1] >= 0 else -1
     axes.annotate(
-        f"tip {tip[1]:+.2f} mm".replace("-", "−"), tip, xytext=(-4, 9 * below), textcoords="offset points",
+        f"tip {tip[1]:+.2f} mm".replace("-", "−"), tip, xytext=(4, 11 * outward), textcoords="offset points",
         ha="right", va="center", color=RIVAL_COLOURS["fitted"],
     )  # fmt: skip
-    axes.annotate(
-        "constraint points", shape.constraints[len(shape.constraints) // 3], xytext=(0, 9 * below),
-        textcoords="offset points", ha="center", va="center", color=PAPER,
-    )  # fmt: skip
+    axes.legend(
+        loc="lower right", bbox_to_anchor=(1, 1), ncols=2, handlelength=1.2, borderaxespad=0.2, borderpad=0.1
+    )

@@ -7,6 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
@@ -50,7 +51,7 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
     axes.set_title(f"{len(starts)} starts, {failed} without a result", loc="left")
     axes.set_xlabel("start, best first")
     axes.set_ylabel("objective (mm)")
-    axes.xaxis.get_major_locator().set_params(integer=True)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)
     light_grid(axes, "y")
 
@@ -85,9 +86,10 @@ def _ended(axes: Axes, starts: pd.DataFrame, free: list[Row]) -> None:
 def _share(values: NDArray[np.float64], row: Row) -> NDArray[np.float64]:
     """Return where values lie between the bounds, 0 to 1; moduli and lengths in logarithms."""
     low, high = row["bound_low"], row["bound_high"]
-    if row["parameter"].startswith("alpha"):
-        return (values - low) / (high - low)
-    share: NDArray[np.float64] = np.log(values / low) / np.log(high / low)
+    linear = row["parameter"].startswith("alpha")
+    share: NDArray[np.float64] = (
+        (values - low) / (high - low) if linear else np.log(values / low) / np.log(high / low)
+    )
     return share
 
 

@@ -1,0 +1,22 @@
+"""What stands under each figure."""
+
+BOXPLOT = (
+    "Errors on held-out insertions. Boxes span the quartiles and whiskers the 5th to the 95th percentile, of "
+    "the in-plane errors of all points and of the tip errors; tips of fewer than five insertions are shown "
+    "as points alone. Filled diamonds are our means over insertions, open ones the paper’s on its own "
+    "needles, dashes the noise floor’s."
+)
+OVERLAYS = (
+    "Measured needles (dots) and what the model makes of them (lines), one panel per insertion, all in the "
+    "same axes; the axis says by how much deflection is drawn larger than depth. Above each panel stand its "
+    "errors."
+)
+WATERFALL = (
+    "Left: the objective at which each start of the search ended, best first. Right: where the starts left "
+    "each free parameter between its bounds (written at the ends; μ and b in logarithms). Filled dots "
+    "that lie anywhere belong to a parameter that the data do not determine."
+)
+RIVALS = (
+    "Mean in-plane error of the fitted model and of what it has to beat, on the same held-out points. The "
+    "further left, the better; left of the dashed noise floor, differences mean nothing."
+)

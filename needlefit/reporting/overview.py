@@ -1,0 +1,65 @@
+"""The report of several studies together."""
+
+from collections.abc import Sequence
+
+from needlefit.reporting import captions, details, document, layouts, sentences
+from needlefit.reporting.document import Block, Document
+from needlefit.reporting.story import Figures, cautions, figure_of, tuning_blocks
+from needlefit.validation import paper
+from needlefit.validation.results import Results
+
+
+def overview(results: Sequence[Results], figures: Figures) -> Document:
+    """Return one report over all results: errors, rivals, parameters, and the paper's contradictions."""
+    synthetic = any(one.origin == "synthetic" for one in results)
+    blocks = [
+        *cautions(list(results)),
+        document.bullets([line for one in results for line in sentences.in_short(one)]),
+        document.heading("Errors on held-out insertions, beside the paper’s"),
+        *figure_of(figures, "boxplot", captions.BOXPLOT, synthetic),
+        document.table(layouts.validation_layout(results), synthetic),
+        *_rivals(results, figures, synthetic),
+        *_data(results, synthetic),
+        *_parameters(results, synthetic),
+        *_contradictions(synthetic=False),
+    ]
+    data = "; ".join(dict.fromkeys(one.dataset_title for one in results))
+    return Document("Validation studies, all in one", data, synthetic, tuple(blocks))
+
+
+def _data(results: Sequence[Results], synthetic: bool) -> list[Block]:
+    return [
+        document.heading("Questions and data"),
+        document.bullets([f"{one.title}: {one.question}".rstrip(": ") for one in results]),
+        document.table(layouts.design_layout(results), synthetic),
+    ]
+
+
+def _rivals(results: Sequence[Results], figures: Figures, synthetic: bool) -> list[Block]:
+    held_out = [one for one in results if sentences.scored_role(one) == "validate"]
+    return [
+        document.heading("What the model has to beat"),
+        *figure_of(figures, "rivals", captions.RIVALS, synthetic),
+        document.bullets([f"{one.name}: {sentences.rivals_said(one)}" for one in held_out]),
+        document.table(details.rivals_layout(held_out, "validate"), synthetic),
+    ]
+
+
+def _parameters(results: Sequence[Results], synthetic: bool) -> list[Block]:
+    return [
+        document.heading("Tuning and parameters"),
+        *tuning_blocks(results, synthetic),
+        document.bullets([f"{one.name}: {sentences.undetermined_said(one)}" for one in results]),
+        document.table(details.parameters_layout(results), synthetic),
+    ]
+
+
+def _contradictions(synthetic: bool) -> list[Block]:
+    found = paper.contradictions()
+    return [
+        document.heading("Where the paper contradicts itself"),
+        document.text(
+            "A cell of the paper can be held against ours no more closely than the paper agrees with itself."
+        ),
+        document.table(details.contradictions_layout(found), synthetic),
+    ]

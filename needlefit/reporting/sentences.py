@@ -1,0 +1,128 @@
+"""What a report says in words: the answer first, its noise floor and its rivals in the same breath."""
+
+from collections.abc import Iterator, Mapping
+
+from needlefit.reporting.names import RIVAL_NAMES, layers_name, medium_name
+from needlefit.reporting.numbers import MISSING, fixed, symbol
+from needlefit.reporting.parameters import undetermined
+from needlefit.reporting.tables import Row, records, study_label, validation_table
+from needlefit.validation.results import Results
+from needlefit.validation.summary import aggregate, beaten_by, paired
+
+
+def scored_role(results: Results) -> str:
+    """Return "validate", or "tune" for a fit that holds nothing out."""
+    return "validate" if (results.errors["role"] == "validate").any() else "tune"
+
+
+def in_short(results: Results) -> list[str]:
+    """Return the answer, one sentence per held-out group."""
+    return [_answer(row) for row in records(validation_table(results))] or [_fit_answer(results)]
+
+
+def rivals_said(results: Results) -> str:
+    """Return whether an empirical curve does better than the fitted model, with the paired difference."""
+    table = {row["rival"]: row for row in records(paired(results))}
+    winners = [f"{RIVAL_NAMES[name]} ({_gap(table[name])})" for name in beaten_by(results)]
+    if winners:
+        return (
+            "An empirical curve that knows nothing of tissue does better here than the fitted model, on the "
+            f"same held-out points: {'; '.join(winners)}."
+        )
+    baselines = [name for name in ("straight", "constant_curvature", "linear_curvature") if name in table]
+    if not baselines:
+        return "No empirical curve was scored beside the model."
+    best = min(baselines, key=lambda name: table[name]["difference_mm"])
+    return (
+        "No empirical curve does better than the fitted model on these insertions; the nearest is "
+        f"{RIVAL_NAMES[best]} ({_gap(table[best])})."
+    )
+
+
+def undetermined_said(results: Results) -> str:
+    """Return which parameters the data leave open."""
+    open_ones = undetermined(results)
+    if not open_ones:
+        return "The data determine every free parameter, as far as this model and its noise go."
+    names = ", ".join(symbol(name).split(" (")[0] for name in open_ones)
+    where = ", in at least one fold" if results.parameters["fold"].nunique() > 1 else ""
+    return (
+        f"The data do not determine {names}{where}. They are printed as such: the prediction used one of "
+        "many values that fit practically as well, and that value is no estimate."
+    )
+
+
+def floor_said(results: Results) -> str:
+    """Return what perfect parameters would still show."""
+    rows = records(aggregate(results, ("role", "rival", "boundaries")))
+    role = scored_role(results)
+    row = next(r for r in rows if (r["role"], r["rival"], r["boundaries"]) == (role, "fitted", "measured"))
+    if row["floor_ipe_mean_mm"] is None:
+        return "The dataset states no measurement noise, so no noise floor can be given."
+    digits = _digits(row["floor_ipe_mean_mm"])
+    cells = [
+        f"{name} {fixed(row[f'floor_{key}_mm'], digits)} mm"
+        for name, key in (
+            ("median", "median_err"),
+            ("mean IPE", "ipe_mean"),
+            ("maximum", "ipe_max"),
+            ("TE", "te"),
+        )
+    ]
+    return (
+        "With perfect parameters the measurement noise that the dataset states would alone still give these "
+        f"errors, on average over the scored insertions: {', '.join(cells)}. An error means something only "
+        "beside this floor."
+    )
+
+
+def run_said(run: Mapping[str, object]) -> list[tuple[str, str]]:
+    """Return what the run was, key by key; long digests are cut."""
+    pairs = [(key, str(value)) for key, value in _flat("", run) if value not in (None, "", {}, [])]
+    return [(key, value if len(value) <= 40 else f"{value[:16]}…") for key, value in pairs]
+
+
+def _answer(row: Row) -> str:
+    digits = 3 if row["comparison"] == "aligned" else 2
+
+    def both(prefix: str) -> str:
+        return f"{fixed(row[f'{prefix}ipe_mean_mm'], digits)} and {fixed(row[f'{prefix}te_mm'], digits)} mm"
+
+    study = f"Study {row['study']}, " if isinstance(row["study"], int) else ""
+    what = f"{medium_name(row['validate_medium'])}, {layers_name(row['validate_layers'])}"
+    count = "1 insertion" if row["insertions"] == 1 else f"{row['insertions']} insertions"
+    said = f"{study}{what} ({count}): mean IPE and TE {both('')}"
+    said += f"; noise floor {both('floor_')}" if row["floor_te_mm"] is not None else ""
+    said += f"; the paper {both('paper_')}" if row["paper_te_mm"] is not None else ""
+    return said[:1].upper() + said[1:] + "."
+
+
+def _fit_answer(results: Results) -> str:
+    rows = records(aggregate(results, ("role", "rival", "boundaries")))
+    row = next(r for r in rows if (r["rival"], r["boundaries"]) == ("fitted", "measured"))
+    digits = _digits(row["ipe_mean_mm"])
+    cells = f"{fixed(row['ipe_mean_mm'], digits)} and {fixed(row['te_mm'], digits)} mm"
+    return (
+        f"{study_label(results)}: mean IPE and TE {cells} on the {row['insertions']} insertions that tuned "
+        "it. Nothing is held out, so this says how well the model can follow them, not how well it predicts."
+    )
+
+
+def _digits(value: float | None) -> int:
+    return 3 if value is not None and value < 0.1 else 2
+
+
+def _gap(row: Row) -> str:
+    if row["difference_mm"] is None:
+        return MISSING
+    error = "" if row["difference_se_mm"] is None else f" ± {row['difference_se_mm']:.3f}"
+    gap = f"{row['difference_mm']:+.3f}".replace("-", "−")
+    return f"{gap}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}"
+
+
+def _flat(prefix: str, value: object) -> Iterator[tuple[str, object]]:
+    if isinstance(value, Mapping):
+        for key in sorted(value):
+            yield from _flat(f"{prefix}.{key}" if prefix else str(key), value[key])
+    else:
+        yield prefix, value

@@ -1,0 +1,140 @@
+"""The report of one study or fit, block by block."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from needlefit.reporting import captions, details, document, layouts, sentences
+from needlefit.reporting.comparability import SYNTHETIC
+from needlefit.reporting.display import Display, text
+from needlefit.reporting.document import Block, Document
+from needlefit.reporting.tables import records, tuning_table
+from needlefit.validation.results import Results
+
+Figures = Mapping[str, Path]
+
+
+def story(results: Results, figures: Figures) -> Document:
+    """Return the report: question, data, parameters, errors beside the paper's, rivals, figures, run."""
+    synthetic = results.origin == "synthetic"
+    blocks = [
+        *cautions([results]),
+        document.bullets(sentences.in_short(results)),
+        *_question(results, synthetic),
+        *_parameters(results, figures, synthetic),
+        *_errors(results, figures, synthetic),
+        *_rivals(results, figures, synthetic),
+        *_insertions(results, figures, synthetic),
+        *run_blocks(results, synthetic),
+    ]
+    subtitle = f"{results.name} · {results.dataset_title}"
+    return Document(results.title or results.name, subtitle, synthetic, tuple(blocks))
+
+
+def cautions(results: list[Results]) -> list[Block]:
+    """Return what a reader must know before any number."""
+    said = []
+    if any(one.origin == "synthetic" for one in results):
+        said.append(
+            document.warning(f"SYNTHETIC DATA. {SYNTHETIC.removeprefix('Synthetic data: ').capitalize()}")
+        )
+    stopped = [one.name for one in results if one.interrupted]
+    if stopped:
+        said.append(
+            document.warning(
+                f"INTERRUPTED: {', '.join(stopped)}. The search was stopped; this is its best so far."
+            )
+        )
+    failed = [(one.name, _failures(one)) for one in results]
+    said += [
+        document.warning(
+            f"NOT CONVERGED: {name}, {count} scored simulations of the fitted model. They have no errors and "
+            "are missing from every mean."
+        )
+        for name, count in failed
+        if count
+    ]
+    return said
+
+
+def figure_of(figures: Figures, name: str, caption: str, synthetic: bool) -> list[Block]:
+    """Return the block of a figure that was drawn, or none."""
+    return [document.figure(figures[name], caption, synthetic)] if name in figures else []
+
+
+def run_blocks(results: Results, synthetic: bool) -> list[Block]:
+    """Return what the run was."""
+    rows = tuple(sentences.run_said(results.run))
+    if not rows:
+        return []
+    table = Display(
+        "run", f"What {results.name} was computed with.", (text("Key"), text("Value", wide=True)), rows
+    )
+    return [
+        document.heading("Run"),
+        document.text("The file run.json holds all of this in full; the same inputs give the same bytes."),
+        document.table(table, synthetic),
+    ]
+
+
+def tuning_blocks(results: Sequence[Results], synthetic: bool) -> list[Block]:
+    """Return the in-sample tables; by media only where the paper has a cell, else it says nothing new."""
+    rows = records(tuning_table(*results))
+    printed = any(row["by"] == "media" and row["paper_te_mm"] is not None for row in rows)
+    ways = ("layers", "media") if printed else ("layers",)
+    return [document.table(layouts.tuning_layout(results, by), synthetic) for by in ways if rows]
+
+
+def _question(results: Results, synthetic: bool) -> list[Block]:
+    return [
+        document.heading("Question and data"),
+        *([document.text(results.question)] if results.question else []),
+        document.text(f"{results.dataset_title}. {sentences.floor_said(results)}"),
+        document.table(layouts.design_layout([results]), synthetic),
+    ]
+
+
+def _parameters(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
+    directions = details.directions_layout(results)
+    return [
+        document.heading("Parameters"),
+        document.text(sentences.undetermined_said(results)),
+        document.table(details.parameters_layout([results]), synthetic),
+        *([document.table(directions, synthetic)] if directions.rows else []),
+        *figure_of(figures, "waterfall", captions.WATERFALL, synthetic),
+    ]
+
+
+def _errors(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
+    blocks = [document.heading("Errors")]
+    if sentences.scored_role(results) == "validate":
+        blocks += figure_of(figures, "boxplot", captions.BOXPLOT, synthetic)
+        blocks.append(document.table(layouts.validation_layout([results]), synthetic))
+    return [*blocks, *tuning_blocks([results], synthetic)]
+
+
+def _rivals(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
+    role = sentences.scored_role(results)
+    table = details.rivals_layout([results], role)
+    if len(table.rows) < 2:
+        return []
+    said = [document.text(sentences.rivals_said(results))] if role == "validate" else []
+    return [
+        document.heading("What it has to beat"),
+        *said,
+        document.table(table, synthetic),
+        *figure_of(figures, "rivals", captions.RIVALS, synthetic),
+    ]
+
+
+def _insertions(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
+    role = sentences.scored_role(results)
+    return [
+        document.heading("Single insertions"),
+        *figure_of(figures, "overlays", captions.OVERLAYS, synthetic),
+        document.table(details.insertions_layout(results, role), synthetic),
+    ]
+
+
+def _failures(results: Results) -> int:
+    errors = results.errors[results.errors["rival"] == "fitted"]
+    return int((~errors["converged"].astype(bool)).sum())

@@ -1,0 +1,169 @@
+"""Results -> a folder of files, complete or not there at all."""
+
+import json
+import math
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from needlefit.errors import ConfigError
+from needlefit.reporting import details, figures, layouts
+from needlefit.reporting.display import Display
+from needlefit.reporting.document import compile_pdf
+from needlefit.reporting.latex import latex
+from needlefit.reporting.overview import overview
+from needlefit.reporting.parameters import parameters_table
+from needlefit.reporting.sentences import scored_role
+from needlefit.reporting.story import story
+from needlefit.reporting.tables import tuning_table, validation_table
+from needlefit.validation.results import Results
+
+Also = Mapping[str, Callable[[Path], object]]
+
+
+def write(results: Results, folder: Path, also: Also | None = None) -> list[Path]:
+    """Write one study or fit to `folder`, replacing an earlier result there; return the files.
+
+    CSV and LaTeX tables, figures and report as PDF, `run.json`, and `timing.json`, the only file that may
+    differ between two runs of the same inputs. `also` names further files and what writes each.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` exists and holds something that is no result.
+    """
+    with _whole(folder) as new:
+        _frames(results, new)
+        _tables([results], new)
+        drawn = _draw(results, new)
+        for name, save in (also or {}).items():
+            save(new / name)
+        (new / "report.pdf").write_bytes(compile_pdf(story(results, drawn)))
+        _json(new / "run.json", results.run)
+        _json(new / "timing.json", results.timing)
+    return _files(folder)
+
+
+def write_all(results: Sequence[Results], folder: Path) -> list[Path]:
+    """Write the tables, figures and report of several studies together; return the files.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` exists and holds something that is no result.
+    """
+    with _whole(folder) as new:
+        _tables(results, new)
+        drawn = {
+            "boxplot": figures.boxplot(results, new / "boxplot.pdf"),
+            "rivals": figures.rivals(results, new / "rivals.pdf"),
+        }
+        (new / "report.pdf").write_bytes(compile_pdf(overview(results, drawn)))
+        _json(new / "run.json", {one.name: one.run for one in results})
+        _json(new / "timing.json", {one.name: one.timing for one in results})
+    return _files(folder)
+
+
+def _frames(results: Results, folder: Path) -> None:
+    for name in ("design", "errors", "shapes", "starts", "directions"):
+        _csv(getattr(results, name).assign(origin=results.origin), folder / f"{name}.csv")
+
+
+def _tables(results: Sequence[Results], folder: Path) -> None:
+    """Write the paper's tables with our rows beside its own, as CSV for machines and LaTeX for papers."""
+    synthetic = any(one.origin == "synthetic" for one in results)
+    for name, frame, set_as in _laid_out(results):
+        if len(frame):
+            _csv(frame, folder / f"{name}.csv")
+            pages = [latex(table, synthetic) for table in set_as if table.rows]
+            (folder / f"{name}.tex").write_text("\n".join(pages), encoding="utf-8")
+
+
+def _laid_out(results: Sequence[Results]) -> Iterator[tuple[str, pd.DataFrame, list[Display]]]:
+    yield "validation", validation_table(*results), [layouts.validation_layout(results)]
+    tuned = [layouts.tuning_layout(results, by) for by in ("layers", "media")]
+    yield "tuning", tuning_table(*results), tuned
+    yield "parameters", parameters_table(*results), [details.parameters_layout(results)]
+
+
+def _draw(results: Results, folder: Path) -> dict[str, Path]:
+    role = scored_role(results)
+    drawn = {"overlays": figures.overlays(results, folder / "overlays.pdf", role)}
+    if len(results.starts):
+        drawn["waterfall"] = figures.waterfall(results, folder / "waterfall.pdf")
+    if role == "validate":
+        drawn["boxplot"] = figures.boxplot([results], folder / "boxplot.pdf")
+        drawn["rivals"] = figures.rivals([results], folder / "rivals.pdf")
+    return drawn
+
+
+def _csv(frame: pd.DataFrame, path: Path) -> None:
+    frame.to_csv(path, index=False, float_format="%.8g", lineterminator="\n", encoding="utf-8")
+
+
+def _json(path: Path, value: Mapping[str, Any]) -> None:
+    text = json.dumps(_plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    path.write_text(text + "\n", encoding="utf-8")
+
+
+def _plain(value: object) -> object:
+    """Return what JSON knows: arrays as lists, numpy numbers as Python's, NaN and infinity as null."""
+    value = value.tolist() if hasattr(value, "tolist") else value
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, str | int | bool | None) else str(value)
+
+
+@contextmanager
+def _whole(folder: Path) -> Iterator[Path]:
+    """Give a new folder beside `folder`, and put it in its place once it is complete."""
+    _require_result(folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    new = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
+    try:
+        new.chmod(0o755)
+        yield new
+        _replace(new, folder)
+    finally:
+        shutil.rmtree(new, ignore_errors=True)
+
+
+def _replace(new: Path, folder: Path) -> None:
+    """Rename `new` to `folder`; an earlier result is taken away only when the new one stands."""
+    if not folder.exists():
+        new.rename(folder)
+        return
+    old = new.with_name(f"{new.name}.old.partial")
+    folder.rename(old)
+    try:
+        new.rename(folder)
+    except OSError:
+        old.rename(folder)
+        raise
+    shutil.rmtree(old)
+
+
+def _require_result(folder: Path) -> None:
+    """Refuse to replace a folder that needlefit did not write."""
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    if not (folder / "run.json").is_file():
+        raise ConfigError(
+            "exists and holds no result of needlefit, so it is not replaced",
+            where=str(folder),
+            expected="a new or empty folder, or one that holds run.json",
+            mend="choose another place with --out, or remove it",
+        )
+
+
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.rglob("*") if path.is_file())
