@@ -92,6 +92,7 @@ def equilibrium(
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
     u = u.copy()
     u[:2] = controls.base_y, controls.base_slope
+    before = math.inf
     for iteration in range(rules.max_iterations):
         e = N @ u - constraints[nearest, 1]
         slope = dN @ u
@@ -104,8 +105,10 @@ def equilibrium(
         tangent = K_b + N.T @ ((w_q * kt * g)[:, None] * N) + N.T @ ((w_q * k * e * dg)[:, None] * dN)
         step = np.linalg.solve(tangent[2:, 2:], -residual[2:])
         u[2:] += step
-        if np.max(np.abs(step[0::2])) < rules.tolerance:
+        change = np.max(np.abs(step[0::2]))
+        if change < rules.tolerance or (change < 1e-4 and change > 0.5 * before):  # or it is but rounding
             return u, iteration + 1
+        before = change
     raise ArithmeticError(f"no equilibrium after {rules.max_iterations} iterations")
 
 

@@ -22,12 +22,8 @@ Floats = NDArray[np.float64]
 SPACING = 0.5
 """Distance between the points of a centreline, mm (at most)."""
 
-RULES = Rules(element=0.25, tolerance=1e-4)
-"""A finer mesh than is fitted with (the constraint spacing is part of the model).
-
-In the softest tissue rounding stirs the nodes of so fine a mesh by 1e-6 mm, so that a tight tolerance is
-never met; the last Newton step squares the error, and what remains is of that size too.
-"""
+RULES = Rules(element=0.25)
+"""A finer mesh than is fitted with (the constraint spacing is part of the model)."""
 
 SUBLAYER = 2.0
 """Thickness of the slices in which a piece that is not homogeneous is cut along the needle, mm."""

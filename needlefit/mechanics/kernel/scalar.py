@@ -17,6 +17,7 @@ from needlefit.mechanics.kernel.hermite import hermite
 Floats = NDArray[np.float64]
 
 CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE = 0, 1, 2, 3
+ROUNDING = 1e-4  # mm; Newton's last steps square the increment, so only rounding keeps one this small alive
 
 
 class Beam(NamedTuple):
@@ -92,6 +93,7 @@ def equilibrate(
     _span_shapes(shapes, grid, held)
     trial = state.copy()
     solution = np.empty((last + 2, 6))  # per node: G = S^-1 K_ab (4), z = S^-1 r (2)
+    before = np.inf
     for iteration in range(newton.max_iterations):
         if not _sweep(trial, beam.rigidity, held, foundation, grid, shapes, y, last, solution):
             if iteration == 0:
@@ -104,9 +106,11 @@ def equilibrate(
         change = _back(trial, solution, last)
         if not np.isfinite(change):
             return NON_FINITE, iteration + 1
-        if change < newton.tolerance:
+        # below ROUNDING an increment that no longer shrinks is rounding: fine meshes in soft tissue get no further
+        if change < newton.tolerance or (change < ROUNDING and change > 0.5 * before):
             state[: last + 2] = trial[: last + 2]
             return CONVERGED, iteration + 1
+        before = change
     return NOT_CONVERGED, newton.max_iterations
 
 
