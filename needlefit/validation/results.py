@@ -1,12 +1,13 @@
 """The answer of a study or a fit: tidy frames, and what a reader needs to know about where they come from."""
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import Any, Literal
 
 import pandas as pd
 
+from needlefit.inference.posterior import Posterior
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
 
@@ -73,6 +74,8 @@ class Results:
         Times, durations and paths.
     interrupted : bool
         Stopped by the user: the best found so far.
+    posteriors : mapping
+        The sampled posterior by fold, where one was asked for.
 
     Raises
     ------
@@ -95,6 +98,7 @@ class Results:
     run: dict[str, Any]
     timing: dict[str, Any]
     interrupted: bool
+    posteriors: Mapping[str, Posterior] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for frame, columns in COLUMNS.items():

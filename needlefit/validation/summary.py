@@ -71,7 +71,7 @@ def paired(results: Results, against: str = "fitted", role: str = "validate") ->
         for metric in ("ipe_mean_mm", "te_mm")
     )
     rows = []
-    for rival in [name for name in RIVALS if name in ipe]:
+    for rival in [name for name in RIVALS if name in ipe and against in ipe]:
         both = np.isfinite(ipe[rival]) & np.isfinite(ipe[against])
         gap = (ipe[rival] - ipe[against])[both].to_numpy(dtype=np.float64)
         n = len(gap)

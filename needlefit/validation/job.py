@@ -1,0 +1,120 @@
+"""A study or fit with everything it names: its dataset, medium, recipe, hand-tuned rival and folds."""
+
+import dataclasses
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.problem import Problem
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import RecipeRecord
+from needlefit.project.records.study import StudyRecord
+from needlefit.validation import paper
+from needlefit.validation.folds import Fold, folds
+
+
+def _silent(label: str, done: int, total: int) -> None:
+    return None
+
+
+def _never() -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Settings:
+    """How a run is carried out; nothing here but `seed` and `sample` changes its result.
+
+    Attributes
+    ----------
+    seed : int or None
+        Replaces the recipe's.
+    jobs : int
+        Threads.
+    checkpoint : Path or None
+        Folder that keeps finished starts.
+    resume : bool
+        Go on from the checkpoint.
+    sample : bool
+        Also sample the posterior.
+    progress : callable
+        Called with a label, what is done, and of how much.
+    stop : callable
+        Asked often; True ends the run early, marked `interrupted`.
+    """
+
+    seed: int | None = None
+    jobs: int = 1
+    checkpoint: Path | None = None
+    resume: bool = False
+    sample: bool = False
+    progress: Callable[[str, int, int], None] = _silent
+    stop: Callable[[], bool] = _never
+
+
+@dataclass(frozen=True)
+class Job:
+    """What `validation.run` works on."""
+
+    name: str
+    record: FitRecord | StudyRecord
+    dataset: Dataset
+    medium: MediumRecord
+    parameters: Parameters
+    recipe: RecipeRecord
+    hand_tuned: Mapping[str, float] | None
+    folds: tuple[Fold, ...]
+
+    @property
+    def searches(self) -> tuple[str, ...]:
+        """The searches of one fold."""
+        return ("fitted",) if self.hand_tuned is None else ("fitted", "hand_tuned_b")
+
+    def problem(self, fold: Fold, search: str = "fitted") -> Problem:
+        """Return what one search of a fold minimises: everything free, or the bevel about the paper's set."""
+        parameters = self.parameters
+        if search == "hand_tuned_b" and self.hand_tuned is not None:
+            parameters = parameters.with_only(("bevel_mm",), self.hand_tuned)
+        return Problem(self.dataset, fold.tune, self.medium, parameters, self.recipe.weights)
+
+
+def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Job:
+    """Load and check all that a study or fit names.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything it names is missing or wrong.
+    """
+    dataset = read(find("dataset", record.dataset))
+    medium = load(find("medium", record.medium), MediumRecord)
+    recipe = load(find("recipe", record.recipe), RecipeRecord)
+    if settings.seed is not None:
+        recipe = recipe.model_copy(update={"seed": settings.seed})
+    parameters = Parameters.from_record(medium)
+    hand = None if record.hand_tuned is None else _hand_tuned(record.hand_tuned, parameters, record.medium)
+    return Job(name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset))
+
+
+def _hand_tuned(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
+    """Return the paper's set, completed by what the medium fixes."""
+    published = {**parameters.fixed, **paper.hand_tuned(name)}
+    missing = [p for p in parameters.names if p not in published]
+    if missing:
+        raise ConfigError(
+            f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
+            mend="name a set of the same layers, or leave hand_tuned out",
+        )
+    return {p: published[p] for p in parameters.names}
+
+
+def needle_facts(job: Job) -> dict[str, float]:
+    """Return the needle's length (mm) and flexural rigidity (N mm^2), as plain values."""
+    return dataclasses.asdict(job.dataset.needle)

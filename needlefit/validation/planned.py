@@ -1,0 +1,57 @@
+"""The layers that a planned insertion would meet: its outcome is not known, so it is simulated.
+
+The measured crossings of a held-out insertion already tell where its needle went. A prediction starts
+from the straight planned path instead, and follows the simulated needle until its own crossings stand still.
+"""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion, Medium
+from needlefit.datasets.layers import layers_met
+from needlefit.mechanics.shape import NeedleShape, inserted_points
+
+Floats = NDArray[np.float64]
+Layers = tuple[Floats, tuple[int, ...]]
+
+TOLERANCE = 1e-3
+"""Crossings that move by less, mm, stand still."""
+
+MOST = 30
+"""Rounds after which the last crossings are taken; past the first ten each moves only half way."""
+
+
+def planned_layers(
+    insertion: Insertion, medium: Medium, predict: Callable[[Floats, tuple[int, ...]], NeedleShape]
+) -> Layers:
+    """Return boundaries (n - 1,) along C's x and the n layers met by the needle that `predict` simulates.
+
+    Parameters
+    ----------
+    insertion : Insertion
+        Its entry pose and depth alone are used.
+    medium : Medium
+        With surfaces; given depths are returned as they are.
+    predict : callable
+        Boundaries and sequence -> simulated shape.
+    """
+    path = np.column_stack((np.linspace(0.0, insertion.depth, 101), np.zeros(101)))
+    layers = _met(path, insertion, medium)
+    for round_ in range(MOST):
+        shape = predict(*layers)
+        if not shape.converged:
+            return layers
+        after = _met(inserted_points(shape), insertion, medium)
+        same = after[1] == layers[1]
+        if same and np.all(np.abs(after[0] - layers[0]) < TOLERANCE):
+            return after
+        layers = (0.5 * (after[0] + layers[0]), after[1]) if same and round_ >= 10 else after
+    return layers
+
+
+def _met(planar: Floats, insertion: Insertion, medium: Medium) -> Layers:
+    """Return the layers that a curve (K, 2) in C meets."""
+    world = insertion.frame.to_world(np.column_stack((planar, np.zeros(len(planar)))))
+    return layers_met(world, insertion.frame, medium, insertion.depth)

@@ -1,0 +1,62 @@
+"""What a reader needs to repeat a run: versions, data, configuration, rules; no time and no path."""
+
+import platform
+from collections.abc import Mapping
+from importlib.metadata import version
+from typing import Any
+
+from needlefit.validation.job import Job, needle_facts
+
+_PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
+
+
+def work(job: Job) -> dict[str, Any]:
+    """Return all that decides the result of a job, as JSON values."""
+    return {
+        "name": job.name,
+        "versions": {
+            "python": platform.python_version(),
+            **{package: version(package) for package in ("needlefit", *_PACKAGES)},
+        },
+        "dataset": {
+            "name": job.dataset.name,
+            "origin": job.dataset.origin,
+            "sha256": job.dataset.digest,
+            "needle": needle_facts(job),
+        },
+        "study": job.record.model_dump(mode="json", by_alias=True),
+        "medium": job.medium.model_dump(mode="json", by_alias=True),
+        "recipe": job.recipe.model_dump(mode="json", by_alias=True),
+        "hand_tuned": job.hand_tuned,
+        "folds": [
+            {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
+            for f in job.folds
+        ],
+        "rules": rules(job),
+    }
+
+
+def rules(job: Job) -> dict[str, Any]:
+    """Return the model rules that the fitted numbers depend on; fits under other rules are not comparable."""
+    return {
+        "constraint_spacing_mm": job.medium.constraint_spacing_mm,
+        "thickness_mm": job.medium.thickness_mm,
+        "law": job.medium.law,
+        "tie": "nearest constraint at each quadrature point, quadrature split where it changes",
+        "advance": "along the tangent",
+        "first_cell": "the depth's remainder over the spacing, or a whole cell",
+        "mu": "Pa, effective foundation modulus",
+        "bevel": "mm per constraint spacing",
+    }
+
+
+def outcome(searches: Mapping[str, Mapping[str, Any]], interrupted: bool) -> dict[str, Any]:
+    """Return what the searches came to; `searches` by fold, then by fit."""
+    every = [search for fold in searches.values() for search in fold.values()]
+    return {
+        "searches": searches,
+        "evaluations": sum(search["evaluations"] for search in every),
+        "failed_solves": sum(search["failed_solves"] for search in every),
+        "interrupted": interrupted,
+        "budget_limited": False,  # every budget is counted in evaluations, none in time
+    }

@@ -1,0 +1,154 @@
+"""The verb: tune on these insertions, score on those, each fold beside its rivals."""
+
+import time
+from dataclasses import dataclass
+
+import pandas as pd
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.noise import NoiseFloor, noise_floor
+from needlefit.datasets.select import layers_of
+from needlefit.errors import FitError
+from needlefit.inference.optimize import minimize
+from needlefit.inference.sample import sample
+from needlefit.inference.starts import Fit, Start, Watch
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.study import StudyRecord
+from needlefit.project.streams import stream
+from needlefit.validation import provenance
+from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
+from needlefit.validation.folds import Fold
+from needlefit.validation.job import Job, Settings, prepare
+from needlefit.validation.results import COLUMNS, Results
+from needlefit.validation.score import Scorer
+from needlefit.validation.tabulate import Tables, tabulate
+
+__all__ = ["Settings", "run"]
+
+
+def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Results:
+    """Carry out a study, or a fit, which is a study that scores nothing but its own insertions.
+
+    The same record, data, seed and versions give the same frames for any number of jobs, and after an
+    interruption with `resume`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong.
+    FitError
+        If a search finds no point that can be solved.
+    """
+    begin = time.time()
+    job = prepare(name, record, settings)
+    work = provenance.work(job)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
+    scorer = Scorer(job.dataset, job.record.reading, _floors(job))
+    tables, interrupted = Tables(), False
+    for number, fold in enumerate(job.folds):
+        fits = _search(job, fold, number, settings, checkpoint)
+        interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
+        tabulate(job, fold, fits, scorer, tables)
+        if settings.sample and not interrupted:
+            interrupted = _sample(job, fold, fits["fitted"], settings, tables)
+        if interrupted:
+            break
+    return Results(
+        name=name,
+        title=record.title or name,
+        question=record.question if isinstance(record, StudyRecord) else "",
+        record=record,
+        origin=job.dataset.origin,
+        dataset_title=job.dataset.title or job.dataset.name,
+        design=_design(job),
+        **{frame: tables.frame(frame) for frame in COLUMNS if frame != "design"},
+        posteriors=tables.posteriors,
+        run={**work, **provenance.outcome(tables.searches, interrupted)},
+        timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
+        interrupted=interrupted,
+    )
+
+
+def _search(job: Job, fold: Fold, number: int, settings: Settings, checkpoint: Checkpoint) -> dict[str, Fit]:
+    """Return the fit of everything free, and of the bevel alone about the hand-tuned set."""
+    fits = {}
+    total = len(job.folds) * len(job.searches) * job.recipe.starts
+    for order, search in enumerate(job.searches):
+        if settings.stop():
+            break
+        done = (number * len(job.searches) + order) * job.recipe.starts
+        label = f"{job.name}: {search.replace('_', ' ')}" + (f" {fold.name}" if len(job.folds) > 1 else "")
+        key = f"{fold.name}/{search}"
+        kept = checkpoint.finished(key)
+        counter = _Counter(settings, label, done + len(kept), total, key, checkpoint)
+        watch = Watch(kept, counter.report, settings.stop, jobs=settings.jobs)
+        rng = stream(job.recipe.seed, job.name, fold.name, search, "starts")
+        fits[search] = minimize(job.problem(fold, search), job.recipe, rng, watch)
+    return fits
+
+
+@dataclass
+class _Counter:
+    """Keeps each finished start and says how far the run is."""
+
+    settings: Settings
+    label: str
+    done: int
+    total: int
+    key: str
+    checkpoint: Checkpoint
+
+    def report(self, start: Start) -> None:
+        self.checkpoint.keep(self.key, start)
+        self.done += 1
+        self.settings.progress(self.label, self.done, self.total)
+
+
+def _sample(job: Job, fold: Fold, fit: Fit, settings: Settings, tables: Tables) -> bool:
+    """Sample the posterior of one fold; return whether it was interrupted."""
+
+    def step(done: int, total: int) -> None:
+        settings.progress(f"{job.name}: posterior", done, total)
+
+    rng = stream(job.recipe.seed, job.name, fold.name, "posterior")
+    watch = Watch(stop=settings.stop, step=step, jobs=settings.jobs)
+    try:
+        posterior = sample(job.problem(fold), fit.theta, job.recipe.sample, rng, watch)
+    except FitError:
+        if settings.stop():  # before the first draw that is kept: there is no posterior to write
+            return True
+        raise
+    tables.posteriors[fold.name] = posterior
+    return posterior.interrupted
+
+
+def _floors(job: Job) -> dict[str, NoiseFloor]:
+    used = {i.id: i for fold in job.folds for i in (*fold.tune, *fold.validate)}
+    return {
+        id_: noise_floor(job.dataset, insertion, stream(job.recipe.seed, "noise floor", id_))
+        for id_, insertion in used.items()
+    }
+
+
+def _design(job: Job) -> pd.DataFrame:
+    """Return how many insertions of which depths tune and validate; folds share their insertions."""
+    groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
+    for fold in job.folds:
+        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+            for insertion in insertions:
+                key = (role, insertion.medium, layers_of(insertion, job.record.reading))
+                groups.setdefault(key, {})[insertion.id] = insertion
+    rows = [
+        {
+            "role": role,
+            "medium": medium,
+            "layers": layers,
+            "insertions": len(members),
+            "depth_min_mm": min(i.depth for i in members.values()),
+            "depth_max_mm": max(i.depth for i in members.values()),
+        }
+        for (role, medium, layers), members in groups.items()
+    ]
+    return pd.DataFrame(rows, columns=list(COLUMNS["design"])).sort_values(
+        ["role", "medium", "layers"], ascending=[True, True, False], ignore_index=True
+    )

@@ -1,0 +1,137 @@
+"""Scoring: every rival's curve against every measured one, as rows of the frames of `Results`."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.noise import NoiseFloor
+from needlefit.datasets.select import layers_of
+from needlefit.geometry.compare import compare
+from needlefit.inference.comparison import Curve, curve_of, scored_points
+from needlefit.inference.predict import predict
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.project.records.fit import Reading
+from needlefit.project.records.medium import MediumRecord
+from needlefit.validation.planned import planned_layers
+
+Floats = NDArray[np.float64]
+Row = dict[str, Any]
+
+Rival = Callable[[Insertion], Mapping[str, Curve | None]]
+"""An insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed."""
+
+
+def model_rival(values: Mapping[str, float], medium: MediumRecord, dataset: Dataset) -> Rival:
+    """Return the rival that simulates with given parameter values.
+
+    Where the layers are surfaces it is scored twice: with the measured crossings, as the paper does,
+    though they leak a held-out needle's outcome, and with the crossings of the planned needle.
+    """
+
+    def curves(insertion: Insertion) -> dict[str, Curve | None]:
+        def at(boundaries: Floats | None, sequence: tuple[int, ...] | None) -> NeedleShape:
+            return predict(values, medium, dataset.needle, insertion, boundaries, sequence)
+
+        shapes = {"measured": at(None, None)}
+        where = dataset.media.get(insertion.medium)
+        if where is not None and where.surfaces:
+            shapes["planned"] = at(*planned_layers(insertion, where, at))
+        return {kind: curve_of(shape) if shape.converged else None for kind, shape in shapes.items()}
+
+    return curves
+
+
+def curve_rival(curve: Callable[[Insertion], Curve]) -> Rival:
+    """Return the rival that knows no layers: an empirical curve."""
+    return lambda insertion: {"measured": curve(insertion)}
+
+
+@dataclass(frozen=True)
+class Scorer:
+    """What a score needs to know besides rival and insertion.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    reading : str
+        Which count of layers holds for an insertion that ends at a boundary.
+    floors : mapping
+        The noise floor of every insertion, by id.
+    """
+
+    dataset: Dataset
+    reading: Reading
+    floors: Mapping[str, NoiseFloor]
+
+    def score(self, place: Row, insertion: Insertion, rival: Rival) -> tuple[list[Row], list[Row]]:
+        """Return the rows of `errors` and of `shapes`; `place` holds fold, role and rival."""
+        errors, shapes = [], []
+        for boundaries, curve in rival(insertion).items():
+            where = {**place, "insertion": insertion.id, "boundaries": boundaries}
+            row = {**where, **self._about(insertion)}
+            if curve is None:
+                errors.append({**row, **_FAILED})
+                continue
+            pose, drop = self.dataset.pose, self.dataset.drop_proximal
+            simulated, measured = scored_points(pose, drop, insertion, curve)
+            errors.append({**row, **self._errors(insertion, simulated, measured)})
+            shapes += _points(where, simulated, measured)
+        return errors, shapes
+
+    def _about(self, insertion: Insertion) -> Row:
+        floor = {f"floor_{name}": value for name, value in asdict(self.floors[insertion.id]).items()}
+        return {
+            "medium": insertion.medium,
+            "specimen": insertion.specimen,
+            "layers": layers_of(insertion, self.reading),
+            "depth_mm": insertion.depth,
+            "comparison": "world" if self.dataset.pose == "known" else "aligned",
+            "deflection_mm": insertion.deflection,
+            **floor,
+        }
+
+    def _errors(self, insertion: Insertion, simulated: Floats, measured: Floats) -> Row:
+        e = compare(simulated, measured)
+        side = insertion.side
+        floor = self.floors[insertion.id].te_mm
+        return {
+            "median_err_mm": e.median,
+            "ipe_mean_mm": e.mean,
+            "ipe_std_mm": e.std,
+            "ipe_max_mm": e.maximum,
+            "te_mm": e.te,
+            "edp_percent": e.edp,
+            "deflection_mm": side * e.deflection,
+            "predicted_deflection_mm": side * float(simulated[-1, 1] - simulated[0, 1]),
+            "edp_flagged": bool(abs(e.deflection) < floor),  # never where no floor is stated (NaN)
+            "converged": True,
+        }
+
+
+_FAILED = {
+    **dict.fromkeys(
+        ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent"), math.inf
+    ),
+    "predicted_deflection_mm": math.nan,
+    "edp_flagged": False,
+    "converged": False,
+}
+
+
+def _points(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
+    return [
+        {
+            **where,
+            "j": j,
+            "measured_x_mm": float(m[0]),
+            "measured_y_mm": float(m[1]),
+            "simulated_x_mm": float(s[0]),
+            "simulated_y_mm": float(s[1]),
+        }
+        for j, (s, m) in enumerate(zip(simulated, measured, strict=True))
+    ]

@@ -1,0 +1,156 @@
+"""What one fold found, as rows of the frames of `Results`."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
+from needlefit.inference.comparison import Curve
+from needlefit.inference.identify import Verdict, identify
+from needlefit.inference.posterior import Posterior
+from needlefit.inference.starts import Fit, Start
+from needlefit.validation.folds import Fold
+from needlefit.validation.job import Job
+from needlefit.validation.results import COLUMNS
+from needlefit.validation.score import Rival, Row, Scorer, curve_rival, model_rival
+
+
+@dataclass
+class Tables:
+    """The rows that a run collects, by frame of `Results`."""
+
+    errors: list[Row] = field(default_factory=list)
+    shapes: list[Row] = field(default_factory=list)
+    starts: list[Row] = field(default_factory=list)
+    parameters: list[Row] = field(default_factory=list)
+    directions: list[Row] = field(default_factory=list)
+    searches: dict[str, dict[str, Row]] = field(default_factory=dict)
+    posteriors: dict[str, Posterior] = field(default_factory=dict)
+
+    def frame(self, name: str) -> pd.DataFrame:
+        """Return one frame; without rows it still has its columns."""
+        rows = getattr(self, name)
+        return pd.DataFrame(rows) if rows else pd.DataFrame(columns=list(COLUMNS[name]))
+
+
+def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tables: Tables) -> None:
+    """Score every rival of one fold, and say what the searches found."""
+    usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
+    for name, fit in fits.items():
+        tables.starts += [_start_row(job, fold, name, start) for start in fit.starts]
+    tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
+    if "fitted" in usable:
+        verdict = identify(job.problem(fold), usable["fitted"])
+        tables.directions += [{"fold": fold.name, "sd": d.sd, "words": d.words} for d in verdict.directions]
+        tables.parameters += _fitted_rows(job, fold, usable["fitted"], verdict)
+    tables.parameters += _published_rows(job, fold, usable.get("hand_tuned_b"))
+    for rival, curves in _rivals(job, fold, usable).items():
+        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
+            for insertion in insertions:
+                place = {"fold": fold.name, "role": role, "rival": rival}
+                errors, shapes = scorer.score(place, insertion, curves)
+                tables.errors += errors
+                tables.shapes += shapes
+
+
+def _rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
+    """Return the fitted model, the paper's set, that set with b re-tuned, and curves without mechanics."""
+    values: dict[str, Mapping[str, float]] = {}
+    if "fitted" in fits:
+        values["fitted"] = fits["fitted"].values
+    if job.hand_tuned is not None:
+        values["hand_tuned"] = job.hand_tuned
+    if "hand_tuned_b" in fits:
+        values["hand_tuned_b"] = fits["hand_tuned_b"].values
+    models = {name: model_rival(v, job.medium, job.dataset) for name, v in values.items()}
+    baselines = fit_baselines(job.dataset.pose, job.dataset.drop_proximal, fold.tune)
+    return {**models, **{name: curve_rival(_curve(baseline)) for name, baseline in baselines.items()}}
+
+
+def _curve(baseline: Baseline) -> Callable[[Insertion], Curve]:
+    return lambda insertion: curve_for(baseline, insertion)
+
+
+def _start_row(job: Job, fold: Fold, search: str, start: Start) -> Row:
+    return {
+        "fold": fold.name,
+        "fit": search,
+        "start": start.index,
+        "objective": start.objective,
+        "evaluations": start.evaluations,
+        "failed_solves": start.failures,
+        "stopped": start.stopped,
+        **job.problem(fold, search).values(np.array(start.theta)),
+    }
+
+
+def _search_row(fit: Fit) -> Row:
+    return {
+        "objective_mm": fit.objective if math.isfinite(fit.objective) else None,
+        "values": dict(fit.values),
+        "starts": len(fit.starts),
+        "evaluations": fit.evaluations,
+        "failed_solves": fit.failures,
+    }
+
+
+def _fitted_rows(job: Job, fold: Fold, fit: Fit, verdict: Verdict) -> list[Row]:
+    """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
+    status = job.parameters.status
+    rows = []
+    for name, value in fit.values.items():
+        free = status[name] == "free"
+        factor, source = job.parameters.ties.get(name, (1.0, name))
+        low, high = job.parameters.bounds.get(name, (math.nan, math.nan))
+        rows.append(
+            {
+                "fold": fold.name,
+                "rival": "fitted",
+                "parameter": name,
+                "value": value,
+                "status": status[name],
+                "bound_low": low,
+                "bound_high": high,
+                "sd": verdict.sds[name] if free else math.nan,
+                "spread_low": factor * verdict.spread_low[source] if source in verdict.sds else math.nan,
+                "spread_high": factor * verdict.spread_high[source] if source in verdict.sds else math.nan,
+                "determined": bool(verdict.determined.get(source, False)),
+                "note": verdict.notes[name] if free else _why(name, status[name], factor, source),
+            }
+        )
+    return rows
+
+
+def _why(name: str, status: str, factor: float, source: str) -> str:
+    return (
+        "fixed" if status == "fixed" else f"tied: {source}" if factor == 1 else f"tied: {factor:g} * {source}"
+    )
+
+
+def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
+    """Return the paper's set, and that set with the bevel alone fitted."""
+    if job.hand_tuned is None:
+        return []
+    sets: dict[str, Mapping[str, Any]] = {"hand_tuned": job.hand_tuned}
+    if retuned is not None:
+        sets["hand_tuned_b"] = retuned.values
+    unknown = dict.fromkeys(("bound_low", "bound_high", "sd", "spread_low", "spread_high"), math.nan)
+    return [
+        {
+            "fold": fold.name,
+            "rival": rival,
+            "parameter": name,
+            "value": value,
+            "status": "free" if rival == "hand_tuned_b" and name == "bevel_mm" else "published",
+            **unknown,
+            "determined": rival == "hand_tuned_b" and name == "bevel_mm",
+            "note": "re-tuned alone" if rival == "hand_tuned_b" and name == "bevel_mm" else "tuned by hand",
+        }
+        for rival, values in sets.items()
+        for name, value in values.items()
+    ]

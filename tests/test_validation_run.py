@@ -1,0 +1,188 @@
+"""A study on needles whose truth is known: recovered, scored, stopped, resumed to the same frames."""
+
+import dataclasses
+import json
+from pathlib import Path
+
+import needles
+import numpy as np
+import pandas as pd
+import pytest
+
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError
+from needlefit.inference.starts import Start
+from needlefit.mechanics.control import Bevel
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.records.study import StudyRecord
+from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.validation.folds import folds
+from needlefit.validation.planned import planned_layers
+from needlefit.validation.results import Results
+from needlefit.validation.run import Settings, run
+
+MEDIUM = """schema = 1
+layers = 2
+[parameters]
+mu1_pa = { bounds = [3e4, 3e6] }
+alpha1 = { fixed = 1.0 }
+mu2_pa = { fixed = 2e7 }
+alpha2 = { fixed = -1.0 }
+bevel_mm = { bounds = [0.02, 0.3] }
+"""
+RECIPE = """schema = 1
+starts = 4
+evaluations = 250
+tolerance = 1e-6
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    needles.build(tmp_path / "data" / "needles")
+    for kind, text in (("media", MEDIUM), ("recipes", RECIPE)):
+        (tmp_path / "configs" / kind).mkdir(parents=True)
+        (tmp_path / "configs" / kind / "gel.toml").write_text(text)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def study(**changes: object) -> StudyRecord:
+    return StudyRecord.model_validate(
+        {
+            "schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel",
+            "tune": {"specimens": ["piece1"]}, "validate": [{"specimens": ["piece2"]}],
+        } | changes
+    )  # fmt: skip
+
+
+def frames(results: Results) -> dict[str, pd.DataFrame]:
+    names = ("design", "errors", "shapes", "starts", "parameters", "directions")
+    return {name: getattr(results, name) for name in names}
+
+
+def assert_same(one: Results, two: Results) -> None:
+    for name, frame in frames(one).items():
+        pd.testing.assert_frame_equal(frame, frames(two)[name], check_exact=True)
+    assert json.dumps(one.run, sort_keys=True) == json.dumps(two.run, sort_keys=True)
+
+
+def fitted(results: Results) -> dict[str, float]:
+    rows = results.parameters[results.parameters["rival"] == "fitted"]
+    return dict(zip(rows["parameter"], rows["value"], strict=True))
+
+
+def test_truth_is_recovered_and_scored_with_no_error(project: Path) -> None:
+    results = run("clean", study(), Settings())
+    assert fitted(results)["mu1_pa"] == pytest.approx(needles.MU[0] * 1e6, rel=0.05)
+    assert fitted(results)["bevel_mm"] == pytest.approx(needles.BEVEL, rel=0.01)
+    errors = results.errors[results.errors["rival"] == "fitted"]
+    assert set(errors["role"]) == {"tune", "validate"}
+    assert errors["te_mm"].max() < 0.01
+    assert (errors["deflection_mm"] > 0).all()  # toward the bevel, whichever side it faces
+    assert results.run["failed_solves"] == 0
+    assert results.origin == "synthetic"
+
+
+def test_measured_and_planned_crossings_agree_on_a_flat_interface(project: Path) -> None:
+    """The interface is normal to the needle: where it bends to does not matter."""
+    errors = run("clean", study(), Settings()).errors
+    wide = errors[errors["rival"] == "fitted"].pivot_table(
+        index=["role", "insertion"], columns="boundaries", values="te_mm"
+    )
+    np.testing.assert_allclose(wide["planned"], wide["measured"], atol=2e-3)
+
+
+def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(project: Path) -> None:
+    errors = run("clean", study(), Settings()).errors
+    held_out = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
+    mean = held_out.groupby("rival")["ipe_mean_mm"].mean()
+    assert set(mean.index) == {"fitted", "straight", "constant_curvature", "linear_curvature"}
+    assert (mean.drop("fitted") > 10 * mean["fitted"]).all()
+
+
+def test_the_same_frames_for_any_number_of_jobs(project: Path) -> None:
+    assert_same(run("jobs", study(), Settings(jobs=1)), run("jobs", study(), Settings(jobs=2)))
+
+
+def test_an_interrupted_run_resumes_to_the_same_frames(project: Path) -> None:
+    whole = run("again", study(), Settings())
+    seen: list[int] = []
+
+    def progress(label: str, done: int, total: int) -> None:
+        seen.append(done)
+
+    kept = project / "again.partial"
+    part = run("again", study(), Settings(checkpoint=kept, progress=progress, stop=lambda: len(seen) >= 2))
+    assert part.interrupted
+    assert len(part.starts) < len(whole.starts) or "interrupted" in set(part.starts["stopped"])
+    assert not part.errors.empty  # the best so far is scored
+    again = run("again", study(), Settings(checkpoint=kept, resume=True))
+    assert_same(again, whole)
+
+
+def test_a_checkpoint_of_other_work_is_refused(project: Path) -> None:
+    kept = project / "other.partial"
+    run("other", study(), Settings(checkpoint=kept))
+    with pytest.raises(ConfigError, match="other work"):
+        run("other", study(), Settings(checkpoint=kept, resume=True, seed=99))
+
+
+def test_a_torn_line_is_no_start(tmp_path: Path) -> None:
+    checkpoint = open_checkpoint(tmp_path / "c", False, {"n": 1})
+    start = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
+    checkpoint.keep("fold/fit", start)
+    file = next((tmp_path / "c").glob("*.jsonl"))
+    with file.open("a") as stream:
+        stream.write('{"index": 1, "theta0": [0.')
+    checkpoint.keep("fold/fit", dataclasses.replace(start, index=2))
+    assert sorted(checkpoint.finished("fold/fit")) == [0, 2]
+
+
+def test_leaving_specimens_out_never_splits_one(project: Path) -> None:
+    record = study(tune={}, validate=[], leave_out="specimen")
+    found = folds(record, read(project / "data" / "needles" / "dataset.toml"))
+    assert [fold.name for fold in found] == ["without piece1", "without piece2"]
+    for fold in found:
+        assert not {i.specimen for i in fold.tune} & {i.specimen for i in fold.validate}
+        assert len(fold.tune) + len(fold.validate) == 4
+
+
+def test_an_insertion_on_both_sides_is_refused(project: Path) -> None:
+    record = study(tune={"insertions": ["needle-1"]}, validate=[{"specimens": ["piece1"]}])
+    with pytest.raises(ConfigError, match="needle-1 would both tune and validate"):
+        run("both", record, Settings())
+
+
+def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
+    with pytest.raises(ConfigError, match="has no mu2_pa"):
+        medium = project / "configs" / "media" / "gel.toml"
+        medium.write_text(MEDIUM.replace("mu2_pa = { fixed = 2e7 }", "mu2_pa = { bounds = [1e3, 1e9] }"))
+        run("hand", study(hand_tuned="chicken"), Settings())
+
+
+def test_planned_layers_follow_the_bending_needle(project: Path) -> None:
+    """On an oblique interface the crossing found is where the simulated needle really crosses."""
+    dataset = read(project / "data" / "needles" / "dataset.toml")
+    insertion, medium = dataset.insertions[2], dataset.media["gel"]
+    from needlefit.geometry.surfaces import sheet
+
+    tilted = dataclasses.replace(
+        medium, surfaces=(sheet("oblique", [18.0, 6.0, 0], [1.0, 0.5, 0], 200.0, 2),)
+    )
+
+    def predict(boundaries: np.ndarray, sequence: tuple[int, ...]):
+        tissue = Tissue(
+            mu=np.take(needles.MU, np.array(sequence) - 1),
+            alpha=np.ones(len(sequence)),
+            boundaries=boundaries,
+        )
+        return simulate(needles.NEEDLE, tissue, Bevel(0.25), insertion.depth)
+
+    boundaries, sequence = planned_layers(insertion, tilted, predict)
+    assert sequence == (1, 2)
+    shape = predict(boundaries, sequence)
+    y = np.interp(boundaries[0], shape.x, shape.u)
+    assert y > 0.2  # it has bent by then
+    assert boundaries[0] == pytest.approx(18.0 - 0.5 * y, abs=0.02)  # x + y/2 = 18 on the plane, y from entry
