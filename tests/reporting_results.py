@@ -109,7 +109,13 @@ def parameters(layers: int, fold: int, undetermined: bool, rivals: tuple[str, ..
     for rival in rivals:
         for name in names:
             mu, alpha = name.startswith("mu"), name.startswith("alpha")
-            value = (2.13e5 if int(name[2]) % 2 else 3.1e7) * (1 + 0.05 * fold) if mu else 1.0 if alpha else 0.0847
+            value = (
+                (2.13e5 if int(name[2]) % 2 else 3.1e7) * (1 + 0.05 * fold)
+                if mu
+                else 1.0
+                if alpha
+                else 0.0847
+            )
             free = rival == "fitted" or (rival == "hand_tuned_b" and name == "bevel_mm")
             tied = free and name in ("mu3_pa", "mu4_pa", "alpha3", "alpha4")
             status = "tied" if tied else "free" if free else "published"
@@ -127,7 +133,11 @@ def parameters(layers: int, fold: int, undetermined: bool, rivals: tuple[str, ..
                     "spread_low": np.nan if not free else -2.4 if alpha else value / 30 if mu else 0.079,
                     "spread_high": np.nan if not free else 4.6 if alpha else value * 30 if mu else 0.092,
                     "determined": known,
-                    "note": "shapes do not show it" if not known else f"= mu{int(name[2]) - 2}_pa" if tied else "",
+                    "note": "shapes do not show it"
+                    if not known
+                    else f"= mu{int(name[2]) - 2}_pa"
+                    if tied
+                    else "",
                 }
             )
     return rows
@@ -231,7 +241,9 @@ def stereo() -> Results:
     errors, shapes, params, begun = [], [], [], []
     for fold, held in enumerate(shapes_of, start=1):
         both = [one | {"role": "validate" if one is held else "tune"} for one in shapes_of]
-        e, s = score_all(both, fold, ("fitted", "straight", "constant_curvature", "linear_curvature"), "aligned")
+        e, s = score_all(
+            both, fold, ("fitted", "straight", "constant_curvature", "linear_curvature"), "aligned"
+        )
         errors, shapes = errors + e, shapes + s
         params += parameters(1, fold, fold != 2, ("fitted",))
         begun += starts(rng, 1, fold, ("fitted",))

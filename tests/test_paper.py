@@ -2,6 +2,7 @@
 
 import pandas as pd
 import pytest
+
 from needlefit.errors import ConfigError
 from needlefit.validation import paper
 from needlefit.validation.claims import Bound, Claim

@@ -138,7 +138,9 @@ def _parameter(row: Row) -> tuple[str, ...]:
 
 
 def _status(row: Row) -> str:
-    return "" if row["status"] == "free" else str(row["status"])
+    """Return "tied" or "fixed" where the note does not say so already."""
+    status = str(row["status"])
+    return "" if status == "free" or status in str(row["note"]) else status
 
 
 def _difference(row: Row) -> str:

@@ -78,9 +78,11 @@ def compile_pdf(document: Document) -> bytes:
 
 
 def _payload(document: Document, folder: Path) -> Block:
-    """Return what the template reads; figures are put beside it."""
+    """Return what the template reads; figures are put beside it, and a table without rows is left out."""
     blocks = []
     for block in document.blocks:
+        if block["kind"] == "table" and not block["rows"]:
+            continue
         if "path" in block:
             (folder / block["file"]).write_bytes(block["path"].read_bytes())
         blocks.append({key: value for key, value in block.items() if key != "path"})

@@ -5,7 +5,7 @@ from collections.abc import Iterator, Mapping
 from needlefit.reporting.names import RIVAL_NAMES, layers_name, medium_name
 from needlefit.reporting.numbers import MISSING, fixed, symbol
 from needlefit.reporting.parameters import undetermined
-from needlefit.reporting.tables import Row, records, study_label, validation_table
+from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate, beaten_by, paired
 
@@ -42,6 +42,8 @@ def rivals_said(results: Results) -> str:
 def undetermined_said(results: Results) -> str:
     """Return which parameters the data leave open."""
     open_ones = undetermined(results)
+    if not (results.parameters["rival"] == "fitted").any():
+        return "The search gave no parameters."
     if not open_ones:
         return "The data determine every free parameter, as far as this model and its noise go."
     names = ", ".join(symbol(name).split(" (")[0] for name in open_ones)
@@ -54,10 +56,8 @@ def undetermined_said(results: Results) -> str:
 
 def floor_said(results: Results) -> str:
     """Return what perfect parameters would still show."""
-    rows = records(aggregate(results, ("role", "rival", "boundaries")))
-    role = scored_role(results)
-    row = next(r for r in rows if (r["role"], r["rival"], r["boundaries"]) == (role, "fitted", "measured"))
-    if row["floor_ipe_mean_mm"] is None:
+    row = _overall(results)
+    if row is None or row["floor_ipe_mean_mm"] is None:
         return "The dataset states no measurement noise, so no noise floor can be given."
     digits = _digits(row["floor_ipe_mean_mm"])
     cells = [
@@ -98,14 +98,22 @@ def _answer(row: Row) -> str:
 
 
 def _fit_answer(results: Results) -> str:
-    rows = records(aggregate(results, ("role", "rival", "boundaries")))
-    row = next(r for r in rows if (r["rival"], r["boundaries"]) == ("fitted", "measured"))
+    row = _overall(results)
+    if row is None:
+        return f"{results.name}: nothing could be scored."
     digits = _digits(row["ipe_mean_mm"])
     cells = f"{fixed(row['ipe_mean_mm'], digits)} and {fixed(row['te_mm'], digits)} mm"
     return (
-        f"{study_label(results)}: mean IPE and TE {cells} on the {row['insertions']} insertions that tuned "
+        f"{results.name}: mean IPE and TE {cells} on the {row['insertions']} insertions that tuned "
         "it. Nothing is held out, so this says how well the model can follow them, not how well it predicts."
     )
+
+
+def _overall(results: Results) -> Row | None:
+    """Return the fitted model's errors over everything it is scored on, or None if it was not."""
+    wanted = (scored_role(results), "fitted", "measured")
+    rows = records(aggregate(results, ("role", "rival", "boundaries")))
+    return next((r for r in rows if (r["role"], r["rival"], r["boundaries"]) == wanted), None)
 
 
 def _digits(value: float | None) -> int:

@@ -99,7 +99,7 @@ def _parameters(results: Results, figures: Figures, synthetic: bool) -> list[Blo
         document.heading("Parameters"),
         document.text(sentences.undetermined_said(results)),
         document.table(details.parameters_layout([results]), synthetic),
-        *([document.table(directions, synthetic)] if directions.rows else []),
+        document.table(directions, synthetic),
         *figure_of(figures, "waterfall", captions.WATERFALL, synthetic),
     ]
 
@@ -128,6 +128,8 @@ def _rivals(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
 
 def _insertions(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
     role = sentences.scored_role(results)
+    if results.errors.empty:
+        return []
     return [
         document.heading("Single insertions"),
         *figure_of(figures, "overlays", captions.OVERLAYS, synthetic),

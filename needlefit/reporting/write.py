@@ -59,10 +59,7 @@ def write_all(results: Sequence[Results], folder: Path) -> list[Path]:
     """
     with _whole(folder) as new:
         _tables(results, new)
-        drawn = {
-            "boxplot": figures.boxplot(results, new / "boxplot.pdf"),
-            "rivals": figures.rivals(results, new / "rivals.pdf"),
-        }
+        drawn = _draw_scores(results, new)
         (new / "report.pdf").write_bytes(compile_pdf(overview(results, drawn)))
         _json(new / "run.json", {one.name: one.run for one in results})
         _json(new / "timing.json", {one.name: one.timing for one in results})
@@ -93,13 +90,26 @@ def _laid_out(results: Sequence[Results]) -> Iterator[tuple[str, pd.DataFrame, l
 
 def _draw(results: Results, folder: Path) -> dict[str, Path]:
     role = scored_role(results)
-    drawn = {"overlays": figures.overlays(results, folder / "overlays.pdf", role)}
+    drawn = {}
+    if _has(results.errors, role) and _has(results.shapes, role):
+        drawn["overlays"] = figures.overlays(results, folder / "overlays.pdf", role)
     if len(results.starts):
         drawn["waterfall"] = figures.waterfall(results, folder / "waterfall.pdf")
-    if role == "validate":
-        drawn["boxplot"] = figures.boxplot([results], folder / "boxplot.pdf")
-        drawn["rivals"] = figures.rivals([results], folder / "rivals.pdf")
-    return drawn
+    return drawn | _draw_scores([results], folder)
+
+
+def _draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
+    """Draw the errors on held-out insertions, if any were scored."""
+    if validation_table(*results).empty:
+        return {}
+    return {
+        "boxplot": figures.boxplot(results, folder / "boxplot.pdf"),
+        "rivals": figures.rivals(results, folder / "rivals.pdf"),
+    }
+
+
+def _has(frame: pd.DataFrame, role: str) -> bool:
+    return bool(((frame["role"] == role) & (frame["rival"] == "fitted")).any())
 
 
 def _csv(frame: pd.DataFrame, path: Path) -> None:

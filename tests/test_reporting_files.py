@@ -1,0 +1,193 @@
+"""Files: whole or not there, the same bytes every time, synthetic data called so."""
+
+import csv
+import dataclasses
+import hashlib
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from reporting_results import stereo, study
+
+from needlefit.errors import ConfigError
+from needlefit.mechanics.control import Bevel
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
+from needlefit.reporting import figures, write
+from needlefit.reporting.figures.overlays import stretch
+from needlefit.reporting.story import story
+from needlefit.validation.results import COLUMNS
+
+EXPECTED = {
+    *(f"{name}.csv" for name in ("design", "directions", "errors", "shapes", "starts")),
+    *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
+    *(f"{name}.pdf" for name in ("boxplot", "overlays", "rivals", "waterfall", "report")),
+    *("run.json", "timing.json"),
+}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("reports") / "study1"
+    write.write(study(1), folder)
+    return folder
+
+
+def digests(folder: Path) -> dict[str, str]:
+    return {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in sorted(folder.iterdir())}
+
+
+def test_a_result_folder_holds_every_file(folder):
+    assert {path.name for path in folder.iterdir()} == EXPECTED
+    assert [p.name for p in folder.parent.iterdir()] == ["study1"]
+    for name in EXPECTED:
+        assert (folder / name).stat().st_size > 0
+        if name.endswith(".pdf"):
+            assert (folder / name).read_bytes().startswith(b"%PDF")
+
+
+def test_another_process_writes_the_same_bytes(folder, tmp_path):
+    code = (
+        "from pathlib import Path; from reporting_results import study; "
+        "from needlefit.reporting.write import write; write(study(1), Path('again'))"
+    )
+    here = Path(__file__).parent
+    environment = os.environ | {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "SOURCE_DATE_EPOCH": "86400"}
+    environment["PYTHONPATH"] = os.pathsep.join([str(here), str(here.parent)])
+    subprocess.run([sys.executable, "-c", code], cwd=tmp_path, env=environment, check=True)
+    assert digests(tmp_path / "again") == digests(folder)
+
+
+def test_no_time_and_no_path_outside_timing(folder):
+    timing = json.loads((folder / "timing.json").read_text())
+    assert timing == {"out": "somewhere", "seconds": 12.5}
+    for path in folder.iterdir():
+        if path.name != "timing.json":
+            content = path.read_bytes()
+            assert b"CreationDate" not in content
+            assert b"ModDate" not in content
+            assert str(folder.parent).encode() not in content
+
+
+def test_every_csv_says_synthetic_in_every_row(folder):
+    for path in folder.glob("*.csv"):
+        with path.open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+        assert rows
+        assert {row["origin"] for row in rows} == {"synthetic"}
+    for path in folder.glob("*.tex"):
+        assert path.read_text().count(r"\caption{SYNTHETIC DATA.") == path.read_text().count(r"\caption{")
+
+
+def test_the_report_warns_before_any_number():
+    document = story(study(1), {})
+    assert document.synthetic
+    assert "consistency, not evidence" in document.blocks[0]["text"]
+    assert all(b["synthetic"] for b in document.blocks if b["kind"] in ("table", "figure"))
+    assert "INTERRUPTED" in story(study(2), {}).blocks[1]["text"]
+    assert "NOT CONVERGED" in story(study(3), {}).blocks[1]["text"]
+    measured = story(stereo(), {})
+    assert not measured.synthetic
+    assert measured.blocks[0]["kind"] == "list"
+
+
+def test_all_studies_together(tmp_path):
+    files = write.write_all([study(1), study(5)], tmp_path / "all")
+    assert {"validation.csv", "tuning.csv", "parameters.csv", "boxplot.pdf", "report.pdf"} <= {
+        path.name for path in files
+    }
+    assert pd.read_csv(tmp_path / "all" / "validation.csv")["study"].tolist() == [1, 1, 1, 5]
+    assert set(json.loads((tmp_path / "all" / "run.json").read_text())) == {"study1", "study5"}
+
+
+def test_a_failure_leaves_the_earlier_result_and_nothing_half_done(tmp_path, monkeypatch):
+    target = tmp_path / "study1"
+    target.mkdir()
+    (target / "run.json").write_text("{}")
+
+    def fail(_: object) -> bytes:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(write, "compile_pdf", fail)
+    monkeypatch.setattr(write, "_draw", lambda *_: {})
+    with pytest.raises(OSError, match="disk full"):
+        write.write(study(1), target)
+    assert [p.name for p in tmp_path.iterdir()] == ["study1"]
+    assert [p.name for p in target.iterdir()] == ["run.json"]
+
+
+def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
+    monkeypatch.setattr(write, "compile_pdf", lambda _: b"%PDF")
+    monkeypatch.setattr(write, "_draw", lambda *_: {})
+    target = tmp_path / "study1"
+    target.mkdir()
+    (target / "run.json").write_text("{}")
+    (target / "stale.csv").write_text("")
+    files = write.write(study(1), target, {"extra.txt": lambda path: path.write_text("more")})
+    assert not (target / "stale.csv").exists()
+    assert target / "extra.txt" in files
+    assert [p.name for p in tmp_path.iterdir()] == ["study1"]
+
+
+def test_a_folder_of_something_else_is_never_replaced(tmp_path):
+    (tmp_path / "thesis.docx").write_text("years of work")
+    with pytest.raises(ConfigError, match="holds no result"):
+        write.write(study(1), tmp_path)
+    assert (tmp_path / "thesis.docx").read_text() == "years of work"
+
+
+def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
+    names = ("errors", "shapes", "parameters", "directions", "starts")
+    nothing = {name: pd.DataFrame(columns=list(COLUMNS[name])) for name in names}
+    files = write.write(dataclasses.replace(study(1), **nothing), tmp_path / "stopped")
+    assert "report.pdf" in {path.name for path in files}
+    assert "validation.csv" not in {path.name for path in files}
+
+
+def test_a_fit_has_no_validation_table_but_a_report(tmp_path):
+    whole = study(1)
+    parts = {name: getattr(whole, name) for name in ("errors", "shapes", "design")}
+    tuned = dataclasses.replace(whole, **{k: v[v["role"] == "tune"] for k, v in parts.items()})
+    names = {path.name for path in write.write(tuned, tmp_path / "fit")}
+    assert {"tuning.csv", "overlays.pdf", "waterfall.pdf", "report.pdf"} <= names
+    assert not {"validation.csv", "boxplot.pdf"} & names
+
+
+def test_stretch_is_the_largest_that_fits():
+    assert stretch(60, 4) == 5  # 0.62 * 60 mm is 9.3 times 4 mm
+    assert stretch(60, 0.3) == 100
+    assert stretch(60, 60) == 1
+
+
+def scene(mu_mpa: float = 0.2) -> Scene:
+    needle = Needle.from_tube(150.0, 1.27, 80e3)
+    tissue = Tissue(np.array([mu_mpa, 33.0]), np.ones(2), np.array([12.0]))
+    return Scene(needle, tissue, Bevel(0.085), 25.0)
+
+
+@pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
+def test_a_scene_is_drawn_by_its_suffix_with_the_same_bytes(tmp_path, suffix, begins):
+    one = scene()
+    shape = simulate(one.needle, one.tissue, one.bevel, one.depth)
+    for name in ("a", "b"):
+        figures.draw_scene("Two layers", one, shape, tmp_path / f"{name}.{suffix}")
+    first, second = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("a", "b"))
+    assert first == second
+    assert first.startswith(begins)
+
+
+@pytest.mark.parametrize("name", ["needle.jpg", "needle"])
+def test_another_suffix_is_refused_with_what_would_do(tmp_path, name):
+    one = scene()
+    shape = simulate(one.needle, one.tissue, one.bevel, one.depth)
+    with pytest.raises(ConfigError, match=r"\.pdf, \.png or \.svg"):
+        figures.draw_scene("Two layers", one, shape, tmp_path / name)
+    with pytest.raises(ConfigError, match="no such folder"):
+        figures.draw_scene("Two layers", one, shape, tmp_path / "missing" / "needle.pdf")

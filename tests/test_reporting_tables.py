@@ -1,0 +1,249 @@
+"""Tables: known answers for the two ways of averaging, the paper's cells, and what may not be printed."""
+
+import dataclasses
+import json
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from reporting_results import stereo, study
+
+from needlefit.reporting.details import (
+    contradictions_layout,
+    insertions_layout,
+    parameters_layout,
+    rivals_layout,
+)
+from needlefit.reporting.latex import escape, latex
+from needlefit.reporting.layouts import design_layout, tuning_layout, validation_layout
+from needlefit.reporting.numbers import fixed, in_symbols, number, percent, symbol, typeset
+from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table, undetermined
+from needlefit.reporting.sentences import in_short, rivals_said, undetermined_said
+from needlefit.reporting.tables import records, tuning_table, validation_table
+from needlefit.validation import paper
+from needlefit.validation.results import Results
+from needlefit.validation.summary import aggregate, beaten_by, paired
+
+BY = ("role", "rival", "boundaries")
+
+
+def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True, True)) -> Results:
+    """Two held-out needles, each missed by the same distance everywhere."""
+    rows, shapes = [], []
+    template = study(1).errors.query("role == 'validate' and rival == 'fitted' and boundaries == 'measured'")
+    for i, (error, bend) in enumerate(zip(errors_mm, deflections_mm, strict=True)):
+        row = template.iloc[0].to_dict() | {"insertion": f"needle{i}", "layers": 3}
+        row |= dict.fromkeys(("median_err_mm", "ipe_mean_mm", "ipe_max_mm", "te_mm"), error)
+        row |= {"ipe_std_mm": 0.0, "edp_percent": 100 * error / bend, "deflection_mm": bend}
+        rows.append(row | {"edp_flagged": bend < 0.1, "converged": converged[i]})
+        x = np.linspace(0, 50, 101)
+        points = {
+            "measured_x_mm": x,
+            "measured_y_mm": 0 * x,
+            "simulated_x_mm": x,
+            "simulated_y_mm": error + 0 * x,
+        }
+        key = {name: row[name] for name in ("fold", "role", "insertion", "rival", "boundaries")}
+        shapes.append(pd.DataFrame(points).assign(j=np.arange(101), **key))
+    return dataclasses.replace(study(1), errors=pd.DataFrame(rows), shapes=pd.concat(shapes))
+
+
+def only(frame: pd.DataFrame) -> dict:
+    (row,) = records(frame)
+    return row
+
+
+def test_macro_is_the_mean_over_insertions():
+    row = only(aggregate(two_needles(), BY))
+    assert (row["ipe_mean_mm"], row["te_mm"], row["ipe_std_mm"], row["insertions"]) == (2.0, 2.0, 0.0, 2)
+    assert row["edp_percent"] == pytest.approx((50 + 300) / 2)
+
+
+def test_pooled_takes_all_points_together():
+    row = only(aggregate(two_needles(), BY, "pooled"))
+    assert row["ipe_mean_mm"] == pytest.approx(2.0)
+    assert row["ipe_std_mm"] == pytest.approx(1.0)
+    assert row["ipe_max_mm"] == pytest.approx(3.0)
+    assert row["edp_percent"] == pytest.approx(100 * (1 + 3) / (2 + 1))
+
+
+def test_an_insertion_without_an_answer_is_counted_and_in_no_mean():
+    row = only(aggregate(two_needles((1.0, math.nan), converged=(True, False)), BY))
+    assert (row["te_mm"], row["insertions"], row["not_converged"]) == (1.0, 2, 1)
+    row = only(aggregate(two_needles((1.0, math.inf), converged=(True, False)), BY, "pooled"))
+    assert (row["ipe_max_mm"], row["edp_percent"]) == (1.0, 50.0)
+
+
+def test_a_deflection_under_the_floor_is_flagged_and_the_rest_is_given_without_it():
+    row = only(validation_table(two_needles((1.0, 3.0), (2.0, 0.05))))
+    assert (row["edp_flagged"], row["edp_unflagged_percent"]) == (1, 50.0)
+    assert row["edp_percent"] == pytest.approx((50 + 6000) / 2)
+
+
+def test_results_without_a_column_are_refused():
+    with pytest.raises(ValueError, match=r"Results\.errors lacks te_mm"):
+        dataclasses.replace(study(1), errors=study(1).errors.drop(columns="te_mm"))
+
+
+def test_rivals_are_compared_on_the_same_insertions():
+    one = two_needles((1.0, 3.0))
+    rival = one.errors.assign(rival="constant_curvature", ipe_mean_mm=[0.5, 2.0])
+    alone = one.errors.iloc[:1].assign(rival="straight", ipe_mean_mm=9.0)
+    both = dataclasses.replace(one, errors=pd.concat([one.errors, rival, alone]))
+    table = {row["rival"]: row for row in records(paired(both))}
+    assert table["constant_curvature"]["difference_mm"] == pytest.approx((-0.5 - 1.0) / 2)
+    assert table["constant_curvature"]["difference_se_mm"] == pytest.approx(0.25)
+    assert table["constant_curvature"]["better"] == 0
+    assert (table["straight"]["insertions"], table["straight"]["difference_mm"]) == (1, 8.0)
+    assert table["straight"]["difference_se_mm"] is None
+    assert beaten_by(both) == ["constant_curvature"]
+    assert "constant curvature (−0.750 ± 0.250 mm" in rivals_said(both)
+
+
+def test_the_report_says_when_no_curve_wins():
+    one = two_needles()
+    worse = one.errors.assign(rival="straight", ipe_mean_mm=[4.0, 4.0])
+    assert "No empirical curve does better" in rivals_said(
+        dataclasses.replace(one, errors=pd.concat([one.errors, worse]))
+    )
+
+
+def test_the_validation_table_begins_with_the_papers_columns():
+    published = paper.table("validation")
+    table = validation_table(*(study(n) for n in range(1, 6)))
+    assert list(table.columns[: len(published.columns)]) == list(published.columns)
+    keys = ["study", "validate_medium", "validate_layers"]
+    assert table[keys].to_numpy().tolist() == published[keys].to_numpy().tolist()
+    for name in published.columns[3:]:
+        assert table[f"paper_{name}"].tolist() == published[name].tolist()
+
+
+def test_rows_are_json_and_missing_cells_are_null():
+    rows = records(validation_table(stereo()))
+    assert json.loads(json.dumps(rows, allow_nan=False)) == rows
+    assert rows[0]["paper_te_mm"] is None
+    assert rows[0]["hand_tuned_te_mm"] is None
+    assert rows[0]["study"] == "stereo_insertions"
+    assert rows[0]["comparable"] == "The paper has no such row."
+
+
+def test_held_out_groups_carry_planned_pooled_and_floor_columns():
+    row = records(validation_table(study(1)))[0]
+    assert row["floor_te_mm"] == pytest.approx(0.22)
+    assert row["planned_te_mm"] != row["te_mm"]
+    assert row["pooled_ipe_mean_mm"] == pytest.approx(row["ipe_mean_mm"])
+    assert row["pooled_ipe_max_mm"] > row["ipe_max_mm"]
+
+
+def test_what_makes_rows_comparable_or_not_is_said():
+    twin = records(validation_table(study(1)))[0]["comparable"]
+    assert "synthetic twin" in twin
+    assert "by hand" in twin
+    short = records(tuning_table(study(5)))
+    assert "3 insertions here, 12 there" in next(r for r in short if r["by"] == "media")["comparable"]
+    aligned = dataclasses.replace(study(1), errors=study(1).errors.assign(comparison="aligned"))
+    assert records(validation_table(aligned))[0]["comparable"].startswith("Not comparable")
+    measured = records(validation_table(study(1, "measured")))[0]["comparable"]
+    assert "the needles are not the paper's" in measured
+
+
+def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
+    rows = {row["by"]: row for row in records(tuning_table(study(1)))}
+    assert (rows["layers"]["paper_te_mm"], rows["layers"]["paper_insertions"]) == (0.44, 9)
+    assert (rows["media"]["paper_te_mm"], rows["media"]["paper_insertions"]) == (0.37, 16)
+    assert rows["media"]["layers"] is None
+
+
+def test_a_parameter_that_the_data_leave_open_is_no_number():
+    table = parameters_table(study(1), study(2))
+    open_ones = table[~table["determined"]]
+    assert set(open_ones["fitted"]) == {NOT_DETERMINED}
+    assert undetermined(study(1)) == ["alpha1", "alpha2", "alpha3", "alpha4"]
+    printed = {(row[0], row[1]): row for row in parameters_layout([study(1)]).rows}
+    assert NOT_DETERMINED in printed[("", "α₁")]
+    assert "α₁" in undetermined_said(study(1))
+    assert table[table["determined"]]["fitted"].str.match(r"^[\d.e-]+$").all()
+
+
+def test_folds_are_told_apart_only_where_there_are_several():
+    assert "Fold" not in [c.label for c in parameters_layout([study(1)]).columns]
+    assert "Fold" in [c.label for c in parameters_layout([stereo()]).columns]
+
+
+@pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
+def test_every_table_says_where_its_rows_come_from(results):
+    tables = [validation_layout([results]), tuning_layout([results], "layers"), design_layout([results])]
+    tables += [rivals_layout([results], "validate"), insertions_layout(results, "validate")]
+    for table in [*tables, parameters_layout([results])]:
+        assert table.columns[-1].label == "Origin"
+        assert {row[-1] for row in table.rows} <= {results.origin, "paper, measured"}
+        assert all(len(row) == len(table.columns) for row in table.rows)
+
+
+def test_the_paper_stands_below_us_in_the_same_column():
+    table = validation_layout([study(1)])
+    names = [row[4] for row in table.rows[:5]]
+    assert names == ["needlefit", "planned boundaries", "all points pooled", "noise floor", "paper"]
+    assert table.rows[4][5:10] == ("0.17", "0.19 ± 0.13", "0.54", "0.14", "5.56")
+    assert "†" in next(row for row in validation_layout([study(5)]).rows if row[4] == "needlefit")[9]
+    assert any("did not converge" in note for note in validation_layout([study(3)]).notes)
+
+
+def test_the_short_answer_names_floor_and_paper():
+    assert "noise floor 0.21 and 0.22 mm; the paper 0.19 and 0.14 mm" in in_short(study(1))[0]
+    assert "paper" not in in_short(stereo())[0]
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        *[
+            (0.0847, "0.0847"),
+            (213000, "2.13e5"),
+            (1e3, "1000"),
+            (999.6, "1000"),
+            (9999, "1e4"),
+            (1e8, "1e8"),
+        ],
+        *[(0.00012, "1.2e-4"), (-3.0, "-3"), (0.0, "0"), (None, ""), (math.nan, ""), (7455.0, "7460")],
+    ],
+)
+def test_numbers_have_three_digits_and_read_back(value, words):
+    assert number(value) == words
+    if words:
+        assert float(words) == pytest.approx(value, rel=5e-3)
+
+
+def test_numbers_in_print():
+    assert typeset("2.13e5") == "2.13 × 10⁵"
+    assert typeset("1e-4") == "10⁻⁴"
+    assert typeset("-3") == "−3"
+    assert [percent(v) for v in (4.77, 10.3, 254.2, 9.996, None)] == ["4.77", "10.3", "254", "10.0", "–"]
+    assert fixed(math.nan) == "–"
+    assert [symbol(n) for n in ("mu1_pa", "alpha12", "bevel_mm", "odd")] == [
+        "μ₁ (Pa)",
+        "α₁₂",
+        "b (mm)",
+        "odd",
+    ]
+    assert in_symbols("mu1 and bevel_mm only as mu1_pa * bevel_mm^1.9") == "μ₁ and b only as μ₁ · b^1.9"
+
+
+def test_latex_is_booktabs_with_every_sign_escaped():
+    page = latex(validation_layout([study(1)]), synthetic=True)
+    body = page.split(r"\midrule")[1].split(r"\bottomrule")[0]
+    rows = [line for line in body.splitlines() if line.endswith(r"\\")]
+    assert all(line.replace(r"\&", "").count("&") == 10 for line in rows)
+    assert len(rows) == 15
+    assert r"\caption{SYNTHETIC DATA. " in page
+    assert r"$\pm$" in page
+    assert page.isascii()
+    assert "SYNTHETIC" not in latex(validation_layout([stereo()]), synthetic=False)
+
+
+def test_latex_escapes():
+    assert escape("50 % of a_b & {c}") == r"50 \% of a\_b \& \{c\}"
+    assert escape("2 × 10⁻⁵ Pa, μ₁") == r"2 $\times$ 10$^{-5}$ Pa, $\mu$$_{1}$"
+    assert escape("a\\b") == r"a\textbackslash{}b"
+    assert latex(contradictions_layout(paper.contradictions()), synthetic=False).isascii()
