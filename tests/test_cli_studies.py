@@ -118,7 +118,7 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
-    assert "NOT determined by these data: alpha1, alpha2" in out
+    assert "NOT determined by these data: alpha1: shapes do not show it." in out
     assert "not tuned on this data" in out and "b re-tuned" in out
     assert "4 of 8 starts end within 1% of the best objective" in out
     assert "mu1_pa * bevel_mm^1.9" in out

@@ -79,14 +79,19 @@ def waterfall(starts: "pd.DataFrame") -> str:
 
 
 def open_questions(parameters: "pd.DataFrame", directions: "pd.DataFrame") -> list[str]:
-    """Return sentences on what the data do not determine, and to what the combinations are known."""
-    loose = parameters[~parameters["determined"].astype(bool)]
-    sentences = []
-    for note, rows in loose.groupby("note", sort=False):
-        names = ", ".join(rows["parameter"].unique())
-        why = str(note)
-        sentences.append(f"NOT determined by these data: {names}{f' ({why})' if why else ''}.")
-    return [*sentences, *(f"Known to {row.sd:.2g}: {row.words}." for row in directions.itertuples())]
+    """Return sentences on what the data do not determine, and how well combinations are known."""
+    free = parameters[parameters["status"] == "free"]
+    loose = free[~free["determined"].astype(bool)].drop_duplicates(["parameter", "note"])
+    fixed = parameters.loc[parameters["status"] == "fixed", "parameter"].unique()
+    sentences = [
+        f"NOT determined by these data: {row.parameter}: {str(row.note).removeprefix('not determined ')}."
+        for row in loose.itertuples()
+    ]
+    if len(fixed):
+        sentences.append(f"Fixed, not fitted: {', '.join(fixed)}.")
+    if len(directions):
+        sentences.append("Combinations:")
+    return [*sentences, *(f"  {row.words}." for row in directions.itertuples())]
 
 
 def _says(column: "pd.Series[Any]") -> bool:
