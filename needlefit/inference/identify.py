@@ -5,7 +5,9 @@ below `SD_LOG` in the logarithm, `SD_ALPHA` for alpha), if the starts that ended
 the best agree on it (their range is below `SPREAD` such deviations), and if it does not lie at a bound.
 
 The information is J^T J of the whitened residuals plus that of the bounds, 12 / width^2 (the precision
-of a uniform distribution): without it, an alpha free to be 300 would take mu with it.
+of a uniform distribution): without it, an alpha free to be 300 would take mu with it. Where the
+residuals are larger than the noise explains (reduced chi-square above 1), J^T J is divided by that
+ratio. Even so the deviations hold only as far as the model does.
 """
 
 import math
@@ -41,7 +43,7 @@ EQUAL_RELATIVE, EQUAL_MM = 0.01, 0.002
 AT_BOUND = 1e-3
 """A parameter closer to a bound than this part of its range lies at it."""
 
-TOLD = 0.3
+TOLD = 0.1
 """Weight from which on a direction is named in the note of a parameter."""
 
 
@@ -65,6 +67,8 @@ class Verdict:
         Principal directions of the information, best known first.
     notes : mapping
         One sentence for a person.
+    chi_square : float
+        Reduced: mean square of the whitened residuals at the best point; 1 where the noise explains them.
     noise_estimated : bool
         Whether the dataset states no noise, so that the fit's residuals had to stand for it.
     """
@@ -77,6 +81,7 @@ class Verdict:
     equal_starts: int
     directions: tuple[Direction, ...]
     notes: Mapping[str, str]
+    chi_square: float
     noise_estimated: bool
 
 
@@ -85,7 +90,11 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
     theta, names = np.array(fit.theta), problem.names
     weighed = with_noise(problem, theta)
     slope = np.nan_to_num(jacobian(weighed.residuals, theta, steps(names)))  # (R, P)
-    information = slope.T @ slope + np.diag(12.0 / (problem.upper - problem.lower) ** 2)
+    residuals = weighed.residuals(theta)
+    chi_square = float(residuals @ residuals) / max(1, len(residuals) - len(names))
+    information = slope.T @ slope / max(1.0, np.nan_to_num(chi_square)) + np.diag(
+        12.0 / (problem.upper - problem.lower) ** 2
+    )
     sds = dict(zip(names, cramer_rao(information).tolist(), strict=True))
     found = directions(information, names)
     equal = np.array([s.theta for s in practically_equal(fit)] or [fit.theta]).reshape(-1, len(names))
@@ -110,6 +119,7 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
         equal_starts=len(equal),
         directions=found,
         notes=notes,
+        chi_square=chi_square,
         noise_estimated=weighed is not problem,
     )
 

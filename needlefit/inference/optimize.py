@@ -58,7 +58,7 @@ ALGORITHMS = {
 }
 """What a recipe may ask for, alone or one after the other: `sbplx`, `bobyqa+neldermead`, `crs2+sbplx`."""
 
-FIRST_STEP = 0.1
+FIRST_STEP = 0.25
 """Initial step of a local search, as a part of each parameter's range."""
 
 PENALTY = 1e3

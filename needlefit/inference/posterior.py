@@ -3,13 +3,15 @@
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
-import xarray
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
+
+if TYPE_CHECKING:
+    import xarray
 
 Floats = NDArray[np.float64]
 
@@ -116,6 +118,8 @@ def save(posterior: Posterior, path: Path) -> None:
 
 def load(path: Path) -> Posterior:
     """Read what `save` wrote; DataError if the file is no posterior."""
+    import xarray
+
     try:
         with (
             xarray.open_dataset(path, group="posterior", engine=ENGINE) as draws,
@@ -133,6 +137,8 @@ def load(path: Path) -> Posterior:
 def _write(
     path: Path, group: str, variables: Mapping[str, tuple[tuple[str, ...], Floats]], of: Posterior
 ) -> None:
+    import xarray  # late: a study without sampling does not wait for it
+
     chains, length = of.log_posterior.shape
     dataset = xarray.Dataset(
         variables, coords={"chain": np.arange(chains), "draw": np.arange(length)}, attrs=_attributes(of)
@@ -153,7 +159,7 @@ def _attributes(of: Posterior) -> dict[str, str | int | Floats]:
     }
 
 
-def _read(draws: xarray.Dataset, stats: xarray.Dataset) -> Posterior:
+def _read(draws: "xarray.Dataset", stats: "xarray.Dataset") -> Posterior:
     names = tuple(str(draws.attrs["parameters"]).split(","))
     return Posterior(
         names=names,

@@ -10,11 +10,9 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
-import emcee
 import numpy as np
-from emcee.autocorr import integrated_time
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
@@ -135,7 +133,7 @@ def _check(problem: Density, settings: SampleRecord) -> None:
 
 @dataclass(frozen=True)
 class _Ensemble:
-    sampler: "emcee.EnsembleSampler"
+    sampler: Any  # emcee.EnsembleSampler
     steps: Iterator[object]
 
 
@@ -143,6 +141,8 @@ def _begin(
     problem: Density, best: Floats, settings: SampleRecord, rng: np.random.Generator, batch: Batch
 ) -> _Ensemble:
     """Return an ensemble whose walkers stand scattered about a point scattered about the best."""
+    import emcee  # takes 0.7 s, which only a sampling run should pay
+
     start = _walkers(problem, best, settings.walkers, rng, batch)
     sampler = emcee.EnsembleSampler(settings.walkers, len(problem.names), batch, vectorize=True)
     legacy = np.random.RandomState(int(rng.integers(2**32)))  # all that emcee takes
@@ -210,6 +210,8 @@ def _collected(
 
 def _times(chain: Floats) -> Floats:
     """Return the autocorrelation time (P,) of a chain (S, W, P), in steps."""
+    from emcee.autocorr import integrated_time
+
     logger = logging.getLogger("emcee.autocorr")
     logger.addFilter(_silent)  # that the chain is short is said by Posterior.faults
     try:

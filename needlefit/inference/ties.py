@@ -43,7 +43,9 @@ def parse(name: str, tie: str) -> tuple[float, str]:
     except ValueError:
         raise _wrong(name, tie, f"has the factor `{match['factor']}`, which is no number") from None
     if dimension(match["name"]) != dimension(name):
-        raise _wrong(name, tie, f"ties a {dimension(name)} to a {dimension(match['name'])}")
+        raise _wrong(
+            name, tie, f"joins different quantities, {dimension(name)} and {dimension(match['name'])}"
+        )
     positive = dimension(name) != "exponent"
     if not math.isfinite(factor) or (positive and factor <= 0):
         raise _wrong(name, tie, f"has the factor {factor:g}; moduli and lengths stay positive")

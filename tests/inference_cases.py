@@ -1,0 +1,115 @@
+"""Insertions for the tests of inference: simulated with the model itself, so their truth is known."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.geometry.frames import Frame
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.predict import predict
+from needlefit.inference.problem import Problem
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import inserted_points
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import RecipeRecord, WeightsRecord
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+NOISE = Noise(registration_mean=0.19, point_sd=0.05, correlated_sd=0.1, correlation_length=5.0)
+TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}
+MU, BEVEL = [1e3, 1e9], [1e-3, 0.5]
+
+
+def medium(layers: int = 2, **changed: dict[str, object]) -> MediumRecord:
+    """Two layers, mu and b free, alpha fixed at the truth; `changed` replaces single parameters."""
+    free = {f"mu{k}_pa": {"bounds": MU} for k in range(1, layers + 1)}
+    fixed = {f"alpha{k}": {"fixed": TRUTH.get(f"alpha{k}", 1.0)} for k in range(1, layers + 1)}
+    table = {**free, **fixed, "bevel_mm": {"bounds": BEVEL}, **changed}
+    return MediumRecord.model_validate({"schema": 1, "title": "test", "layers": layers, "parameters": table})
+
+
+def insertion(
+    depth: float,
+    boundaries: Sequence[float] = (),
+    sequence: Sequence[int] = (1,),
+    side: int = 1,
+    angle_sd: float = 0.004,
+) -> Insertion:
+    """Conditions of an insertion not yet measured."""
+    return Insertion(
+        id=f"at{depth:g}", medium="test", specimen=f"at{depth:g}", layers=len(sequence),
+        layers_alternative=len(sequence), depth=depth, side=side, frame=Frame(np.zeros(3), np.eye(3)),
+        pose_source="stage", pose_shift_sd=0.0, pose_angle_sd=angle_sd, centerline=np.zeros((2, 3)),
+        planar=np.zeros((2, 2)), out_of_plane=np.zeros(2), boundaries=np.array(boundaries, dtype=float),
+        sequence=tuple(sequence), boundary_sd=0.0,
+    )  # fmt: skip
+
+
+def measure(
+    values: dict[str, float],
+    record: MediumRecord,
+    planned: Insertion,
+    points: int = 101,
+    error: Callable[[np.ndarray], np.ndarray] | None = None,
+) -> Insertion:
+    """The insertion with the model's own shape as its measured centreline."""
+    planar = inserted_points(predict(values, record, NEEDLE, planned), points)
+    planar = planar if error is None else error(planar)
+    centerline = np.column_stack([planar, np.zeros(len(planar))])
+    return replace(planned, planar=planar, centerline=centerline, out_of_plane=np.zeros(len(planar)))
+
+
+def dataset(insertions: Sequence[Insertion], noise: Noise = NOISE, pose: str = "known", drop: float = 0.0):
+    return Dataset(
+        "cases", "cases", "synthetic", NEEDLE, tuple(insertions), {}, noise, pose, drop, Path(), "0"
+    )  # fmt: skip
+
+
+def two_layers(record: MediumRecord | None = None, count: int = 3, **options: object) -> Problem:
+    """A problem whose objective is 0 at TRUTH, but for rounding."""
+    record = medium() if record is None else record
+    made = [
+        measure(TRUTH, record, insertion(30.0 + 4.3 * k, (12.0 + 3 * k,), (1, 2), (1, -1)[k % 2]), **options)
+        for k in range(count)
+    ]
+    return problem(record, made)
+
+
+def problem(record: MediumRecord, made: Sequence[Insertion], **options: object) -> Problem:
+    return Problem(
+        dataset(made, **options), tuple(made), record, Parameters.from_record(record), WeightsRecord()
+    )
+
+
+def recipe(**changed: object) -> RecipeRecord:
+    return RecipeRecord.model_validate(
+        {"schema": 1, "algorithm": "neldermead", "starts": 4, "evaluations": 200, **changed}
+    )
+
+
+@dataclass(frozen=True)
+class Analytic:
+    """A function on a box, in the form that `minimize` and `sample` ask for."""
+
+    function: Callable[[np.ndarray], float]
+    lower: np.ndarray
+    upper: np.ndarray
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        return tuple(f"x{k}" for k in range(len(self.lower)))
+
+    def objective(self, theta: np.ndarray) -> float:
+        return self.function(theta)
+
+    def log_posterior(self, theta: np.ndarray) -> float:
+        return self.function(theta)
+
+    def values(self, theta: np.ndarray) -> dict[str, float]:
+        return {name: float(x) for name, x in zip(self.names, theta, strict=True)}
+
+
+def box(function: Callable[[np.ndarray], float], dimensions: int = 2, half: float = 2.0) -> Analytic:
+    return Analytic(function, np.full(dimensions, -half), np.full(dimensions, half))

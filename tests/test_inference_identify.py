@@ -1,0 +1,142 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+
+from needlefit.datasets.insertion import Noise
+from needlefit.inference.identify import identify, tip_range
+from needlefit.inference.information import combination, cramer_rao, directions, jacobian, steps
+from needlefit.inference.starts import Fit, Start
+
+FINE = Noise(point_sd=0.02)
+
+
+def fit_at(p, values, *others):
+    """A fit whose best point is known; `others` are (values, objective) of further starts."""
+    theta = tuple(p.parameters.theta(values).tolist())
+    best = p.objective(np.array(theta))
+    starts = [Start(0, theta, theta, best, 1, 0, "tolerance")]
+    for k, (other, objective) in enumerate(others, start=1):
+        place = tuple(p.parameters.theta(other).tolist())
+        starts.append(Start(k, place, place, objective, 1, 0, "tolerance"))
+    return Fit(theta, p.values(theta), best, tuple(starts), len(starts), 0, False)
+
+
+def test_alpha_is_said_not_to_be_determined_with_what_it_moves():
+    record = medium(1, alpha1={"bounds": [-3, 5]})
+    p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
+    verdict = identify(p, fit_at(p, TRUTH))
+    assert not verdict.determined["alpha1"] and verdict.determined["bevel_mm"]
+    moved = tip_range(p, np.array(p.parameters.theta(TRUTH)), "alpha1")
+    assert 0 < moved < 0.02  # mm, against a noise of 0.2
+    note = verdict.notes["alpha1"]
+    assert "not determined" in note and "-3 to 5" in note and f"{moved:.2g} mm" in note
+    assert verdict.sds["alpha1"] == pytest.approx(8 / math.sqrt(12), rel=0.01)  # its bounds, nothing more
+
+
+def test_freeing_alpha_does_not_change_what_is_known_of_the_rest():
+    fixed, freed = medium(1), medium(1, alpha1={"bounds": [-3, 5]})
+    made = [measure(TRUTH, fixed, insertion(d)) for d in (35.0, 50.0)]
+    problems = (problem(record, made, noise=FINE) for record in (fixed, freed))
+    sds = [identify(p, fit_at(p, TRUTH)).sds for p in problems]
+    for name in ("mu1_pa", "bevel_mm"):
+        assert sds[1][name] == pytest.approx(sds[0][name], rel=0.05)
+
+
+def test_the_ridge_of_mu_and_b_is_found_and_named():
+    """One short insertion in one layer tells one number: a combination of mu and b."""
+    record = medium(1)
+    p = problem(record, [measure(TRUTH, record, insertion(25.0, angle_sd=0.0))], noise=Noise(point_sd=0.2))
+    verdict = identify(p, fit_at(p, TRUTH))
+    assert not verdict.determined["mu1_pa"]
+    best, worst = verdict.directions
+    assert worst.sd > 5 * best.sd
+    assert "mu1" in best.words and "b" in best.words and "is known to" in best.words
+    assert "only a combination is" in verdict.notes["mu1_pa"]
+    # moving along the ridge keeps the shape, moving across does not
+    theta, step = np.array(p.parameters.theta(TRUTH)), 0.2
+    along, across = (p.objective(theta + step * np.array(d.weights)) for d in (worst, best))
+    assert across > 5 * along
+
+
+def test_starts_as_good_as_the_best_that_disagree_leave_nothing_determined():
+    p = replace(two_layers(), noise=FINE)
+    far = {**TRUTH, "mu2_pa": 2e9 / 100 * 50, "bevel_mm": 0.08}
+    agreed, split = identify(p, fit_at(p, TRUTH)), identify(p, fit_at(p, TRUTH, (far, 1e-3)))
+    worse = identify(p, fit_at(p, TRUTH, (far, 0.5)))
+    assert (agreed.equal_starts, split.equal_starts, worse.equal_starts) == (1, 2, 1)
+    assert split.spread_low["mu2_pa"] == pytest.approx(2e7) and split.spread_high["mu2_pa"] == pytest.approx(
+        1e9
+    )
+    assert agreed.determined["mu2_pa"] and not split.determined["mu2_pa"]
+    assert "disagree" in split.notes["mu2_pa"]
+
+
+@pytest.mark.parametrize(("name", "value", "bound"), [("mu1_pa", 1e9, "upper"), ("bevel_mm", 1e-3, "lower")])
+def test_a_parameter_at_its_bound_is_flagged(name, value, bound):
+    p = two_layers()
+    verdict = identify(p, fit_at(p, {**TRUTH, name: value}))
+    assert verdict.at_bound[name] == bound and not verdict.determined[name]
+    assert f"{bound} bound" in verdict.notes[name]
+
+
+def test_where_no_noise_is_stated_the_residuals_stand_for_it():
+    record = medium(1)
+    rough = [
+        measure(TRUTH, record, insertion(d), error=lambda xy: xy + 0.05 * np.sin(xy[:, :1] * 9))
+        for d in (35.0, 50.0)
+    ]
+    stated, unstated = (problem(record, rough, noise=n) for n in (Noise(point_sd=0.05), Noise()))
+    assert not identify(stated, fit_at(stated, TRUTH)).noise_estimated
+    verdict = identify(unstated, fit_at(unstated, TRUTH))
+    assert verdict.noise_estimated and all(map(math.isfinite, verdict.sds.values()))
+
+
+def test_residuals_larger_than_the_noise_widen_the_deviations():
+    record = medium(1)
+    still = insertion(45.0, angle_sd=0.0)
+    wavy = [measure(TRUTH, record, still, error=lambda xy: xy + 0.2 * np.sin(xy[:, :1] * 9))]
+    fine, coarse = (problem(record, wavy, noise=Noise(point_sd=sd)) for sd in (0.01, 0.1))
+    first, second = (identify(p, fit_at(p, TRUTH)) for p in (fine, coarse))
+    assert first.chi_square == pytest.approx(100 * second.chi_square, rel=0.05)
+    assert first.sds["bevel_mm"] == pytest.approx(second.sds["bevel_mm"], rel=0.1)
+
+
+def test_information_of_a_linear_model_by_hand():
+    def linear(theta):
+        return np.array([2 * theta[0] + theta[1], 3 * theta[1], 1.0])
+
+    slope = jacobian(linear, np.array([0.3, 0.7]), np.array([1e-3, 1e-3]))
+    assert slope == pytest.approx(np.array([[2, 1], [0, 3], [0, 0]]), abs=1e-9)
+    information = slope.T @ slope  # [[4, 2], [2, 10]], inverse [[10, -2], [-2, 4]] / 36
+    assert cramer_rao(information) == pytest.approx([math.sqrt(10) / 6, 2 / 6])
+
+
+def test_a_neighbour_that_fails_is_replaced_by_the_other():
+    def one_sided(theta):
+        return np.array([np.nan]) if theta[0] > 1 else np.array([5 * theta[0]])
+
+    assert jacobian(one_sided, np.array([1.0]), np.array([1e-3])).tolist() == [[pytest.approx(5.0)]]
+
+
+def test_nothing_known_is_infinite_not_an_error():
+    assert cramer_rao(np.diag([4.0, 0.0])).tolist() == [0.5, math.inf]
+
+
+def test_directions_are_said_in_words():
+    names = ("mu1_pa", "bevel_mm")
+    v = np.array([1.0, 1.9]) / math.hypot(1, 1.9)
+    w = np.array([-v[1], v[0]])
+    information = np.outer(v, v) / 0.01**2 + np.outer(w, w) / 2.0**2
+    first, second = directions(information, names)
+    assert first.words.startswith("mu1^0.53 * b is known to 1.1 %")
+    assert first.sd == pytest.approx(0.01) and second.sd == pytest.approx(2.0)
+    assert "nearly free" in second.words and "factor of" in second.words
+    assert combination(np.array([1.0, -0.5]), ("alpha1", "bevel_mm")) == "alpha1 - 0.5 ln b"
+    assert combination(np.array([0.001, 1.0]), ("alpha1", "mu2_pa")) == "mu2"
+
+
+def test_steps_suit_logarithms_and_alpha():
+    assert steps(("mu1_pa", "alpha1"))[1] > steps(("mu1_pa", "alpha1"))[0] > 0

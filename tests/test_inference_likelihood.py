@@ -1,0 +1,132 @@
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, dataset, insertion, measure, medium, problem
+from scipy.stats import multivariate_normal
+
+from needlefit.datasets.insertion import Noise
+from needlefit.errors import DataError
+from needlefit.inference.likelihood import covariance, evidence, log_likelihood, pose_sds, whitened
+
+STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
+
+
+def straight(angle_sd=0.0, depth=40.0):
+    return replace(insertion(depth, angle_sd=angle_sd), planar=STRAIGHT)
+
+
+def along(shift=(0.0, 0.0), angle=0.0, bump=0.0):
+    """The straight needle, shifted, turned about the entry, and with one point displaced."""
+
+    def curve(s):
+        x, y = s * math.cos(angle) + shift[0], s * math.sin(angle) + shift[1]
+        y[len(y) // 2] += bump
+        return np.column_stack([x, y])
+
+    return curve
+
+
+def test_independent_noise_gives_the_textbook_density():
+    known = evidence(dataset([], Noise(point_sd=0.2)), straight())
+    got = log_likelihood(known, along(shift=(0.0, 0.1)))
+    n = 2 * 41
+    expected = -0.5 * 41 * (0.1 / 0.2) ** 2 - n * math.log(0.2) - 0.5 * n * math.log(2 * math.pi)
+    assert got == pytest.approx(expected, rel=1e-12)
+
+
+def test_the_density_is_that_of_the_stated_covariance():
+    noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
+    known = evidence(dataset([], noise), measured)
+    cov = covariance(known.s, known.measured, noise, pose_sds("known", measured, noise))
+    curve = along(shift=(0.02, -0.1), angle=0.003, bump=0.07)
+    residual = (curve(known.s) - known.measured).T.ravel()
+    assert log_likelihood(known, curve) == pytest.approx(multivariate_normal(cov=cov).logpdf(residual))
+    assert known.factor @ whitened(known, curve) == pytest.approx(residual, abs=1e-12)
+
+
+def test_the_covariance_of_two_points_by_hand():
+    noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=10.0)
+    points = np.array([[0.0, 0.0], [10.0, 2.0]])
+    cov = covariance(np.array([0.0, 10.0]), points, noise, (0.5, 0.1))
+    shared = 0.16 * math.exp(-1)
+    # order x1, x2, y1, y2; a turn by d moves the second point by (-2 d, 10 d)
+    assert cov == pytest.approx(
+        np.array(
+            [
+                [0.5, 0.25 + shared, 0, 0],
+                [0.25 + shared, 0.5 + 0.04, 0, -0.2],
+                [0, 0, 0.5, 0.25 + shared],
+                [0, -0.2, 0.25 + shared, 0.5 + 1.0],
+            ]
+        )
+    )
+
+
+def test_a_wrong_pose_within_its_prior_costs_little_and_a_wrong_shape_much():
+    noise = Noise(registration_mean=0.2 * math.sqrt(8 / math.pi), point_sd=0.05)  # 0.2 mm per axis
+    known = evidence(dataset([], noise), straight(angle_sd=0.01))
+    best = log_likelihood(known, along())
+    assert best - log_likelihood(known, along(shift=(0.0, 0.2))) == pytest.approx(0.5, rel=0.1)
+    assert best - log_likelihood(known, along(angle=0.01)) == pytest.approx(0.5, rel=0.1)
+    assert best - log_likelihood(known, along(bump=0.25)) > 10
+    without = evidence(dataset([], Noise(point_sd=0.05)), straight())
+    assert log_likelihood(without, along()) - log_likelihood(without, along(shift=(0.0, 0.2))) > 300
+
+
+def test_correlated_noise_forgives_a_long_wave_more_than_a_jump():
+    known = evidence(
+        dataset([], Noise(point_sd=0.02, correlated_sd=0.2, correlation_length=20.0)), straight()
+    )
+    smooth = log_likelihood(known, lambda s: np.column_stack([s, 0.2 * np.sin(s / 10)]))
+    jumping = log_likelihood(known, lambda s: np.column_stack([s, 0.2 * (-1.0) ** np.arange(len(s))]))
+    assert smooth - jumping > 100
+
+
+def test_a_free_pose_costs_nothing():
+    record = medium(1)
+    made = measure(TRUTH, record, insertion(50.0), 201)
+    turned = replace(made, planar=made.planar @ np.array([[0.6, 0.8], [-0.8, 0.6]]) + [30.0, 7.0])
+    p, q = (problem(record, [i], pose="free", drop=5.0) for i in (made, turned))
+    theta = p.parameters.theta(TRUTH)
+    assert p.log_posterior(theta) == pytest.approx(q.log_posterior(theta), abs=1e-3)
+
+
+def test_a_centreline_of_many_points_is_thinned_and_keeps_its_tip():
+    dense = measure(TRUTH, medium(1), insertion(50.0), 2001)
+    known = evidence(dataset([], Noise(point_sd=0.1)), dense)
+    assert 100 < len(known.s) <= 200
+    assert known.measured[-1] == pytest.approx(dense.planar[-1]) and known.s[-1] == pytest.approx(50.0)
+
+
+def test_no_stated_noise_is_an_error_that_says_what_is_missing():
+    with pytest.raises(DataError, match="point_sd_mm"):
+        evidence(dataset([], Noise()), straight())
+
+
+def test_the_whitened_residuals_of_noisy_data_have_unit_variance():
+    rng, noise, record = np.random.default_rng(3), Noise(0.19, 0.05, 0.1, 5.0), medium(1)
+    shift_sd = 0.19 / math.sqrt(8 / math.pi)
+
+    def noisy(xy):
+        s = np.linspace(0, 50, len(xy))
+        root = np.linalg.cholesky(np.exp(-np.abs(s[:, None] - s) / 5.0))
+        moved = xy + 0.05 * rng.normal(size=xy.shape) + 0.1 * root @ rng.normal(size=xy.shape)
+        turn = 0.004 * rng.normal()
+        return moved + shift_sd * rng.normal(size=2) + turn * np.column_stack([-xy[:, 1], xy[:, 0]])
+
+    made = [measure(TRUTH, record, insertion(50.0), 101, noisy) for _ in range(12)]
+    p = problem(record, made, noise=noise)
+    # Noise along the needle stretches the polyline, which the model of the noise leaves out: y only.
+    white = p.residuals(p.parameters.theta(TRUTH)).reshape(12, -1)[:, 101:]
+    assert np.mean(white**2) == pytest.approx(1.0, abs=0.15)
+
+
+def test_outside_the_bounds_the_posterior_is_nothing():
+    record = medium(1)
+    p = problem(record, [measure(TRUTH, record, insertion(50.0))])
+    theta = p.parameters.theta(TRUTH)
+    assert math.isfinite(p.log_posterior(theta))
+    assert p.log_posterior(p.upper + 1e-9) == -math.inf
+    assert p.log_posterior(np.array([theta[0], np.nan])) == -math.inf
