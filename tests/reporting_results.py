@@ -118,8 +118,10 @@ def parameters(layers: int, fold: int, undetermined: bool, rivals: tuple[str, ..
             )
             free = rival == "fitted" or (rival == "hand_tuned_b" and name == "bevel_mm")
             tied = free and name in ("mu3_pa", "mu4_pa", "alpha3", "alpha4")
-            status = "tied" if tied else "free" if free else "published"
-            known = not (free and (alpha or (mu and undetermined)))
+            fixed = rival == "fitted" and alpha and layers == 1
+            free = free and not fixed
+            status = "fixed" if fixed else "tied" if tied else "free" if free else "published"
+            known = not fixed and not (free and (alpha or (mu and undetermined)))
             rows.append(
                 {
                     "fold": fold,
@@ -133,7 +135,9 @@ def parameters(layers: int, fold: int, undetermined: bool, rivals: tuple[str, ..
                     "spread_low": np.nan if not free else -2.4 if alpha else value / 30 if mu else 0.079,
                     "spread_high": np.nan if not free else 4.6 if alpha else value * 30 if mu else 0.092,
                     "determined": known,
-                    "note": "shapes do not show it"
+                    "note": "fixed"
+                    if fixed
+                    else "shapes do not show it"
                     if not known
                     else f"= mu{int(name[2]) - 2}_pa"
                     if tied

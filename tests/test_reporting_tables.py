@@ -19,7 +19,7 @@ from needlefit.reporting.latex import escape, latex
 from needlefit.reporting.layouts import design_layout, tuning_layout, validation_layout
 from needlefit.reporting.numbers import fixed, in_symbols, number, percent, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table, undetermined
-from needlefit.reporting.sentences import in_short, rivals_said, undetermined_said
+from needlefit.reporting.sentences import in_short, rivals_said, run_said, undetermined_said
 from needlefit.reporting.tables import records, tuning_table, validation_table
 from needlefit.validation import paper
 from needlefit.validation.results import Results
@@ -157,13 +157,35 @@ def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
 
 def test_a_parameter_that_the_data_leave_open_is_no_number():
     table = parameters_table(study(1), study(2))
-    open_ones = table[~table["determined"]]
+    open_ones = table[~table["determined"] & (table["status"] != "fixed")]
     assert set(open_ones["fitted"]) == {NOT_DETERMINED}
     assert undetermined(study(1)) == ["alpha1", "alpha2", "alpha3", "alpha4"]
     printed = {(row[0], row[1]): row for row in parameters_layout([study(1)]).rows}
     assert NOT_DETERMINED in printed[("", "α₁")]
-    assert "α₁" in undetermined_said(study(1))
+    assert "do not determine α₁, α₂, α₃, α₄:" in undetermined_said(study(1))
     assert table[table["determined"]]["fitted"].str.match(r"^[\d.e-]+$").all()
+
+
+def test_a_fixed_parameter_is_given_and_said_to_be_fixed():
+    row = records(parameters_table(study(5)))[1]
+    assert (row["parameter"], row["status"], row["fitted"]) == ("alpha1", "fixed", "1")
+    assert undetermined(study(5)) == ["mu1_pa"]
+    assert "Held fixed, not fitted: α₁." in undetermined_said(study(5))
+
+
+def test_the_run_is_told_in_lines():
+    digest = "ab" * 32
+    run = {
+        "seed": 1,
+        "dataset": {"name": "twin", "sha256": digest},
+        "interrupted": False,
+        "searches": {"x": 1},
+    }
+    assert run_said(run) == [
+        ("dataset", f"name twin; sha256 {digest[:16]}…"),
+        ("interrupted", "no"),
+        ("seed", "1"),
+    ]
 
 
 def test_folds_are_told_apart_only_where_there_are_several():
@@ -198,15 +220,9 @@ def test_the_short_answer_names_floor_and_paper():
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        *[
-            (0.0847, "0.0847"),
-            (213000, "2.13e5"),
-            (1e3, "1000"),
-            (999.6, "1000"),
-            (9999, "1e4"),
-            (1e8, "1e8"),
-        ],
-        *[(0.00012, "1.2e-4"), (-3.0, "-3"), (0.0, "0"), (None, ""), (math.nan, ""), (7455.0, "7460")],
+        *[(0.0847, "0.0847"), (213000, "2.13e5"), (1e3, "1000"), (999.6, "1000"), (9999, "1e4")],
+        *[(1e8, "1e8"), (0.00012, "1.2e-4"), (-3.0, "-3"), (0.0, "0"), (None, ""), (math.nan, "")],
+        (7455.0, "7460"),
     ],
 )
 def test_numbers_have_three_digits_and_read_back(value, words):

@@ -8,8 +8,8 @@ BOXPLOT = (
 )
 OVERLAYS = (
     "Measured needles (dots) and what the model makes of them (lines), one panel per insertion, all in the "
-    "same axes; the axis says by how much deflection is drawn larger than depth. Above each panel stand its "
-    "errors."
+    "same axes, deflection positive toward the bevel; the axis says by how much it is drawn larger than "
+    "depth. Above each panel stand its errors."
 )
 WATERFALL = (
     "Left: the objective at which each start of the search ended, best first. Right: where the starts left "

@@ -11,6 +11,16 @@ from needlefit.validation.claims import Claim
 from needlefit.validation.results import Results
 from needlefit.validation.summary import paired
 
+_ESTIMATES = (
+    "“As good” is the range over starts whose objective is practically the best. “Sd” is the Cramér-Rao "
+    "bound, of ln for μ and b, of the value for α. μ is an effective foundation modulus of this model, not a "
+    "material constant."
+)
+_BY_HAND = (
+    "“By hand” is the paper’s set, never a start of the search; “b re-tuned” is that set with b alone fitted "
+    "to the same insertions."
+)
+
 
 def parameters_layout(results: Sequence[Results]) -> Display:
     """Return ours beside the paper's hand-tuned set and that set with b alone re-tuned."""
@@ -30,13 +40,9 @@ def parameters_layout(results: Sequence[Results]) -> Display:
         *(Column("As good"), Column("Sd"), Column("By hand"), Column("b re-tuned")),
         *(text("Note", wide=True), text("Origin")),
     )
-    notes = (
-        "“As good” is the range over starts whose objective is practically the best. “Sd” is the Cramér-Rao "
-        "bound, of ln for μ and b, of the value for α. “By hand” is the paper’s set, never a start of the "
-        "search; “b re-tuned” is that set with b alone fitted to the same insertions. "
-        "μ is an effective foundation modulus of this model, not a material constant.",
-    )
-    caption = "Parameters, beside the paper’s."
+    printed = any(row["hand_tuned"] for row in table)
+    notes = (f"{_ESTIMATES} {_BY_HAND}" if printed else _ESTIMATES,)
+    caption = "Parameters, beside the paper’s." if printed else "Parameters."
     return without_empty(Display("parameters", caption, columns, tuple(rows), tuple(breaks), (), notes))
 
 
@@ -129,7 +135,7 @@ def _parameter(row: Row) -> tuple[str, ...]:
     return (
         symbol(row["parameter"]),
         fitted,
-        " to ".join(spread) if all(spread) else "",
+        " to ".join(dict.fromkeys(spread)) if all(spread) else "",
         number(row["sd"]),
         typeset(row["hand_tuned"]),
         row["hand_tuned_b"] if row["hand_tuned_b"] == NOT_DETERMINED else typeset(row["hand_tuned_b"]),

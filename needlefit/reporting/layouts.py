@@ -15,12 +15,14 @@ _SCORES = (
     Column("TE", "mm"),
     Column("EDP", "%"),
 )
-_AVERAGES = (
-    "Each cell is the mean over insertions of each one's value; IPE is mean ± standard deviation. "
-    "“Noise floor” is what perfect parameters would still show.",
-    "“Planned boundaries” scores the same model with layer depths from the planned straight path: "
-    "the measured crossings of a held-out insertion leak its outcome.",
-)
+_WAYS = {  # what a row means, said under the table where the row stands in it
+    "needlefit": "Each cell is the mean over insertions of each one’s value; IPE is mean ± standard "
+    "deviation.",
+    "planned boundaries": "“Planned boundaries” scores the same model with layer depths from the planned "
+    "straight path: the measured crossings of a held-out insertion leak its outcome.",
+    "noise floor": "“Noise floor” is what perfect parameters would still show.",
+}
+_ALIGNED = "Errors are after rigid alignment of each shape, whose pose in the world is not known."
 
 
 def validation_layout(results: Sequence[Results]) -> Display:
@@ -29,7 +31,7 @@ def validation_layout(results: Sequence[Results]) -> Display:
     heads = (text("Study"), text("Held out"), Column("Layers"), Column("n"), text("Row"))
     ways = [("needlefit", ""), ("planned boundaries", "planned_"), ("all points pooled", "pooled_")]
     return _stacked(
-        Display("validation", "Errors on held-out insertions, beside the paper’s.", heads, ()),
+        Display("validation", "Errors on held-out insertions.", heads, ()),
         [(_group(row, row["validate_medium"], row["validate_layers"]), row) for row in table],
         ways,
     )
@@ -84,9 +86,12 @@ def _stacked(
         caveats += _caveats(head, row)
     columns = (*frame.columns, *_SCORES, text("Origin"))
     compared = [f"{'; '.join(heads)}: {sentence}" for sentence, heads in same.items()]
-    planned = _AVERAGES if any(prefix == "planned_" for _, prefix in ways) else _AVERAGES[:1]
-    notes = (*planned, *compared, *caveats)
-    return Display(frame.name, frame.caption, columns, tuple(rows), tuple(breaks), tuple(strong), notes)
+    names = {row[len(head)] for row in rows for head, _ in groups[:1]}
+    said = [sentence for way, sentence in _WAYS.items() if way in names]
+    said += [_ALIGNED] if any(row["comparison"] == "aligned" for _, row in groups) else []
+    caption = frame.caption.removesuffix(".") + (", beside the paper’s." if "paper" in names else ".")
+    notes = (" ".join(said), *compared, *caveats) if said else ()
+    return Display(frame.name, caption, columns, tuple(rows), tuple(breaks), tuple(strong), notes)
 
 
 def _block(row: Row, ways: list[tuple[str, str]]) -> list[tuple[str, tuple[str, ...]]]:

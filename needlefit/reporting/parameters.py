@@ -1,5 +1,7 @@
 """The parameter table: ours beside the paper's, and what cannot be determined said instead of printed."""
 
+from collections.abc import Callable
+
 import pandas as pd
 
 from needlefit.reporting.numbers import number
@@ -7,6 +9,7 @@ from needlefit.reporting.tables import Row, records, study_label
 from needlefit.validation.results import Results
 
 NOT_DETERMINED = "not determined"
+_SEARCHED = ("free", "tied")
 _COLUMNS = (
     *("study", "medium", "fold", "parameter", "fitted", "determined", "status"),
     *("sd", "sd_of", "spread_low", "spread_high", "bound_low", "bound_high", "value_used"),
@@ -26,8 +29,17 @@ def parameters_table(*results: Results) -> pd.DataFrame:
 
 
 def undetermined(results: Results) -> list[str]:
-    """Return the fitted parameters that some fold could not determine, in the order of the model."""
-    rows = [r for r in records(results.parameters) if r["rival"] == "fitted" and not r["determined"]]
+    """Return the searched parameters that some fold could not determine, in the order of the model."""
+    return _named(results, lambda row: row["status"] in _SEARCHED and not row["determined"])
+
+
+def held_fixed(results: Results) -> list[str]:
+    """Return the parameters that were given, not searched, in the order of the model."""
+    return _named(results, lambda row: row["status"] == "fixed")
+
+
+def _named(results: Results, wanted: Callable[[Row], bool]) -> list[str]:
+    rows = [row for row in records(results.parameters) if row["rival"] == "fitted" and wanted(row)]
     return list(dict.fromkeys(str(row["parameter"]) for row in rows))
 
 
@@ -56,6 +68,6 @@ def _printed(row: Row | None) -> str:
     """Return the cell of one parameter; the status decides whether it could have been determined at all."""
     if row is None:
         return ""
-    if row["status"] in ("free", "tied") and not row["determined"]:
+    if row["status"] in _SEARCHED and not row["determined"]:
         return NOT_DETERMINED
     return number(row["value"])

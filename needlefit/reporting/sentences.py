@@ -1,13 +1,15 @@
 """What a report says in words: the answer first, its noise floor and its rivals in the same breath."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 
 from needlefit.reporting.names import RIVAL_NAMES, layers_name, medium_name
 from needlefit.reporting.numbers import MISSING, fixed, symbol
-from needlefit.reporting.parameters import undetermined
+from needlefit.reporting.parameters import held_fixed, undetermined
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate, beaten_by, paired
+
+_SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned")
 
 
 def scored_role(results: Results) -> str:
@@ -44,13 +46,14 @@ def undetermined_said(results: Results) -> str:
     open_ones = undetermined(results)
     if not (results.parameters["rival"] == "fitted").any():
         return "The search gave no parameters."
+    fixed_ones = held_fixed(results)
+    said = f" Held fixed, not fitted: {_symbols(fixed_ones)}." if fixed_ones else ""
     if not open_ones:
-        return "The data determine every free parameter, as far as this model and its noise go."
-    names = ", ".join(symbol(name).split(" (")[0] for name in open_ones)
+        return f"The data determine every free parameter, as far as this model and its noise go.{said}"
     where = ", in at least one fold" if results.parameters["fold"].nunique() > 1 else ""
     return (
-        f"The data do not determine {names}{where}. They are printed as such: the prediction used one of "
-        "many values that fit practically as well, and that value is no estimate."
+        f"The data do not determine {_symbols(open_ones)}{where}: printed as such, because the prediction "
+        f"used one of many values that fit practically as well, and that value is no estimate.{said}"
     )
 
 
@@ -77,9 +80,9 @@ def floor_said(results: Results) -> str:
 
 
 def run_said(run: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Return what the run was, key by key; long digests are cut."""
-    pairs = [(key, str(value)) for key, value in _flat("", run) if value not in (None, "", {}, [])]
-    return [(key, value if len(value) <= 40 else f"{value[:16]}…") for key, value in pairs]
+    """Return what the run was, a line per key; what the report shows elsewhere is left to run.json."""
+    said = [(key, _line(value)) for key, value in sorted(run.items()) if key not in _SHOWN_ELSEWHERE]
+    return [(key.replace("_", " "), line) for key, line in said if line]
 
 
 def _answer(row: Row) -> str:
@@ -109,6 +112,10 @@ def _fit_answer(results: Results) -> str:
     )
 
 
+def _symbols(names: list[str]) -> str:
+    return ", ".join(symbol(name).split(" (")[0] for name in names)
+
+
 def _overall(results: Results) -> Row | None:
     """Return the fitted model's errors over everything it is scored on, or None if it was not."""
     wanted = (scored_role(results), "fitted", "measured")
@@ -128,9 +135,16 @@ def _gap(row: Row) -> str:
     return f"{gap}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}"
 
 
-def _flat(prefix: str, value: object) -> Iterator[tuple[str, object]]:
+def _line(value: object) -> str:
+    """Return a value of run.json on one line; digests are cut."""
     if isinstance(value, Mapping):
-        for key in sorted(value):
-            yield from _flat(f"{prefix}.{key}" if prefix else str(key), value[key])
-    else:
-        yield prefix, value
+        pairs = ((str(key), _line(item)) for key, item in sorted(value.items()))
+        return "; ".join(f"{key.replace('_', ' ')} {line}" for key, line in pairs if line)
+    if isinstance(value, list | tuple):
+        return ", ".join(_line(item) for item in value)
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    if isinstance(value, float):
+        return f"{value:g}"
+    words = "" if value is None else str(value)
+    return f"{words[:16]}…" if len(words) >= 40 and " " not in words else words

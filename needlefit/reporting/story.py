@@ -67,7 +67,7 @@ def run_blocks(results: Results, synthetic: bool) -> list[Block]:
     if not rows:
         return []
     table = Display(
-        "run", f"What {results.name} was computed with.", (text("Key"), text("Value", wide=True)), rows
+        "run", f"What {results.name} was computed with.", (text("What"), text("Value", wide=True)), rows
     )
     return [
         document.heading("Run"),

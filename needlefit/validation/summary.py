@@ -111,9 +111,9 @@ def _clouds(results: Results, errors: pd.DataFrame, by: Sequence[str]) -> dict[A
 
 
 def _gap(shapes: pd.DataFrame) -> pd.Series:
-    return np.hypot(
-        shapes["simulated_x_mm"] - shapes["measured_x_mm"], shapes["simulated_y_mm"] - shapes["measured_y_mm"]
-    )
+    """Return the distance between the two curves at every point, mm."""
+    across, along = (shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in ("y", "x"))
+    return pd.Series(np.hypot(across, along), index=shapes.index)
 
 
 def _pooled(group: pd.DataFrame, cloud: pd.Series) -> dict[str, Any]:

@@ -21,7 +21,8 @@ _SHOWN = ("hand_tuned", "fitted")
 def overlays(results: Results, path: Path, role: str = "validate") -> Path:
     """Draw each insertion of a role: the measured needle as dots, the model's prediction as a line.
 
-    All panels have the same axes in mm; y is stretched by the factor that its label states.
+    All panels have the same axes in mm, y positive toward the bevel and stretched by the factor that its
+    label states.
     """
     return draw(path, lambda: _paint(results, role))
 
@@ -34,13 +35,14 @@ def stretch(width: float, height: float) -> int:
 
 def _paint(results: Results, role: str) -> Figure:
     where = "role == @role and boundaries == 'measured' and rival in @_SHOWN"
-    shapes = results.shapes.query(where, local_dict={"role": role, "_SHOWN": _SHOWN})
+    shapes = results.shapes.query(where, local_dict={"role": role, "_SHOWN": _SHOWN}).copy()
     scored = results.errors.query("role == @role and boundaries == 'measured' and rival == 'fitted'")
+    _turn_to_bevel(shapes, scored)
     x, y = _limits(shapes)
     factor = stretch(x[1] - x[0], y[1] - y[0])
-    columns = min(3, len(scored))
+    columns = min(3 if len(scored) <= 24 else 4, len(scored))
     rows = math.ceil(len(scored) / columns)
-    panel = WIDTH / 3
+    panel = WIDTH / max(columns, 3)
     height = panel * 0.86 * factor * (y[1] - y[0]) / (x[1] - x[0]) + 0.32
     size = (max(columns, 2) * panel, rows * height + 0.75)
     figure = Figure(figsize=size)
@@ -53,7 +55,7 @@ def _paint(results: Results, role: str) -> Figure:
     _hide(list(grid.flat)[len(scored) :], grid)
     figure.supxlabel("depth x (mm)", fontsize=7.5)
     drawn = "" if factor == 1 else f",\ndrawn {factor}× as large as x"
-    figure.supylabel(f"deflection y (mm){drawn}", fontsize=7.5)
+    figure.supylabel(f"toward the bevel y (mm){drawn}", fontsize=7.5)
     _explain(figure, shapes)
     label_origin(figure, results.origin == "synthetic")
     return figure
@@ -78,6 +80,15 @@ def _panel(axes: Axes, shapes: pd.DataFrame, row: pd.Series) -> None:
     errors = f"IPE {row['ipe_mean_mm']:.{digits}f}, TE {row['te_mm']:.{digits}f} mm"
     said = errors if row["converged"] else "did not converge"
     axes.set_title(said, loc="right", pad=3, fontsize=6.5, color=RIVAL_COLOURS["fitted"])
+
+
+def _turn_to_bevel(shapes: pd.DataFrame, scored: pd.DataFrame) -> None:
+    """Mirror the needles whose bevel faces the other way; deflections are positive toward it already."""
+    for _, row in scored.iterrows():
+        here = (shapes["fold"] == row["fold"]) & (shapes["insertion"] == row["insertion"])
+        measured = shapes.loc[here, ["j", "measured_y_mm"]].sort_values("j")["measured_y_mm"]
+        if len(measured) and (measured.iloc[-1] - measured.iloc[0]) * row["deflection_mm"] < 0:
+            shapes.loc[here, ["measured_y_mm", "simulated_y_mm"]] *= -1
 
 
 def _limits(shapes: pd.DataFrame) -> tuple[tuple[float, float], tuple[float, float]]:
