@@ -131,6 +131,8 @@ def contradictions_layout(claims: Sequence[Claim]) -> Display:
 
 def _parameter(row: Row) -> tuple[str, ...]:
     spread = [typeset(number(row[key])) for key in ("spread_low", "spread_high")]
+    if not row["determined"] and spread[0] == spread[1]:
+        spread = [""]  # one start is no range, and a value that is not determined is not printed
     fitted = row["fitted"] if row["fitted"] == NOT_DETERMINED else typeset(row["fitted"])
     return (
         symbol(row["parameter"]),

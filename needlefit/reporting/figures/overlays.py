@@ -11,7 +11,7 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from needlefit.reporting.figures.style import WIDTH, draw, label_origin
-from needlefit.reporting.names import INK, RIVAL_COLOURS
+from needlefit.reporting.names import INK, RIVAL_COLOURS, rival_name
 from needlefit.validation.results import Results
 
 _STRETCHES = (1, 2, 5, 10, 20, 50, 100)
@@ -56,7 +56,7 @@ def _paint(results: Results, role: str) -> Figure:
     figure.supxlabel("depth x (mm)", fontsize=7.5)
     drawn = "" if factor == 1 else f",\ndrawn {factor}× as large as x"
     figure.supylabel(f"toward the bevel y (mm){drawn}", fontsize=7.5)
-    _explain(figure, shapes)
+    _explain(figure, results, set(shapes["rival"]))
     label_origin(figure, results.origin == "synthetic")
     return figure
 
@@ -109,11 +109,10 @@ def _hide(spare: list[Axes], grid: NDArray[np.object_]) -> None:
             grid[-2, -i].tick_params(labelbottom=True)
 
 
-def _explain(figure: Figure, shapes: pd.DataFrame) -> None:
-    present = set(shapes["rival"])
+def _explain(figure: Figure, results: Results, present: set[str]) -> None:
     said = [("measured", INK, "."), ("needlefit, fitted", RIVAL_COLOURS["fitted"], "")]
     if "hand_tuned" in present:
-        said.append(("paper's hand-tuned set", RIVAL_COLOURS["hand_tuned"], ""))
+        said.append((rival_name("hand_tuned", results), RIVAL_COLOURS["hand_tuned"], ""))
     handles = [
         Line2D([], [], color=colour, marker=marker, lw=0 if marker else 1.5, label=label)
         for label, colour, marker in said

@@ -7,7 +7,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
-from needlefit.reporting.names import INK, PAPER, RIVAL_COLOURS, RIVAL_NAMES, layers_name, medium_name
+from needlefit.reporting.names import INK, PAPER, RIVAL_COLOURS, layers_name, medium_name, rival_name
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import RIVALS, Results
 
@@ -17,11 +17,13 @@ _MARKERS = dict(zip(RIVALS, ("o", "s", "s", "v", "^", "D"), strict=True))
 def rivals(results: Sequence[Results], path: Path) -> Path:
     """Draw one line per held-out group with a mark per rival: the further left, the smaller the error."""
     rows = records(validation_table(*results))
-    return draw(path, lambda: _paint(rows, any(one.origin == "synthetic" for one in results)))
+    twin = next((one for one in results if one.origin == "synthetic"), None)
+    names = {rival: rival_name(rival, twin or results[0]) for rival in RIVALS}
+    return draw(path, lambda: _paint(rows, names, synthetic=twin is not None))
 
 
-def _paint(rows: list[Row], synthetic: bool) -> Figure:
-    figure = Figure(figsize=(WIDTH, 1.05 + 0.42 * len(rows)))
+def _paint(rows: list[Row], names: dict[str, str], synthetic: bool) -> Figure:
+    figure = Figure(figsize=(WIDTH, 1.2 + 0.42 * len(rows)))
     axes = figure.add_subplot()
     present = [rival for rival in RIVALS if any(_error(row, rival) is not None for row in rows)]
     for y, row in enumerate(rows):
@@ -34,11 +36,11 @@ def _paint(rows: list[Row], synthetic: bool) -> Figure:
             axes.plot(row["paper_ipe_mean_mm"], y, "D", ms=4, mfc="white", mec=PAPER, mew=1.0, zorder=5)
     _dress(axes, rows)
     for rival in present:
-        axes.plot([], [], _MARKERS[rival], ms=4.5, color=RIVAL_COLOURS[rival], label=RIVAL_NAMES[rival])
+        axes.plot([], [], _MARKERS[rival], ms=4.5, color=RIVAL_COLOURS[rival], label=names[rival])
     if any(row["paper_ipe_mean_mm"] is not None for row in rows):
         axes.plot([], [], "D", ms=4, mfc="white", mec=PAPER, mew=1.0, label="paper, on its own needles")
     axes.plot([], [], color=INK, lw=0.9, ls=(0, (2, 1.5)), label="noise floor")
-    figure.legend(loc="outside upper left", ncols=3, handletextpad=0.2, columnspacing=1.2)
+    figure.legend(loc="outside upper left", ncols=2, handletextpad=0.2, columnspacing=1.2)
     label_origin(figure, synthetic)
     return figure
 

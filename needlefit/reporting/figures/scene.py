@@ -57,8 +57,10 @@ def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
 
 
 def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
-    """Shade the layers, the darker the stiffer, and write each one's modulus along the upper edge."""
+    """Shade the layers, the darker the stiffer, and write each one's modulus where the needle is not."""
     start, end = axes.get_xlim()
+    low, high = axes.get_ylim()
+    free = 0.04 if high > -low else 0.96
     edges = np.minimum([0.0, *scene.tissue.boundaries, np.inf], end)
     stiffness = np.log10(scene.tissue.mu)
     decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
@@ -70,8 +72,8 @@ def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
         inches = (bottom - top) / (end - start) * width
         modulus = f"layer {i + 1}\n{typeset(number(scene.tissue.mu[i] * 1e6))} Pa"
         axes.text(
-            (top + bottom) / 2, 0.97, modulus if inches > 0.75 else f"{i + 1}", ha="center", va="top",
-            fontsize=6.5, linespacing=1.3, transform=axes.get_xaxis_transform(),
+            (top + bottom) / 2, free, modulus if inches > 0.75 else f"{i + 1}", ha="center", fontsize=6.5,
+            va="bottom" if free < 0.5 else "top", linespacing=1.3, transform=axes.get_xaxis_transform(),
         )  # fmt: skip
     for depth in scene.tissue.boundaries[scene.tissue.boundaries < end]:
         axes.axvline(depth, color="white", lw=1.2, zorder=0.5)
