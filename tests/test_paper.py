@@ -5,7 +5,7 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.validation import paper
-from needlefit.validation.claims import Bound, Claim
+from needlefit.validation.paper.claims import Bound, Claim
 
 
 def by_topic(part: str) -> Claim:

@@ -7,7 +7,7 @@ from needlefit.reporting.names import medium_name, rival_name
 from needlefit.reporting.numbers import MISSING, fixed, in_symbols, number, percent, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table
 from needlefit.reporting.tables import Row, records, study_label
-from needlefit.validation.claims import Claim
+from needlefit.validation.paper.claims import Claim
 from needlefit.validation.results import Results
 from needlefit.validation.summary import paired
 

@@ -136,7 +136,7 @@ def _plain(value: object) -> object:
 @contextmanager
 def _whole(folder: Path) -> Iterator[Path]:
     """Give a new folder beside `folder`, and put it in its place once it is complete."""
-    _require_result(folder)
+    require_result(folder)
     folder.parent.mkdir(parents=True, exist_ok=True)
     new = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
     try:
@@ -162,8 +162,8 @@ def _replace(new: Path, folder: Path) -> None:
     shutil.rmtree(old)
 
 
-def _require_result(folder: Path) -> None:
-    """Refuse to replace a folder that needlefit did not write."""
+def require_result(folder: Path) -> None:
+    """Raise ConfigError if `folder` holds something that needlefit did not write."""
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
     if not (folder / "run.json").is_file():

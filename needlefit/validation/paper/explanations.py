@@ -1,7 +1,7 @@
 """Claims of the paper about averages, and about what makes an error-to-deflection percentage large."""
 
-from needlefit.validation.claims import Claim, Tables, rows
-from needlefit.validation.counts import phantom2
+from needlefit.validation.paper.claims import Claim, Tables, rows
+from needlefit.validation.paper.counts import phantom2
 
 
 def maximum_called_average(t: Tables) -> Claim:

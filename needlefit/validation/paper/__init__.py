@@ -8,8 +8,8 @@ import pandas as pd
 
 from needlefit.errors import ConfigError
 from needlefit.project import places
-from needlefit.validation import counts, explanations
-from needlefit.validation.claims import BOUNDS, Claim, Tables, rows
+from needlefit.validation.paper import counts, explanations
+from needlefit.validation.paper.claims import BOUNDS, Claim, Tables, rows
 
 Table = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"

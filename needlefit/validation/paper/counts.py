@@ -1,6 +1,6 @@
 """Claims of the paper about how many insertions there are and what they tune."""
 
-from needlefit.validation.claims import Claim, Tables, rows
+from needlefit.validation.paper.claims import Claim, Tables, rows
 
 
 def four_and_three(t: Tables) -> Claim:
