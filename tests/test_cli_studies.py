@@ -151,3 +151,24 @@ def test_a_wrong_study_is_told_before_anything_runs(stub, capsys):
     assert run("validate", "mine") == 3
     assert "`validat` is unknown" in capsys.readouterr().err
     assert made.asked == []
+
+
+def test_tune_interrupted_before_anything_is_found_leaves_an_earlier_result(stub, capsys):
+    results = study(1)
+    nothing = results.errors.query("rival != 'fitted'")
+    made = stub(dataclasses.replace(results, interrupted=True, errors=nothing))
+    assert run("tune", "gel") == 130
+    assert made.written == []
+    assert "needlefit tune gel --resume" in capsys.readouterr().err
+
+
+def test_a_folder_of_somebody_else_is_refused_before_anything_runs(stub, capsys):
+    made = stub(study(1))
+    Path("reports/mine").mkdir(parents=True)
+    Path("reports/mine/thesis.tex").write_text("years of work")
+    assert run("validate", "mine") == 3
+    assert "holds no result" in capsys.readouterr().err
+    Path("file").write_text("")
+    assert run("tune", "gel", "--out", "file/below") == 3
+    assert "cannot be written to" in capsys.readouterr().err
+    assert made.asked == []

@@ -2,6 +2,7 @@
 
 import os
 import shutil
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -9,9 +10,9 @@ from typing import TYPE_CHECKING
 import typer
 
 from needlefit.cli import failure, screen
-from needlefit.cli.interruption import stopping
 from needlefit.cli.invocation import Invocation
 from needlefit.cli.progress import progress
+from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
@@ -28,7 +29,30 @@ class Execution:
     seed: int | None
     jobs: int | None
     resume: bool
+    stop: Callable[[], bool]
     sample: bool = False
+
+    def prepare(self, names: Iterable[str]) -> None:
+        """Make sure, before hours of work, that the results can be written.
+
+        Raises
+        ------
+        ConfigError
+            If they cannot, or would replace something that needlefit did not write.
+        """
+        from needlefit.reporting.write import require_result
+
+        try:
+            self.out.mkdir(parents=True, exist_ok=True)
+            writable = os.access(self.out, os.W_OK)
+        except OSError:
+            writable = False
+        if not writable:
+            raise ConfigError(
+                "cannot be written to", where=str(self.out), mend="choose another folder with --out"
+            )
+        for name in names:
+            require_result(self.folder(name))
 
     def folder(self, name: str) -> Path:
         """Return where the results of one study or fit go."""
@@ -39,10 +63,10 @@ class Execution:
         return self.out / f"{name}.partial"
 
     def run(self, name: str, record: "StudyRecord | FitRecord") -> "Results":
-        """Run one study or fit; Ctrl-C makes it stop early and say so in `interrupted`."""
+        """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
         from needlefit.validation.run import Settings, run
 
-        with stopping() as stop, progress(self.invocation.quiet) as report:
+        with progress(self.invocation.quiet) as report:
             settings = Settings(
                 seed=self.seed,
                 jobs=self.jobs or cores(),
@@ -50,7 +74,7 @@ class Execution:
                 resume=self.resume,
                 sample=self.sample,
                 progress=report,
-                stop=stop,
+                stop=self.stop,
             )
             return run(name, record, settings)
 

@@ -3,8 +3,10 @@
 import json
 import math
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
+
+from needlefit.project.plain import plain
 
 if TYPE_CHECKING:
     from needlefit.reporting.display import Display
@@ -22,7 +24,7 @@ def note(text: str) -> None:
 
 def show_json(value: object) -> None:
     """Print a value as JSON; numbers that JSON has not (NaN, infinity) become null."""
-    print(json.dumps(_plain(value), indent=2, ensure_ascii=False, allow_nan=False))
+    print(json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False))
 
 
 def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFrame, not imported here
@@ -71,16 +73,3 @@ def _cell(value: object) -> tuple[str, bool]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value), False
     return (f"{value:.4g}" if isinstance(value, float) else str(value)), True
-
-
-def _plain(value: object) -> object:
-    """Return the value in JSON's own types."""
-    if isinstance(value, Mapping):
-        return {str(key): _plain(inner) for key, inner in value.items()}
-    if hasattr(value, "tolist"):  # numpy arrays and scalars
-        return _plain(value.tolist())
-    if isinstance(value, Iterable) and not isinstance(value, str):
-        return [_plain(inner) for inner in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if isinstance(value, str | int | bool) or value is None else str(value)

@@ -1,14 +1,18 @@
 """`needlefit tune`: fit a medium's parameters to measured needles."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.completion import targets
 from needlefit.cli.execution import Execution, require_converged
+from needlefit.cli.interruption import stopping
 from needlefit.cli.show_tuning import as_json, show_tuning
+
+if TYPE_CHECKING:
+    from needlefit.project.records.fit import FitRecord
 
 
 def tune(
@@ -35,6 +39,27 @@ def tune(
     A study is tuned only, into OUT/<study>-tune/. Ctrl-C once writes the best so far, marked, and prints
     the line that goes on; twice leaves at once.
     """
+    with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        name, record = _target(target)
+        execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
+        execution.prepare([name])
+        results = execution.run(name, record)
+        if results.interrupted and "fitted" not in set(results.errors["rival"]):
+            raise execution.interrupted()  # nothing found yet: an earlier result stays
+        written = execution.write(results)
+        if json:
+            screen.show_json(as_json(results))
+        else:
+            show_tuning(results)
+            screen.say(f"written: {written}/")
+        if results.interrupted:
+            raise execution.interrupted()
+        execution.forget(name)
+    require_converged(results)
+
+
+def _target(target: str) -> "tuple[str, FitRecord]":
+    """Return the name of the results and the fit that the argument means."""
     from needlefit.project.load import load
     from needlefit.project.places import find_target
     from needlefit.project.records.fit import FitRecord
@@ -42,18 +67,5 @@ def tune(
 
     kind, path = find_target(target)
     if kind == "study":
-        name, record = f"{path.stem}-tune", load(path, StudyRecord).tuning()
-    else:
-        name, record = path.stem, load(path, FitRecord)
-    execution = Execution(context.find_root().obj, out, seed, jobs, resume, sample)
-    results = execution.run(name, record)
-    written = execution.write(results)
-    if json:
-        screen.show_json(as_json(results))
-    else:
-        show_tuning(results)
-        screen.say(f"written: {written}/")
-    if results.interrupted:
-        raise execution.interrupted()
-    execution.forget(name)
-    require_converged(results)
+        return f"{path.stem}-tune", load(path, StudyRecord).tuning()
+    return path.stem, load(path, FitRecord)

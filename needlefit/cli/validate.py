@@ -1,14 +1,18 @@
 """`needlefit validate`: tune on these insertions, score on those, stand beside the paper."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.completion import studies
 from needlefit.cli.execution import Execution, require_converged
+from needlefit.cli.interruption import stopping
 from needlefit.cli.show_validation import show_validation
+
+if TYPE_CHECKING:
+    from needlefit.validation.results import Results
 
 
 def validate(
@@ -38,13 +42,30 @@ def validate(
 
     Ctrl-C once saves what is finished and prints the line that goes on; twice leaves at once.
     """
+    folder = out / "reference" if reference else out
+    with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        execution = Execution(context.find_root().obj, folder, seed, jobs, resume, stop)
+        done = _run(execution, study, json)
+        if study == "all":
+            from needlefit.reporting.write import write_all
+
+            write_all(done, execution.folder("all"))
+            if not json:
+                screen.say(f"written: {execution.folder('all')}/")
+        for results in done:  # not before all are done: `all` is resumed as a whole
+            execution.forget(results.name)
+    for results in done:
+        require_converged(results)
+
+
+def _run(execution: Execution, study: str, json: bool) -> "list[Results]":
+    """Run, write and print the studies; return their results."""
     from needlefit.project.load import load
     from needlefit.project.places import find_studies
     from needlefit.project.records.study import StudyRecord
 
     records = [(name, load(path, StudyRecord)) for name, path in find_studies(study)]
-    folder = out / "reference" if reference else out
-    execution = Execution(context.find_root().obj, folder, seed, jobs, resume)
+    execution.prepare([name for name, _ in records] + ["all"] * (study == "all"))
     done = []
     for name, record in records:
         results = execution.run(name, record)
@@ -60,11 +81,4 @@ def validate(
         from needlefit.reporting.tables import validation_table
 
         screen.show_json(rows(validation_table(*done)))
-    if study == "all":
-        from needlefit.reporting.write import write_all
-
-        write_all(done, folder / "all")
-    for results in done:  # not before all are done: `all` is resumed as a whole
-        execution.forget(results.name)
-    for results in done:
-        require_converged(results)
+    return done

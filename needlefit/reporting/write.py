@@ -1,7 +1,6 @@
 """Results -> a folder of files, complete or not there at all."""
 
 import json
-import math
 import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -12,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.errors import ConfigError
+from needlefit.project.plain import plain
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import compile_pdf
@@ -117,20 +117,8 @@ def _csv(frame: pd.DataFrame, path: Path) -> None:
 
 
 def _json(path: Path, value: Mapping[str, Any]) -> None:
-    text = json.dumps(_plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
-
-
-def _plain(value: object) -> object:
-    """Return what JSON knows: arrays as lists, numpy numbers as Python's, NaN and infinity as null."""
-    value = value.tolist() if hasattr(value, "tolist") else value
-    if isinstance(value, Mapping):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if isinstance(value, str | int | bool | None) else str(value)
 
 
 @contextmanager
