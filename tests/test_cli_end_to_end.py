@@ -1,0 +1,91 @@
+"""A small study through the whole program: same bytes for any jobs, after Ctrl-C and resume; a tuned fit."""
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from needlefit.project.places import find
+
+COMMAND = (sys.executable, "-m", "needlefit")
+STUDY = """\
+schema = 1
+title = "Small"
+paper_study = 2
+dataset = "twin"
+medium = "phantom2"
+recipe = "small"
+hand_tuned = "study2"
+tune = { medium = "phantom2", layers = [2] }
+validate = [{ medium = "phantom2", layers = [1] }]
+"""
+
+
+def needlefit(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
+    return subprocess.run((*COMMAND, *words), cwd=folder, capture_output=True, text=True, check=False)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    """Return every file but the one that may differ."""
+    files = [path for path in folder.rglob("*") if path.is_file() and path.name != "timing.json"]
+    return {str(path.relative_to(folder)): path.read_bytes() for path in files}
+
+
+@pytest.fixture(scope="module")
+def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("project")
+    (folder / "studies").mkdir()
+    (folder / "studies/small.toml").write_text(STUDY, encoding="utf-8")
+    recipe = find("recipe", "quick").read_text(encoding="utf-8").replace("starts = 4", "starts = 24")
+    (folder / "configs/recipes").mkdir(parents=True)
+    (folder / "configs/recipes/small.toml").write_text(recipe, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture(scope="module")
+def once(project: Path) -> dict[str, bytes]:
+    done = needlefit("validate", "small", "--jobs", "1", "--json", folder=project)
+    assert done.returncode == 0, done.stderr
+    (row,) = json.loads(done.stdout)
+    assert (row["study"], row["validate_layers"], row["origin"]) == (2, 1, "synthetic")
+    assert 0 < row["te_mm"] < 3
+    return contents(project / "reports/small")
+
+
+def test_a_result_folder_says_how_it_was_made(project, once):
+    run = json.loads(once["run.json"])
+    assert {"validation.csv", "parameters.csv", "validation.tex", "report.pdf"} <= once.keys()
+    assert str(project) not in json.dumps(run)
+    assert not (project / "reports/small.partial").exists()
+
+
+def test_ctrl_c_resume_and_other_jobs_change_no_byte(project, once):
+    words = ("validate", "small", "--jobs", "2", "--out", "again")
+    running = subprocess.Popen(
+        (*COMMAND, *words), cwd=project, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    )
+    deadline = time.monotonic() + 60
+    while running.poll() is None and time.monotonic() < deadline:
+        if any(path.stat().st_size for path in (project / "again").glob("*.partial/*.jsonl")):
+            break
+        time.sleep(0.005)
+    running.send_signal(signal.SIGINT)
+    _, errors = running.communicate(timeout=60)
+    assert running.returncode == 130, errors
+    assert f"needlefit {' '.join(words)} --resume" in errors
+    assert not (project / "again/small").exists()
+    resumed = needlefit(*words, "--resume", folder=project)
+    assert resumed.returncode == 0, resumed.stderr
+    assert contents(project / "again/small") == once
+
+
+def test_tune_stands_beside_the_paper_s_set(project):
+    done = needlefit("tune", "small", folder=project)
+    assert done.returncode == 0, done.stderr
+    assert (project / "reports/small-tune/run.json").is_file()
+    assert "not tuned on this data" in done.stdout and "b re-tuned" in done.stdout
+    assert "NOT determined by these data" in done.stdout
