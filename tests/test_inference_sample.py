@@ -33,7 +33,7 @@ def draw(function=gaussian, watch=None, seed=1, **changed):
 
 @pytest.fixture(scope="module")
 def long():
-    return draw(steps=2500, burn_in=200)
+    return draw(steps=2500, burn_in=200, walkers=12)
 
 
 def test_a_gaussian_is_recovered(long):

@@ -1,0 +1,94 @@
+"""Which search finds the best fit with the fewest evaluations, on fits of the twin.
+
+    python benchmarks/search.py [--json] [--fits phantom1 phantom2 chicken] [--starts 12] [--jobs 2]
+
+Every algorithm searches from the same starts with the same budget and tolerance (those of the default
+recipe). A start has succeeded if it ends within 0.003 mm of the best objective that any algorithm found.
+What counts is evaluations per success: what one must pay, on average, for the best fit. Evaluations do not
+depend on the machine.
+"""
+
+import argparse
+import json
+
+from needlefit.datasets.read import read
+from needlefit.datasets.select import select
+from needlefit.inference.optimize import minimize
+from needlefit.inference.problem import problem
+from needlefit.inference.starts import Watch
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import RecipeRecord
+from needlefit.project.streams import stream
+
+SEARCHES = (
+    "sbplx",
+    "bobyqa",
+    "neldermead",
+    "praxis",
+    "neldermead+neldermead",
+    "bobyqa+neldermead",
+    "crs2+neldermead",
+)
+SUCCESS = 0.003  # mm
+
+
+def search(fit: str, starts: int, jobs: int) -> list[dict[str, object]]:
+    """Return one row per algorithm."""
+    record = load(find("fit", fit), FitRecord)
+    recipe = load(find("recipe", "default"), RecipeRecord)
+    dataset = read(find("dataset", record.dataset))
+    chosen = select(dataset, record.tune, record.reading)
+    task = problem(dataset, chosen, load(find("medium", record.medium), MediumRecord), recipe.weights)
+    found = {
+        name: minimize(
+            task,
+            recipe.model_copy(update={"algorithm": name, "starts": starts}),
+            stream(recipe.seed, "search benchmark", fit),
+            Watch(jobs=jobs),
+        )
+        for name in SEARCHES
+    }
+    best = min(result.objective for result in found.values())
+    rows = []
+    for name, result in found.items():
+        successes = sum(start.objective < best + SUCCESS for start in result.starts)
+        rows.append(
+            {
+                "fit": fit,
+                "algorithm": name,
+                "above_best_mm": result.objective - best,
+                "successes": successes,
+                "starts": starts,
+                "evaluations": result.evaluations,
+                "evaluations_per_success": result.evaluations / successes if successes else None,
+            }
+        )
+    return rows
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--fits", nargs="+", default=["phantom1", "phantom2", "chicken"])
+    parser.add_argument("--starts", type=int, default=12)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    rows = [row for fit in options.fits for row in search(fit, options.starts, options.jobs)]
+    if options.json:
+        print(json.dumps(rows, indent=2))
+        return
+    print(f"{'fit':10s} {'algorithm':24s} {'above best mm':>13s} {'successes':>9s} {'per success':>11s}")
+    for row in rows:
+        each = row["evaluations_per_success"]
+        print(
+            f"{row['fit']:10s} {row['algorithm']:24s} {row['above_best_mm']:13.5f} "
+            f"{row['successes']:4d} / {row['starts']:2d} {'none' if each is None else f'{each:.0f}':>11s}"
+        )
+
+
+if __name__ == "__main__":
+    main()
