@@ -106,7 +106,7 @@ def equilibrate(
         change = _back(trial, solution, last)
         if not np.isfinite(change):
             return NON_FINITE, iteration + 1
-        # an increment this small that no longer shrinks is rounding: fine meshes in soft tissue get no further
+        # an increment this small that no longer shrinks is rounding: fine meshes in soft tissue end there
         if change < newton.tolerance or (change < ROUNDING and change > 0.5 * before):
             state[: last + 2] = trial[: last + 2]
             return CONVERGED, iteration + 1
