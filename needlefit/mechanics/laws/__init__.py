@@ -7,6 +7,7 @@ so that the reference and the compiled kernel know every law without naming any.
 
 import importlib
 import pkgutil
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +17,10 @@ from needlefit.errors import ModelError
 Floats = NDArray[np.float64]
 
 
-def names() -> list[str]:
+@cache  # simulate asks at every call; the folder does not change under a running program
+def names() -> tuple[str, ...]:
     """Return the laws there are: the files of this folder."""
-    return sorted(module.name for module in pkgutil.iter_modules(__path__))
+    return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
 
 
 def power_terms(law: str, alpha: Floats) -> tuple[Floats, Floats]:

@@ -27,7 +27,7 @@ class RecipeRecord(FileRecord):
     """`configs/recipes/<name>.toml`."""
 
     title: str = ""
-    algorithm: str = "sbplx"
+    algorithm: str = "bobyqa+neldermead"
     starts: int = Field(default=16, ge=1)
     seed: int = Field(default=1, ge=0)
     evaluations: int = Field(default=600, ge=1)
