@@ -4,7 +4,7 @@ import json
 import math
 import sys
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 from needlefit.project.plain import plain
 
@@ -38,9 +38,9 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
 
 def show_display(table: "Display") -> None:
     """Print a table that is ready to be set: its caption, its cells, its notes."""
-    columns = [(f"{column.label} {column.unit}".strip(), column.align == "right") for column in table.columns]
+    columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
     say(table.caption)
-    _show(columns, table.rows, breaks=table.breaks, strong=table.strong)
+    _show(columns, table.rows, table.breaks, table.strong)
     for line in table.notes:
         say(line)
 
@@ -51,19 +51,30 @@ def _show(
     breaks: Sequence[int] = (),
     strong: Sequence[int] = (),
 ) -> None:
-    """Print cells under (head, whether it stands at the right); in a pipe nothing is cut off or wrapped."""
+    """Print cells under (head, whether it stands at the right).
+
+    In a pipe nothing is cut off or wrapped; on a terminal too narrow the words are wrapped, not the numbers.
+    """
     from rich import box
     from rich.console import Console
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
-    for head, at_right in columns:
-        table.add_column(Text(head), justify="right" if at_right else "left", overflow="fold")
-    for number, row in enumerate(rows):
-        style = "bold" if number in strong else None
-        table.add_row(*map(Text, row), style=style, end_section=number + 1 in breaks)
-    Console(width=None if sys.stdout.isatty() else 1000).print(table)
+    def build(gap: int) -> Table:
+        table = Table(box=box.SIMPLE_HEAD, padding=(0, gap, 0, 0), pad_edge=False, show_edge=False)
+        for head, is_right in columns:
+            text = "\n".join(head.split()) if is_right else head.strip()
+            side: Literal["left", "right"] = "right" if is_right else "left"
+            table.add_column(Text(text), justify=side, no_wrap=is_right, vertical="bottom", overflow="fold")
+        for number, row in enumerate(rows):
+            style = "bold" if number in strong else None
+            table.add_row(*map(Text, row), style=style, end_section=number + 1 in breaks)
+        return table
+
+    console = Console(width=None if sys.stdout.isatty() else 1000)
+    wide = build(1)
+    console.print(wide if console.measure(wide).maximum <= console.width else build(0))
+    say()
 
 
 def _cell(value: object) -> tuple[str, bool]:

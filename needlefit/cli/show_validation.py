@@ -1,5 +1,6 @@
 """What `validate` prints for people: our row and the paper's, one below the other, then the rivals."""
 
+from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from needlefit.cli import screen
@@ -11,7 +12,7 @@ _PAIRED = {
     "rival": "rival",
     "ipe_mean_mm": "IPE mm",
     "te_mm": "TE mm",
-    "difference_mm": "IPE minus the fit's mm",
+    "difference_mm": "ΔIPE mm",
     "difference_se_mm": "s.e. mm",
     "better": "fit better on",
     "insertions": "of",
@@ -24,16 +25,23 @@ def show_validation(results: "Results") -> None:
     from needlefit.reporting.names import rival_name
     from needlefit.validation.summary import beaten_by, paired
 
+    def named(rivals: Iterable[object]) -> str:
+        return ", ".join(rival_name(str(rival), results) for rival in rivals)
+
     show_head(results)
     screen.show_display(validation_layout([results]))
     rivals = paired(results)
-    names = [rival_name(str(rival), results) for rival in rivals["rival"]]
-    table = rivals.assign(rival=names)[list(_PAIRED)].round(3).rename(columns=_PAIRED)
-    screen.show_frame(table, "Rivals on the same held-out insertions and points, mean over insertions.")
-    winners = beaten_by(results)
-    if winners:
-        named = ", ".join(rival_name(rival, results) for rival in winners)
-        screen.say(f"An empirical curve does better here than the model: {named}.")
+    table = rivals.assign(rival=rivals["rival"].map(lambda rival: named([rival])))
+    table = table[list(_PAIRED)].round(3).rename(columns=_PAIRED)
+    screen.show_frame(
+        table, "Rivals on the same held-out insertions and points; ΔIPE is the rival's IPE minus the fit's."
+    )
+    curves = beaten_by(results)
+    if curves:
+        screen.say(f"An empirical curve does better here than the model: {named(curves)}.")
+    sets = rivals.query("rival.str.startswith('hand_tuned') and difference_mm < 0")["rival"]
+    if len(sets):
+        screen.say(f"The paper's set does better here than the fit: {named(sets)}.")
 
 
 def show_head(results: "Results") -> None:
