@@ -1,1 +1,33 @@
-"""The model of `mechanics/reference.py`, compiled; a test ties the two."""
+"""The model of `mechanics/reference.py`, compiled; a test ties the two.
+
+Numba keeps compiled functions on disk and tells whether one is stale by the file that it stands in alone,
+not by the files that it calls. Kept in a folder named after all sources of this package, no stale one is
+ever run, whichever file changed and whatever time an installer gave it.
+"""
+
+import hashlib
+import importlib
+import os
+from pathlib import Path
+from typing import Any
+
+import numba
+
+
+def _cache_folder() -> str:
+    """Return the folder of the compiled functions of exactly these sources."""
+    here = Path(__file__).parent
+    sources = b"".join(path.name.encode() + path.read_bytes() for path in sorted(here.glob("*.py")))
+    caches = os.environ.get("NUMBA_CACHE_DIR") or Path(
+        os.environ.get("XDG_CACHE_HOME") or "~/.cache", "needlefit"
+    )
+    return str(Path(caches).expanduser() / hashlib.sha256(sources).hexdigest()[:16])
+
+
+_config: Any = numba.config  # a module that makes its attributes at run time
+_before, _config.CACHE_DIR = _config.CACHE_DIR, _cache_folder()
+try:  # numba reads the setting when a function is declared
+    for _module in ("foundation", "grid", "hermite", "scalar", "positions"):
+        importlib.import_module(f"{__name__}.{_module}")
+finally:
+    _config.CACHE_DIR = _before

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-TERMS = 9  # of the series of k in the compression
-SMALL = 0.02  # compression up to which the series is used: truncated below 1e-12 for |alpha| <= 10
+TERMS = 6  # of the series of k in the compression
+TRUNCATION = 1e-11  # relative error of k that the series may have; beyond, the exact law is evaluated
 
 
 class Foundation(NamedTuple):
@@ -31,14 +31,20 @@ def make_foundation(
 ) -> Foundation:
     """Return the layers with the Taylor series of k about |e| = 0."""
     series = np.zeros((len(mu), TERMS))
+    limit = np.empty(len(mu))
     for i in range(len(mu)):
+        left_out = 0.0
         for p in range(coefficients.shape[1]):
             term = mu[i] * coefficients[i, p]
             for j in range(TERMS):
                 series[i, j] += term
                 term *= -(exponents[i, p] - j) / ((j + 1) * thickness[i])
+            left_out += abs(term)
+        # the first term left out, doubled for those after it, is to stay below TRUNCATION of the first
+        ratio = 2.0 * left_out / (TRUNCATION * series[i, 0])
+        limit[i] = min(0.02 * thickness[i], ratio ** (-1.0 / TERMS)) if ratio > 0.0 else 0.02 * thickness[i]
     rough = bool(np.any(friction > 0.0))
-    return Foundation(mu, coefficients, exponents, thickness, friction, series, SMALL * thickness, rough)
+    return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
