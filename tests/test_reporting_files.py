@@ -99,7 +99,7 @@ def test_the_report_warns_before_any_number():
 
 
 def test_all_studies_together(tmp_path):
-    files = write.write_all([study(1), study(5)], tmp_path / "all")
+    files = write.write_all([study(1), study(5)], [], tmp_path / "all")
     assert {"validation.csv", "tuning.csv", "parameters.csv", "boxplot.pdf", "report.pdf"} <= {
         path.name for path in files
     }

@@ -20,7 +20,10 @@ _PAIRED = {
 
 
 def show_validation(results: "Results") -> None:
-    """Print the validation table of one study, then the rivals on the same insertions and points."""
+    """Print the validation table of one study, then the rivals on the same insertions and points.
+
+    A fit scores nothing but its own insertions: of it only its name and the data are printed.
+    """
     from needlefit.reporting.layouts import validation_layout
     from needlefit.reporting.names import rival_name
     from needlefit.validation.summary import beaten_by, paired
@@ -29,6 +32,8 @@ def show_validation(results: "Results") -> None:
         return ", ".join(rival_name(str(rival), results) for rival in rivals)
 
     show_head(results)
+    if (results.errors["role"] == "tune").all():
+        return
     screen.show_display(validation_layout([results]))
     rivals = paired(results)
     table = rivals.assign(rival=rivals["rival"].map(lambda rival: named([rival])))

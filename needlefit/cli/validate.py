@@ -12,6 +12,8 @@ from needlefit.cli.interruption import stopping
 from needlefit.cli.show_validation import show_validation
 
 if TYPE_CHECKING:
+    from needlefit.project.records.fit import FitRecord
+    from needlefit.project.records.study import StudyRecord
     from needlefit.validation.results import Results
 
 
@@ -38,6 +40,8 @@ def validate(
 ) -> None:
     """Run a STUDY: tune on these, score on those.
 
+    `all` runs the paper's five, and the fits that fill its tuning tables.
+
     Prints and writes tables, figures and a PDF, with the paper's numbers beside ours.
 
     Ctrl-C once saves what is finished and prints the line that goes on; twice leaves at once.
@@ -46,12 +50,6 @@ def validate(
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
         execution = Execution(context.find_root().obj, folder, seed, jobs, resume, stop)
         done = _run(execution, study, json)
-        if study == "all":
-            from needlefit.reporting.write import write_all
-
-            write_all(done, execution.folder("all"))
-            if not json:
-                screen.say(f"written: {execution.folder('all')}/")
         for results in done:  # not before all are done: `all` is resumed as a whole
             execution.forget(results.name)
     for results in done:
@@ -59,26 +57,44 @@ def validate(
 
 
 def _run(execution: Execution, study: str, json: bool) -> "list[Results]":
-    """Run, write and print the studies; return their results."""
+    """Run, write and print the studies, and for `all` the fits of the paper's tuning tables too."""
     from needlefit.project.load import load
-    from needlefit.project.places import find_studies
+    from needlefit.project.places import find_studies, find_tunings
+    from needlefit.project.records.fit import FitRecord
     from needlefit.project.records.study import StudyRecord
 
-    records = [(name, load(path, StudyRecord)) for name, path in find_studies(study)]
-    execution.prepare([name for name, _ in records] + ["all"] * (study == "all"))
-    done = []
-    for name, record in records:
-        results = execution.run(name, record)
-        if results.interrupted:
-            raise execution.interrupted()
-        written = execution.write(results)
-        if not json:
-            show_validation(results)
-            screen.say(f"written: {written}/\n")
-        done.append(results)
+    studies = [(name, load(path, StudyRecord)) for name, path in find_studies(study)]
+    tunings = [(name, load(path, FitRecord)) for name, path in find_tunings(study)]
+    execution.prepare([*(name for name, _ in [*studies, *tunings]), *["all"] * (study == "all")])
+    scored = [_carry_out(execution, name, record, json) for name, record in studies]
+    tuned = [_carry_out(execution, name, record, json) for name, record in tunings]
+    if study == "all":
+        _write_all(execution, scored, tuned, json)
     if json:
-        from needlefit.reporting.tables import records as rows
-        from needlefit.reporting.tables import validation_table
+        from needlefit.reporting.tables import records, validation_table
 
-        screen.show_json(rows(validation_table(*done)))
-    return done
+        screen.show_json(records(validation_table(*scored)))
+    return [*scored, *tuned]
+
+
+def _carry_out(execution: Execution, name: str, record: "StudyRecord | FitRecord", json: bool) -> "Results":
+    results = execution.run(name, record)
+    if results.interrupted:
+        raise execution.interrupted()
+    written = execution.write(results)
+    if not json:
+        show_validation(results)
+        screen.say(f"written: {written}/\n")
+    return results
+
+
+def _write_all(execution: Execution, scored: "list[Results]", tuned: "list[Results]", json: bool) -> None:
+    from needlefit.reporting.layouts import tuning_layout
+    from needlefit.reporting.write import write_all
+
+    folder = execution.folder("all")
+    write_all(scored, tuned, folder)
+    if not json:
+        for by in ("layers", "media"):
+            screen.show_display(tuning_layout(tuned, by))
+        screen.say(f"written: {folder}/")

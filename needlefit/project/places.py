@@ -18,6 +18,7 @@ _PATTERNS: dict[Kind, str] = {
 }
 PARTS = ("data", "configs", "studies")
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
+PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
 
 
 def shipped() -> Path:
@@ -97,6 +98,11 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
         raise _unknown("study", name, [*known, "all"])
     path = find("study", name)
     return [(path.stem, path)]
+
+
+def find_tunings(name: str) -> list[tuple[str, Path]]:
+    """Return the names and files of the fits that fill the paper's tuning tables, which belong to `all`."""
+    return [(fit, find("fit", fit)) for fit in PAPER_FITS] if name == "all" else []
 
 
 def find_run(name: str) -> Path:

@@ -9,8 +9,8 @@ from needlefit.validation import paper
 from needlefit.validation.results import Results
 
 
-def overview(results: Sequence[Results], figures: Figures) -> Document:
-    """Return one report over all results: errors, rivals, parameters, and the paper's contradictions."""
+def overview(results: Sequence[Results], tunings: Sequence[Results], figures: Figures) -> Document:
+    """Return one report over all studies: errors, rivals, tuning, parameters, the paper's contradictions."""
     synthetic = any(one.origin == "synthetic" for one in results)
     blocks = [
         *cautions(list(results)),
@@ -20,7 +20,7 @@ def overview(results: Sequence[Results], figures: Figures) -> Document:
         document.table(layouts.validation_layout(results), synthetic),
         *_rivals(results, figures, synthetic),
         *_data(results, synthetic),
-        *_parameters(results, synthetic),
+        *_parameters(results, tunings, synthetic),
         *_contradictions(synthetic=False),
     ]
     data = "; ".join(dict.fromkeys(one.dataset_title for one in results))
@@ -45,10 +45,11 @@ def _rivals(results: Sequence[Results], figures: Figures, synthetic: bool) -> li
     ]
 
 
-def _parameters(results: Sequence[Results], synthetic: bool) -> list[Block]:
+def _parameters(studies: Sequence[Results], tunings: Sequence[Results], synthetic: bool) -> list[Block]:
+    results = list({one.name: one for one in (*studies, *tunings)}.values())
     return [
         document.heading("Tuning and parameters"),
-        *tuning_blocks(results, synthetic),
+        *tuning_blocks(tunings, synthetic),
         document.bullets([f"{one.name}: {sentences.undetermined_said(one)}" for one in results]),
         document.table(details.parameters_layout(results), synthetic),
     ]

@@ -39,7 +39,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     """
     with _whole(folder) as new:
         _frames(results, new)
-        _tables([results], new)
+        _tables([results], [results], new)
         drawn = _draw(results, new)
         for name, save in (also or {}).items():
             save(new / name)
@@ -49,8 +49,10 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     return _files(folder)
 
 
-def write_all(results: Sequence[Results], folder: Path) -> list[Path]:
+def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> list[Path]:
     """Write the tables, figures and report of several studies together; return the files.
+
+    `tunings` are the fits that fill the tuning tables; without any, each study's own fit does.
 
     Raises
     ------
@@ -58,11 +60,12 @@ def write_all(results: Sequence[Results], folder: Path) -> list[Path]:
         If `folder` exists and holds something that is no result.
     """
     with _whole(folder) as new:
-        _tables(results, new)
-        drawn = _draw_scores(results, new)
-        (new / "report.pdf").write_bytes(compile_pdf(overview(results, drawn)))
-        _json(new / "run.json", {one.name: one.run for one in results})
-        _json(new / "timing.json", {one.name: one.timing for one in results})
+        _tables(studies, tunings or studies, new)
+        drawn = _draw_scores(studies, new)
+        (new / "report.pdf").write_bytes(compile_pdf(overview(studies, tunings or studies, drawn)))
+        every = [*studies, *tunings]
+        _json(new / "run.json", {one.name: one.run for one in every})
+        _json(new / "timing.json", {one.name: one.timing for one in every})
     return _files(folder)
 
 
@@ -71,21 +74,24 @@ def _frames(results: Results, folder: Path) -> None:
         _csv(getattr(results, name).assign(origin=results.origin), folder / f"{name}.csv")
 
 
-def _tables(results: Sequence[Results], folder: Path) -> None:
+def _tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
     """Write the paper's tables with our rows beside its own, as CSV for machines and LaTeX for papers."""
-    synthetic = any(one.origin == "synthetic" for one in results)
-    for name, frame, set_as in _laid_out(results):
+    synthetic = any(one.origin == "synthetic" for one in studies)
+    for name, frame, set_as in _laid_out(studies, tunings):
         if len(frame):
             _csv(frame, folder / f"{name}.csv")
             pages = [latex(table, synthetic) for table in set_as if table.rows]
             (folder / f"{name}.tex").write_text("\n".join(pages), encoding="utf-8")
 
 
-def _laid_out(results: Sequence[Results]) -> Iterator[tuple[str, pd.DataFrame, list[Display]]]:
-    yield "validation", validation_table(*results), [layouts.validation_layout(results)]
-    tuned = [layouts.tuning_layout(results, by) for by in ("layers", "media")]
-    yield "tuning", tuning_table(*results), tuned
-    yield "parameters", parameters_table(*results), [details.parameters_layout(results)]
+def _laid_out(
+    studies: Sequence[Results], tunings: Sequence[Results]
+) -> Iterator[tuple[str, pd.DataFrame, list[Display]]]:
+    every = list({one.name: one for one in (*studies, *tunings)}.values())
+    yield "validation", validation_table(*studies), [layouts.validation_layout(studies)]
+    tuned = [layouts.tuning_layout(tunings, by) for by in ("layers", "media")]
+    yield "tuning", tuning_table(*tunings), tuned
+    yield "parameters", parameters_table(*every), [details.parameters_layout(every)]
 
 
 def _draw(results: Results, folder: Path) -> dict[str, Path]:
