@@ -53,6 +53,8 @@ class Execution:
             )
         for name in names:
             require_result(self.folder(name))
+        if not self.invocation.quiet:
+            screen.note_compiling()
 
     def folder(self, name: str) -> Path:
         """Return where the results of one study or fit go."""

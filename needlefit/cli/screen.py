@@ -22,6 +22,14 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
+def note_compiling() -> None:
+    """Say so where the model is about to be compiled, so that nobody takes the wait for a hang."""
+    from needlefit.mechanics.kernel import COMPILED_BEFORE
+
+    if not COMPILED_BEFORE:
+        note("needlefit: compiling the model; this happens once and takes some seconds")
+
+
 def show_json(value: object) -> None:
     """Print a value as JSON; numbers that JSON has not (NaN, infinity) become null."""
     print(json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False))

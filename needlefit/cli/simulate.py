@@ -83,6 +83,7 @@ def _insert(record: "SceneRecord", where: str) -> tuple["Scene", "NeedleShape"]:
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.simulate import simulate as insert
 
+    screen.note_compiling()
     try:
         scene = Scene.from_record(record)
         shape = insert(scene.needle, scene.tissue, scene.bevel, scene.depth, scene.controls, scene.rules)

@@ -26,6 +26,8 @@ def twin_build(
     from needlefit.synthetic.build import SEED, build
 
     seed = SEED if seed is None else seed
+    if not quiet:
+        screen.note_compiling()
     with replacing_synthetic(out) as fresh, progress(context.find_root().obj.quiet) as report:
         build(fresh, seed, report)
     screen.say(f"{out}: synthetic dataset, seed {seed}")

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from needlefit.reporting.display import Column, Display, text, without_empty
+from needlefit.reporting.display import Column, Display, text, without, without_empty
 from needlefit.reporting.names import medium_name, rival_name
 from needlefit.reporting.numbers import MISSING, fixed, in_symbols, number, percent, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table
@@ -24,7 +24,16 @@ _BY_HAND = (
 
 def parameters_layout(results: Sequence[Results]) -> Display:
     """Return ours beside the paper's hand-tuned set and that set with b alone re-tuned."""
-    table = records(parameters_table(*results))
+    return _parameters_display(records(parameters_table(*results)))
+
+
+def free_parameters_layout(results: Sequence[Results]) -> Display:
+    """Return the same for the free parameters alone, without notes: several studies on one page."""
+    table = parameters_table(*results)
+    return without(_parameters_display(records(table[table["status"] == "free"])), "Note")
+
+
+def _parameters_display(table: list[Row]) -> Display:
     folds = len({row["fold"] for row in table}) > 1
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []

@@ -53,7 +53,17 @@ def text(label: str, wide: bool = False) -> Column:
 
 def without_empty(table: Display) -> Display:
     """Return the table without the columns in which no row has anything to say."""
-    kept = [i for i in range(len(table.columns)) if any(row[i] not in ("", "–") for row in table.rows)]
+    return _keep(
+        table, [i for i in range(len(table.columns)) if any(row[i] not in ("", "–") for row in table.rows)]
+    )
+
+
+def without(table: Display, label: str) -> Display:
+    """Return the table without the column of this label."""
+    return _keep(table, [i for i, column in enumerate(table.columns) if column.label != label])
+
+
+def _keep(table: Display, kept: list[int]) -> Display:
     columns = tuple(table.columns[i] for i in kept)
     rows = tuple(tuple(row[i] for i in kept) for row in table.rows)
     return Display(table.name, table.caption, columns, rows, table.breaks, table.strong, table.notes)

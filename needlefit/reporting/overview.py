@@ -51,7 +51,7 @@ def _parameters(studies: Sequence[Results], tunings: Sequence[Results], syntheti
         document.heading("Tuning and parameters"),
         *tuning_blocks(tunings, synthetic),
         document.bullets([f"{one.name}: {sentences.undetermined_said(one)}" for one in results]),
-        document.table(details.parameters_layout(results), synthetic),
+        document.table(details.free_parameters_layout(results), synthetic),
     ]
 
 

@@ -14,18 +14,22 @@ from typing import Any
 import numba
 
 
-def _cache_folder() -> str:
+def _cache_folder() -> Path:
     """Return the folder of the compiled functions of exactly these sources."""
     here = Path(__file__).parent
     sources = b"".join(path.name.encode() + path.read_bytes() for path in sorted(here.glob("*.py")))
     caches = os.environ.get("NUMBA_CACHE_DIR") or Path(
         os.environ.get("XDG_CACHE_HOME") or "~/.cache", "needlefit"
     )
-    return str(Path(caches).expanduser() / hashlib.sha256(sources).hexdigest()[:16])
+    return Path(caches).expanduser() / hashlib.sha256(sources).hexdigest()[:16]
 
+
+_folder = _cache_folder()
+COMPILED_BEFORE = any(_folder.glob("*/*.nbi"))
+"""Whether functions of these sources were found compiled; if not, the first call takes some seconds."""
 
 _config: Any = numba.config  # a module that makes its attributes at run time
-_before, _config.CACHE_DIR = _config.CACHE_DIR, _cache_folder()
+_before, _config.CACHE_DIR = _config.CACHE_DIR, str(_folder)
 try:  # numba reads the setting when a function is declared
     for _module in ("foundation", "grid", "hermite", "scalar", "positions"):
         importlib.import_module(f"{__name__}.{_module}")
