@@ -1,0 +1,1 @@
+"""Results -> tables, figures and documents (`write`): the only room that draws."""

@@ -1,0 +1,1 @@
+"""Studies: tune on these insertions, score on those (`run`), beside what the paper printed (`paper`)."""
