@@ -119,6 +119,8 @@ class Dataset:
         Proximal length left out of comparisons of free shapes, mm.
     digest : str
         SHA-256 over all files read, in the order of their names.
+    notes : tuple of str
+        What its makers want known of data, needle and noise; reports print it.
     """
 
     name: str
@@ -132,3 +134,4 @@ class Dataset:
     drop_proximal: float
     path: Path
     digest: str
+    notes: tuple[str, ...] = ()

@@ -143,7 +143,13 @@ def _dataset(
         drop_proximal=record.frame.drop_proximal_mm,
         path=file,
         digest=digest_,
+        notes=_notes(record),
     )
+
+
+def _notes(record: DatasetRecord) -> tuple[str, ...]:
+    said = (("", record.notes), ("Needle: ", record.needle.note), ("Noise: ", record.noise.note))
+    return tuple(head + text.strip() for head, text in said if text.strip())
 
 
 def _noise(record: NoiseRecord) -> Noise:

@@ -73,7 +73,7 @@ def floor_said(results: Results) -> str:
         )
     ]
     return (
-        "With perfect parameters the measurement noise that the dataset states would alone still give these "
+        "With perfect parameters the measurement noise stated with the dataset would alone still give these "
         f"errors, on average over the scored insertions: {', '.join(cells)}. An error means something only "
         "beside this floor."
     )
@@ -136,9 +136,9 @@ def _gap(row: Row) -> str:
 
 
 def _line(value: object) -> str:
-    """Return a value of run.json on one line; digests are cut."""
+    """Return a value of run.json on one line; digests are cut, notes stand elsewhere."""
     if isinstance(value, Mapping):
-        pairs = ((str(key), _line(item)) for key, item in sorted(value.items()))
+        pairs = ((str(key), _line(item)) for key, item in sorted(value.items()) if key != "notes")
         return "; ".join(f"{key.replace('_', ' ')} {line}" for key, line in pairs if line)
     if isinstance(value, list | tuple):
         return ", ".join(_line(item) for item in value)

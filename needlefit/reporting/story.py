@@ -89,6 +89,7 @@ def _question(results: Results, synthetic: bool) -> list[Block]:
         document.heading("Question and data"),
         *([document.text(results.question)] if results.question else []),
         document.text(f"{results.dataset_title}. {sentences.floor_said(results)}"),
+        *(document.text(note) for note in results.run.get("dataset", {}).get("notes", ())),
         document.table(layouts.design_layout([results]), synthetic),
     ]
 

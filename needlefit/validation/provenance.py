@@ -23,6 +23,7 @@ def work(job: Job) -> dict[str, Any]:
             "origin": job.dataset.origin,
             "sha256": job.dataset.digest,
             "needle": needle_facts(job),
+            "notes": list(job.dataset.notes),
         },
         "study": job.record.model_dump(mode="json", by_alias=True),
         "medium": job.medium.model_dump(mode="json", by_alias=True),
