@@ -62,7 +62,7 @@ def target(pose: Pose, drop: float, insertion: Insertion, stations: int = STATIO
         return Target(insertion.depth * fractions, resample(insertion.planar, fractions), pose)
     to_tip = np.linspace(reach_from_tip(drop, insertion), 0.0, stations)
     length = float(arc_length(insertion.planar)[-1])
-    measured = _in_entry_axes(at_arc(insertion.planar, length - to_tip))
+    measured = in_entry_axes(at_arc(insertion.planar, length - to_tip))
     return Target(insertion.depth - to_tip, measured, pose)
 
 
@@ -110,7 +110,8 @@ def reach_from_tip(drop: float, insertion: Insertion) -> float:
     return reach
 
 
-def _in_entry_axes(points: Floats) -> Floats:
+def in_entry_axes(points: Floats) -> Floats:
+    """Return points (K, 2) from the first of them, x along the line through their entry side."""
     first = points[: max(2, round(ENTRY_SIDE * len(points)))]
     centred = first - first.mean(axis=0)
     direction = np.linalg.svd(centred, full_matrices=False)[2][0]

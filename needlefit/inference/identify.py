@@ -135,7 +135,7 @@ def with_noise(problem: Problem, theta: Floats) -> Problem:
     stated = problem.dataset.noise if problem.noise is None else problem.noise
     if stated.point_sd > 0 or stated.correlated_sd > 0:
         return problem
-    squares = [np.mean((sim - measured) ** 2) for sim, measured in problem.points(theta)]
+    squares = [np.mean((sim - measured)[:, 1] ** 2) for sim, measured in problem.points(theta)]
     rms = max(math.sqrt(float(np.mean(squares))), 1e-6)
     return replace(problem, noise=replace(stated, point_sd=rms))
 

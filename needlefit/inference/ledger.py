@@ -12,7 +12,7 @@ from needlefit.inference.starts import INTERRUPTED
 
 Floats = NDArray[np.float64]
 
-FAILURES = (NeedlefitError, ArithmeticError, ValueError, np.linalg.LinAlgError)
+FAILURES = (NeedlefitError, ArithmeticError, np.linalg.LinAlgError)
 """What an evaluation may raise and be counted as failed; anything else is a bug and ends the search."""
 
 

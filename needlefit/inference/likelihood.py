@@ -1,11 +1,13 @@
 """Gaussian likelihood of a measured centreline about a simulated one.
 
-In the plane, with both coordinates of all K points in one vector r (2K,), y after x:
+The residuals are the differences of deflection, r_i = y_sim(s_i) - y_measured,i of K points, y normal to
+C's x axis (of a free shape, to its own entry side). s is the measured points' own arc length, so what noise
+does along the needle is not seen, and is not counted as data either:
 
-    cov(r) = I_2 (x) ( point^2 I + correlated^2 exp(-|s_i - s_j| / length) )      noise of the points
-             + shift^2 (e_x e_x^T + e_y e_y^T) + angle^2 e_r e_r^T                pose, marginalised
+    cov(r) = point^2 I + correlated^2 exp(-|s_i - s_j| / length)      noise of the points
+             + shift^2 1 1^T + angle^2 x x^T                          pose, marginalised
 
-e_x, e_y and e_r are what a small shift and a small rotation about the entry do to the points.
+1 and x are what a small shift across and a small rotation about the entry do to the deflections.
 Neighbouring points share their error and a wrong pose moves all of them at once, which is why
 independent errors would give a posterior far too narrow. The points are the measured ones (thinned,
 never interpolated), so that no error is counted twice. Not in it: errors of the layer depths, and of
@@ -24,7 +26,7 @@ from needlefit.datasets.noise import MEAN_OF_NORM
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.comparison import Curve, Pose, reach_from_tip
+from needlefit.inference.comparison import Curve, Pose, in_entry_axes, reach_from_tip
 
 Floats = NDArray[np.float64]
 
@@ -45,7 +47,7 @@ class Evidence:
         Beam coordinates of the compared points, mm.
     measured : (K, 2) array
         Their measured places, mm.
-    factor : (2K, 2K) array
+    factor : (K, K) array
         Lower Cholesky factor of the covariance of the residuals.
     log_norm : float
         Logarithm of the Gaussian's normalising factor.
@@ -84,11 +86,11 @@ def evidence(dataset: Dataset, insertion: Insertion, noise: Noise | None = None)
 
 
 def whitened(evidence: Evidence, curve: Curve) -> Floats:
-    """Return the residuals (2K,), uncorrelated and of unit variance where model and noise are right."""
+    """Return the residuals (K,), uncorrelated and of unit variance where model and noise are right."""
     simulated = curve(evidence.s)
     if evidence.pose == "free":
         simulated = align_rigid(simulated, evidence.measured)
-    residual = (simulated - evidence.measured).T.ravel()  # (2K,)
+    residual = simulated[:, 1] - evidence.measured[:, 1]  # (K,)
     white: Floats = solve_triangular(evidence.factor, residual, lower=True, check_finite=False)
     return white
 
@@ -100,22 +102,12 @@ def log_likelihood(evidence: Evidence, curve: Curve) -> float:
 
 
 def covariance(s: Floats, points: Floats, noise: Noise, pose: tuple[float, float]) -> Floats:
-    """Return the covariance (2K, 2K) of the residuals; `pose` is (shift, angle) in mm and rad."""
+    """Return the covariance (K, K) of the residuals; `pose` is (shift, angle) in mm and rad."""
     apart = np.abs(s[:, None] - s[None, :])  # (K, K)
-    axis = noise.point_sd**2 * np.eye(len(s)) + noise.correlated_sd**2 * np.exp(
-        -apart / noise.correlation_length
-    )
+    shared = noise.correlated_sd**2 * np.exp(-apart / noise.correlation_length)
     shift, angle = pose
-    ones, zeros = np.ones(len(s)), np.zeros(len(s))
-    x, y = (points - points[0]).T
-    modes = np.stack(
-        [
-            shift * np.concatenate([ones, zeros]),
-            shift * np.concatenate([zeros, ones]),
-            angle * np.concatenate([-y, x]),
-        ]
-    )  # (3, 2K)
-    total: Floats = np.kron(np.eye(2), axis) + modes.T @ modes
+    modes = np.stack([np.full(len(s), shift), angle * (points[:, 0] - points[0, 0])])  # (2, K)
+    total: Floats = noise.point_sd**2 * np.eye(len(s)) + shared + modes.T @ modes
     return total
 
 
@@ -142,4 +134,5 @@ def _compared(dataset: Dataset, insertion: Insertion) -> tuple[Floats, Floats]:
         along, at = along[kept], insertion.depth - to_tip[kept]
     step = max(1, math.ceil(len(at) / MOST_POINTS))
     chosen = np.arange(len(at) - 1, -1, -step)[::-1]  # keeps the tip
-    return at[chosen], at_arc(insertion.planar, along[chosen])
+    places = at_arc(insertion.planar, along[chosen])
+    return at[chosen], places if dataset.pose == "known" else in_entry_axes(places)

@@ -107,7 +107,7 @@ class Problem:
         """Return the whitened residuals of all insertions, one after the other; NaN if a solve fails."""
         pairs = zip(self.evidence, self.shapes(theta), strict=True)
         parts = [
-            whitened(e, curve_of(shape)) if shape.converged else np.full(2 * len(e.s), np.nan)
+            whitened(e, curve_of(shape)) if shape.converged else np.full(len(e.s), np.nan)
             for e, shape in pairs
         ]
         return np.concatenate(parts)

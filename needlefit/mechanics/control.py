@@ -44,6 +44,20 @@ class Controls:
     base_slope: float = 0.0
     guide_distance: float | None = None
 
+    def __post_init__(self) -> None:
+        if self.guide_distance is not None and (self.base_y or self.base_slope):
+            raise ModelError(
+                "a base moved behind a clamping guide does not reach the tissue",
+                expected="base_y and base_slope 0 where there is a guide",
+                mend="leave out the guide, or the base's motion",
+            )
+        if self.guide_distance is not None and not (
+            math.isfinite(self.guide_distance) and self.guide_distance > 0
+        ):
+            raise ModelError(
+                f"guide_distance is {self.guide_distance} mm", expected="a positive, finite number"
+            )
+
     @classmethod
     def from_record(cls, record: ControlsRecord) -> Self:
         """Return the controls that a checked record describes (degrees become slopes)."""
@@ -73,11 +87,12 @@ class Rules:
 
     def __post_init__(self) -> None:
         ratio = self.spacing / self.element if self.element > 0 else 0.0
-        if not (self.spacing > 0 and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-9)):
+        if not (self.spacing > 0 and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-3)):
             raise ModelError(
                 f"element size {self.element} mm does not divide the constraint spacing {self.spacing} mm",
-                expected="element_mm = constraint_spacing_mm / 1, 2, 3, ...",
+                expected="element_mm = constraint_spacing_mm / 1, 2, 3, ... (to three digits)",
             )
+        object.__setattr__(self, "element", self.spacing / round(ratio))  # 0.333 means a third
 
     @classmethod
     def from_record(cls, record: RulesRecord) -> Self:

@@ -55,11 +55,9 @@ def simulate(
 
 
 def constraint_depths(depth: float, spacing: float) -> Floats:
-    """Section 4: x_1 = D - floor(D / C_int) C_int, or C_int where that is 0; then every C_int."""
-    first = depth - math.floor(depth / spacing + 1e-9) * spacing
-    if first <= 1e-9 * spacing:
-        first = spacing
-    return np.concatenate(([0.0], np.arange(first, depth + 0.5 * spacing, spacing)))
+    """Section 4: 0, then every C_int back from D, so that x_1 is the remainder, or C_int where that is 0."""
+    cells = max(1, math.ceil(depth / spacing - 1e-9))
+    return np.concatenate(([0.0], depth - spacing * np.arange(cells - 1, -1, -1)))
 
 
 def mesh(x_c: Floats, h: float, x_base: float) -> Floats:

@@ -28,7 +28,7 @@ class NeedleShape:
     tip_track : (M + 1, 2) array
         Deflection (mm) and slope of the tip as it stood at each constraint point.
     status : str
-        "converged", or why it is not.
+        "converged", or why it is not; then what was not reached is NaN, the whole shape with it.
     iterations : int
         Newton iterations over all steps.
     """

@@ -10,7 +10,7 @@ from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Rules
 from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
 from needlefit.mechanics.kernel.grid import Grid, build_grid, constraint_depths
-from needlefit.mechanics.kernel.scalar import Beam, Newton, equilibrate, insert, regular_shapes
+from needlefit.mechanics.kernel.scalar import CONVERGED, Beam, Newton, equilibrate, insert, regular_shapes
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.tissue import Tissue
@@ -78,6 +78,8 @@ def equilibrium(
     last = len(depths) - 1
     newton = Newton(rules.tolerance, rules.max_iterations)
     status, iterations = equilibrate(state, beam, foundation, grid, regular_shapes(grid), y, last, newton)
+    if status != CONVERGED:
+        state[:] = np.nan
     return NeedleShape(
         _node_depths(beam, grid),
         state[:, 0],

@@ -30,7 +30,7 @@ class Grid(NamedTuple):
 @njit(cache=True)
 def constraint_depths(depth: float, spacing: float) -> Floats:
     """Return 0, the first, shorter cell, then one constraint every `spacing`, the last at `depth`."""
-    cells = int(np.ceil(depth / spacing - 1e-9))
+    cells = max(1, int(np.ceil(depth / spacing - 1e-9)))
     x = np.empty(cells + 1)
     x[0] = 0.0
     for m in range(1, cells + 1):

@@ -48,7 +48,7 @@ def insert(
     Returns
     -------
     state : (N + 1, 2) array
-        Deflection and slope of the held end and of every node.
+        Deflection and slope of the held end and of every node; NaN where the insertion failed.
     y : (M + 1,) array
         Constraint points.
     track : (M + 1, 2) array
@@ -56,8 +56,9 @@ def insert(
     status, iterations : int
         One of the constants above; Newton iterations of all steps.
     """
-    y = np.zeros(len(depths))
-    track = np.zeros((len(depths), 2))
+    y = np.full(len(depths), np.nan)  # what a failed insertion never reached stays NaN
+    track = np.full((len(depths), 2), np.nan)
+    y[0] = 0.0
     state = np.zeros((len(grid.nodes) + 1, 2))
     shapes = regular_shapes(grid)
     track[0, 0] = beam.base_y + beam.base_slope * min(beam.length, beam.reach)
@@ -71,6 +72,7 @@ def insert(
         iterations += used
         track[m] = state[grid.tip_node[m] + 1]
         if status != CONVERGED:
+            state[:] = np.nan
             return state, y, track, status, iterations
     return state, y, track, CONVERGED, iterations
 
@@ -94,13 +96,14 @@ def equilibrate(
     trial = state.copy()
     solution = np.empty((last + 2, 6))  # per node: G = S^-1 K_ab (4), z = S^-1 r (2)
     before = np.inf
+    compressed = False
     for iteration in range(newton.max_iterations):
         if not _sweep(trial, beam.rigidity, held, foundation, grid, shapes, y, last, solution):
             if iteration == 0:
                 return OVER_COMPRESSED, iteration
-            trial[: last + 2] = 0.5 * (
-                trial[: last + 2] + state[: last + 2]
-            )  # back toward the last good state
+            compressed = True
+            # half the way back toward the last state that some tissue bore
+            trial[: last + 2] = 0.5 * (trial[: last + 2] + state[: last + 2])
             continue
         state[: last + 2] = trial[: last + 2]
         change = _back(trial, solution, last)
@@ -111,7 +114,7 @@ def equilibrate(
             state[: last + 2] = trial[: last + 2]
             return CONVERGED, iteration + 1
         before = change
-    return NOT_CONVERGED, newton.max_iterations
+    return OVER_COMPRESSED if compressed else NOT_CONVERGED, newton.max_iterations
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
