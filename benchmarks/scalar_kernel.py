@@ -34,6 +34,7 @@ TISSUE = Tissue(
     boundaries=np.array([20.0, 28.0, 45.0]),
 )
 BEVEL = Bevel(0.085)
+TURN = BEVEL.side * BEVEL.offset / 1.0  # of the cut, per constraint spacing of 1 mm
 
 
 class FullNeedle:
@@ -123,7 +124,7 @@ def measure(rounds: int) -> dict[str, float]:
     beam, foundation, grid = compile_inputs(NEEDLE, TISSUE, depths, Controls(), Rules())
     newton = Newton(TOLERANCE, 40)
     rivals: dict[str, tuple[int, Callable[[], object]]] = {
-        "kernel": (200, lambda: insert(beam, foundation, grid, depths, BEVEL.offset, newton)),
+        "kernel": (200, lambda: insert(beam, foundation, grid, depths, TURN, newton)),
         "simulate": (200, lambda: simulate(NEEDLE, TISSUE, BEVEL, DEPTH, rules=Rules(tolerance=TOLERANCE))),
         "banded": (2, lambda: full.insertion(full.banded)),
         "dense": (1, lambda: full.insertion(full.dense)),
@@ -143,9 +144,7 @@ def measure(rounds: int) -> dict[str, float]:
         figures[f"{name}_us_per_step"] = float(np.median(values)) / DEPTH * 1e6
     for name in ("banded", "dense"):
         figures[f"{name}_over_kernel"] = figures[f"{name}_us_per_step"] / figures["kernel_us_per_step"]
-    figures["newton_iterations_per_step"] = (
-        insert(beam, foundation, grid, depths, BEVEL.offset, newton)[-1] / DEPTH
-    )
+    figures["newton_iterations_per_step"] = insert(beam, foundation, grid, depths, TURN, newton)[-1] / DEPTH
     return figures
 
 

@@ -154,6 +154,7 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
             best = 0.25 if fit == "fitted" else 0.31
             row = {"fold": fold, "fit": fit, "start": start}
             row["objective"] = best + max(0.0, rng.exponential(0.1) - 0.08) if start else np.inf
+            row |= {"as_good": bool(row["objective"] < best + 0.01)}
             row |= {"evaluations": 600, "failed_solves": int(start == 0) * 600, "stopped": "evaluations"}
             for i in range(1, layers + 1):
                 row[f"mu{i}_pa"] = 10 ** rng.uniform(4, 7)

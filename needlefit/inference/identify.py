@@ -126,8 +126,12 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
 
 def practically_equal(fit: Fit) -> tuple[Start, ...]:
     """Return the starts that ended practically as well as the best."""
-    limit = fit.objective + max(EQUAL_RELATIVE * abs(fit.objective), EQUAL_MM)
-    return tuple(start for start in fit.starts if start.objective <= limit)
+    return tuple(start for start in fit.starts if as_good(start, fit))
+
+
+def as_good(start: Start, fit: Fit) -> bool:
+    """Return whether a start ended practically as well as the best one of its fit."""
+    return start.objective <= fit.objective + max(EQUAL_RELATIVE * abs(fit.objective), EQUAL_MM)
 
 
 def with_noise(problem: Problem, theta: Floats) -> Problem:

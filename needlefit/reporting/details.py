@@ -114,7 +114,11 @@ def directions_layout(results: Results) -> Display:
     )
     columns = (text("Fold"), Column("Sd"), text("Combination", wide=True), text("Origin"))
     caption = "What the data know of the parameters: the best and the worst known combinations."
-    return without_empty(Display("directions", caption, columns, cells))
+    notes = (
+        "Linear about the fitted point, and only as far as the model and the stated noise hold: along a "
+        "curved ridge the combination turns, so a point far along it may lie many of these deviations away.",
+    )
+    return without_empty(Display("directions", caption, columns, cells, (), (), notes))
 
 
 def contradictions_layout(claims: Sequence[Claim]) -> Display:

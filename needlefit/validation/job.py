@@ -100,7 +100,25 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
         recipe = recipe.model_copy(update={"seed": settings.seed})
     parameters = Parameters.from_record(medium)
     hand = None if record.hand_tuned is None else _hand_tuned(record.hand_tuned, parameters, record.medium)
-    return Job(name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset))
+    job = Job(name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset))
+    _check_reach(job)
+    return job
+
+
+def _check_reach(job: Job) -> None:
+    """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
+    name = "guide_distance_mm"
+    bounds, fixed = job.parameters.bounds.get(name), job.parameters.fixed.get(name)
+    for insertion in (i for fold in job.folds for i in (*fold.tune, *fold.validate)):
+        guide = bounds[1] if bounds else fixed if fixed is not None else insertion.guide_distance or 0.0
+        if insertion.depth + guide >= job.dataset.needle.length:
+            raise ConfigError(
+                f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
+                f"the tissue the needle of {job.dataset.needle.length:g} mm is too short",
+                where=f"medium {job.record.medium}, key parameters.{name}",
+                expected=f"below {job.dataset.needle.length - insertion.depth:g} mm",
+                mend="lessen the guide's distance or its upper bound",
+            )
 
 
 def _hand_tuned(name: str, parameters: Parameters, medium: str) -> dict[str, float]:

@@ -20,18 +20,21 @@ TOLERANCE = 1e-3
 """Crossings that move by less, mm, stand still."""
 
 MOST = 30
-"""Rounds after which the last crossings are taken; past the first ten each moves only half way."""
+"""Rounds in which they must; past the first ten each moves them only half way."""
 
 
 def planned_layers(
     insertion: Insertion, medium: Medium, predict: Callable[[Floats, tuple[int, ...]], NeedleShape]
-) -> Layers:
+) -> Layers | None:
     """Return boundaries (n - 1,) along C's x and the n layers met by the needle that `predict` simulates.
+
+    None where a solve fails, or the crossings do not come to rest.
 
     Parameters
     ----------
     insertion : Insertion
-        Its entry pose and depth alone are used.
+        Its depth and its frame alone are used: the entry pose, and the bending plane, which comes from the
+        bevel where the dataset states it and else from the measured shape.
     medium : Medium
         With surfaces; given depths are returned as they are.
     predict : callable
@@ -42,13 +45,13 @@ def planned_layers(
     for round_ in range(MOST):
         shape = predict(*layers)
         if not shape.converged:
-            return layers
+            return None
         after = _met(inserted_points(shape), insertion, medium)
         same = after[1] == layers[1]
         if same and np.all(np.abs(after[0] - layers[0]) < TOLERANCE):
             return after
         layers = (0.5 * (after[0] + layers[0]), after[1]) if same and round_ >= 10 else after
-    return layers
+    return None
 
 
 def _met(planar: Floats, insertion: Insertion, medium: Medium) -> Layers:

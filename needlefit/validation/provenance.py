@@ -5,6 +5,7 @@ from collections.abc import Mapping
 from importlib.metadata import version
 from typing import Any
 
+from needlefit.inference.predict import rules as mesh
 from needlefit.validation.job import Job, needle_facts
 
 _PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
@@ -43,6 +44,8 @@ def rules(job: Job) -> dict[str, Any]:
         "constraint_spacing_mm": job.medium.constraint_spacing_mm,
         "thickness_mm": job.medium.thickness_mm,
         "law": job.medium.law,
+        "friction": 0.0,
+        "element_mm": mesh(job.medium).element,
         "tie": "nearest constraint at each quadrature point, quadrature split where it changes",
         "advance": "along the tangent",
         "first_cell": "the depth's remainder over the spacing, or a whole cell",

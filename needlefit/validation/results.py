@@ -29,7 +29,10 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("edp_flagged", "converged"),
         ),
         "shapes": (*SCORED, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
-        "starts": ("fold", "fit", "start", "objective", "evaluations", "failed_solves", "stopped"),
+        "starts": (
+            *("fold", "fit", "start", "objective", "as_good"),
+            *("evaluations", "failed_solves", "stopped"),
+        ),
         "parameters": (
             *("fold", "rival", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "spread_low", "spread_high", "determined", "note"),
@@ -62,7 +65,8 @@ class Results:
     shapes : DataFrame
         The curves that `errors` compares, j = 0 the entry (or the first scored point), as compared.
     starts : DataFrame
-        Every start of every search, then one column per parameter.
+        Every start of every search, then one column per parameter; `as_good` marks those that ended
+        practically as well as the best.
     parameters : DataFrame
         Values per fold and rival; `sd` is of ln for moduli and lengths, of the value for alpha;
         `spread_low`, `spread_high` is the range among starts practically as good as the best.

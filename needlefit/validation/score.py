@@ -37,11 +37,15 @@ def model_rival(values: Mapping[str, float], medium: MediumRecord, dataset: Data
         def at(boundaries: Floats | None, sequence: tuple[int, ...] | None) -> NeedleShape:
             return predict(values, medium, dataset.needle, insertion, boundaries, sequence)
 
-        shapes = {"measured": at(None, None)}
+        shapes: dict[str, NeedleShape | None] = {"measured": at(None, None)}
         where = dataset.media.get(insertion.medium)
         if where is not None and where.surfaces:
-            shapes["planned"] = at(*planned_layers(insertion, where, at))
-        return {kind: curve_of(shape) if shape.converged else None for kind, shape in shapes.items()}
+            planned = planned_layers(insertion, where, at)
+            shapes["planned"] = None if planned is None else at(*planned)
+        return {
+            kind: curve_of(shape) if shape is not None and shape.converged else None
+            for kind, shape in shapes.items()
+        }
 
     return curves
 
@@ -91,7 +95,6 @@ class Scorer:
             "layers": layers_of(insertion, self.reading),
             "depth_mm": insertion.depth,
             "comparison": "world" if self.dataset.pose == "known" else "aligned",
-            "deflection_mm": insertion.deflection,
             **floor,
         }
 
@@ -117,6 +120,7 @@ _FAILED = {
     **dict.fromkeys(
         ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent"), math.inf
     ),
+    "deflection_mm": math.nan,
     "predicted_deflection_mm": math.nan,
     "edp_flagged": False,
     "converged": False,

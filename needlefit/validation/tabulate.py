@@ -11,7 +11,7 @@ import pandas as pd
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
-from needlefit.inference.identify import Verdict, identify
+from needlefit.inference.identify import Verdict, as_good, identify
 from needlefit.inference.posterior import Posterior
 from needlefit.inference.starts import Fit, Start
 from needlefit.validation.folds import Fold
@@ -42,7 +42,7 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
     """Score every rival of one fold, and say what the searches found."""
     usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
     for name, fit in fits.items():
-        tables.starts += [_start_row(job, fold, name, start) for start in fit.starts]
+        tables.starts += [_start_row(job, fold, name, start, fit) for start in fit.starts]
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
     if "fitted" in usable:
         verdict = identify(job.problem(fold), usable["fitted"])
@@ -76,12 +76,13 @@ def _curve(baseline: Baseline) -> Callable[[Insertion], Curve]:
     return lambda insertion: curve_for(baseline, insertion)
 
 
-def _start_row(job: Job, fold: Fold, search: str, start: Start) -> Row:
+def _start_row(job: Job, fold: Fold, search: str, start: Start, fit: Fit) -> Row:
     return {
         "fold": fold.name,
         "fit": search,
         "start": start.index,
         "objective": start.objective,
+        "as_good": as_good(start, fit),
         "evaluations": start.evaluations,
         "failed_solves": start.failures,
         "stopped": start.stopped,

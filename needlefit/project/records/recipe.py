@@ -18,9 +18,9 @@ class SampleRecord(Record):
     """emcee: walkers and steps of each of several independent ensembles."""
 
     ensembles: int = Field(default=4, ge=1)
-    walkers: int = Field(default=32, ge=4)
-    steps: int = Field(default=500, ge=2)
-    burn_in: int = Field(default=200, ge=0)
+    walkers: int = Field(default=16, ge=4)
+    steps: int = Field(default=3000, ge=2)
+    burn_in: int = Field(default=500, ge=0)
 
 
 class RecipeRecord(FileRecord):

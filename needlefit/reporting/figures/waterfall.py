@@ -59,8 +59,7 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
 def _ended(axes: Axes, starts: pd.DataFrame, free: list[Row]) -> None:
     """Draw the end of every start of the fit within the bounds: full colour where practically the best."""
     fitted = starts[(starts["fit"] == "fitted") & np.isfinite(starts["objective"].astype(float))]
-    best = fitted.groupby("fold")["objective"].transform("min").astype(float)
-    near = (fitted["objective"].astype(float) <= 1.02 * best).to_numpy()
+    near = fitted["as_good"].to_numpy(dtype=np.bool_)
     for y, row in enumerate(free):
         at = _share(fitted[row["parameter"]].to_numpy(dtype=np.float64), row)
         axes.hlines(y, 0, 1, color=GREY, lw=0.5, alpha=0.6)
@@ -80,7 +79,7 @@ def _ended(axes: Axes, starts: pd.DataFrame, free: list[Row]) -> None:
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
     axes.set_title("where they ended, between the bounds", loc="left", color=INK)
-    axes.set_xlabel("filled: objective within 2 % of the best", color=RIVAL_COLOURS["fitted"])
+    axes.set_xlabel("filled: practically as good as the best", color=RIVAL_COLOURS["fitted"])
 
 
 def _share(values: NDArray[np.float64], row: Row) -> NDArray[np.float64]:
