@@ -1,6 +1,7 @@
 """The parts of the twin: plan, phantoms, one insertion, what is measured of it."""
 
 import csv
+import dataclasses
 import math
 
 import numpy as np
@@ -143,9 +144,9 @@ def test_pieces_of_chicken_differ_and_phantoms_do_not_vary_within():
 def test_bevel_along_across_and_between_the_fibres():
     specimen = true_specimen(1, "chicken", "chicken-piece1")
     offset = MEDIA["chicken"].bevel
-    planned = PLAN["chicken-02"]
-    assert planned.grain == 45.0
-    assert true_bevel(specimen, planned) == pytest.approx(offset)
+    for grain, share in ((0.0, 2.0), (45.0, 1.0), (60.0, 0.5), (90.0, 0.0)):
+        planned = dataclasses.replace(PLAN["chicken-02"], grain=grain)
+        assert true_bevel(specimen, planned) == pytest.approx(share * offset)
     assert true_bevel(true_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
 
 

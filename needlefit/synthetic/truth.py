@@ -39,7 +39,7 @@ MEDIA = {
     "phantom1": MediumTruth((2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2),
     "phantom2": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2),
     "phantom3": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.03, 0.2),
-    "chicken": MediumTruth((1e3,), (1,), 0.24, 0.1),
+    "chicken": MediumTruth((1e3,), (1,), 0.33, 0.1),
 }
 
 NOMINAL = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
