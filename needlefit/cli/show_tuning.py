@@ -1,5 +1,6 @@
 """What `tune` prints: the fit beside its rivals, how the starts agree, and what stays open."""
 
+import math
 from typing import TYPE_CHECKING, Any
 
 from needlefit.cli import screen
@@ -17,10 +18,8 @@ _PARAMETERS = {
     "hand_tuned": "paper, by hand",
     "hand_tuned_b": "paper, b re-tuned",
     "status": "status",
-    "sd": "sd",
-    "sd_of": "sd of",
-    "spread_low": "as good from",
-    "spread_high": "to",
+    "known": "known to",
+    "as_good": "as good from ... to",
 }
 _METRICS = {
     "median_err_mm": "median mm",
@@ -37,6 +36,9 @@ def show_tuning(results: "Results") -> None:
 
     show_head(results)
     table = parameters_table(results)
+    rows = table.to_dict("records")
+    table["known"] = [_known(row["sd"], row["sd_of"]) for row in rows]
+    table["as_good"] = [_range(row["spread_low"], row["spread_high"]) for row in rows]
     several = table["fold"].nunique() > 1
     wanted = [name for name in _PARAMETERS if (name != "fold" or several) and _says(table[name])]
     screen.show_frame(table[wanted].rename(columns=_PARAMETERS), "Parameters.")
@@ -52,6 +54,19 @@ def show_tuning(results: "Results") -> None:
         screen.show_frame(percentiles_table(results), "Posterior: percentiles in Pa and mm.")
     if results.origin == "synthetic" and "hand_tuned" in set(results.errors["rival"]):
         screen.say("The paper's set was not tuned on this data; the fair rival is the one with b re-tuned.")
+
+
+def _known(sd: float, of: str) -> str:
+    """Return a standard deviation for people: of a logarithm in percent, or as a factor where it is large."""
+    if not math.isfinite(sd):
+        return ""
+    if of != "ln":
+        return f"+-{sd:.2g}"
+    return f"+-{100 * sd:.2g} %" if sd < 0.5 else f"a factor of {math.exp(sd):.2g}"
+
+
+def _range(low: float, high: float) -> str:
+    return f"{low:.3g} ... {high:.3g}" if math.isfinite(low) and math.isfinite(high) else ""
 
 
 def as_json(results: "Results") -> dict[str, Any]:
