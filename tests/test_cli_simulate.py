@@ -113,6 +113,15 @@ def test_without_convergence_the_answer_is_marked_and_the_exit_code_5(capsys):
     assert "NO" in capsys.readouterr().out
 
 
+def test_what_was_not_found_is_null(capsys):
+    assert run("simulate", "phantom2", "--set", "bevel.offset_mm=60", "--json") == 5
+    found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)  # NaN is no JSON
+    assert (found["converged"], found["status"]) == (False, "over-compressed")
+    assert found["deflection_mm"] is None and found["tip_slope"] is None
+    assert found["tip_mm"] == [None, None]
+    assert found["depth_mm"] == 38.06 and found["constraints_mm"][-1] == [pytest.approx(38.06), None]
+
+
 def test_a_plot_is_drawn_the_same_twice(tmp_path, capsys):
     for name in ("a.png", "b.png"):
         assert run("simulate", "phantom1", "--plot", str(tmp_path / name)) == 0

@@ -8,7 +8,7 @@ from needlefit.mechanics import laws, reference
 from needlefit.mechanics.control import Bevel, Controls, Rules
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import inserted_points, positions
-from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.simulate import equilibrium, simulate
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -74,19 +74,20 @@ def test_the_bevel_turns_the_cut_once_per_constraint_spacing(solve, spacing, fir
         assert found[-1, 0] == 7.3
 
 
-@pytest.mark.parametrize("solve", [simulate, reference.simulate])
-def test_newton_goes_on_until_nothing_moves(solve) -> None:
-    """One more Newton step from the answer changes nothing, in thin tissue that hardens strongly."""
-    tissue, bevel = Tissue(mu=[0.5], alpha=[8.0], thickness=[2.0]), Bevel(0.1)
-    for depth in (1.0, 4.0, 7.5, 12.0):
-        found = solve(NEEDLE, tissue, bevel, depth)
-        state = np.column_stack((found.u, found.slope)).ravel()
-        once = Rules(tolerance=np.inf)
-        again, used = reference.equilibrium(
-            NEEDLE, tissue, found.x, found.constraints, state, Controls(), once
-        )
-        assert used == 1
-        np.testing.assert_allclose(again[0::2], found.u, atol=1e-10)
+@pytest.mark.parametrize(("alpha", "depth"), [(-8.0, 7.5), (8.0, 12.0)])
+def test_newton_goes_on_until_nothing_moves(alpha: float, depth: float) -> None:
+    """One more Newton step from the answer changes nothing, though the thin tissue hardens strongly.
+
+    The increment before the last is of some 1e-5 mm here: ending there would be wrong by 1e-7 mm.
+    """
+    tissue = Tissue(mu=[0.5], alpha=[alpha], thickness=[0.2])
+    found = simulate(NEEDLE, tissue, Bevel(0.1), depth)
+    state = np.column_stack((found.u, found.slope)).ravel()
+    again, used = reference.equilibrium(
+        NEEDLE, tissue, found.x, found.constraints, state, Controls(), Rules(tolerance=np.inf)
+    )
+    assert found.converged and used == 1
+    np.testing.assert_allclose(again[0::2], found.u, atol=1e-10)
 
 
 @pytest.mark.parametrize("element", [0.125, 0.0625])
@@ -111,6 +112,31 @@ def test_over_compression_is_a_value_with_its_reason() -> None:
     shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
     assert not shape.converged
     assert shape.status == "over-compressed"
+
+
+@pytest.mark.parametrize(("offset", "thickness"), [(0.1, 0.1), (0.5, 0.5), (30.0, 1.0)])
+def test_over_compression_is_told_wherever_newton_meets_it(offset: float, thickness: float) -> None:
+    """Also where the first guess was bearable; what was never found is NaN, not 0."""
+    tissue = Tissue(mu=[5.0], alpha=[1.0], thickness=[thickness])
+    shape = simulate(NEEDLE, tissue, Bevel(offset), 20.0)
+    assert shape.status == "over-compressed"
+    assert np.isnan(shape.deflection) and np.isnan(shape.u).all()
+
+
+def test_a_solve_that_ends_over_compressed_after_bearable_steps_says_so() -> None:
+    """Only the base moves: the first iteration, from the straight guess, still compresses nothing fully."""
+    points = np.column_stack((np.arange(11.0), np.zeros(11)))
+    tissue = Tissue(mu=[1e-3], alpha=[1.0], thickness=[0.5])
+    shape = equilibrium(NEEDLE, tissue, points, Controls(base_y=40.0))
+    assert shape.iterations > 0
+    assert shape.status == "over-compressed"
+
+
+@pytest.mark.parametrize("depth", [1e-12, 1e-10, 1e-9, 1e-6])
+def test_a_hair_s_breadth_is_a_depth(depth: float) -> None:
+    shape = simulate(NEEDLE, Tissue(mu=[5.0], alpha=[1.0]), Bevel(0.1), depth)
+    assert shape.converged and shape.depth == pytest.approx(depth, abs=1e-9)
+    assert abs(shape.deflection) <= 0.2 * depth
 
 
 def test_too_few_iterations_is_not_converged() -> None:

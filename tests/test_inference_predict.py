@@ -1,0 +1,82 @@
+"""What a prediction takes from the medium's record, the needle's and the scene's: every number arrives."""
+
+import math
+
+import numpy as np
+import pytest
+from inference_cases import NEEDLE, TRUTH, insertion, medium
+
+from needlefit.inference.parameters import tissue
+from needlefit.inference.predict import predict
+from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.scene import NeedleRecord, SceneRecord
+
+UNUSUAL = {"thickness_mm": 3.0, "law": "neo_hookean", "constraint_spacing_mm": 2.0}
+
+
+def unusual(*kept: str) -> MediumRecord:
+    """A medium that differs from the default one in the given keys."""
+    return medium().model_copy(update={key: UNUSUAL[key] for key in kept})
+
+
+def test_the_tissue_has_the_medium_s_law_and_thickness() -> None:
+    met = tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), unusual(*UNUSUAL))
+    assert met.thickness.tolist() == [3.0, 3.0, 3.0]
+    assert met.law == "neo_hookean"
+
+
+def test_a_prediction_is_the_simulation_that_the_medium_describes() -> None:
+    planned = insertion(31.3, (12.0,), (1, 2), -1)
+    got = predict(TRUTH, unusual(*UNUSUAL), NEEDLE, planned)
+    met = Tissue(mu=[0.3, 20.0], alpha=[1.0, -1.0], boundaries=[12.0], thickness=[3.0], law="neo_hookean")
+    meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), Rules(2.0, 1.0))
+    assert got.constraints[1, 0] == pytest.approx(1.3)  # 31.3 = 15 cells of 2 mm and 1.3 mm
+    np.testing.assert_array_equal(got.u, meant.u)
+
+
+@pytest.mark.parametrize("key", UNUSUAL)
+def test_each_of_the_medium_s_rules_moves_the_tip(key: str) -> None:
+    """Over 0.1 um in thin tissue; so none can be lost without being seen."""
+    planned = insertion(31.3, (12.0,), (1, 2))
+    others = [k for k in UNUSUAL if k != key]
+    tips = [predict(TRUTH, unusual(*keys), NEEDLE, planned).deflection for keys in (UNUSUAL, others)]
+    assert abs(tips[1] - tips[0]) > 1e-4
+
+
+def test_the_rigidity_of_an_18_gauge_tube() -> None:
+    """OD 1.27 mm, ID 0.838 mm, 193 GPa: I = pi (1.27^4 - 0.838^4) / 64 = 0.103491 mm^4 by hand."""
+    tube = NeedleRecord(
+        length_mm=150, outer_diameter_mm=1.27, inner_diameter_mm=0.838, youngs_modulus_gpa=193
+    )
+    found = Needle.from_record(tube)
+    assert found.length == 150.0
+    assert found.flexural_rigidity == pytest.approx(19973.7, rel=1e-5)
+    assert Needle.from_tube(150.0, 1.27, 193e3, 0.838) == found
+
+
+def test_a_scene_s_angles_become_slopes_and_its_moduli_mpa() -> None:
+    record = SceneRecord.model_validate(
+        {
+            "schema": 1, "depth_mm": 20.0, "law": "linear",
+            "needle": {"length_mm": 100, "flexural_rigidity_nmm2": 9e3},
+            "layers": [{"top_mm": 0, "mu_pa": 2e5, "alpha": 3, "thickness_mm": 7, "friction": 0.2},
+                       {"top_mm": 9, "mu_pa": 4e6, "alpha": -2}],
+            "bevel": {"offset_mm": 0.07, "side": -1},
+            "rules": {"constraint_spacing_mm": 2, "element_mm": 0.5},
+            "controls": {"base_y_mm": 0.4, "base_slope_deg": 30},
+        }
+    )  # fmt: skip
+    scene = Scene.from_record(record)
+    assert scene.controls == Controls(0.4, pytest.approx(1 / math.sqrt(3)), None)
+    assert (scene.bevel, scene.rules, scene.depth) == (Bevel(0.07, -1), Rules(2.0, 0.5), 20.0)
+    assert scene.tissue.mu.tolist() == pytest.approx([0.2, 4.0])
+    assert scene.tissue.alpha.tolist() == [3.0, -2.0]
+    assert scene.tissue.boundaries.tolist() == [9.0]
+    assert scene.tissue.thickness.tolist() == [7.0, 40.0]
+    assert scene.tissue.friction.tolist() == [0.2, 0.0]
+    assert scene.tissue.law == "linear"
