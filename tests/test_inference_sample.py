@@ -8,6 +8,7 @@ from inference_cases import TRUTH as VALUES
 from inference_cases import Analytic, box, insertion, measure, medium, problem, recipe
 
 from needlefit.errors import ConfigError, DataError, FitError
+from needlefit.inference import sample as sample_module
 from needlefit.inference.convergence import r_hat
 from needlefit.inference.posterior import load, save
 from needlefit.inference.sample import sample
@@ -88,6 +89,18 @@ def test_ensembles_differ_and_begin_apart():
     draws = draw(burn_in=0, steps=2).draws
     centres = draws.mean(axis=1)
     assert len(np.unique(centres[:, 0])) == 4 and np.ptp(centres[:, 0]) > 0.05
+
+
+def test_ensembles_begun_in_one_place_go_their_own_ways(monkeypatch):
+    """Their starting points would hide it if all of them drew the same random numbers after that."""
+    monkeypatch.setattr(
+        sample_module, "_walkers", lambda *_: np.random.default_rng(0).uniform(-1, 1, (20, 2))
+    )
+    draws = draw(burn_in=0, steps=20).draws
+    for one in range(4):
+        for other in range(one):
+            assert not np.array_equal(draws[one], draws[other])
+            assert np.mean(draws[one, 20:] == draws[other, 20:]) < 0.5
 
 
 def test_nan_infinity_and_failed_solves_have_no_density_and_are_counted():

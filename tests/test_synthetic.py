@@ -11,10 +11,13 @@ from hypothesis import strategies as st
 
 from needlefit.errors import ModelError
 from needlefit.geometry.crossings import crossings
+from needlefit.inference.predict import rules
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import positions
 from needlefit.mechanics.simulate import simulate
-from needlefit.project.places import shipped
+from needlefit.project.load import load
+from needlefit.project.places import find, shipped
+from needlefit.project.records.medium import MediumRecord
 from needlefit.synthetic import insert as insert_module
 from needlefit.synthetic.design import insertions
 from needlefit.synthetic.field import Field
@@ -199,6 +202,33 @@ def test_the_needle_starts_at_the_entry_keeps_its_length_and_leaves_its_plane():
     assert found.deflection > 0  # toward the bevel
     tip = positions(found.shape, np.array([planned.depth]))[0]
     assert local[-1, :2] == pytest.approx(tip)
+
+
+@pytest.mark.parametrize(("name", "friction"), [("phantom2-08", 0.2), ("chicken-03", 0.1)])
+def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
+    """A finer mesh, friction, another rigidity; taking any of them away gives another shape."""
+    planned, specimen, found = truly_inserted(name)
+    fitted = rules(load(find("medium", planned.medium), MediumRecord))
+    assert RULES.element <= fitted.element / 4 and RULES.spacing == fitted.spacing
+    assert np.max(np.diff(found.shape.x[1:])) == pytest.approx(fitted.element / 4)
+    assert found.tissue.friction == pytest.approx(friction)
+    needle, bevel = true_needle(1), Bevel(true_bevel(specimen, planned))
+    again = simulate(needle, found.tissue, bevel, planned.depth, rules=RULES)
+    assert again.deflection == pytest.approx(found.shape.deflection, abs=1e-4)
+    nominal = simulate(NOMINAL, found.tissue, bevel, planned.depth, rules=RULES)
+    assert abs(nominal.deflection / again.deflection - 1) > 1e-3
+    smooth = dataclasses.replace(found.tissue, friction=np.zeros(found.tissue.layers))
+    assert simulate(needle, smooth, bevel, planned.depth, rules=RULES).deflection != again.deflection
+
+
+def test_every_true_needle_leaves_its_plane_by_what_was_drawn():
+    """At the tip both modes count fully: (0.04 + 0.06 |y|) times the sum of the two draws."""
+    for name in ("phantom1-01", "phantom2-08", "chicken-03"):
+        _, _, found = truly_inserted(name)
+        drawn = true_deviations(1, PLAN[name]).out_of_plane
+        tip = found.frame.to_local(found.centerline)[-1, 2]
+        assert tip == pytest.approx((0.04 + 0.06 * abs(found.shape.deflection)) * drawn.sum(), rel=1e-6)
+        assert abs(tip) > 1e-3
 
 
 def test_a_heterogeneous_piece_is_cut_in_thin_slices():
