@@ -20,14 +20,15 @@ def twin_build(
 
     Its insertions have the numbers and depths of the paper's 47.
 
-    The same seed gives the same bytes. A folder that holds anything but a synthetic dataset is not touched.
+    The same seed gives the same bytes. DIR is replaced only if it holds a twin, and
+    nothing else.
     """
-    from needlefit.project.replace import replacing_synthetic
+    from needlefit.project.replace import replacing_twin
     from needlefit.synthetic.build import SEED, build
 
     seed = SEED if seed is None else seed
     if not quiet:
         screen.note_compiling()
-    with replacing_synthetic(out) as fresh, progress(context.find_root().obj.quiet) as report:
+    with replacing_twin(out) as fresh, progress(context.find_root().obj.quiet) as report:
         build(fresh, seed, report)
     screen.say(f"{out}: synthetic dataset, seed {seed}")

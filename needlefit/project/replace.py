@@ -1,43 +1,81 @@
-"""Replacing a folder that the program writes: whole, or not at all."""
+"""Writing a folder whole or not at all, and which folders the program may replace."""
 
-import shutil
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError
 from needlefit.project.load import read_toml
+
+TWIN_EXPECTED = "no such folder, an empty one, or one that `needlefit twin build` wrote and nobody added to"
 
 
 @contextmanager
-def replacing_synthetic(folder: Path) -> Iterator[Path]:
-    """Yield an empty folder that takes the place of `folder` when the block ends well.
+def replacing(folder: Path) -> Iterator[Path]:
+    """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
+
+    It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was.
+    What may be replaced the caller decides before.
+    """
+    folder = folder.resolve()
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
+        fresh, old = Path(scratch, "new", folder.name), Path(scratch, "old")
+        fresh.mkdir(parents=True)
+        yield fresh
+        if not folder.exists():
+            fresh.rename(folder)
+            return
+        folder.rename(old)
+        try:
+            fresh.rename(folder)
+        except BaseException:
+            old.rename(folder)
+            raise
+
+
+@contextmanager
+def replacing_twin(folder: Path) -> Iterator[Path]:
+    """Yield what `replacing` does, for a folder that holds nothing or an earlier twin.
 
     Raises
     ------
-    DataError
-        If `folder` holds anything but a synthetic dataset: measurements are never overwritten.
+    ConfigError
+        If `folder` holds anything that building a twin does not write: no user's file is ever deleted.
     """
-    if folder.exists() and not _is_synthetic(folder):
-        raise DataError(
-            "holds something else than a synthetic dataset",
-            where=str(folder),
-            expected='no such folder, or one whose dataset.toml says origin = "synthetic"',
-            mend="choose another folder with --out",
-        )
-    fresh = folder.with_name(f".{folder.name}.partial")
-    shutil.rmtree(fresh, ignore_errors=True)
-    fresh.mkdir(parents=True)
-    try:
+    _require_twin(folder)
+    with replacing(folder) as fresh:
         yield fresh
-        shutil.rmtree(folder, ignore_errors=True)
-        fresh.rename(folder)
-    finally:
-        shutil.rmtree(fresh, ignore_errors=True)
+        _require_twin(folder)  # building takes a while: somebody may have put a file there
 
 
-def _is_synthetic(folder: Path) -> bool:
+def _require_twin(folder: Path) -> None:
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    why = _no_twin(folder)
+    if why:
+        raise ConfigError(
+            f"is not replaced: {why}",
+            where=str(folder),
+            expected=TWIN_EXPECTED,
+            mend="choose another folder with --out, or move yours away",
+        )
+
+
+def _no_twin(folder: Path) -> str:
+    """Return why a folder is not, or not only, the output of building a twin; empty if it is."""
+    if not folder.is_dir():
+        return "it is a file"
     try:
-        return read_toml(folder / "dataset.toml").get("origin") == "synthetic"
+        tables = read_toml(folder / "dataset.toml")
     except ConfigError:
-        return False
+        return "it holds no dataset.toml that can be read"
+    if tables.get("name") != "twin" or tables.get("origin") != "synthetic":
+        return "its dataset.toml is not a twin's"
+    if not (folder / "truth.toml").is_file():
+        return "it holds no truth.toml"
+    written = {"dataset.toml", "truth.toml", *tables.get("checksums", {})}
+    held = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
+    foreign = [name for path in held if (name := path.relative_to(folder).as_posix()) not in written]
+    return f"it holds {foreign[0]}, which a twin does not" if foreign else ""
