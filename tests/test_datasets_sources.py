@@ -201,6 +201,53 @@ def test_a_template_from_faulty_centrelines_lists_the_faults(tmp_path):
         template(tmp_path / "e", tmp_path / "e.xlsx")
 
 
+def long_table(path, header, curves):
+    lines = [f"{name},{x},{y},{z}" for name, curve in curves.items() for x, y, z in curve]
+    path.write_text("\n".join([header, *lines]) + "\n")
+    return path
+
+
+def test_a_failed_template_leaves_nothing_and_names_the_source(tmp_path):
+    source = long_table(
+        tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": CURVE[::-1] / 1000}
+    )
+    with pytest.raises(DataError, match="curve bad: depth_mm") as error:
+        template(tmp_path / "mine", source)
+    assert f"{source}:103" in str(error.value)  # one header line, 101 good points
+    folded = CURVE[[*range(50), 51, 50, *range(52, 101)]]
+    long_table(source, "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": folded})
+    with pytest.raises(DataError, match="curve bad goes back") as error:
+        template(tmp_path / "mine", source)
+    assert f"{source}:154" in str(error.value)  # the fold is the 52nd point of the second curve
+    savemat(tmp_path / "runs.mat", {"bad": CURVE * [1, np.nan, 1]})
+    with pytest.raises(DataError, match=r"runs\.mat, point 1: curve bad has 101 points"):
+        template(tmp_path / "mine", tmp_path / "runs.mat")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.mat"]
+
+
+def test_a_template_says_what_it_reads_and_ignores(tmp_path):
+    told = []
+    source = long_table(tmp_path / "runs.csv", "run,x_mm,y_mm,z_mm", {"1": CURVE})
+    dataset = read(template(tmp_path / "mine", source, told.append))
+    assert [insertion.id for insertion in dataset.insertions] == ["runs"]
+    assert told == [
+        f"{source}: column `run` ignored",
+        f"{source}: no column `id`: all 101 rows are one curve",
+    ]
+    for path in (source, tmp_path / "none.csv", tmp_path / "e.xlsx"):
+        source.write_text("x,y,z\n1,2,3\n")
+        with pytest.raises(DataError) as error:
+            template(tmp_path / "other", path)
+        assert str(path) in str(error.value)
+        assert "--from reads" in str(error.value) or "check the path" in error.value.mend
+
+
+def test_ids_that_would_name_one_file_are_told(tmp_path):
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
+    with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):
+        template(tmp_path / "mine", source)
+
+
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
 def test_the_public_stereo_shapes():
     dataset = read(SHIPPED / "stereo_shapes")

@@ -1,5 +1,6 @@
 """`needlefit init` and `needlefit new dataset`: where a user's own work begins."""
 
+import shlex
 from pathlib import Path
 from typing import Annotated
 
@@ -20,14 +21,20 @@ def init(
 
     for written in copy_project(folder):
         screen.say(str(written))
-    screen.note(f"edit them, then: cd {folder} && needlefit validate study3")
+    screen.note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
 def new_dataset(
     folder: Annotated[Path, typer.Argument(metavar="DIR", help="A folder that does not exist yet.")],
     source: Annotated[
         Path | None,
-        typer.Option("--from", metavar="CSV|MAT", help="A table of centreline points to begin with."),
+        typer.Option(
+            "--from",
+            metavar="CSV|MAT",
+            help="Centrelines to begin with: a CSV with the columns x_mm, y_mm, z_mm and, for more than one "
+            "curve, id (without id the whole table is one curve; other columns are ignored), or the N x 3 "
+            "arrays of a .mat file.",
+        ),
     ] = None,
     verbose: options.Verbose = False,
 ) -> None:
@@ -37,6 +44,6 @@ def new_dataset(
     """
     from needlefit.datasets.template import template
 
-    screen.say(str(template(folder, source)))
-    path = folder if folder.is_absolute() else f"./{folder}"
-    screen.note(f"fill it in, then: needlefit check {path}")
+    screen.say(str(template(folder, source, screen.note)))
+    path = str(folder) if folder.is_absolute() else f"./{folder}"
+    screen.note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")

@@ -1,21 +1,20 @@
 """Begin a dataset: an example to overwrite, or somebody's centrelines in our layout."""
 
-import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 
 import numpy as np
 
 from needlefit.datasets.check import check
+from needlefit.datasets.conversion import read_source
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats import mat
-from needlefit.datasets.formats.csv import Table, read_points, read_table
-from needlefit.datasets.schema import POINT, Floats, InsertionRow
+from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import sheet
 from needlefit.project.records.dataset import DatasetRecord
+from needlefit.project.replace import replacing
 
 FILL_IN = "TO FILL IN"
 
@@ -31,14 +30,20 @@ CONVERTED_NOTE = """\
 """
 
 
-def template(folder: Path, source: Path | None = None) -> Path:
-    """Write a dataset that passes `check` into `folder` and return its `dataset.toml`.
+def _silent(_remark: str) -> None:
+    """Tell nobody."""
+
+
+def template(folder: Path, source: Path | None = None, tell: Callable[[str], None] = _silent) -> Path:
+    """Write a dataset that passes `check` into `folder` and return its `dataset.toml`; else write nothing.
 
     Parameters
     ----------
     source : Path or None
         None: a small example, marked as made up. A CSV with columns x_mm, y_mm, z_mm and, for more than
         one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name.
+    tell : callable
+        Told how the source was read where that may surprise: columns ignored, a table taken as one curve.
 
     Raises
     ------
@@ -46,16 +51,31 @@ def template(folder: Path, source: Path | None = None) -> Path:
         If `folder` holds something, or the source has faults.
     """
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise DataError("exists already", where=str(folder), expected="a new or empty folder")
+        raise DataError(
+            "exists already",
+            where=str(folder),
+            expected="a new or empty folder",
+            mend="choose another folder",
+        )
     if source is None:
-        file, note = _example(folder), EXAMPLE_NOTE
-    else:
-        file, note = _converted(folder, _curves(source)), CONVERTED_NOTE.format(source=source.name)
+        with replacing(folder) as fresh:
+            _finish(_example(fresh), EXAMPLE_NOTE)
+        return folder / "dataset.toml"
+    read = read_source(source)
+    with replacing(folder) as fresh:
+        curves = {name: points.values for name, points in read.curves.items()}
+        faults = _finish(_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
+        if faults:
+            raise as_error([read.fault(fault) for fault in faults], source)
+    for remark in read.remarks:
+        tell(f"{source}: {remark}")
+    return folder / "dataset.toml"
+
+
+def _finish(file: Path, note: str) -> list[Fault]:
+    """Write a note above the `dataset.toml`; return the faults of the dataset."""
     file.write_bytes((note + file.read_text(encoding="utf-8")).encode("utf-8"))
-    faults = check(file)
-    if faults:
-        raise as_error(faults, file)
-    return file
+    return check(file)
 
 
 def _record(name: str, origin: str, pose: str, length: float, medium: Mapping[str, object]) -> DatasetRecord:
@@ -107,27 +127,3 @@ def _converted(folder: Path, curves: Mapping[str, Floats]) -> Path:
     record = _record(folder.resolve().name, "measured", "free", length, {"note": FILL_IN})
     rows = [InsertionRow(name, "medium1", 1, depth) for name, depth in depths.items()]
     return write_dataset(folder, record, rows, curves, checksums=False)
-
-
-def _curves(source: Path) -> dict[str, Floats]:
-    """Return the centrelines of a CSV or .mat file by id."""
-    suffix = source.suffix.lower()
-    if suffix == ".mat":
-        named = {name: points.values for name, points in mat.read_curves(source).items()}
-    elif suffix == ".csv":
-        named = _split(read_table(source))
-    else:
-        raise DataError(f"has the ending {suffix!r}", where=str(source), expected=".csv or .mat")
-    return {re.sub(r"[^A-Za-z0-9._-]+", "_", name).lstrip("._-") or "curve": c for name, c in named.items()}
-
-
-def _split(table: Table) -> dict[str, Floats]:
-    """Return the points of a long table by its column `id`; without one, all rows are one insertion."""
-    found: list[Fault] = []
-    points = read_points(table, POINT, {}, found)
-    if points is None:
-        raise as_error(found, table.path)
-    if "id" not in table.cells:
-        return {table.path.stem: points.values}
-    ids = table.cells["id"]
-    return {str(name): points.values[(ids == name).to_numpy()] for name in ids.unique()}

@@ -1,0 +1,108 @@
+"""Somebody's centrelines: the curves of one CSV or MATLAB file, and where in it each fault stands."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.formats import mat
+from needlefit.datasets.formats.csv import Table, read_points, read_table
+from needlefit.datasets.formats.points import Points
+from needlefit.datasets.schema import POINT
+from needlefit.errors import DataError
+
+READS = (
+    "--from reads a CSV with the columns x_mm, y_mm, z_mm and, for more than one curve, id "
+    "(without id the whole table is one curve; other columns are ignored), or the N x 3 arrays of a .mat"
+)
+
+_PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
+
+
+@dataclass(frozen=True)
+class Source:
+    """The curves of a file by id, and what a reader should know of how it was read."""
+
+    path: Path
+    curves: Mapping[str, Points]
+    remarks: tuple[str, ...]
+
+    def fault(self, fault: Fault) -> Fault:
+        """Return a fault of the dataset made from this file as one of the file itself."""
+        place = _PLACE.search(Path(fault.where).as_posix())
+        if place is None:
+            return replace(fault, where=str(self.path))
+        row = int(place["line"]) - 2  # below one header line, as the dataset was just written
+        name, point = (place["id"], row) if place["id"] else (list(self.curves)[row], 0)
+        what = f"curve {name} {fault.what}" if place["id"] else f"curve {name}: {fault.what}"
+        return replace(fault, where=self.curves[name].where(point), what=what)
+
+
+def read_source(path: Path) -> Source:
+    """Read every centreline of a CSV or .mat file.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, of another kind, or holds no usable curves; it says what is read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in (".csv", ".mat"):
+        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=".csv or .mat", mend=READS)
+    try:
+        curves, remarks = _of_table(read_table(path)) if suffix == ".csv" else (mat.read_curves(path), ())
+    except DataError as error:
+        mend = "check the path" if not path.is_file() else error.mend or READS
+        raise DataError(error.what, where=error.where, expected=error.expected, mend=mend) from None
+    found = [fault for name, points in curves.items() for fault in _unusable(name, points)]
+    if found:
+        raise as_error(found, path)
+    return Source(path, _named(curves, path), tuple(remarks))
+
+
+def _of_table(table: Table) -> tuple[dict[str, Points], Sequence[str]]:
+    """Return the curves of a long table by its column `id`; without one, all rows are one curve."""
+    found: list[Fault] = []
+    points = read_points(table, POINT, {}, found)
+    if points is None or points.lines is None:
+        raise as_error([_without_mapping(fault) for fault in found], table.path)
+    ignored = [f"`{name}`" for name in table.cells if name not in ("id", *POINT)]
+    remarks = [f"column{'s' if len(ignored) > 1 else ''} {', '.join(ignored)} ignored"] if ignored else []
+    if "id" not in table.cells:
+        remarks.append(f"no column `id`: all {len(points.values)} rows are one curve")
+        return {table.path.stem: points}, remarks
+    ids = table.cells["id"]
+    rows = {str(name): np.flatnonzero((ids == name).to_numpy()) for name in ids.unique()}
+    return {n: Points(table.path, points.values[i], points.lines[i]) for n, i in rows.items()}, remarks
+
+
+def _without_mapping(fault: Fault) -> Fault:
+    """Return a fault whose mend speaks of `--from`, which knows no `columns` of a dataset.toml."""
+    return replace(fault, mend=f"rename it; {READS}") if "is missing" in fault.what else fault
+
+
+def _unusable(name: str, points: Points) -> list[Fault]:
+    bad = points.unusable()
+    if len(bad) == 0:
+        return []
+    what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
+    return [Fault(points.where(int(bad[0])), what, "finite numbers, mm", "remove or mend these points")]
+
+
+def _named(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
+    """Return the curves under ids that can name files; two that come out alike are an error."""
+    named: dict[str, Points] = {}
+    for theirs, points in curves.items():
+        name = re.sub(r"[^A-Za-z0-9._-]+", "_", theirs).lstrip("._-") or "curve"
+        if name in named:
+            raise DataError(
+                f"id {theirs!r} becomes {name}, as another one does",
+                where=points.where(),
+                expected="ids that differ in letters, digits, `.`, `_`, `-`: they name files",
+                mend=f"rename one of them in {path.name}",
+            )
+        named[name] = points
+    return named
