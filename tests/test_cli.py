@@ -82,6 +82,26 @@ def test_an_unexpected_error_is_one_line_and_a_hint(capsys):
     )
 
 
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no folder that nobody may write to")
+@pytest.mark.parametrize(
+    "words", [("init", "x"), ("new", "dataset", "./x"), ("simulate", "phantom1", "--plot", "x.png")]
+)
+def test_where_nothing_can_be_written_the_path_is_named(words, monkeypatch, capsys):
+    monkeypatch.chdir("/proc")
+    assert run(*words) == 3
+    captured = capsys.readouterr()
+    assert captured.out == "" and "unexpected" not in captured.err
+    assert all(said in captured.err for said in ("x", "cannot be", "mend: "))
+
+
+def test_what_the_system_refuses_is_no_unexpected_error(capsys):
+    error = PermissionError(13, "Permission denied", "/locked/run.json")
+    assert report(error, Invocation(())) == 3
+    err = capsys.readouterr().err
+    assert err.startswith("needlefit: /locked/run.json: cannot be read or written: Permission denied\n")
+    assert "mend: check the path" in err
+
+
 def test_verbose_shows_the_traceback(capsys):
     assert run("simulate", "phantom9") == 3
     assert "Traceback" not in capsys.readouterr().err

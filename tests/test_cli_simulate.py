@@ -127,7 +127,20 @@ def test_a_plot_is_drawn_the_same_twice(tmp_path, capsys):
         assert run("simulate", "phantom1", "--plot", str(tmp_path / name)) == 0
     first = (tmp_path / "a.png").read_bytes()
     assert first.startswith(b"\x89PNG") and first == (tmp_path / "b.png").read_bytes()
+    capsys.readouterr()
     assert run("simulate", "phantom1", "--plot", str(tmp_path / "a.jpeg")) == 3
+    assert capsys.readouterr().out == ""  # it fails before it prints
+
+
+def test_steep_needles_are_warned_of(capsys):
+    assert run("simulate", "phantom1", "--json") == 0
+    captured = capsys.readouterr()
+    assert "warning" not in captured.err
+    assert 0.01 < json.loads(captured.out)["max_slope"] < 0.3
+    assert run("simulate", "phantom1", "--set", "bevel.offset_mm=5", "--json") == 0
+    captured = capsys.readouterr()
+    steep = json.loads(captured.out)["max_slope"]
+    assert steep > 0.3 and f"warning: slopes reach {steep:.2f}: the model assumes small ones" in captured.err
 
 
 def test_a_path_is_a_scene_too(tmp_path, monkeypatch, capsys):

@@ -78,6 +78,23 @@ def test_one_study_is_called_by_its_file(project):
     assert "all" in fault.value.expected
 
 
+def test_a_fit_is_no_study_and_the_command_for_it_is_named(project):
+    (project / "configs/fits/my gel.toml").write_text("schema = 1\n")
+    for name, said in (("gel", "gel"), ("my gel", "'my gel'"), ("./configs/fits/gel.toml",) * 2):
+        with pytest.raises(ConfigError, match="is a fit") as fault:
+            places.find_studies(name)
+        assert fault.value.mend == f"use: needlefit tune {said}"
+    with pytest.raises(ConfigError, match="`all` is no study or fit") as fault:
+        places.find_target("all")
+    assert "needlefit validate all" in fault.value.mend and "study1" in fault.value.expected
+
+
+def test_a_folder_without_dataset_toml_says_so(project):
+    (project / "gel").mkdir()
+    with pytest.raises(ConfigError, match=r"holds no dataset\.toml"):
+        places.find("dataset", "./gel")
+
+
 def test_a_run_is_a_folder_with_run_json(project):
     (project / "reports/study3").mkdir(parents=True)
     with pytest.raises(ConfigError, match="no run called"):

@@ -5,7 +5,7 @@ import sys
 import traceback
 
 from needlefit.cli.invocation import Invocation
-from needlefit.errors import NeedlefitError
+from needlefit.errors import ConfigError, NeedlefitError
 
 UNEXPECTED, NOT_CONVERGED, INTERRUPTED = 1, 5, 130
 
@@ -22,12 +22,24 @@ def report(error: BaseException, invocation: Invocation) -> int | None:
         return None
     if invocation.verbose:
         traceback.print_exception(error)
+    if isinstance(error, OSError):
+        error = _of_system(error)
     if isinstance(error, NeedlefitError):
         print(f"needlefit: {error}", file=sys.stderr)
         return error.exit_code
     hint = "" if invocation.verbose else " (-v shows where)"
     print(f"needlefit: unexpected {type(error).__name__}: {error}{hint}", file=sys.stderr)
     return UNEXPECTED
+
+
+def _of_system(error: OSError) -> ConfigError:
+    """Return what the operating system refused as an error that says what to do."""
+    return ConfigError(
+        f"cannot be read or written: {error.strerror or error}",
+        where=str(error.filename or ""),
+        expected="a place that exists, with space left, that you may read and write",
+        mend="check the path and its permissions, or choose another folder",
+    )
 
 
 def _is_typers(error: BaseException) -> bool:

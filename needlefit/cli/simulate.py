@@ -15,6 +15,10 @@ if TYPE_CHECKING:
     from needlefit.project.records.scene import SceneRecord
 
 
+STEEP = 0.3
+"""Greatest slope |u'| at which small ones may be assumed: the curvature is then 14 % off."""
+
+
 def simulate(
     scene: Annotated[
         str,
@@ -46,15 +50,20 @@ def simulate(
     title = record.title or scene
     built, shape = _insert(record, where)
     answer = summary(built, shape)
-    if json:
-        screen.show_json(answer)
-    else:
-        _print(title, answer)
-    if plot is not None:
+    if plot is not None:  # before anything is printed: the name may be none of a picture
         from needlefit.reporting.figures.scene import draw_scene
 
         draw_scene(title, built, shape, plot)
         screen.note(f"drawn: {plot}")
+    if json:
+        screen.show_json(answer)
+    else:
+        _print(title, answer)
+    if answer["max_slope"] > STEEP:
+        screen.note(
+            f"needlefit: warning: slopes reach {answer['max_slope']:.2f}: the model assumes small ones, "
+            f"up to about {STEEP:g}"
+        )
     if not shape.converged:
         screen.note(f"needlefit: the solution did not converge ({shape.status}); what it prints is no result")
         raise typer.Exit(failure.NOT_CONVERGED)
@@ -69,6 +78,7 @@ def summary(scene: "Scene", shape: "NeedleShape") -> dict[str, Any]:
         "depth_mm": scene.depth,
         "deflection_mm": shape.deflection,
         "tip_slope": float(shape.slope[-1]),
+        "max_slope": float(abs(shape.slope).max()),
         "tip_mm": tip,
         "boundaries_mm": scene.tissue.boundaries,
         "constraints_mm": shape.constraints,

@@ -27,8 +27,8 @@ def select(
     if not chosen:
         given = selection.model_dump(exclude_none=True)
         raise ConfigError(
-            f"no insertion of dataset {dataset.name} meets {given}",
-            expected="a selection that leaves at least one insertion",
+            f"no insertion of dataset {dataset.name} has {' and '.join(map(_said, given, given.values()))}",
+            expected=f"a selection that leaves at least one; there are {_there_are(known, reading)}",
             mend="widen or correct the selection",
         )
     return chosen
@@ -49,6 +49,28 @@ def _meets(insertion: Insertion, selection: SelectionRecord, reading: Reading) -
         and (low is None or insertion.depth >= low)
         and (high is None or insertion.depth <= high)
     )
+
+
+def _said(key: str, value: object) -> str:
+    """Return a key of a selection and its value as the file says them."""
+    values = value if isinstance(value, tuple) else (value,)
+    listed = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
+    return f"{key} = {f'[{listed}]' if isinstance(value, tuple) else listed}"
+
+
+def _there_are(insertions: Iterable[Insertion], reading: Reading) -> str:
+    """Return what there is to select from: by medium, how many, of how many layers, how deep."""
+    by_medium: dict[str, list[Insertion]] = {}
+    for insertion in insertions:
+        by_medium.setdefault(insertion.medium, []).append(insertion)
+    said = []
+    for medium, group in by_medium.items():
+        layers = ", ".join(str(n) for n in sorted({layers_of(insertion, reading) for insertion in group}))
+        depths = [insertion.depth for insertion in group]
+        said.append(
+            f"{len(group)} in {medium} (layers {layers}; depths {min(depths):g} to {max(depths):g} mm)"
+        )
+    return "; ".join(said) or "none"
 
 
 def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:

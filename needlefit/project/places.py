@@ -1,6 +1,7 @@
 """Which file a name means: the working folder's project first, then the copy that ships with needlefit."""
 
 import difflib
+import shlex
 from pathlib import Path
 from typing import Literal
 
@@ -59,6 +60,13 @@ def find(kind: Kind, name: str) -> Path:
         path = path / "dataset.toml" if kind == "dataset" and path.is_dir() else path
         if path.is_file():
             return path
+        if kind == "dataset" and Path(name).is_dir():
+            raise ConfigError(
+                "this folder holds no dataset.toml",
+                where=name,
+                expected="dataset.toml: what the dataset is, and which files hold what",
+                mend="name the folder that holds it; `needlefit new dataset DIR` writes one to begin with",
+            )
         raise _missing(kind, name)
     for root in roots():
         path = root / _PATTERNS[kind].format(name=name)
@@ -80,6 +88,12 @@ def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
             f"`{name}` is both a study and a fit",
             mend=f"say which: studies/{name}.toml or configs/fits/{name}.toml",
         )
+    if not found and name == "all":
+        raise ConfigError(
+            "`all` is no study or fit that can be tuned by itself",
+            expected=f"one of {', '.join([*names('study'), *names('fit')])}",
+            mend="tune them one by one; `needlefit validate all` runs the paper's studies and their fits",
+        )
     if not found:
         raise _unknown("study or fit", name, names("study") + names("fit"))
     kind: Literal["study", "fit"] = "study" if found[0] == "study" else "fit"
@@ -95,8 +109,12 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
         return [(study, find("study", study)) for study in PAPER_STUDIES]
     known = names("study")
     if not _is_path(name) and name not in known:
+        if name in names("fit"):
+            raise _no_study(name)
         raise _unknown("study", name, [*known, "all"])
     path = find("study", name)
+    if path.parent.name == "fits" and not _is_study(path):
+        raise _no_study(name)
     return [(path.stem, path)]
 
 
@@ -132,6 +150,14 @@ def _is_study(path: Path) -> bool:
 
 def _name(kind: Kind, path: Path) -> str:
     return path.parent.name if kind == "dataset" else path.stem
+
+
+def _no_study(fit: str) -> ConfigError:
+    return ConfigError(
+        f"`{fit}` is a fit, which has nothing to validate on",
+        expected="a study",
+        mend=f"use: {shlex.join(('needlefit', 'tune', fit))}",
+    )
 
 
 def _missing(kind: str, name: str) -> ConfigError:

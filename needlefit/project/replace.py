@@ -17,10 +17,14 @@ def replacing(folder: Path) -> Iterator[Path]:
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was.
     What may be replaced the caller decides before.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there.
     """
     folder = folder.resolve()
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent) as scratch:
+    with _scratch(folder) as scratch:
         fresh, old = Path(scratch, "new", folder.name), Path(scratch, "old")
         fresh.mkdir(parents=True)
         yield fresh
@@ -33,6 +37,20 @@ def replacing(folder: Path) -> Iterator[Path]:
         except BaseException:
             old.rename(folder)
             raise
+
+
+def _scratch(folder: Path) -> "TemporaryDirectory[str]":
+    """Return a folder beside `folder`, on the same disk, that goes when it is left."""
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        return TemporaryDirectory(prefix=f".{folder.name}.", dir=folder.parent)
+    except OSError as error:
+        raise ConfigError(
+            f"cannot be written: {error.strerror}",
+            where=str(folder),
+            expected="a folder in which you may write",
+            mend="choose another one, or check its permissions",
+        ) from None
 
 
 @contextmanager
