@@ -7,7 +7,8 @@ the best agree on it (their range is below `SPREAD` such deviations), and if it 
 The information is J^T J of the whitened residuals plus that of the bounds, 12 / width^2 (the precision
 of a uniform distribution): without it, an alpha free to be 300 would take mu with it. Where the
 residuals are larger than the noise explains (reduced chi-square above 1), J^T J is divided by that
-ratio. Even so the deviations hold only as far as the model does.
+ratio; and where there are needles enough, no deviation is smaller than their scatter implies. Even so
+they hold only as far as the model does.
 """
 
 import math
@@ -17,6 +18,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.datasets.independent import ENOUGH, groups
 from needlefit.inference.information import (
     Direction,
     cramer_rao,
@@ -90,14 +92,15 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
     theta, names = np.array(fit.theta), problem.names
     weighed = with_noise(problem, theta)
     slope = np.nan_to_num(jacobian(weighed.residuals, theta, steps(names)))  # (R, P)
-    residuals = weighed.residuals(theta)
+    residuals = np.nan_to_num(weighed.residuals(theta))
     chi_square = float(residuals @ residuals) / max(1, len(residuals) - len(names))
-    information = slope.T @ slope / max(1.0, np.nan_to_num(chi_square)) + np.diag(
-        12.0 / (problem.upper - problem.lower) ** 2
-    )
-    sds = dict(zip(names, cramer_rao(information).tolist(), strict=True))
+    bounds_know = np.diag(12.0 / (problem.upper - problem.lower) ** 2)
+    information = slope.T @ slope / max(1.0, chi_square) + bounds_know
+    between = between_needles(weighed, slope, residuals, slope.T @ slope + bounds_know)
+    sds = dict(zip(names, np.maximum(cramer_rao(information), between).tolist(), strict=True))
     found = directions(information, names)
-    equal = np.array([s.theta for s in practically_equal(fit)] or [fit.theta]).reshape(-1, len(names))
+    ends = [s.theta for s in practically_equal(fit)] or [fit.theta]
+    equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
     bounds = dict(zip(names, _at_bounds(problem, theta), strict=True))
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
     determined = {n: not bounds[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
@@ -122,6 +125,31 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
         chi_square=chi_square,
         noise_estimated=weighed is not problem,
     )
+
+
+def between_needles(problem: Problem, slope: Floats, residuals: Floats, information: Floats) -> Floats:
+    """Return the standard deviations (P,) of theta that the scatter between needles implies.
+
+    The sandwich estimate over independent groups: each one's pull J^T r on theta, about their mean (the fit
+    minimises another objective, so the pulls need not sum to 0). Where the model misses something that
+    varies from needle to needle, this is larger than what the noise within needles says. 0 where there are
+    too few groups for it.
+    """
+    ends = np.cumsum([len(e.s) for e in problem.evidence])[:-1]
+    parts = zip(np.split(slope, ends), np.split(residuals, ends), strict=True)
+    ids, specimens = zip(*((i.id, i.specimen) for i in problem.insertions), strict=True)
+    pulls: dict[str, Floats] = {}
+    for group, (j, r) in zip(groups(ids, specimens), parts, strict=True):
+        pulls[group] = pulls.get(group, np.zeros(j.shape[1])) + j.T @ r
+    n = len(pulls)
+    if n < max(ENOUGH, len(problem.names) + 2) or not problem.names:
+        return np.zeros(len(problem.names))
+    scatter = np.array(list(pulls.values()))  # (n, P)
+    scatter = scatter - scatter.mean(axis=0)
+    inverse = np.linalg.inv(information)
+    covariance = n / (n - 1) * inverse @ (scatter.T @ scatter) @ inverse
+    sd: Floats = np.sqrt(np.diag(covariance))
+    return sd
 
 
 def practically_equal(fit: Fit) -> tuple[Start, ...]:

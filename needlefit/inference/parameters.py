@@ -40,7 +40,7 @@ class Parameters:
     fixed : mapping
         Value of each fixed parameter.
     ties : mapping
-        Factor and source of each tied one; a source is never tied itself.
+        Factor and source of each tied one; a source is free.
     """
 
     names: tuple[str, ...]
@@ -62,11 +62,14 @@ class Parameters:
         ties = {name: parse(name, p.tie) for name, p in table.items() if p.tie is not None}
         for name in names:
             _check_positive(name, table[name])
+        fixed = {name: value for name in names if (value := table[name].fixed) is not None}
+        ends = resolve(ties, frozenset(names))
         return cls(
             names=names,
             bounds={name: bounds for name in names if (bounds := table[name].bounds) is not None},
-            fixed={name: value for name in names if (value := table[name].fixed) is not None},
-            ties=resolve(ties, frozenset(names)),
+            # what is tied to a fixed parameter is fixed too
+            fixed=fixed | {name: factor * fixed[at] for name, (factor, at) in ends.items() if at in fixed},
+            ties={name: tie for name, tie in ends.items() if tie[1] not in fixed},
         )
 
     @property

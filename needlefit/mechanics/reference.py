@@ -104,6 +104,8 @@ def equilibrium(
         step = np.linalg.solve(tangent[2:, 2:], -residual[2:])
         u[2:] += step
         change = np.max(np.abs(step[0::2]))
+        if np.any(np.abs(e) >= t) and change < rules.tolerance:
+            raise ArithmeticError("tissue is compressed to nothing")
         if change < rules.tolerance or (change < 1e-4 and change > 0.5 * before):  # or it is but rounding
             return u, iteration + 1
         before = change

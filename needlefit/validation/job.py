@@ -101,8 +101,20 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
     parameters = Parameters.from_record(medium)
     hand = None if record.hand_tuned is None else _hand_tuned(record.hand_tuned, parameters, record.medium)
     job = Job(name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset))
+    _check_layers(job)
     _check_reach(job)
     return job
+
+
+def _check_layers(job: Job) -> None:
+    """Refuse a medium with fewer layers than an insertion meets."""
+    for insertion in (i for fold in job.folds for i in (*fold.tune, *fold.validate)):
+        if max(insertion.sequence) > job.medium.layers:
+            raise ConfigError(
+                f"medium {job.record.medium} has {job.medium.layers} layers, insertion {insertion.id} meets "
+                f"layer {max(insertion.sequence)}",
+                mend="name the medium that the needle went into, or select other insertions",
+            )
 
 
 def _check_reach(job: Job) -> None:

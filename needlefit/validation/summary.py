@@ -6,6 +6,7 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
+from needlefit.datasets.independent import groups
 from needlefit.validation.results import BASELINES, FLOORS, METRICS, RIVALS, SCORED, Results
 
 How = Literal["macro", "pooled"]
@@ -57,17 +58,23 @@ def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.Dat
 def paired(results: Results, against: str = "fitted", role: str = "validate") -> pd.DataFrame:
     """Return how every rival compares with `against` on the same insertions, folds and points.
 
+    Repeats in one specimen are first averaged where there are specimens enough (`datasets.independent`):
+    the four depths of one hole are no four needles.
+
     Returns
     -------
     DataFrame
-        `rival`, `boundaries` ("measured"), `insertions`, macro `ipe_mean_mm` and `te_mm`,
-        `difference_mm` (mean over insertions of the rival's mean IPE minus that of `against`; positive:
+        `rival`, `boundaries` ("measured"), `insertions` (or groups of repeats), macro `ipe_mean_mm` and
+        `te_mm`, `difference_mm` (mean over them of the rival's mean IPE minus that of `against`; positive:
         the rival is worse), `difference_se_mm` (its standard error) and `better` (insertions on which
         `against` has the smaller mean IPE).
     """
     errors = results.errors[(results.errors["role"] == role) & (results.errors["boundaries"] == "measured")]
+    errors = errors.assign(group=groups(list(errors["insertion"]), list(errors["specimen"])))
     ipe, te = (
-        errors.set_index(["fold", "insertion", "rival"])[metric].astype(float).unstack("rival")
+        errors.assign(value=_finite(errors[metric])).pivot_table(
+            index=["fold", "group"], columns="rival", values="value", sort=False
+        )
         for metric in ("ipe_mean_mm", "te_mm")
     )
     rows = []

@@ -1,6 +1,8 @@
 """A recipe: how to search (algorithm, starts, budget), what to minimise, how to sample."""
 
-from pydantic import Field
+from typing import Self
+
+from pydantic import Field, model_validator
 
 from needlefit.project.records.record import FileRecord, Record
 
@@ -12,6 +14,12 @@ class WeightsRecord(Record):
     te: float = Field(default=1.0, ge=0)
     edp: float = Field(default=0.1, ge=0)
     edp_floor_mm: float = Field(default=0.2, gt=0)
+
+    @model_validator(mode="after")
+    def _something(self) -> Self:
+        if self.ipe == self.te == self.edp == 0:
+            raise ValueError("ipe, te and edp are all 0: there is nothing to minimise")
+        return self
 
 
 class SampleRecord(Record):
