@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 from reporting_results import stereo, study
 
+from needlefit.reporting.contest import rivals_said
 from needlefit.reporting.details import (
     contradictions_layout,
     insertions_layout,
@@ -19,7 +20,7 @@ from needlefit.reporting.latex import escape, latex
 from needlefit.reporting.layouts import design_layout, tuning_layout, validation_layout
 from needlefit.reporting.numbers import fixed, in_symbols, number, percent, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table, undetermined
-from needlefit.reporting.sentences import in_short, rivals_said, run_said, undetermined_said
+from needlefit.reporting.sentences import in_short, run_said, undetermined_said
 from needlefit.reporting.tables import records, tuning_table, validation_table
 from needlefit.validation import paper
 from needlefit.validation.results import Results
@@ -197,7 +198,7 @@ def test_folds_are_told_apart_only_where_there_are_several():
 def test_every_table_says_where_its_rows_come_from(results):
     tables = [validation_layout([results]), tuning_layout([results], "layers"), design_layout([results])]
     tables += [rivals_layout([results], "validate"), insertions_layout(results, "validate")]
-    for table in [*tables, parameters_layout([results])]:
+    for table in tables:
         assert table.columns[-1].label == "Origin"
         assert {row[-1] for row in table.rows} <= {results.origin, "paper, measured"}
         assert all(len(row) == len(table.columns) for row in table.rows)

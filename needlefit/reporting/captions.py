@@ -11,10 +11,15 @@ OVERLAYS = (
     "same axes, deflection positive toward the bevel; the axis says by how much it is drawn larger than "
     "depth. Above each panel stand its errors."
 )
+RESIDUALS = (
+    "How far each curve lies from the measured needle, normal to it, after alignment, along the needle; "
+    "positive to the left of its course. The straight line is left out, its residuals would hide the others."
+)
 WATERFALL = (
     "Left: the objective at which each start of the search ended, best first. Right: where the starts left "
     "each free parameter between its bounds (written at the ends; μ and b in logarithms). Filled dots "
-    "that lie anywhere belong to a parameter that the data do not determine."
+    "spread along the axis mean that the data do not determine this parameter. Each fold is a search of its "
+    "own, with a line of its own on the left."
 )
 RIVALS = (
     "Mean in-plane error of the fitted model and of what it has to beat, on the same held-out points. The "

@@ -1,5 +1,6 @@
 """More tables for print: parameters, rivals, single insertions, directions, the paper's contradictions."""
 
+import re
 from collections.abc import Sequence
 
 from needlefit.reporting.display import Column, Display, text, without, without_empty
@@ -12,10 +13,12 @@ from needlefit.validation.results import Results
 from needlefit.validation.summary import paired
 
 _ESTIMATES = (
-    "“As good” is the range over starts whose objective is practically the best. “Sd” is the Cramér-Rao "
-    "bound, of ln for μ and b, of the value for α. μ is an effective foundation modulus of this model, not a "
+    "“As good” is the range over starts whose objective is practically the best; it is left empty for what "
+    "is not determined, where starts may agree without the data knowing. “Sd” is the Cramér-Rao bound, of ln "
+    "for μ and b, of the value for α. μ is an effective foundation modulus of this model, not a "
     "material constant."
 )
+_NOT_SAID_TWICE = re.compile(r"^not determined(?:: | \(([^()]*)\))")  # the column "Fitted" says it
 _BY_HAND = (
     "“By hand” is the paper’s set, never a start of the search; “b re-tuned” is that set with b alone fitted "
     "to the same insertions."
@@ -35,6 +38,7 @@ def free_parameters_layout(results: Sequence[Results]) -> Display:
 
 def _parameters_display(table: list[Row]) -> Display:
     folds = len({row["fold"] for row in table}) > 1
+    mixed = len({row["origin"] for row in table}) > 1  # else the caption says it, and the notes need room
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
     last: tuple[object, object] | None = None
@@ -43,7 +47,7 @@ def _parameters_display(table: list[Row]) -> Display:
         breaks += [len(rows)] if begins and rows else []
         last = (row["study"], row["fold"])
         head = (str(row["study"]), str(row["fold"]) if folds else "") if begins else ("", "")
-        rows.append((*head, *_parameter(row), str(row["origin"])))
+        rows.append((*head, *_parameter(row), str(row["origin"]) if mixed else ""))
     columns = (
         *(text("Study"), text("Fold"), text("Parameter"), Column("Fitted")),
         *(Column("As good"), Column("Sd"), Column("By hand"), Column("b re-tuned")),
@@ -143,10 +147,10 @@ def contradictions_layout(claims: Sequence[Claim]) -> Display:
 
 
 def _parameter(row: Row) -> tuple[str, ...]:
-    spread = [typeset(number(row[key])) for key in ("spread_low", "spread_high")]
-    if not row["determined"] and spread[0] == spread[1]:
-        spread = [""]  # one start is no range, and a value that is not determined is not printed
+    known = bool(row["determined"])
+    spread = [typeset(number(row[key])) if known else "" for key in ("spread_low", "spread_high")]
     fitted = row["fitted"] if row["fitted"] == NOT_DETERMINED else typeset(row["fitted"])
+    note = _NOT_SAID_TWICE.sub(r"\1", str(row["note"] or ""))
     return (
         symbol(row["parameter"]),
         fitted,
@@ -154,7 +158,7 @@ def _parameter(row: Row) -> tuple[str, ...]:
         number(row["sd"]),
         typeset(row["hand_tuned"]),
         row["hand_tuned_b"] if row["hand_tuned_b"] == NOT_DETERMINED else typeset(row["hand_tuned_b"]),
-        "; ".join(part for part in (_status(row), in_symbols(str(row["note"] or ""))) if part),
+        "; ".join(part for part in (_status(row), in_symbols(note)) if part),
     )
 
 

@@ -61,6 +61,7 @@ def latex(table: Display, synthetic: bool) -> str:
 def escape(text: str) -> str:
     """Return text that LaTeX sets as it reads, in any font encoding."""
     escaped = "".join(_SPECIAL.get(sign, sign) for sign in text)
+    escaped = re.sub(r"\\textasciicircum\{\}(-?\d+(?:\.\d+)?)", r"$^{\1}$", escaped)
     escaped = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: f"$^{{{m[0].translate(_RAISED)}}}$", escaped)
     return re.sub("[₀₁₂₃₄₅₆₇₈₉]+", lambda m: f"$_{{{m[0].translate(_LOWERED)}}}$", escaped)
 

@@ -56,7 +56,10 @@ def symbol(parameter: str) -> str:
 
 
 def in_symbols(words: str) -> str:
-    """Return a sentence with the names of parameters as their symbols: `mu1_pa * bevel_mm` is μ₁ · b."""
+    """Return a sentence with the names of parameters as their symbols: `mu1_pa * bevel_mm` is μ₁ · b.
+
+    Exponents stay `^0.28`: what sets the sentence raises them, because Unicode has no raised point.
+    """
     named = _NAME.sub(lambda found: symbol(found[0]).split(" (")[0], words)
     return named.replace(" * ", " · ")
 

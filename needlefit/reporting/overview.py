@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from needlefit.reporting import captions, details, document, layouts, sentences
+from needlefit.reporting import captions, contest, details, document, layouts, sentences
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.story import Figures, cautions, figure_of, tuning_blocks
 from needlefit.validation import paper
@@ -36,11 +36,11 @@ def _data(results: Sequence[Results], synthetic: bool) -> list[Block]:
 
 
 def _rivals(results: Sequence[Results], figures: Figures, synthetic: bool) -> list[Block]:
-    held_out = [one for one in results if sentences.scored_role(one) == "validate"]
+    held_out = [one for one in results if contest.scored_role(one) == "validate"]
     return [
         document.heading("What the model has to beat"),
         *figure_of(figures, "rivals", captions.RIVALS, synthetic),
-        document.bullets([f"{one.name}: {sentences.rivals_said(one)}" for one in held_out]),
+        document.bullets([f"{one.name}: {contest.rivals_said(one)}" for one in held_out]),
         document.table(details.rivals_layout(held_out, "validate"), synthetic),
     ]
 

@@ -8,17 +8,60 @@ import numpy as np
 import pandas as pd
 
 from needlefit.inference.posterior import PERCENTILES, Posterior, save
+from needlefit.reporting.display import Column, Display, text, without_empty
+from needlefit.reporting.numbers import fixed, number, symbol, typeset
+from needlefit.reporting.tables import Row, records
 from needlefit.validation.results import Results
 
 
 def percentiles_table(results: Results) -> pd.DataFrame:
-    """Return one row per fold and free parameter: percentiles (Pa, mm), R-hat, and the fold's acceptance.
+    """Return one row per fold and free parameter: percentiles (Pa, mm), the fit's own value, R-hat.
 
+    `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
+    that lies outside the central 95 % of the draws: the fit minimises the recipe's error metrics, the
+    posterior weighs residuals by the stated noise, so the two need not agree. `acceptance` is the fold's;
     `converged` is false where R-hat or the length of the chains says that the percentiles are not final.
     """
-    rows = [row for fold, posterior in results.posteriors.items() for row in _rows(fold, posterior)]
-    heads = ("fold", "parameter", *map(_head, PERCENTILES), "r_hat", "acceptance", "converged", "origin")
+    fits = {(str(r["fold"]), r["parameter"]): r["value"] for r in _fitted(results)}
+    rows = [row for fold, posterior in results.posteriors.items() for row in _rows(fold, posterior, fits)]
+    heads = ("fold", "parameter", *map(_head, PERCENTILES), "fit_value_used", "fit_in_central_95")
+    heads += ("r_hat", "acceptance", "converged", "origin")
     return pd.DataFrame([{**row, "origin": results.origin} for row in rows], columns=heads)
+
+
+def outside_said(results: Results) -> str:
+    """Return which fitted values lie outside the central 95 % of their posterior, or nothing."""
+    rows = [row for row in records(percentiles_table(results)) if row["fit_in_central_95"] is False]
+    if not rows:
+        return ""
+    several = len(results.posteriors) > 1
+    names = [symbol(row["parameter"]).split(" (")[0] for row in rows]
+    where = [f"{name} in {row['fold']}" if several else name for name, row in zip(names, rows, strict=True)]
+    return (
+        f"The fit lies outside the central 95 % of the posterior in {', '.join(where)}: the fit minimises "
+        "the recipe’s error metrics (IPE, TE, EDP), the posterior weighs points by the stated noise, so the "
+        "percentiles are no error bars of the fitted values."
+    )
+
+
+def posterior_layout(results: Results) -> Display:
+    """Return the percentiles with the fit's own value beside them."""
+    table = records(percentiles_table(results))
+    rows = tuple(
+        (
+            *(str(row["fold"]) if len(results.posteriors) > 1 else "", symbol(row["parameter"])),
+            *(typeset(number(row[_head(p)])) for p in PERCENTILES),
+            typeset(number(row["fit_value_used"])) + (" ‡" if row["fit_in_central_95"] is False else ""),
+            *(fixed(row["r_hat"], 3), "" if row["converged"] else "not converged"),
+        )
+        for row in table
+    )
+    percentiles = (Column(f"{p:g} %") for p in PERCENTILES)
+    columns = (text("Fold"), text("Parameter"), *percentiles, Column("Fit"), Column("R-hat"), text("State"))
+    marked = any(row["fit_in_central_95"] is False for row in table)
+    notes = ("‡ outside the central 95 % of the draws.",) if marked else ()
+    caption = "Posterior: percentiles of the draws, and the value that the fit ended with."
+    return without_empty(Display("posterior", caption, columns, rows, (), (), notes))
 
 
 def posterior_files(results: Results) -> Mapping[str, Callable[[Path], object]]:
@@ -34,18 +77,31 @@ def posterior_files(results: Results) -> Mapping[str, Callable[[Path], object]]:
     return {**draws, "posterior.csv": partial(table.to_csv, index=False, float_format="%.8g")}
 
 
-def _rows(fold: str, posterior: Posterior) -> list[dict[str, object]]:
+def _fitted(results: Results) -> list[Row]:
+    return [row for row in records(results.parameters) if row["rival"] == "fitted"]
+
+
+def _rows(
+    fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], float | None]
+) -> list[dict[str, object]]:
     about = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
     return [
         {
             "fold": fold,
             "parameter": name,
             **dict(zip(map(_head, PERCENTILES), values, strict=True)),
+            **_beside(fits.get((str(fold), name)), values),
             "r_hat": float(posterior.r_hat[number]),
             **about,
         }
         for number, (name, values) in enumerate(posterior.percentiles().items())
     ]
+
+
+def _beside(fit: float | None, percentiles: tuple[float, ...]) -> dict[str, object]:
+    """Return the fit's value, and whether the outermost percentiles hold it."""
+    inside = None if fit is None else percentiles[0] <= fit <= percentiles[-1]
+    return {"fit_value_used": fit, "fit_in_central_95": inside}
 
 
 def _head(percentile: float) -> str:

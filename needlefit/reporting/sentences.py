@@ -2,43 +2,29 @@
 
 from collections.abc import Mapping
 
-from needlefit.reporting.names import RIVAL_NAMES, layers_name, medium_name
-from needlefit.reporting.numbers import MISSING, fixed, symbol
+from needlefit.reporting.contest import compared_said, losses_said, scored_role
+from needlefit.reporting.names import layers_name, medium_name
+from needlefit.reporting.numbers import fixed, symbol
 from needlefit.reporting.parameters import held_fixed, undetermined
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
-from needlefit.validation.summary import aggregate, beaten_by, paired
+from needlefit.validation.summary import aggregate
 
 _SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned")
 
 
-def scored_role(results: Results) -> str:
-    """Return "validate", or "tune" for a fit that holds nothing out."""
-    return "validate" if (results.errors["role"] == "validate").any() else "tune"
-
-
 def in_short(results: Results) -> list[str]:
-    """Return the answer, one sentence per held-out group."""
-    return [_answer(row) for row in records(validation_table(results))] or [_fit_answer(results)]
+    """Return the answer: one sentence per held-out group, then how it stands against its rivals.
 
-
-def rivals_said(results: Results) -> str:
-    """Return whether an empirical curve does better than the fitted model, with the paired difference."""
-    table = {row["rival"]: row for row in records(paired(results))}
-    winners = [f"{RIVAL_NAMES[name]} ({_gap(table[name])})" for name in beaten_by(results)]
-    if winners:
-        return (
-            "An empirical curve that knows nothing of tissue does better here than the fitted model, on the "
-            f"same held-out points: {'; '.join(winners)}."
-        )
-    baselines = [name for name in ("straight", "constant_curvature", "linear_curvature") if name in table]
-    if not baselines:
-        return "No empirical curve was scored beside the model."
-    best = min(baselines, key=lambda name: table[name]["difference_mm"])
-    return (
-        "No empirical curve does better than the fitted model on these insertions; the nearest is "
-        f"{RIVAL_NAMES[best]} ({_gap(table[best])})."
-    )
+    A study without a row of the paper is about its empirical curves, so each one's difference is given;
+    of the others only the rivals that do better, named in the same breath as the errors.
+    """
+    rows = records(validation_table(results))
+    if not rows:
+        return [_fit_answer(results)]
+    printed = any(row["paper_te_mm"] is not None for row in rows)
+    rivals = losses_said(results) if printed else compared_said(results)
+    return [*(_answer(row) for row in rows), *([rivals] if rivals else [])]
 
 
 def undetermined_said(results: Results) -> str:
@@ -125,14 +111,6 @@ def _overall(results: Results) -> Row | None:
 
 def _digits(value: float | None) -> int:
     return 3 if value is not None and value < 0.1 else 2
-
-
-def _gap(row: Row) -> str:
-    if row["difference_mm"] is None:
-        return MISSING
-    error = "" if row["difference_se_mm"] is None else f" ± {row['difference_se_mm']:.3f}"
-    gap = f"{row['difference_mm']:+.3f}".replace("-", "−")
-    return f"{gap}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}"
 
 
 def _line(value: object) -> str:

@@ -3,10 +3,11 @@
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from needlefit.reporting import captions, details, document, layouts, sentences
+from needlefit.reporting import captions, contest, details, document, layouts, sentences
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.posterior import outside_said, posterior_layout
 from needlefit.reporting.tables import records, tuning_table
 from needlefit.validation.results import Results
 
@@ -101,39 +102,48 @@ def _parameters(results: Results, figures: Figures, synthetic: bool) -> list[Blo
         document.text(sentences.undetermined_said(results)),
         document.table(details.parameters_layout([results]), synthetic),
         document.table(directions, synthetic),
+        *_posterior(results, synthetic),
         *figure_of(figures, "waterfall", captions.WATERFALL, synthetic),
     ]
 
 
+def _posterior(results: Results, synthetic: bool) -> list[Block]:
+    if not results.posteriors:
+        return []
+    said = outside_said(results)
+    table = document.table(posterior_layout(results), synthetic)
+    return [*([document.text(said)] if said else []), table]
+
+
 def _errors(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
     blocks = [document.heading("Errors")]
-    if sentences.scored_role(results) == "validate":
+    if contest.scored_role(results) == "validate":
         blocks += figure_of(figures, "boxplot", captions.BOXPLOT, synthetic)
         blocks.append(document.table(layouts.validation_layout([results]), synthetic))
     return [*blocks, *tuning_blocks([results], synthetic)]
 
 
 def _rivals(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
-    role = sentences.scored_role(results)
+    role = contest.scored_role(results)
     table = details.rivals_layout([results], role)
     if len(table.rows) < 2:
         return []
-    said = [document.text(sentences.rivals_said(results))] if role == "validate" else []
     return [
         document.heading("What it has to beat"),
-        *said,
+        document.text(contest.rivals_said(results)),
         document.table(table, synthetic),
         *figure_of(figures, "rivals", captions.RIVALS, synthetic),
     ]
 
 
 def _insertions(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
-    role = sentences.scored_role(results)
+    role = contest.scored_role(results)
     if results.errors.empty:
         return []
     return [
         document.heading("Single insertions"),
         *figure_of(figures, "overlays", captions.OVERLAYS, synthetic),
+        *figure_of(figures, "residuals", captions.RESIDUALS, synthetic),
         document.table(details.insertions_layout(results, role), synthetic),
     ]
 

@@ -13,12 +13,12 @@ import pandas as pd
 from needlefit.errors import ConfigError
 from needlefit.project.plain import plain
 from needlefit.reporting import details, figures, layouts
+from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import compile_pdf
 from needlefit.reporting.latex import latex
 from needlefit.reporting.overview import overview
 from needlefit.reporting.parameters import parameters_table
-from needlefit.reporting.sentences import scored_role
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
@@ -99,6 +99,8 @@ def _draw(results: Results, folder: Path) -> dict[str, Path]:
     drawn = {}
     if _has(results.errors, role) and _has(results.shapes, role):
         drawn["overlays"] = figures.overlays(results, folder / "overlays.pdf", role)
+        if (results.errors["comparison"] == "aligned").any():
+            drawn["residuals"] = figures.residuals(results, folder / "residuals.pdf", role)
     if len(results.starts):
         drawn["waterfall"] = figures.waterfall(results, folder / "waterfall.pdf")
     return drawn | _draw_scores([results], folder)

@@ -2,8 +2,9 @@
 
 from needlefit.reporting.figures.boxplot import boxplot
 from needlefit.reporting.figures.overlays import overlays
+from needlefit.reporting.figures.residuals import residuals
 from needlefit.reporting.figures.rivals import rivals
 from needlefit.reporting.figures.scene import draw_scene
 from needlefit.reporting.figures.waterfall import waterfall
 
-__all__ = ["boxplot", "draw_scene", "overlays", "rivals", "waterfall"]
+__all__ = ["boxplot", "draw_scene", "overlays", "residuals", "rivals", "waterfall"]

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ from needlefit.validation.results import Results
 
 _STRETCHES = (1, 2, 5, 10, 20, 50, 100)
 _SHOWN = ("hand_tuned", "fitted")
+_DOT: dict[str, Any] = {"mfc": INK, "mec": "white", "mew": 0.4, "ms": 2.7}  # seen above a line that fits
 
 
 def overlays(results: Results, path: Path, role: str = "validate") -> Path:
@@ -64,7 +66,7 @@ def _paint(results: Results, role: str) -> Figure:
 def _panel(axes: Axes, shapes: pd.DataFrame, row: pd.Series) -> None:
     for rival in _SHOWN:
         curve = shapes[shapes["rival"] == rival]
-        width = 1.5 if rival == "fitted" else 1.0
+        width = 1.1 if rival == "fitted" else 0.9
         axes.plot(
             curve["simulated_x_mm"],
             curve["simulated_y_mm"],
@@ -74,7 +76,7 @@ def _panel(axes: Axes, shapes: pd.DataFrame, row: pd.Series) -> None:
         )
     measured = shapes[shapes["rival"] == shapes["rival"].iloc[0]] if len(shapes) else shapes
     dots = measured[measured["j"] % 5 == 0]
-    axes.plot(dots["measured_x_mm"], dots["measured_y_mm"], ".", color=INK, ms=2.6, mew=0, zorder=4)
+    axes.plot(dots["measured_x_mm"], dots["measured_y_mm"], "o", zorder=4, **_DOT)
     axes.set_title(f"{row['insertion']}", loc="left", pad=3)
     digits = 3 if row["comparison"] == "aligned" else 2
     errors = f"IPE {row['ipe_mean_mm']:.{digits}f}, TE {row['te_mm']:.{digits}f} mm"
@@ -110,11 +112,11 @@ def _hide(spare: list[Axes], grid: NDArray[np.object_]) -> None:
 
 
 def _explain(figure: Figure, results: Results, present: set[str]) -> None:
-    said = [("measured", INK, "."), ("needlefit, fitted", RIVAL_COLOURS["fitted"], "")]
+    said = [("measured", INK, "o"), ("needlefit, fitted", RIVAL_COLOURS["fitted"], "")]
     if "hand_tuned" in present:
         said.append((rival_name("hand_tuned", results), RIVAL_COLOURS["hand_tuned"], ""))
     handles = [
-        Line2D([], [], color=colour, marker=marker, lw=0 if marker else 1.5, label=label)
+        Line2D([], [], color=colour, marker=marker, ms=2.7, lw=0 if marker else 1.1, label=label)
         for label, colour, marker in said
     ]
     figure.legend(handles=handles, loc="outside upper left", ncols=3, handlelength=1.3)

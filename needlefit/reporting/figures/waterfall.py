@@ -20,7 +20,7 @@ from needlefit.validation.results import Results
 def waterfall(results: Results, path: Path) -> Path:
     """Draw the objective of all starts in order, and where in its bounds each start left each parameter.
 
-    A parameter whose dots lie anywhere although their objective is practically the best one is not
+    A parameter whose dots spread along its axis although their objective is practically the best one is not
     determined by the data.
     """
     return draw(path, lambda: _paint(results))
@@ -48,12 +48,22 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
         Line2D([], [], color=RIVAL_COLOURS[f], marker="o", ms=3, lw=0.8, label=RIVAL_NAMES[f]) for f in fits
     ]
     axes.legend(handles=handles, loc="best", handlelength=1.5)
-    axes.set_title(f"{len(starts)} starts, {failed} without a result", loc="left")
+    axes.set_title(f"{_counted(starts)}, {failed} without a result", loc="left")
     axes.set_xlabel("start, best first")
     axes.set_ylabel("objective (mm)")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)
     light_grid(axes, "y")
+
+
+def _counted(starts: pd.DataFrame) -> str:
+    """Return how many starts each search had, and how many searches there were."""
+    sizes = starts.groupby(["fit", "fold"], sort=False).size()
+    each = f"{sizes.min()}" if sizes.min() == sizes.max() else f"{sizes.min()} to {sizes.max()}"
+    fits, folds = starts["fit"].nunique(), starts["fold"].nunique()
+    where = [f"{folds} folds"] if folds > 1 else []
+    where += [f"{fits} searches"] if fits > 1 else []
+    return f"{each} starts" + (f" in each of {' × '.join(where)}" if where else "")
 
 
 def _ended(axes: Axes, starts: pd.DataFrame, free: list[Row]) -> None:
