@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
+from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.identify import identify, tip_range
 from needlefit.inference.information import combination, cramer_rao, directions, jacobian, steps
@@ -140,3 +141,30 @@ def test_directions_are_said_in_words():
 
 def test_steps_suit_logarithms_and_alpha():
     assert steps(("mu1_pa", "alpha1"))[1] > steps(("mu1_pa", "alpha1"))[0] > 0
+
+
+def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_count_twice():
+    """Every needle has a bevel of its own: their scatter, not the noise, says how well b is known."""
+    record = medium(1, mu1_pa={"fixed": TRUTH["mu1_pa"]})
+    offsets = 0.08 * np.exp(0.2 * np.array([-1.5, -0.5, 0.5, 1.5, -1.0, 1.0, 0.0, 0.0]))
+    made = [measure({**TRUTH, "bevel_mm": b}, record, insertion(40.0 + k)) for k, b in enumerate(offsets)]
+    p = problem(record, made, noise=FINE)
+    verdict = identify(p, fit_at(p, TRUTH))
+    spread = 0.2 * np.std([-1.5, -0.5, 0.5, 1.5, -1.0, 1.0, 0.0, 0.0], ddof=1) / math.sqrt(8)
+    assert verdict.sds["bevel_mm"] == pytest.approx(spread, rel=0.2)
+    twice = [replace(i, id=f"{i.id}-{n}") for i in made for n in "ab"]
+    again = identify(problem(record, twice, noise=FINE), fit_at(problem(record, twice, noise=FINE), TRUTH))
+    assert again.sds["bevel_mm"] == pytest.approx(verdict.sds["bevel_mm"], rel=0.01)
+
+
+def test_few_pieces_do_not_hide_their_insertions():
+    assert groups(["a", "b", "c"], ["piece", "piece", "piece"]) == ("a", "b", "c")
+    holes = [f"hole{n // 2}" for n in range(10)]
+    assert groups([str(n) for n in range(10)], holes) == tuple(holes)
+
+
+def test_where_nothing_is_free_there_is_nothing_to_say():
+    record = medium(1, mu1_pa={"fixed": 3e5}, bevel_mm={"fixed": 0.08})
+    p = problem(record, [measure(TRUTH, record, insertion(30.0))])
+    verdict = identify(p, fit_at(p, TRUTH))
+    assert verdict.sds == {} and verdict.directions == () and verdict.notes == {}

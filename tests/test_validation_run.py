@@ -188,3 +188,48 @@ def test_planned_layers_follow_the_bending_needle(project: Path, steep: float) -
     y = np.interp(boundaries[0], *inserted_points(shape, 2001).T)
     assert y > 0.2  # it has bent by then
     assert boundaries[0] == pytest.approx(18.0 - steep * y, abs=2e-3)  # x + steep y = 18, y from the entry
+
+
+def rewrite(project: Path, kind: str, old: str, new: str) -> None:
+    file = project / "configs" / kind / "gel.toml"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, new))
+
+
+def test_a_fit_with_everything_fixed_only_scores(project: Path) -> None:
+    rewrite(project, "media", "mu1_pa = { bounds = [3e4, 3e6] }", "mu1_pa = { fixed = 3e5 }")
+    rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { fixed = 0.09 }")
+    results = run("fixed", study(), Settings())
+    errors = results.errors[results.errors["rival"] == "fitted"]
+    assert errors["te_mm"].max() < 1e-3
+    assert set(results.parameters["status"]) == {"fixed"}
+
+
+def test_what_is_tied_to_a_fixed_parameter_is_fixed(project: Path) -> None:
+    rewrite(project, "media", "mu1_pa = { bounds = [3e4, 3e6] }", 'mu1_pa = { tie = "0.015 * mu2_pa" }')
+    results = run("tied", study(), Settings())
+    row = results.parameters[results.parameters["parameter"] == "mu1_pa"].iloc[0]
+    assert row["status"] == "fixed"
+    assert row["value"] == pytest.approx(3e5)
+
+
+def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path) -> None:
+    one = [line for line in MEDIUM.splitlines() if "2" not in line.split("=")[0]]
+    (project / "configs" / "media" / "gel.toml").write_text(
+        "\n".join(one).replace("layers = 2", "layers = 1")
+    )
+    with pytest.raises(ConfigError, match="medium gel has 1 layer, insertion needle-1 meets layer 2"):
+        run("few", study(), Settings())
+
+
+def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project: Path) -> None:
+    rewrite(project, "media", "bevel_mm", "guide_distance_mm = { bounds = [1.0, 120.0] }\nbevel_mm")
+    with pytest.raises(ConfigError, match="needle of 150 mm is too short"):
+        run("guide", study(), Settings())
+
+
+def test_weights_that_are_all_zero_are_refused(project: Path) -> None:
+    rewrite(project, "recipes", "1e-6", "1e-6\n[weights]\nipe = 0\nte = 0\nedp = 0")
+    with pytest.raises(ConfigError, match="nothing to minimise"):
+        run("zero", study(), Settings())

@@ -88,7 +88,9 @@ def waterfall(starts: "pd.DataFrame") -> str:
     best, agree = starts["objective"].min(), int(starts["as_good"].sum())
     failed, solves = int(starts["failed_solves"].sum()), int(starts["evaluations"].sum())
     share = f"{agree} of {len(starts)} starts end practically as well as the best, {best:.4g} mm"
-    return f"Waterfall: {share} (all of them in starts.csv); {failed} of {solves} solves failed."
+    ended = int((starts["stopped"] == "budget").sum())
+    spent = f"; {ended} ended because their budget was spent: raise the recipe's evaluations" if ended else ""
+    return f"Waterfall: {share} (all of them in starts.csv){spent}; {failed} of {solves} solves failed."
 
 
 def open_questions(parameters: "pd.DataFrame", directions: "pd.DataFrame") -> list[str]:

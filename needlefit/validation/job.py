@@ -108,10 +108,11 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
 
 def _check_layers(job: Job) -> None:
     """Refuse a medium with fewer layers than an insertion meets."""
+    count = f"{job.medium.layers} layer{'s' if job.medium.layers > 1 else ''}"
     for insertion in (i for fold in job.folds for i in (*fold.tune, *fold.validate)):
         if max(insertion.sequence) > job.medium.layers:
             raise ConfigError(
-                f"medium {job.record.medium} has {job.medium.layers} layers, insertion {insertion.id} meets "
+                f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
                 f"layer {max(insertion.sequence)}",
                 mend="name the medium that the needle went into, or select other insertions",
             )
