@@ -35,7 +35,7 @@ def record(**changes):
             "block": {
                 "surfaces": [
                     {"file": "layers/sheet.stl", "kind": "sheet", "into": 2},
-                    {"file": "layers/core.stl", "kind": "solid", "into": 4},
+                    {"file": "layers/core.stl", "kind": "solid", "into": 3},
                 ]
             },
             "given": {"boundaries_mm": [20.0, 50.5, 70.0]},
@@ -46,7 +46,7 @@ def record(**changes):
 
 SURFACES = {
     "layers/sheet.stl": sheet("sheet", (20, 0, 0), (1, 0, 0), 120, into=2),
-    "layers/core.stl": cylinder("core", ((40, 0, -40), (40, 0, 40)), 5.0, into=4, facets=192),
+    "layers/core.stl": cylinder("core", ((40, 0, -40), (40, 0, 40)), 5.0, into=3, facets=192),
 }
 
 X = np.linspace(0, 50, 101)
@@ -92,7 +92,7 @@ def test_what_is_written_is_read(tmp_path):
 def test_layers_come_from_the_surfaces_by_intersection(tmp_path):
     """Along x the sheet lies at 20; the cylinder about (40, y, z) of radius 5 from 35 to 45."""
     a = read(block(tmp_path)).insertions[0]
-    assert a.sequence == (1, 2, 4, 2)
+    assert a.sequence == (1, 2, 3, 2)
     y = 4e-4 * 40**2
     half = math.sqrt(25 - y**2)
     assert a.boundaries == pytest.approx([20, 40 - half, 40 + half], abs=0.03)
@@ -179,7 +179,11 @@ def test_selection(tmp_path):
         ({"medium": "gel"}, "medium gel"),
         ({"insertions": ("a", "z")}, "insertion z"),
         ({"specimens": ("three",)}, "specimen three"),
-        ({"depth_min_mm": 51.0}, "no insertion"),
+        (
+            {"medium": "given", "depth_min_mm": 51.0},
+            r"no insertion of dataset block has medium = given and depth_min_mm = 51\n.*there are 1 in block "
+            r"\(layers 4; depths 50 to 50 mm\); 2 in given \(layers 2; depths",
+        ),
     ],
 )
 def test_a_selection_that_cannot_be_met_says_so(tmp_path, keys, words):

@@ -46,6 +46,7 @@ def the_fault(folder):
     assert len(faults) == 1, "\n".join(map(str, faults))
     with pytest.raises(DataError, match=re.escape(faults[0].what)):
         read(folder)
+    assert faults[0].mend, faults[0]
     return faults[0]
 
 
@@ -68,6 +69,7 @@ def place(fault, folder):
         ("bevel_side", "left", "bevel_side is 'left'"),
         ("bevel_side", "2", "bevel_side is unknown"),
         ("bevel_x", "1", "bevel_x, bevel_y, bevel_z"),
+        (("bevel_x", "bevel_y", "bevel_z"), ("2", "0", "0"), "parallel"),
         ("layers", "2.5", "not a count"),
         ("entry_dx", "0", "length 0"),
         ("entry_dx", "2", "length 2"),
@@ -80,7 +82,9 @@ def place(fault, folder):
     ],
 )
 def test_a_wrong_cell_of_a_row(folder, column, value, words):
-    cell(folder / "insertions.csv", 2, column, value)
+    several = isinstance(column, tuple)
+    for name, text in zip(column, value, strict=True) if several else [(column, value)]:
+        cell(folder / "insertions.csv", 2, name, text)
     fault = the_fault(folder)
     assert words in fault.what and fault.expected
     assert place(fault, folder) == ("centerlines/a.csv:2" if value == "60" else "insertions.csv:2")
@@ -97,7 +101,7 @@ def test_layers_that_are_not_met(folder, layers):
     for column in ("layers", "layers_alternative"):
         cell(folder / "insertions.csv", 2, column, layers)
     fault = the_fault(folder)
-    assert "a meets 4 layers (1 > 2 > 4 > 2" in fault.what and layers in fault.expected
+    assert "a meets 4 layers (1 > 2 > 3 > 2" in fault.what and layers in fault.expected
 
 
 def test_the_alternative_reading_is_enough(folder):
@@ -250,7 +254,9 @@ def test_a_file_that_is_no_table(folder, content, words):
     ("old", "new", "words"),
     [
         ('origin = "synthetic"', 'origin = "found"', "`origin`"),
-        ('name = "block"', 'nom = "block"', "`nom` is unknown"),
+        ('name = "block"', 'nom = "block"', "`nom` is unknown; did you mean `name`?"),
+        ('kind = "sheet"', 'kin = "sheet"', "surfaces.1.kin` is unknown; did you mean `kind`?"),
+        ("length_mm", "lenght_mm", "`needle.lenght_mm` is unknown; did you mean `length_mm`?"),
         ("schema = 1", "schema = 2", "`schema`"),
         ("centerlines/{id}.csv", "centerlines/x.csv", "must hold {id}"),
         ("[20.0, 50.5, 70.0]", "[20.0, 10.0]", "must be positive and increase"),
@@ -264,6 +270,38 @@ def test_a_wrong_key(folder, old, new, words):
     file.write_text(file.read_text().replace(old, new, 1))
     fault = the_fault(folder)
     assert words in fault.what and fault.where == str(file)
+
+
+@pytest.mark.parametrize(("value", "unit", "right"), [("8e10", "Pa", "80"), ("80000", "MPa", "80")])
+def test_a_modulus_in_another_unit(folder, value, unit, right):
+    file = folder / "dataset.toml"
+    file.write_text(re.sub(r"youngs_modulus_gpa = .*", f"youngs_modulus_gpa = {value}", file.read_text()))
+    fault = the_fault(folder)
+    assert fault.what.endswith(f"looks like {unit}") and fault.mend == f"write {right}"
+
+
+def test_a_layer_number_that_is_skipped(folder):
+    file = folder / "dataset.toml"
+    file.write_text(file.read_text().replace("into = 3", "into = 9"))
+    fault = the_fault(folder)
+    assert fault.where == str(file) and "medium block leads into layer 3; they lead into 2, 9" in fault.what
+
+
+def test_a_surface_without_triangles(folder):
+    (folder / "layers" / "core.stl").write_text("solid core\nendsolid core\n")
+    assert the_fault(folder).mend.startswith("export the surface again")
+
+
+def test_a_file_that_only_the_checksums_list(tmp_path):
+    file = block(tmp_path)
+    file.write_text(f'{file.read_text()}"notes.pdf" = "0"\n')
+    assert "[checksums]" in the_fault(tmp_path).mend
+
+
+def test_another_encoding_says_utf8(folder):
+    path = folder / "insertions.csv"
+    path.write_bytes(path.read_text().replace("one", "gr\xfcn").encode("latin-1"))
+    assert "UTF-8" in the_fault(folder).mend
 
 
 def test_every_fault_is_found_at_once(folder):

@@ -66,6 +66,7 @@ def _group_names(
                 f"{path}:1",
                 f"insertions.id_template is {template!r}",
                 f"text with {{...}} around columns of group_by: {', '.join(map(str, keys))}",
+                "use only these names in it",
             )
         )
         return pd.Series(dtype=str)
@@ -83,7 +84,14 @@ def _varying(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> N
             other = np.flatnonzero((text.iloc[rows] != text.iloc[rows[0]]).to_numpy())
             if len(other):
                 where = long.table.where(int(rows[other[0]]))
-                found.append(Fault(where, f"column `{column}` changes within insertion {name}", "one value"))
+                found.append(
+                    Fault(
+                        where,
+                        f"column `{column}` changes within insertion {name}",
+                        "one value",
+                        "mend the cells, or tell the insertions apart by this column too (group_by)",
+                    )
+                )
 
 
 def find_points(
@@ -94,7 +102,14 @@ def find_points(
     try:
         if record.pattern is None:
             if long is None or row.id not in long.groups:
-                return None, [Fault(str(folder / (record.file or "")), f"has no rows of insertion {row.id}")]
+                return None, [
+                    Fault(
+                        str(folder / (record.file or "")),
+                        f"has no rows of insertion {row.id}",
+                        "rows of every insertion",
+                        "add them, or remove the insertion from the table",
+                    )
+                ]
             return read_points(long.part(long.groups[row.id]), POINT, record.columns, found), found
         path = folder / record.pattern.format(id=row.id)
         if path.suffix.lower() == ".mat":
@@ -113,6 +128,7 @@ def _finite(points: Points, found: list[Fault]) -> Points | None:
             points.where(int(bad[0])),
             f"has {len(bad)} points that are NaN, infinite or too far away",
             "finite numbers, mm",
+            "remove or mend these points",
         )
     )
     return None

@@ -39,7 +39,12 @@ def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord) -> It
     """Say what is wrong with finite points as the centreline of `row`."""
     curve = points.values
     if len(curve) < MIN_POINTS:
-        yield Fault(points.where(), f"has only {len(curve)} points", f"at least {MIN_POINTS}")
+        yield Fault(
+            points.where(),
+            f"has only {len(curve)} points",
+            f"at least {MIN_POINTS}",
+            "sample the needle more densely",
+        )
         return
     unit = _unit_fault(points, row)
     if unit:

@@ -1,7 +1,7 @@
 """Go through every file of a dataset once: the dataset, or everything that is wrong with it."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from needlefit.datasets.centerlines import LongTable, find_points, read_long
@@ -9,7 +9,7 @@ from needlefit.datasets.curve_faults import curve_faults
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats.csv import Table, read_table
 from needlefit.datasets.insertion import Dataset, Insertion, Medium, Noise
-from needlefit.datasets.layers import read_media
+from needlefit.datasets.layers import numbering_faults, read_media
 from needlefit.datasets.reduce import reduce
 from needlefit.datasets.rows import parse_rows
 from needlefit.datasets.schema import InsertionRow
@@ -18,6 +18,11 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load
 from needlefit.project.records.dataset import DatasetRecord, NoiseRecord
+
+STIFFEST_GPA = 1000.0
+"""No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
+
+POINT_ACROSS = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 
 
 @dataclass(frozen=True)
@@ -39,6 +44,7 @@ def inspect(path: Path) -> Inspection:
     found: list[Fault] = []
     for root in roots:
         found += checksum_faults(record, root)
+    found += [*_needle_faults(record, file), *numbering_faults(record, file)]
     media = read_media(record, roots[0], found)
     insertions = [insertion for root in roots for insertion in _insertions(record, root, media, found)]
     found += _repeated(insertions, file)
@@ -73,10 +79,24 @@ def _insertions(
         try:
             insertion = reduce(row, points.values, media[row.medium])
         except DataError as error:
-            found.append(from_error(error, where))
+            fault = from_error(error, where)
+            found.append(replace(fault, mend=fault.mend or POINT_ACROSS))
             continue
         found += _layer_faults(insertion, row, where)
         yield insertion
+
+
+def _needle_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
+    modulus = record.needle.youngs_modulus_gpa
+    if modulus is None or modulus <= STIFFEST_GPA:
+        return
+    unit, factor = ("Pa", 1e9) if modulus > STIFFEST_GPA * 1e3 else ("MPa", 1e3)
+    yield Fault(
+        str(file),
+        f"needle.youngs_modulus_gpa is {modulus:g}: this looks like {unit}",
+        "GPa: about 200 for steel, 40 to 80 for nitinol",
+        f"write {modulus / factor:g}",
+    )
 
 
 def _table(record: DatasetRecord, root: Path, long: LongTable | None, found: list[Fault]) -> Table | None:
@@ -112,7 +132,10 @@ def _repeated(insertions: list[Insertion], file: Path) -> Iterator[Fault]:
     for insertion in insertions:
         if insertion.id in seen:
             yield Fault(
-                str(file), f"insertion {insertion.id} is in more than one folder of root", "one of each id"
+                str(file),
+                f"insertion {insertion.id} is in more than one folder of root",
+                "one of each id",
+                "rename or remove one of them, or narrow root",
             )
         seen.add(insertion.id)
 

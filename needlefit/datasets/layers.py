@@ -1,6 +1,7 @@
 """The media of a dataset, and which of their layers an insertion meets."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,10 @@ from needlefit.project.records.dataset import DatasetRecord, SurfaceRecord
 
 SMALLEST_SURFACE = 1.0
 """A surface whose greatest extent is less than this, mm, was written in metres."""
+
+
+RESTORE = "check its name against dataset.toml, or restore it"
+EXPORT = "export the surface again as triangles, e.g. as STL"
 
 
 def read_media(record: DatasetRecord, folder: Path, found: list[Fault]) -> dict[str, Medium]:
@@ -36,6 +41,7 @@ def _read(record: SurfaceRecord, folder: Path, found: list[Fault]) -> Surface | 
         surface = read_surface(path, record.kind, record.into)
     except DataError as error:
         fault = from_error(error)
+        fault = fault if fault.mend else replace(fault, mend=RESTORE if not path.is_file() else EXPORT)
         if fault not in found:  # two media may share a surface
             found.append(fault)
         return None
@@ -59,6 +65,21 @@ def _surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
             "millimetres",
             "multiply its coordinates by 1000",
         )
+
+
+def numbering_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
+    """Say which media skip a layer number: an `into` mistyped, or a surface left out."""
+    for name, medium in record.media.items():
+        numbers = {surface.into for surface in medium.surfaces}
+        skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
+        if skipped:
+            listed = ", ".join(map(str, sorted(numbers)))
+            yield Fault(
+                str(file),
+                f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
+                "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
+                "correct `into`, or add the surface that is missing",
+            )
 
 
 def layers_met(

@@ -118,22 +118,42 @@ def _whole(value: float) -> int:
 def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     """Say what is wrong with one row; numbers that could not be read were noted before."""
     if not ID.fullmatch(row.id):
-        yield Fault(where, f"id is {row.id!r}", "letters, digits, `.`, `_`, `-`: it names a file")
+        yield Fault(
+            where,
+            f"id is {row.id!r}",
+            "letters, digits, `.`, `_`, `-`: it names a file",
+            "rename it, and its centreline with it",
+        )
     if row.medium not in record.media:
         listed = ", ".join(record.media) or "(none)"
         mend = "correct it, or add a table [media.NAME] to dataset.toml"
         yield Fault(where, f"medium {row.medium!r} is unknown", f"one of {listed}", mend)
     if row.layers < 1 or (row.layers_alternative or 0) < 1:
-        yield Fault(where, "layers or layers_alternative is not a count", "a whole number from 1")
+        yield Fault(
+            where,
+            "layers or layers_alternative is not a count",
+            "a whole number from 1",
+            "count the layers that the needle went through",
+        )
     if row.side not in (1, -1):
-        yield Fault(where, "bevel_side is unknown", "+1 (toward +y of C) or -1")
+        yield Fault(
+            where,
+            "bevel_side is unknown",
+            "+1 (toward +y of C) or -1",
+            "write 1 or -1, or leave the cell empty: +1",
+        )
     for name, value in (
         ("pose_shift_sd_mm", row.pose_shift_sd),
         ("pose_angle_sd_deg", row.pose_angle_sd),
         ("boundary_sd_mm", row.boundary_sd),
     ):
         if value < 0:
-            yield Fault(where, f"{name} is negative", "a standard deviation, 0 or more")
+            yield Fault(
+                where,
+                f"{name} is negative",
+                "a standard deviation, 0 or more",
+                "remove the sign, or leave the cell empty: 0",
+            )
     yield from _depth_faults(row, where, record)
     yield from _pose_faults(row, where, record)
 
@@ -141,7 +161,8 @@ def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterato
 def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     length, guide = record.needle.length_mm, row.guide_distance
     if row.depth <= 0:
-        yield Fault(where, f"depth_mm is {row.depth:g}", "an inserted length above 0")
+        mend = "give the length from the entry to the tip, without a sign"
+        yield Fault(where, f"depth_mm is {row.depth:g}", "an inserted length above 0", mend)
     elif row.depth < SMALLEST_DEPTH:
         yield Fault(
             where,
@@ -161,13 +182,17 @@ def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Itera
             where,
             f"guide_distance_mm is {guide:g} at depth {row.depth:g} mm of a {length:g} mm needle",
             "above 0, and within the needle outside the tissue",
+            "correct it, or leave the cell empty: held at its base",
         )
 
 
 def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     if row.bevel is not None and (np.isnan(row.bevel).any() or not np.linalg.norm(row.bevel) > 0):
         yield Fault(
-            where, f"{', '.join(BEVEL)} are {row.bevel.tolist()}", "a direction, or three empty cells"
+            where,
+            f"{', '.join(BEVEL)} are {row.bevel.tolist()}",
+            "a direction, or three empty cells",
+            "fill all three, or none",
         )
     if record.frame.pose == "free" or row.direction is None:
         return
@@ -191,5 +216,6 @@ def _duplicates(table: Table) -> Iterator[Fault]:
                 table.where(n),
                 f"id {name!r} stands on line {first[name]} already",
                 "a different id for every insertion",
+                "rename one of the two, and its centreline with it, or remove the row that is there twice",
             )
         first.setdefault(name, int(table.lines[n]))

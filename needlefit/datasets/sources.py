@@ -59,7 +59,12 @@ def checksum_faults(record: DatasetRecord, folder: Path) -> list[Fault]:
         file = folder / name
         if not file.is_file():
             faults.append(
-                Fault(str(file), "there is no such file, but [checksums] lists it", f"sha256 {expected}")
+                Fault(
+                    str(file),
+                    "there is no such file, but [checksums] lists it",
+                    f"sha256 {expected}",
+                    "restore the file, or remove its line under [checksums]",
+                )
             )
         elif (actual := sha256(file)) != expected.lower():
             mend = f"restore the file, or, if the change is meant, write {actual} under [checksums]"

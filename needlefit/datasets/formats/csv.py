@@ -46,11 +46,21 @@ def read_table(path: Path) -> Table:
     """
     rows = _rows(path)
     if not rows:
-        raise DataError("is empty", where=str(path), expected="a header line and rows below it")
+        raise DataError(
+            "is empty",
+            where=str(path),
+            expected="a header line and rows below it",
+            mend="fill it, or restore it; data/README.md lists the columns",
+        )
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
     if not body:
-        raise DataError("has a header but no rows", where=f"{path}:{top}", expected="one row a line below it")
+        raise DataError(
+            "has a header but no rows",
+            where=f"{path}:{top}",
+            expected="one row a line below it",
+            mend="add the rows, or restore the file",
+        )
     for line, row in body:
         if len(row) > len(header):
             raise DataError(
@@ -85,7 +95,10 @@ def numbers(table: Table, column: str, found: list[Fault], *, optional: bool = F
         more, line = len(bad) - SHOWN, table.lines[bad[SHOWN]]
         found.append(
             Fault(
-                f"{table.path}:{line}", f"{column} has {more} more such cells from here on", "finite numbers"
+                f"{table.path}:{line}",
+                f"{column} has {more} more such cells from here on",
+                "finite numbers",
+                "mend the cells",
             )
         )
     return values
@@ -128,8 +141,20 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
             where=str(path),
             mend="check its name against dataset.toml, or restore it",
         ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise DataError(f"cannot be read: {error}", where=str(path), expected="UTF-8 text") from None
+    except UnicodeDecodeError as error:
+        raise DataError(
+            f"cannot be read as text: {error}",
+            where=str(path),
+            expected="UTF-8 text",
+            mend='save it as UTF-8 (in a spreadsheet: "CSV UTF-8")',
+        ) from None
+    except OSError as error:
+        raise DataError(
+            f"cannot be read: {error.strerror}",
+            where=str(path),
+            expected="a file that you may read",
+            mend="check what it is, and its permissions",
+        ) from None
     # pandas would forget on which line a row stood
     reader = csv.reader(io.StringIO(text), skipinitialspace=True)
     rows, end = [], 0
@@ -140,7 +165,10 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
                 rows.append((begin, [cell.strip() for cell in cells]))
     except csv.Error as error:
         raise DataError(
-            f"cannot be read: {error}", where=f"{path}:{end + 1}", expected="a CSV file"
+            f"cannot be read: {error}",
+            where=f"{path}:{end + 1}",
+            expected="a CSV file",
+            mend="save it again as CSV",
         ) from None
     return rows
 
@@ -160,4 +188,5 @@ def _check_header(header: list[str], where: str) -> None:
             f"has more than one column `{'`, `'.join(twice)}`",
             where=where,
             expected="a name for every column",
+            mend="rename or remove one of them",
         )

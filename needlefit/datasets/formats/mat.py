@@ -30,7 +30,12 @@ def read_curves(path: Path) -> dict[str, Points]:
     try:
         variables = _hdf(path) if _is_hdf(path) else _classic(path)
     except Exception as error:  # the readers raise whatever the bytes provoke
-        raise DataError(f"cannot be read: {error}", where=str(path), expected="a MATLAB .mat file") from None
+        raise DataError(
+            f"cannot be read: {error}",
+            where=str(path),
+            expected="a MATLAB .mat file",
+            mend="save it again, e.g. save(file, 'x', '-v7')",
+        ) from None
     found = {
         name: Points(path, array) for key, value in variables.items() for name, array in _arrays(key, value)
     }
@@ -39,6 +44,7 @@ def read_curves(path: Path) -> dict[str, Points]:
             f"holds no curve; its variables are {', '.join(variables) or '(none)'}",
             where=str(path),
             expected=EXPECTED,
+            mend="save the points of the centreline as one N x 3 array",
         )
     return found
 
