@@ -242,6 +242,13 @@ def test_a_template_says_what_it_reads_and_ignores(tmp_path):
         assert "--from reads" in str(error.value) or "check the path" in error.value.mend
 
 
+def test_a_curve_of_few_points_is_no_template(tmp_path):
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a": CURVE, "b": CURVE[:1]})
+    with pytest.raises(DataError, match="curve b has only 1 points") as error:
+        template(tmp_path / "mine", source)
+    assert error.value.where == f"{source}:103"
+
+
 def test_ids_that_would_name_one_file_are_told(tmp_path):
     source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
     with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):

@@ -93,6 +93,8 @@ def test_a_folder_without_dataset_toml_says_so(project):
     (project / "gel").mkdir()
     with pytest.raises(ConfigError, match=r"holds no dataset\.toml"):
         places.find("dataset", "./gel")
+    with pytest.raises(ConfigError, match=r"holds no dataset\.toml"):
+        places.find("dataset", ".")
 
 
 def test_a_run_is_a_folder_with_run_json(project):

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from needlefit.datasets.curve_faults import MIN_POINTS
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import mat
 from needlefit.datasets.formats.csv import Table, read_points, read_table
@@ -85,6 +86,10 @@ def _without_mapping(fault: Fault) -> Fault:
 
 
 def _unusable(name: str, points: Points) -> list[Fault]:
+    if len(points.values) < MIN_POINTS:
+        mend = f"sample the needle more densely; {READS}"
+        what = f"curve {name} has only {len(points.values)} points"
+        return [Fault(points.where(), what, f"at least {MIN_POINTS}", mend)]
     bad = points.unusable()
     if len(bad) == 0:
         return []

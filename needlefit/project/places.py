@@ -139,7 +139,7 @@ def find_run(name: str) -> Path:
 
 
 def _is_path(name: str) -> bool:
-    return "/" in name or name.endswith(".toml")
+    return "/" in name or name in (".", "..") or name.endswith(".toml")
 
 
 def _is_study(path: Path) -> bool:
