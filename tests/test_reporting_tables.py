@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 from reporting_results import stereo, study
 
-from needlefit.reporting.contest import rivals_said
+from needlefit.reporting.contest import losses_said, rivals_said
 from needlefit.reporting.details import (
     contradictions_layout,
     insertions_layout,
@@ -108,6 +108,17 @@ def test_the_report_says_when_no_curve_wins():
     assert "No empirical curve does better" in rivals_said(
         dataclasses.replace(one, errors=pd.concat([one.errors, worse]))
     )
+
+
+def test_a_set_of_the_paper_that_does_better_is_said_with_its_difference():
+    one = two_needles((1.0, 3.0))
+    retuned = one.errors.assign(rival="hand_tuned_b", ipe_mean_mm=[0.5, 2.0])
+    worse = one.errors.assign(rival="hand_tuned", ipe_mean_mm=[1.5, 4.0])
+    both = dataclasses.replace(one, errors=pd.concat([one.errors, retuned, worse]))
+    gap = "(−0.750 ± 0.250 mm mean IPE, the fit better on 0 of 2)"
+    assert f"do better here than the fitted ones: hand-tuned set, b re-tuned {gap}." in rivals_said(both)
+    assert losses_said(both).endswith(f"same points: hand-tuned set, b re-tuned {gap}.")
+    assert losses_said(one) == ""
 
 
 def test_the_validation_table_begins_with_the_papers_columns():
@@ -218,6 +229,29 @@ def test_the_short_answer_names_floor_and_paper():
     assert "paper" not in in_short(stereo())[0]
 
 
+def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
+    said = in_short(stereo())[-1]
+    for row in records(paired(stereo())):
+        if row["rival"] != "fitted":
+            gap = f"{row['difference_mm']:+.3f} ± {row['difference_se_mm']:.3f} mm".replace("-", "−")
+            assert gap in said
+    assert all(name in said for name in ("straight line", "constant curvature", "curvature linear"))
+
+
+def test_what_is_not_determined_is_no_range_and_the_note_does_not_say_it_again():
+    one = study(1)
+    note = "not determined (known to 90 %); tied to no other"
+    loose = dataclasses.replace(one, parameters=one.parameters.assign(note=note))
+    table = parameters_layout([loose])
+    heads = [column.label for column in table.columns]
+    assert "Origin" not in heads
+    for row in (dict(zip(heads, row, strict=True)) for row in table.rows):
+        if row["Fitted"] == NOT_DETERMINED:
+            assert row["As good"] == ""
+        assert row["Note"].startswith("known to 90 %; tied")
+    assert any(row[heads.index("As good")] for row in table.rows)
+
+
 @pytest.mark.parametrize(
     ("value", "words"),
     [
@@ -262,5 +296,6 @@ def test_latex_is_booktabs_with_every_sign_escaped():
 def test_latex_escapes():
     assert escape("50 % of a_b & {c}") == r"50 \% of a\_b \& \{c\}"
     assert escape("2 × 10⁻⁵ Pa, μ₁") == r"2 $\times$ 10$^{-5}$ Pa, $\mu$$_{1}$"
+    assert escape("μ₁^0.28 / b^-2") == r"$\mu$$_{1}$$^{0.28}$ / b$^{-2}$"
     assert escape("a\\b") == r"a\textbackslash{}b"
     assert latex(contradictions_layout(paper.contradictions()), synthetic=False).isascii()

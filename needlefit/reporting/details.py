@@ -12,11 +12,13 @@ from needlefit.validation.paper.claims import Claim
 from needlefit.validation.results import Results
 from needlefit.validation.summary import paired
 
-_ESTIMATES = (
+_AS_GOOD = (
     "“As good” is the range over starts whose objective is practically the best; it is left empty for what "
-    "is not determined, where starts may agree without the data knowing. “Sd” is the Cramér-Rao bound, of ln "
-    "for μ and b, of the value for α. μ is an effective foundation modulus of this model, not a "
-    "material constant."
+    "is not determined, where starts may agree without the data knowing."
+)
+_ESTIMATES = (
+    "“Sd” is the Cramér-Rao bound, of ln for μ and b, of the value for α. μ is an effective foundation "
+    "modulus of this model, not a material constant."
 )
 _NOT_SAID_TWICE = re.compile(r"^not determined(?:: | \(([^()]*)\))")  # the column "Fitted" says it
 _BY_HAND = (
@@ -54,7 +56,9 @@ def _parameters_display(table: list[Row]) -> Display:
         *(text("Note", wide=True), text("Origin")),
     )
     printed = any(row["hand_tuned"] for row in table)
-    notes = (f"{_ESTIMATES} {_BY_HAND}" if printed else _ESTIMATES,)
+    ranged = any(row[5] for row in rows)
+    said = (_AS_GOOD if ranged else "", _ESTIMATES, _BY_HAND if printed else "")
+    notes = (" ".join(sentence for sentence in said if sentence),)
     caption = "Parameters, beside the paper’s." if printed else "Parameters."
     return without_empty(Display("parameters", caption, columns, tuple(rows), tuple(breaks), (), notes))
 

@@ -48,7 +48,7 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
         Line2D([], [], color=RIVAL_COLOURS[f], marker="o", ms=3, lw=0.8, label=RIVAL_NAMES[f]) for f in fits
     ]
     axes.legend(handles=handles, loc="best", handlelength=1.5)
-    axes.set_title(f"{_counted(starts)}, {failed} without a result", loc="left")
+    axes.set_title(f"{counted(starts)}, {failed} without a result", loc="left")
     axes.set_xlabel("start, best first")
     axes.set_ylabel("objective (mm)")
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -56,7 +56,7 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
     light_grid(axes, "y")
 
 
-def _counted(starts: pd.DataFrame) -> str:
+def counted(starts: pd.DataFrame) -> str:
     """Return how many starts each search had, and how many searches there were."""
     sizes = starts.groupby(["fit", "fold"], sort=False).size()
     each = f"{sizes.min()}" if sizes.min() == sizes.max() else f"{sizes.min()} to {sizes.max()}"

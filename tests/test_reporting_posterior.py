@@ -1,0 +1,64 @@
+"""The fit stands beside its posterior, and a fit outside of it is told."""
+
+import dataclasses
+
+import numpy as np
+import pytest
+from reporting_results import study
+
+from needlefit.inference.posterior import Posterior
+from needlefit.reporting.posterior import outside_said, percentiles_table, posterior_layout
+from needlefit.reporting.story import story
+from needlefit.reporting.tables import records
+from needlefit.validation.results import Results
+
+
+def sampled(low: float, high: float) -> Results:
+    """Study 5 with b drawn evenly between two bounds; the fit ended at 0.0847 mm."""
+    draws = np.tile(np.linspace(low, high, 400), 2).reshape(2, 400, 1)
+    posterior = Posterior(
+        names=("bevel_mm",),
+        draws=draws,
+        log_posterior=np.zeros((2, 400)),
+        walkers=4,
+        acceptance=np.array([0.3, 0.4]),
+        autocorrelation_time=np.ones((2, 1)),
+        r_hat=np.array([1.0]),
+        burn_in=10,
+        failures=0,
+        interrupted=False,
+    )
+    one = study(5)
+    fold = str(one.parameters["fold"].iloc[0])
+    return dataclasses.replace(one, posteriors={fold: posterior})
+
+
+def fitted(results: Results) -> float:
+    table = results.parameters.query("rival == 'fitted' and parameter == 'bevel_mm'")
+    return float(table["value"].iloc[0])
+
+
+def test_a_fit_within_its_posterior_stands_beside_it():
+    inside = sampled(0.05, 0.15)
+    row = records(percentiles_table(inside))[0]
+    assert row["p50"] == pytest.approx(0.1)
+    assert row["fit_value_used"] == fitted(inside)
+    assert row["fit_in_central_95"] is True
+    assert outside_said(inside) == ""
+    assert not posterior_layout(inside).notes
+
+
+def test_a_fit_outside_the_central_95_percent_is_said_to_be():
+    outside = sampled(fitted(study(5)) - 0.001, 0.15)  # a draw is lower, but not 2.5 % of them
+    assert records(percentiles_table(outside))[0]["fit_in_central_95"] is False
+    assert outside_said(outside).startswith("The fit lies outside the central 95 % of the posterior in b:")
+    assert "‡" in "".join(posterior_layout(outside).rows[0])
+    blocks = story(outside, {}).blocks
+    assert outside_said(outside) in [block.get("text") for block in blocks]
+    assert "posterior" in [block.get("name") for block in blocks]
+
+
+def test_without_a_posterior_nothing_is_said_of_one():
+    assert percentiles_table(study(5)).empty
+    assert outside_said(study(5)) == ""
+    assert "posterior" not in [block.get("name") for block in story(study(5), {}).blocks]
