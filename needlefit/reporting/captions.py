@@ -18,8 +18,7 @@ RESIDUALS = (
 WATERFALL = (
     "Left: the objective at which each start of the search ended, best first. Right: where the starts left "
     "each free parameter between its bounds (written at the ends; μ and b in logarithms). Filled dots "
-    "spread along the axis mean that the data do not determine this parameter. Each fold is a search of its "
-    "own, with a line of its own on the left."
+    "spread along the axis mean that the data do not determine this parameter."
 )
 RIVALS = (
     "Mean in-plane error of the fitted model and of what it has to beat, on the same held-out points. The "

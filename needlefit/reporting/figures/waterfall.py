@@ -44,8 +44,10 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
         axes.plot(np.arange(1, len(values) + 1), values, "o-", color=RIVAL_COLOURS[str(fit)], ms=3, lw=0.8)
     failed = int((~np.isfinite(starts["objective"].astype(float))).sum())
     fits = list(dict.fromkeys(starts["fit"]))
+    each = ", a line per fold" if starts["fold"].nunique() > 1 else ""
     handles = [
-        Line2D([], [], color=RIVAL_COLOURS[f], marker="o", ms=3, lw=0.8, label=RIVAL_NAMES[f]) for f in fits
+        Line2D([], [], color=RIVAL_COLOURS[f], marker="o", ms=3, lw=0.8, label=RIVAL_NAMES[f] + each)
+        for f in fits
     ]
     axes.legend(handles=handles, loc="best", handlelength=1.5)
     axes.set_title(f"{counted(starts)}, {failed} without a result", loc="left")
