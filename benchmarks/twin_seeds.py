@@ -68,7 +68,8 @@ def distribution(rows: pd.DataFrame) -> pd.DataFrame:
             line["fit_better_ipe"] = int((ipe["fitted"] < ipe[rival]).sum()) if rival != "fitted" else None
             line["fit_better_te"] = int((te["fitted"] < te[rival]).sum()) if rival != "fitted" else None
             lines.append(line)
-    return pd.DataFrame(lines)
+    wins = ["fit_better_ipe", "fit_better_te"]
+    return pd.DataFrame(lines).astype(dict.fromkeys(wins, "Int64"))
 
 
 def main() -> None:

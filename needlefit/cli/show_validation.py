@@ -1,6 +1,5 @@
 """What `validate` prints for people: our row and the paper's, one below the other, then the rivals."""
 
-from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from needlefit.cli import screen
@@ -24,29 +23,22 @@ def show_validation(results: "Results") -> None:
 
     A fit scores nothing but its own insertions: of it only its name and the data are printed.
     """
+    from needlefit.reporting.contest import rivals_said
     from needlefit.reporting.layouts import validation_layout
     from needlefit.reporting.names import rival_name
-    from needlefit.validation.summary import beaten_by, paired
-
-    def named(rivals: Iterable[object]) -> str:
-        return ", ".join(rival_name(str(rival), results) for rival in rivals)
+    from needlefit.validation.summary import paired
 
     show_head(results)
     if (results.errors["role"] == "tune").all():
         return
     screen.show_display(validation_layout([results]))
     rivals = paired(results)
-    table = rivals.assign(rival=rivals["rival"].map(lambda rival: named([rival])))
+    table = rivals.assign(rival=[rival_name(str(rival), results) for rival in rivals["rival"]])
     table = table[list(_PAIRED)].round(3).rename(columns=_PAIRED)
     screen.show_frame(
         table, "Rivals on the same held-out insertions and points; ΔIPE is the rival's IPE minus the fit's."
     )
-    curves = beaten_by(results)
-    if curves:
-        screen.say(f"An empirical curve does better here than the model: {named(curves)}.")
-    sets = rivals.query("rival.str.startswith('hand_tuned') and difference_mm < 0")["rival"]
-    if len(sets):
-        screen.say(f"The paper's set does better here than the fit: {named(sets)}.")
+    screen.say(rivals_said(results))
 
 
 def show_head(results: "Results") -> None:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.independent import groups
-from needlefit.validation.results import BASELINES, FLOORS, METRICS, RIVALS, SCORED, Results
+from needlefit.validation.results import FLOORS, METRICS, RIVALS, SCORED, Results
 
 How = Literal["macro", "pooled"]
 _PAIRED = (
@@ -95,13 +95,6 @@ def paired(results: Results, against: str = "fitted", role: str = "validate") ->
             }
         )
     return pd.DataFrame(rows, columns=_PAIRED)
-
-
-def beaten_by(results: Results) -> list[str]:
-    """Return the empirical curves whose mean IPE on the held-out insertions is below the fitted model's."""
-    table = paired(results)
-    wins = table[table["rival"].isin(BASELINES) & (table["difference_mm"] < 0)]
-    return [str(name) for name in wins["rival"]]
 
 
 def points(results: Results) -> pd.DataFrame:
