@@ -92,7 +92,8 @@ def test_validate_reference_writes_evidence(stub):
 def test_a_curve_that_beats_the_model_is_named(stub, capsys):
     stub(stereo())
     assert run("validate", "mine") == 0
-    assert "does better here than the model: straight line" in capsys.readouterr().out
+    said = " ".join(capsys.readouterr().out.split())
+    assert "does better here than the fitted model, on the same held-out points: straight line (" in said
 
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):

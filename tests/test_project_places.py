@@ -7,7 +7,8 @@ import pytest
 from needlefit.errors import ConfigError
 from needlefit.project import places
 from needlefit.project.init import copy_project
-from needlefit.project.replace import replacing, replacing_twin
+from needlefit.project.replace import replacing
+from needlefit.synthetic.replace import replacing_twin
 
 STUDY = "schema = 1\nvalidate = [{}]\n"
 

@@ -23,8 +23,8 @@ def twin_build(
     The same seed gives the same bytes. DIR is replaced only if it holds a twin, and
     nothing else.
     """
-    from needlefit.project.replace import replacing_twin
     from needlefit.synthetic.build import SEED, build
+    from needlefit.synthetic.replace import replacing_twin
 
     seed = SEED if seed is None else seed
     if not quiet:
