@@ -1,8 +1,6 @@
 """Results -> a folder of files, complete or not there at all."""
 
 import json
-import shutil
-import tempfile
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +10,7 @@ import pandas as pd
 
 from needlefit.errors import ConfigError
 from needlefit.project.plain import plain
+from needlefit.project.replace import replacing
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
@@ -131,31 +130,10 @@ def _json(path: Path, value: Mapping[str, Any]) -> None:
 
 @contextmanager
 def _whole(folder: Path) -> Iterator[Path]:
-    """Give a new folder beside `folder`, and put it in its place once it is complete."""
+    """Give a new folder, and put it in the place of `folder` once it is complete."""
     require_result(folder)
-    folder.parent.mkdir(parents=True, exist_ok=True)
-    new = Path(tempfile.mkdtemp(prefix=f".{folder.name}-", suffix=".partial", dir=folder.parent))
-    try:
-        new.chmod(0o755)
+    with replacing(folder) as new:
         yield new
-        _replace(new, folder)
-    finally:
-        shutil.rmtree(new, ignore_errors=True)
-
-
-def _replace(new: Path, folder: Path) -> None:
-    """Rename `new` to `folder`; an earlier result is taken away only when the new one stands."""
-    if not folder.exists():
-        new.rename(folder)
-        return
-    old = new.with_name(f"{new.name}.old.partial")
-    folder.rename(old)
-    try:
-        new.rename(folder)
-    except OSError:
-        old.rename(folder)
-        raise
-    shutil.rmtree(old)
 
 
 def require_result(folder: Path) -> None:
