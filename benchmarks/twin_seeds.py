@@ -15,6 +15,7 @@ import argparse
 import json
 import sys
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -43,15 +44,9 @@ def one_seed(seed: int, recipe: str, jobs: int) -> pd.DataFrame:
             held_out = results.errors[
                 (results.errors["role"] == "validate") & (results.errors["boundaries"] == "measured")
             ]
-            table = aggregate(_only(results, held_out), ["medium", "layers", "rival"])
+            table = aggregate(replace(results, errors=held_out), ["medium", "layers", "rival"])
             parts.append(table.assign(study=name, seed=seed))
     return pd.concat(parts, ignore_index=True)
-
-
-def _only(results: object, errors: pd.DataFrame) -> object:
-    from dataclasses import replace
-
-    return replace(results, errors=errors)  # type: ignore[type-var]
 
 
 def distribution(rows: pd.DataFrame) -> pd.DataFrame:

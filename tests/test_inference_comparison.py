@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from inference_cases import insertion
 
+from needlefit.datasets.reach import reach_from_tip
 from needlefit.errors import DataError
-from needlefit.inference.comparison import reach_from_tip, scored_points, target
+from needlefit.inference.comparison import scored_points, target
 
 RIGHT_ANGLE = np.array([[0.0, 0.0], [60.0, 0.0], [60.0, 20.0]])  # 60 mm along, then 20 mm aside
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.datasets.insertion import Dataset, Floats, Insertion, Noise
+from needlefit.datasets.reach import reach_from_tip
 from needlefit.geometry.compare import STATIONS, CurveErrors, compare
 from needlefit.geometry.curves import arc_length, at_arc, resample
 from needlefit.geometry.frames import align_rigid
@@ -48,8 +49,7 @@ def noise_floor(
         + point_noise(curve, noise, rng, draws)
         + _pose_noise(curve, shift, angle, rng.normal(size=(draws, 3)))
     )
-    length = min(float(arc_length(curve)[-1]), insertion.depth) - dataset.drop_proximal
-    free = length if dataset.pose == "free" else None
+    free = reach_from_tip(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
     errors = [_compare(curve, again, free) for again in moved]
     return NoiseFloor(
         median_err_mm=float(np.mean([e.median for e in errors])),

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.errors import DataError
+from needlefit.datasets.reach import reach_from_tip
 from needlefit.geometry.compare import STATIONS
 from needlefit.geometry.curves import arc_length, at_arc, resample
 from needlefit.geometry.frames import align_rigid
@@ -91,23 +91,6 @@ def scored_points(
         K.
     """
     return scored(target(pose, drop, insertion, stations), curve)
-
-
-def reach_from_tip(drop: float, insertion: Insertion) -> float:
-    """Return how far from the tip a free comparison begins, mm.
-
-    Raises
-    ------
-    DataError
-        If nothing is left to compare.
-    """
-    reach = min(float(arc_length(insertion.planar)[-1]), insertion.depth) - drop
-    if reach <= 0:
-        raise DataError(
-            f"insertion `{insertion.id}` is not longer than the {drop:g} mm that are left out",
-            mend="lessen frame.drop_proximal_mm, or leave the insertion out",
-        )
-    return reach
 
 
 def in_entry_axes(points: Floats) -> Floats:

@@ -23,10 +23,11 @@ from scipy.linalg import cholesky, solve_triangular
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.datasets.noise import MEAN_OF_NORM
+from needlefit.datasets.reach import reach_from_tip
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.comparison import Curve, Pose, in_entry_axes, reach_from_tip
+from needlefit.inference.comparison import Curve, Pose, in_entry_axes
 
 Floats = NDArray[np.float64]
 

@@ -1,11 +1,10 @@
 """A study or fit with everything it names: its dataset, medium, recipe, hand-tuned rival and folds."""
 
-import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
@@ -77,12 +76,18 @@ class Job:
         """The searches of one fold."""
         return ("fitted",) if self.hand_tuned is None else ("fitted", "hand_tuned_b")
 
+    @property
+    def insertions(self) -> tuple[Insertion, ...]:
+        """Every insertion that tunes or validates in any fold, once."""
+        found = {i.id: i for fold in self.folds for i in (*fold.tune, *fold.validate)}
+        return tuple(found.values())
+
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return what one search of a fold minimises: everything free, or the bevel about the paper's set."""
-        parameters = self.parameters
+        everything = Problem(self.dataset, fold.tune, self.medium, self.parameters, self.recipe.weights)
         if search == "hand_tuned_b" and self.hand_tuned is not None:
-            parameters = parameters.with_only(("bevel_mm",), self.hand_tuned)
-        return Problem(self.dataset, fold.tune, self.medium, parameters, self.recipe.weights)
+            return everything.with_parameters(self.parameters.with_only(("bevel_mm",), self.hand_tuned))
+        return everything
 
 
 def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Job:
@@ -109,7 +114,7 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
 def _check_layers(job: Job) -> None:
     """Refuse a medium with fewer layers than an insertion meets."""
     count = f"{job.medium.layers} layer{'s' if job.medium.layers > 1 else ''}"
-    for insertion in (i for fold in job.folds for i in (*fold.tune, *fold.validate)):
+    for insertion in job.insertions:
         if max(insertion.sequence) > job.medium.layers:
             raise ConfigError(
                 f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
@@ -122,7 +127,7 @@ def _check_reach(job: Job) -> None:
     """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
     name = "guide_distance_mm"
     bounds, fixed = job.parameters.bounds.get(name), job.parameters.fixed.get(name)
-    for insertion in (i for fold in job.folds for i in (*fold.tune, *fold.validate)):
+    for insertion in job.insertions:
         guide = bounds[1] if bounds else fixed if fixed is not None else insertion.guide_distance or 0.0
         if insertion.depth + guide >= job.dataset.needle.length:
             raise ConfigError(
@@ -144,8 +149,3 @@ def _hand_tuned(name: str, parameters: Parameters, medium: str) -> dict[str, flo
             mend="name a set of the same layers, or leave hand_tuned out",
         )
     return {p: published[p] for p in parameters.names}
-
-
-def needle_facts(job: Job) -> dict[str, float]:
-    """Return the needle's length (mm) and flexural rigidity (N mm^2), as plain values."""
-    return dataclasses.asdict(job.dataset.needle)

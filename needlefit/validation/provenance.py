@@ -2,11 +2,12 @@
 
 import platform
 from collections.abc import Mapping
+from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 from needlefit.inference.predict import rules as mesh
-from needlefit.validation.job import Job, needle_facts
+from needlefit.validation.job import Job
 
 _PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
 
@@ -23,7 +24,7 @@ def work(job: Job) -> dict[str, Any]:
             "name": job.dataset.name,
             "origin": job.dataset.origin,
             "sha256": job.dataset.digest,
-            "needle": needle_facts(job),
+            "needle": asdict(job.dataset.needle),
             "notes": list(job.dataset.notes),
         },
         "study": job.record.model_dump(mode="json", by_alias=True),

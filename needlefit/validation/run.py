@@ -123,10 +123,11 @@ def _sample(job: Job, fold: Fold, fit: Fit, settings: Settings, tables: Tables) 
 
 
 def _floors(job: Job) -> dict[str, NoiseFloor]:
-    used = {i.id: i for fold in job.folds for i in (*fold.tune, *fold.validate)}
     return {
-        id_: noise_floor(job.dataset, insertion, stream(job.recipe.seed, "noise floor", id_))
-        for id_, insertion in used.items()
+        insertion.id: noise_floor(
+            job.dataset, insertion, stream(job.recipe.seed, "noise floor", insertion.id)
+        )
+        for insertion in job.insertions
     }
 
 

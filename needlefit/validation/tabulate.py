@@ -13,6 +13,7 @@ from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
 from needlefit.inference.identify import Verdict, as_good, identify
 from needlefit.inference.posterior import Posterior
+from needlefit.inference.problem import Problem
 from needlefit.inference.starts import Fit, Start
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
@@ -42,7 +43,9 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
     """Score every rival of one fold, and say what the searches found."""
     usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
     for name, fit in fits.items():
-        tables.starts += [_start_row(job, fold, name, start, fit) for start in fit.starts]
+        problem = job.problem(fold, name)
+        place = {"fold": fold.name, "fit": name}
+        tables.starts += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
     if "fitted" in usable:
         verdict = identify(job.problem(fold), usable["fitted"])
@@ -76,17 +79,15 @@ def _curve(baseline: Baseline) -> Callable[[Insertion], Curve]:
     return lambda insertion: curve_for(baseline, insertion)
 
 
-def _start_row(job: Job, fold: Fold, search: str, start: Start, fit: Fit) -> Row:
+def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
     return {
-        "fold": fold.name,
-        "fit": search,
         "start": start.index,
         "objective": start.objective,
         "as_good": as_good(start, fit),
         "evaluations": start.evaluations,
         "failed_solves": start.failures,
         "stopped": start.stopped,
-        **job.problem(fold, search).values(np.array(start.theta)),
+        **problem.values(np.array(start.theta)),
     }
 
 
@@ -141,17 +142,20 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
     if retuned is not None:
         sets["hand_tuned_b"] = retuned.values
     unknown = dict.fromkeys(("bound_low", "bound_high", "sd", "spread_low", "spread_high"), math.nan)
-    return [
-        {
-            "fold": fold.name,
-            "rival": rival,
-            "parameter": name,
-            "value": value,
-            "status": "free" if rival == "hand_tuned_b" and name == "bevel_mm" else "published",
-            **unknown,
-            "determined": rival == "hand_tuned_b" and name == "bevel_mm",
-            "note": "re-tuned alone" if rival == "hand_tuned_b" and name == "bevel_mm" else "tuned by hand",
-        }
-        for rival, values in sets.items()
-        for name, value in values.items()
-    ]
+    rows = []
+    for rival, values in sets.items():
+        for name, value in values.items():
+            free = rival == "hand_tuned_b" and name == "bevel_mm"
+            rows.append(
+                {
+                    "fold": fold.name,
+                    "rival": rival,
+                    "parameter": name,
+                    "value": value,
+                    "status": "free" if free else "published",
+                    **unknown,
+                    "determined": free,
+                    "note": "re-tuned alone" if free else "tuned by hand",
+                }
+            )
+    return rows
