@@ -22,10 +22,9 @@ import numpy as np
 from scipy.linalg import solveh_banded
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Rules
-from needlefit.mechanics.kernel.scalar import Newton, insert
+from needlefit.mechanics.control import Bevel, Rules
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import compile_inputs, constraint_depths, simulate
+from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
 DEPTH = 55.0
@@ -44,7 +43,7 @@ class FullNeedle:
     """The model on 150 elements of the whole needle; `solve` is told how to assemble and solve."""
 
     def __init__(self) -> None:
-        self.x_c = reference.constraint_depths(DEPTH, 1.0)
+        self.x_c = np.arange(DEPTH + 1.0)
         entry_to_tip = np.arange(0.0, DEPTH + 1.0)
         x, self.w = reference.quadrature(entry_to_tip, self.x_c, TISSUE.boundaries)
         self.element = np.searchsorted(entry_to_tip, x) - 1  # from the entry
@@ -123,16 +122,13 @@ class FullNeedle:
 def measure(rounds: int) -> dict[str, float]:
     """Return microseconds per step of each, their ratios to the kernel, and how far the tips differ."""
     full = FullNeedle()
-    depths = constraint_depths(DEPTH, 1.0)
-    beam, foundation, grid = compile_inputs(NEEDLE, TISSUE, depths, Controls(), Rules())
-    newton = Newton(TOLERANCE, 40)
     rivals: dict[str, tuple[int, Callable[[], object]]] = {
-        "kernel": (300, lambda: insert(beam, foundation, grid, depths, TURN, newton)),
-        "simulate": (300, lambda: simulate(NEEDLE, TISSUE, BEVEL, DEPTH, rules=Rules(tolerance=TOLERANCE))),
+        "kernel": (300, lambda: simulate(NEEDLE, TISSUE, BEVEL, DEPTH, rules=Rules(tolerance=TOLERANCE))),
         "banded": (5, lambda: full.insertion(full.banded)),
         "dense": (1, lambda: full.insertion(full.dense)),
     }
-    tip = simulate(NEEDLE, TISSUE, BEVEL, DEPTH, rules=Rules(tolerance=TOLERANCE)).deflection
+    shape = simulate(NEEDLE, TISSUE, BEVEL, DEPTH, rules=Rules(tolerance=TOLERANCE))
+    tip = shape.deflection
     figures = {"tip_mm": tip, "banded_differs_mm": abs(full.insertion(full.banded) - tip)}
     figures["dense_differs_mm"] = abs(full.insertion(full.dense) - tip)
     seconds: dict[str, list[float]] = {name: [] for name in rivals}
@@ -147,7 +143,7 @@ def measure(rounds: int) -> dict[str, float]:
         figures[f"{name}_us_per_step"] = float(np.median(values)) / DEPTH * 1e6
     for name in ("banded", "dense"):
         figures[f"{name}_over_kernel"] = figures[f"{name}_us_per_step"] / figures["kernel_us_per_step"]
-    figures["newton_iterations_per_step"] = insert(beam, foundation, grid, depths, TURN, newton)[-1] / DEPTH
+    figures["newton_iterations_per_step"] = shape.iterations / DEPTH
     return figures
 
 

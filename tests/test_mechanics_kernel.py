@@ -5,7 +5,7 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws, reference
-from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import inserted_points, positions
 from needlefit.mechanics.simulate import equilibrium, simulate
@@ -34,7 +34,7 @@ def random_case(rng: np.random.Generator) -> dict:
         ),
         "bevel": Bevel(rng.uniform(0, 0.3), int(rng.choice([-1, 1]))),
         "depth": float(rng.choice([rng.uniform(0.2, 22), rng.integers(1, 22), rng.integers(1, 22) + 1e-4])),
-        "controls": Controls(guide_distance=float(rng.uniform(5, 35)))
+        "controls": Controls(guides=(Guide(-float(rng.uniform(5, 35))),))
         if guided
         else Controls(base_y=rng.uniform(-1, 1), base_slope=rng.uniform(-0.01, 0.01)),
         "rules": Rules(spacing, element),
@@ -83,8 +83,9 @@ def test_newton_goes_on_until_nothing_moves(alpha: float, depth: float) -> None:
     tissue = Tissue(mu=[0.5], alpha=[alpha], thickness=[0.2])
     found = simulate(NEEDLE, tissue, Bevel(0.1), depth)
     state = np.column_stack((found.u, found.slope)).ravel()
+    held = np.arange(len(state)) < 2
     again, used = reference.equilibrium(
-        NEEDLE, tissue, found.x, found.constraints, state, Controls(), Rules(tolerance=np.inf)
+        NEEDLE, tissue, found.x, found.constraints, state, held, Rules(tolerance=np.inf)
     )
     assert found.converged and used == 1
     np.testing.assert_allclose(again[0::2], found.u, atol=1e-10)
@@ -152,7 +153,7 @@ def test_too_few_iterations_is_not_converged() -> None:
 
 def test_needle_too_short_is_refused() -> None:
     with pytest.raises(ModelError, match="cannot be inserted 149"):
-        simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 149.0, Controls(guide_distance=2.0))
+        simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 149.0, Controls(guides=(Guide(-2.0),)))
 
 
 def test_positions_keep_the_length() -> None:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.parameters import tissue
-from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate
@@ -54,9 +54,14 @@ def predict(
         tissue(values, met, depths, medium),
         Bevel(values["bevel_mm"], insertion.side),
         insertion.depth,
-        Controls(guide_distance=values.get("guide_distance_mm", insertion.guide_distance)),
+        _clamped(values.get("guide_distance_mm", insertion.guide_distance)),
         rules(medium),
     )
+
+
+def _clamped(guide_distance: float | None) -> Controls:
+    """Return the controls of a needle clamped by a guide on the insertion axis, or held by its base alone."""
+    return Controls() if guide_distance is None else Controls(guides=(Guide(-guide_distance),))
 
 
 def rules(medium: MediumRecord) -> Rules:

@@ -1,11 +1,12 @@
-"""What steers the needle (bevel, base, guide) and the rules by which it advances."""
+"""What steers the needle (bevel, base, guides, a tracked tip), step by step, and the rules of its advance."""
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Self
 
 from needlefit.errors import ModelError
-from needlefit.project.records.scene import BevelRecord, ControlsRecord, RulesRecord
+from needlefit.project.records.scene import BevelRecord, RulesRecord
 
 
 @dataclass(frozen=True)
@@ -28,40 +29,107 @@ class Bevel:
 
 
 @dataclass(frozen=True)
+class Guide:
+    """A guide or template at a fixed place, through which the needle slides.
+
+    Attributes
+    ----------
+    x, y : float
+        Its place in C, mm: x < 0 before the tissue.
+    slope : float or None
+        Slope of its axis in C, which the needle takes on there; None: the needle turns freely in it.
+    in_tissue : bool
+        Whether it stands in the tissue, x >= 0; it then holds the needle once the tip has passed.
+    """
+
+    x: float
+    y: float = 0.0
+    slope: float | None = 0.0
+    in_tissue: bool = False
+
+    def __post_init__(self) -> None:
+        if not all(map(math.isfinite, (self.x, self.y, self.slope or 0.0))):
+            raise ModelError(
+                f"guide stands at ({self.x}, {self.y}) mm, slope {self.slope}", expected="finite numbers"
+            )
+        if self.in_tissue != (self.x >= 0):
+            raise ModelError(
+                f"guide stands at x = {self.x} mm",
+                expected="x < 0 before the tissue, x >= 0 with in_tissue",
+                mend="move it before the entry, or say that it stands in the tissue",
+            )
+
+
+@dataclass(frozen=True)
+class TrackedTip:
+    """The tip as a tracker reports it in C: deflection (mm) and, unless None, slope."""
+
+    y: float
+    slope: float | None = None
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.y) and math.isfinite(self.slope or 0.0)):
+            raise ModelError(f"tracked tip is at {self.y} mm, slope {self.slope}", expected="finite numbers")
+
+
+@dataclass(frozen=True)
 class Controls:
-    """Essential conditions, constant over the insertion.
+    """Essential conditions ("V-inputs"), constant over one step.
 
     Attributes
     ----------
     base_y, base_slope : float
-        Deflection (mm) and slope of the base in C since contact.
-    guide_distance : float or None
-        A clamping guide this far (mm) before the entry, on the insertion axis; the shaft behind it
-        carries nothing. None: the base alone holds the needle.
+        Deflection (mm) and slope of the base in C, apart from what the stage axis adds.
+    stage_slope : float
+        Slope in C of the axis along which the stage carries the base: at depth D the base stands at
+        y = base_y + stage_slope D.
+    guides : tuple of Guide
+    tip : TrackedTip or None
     """
 
     base_y: float = 0.0
     base_slope: float = 0.0
-    guide_distance: float | None = None
+    stage_slope: float = 0.0
+    guides: tuple[Guide, ...] = ()
+    tip: TrackedTip | None = None
 
     def __post_init__(self) -> None:
-        if self.guide_distance is not None and (self.base_y or self.base_slope):
+        if not all(map(math.isfinite, (self.base_y, self.base_slope, self.stage_slope))):
             raise ModelError(
-                "a base moved behind a clamping guide does not reach the tissue",
-                expected="base_y and base_slope 0 where there is a guide",
-                mend="leave out the guide, or the base's motion",
+                f"base is at {self.base_y} mm, slope {self.base_slope}, on a stage of slope "
+                f"{self.stage_slope}",
+                expected="finite numbers",
             )
-        if self.guide_distance is not None and not (
-            math.isfinite(self.guide_distance) and self.guide_distance > 0
-        ):
-            raise ModelError(
-                f"guide_distance is {self.guide_distance} mm", expected="a positive, finite number"
-            )
+        ordered = tuple(sorted(self.guides, key=lambda guide: guide.x))
+        if any(a.x == b.x for a, b in pairwise(ordered)):
+            raise ModelError("two guides stand at the same x", expected="guides at different x")
+        object.__setattr__(self, "guides", ordered)
 
-    @classmethod
-    def from_record(cls, record: ControlsRecord) -> Self:
-        """Return the controls that a checked record describes (degrees become slopes)."""
-        return cls(record.base_y_mm, math.tan(math.radians(record.base_slope_deg)), record.guide_distance_mm)
+    @property
+    def before(self) -> tuple[Guide, ...]:
+        """The guides before the tissue, from the base inwards."""
+        return tuple(guide for guide in self.guides if not guide.in_tissue)
+
+    @property
+    def within(self) -> tuple[Guide, ...]:
+        """The guides in the tissue, from the entry inwards."""
+        return tuple(guide for guide in self.guides if guide.in_tissue)
+
+
+@dataclass(frozen=True)
+class Step:
+    """One stretch of an insertion: the tip goes to `depth` (mm) while the inputs stay as they are.
+
+    A depth below the one before is a retraction, the same depth a mere change of the inputs.
+    """
+
+    depth: float
+    bevel: Bevel
+    controls: Controls = Controls()
+
+    def __post_init__(self) -> None:
+        if not (math.isfinite(self.depth) and self.depth >= 0):
+            raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
 
 
 @dataclass(frozen=True)

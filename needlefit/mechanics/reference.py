@@ -5,19 +5,20 @@ ties the two.
 """
 
 import math
-from itertools import pairwise
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.control import Bevel, Controls, Rules, Step
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice, Stop, lattice_of, plan
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import check_reach
 from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
 
 
 def simulate(
@@ -28,45 +29,78 @@ def simulate(
     controls: Controls = Controls(),
     rules: Rules = Rules(),
 ) -> NeedleShape:
-    """Section 4: push the tip from one constraint point to the next; arguments as in `mechanics.simulate`."""
-    check_reach(needle, depth, controls)
-    L, C_int = needle.length, rules.spacing
-    x_c = constraint_depths(depth, C_int)
-    c = np.zeros_like(x_c)
-    x_guide = -math.inf if controls.guide_distance is None else -controls.guide_distance
-    free = min(L, -x_guide)  # at first contact
-    u_tip, slope_tip = controls.base_y + controls.base_slope * free, controls.base_slope
-    track = [(u_tip, slope_tip)]
+    """Section 4: insert the needle under constant inputs; arguments as in `mechanics.simulate`."""
+    return follow(needle, tissue, (Step(depth, bevel, controls),), rules)
+
+
+def follow(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: Rules = Rules(),
+    lattice: Lattice | None = None,
+) -> NeedleShape:
+    """Section 4: bring the tip from one stop to the next; arguments as in `mechanics.follow`."""
+    lattice = lattice or lattice_of(steps, rules)
+    C_int = rules.spacing
+    c: dict[int, float] = {0: 0.0}  # y of the constraint points, by their number
+    rays: dict[int, tuple[float, float, float]] = {}  # where each ray begins: x, y and slope of the tip
+    track: dict[int, tuple[float, float]] = {}
+    x_tip = u_tip = slope_tip = 0.0
     iterations = 0
-    for m in range(1, len(x_c)):
-        # c_m = u_tip + (x_m - x_{m-1}) (u'_tip + s b / C_int): along the tangent, turned by the bevel
-        c[m] = u_tip + (x_c[m] - x_c[m - 1]) * (slope_tip + bevel.side * bevel.offset / C_int)
-        nodes = mesh(x_c[: m + 1], rules.element, max(x_c[m] - L, x_guide))
-        guess = np.zeros(2 * len(nodes))
-        u, used = equilibrium(
-            needle, tissue, nodes, np.column_stack((x_c, c))[: m + 1], guess, controls, rules
-        )
+    for stop in plan(steps, lattice, needle.length):
+        if stop.opens:
+            rays[stop.ray] = x_tip, u_tip, slope_tip
+        if stop.cell > 0:
+            # c_m = u_tip + (x_m - x_tip) (u'_tip + s b / C_int): along the tangent, turned by the bevel
+            x_0, u_0, slope_0 = rays[stop.ray]
+            bevel = steps[stop.cut].bevel
+            c[stop.cell] = u_0 + (stop.tip - x_0) * (slope_0 + bevel.side * bevel.offset / C_int)
+        x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
+        points = np.column_stack((x_c, [c[m] for m in range(stop.cell + 1)]))
+        nodes, u, held = mesh(stop, steps[stop.held].controls, lattice, needle.length, rules.element)
+        u, used = equilibrium(needle, tissue, nodes, points, u, held, rules)
         iterations += used
-        u_tip, slope_tip = u[-2], u[-1]
-        track.append((u_tip, slope_tip))
-    return NeedleShape(
-        nodes, u[0::2], u[1::2], np.column_stack((x_c, c)), np.array(track), "converged", iterations
-    )
+        x_tip, u_tip, slope_tip = stop.tip, float(u[-2]), float(u[-1])
+        track[stop.cell] = u_tip, slope_tip
+    tips = np.array([track[m] for m in range(stop.cell + 1)])
+    return NeedleShape(nodes, u[0::2], u[1::2], points, tips, "converged", iterations)
 
 
-def constraint_depths(depth: float, spacing: float) -> Floats:
-    """Section 4: 0, then every C_int back from D, so that x_1 is the remainder, or C_int where that is 0."""
-    cells = max(1, math.ceil(depth / spacing - 1e-9))
-    return np.concatenate(([0.0], depth - spacing * np.arange(cells - 1, -1, -1)))
+def mesh(
+    stop: Stop, controls: Controls, lattice: Lattice, L: float, h: float
+) -> tuple[Floats, Floats, Bools]:
+    """Sections 3 and 4: the nodes of one stop, and what is prescribed there.
 
+    Base and guides; the entry; every h, fixed in the tissue; the tip. Very short elements ruin the
+    conditioning: the entry gets no node when the next one is nearer than h / 2, nor does a place nearer
+    than h / 2 to the tip or h / 4 to a guide in the tissue, which holds once the tip is h / 4 past it.
 
-def mesh(x_c: Floats, h: float, x_base: float) -> Floats:
-    """Section 4: the base, the entry unless the next node is too near, then every h back from x_c."""
-    inserted = {x_c[1] - j * h for j in range(math.ceil(x_c[1] / h - 1e-9))}
-    for a, b in pairwise(x_c[1:]):
-        inserted |= {b - j * h for j in range(round((b - a) / h))}
-    entry = [0.0] if min(inserted) >= 0.5 * h else []
-    return np.array([x_base, *entry, *sorted(inserted)])
+    Returns
+    -------
+    nodes : (N,) array
+    u : (2 N,) array
+        Deflection and slope of every node: what is prescribed, else 0.
+    held : (2 N,) array
+        Which of them are prescribed.
+    """
+    tip = stop.tip
+    within = [guide for guide in controls.within if guide.x <= tip - h / 4]
+    least = lattice.first_cell - h * (math.ceil(lattice.first_cell / h - 1e-9) - 1)  # in (0, h]
+    fixed = [x for x in least + h * np.arange(math.ceil(tip / h)) if x <= tip - h / 2 + 1e-9]
+    fixed = [x for x in fixed if all(abs(x - guide.x) >= h / 4 for guide in within)]
+    inserted = sorted([*fixed, *(guide.x for guide in within), tip])
+    entry = [0.0] if inserted[0] >= h / 2 - 1e-9 * h else []
+    nodes = [tip - L, *(guide.x for guide in controls.before), *entry, *inserted]
+
+    u, held = np.zeros((len(nodes), 2)), np.zeros((len(nodes), 2), dtype=bool)
+    base = (0, controls.base_y + controls.stage_slope * tip, controls.base_slope)
+    guides = [(nodes.index(guide.x), guide.y, guide.slope) for guide in (*controls.before, *within)]
+    tracked = [] if controls.tip is None else [(len(nodes) - 1, controls.tip.y, controls.tip.slope)]
+    for node, y, slope in (base, *guides, *tracked):
+        u[node] = y, slope or 0.0
+        held[node] = True, slope is not None
+    return np.array(nodes), u.ravel(), held.ravel()
 
 
 def equilibrium(
@@ -75,12 +109,12 @@ def equilibrium(
     nodes: Floats,
     constraints: Floats,
     u: Floats,
-    controls: Controls,
+    held: Bools,
     rules: Rules,
 ) -> tuple[Floats, int]:
     """Section 3: find u with int EI u'' v'' + sum_i int k_i(lambda) e g v = 0 for all v, by Newton's method.
 
-    `u` (2 N,) holds deflection and slope of every node; the base's two are prescribed.
+    `u` (2 N,) is a guess of deflection and slope of every node, true where they are `held`.
     """
     K_b = bending_stiffness(nodes, needle.flexural_rigidity)
     x_q, w_q = quadrature(nodes, constraints[:, 0], tissue.boundaries)
@@ -89,7 +123,7 @@ def equilibrium(
     nearest = np.argmin(np.abs(x_q[:, None] - constraints[:, 0]), axis=1)
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
     u = u.copy()
-    u[:2] = controls.base_y, controls.base_slope
+    free = ~held
     before = math.inf
     for iteration in range(rules.max_iterations):
         e = N @ u - constraints[nearest, 1]
@@ -101,8 +135,9 @@ def equilibrium(
         kt = k - np.abs(e) / t * dk  # d(k e)/de
         residual = K_b @ u + N.T @ (w_q * k * e * g)
         tangent = K_b + N.T @ ((w_q * kt * g)[:, None] * N) + N.T @ ((w_q * k * e * dg)[:, None] * dN)
-        step = np.linalg.solve(tangent[2:, 2:], -residual[2:])
-        u[2:] += step
+        step = np.zeros_like(u)
+        step[free] = np.linalg.solve(tangent[np.ix_(free, free)], -residual[free])
+        u += step
         change = np.max(np.abs(step[0::2]))
         if np.any(np.abs(e) >= t) and change < rules.tolerance:
             raise ArithmeticError("tissue is compressed to nothing")

@@ -7,10 +7,10 @@ from typing import Self
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.scene import EntryRecord, SceneRecord
+from needlefit.project.records.scene import ControlsRecord, EntryRecord, SceneRecord
 
 Floats = NDArray[np.float64]
 
@@ -63,7 +63,13 @@ class Scene:
             tissue=Tissue.from_records(record.layers, record.law),
             bevel=Bevel.from_record(record.bevel),
             depth=record.depth_mm,
-            controls=Controls.from_record(record.controls),
+            controls=_controls(record.controls),
             rules=Rules.from_record(record.rules),
             entry=Entry.from_record(record.entry),
         )
+
+
+def _controls(record: ControlsRecord) -> Controls:
+    """Return the controls that a checked record describes (degrees become slopes)."""
+    guides = () if record.guide_distance_mm is None else (Guide(-record.guide_distance_mm),)
+    return Controls(record.base_y_mm, math.tan(math.radians(record.base_slope_deg)), guides=guides)

@@ -1,23 +1,29 @@
-"""The model as a pure function: needle, tissue, bevel, depth -> shape."""
+"""The model as pure functions: needle, tissue and inputs -> shape."""
 
 import math
+from collections.abc import Sequence
+from functools import lru_cache
+from itertools import groupby
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
-from needlefit.mechanics.kernel.grid import Grid, build_grid, constraint_depths
-from needlefit.mechanics.kernel.scalar import CONVERGED, Beam, Newton, equilibrate, insert, regular_shapes
+from needlefit.mechanics.kernel.grid import build_grid, constraint_depths, node_depths
+from needlefit.mechanics.kernel.scalar import CONVERGED, Newton, equilibrate
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice, Move, Stop, check_reach, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
 
-_STATUS: tuple[Status, ...] = ("converged", "over-compressed", "not converged", "non-finite")
+STATUS: tuple[Status, ...] = ("converged", "over-compressed", "not converged", "non-finite")
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_RULES = Rules()
 
@@ -30,7 +36,7 @@ def simulate(
     controls: Controls = _DEFAULT_CONTROLS,
     rules: Rules = _DEFAULT_RULES,
 ) -> NeedleShape:
-    """Insert the needle to `depth` (mm of inserted arc length) and return its shape in C.
+    """Insert the needle to `depth` (mm of inserted arc length) under constant inputs; return its shape in C.
 
     The same model as `mechanics.reference.simulate`, compiled.
 
@@ -42,18 +48,55 @@ def simulate(
     Raises
     ------
     ModelError
-        If the needle is too short for the depth or the guide.
+        If the needle is too short for the depth or the guides.
     """
-    check_reach(needle, depth, controls)
-    depths = constraint_depths(float(depth), rules.spacing)
-    beam, foundation, grid = compile_inputs(needle, tissue, depths, controls, rules)
-    turn = bevel.side * bevel.offset / rules.spacing
+    if not (math.isfinite(depth) and depth > 0):
+        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
+    return follow(needle, tissue, (Step(float(depth), bevel, controls),), rules)
+
+
+def follow(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: Rules = _DEFAULT_RULES,
+    lattice: Lattice | None = None,
+) -> NeedleShape:
+    """Lead the needle through `steps`, insertions and retractions, and return its last shape in C.
+
+    Parameters
+    ----------
+    needle : Needle
+    tissue : Tissue
+    steps : sequence of Step
+    rules : Rules
+    lattice : Lattice, optional
+        Where constraint points lie; by default so that the last step ends on one.
+
+    Returns
+    -------
+    NeedleShape
+
+    Raises
+    ------
+    ModelError
+        If there are no steps, or the needle is too short for one of them.
+    """
+    lattice = lattice or lattice_of(steps, rules)
+    moves = moves_of(steps, needle.length)
+    under_way = begin(needle, tissue, steps, lattice, rules)
+    foundation = compile_tissue(tissue)
     newton = Newton(rules.tolerance, rules.max_iterations)
-    state, y, track, status, iterations = insert(beam, foundation, grid, depths, turn, newton)
-    return NeedleShape(
-        _node_depths(beam, grid), state[:, 0], state[:, 1], np.column_stack((depths, y)), track,
-        _STATUS[status], iterations,
-    )  # fmt: skip
+    turns = np.array([step.bevel.side * step.bevel.offset / rules.spacing for step in steps])
+    status, iterations = CONVERGED, 0
+    for held, stops, cut in packed(moves, lattice):
+        stops = stops._replace(turn=turns[cut])
+        holds = compile_controls(steps[held].controls)
+        status, used, _ = kernel.advance(under_way, foundation, holds, stops, newton)
+        iterations += used
+        if status != CONVERGED:
+            break
+    return read(under_way, stops_of(moves, lattice)[-1], status, iterations)
 
 
 def equilibrium(
@@ -68,54 +111,91 @@ def equilibrium(
     Parameters
     ----------
     constraints : (M + 1, 2) array
-        Depth (from 0, increasing, the last under the tip) and y of the points, mm.
+        Depth (from 0, increasing, the last under the tip) and y of the points, mm; the mesh starts from
+        the depth of point 1.
     """
-    constraints = np.ascontiguousarray(constraints, dtype=np.float64)
-    check_reach(needle, float(constraints[-1, 0]), controls)
-    depths, y = constraints[:, 0].copy(), constraints[:, 1].copy()
-    beam, foundation, grid = compile_inputs(needle, tissue, depths, controls, rules)
-    state = np.zeros((len(grid.nodes) + 1, 2))
-    last = len(depths) - 1
+    depths, y = np.ascontiguousarray(np.asarray(constraints, dtype=np.float64).T)
+    depth = float(depths[-1])
+    if not depth > 0:
+        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
+    check_reach(needle.length, depth, controls)
+    holds = compile_controls(controls)
+    within = np.array([guide.x for guide in controls.within if guide.x <= depth - 0.25 * rules.element])
+    grid = build_grid(depths, tissue.boundaries, node_depths(depth, depths[1], rules.element, within))
+    last = len(grid.nodes) - 1
+    chain = kernel.hold(holds, grid, last, depth, needle.length, needle.flexural_rigidity)
+    state = np.where(chain.kind[:, None] > [0, 1], chain.value, 0.0)
     newton = Newton(rules.tolerance, rules.max_iterations)
-    status, iterations = equilibrate(state, beam, foundation, grid, regular_shapes(grid), y, last, newton)
+    status, iterations = equilibrate(state, chain, compile_tissue(tissue), grid, y, last, newton)
     if status != CONVERGED:
         state[:] = np.nan
-    return NeedleShape(
-        _node_depths(beam, grid),
-        state[:, 0],
-        state[:, 1],
-        constraints,
-        state[-1:],
-        _STATUS[status],
-        iterations,
+    nodes = np.concatenate((chain.front, grid.nodes))
+    points = np.column_stack((depths, y))
+    return NeedleShape(nodes, state[:, 0], state[:, 1], points, state[-1:], STATUS[status], iterations)
+
+
+def begin(
+    needle: Needle, tissue: Tissue, steps: Sequence[Step], lattice: Lattice, rules: Rules
+) -> kernel.Insertion:
+    """Return the needle before first contact, with room for all steps."""
+    deepest = max(step.depth for step in steps)
+    guides = max(len(step.controls.guides) for step in steps)
+    rays = lattice.cell(deepest) + len(steps) + 1
+    return kernel.begin(
+        needle.flexural_rigidity, needle.length, lattice.first_cell, lattice.spacing, rules.element,
+        tissue.boundaries, deepest, guides, rays,
+    )  # fmt: skip
+
+
+def compile_tissue(tissue: Tissue) -> Foundation:
+    """Return the tissue as the kernel reads it."""
+    coefficients, exponents = laws.power_terms(tissue.law, tissue.alpha)
+    return make_foundation(tissue.mu, coefficients, exponents, tissue.thickness, tissue.friction)
+
+
+def compile_controls(controls: Controls) -> kernel.Holds:
+    """Return the inputs as the kernel reads them."""
+    tip = controls.tip
+    return kernel.Holds(
+        np.array([controls.base_y, controls.base_slope, controls.stage_slope]),
+        _places(controls.before),
+        _places(controls.within),
+        np.array([np.nan, np.nan] if tip is None else [tip.y, _or_nan(tip.slope)]),
     )
 
 
-def check_reach(needle: Needle, depth: float, controls: Controls) -> None:
-    """Raise ModelError unless the needle reaches `depth` with its base still before guide and tissue."""
-    if not (math.isfinite(depth) and depth > 0):
-        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
-    before = controls.guide_distance or 0.0
-    if depth + before >= needle.length:
-        raise ModelError(
-            f"a needle of {needle.length:g} mm cannot be inserted {depth:g} mm"
-            + (f" through a guide {before:g} mm before the tissue" if before else ""),
-            expected=f"a depth below {needle.length - before:g} mm",
-            mend="lessen the depth, or give the needle's true length",
-        )
+def _places(guides: tuple[Guide, ...]) -> Floats:
+    return np.array([(guide.x, guide.y, _or_nan(guide.slope)) for guide in guides]).reshape(-1, 3)
 
 
-def compile_inputs(
-    needle: Needle, tissue: Tissue, depths: Floats, controls: Controls, rules: Rules
-) -> tuple[Beam, Foundation, Grid]:
-    """Return the nouns as the kernel reads them."""
-    reach = math.inf if controls.guide_distance is None else controls.guide_distance
-    beam = Beam(needle.flexural_rigidity, needle.length, reach, controls.base_y, controls.base_slope)
-    coefficients, exponents = laws.power_terms(tissue.law, tissue.alpha)
-    foundation = make_foundation(tissue.mu, coefficients, exponents, tissue.thickness, tissue.friction)
-    return beam, foundation, build_grid(depths, tissue.boundaries, rules.element)
+def _or_nan(slope: float | None) -> float:
+    return math.nan if slope is None else slope
 
 
-def _node_depths(beam: Beam, grid: Grid) -> Floats:
-    held = max(float(grid.nodes[-1]) - beam.length, -beam.reach)
-    return np.concatenate(([held], grid.nodes))
+@lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
+def packed(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, kernel.Stops, Ints], ...]:
+    """Return the stops of all moves in groups under the same inputs: whose, the stops, and whose bevels."""
+    groups = []
+    for held, some in groupby(stops_of(moves, lattice), key=lambda stop: stop.held):
+        stops, cut = pack(tuple(some))
+        groups.append((held, stops, cut))
+    return tuple(groups)
+
+
+def pack(stops: Sequence[Stop]) -> tuple[kernel.Stops, Ints]:
+    """Return stops as the kernel reads them, their turn left open, and the names of their bevels."""
+    columns = zip(*((s.tip, s.cell, s.permanent, s.ray, s.opens, s.cut) for s in stops), strict=True)
+    tip, cell, permanent, ray, opens, cut = (np.array(column) for column in columns)
+    return kernel.Stops(tip, cell, permanent, ray, opens, np.empty(0)), cut
+
+
+def read(under_way: kernel.Insertion, stop: Stop, status: int, iterations: int) -> NeedleShape:
+    """Return the needle's shape at a stop; NaN where the solution failed on the way there."""
+    size = int(under_way.size[0])
+    nodes, state = under_way.nodes[:size].copy(), under_way.state[:size].copy()
+    x = constraint_depths(stop.tip, stop.cell, under_way.first_cell, under_way.spacing)
+    points = np.column_stack((x, under_way.y[: stop.cell + 1]))
+    track = under_way.track[: stop.cell + 1].copy()
+    if status != CONVERGED:
+        state[:] = np.nan
+    return NeedleShape(nodes, state[:, 0], state[:, 1], points, track, STATUS[status], iterations)

@@ -23,6 +23,7 @@ class Foundation(NamedTuple):
     series: Floats  # (n, TERMS) of k in the deflection |e|, MPa / mm^j
     limit: Floats  # (n,) the |e| up to which the series is used, mm
     rough: bool  # whether any layer has friction
+    curvature: float  # a Newton step leaves at most about this times its increment squared, 1 / mm
 
 
 @njit(cache=True)
@@ -44,7 +45,11 @@ def make_foundation(
         ratio = 2.0 * left_out / (TRUNCATION * series[i, 0])
         limit[i] = min(0.02 * thickness[i], ratio ** (-1.0 / TERMS)) if ratio > 0.0 else 0.02 * thickness[i]
     rough = bool(np.any(friction > 0.0))
-    return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough)
+    # half the second derivative of k e over its first, as far as the series goes; fourfold, for the lever
+    # of a needle that reaches beyond its stiffest layer
+    bend = np.abs(series[:, 1]) + 3.0 * np.abs(series[:, 2]) * limit
+    curvature = 4.0 * np.max(bend / series[:, 0])
+    return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough, curvature)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -1,4 +1,4 @@
-"""What is fixed in the tissue during one insertion: nodes, constraint depths, split quadrature."""
+"""What one stop finds in the tissue: nodes, constraint depths, split quadrature."""
 
 from typing import NamedTuple
 
@@ -6,94 +6,130 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from needlefit.mechanics.kernel.hermite import hermite
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 GAUSS = 0.5 / np.sqrt(3.0)  # two Gauss points stand at 1/2 -+ this, in fractions of an interval
+SLACK = 1e-9  # mm and cells; depths nearer than this are the same
 
 
 class Grid(NamedTuple):
-    """Element e ends at node e; element 0 is the free span with the part of the needle before node 0.
+    """Element e ends at node e; element 0 reaches from the last node before the tissue to node 0.
 
     Quadrature points are sorted by depth; those of element e are `first[e]` to `first[e + 1]`.
     """
 
     nodes: Floats  # (N,) depth of the nodes, tip last
-    tip_node: Ints  # (M + 1,) node of each constraint point (constraint 0: -1 where there is no entry node)
     first: Ints  # (N + 1,) first quadrature point of each element
     x: Floats  # (Q,) depth of the quadrature points
     weight: Floats  # (Q,)
     layer: Ints  # (Q,)
     constraint: Ints  # (Q,) index of the nearest constraint point
+    shapes: Floats  # (Q, 8) cubic functions and their slopes; element 0's rows are for the solver to fill
 
 
-@njit(cache=True)
-def constraint_depths(depth: float, spacing: float) -> Floats:
-    """Return 0, the first, shorter cell, then one constraint every `spacing`, the last at `depth`."""
-    cells = max(1, int(np.ceil(depth / spacing - 1e-9)))
-    x = np.empty(cells + 1)
+@njit(cache=True, nogil=True)
+def cell_of(depth: float, first_cell: float, spacing: float) -> int:
+    """Return the number of the constraint point at `depth`, or of the next one deeper."""
+    if depth <= SLACK:
+        return 0
+    return 1 + max(0, int(np.ceil((depth - first_cell - SLACK) / spacing)))
+
+
+@njit(cache=True, nogil=True)
+def constraint_depths(tip: float, cell: int, first_cell: float, spacing: float) -> Floats:
+    """Return the depths (cell + 1,) of the constraint points behind the tip and of the one under it."""
+    x = np.empty(cell + 1)
     x[0] = 0.0
-    for m in range(1, cells + 1):
-        x[m] = depth - (cells - m) * spacing
+    for m in range(1, cell):
+        x[m] = first_cell + (m - 1) * spacing
+    x[cell] = tip
     return x
 
 
-@njit(cache=True)
-def build_grid(constraints: Floats, boundaries: Floats, element: float) -> Grid:
-    """Return nodes and quadrature for constraint depths (M + 1,) and layer boundaries (n - 1,).
+@njit(cache=True, nogil=True)
+def node_depths(tip: float, first_cell: float, element: float, within: Floats) -> Floats:
+    """Return the nodes in the tissue of a tip at `tip`; `within` (G,) are the guides that hold there.
+
+    Nodes stand every `element` before and after x_1. Short elements ruin the conditioning: a node is left
+    out that is nearer than half an element to the tip or a quarter to a guide, and so is the entry when
+    the first one after it is nearer than half an element.
+    """
+    start = first_cell - element * (np.ceil(first_cell / element - SLACK) - 1.0)
+    capacity = int(np.ceil(max(tip - start, 0.0) / element)) + 3 + len(within)
+    nodes = np.empty(capacity)
+    count = 1  # room for the entry
+    guide = 0
+    i = 0
+    while True:
+        x = start + i * element
+        if x > tip - 0.5 * element + SLACK:
+            break
+        i += 1
+        while guide < len(within) and within[guide] < x:
+            nodes[count] = within[guide]
+            count += 1
+            guide += 1
+        near = (guide < len(within) and within[guide] - x < 0.25 * element) or (
+            guide > 0 and x - within[guide - 1] < 0.25 * element
+        )
+        if not near:
+            nodes[count] = x
+            count += 1
+    while guide < len(within):
+        nodes[count] = within[guide]
+        count += 1
+        guide += 1
+    nodes[count] = tip
+    count += 1
+    if nodes[1] >= (0.5 - SLACK) * element:
+        nodes[0] = 0.0
+        return nodes[:count].copy()
+    return nodes[1:count].copy()
+
+
+@njit(cache=True, nogil=True)
+def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats) -> Grid:
+    """Return the quadrature for constraint depths (M + 1,), layer boundaries (n - 1,) and nodes (N,).
 
     Every interval of quadrature lies in one element, one layer, and nearest to one constraint point.
     """
-    nodes, tip_node = _nodes(constraints, element)
-    middles = 0.5 * (constraints[:-1] + constraints[1:])
-    inside = boundaries[(boundaries > 0.0) & (boundaries < constraints[-1])]
-    edges = np.sort(np.concatenate((np.zeros(1), nodes, middles, inside)))
-    first = np.zeros(len(nodes) + 1, np.int64)
-    capacity = 2 * (len(edges) - 1)
+    count, layers, cells = len(nodes), len(boundaries), len(constraints)
+    capacity = 2 * (count + layers + cells)
     x, weight = np.empty(capacity), np.empty(capacity)
     layer, nearest = np.empty(capacity, np.int64), np.empty(capacity, np.int64)
-    points = 0
-    for i in range(len(edges) - 1):
-        length = edges[i + 1] - edges[i]
-        if length <= 0.0:
-            continue
-        middle = 0.5 * (edges[i] + edges[i + 1])
-        here = np.searchsorted(boundaries, middle)
-        closest = np.searchsorted(middles, middle)
-        for side in (-1.0, 1.0):
-            x[points] = middle + side * GAUSS * length
-            weight[points] = 0.5 * length
-            layer[points] = here
-            nearest[points] = closest
-            points += 1
-        first[np.searchsorted(nodes, middle) + 1] = points
-    for e in range(len(nodes)):  # an element without points begins where the one before it ends
-        first[e + 1] = max(first[e + 1], first[e])
-    return Grid(nodes, tip_node, first, x[:points], weight[:points], layer[:points], nearest[:points])
-
-
-@njit(cache=True)
-def _nodes(constraints: Floats, element: float) -> tuple[Floats, Ints]:
-    """Return node depths and the node of each constraint point.
-
-    Nodes stand every `element` back from each constraint point. The entry has a node unless the one
-    after it is nearer than half an element: very short elements ruin the conditioning.
-    """
-    first_cell = constraints[1]
-    short = int(np.ceil(first_cell / element - 1e-9))  # nodes in the first cell, its end included
-    entry = first_cell - (short - 1) * element >= 0.5 * element
-    cells = len(constraints) - 1
-    per_cell = round((constraints[-1] - first_cell) / element / max(cells - 1, 1)) if cells > 1 else 0
-    nodes = np.empty(int(entry) + short + (cells - 1) * per_cell)
-    tip_node = np.empty(cells + 1, np.int64)
-    tip_node[0] = int(entry) - 1
-    if entry:
-        nodes[0] = 0.0
-    last = tip_node[0]
-    for m in range(1, cells + 1):
-        count = short if m == 1 else per_cell
-        for j in range(count):
-            nodes[last + 1 + j] = constraints[m] - (count - 1 - j) * element
-        last += count
-        tip_node[m] = last
-    return nodes, tip_node
+    first = np.zeros(count + 1, np.int64)
+    points = here = closest = element = 0
+    while element < count and nodes[element] <= 0.0:  # an entry node ends an element that has no tissue
+        element += 1
+    while here < layers and boundaries[here] <= 0.0:
+        here += 1
+    a = 0.0
+    while element < count:
+        middle = 0.5 * (constraints[closest] + constraints[closest + 1]) if closest + 1 < cells else np.inf
+        b = min(nodes[element], middle)
+        if here < layers:
+            b = min(b, boundaries[here])
+        length = b - a
+        if length > 0.0:
+            for side in (-1.0, 1.0):
+                x[points] = 0.5 * (a + b) + side * GAUSS * length
+                weight[points] = 0.5 * length
+                layer[points] = here
+                nearest[points] = closest
+                points += 1
+        a = b
+        if b >= middle:
+            closest += 1
+        if here < layers and b >= boundaries[here]:
+            here += 1
+        if b >= nodes[element]:
+            element += 1
+            first[element] = points
+    shapes = np.empty((points, 8))
+    for e in range(1, count):
+        for q in range(first[e], first[e + 1]):
+            hermite(shapes[q], x[q] - nodes[e - 1], nodes[e] - nodes[e - 1])
+    return Grid(nodes, first, x[:points], weight[:points], layer[:points], nearest[:points], shapes)

@@ -1,0 +1,217 @@
+"""From steps to stops: where the tip halts, which ray cut its way there, which inputs hold the needle.
+
+Which equilibria an insertion asks for depends on depths and on where inputs change, never on the solution.
+They are therefore written down beforehand as a straight list of stops, and whatever solves them (the
+reference, the compiled kernel, its lanes, the sensitivities, a session) follows the same list.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Controls, Rules, Step
+
+NEAR = 1e-9
+"""Two depths nearer than this are the same, mm."""
+
+
+@dataclass(frozen=True)
+class Move:
+    """A step, as far as the plan needs it: the depth it leads to (mm), and names for its inputs."""
+
+    depth: float
+    cut: int  # names the bevel
+    held: int  # names the controls
+
+
+@dataclass(frozen=True)
+class Stop:
+    """One equilibrium of an insertion.
+
+    Attributes
+    ----------
+    tip : float
+        Depth of the tip, mm.
+    cell : int
+        m, the number of the constraint point under the tip: 0 ... m - 1 lie behind it. 0: the tip stands
+        at the entry, in no tissue, and there is no ray.
+    permanent : bool
+        Whether that point belongs to the lattice of constraint points, or only goes with the tip.
+    ray : int
+        Number of the ray that leads here, counted from the entry.
+    opens : bool
+        Whether that ray begins where the tip stood at the stop before, along its tangent there.
+    cut : int
+        Names the bevel that cuts, or cut, the ray.
+    held : int
+        Names the controls that hold the needle.
+    """
+
+    tip: float
+    cell: int
+    permanent: bool
+    ray: int
+    opens: bool
+    cut: int
+    held: int
+
+
+@dataclass(frozen=True)
+class Ray:
+    """The way that the tip cuts from `start` (mm) on, and the inputs under which it was begun."""
+
+    start: float
+    cut: int
+    held: int
+
+
+@dataclass(frozen=True)
+class Lattice:
+    """The constraint points that an insertion can have.
+
+    Attributes
+    ----------
+    first_cell : float
+        x_1, mm; at most `spacing`.
+    spacing : float
+        C_int, mm.
+    """
+
+    first_cell: float
+    spacing: float
+
+    def __post_init__(self) -> None:
+        if not 0 < self.first_cell <= self.spacing * (1 + NEAR):
+            raise ModelError(
+                f"the first cell is {self.first_cell} mm",
+                expected=f"above 0, up to the constraint spacing of {self.spacing:g} mm",
+            )
+
+    @classmethod
+    def ending_at(cls, depth: float, spacing: float) -> "Lattice":
+        """Return the lattice with a constraint point at `depth`: the last cell is whole."""
+        cells = max(1, math.ceil(depth / spacing - NEAR))
+        return cls(depth - (cells - 1) * spacing, spacing)
+
+    def depth(self, m: int) -> float:
+        """Return x_m, mm."""
+        return 0.0 if m == 0 else self.first_cell + (m - 1) * self.spacing
+
+    def cell(self, depth: float) -> int:
+        """Return the number of the constraint point at `depth`, or of the next one deeper."""
+        if depth <= NEAR:
+            return 0
+        return 1 + max(0, math.ceil((depth - self.first_cell - NEAR) / self.spacing))
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where the tip stands, and the rays that led there.
+
+    Attributes
+    ----------
+    last : Stop or None
+        The stop at which the tip stands; None before first contact.
+    rays : tuple of Ray
+        From the entry to the tip.
+    move : Move or None
+        The move before, whose inputs the next one may change.
+    turned : bool
+        Whether inputs have changed since the tip came to this depth.
+    """
+
+    last: Stop | None = None
+    rays: tuple[Ray, ...] = ()
+    move: Move | None = None
+    turned: bool = False
+
+
+def advance(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[Stop]]:
+    """Return where a move leads, and its stops, the last of which stands at its depth under its inputs."""
+    rays = list(position.rays)
+    stops: list[Stop] = []
+
+    def halt(depth: float, *, opens: bool = False) -> Stop:
+        cell = lattice.cell(depth)
+        permanent = abs(lattice.depth(cell) - depth) <= NEAR
+        tip = lattice.depth(cell) if permanent else depth
+        cut = rays[-1].cut if rays else move.cut
+        stops.append(Stop(tip, cell, permanent, len(rays) - 1, opens, cut, move.held))
+        return stops[-1]
+
+    here = position.last or halt(0.0)
+    before = position.move or move
+    turned = position.turned or (before.cut, before.held) != (move.cut, move.held)
+    if move.depth > here.tip + NEAR:
+        # a cell goes on along its ray unless something has changed; at a constraint point a new cell begins
+        begins = here.permanent or turned or (rays[-1].cut, rays[-1].held) != (move.cut, move.held)
+        if begins and here.held != move.held:
+            halt(here.tip)
+        at = here.tip
+        while move.depth > at + NEAR:
+            if begins:
+                rays.append(Ray(at, move.cut, move.held))
+            at = halt(min(lattice.depth(lattice.cell(at + 2 * NEAR)), move.depth), opens=begins).tip
+            begins = True
+    elif move.depth < here.tip - NEAR:
+        while rays and rays[-1].start >= move.depth - NEAR:
+            rays.pop()
+        halt(move.depth)
+    elif here.held != move.held:
+        halt(here.tip)
+    moved = abs(move.depth - here.tip) > NEAR
+    return Position(stops[-1] if stops else here, tuple(rays), move, turned and not moved), stops
+
+
+def plan(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[Stop, ...]:
+    """Return the stops of all steps of a needle of `length` (mm), from first contact on.
+
+    Their `cut` and `held` are numbers: of the first step with that bevel, and with those controls.
+
+    Raises
+    ------
+    ModelError
+        If there are no steps, or the needle is too short for one of them.
+    """
+    return stops_of(moves_of(steps, length), lattice)
+
+
+def moves_of(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
+    """Return the steps as moves, once the needle of `length` (mm) is long enough for each of them."""
+    if not steps:
+        raise ModelError("an insertion without steps", expected="one step at least")
+    bevels, controls = [step.bevel for step in steps], [step.controls for step in steps]
+    for step in steps:
+        check_reach(length, step.depth, step.controls)
+    return tuple(Move(step.depth, bevels.index(step.bevel), controls.index(step.controls)) for step in steps)
+
+
+@lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
+def stops_of(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Stop, ...]:
+    """Return the stops of all moves, from first contact on."""
+    position, stops = Position(), list[Stop]()
+    for move in moves:
+        position, more = advance(position, move, lattice)
+        stops += more
+    return tuple(stops)
+
+
+def lattice_of(steps: Sequence[Step], rules: Rules) -> Lattice:
+    """Return the constraint points of a whole insertion: the tip ends on one of them."""
+    depth = steps[-1].depth if steps else 0.0
+    return Lattice.ending_at(depth, rules.spacing) if depth > NEAR else Lattice(rules.spacing, rules.spacing)
+
+
+def check_reach(length: float, depth: float, controls: Controls) -> None:
+    """Raise ModelError unless a needle of `length` reaches `depth` with its base before guides and tissue."""
+    guides = controls.before
+    before = -guides[0].x if guides else 0.0
+    if depth + before >= length:
+        raise ModelError(
+            f"a needle of {length:g} mm cannot be inserted {depth:g} mm"
+            + (f" through a guide {before:g} mm before the tissue" if guides else ""),
+            expected=f"a depth below {length - before:g} mm",
+            mend="lessen the depth, or give the needle's true length",
+        )
