@@ -14,7 +14,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
 from needlefit.mechanics.kernel.grid import build_grid, constraint_depths, node_depths
-from needlefit.mechanics.kernel.scalar import CONVERGED, Newton, equilibrate
+from needlefit.mechanics.kernel.scalar import CONVERGED, WIDTH, Newton, equilibrate
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Move, Stop, check_reach, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape, Status
@@ -123,10 +123,15 @@ def equilibrium(
     within = np.array([guide.x for guide in controls.within if guide.x <= depth - 0.25 * rules.element])
     grid = build_grid(depths, tissue.boundaries, node_depths(depth, depths[1], rules.element, within))
     last = len(grid.nodes) - 1
-    chain = kernel.hold(holds, grid, last, depth, needle.length, needle.flexural_rigidity)
-    state = np.where(chain.kind[:, None] > [0, 1], chain.value, 0.0)
+    size = 1 + len(controls.before) + len(grid.nodes)
+    chain = kernel.begin_chain(holds, needle.flexural_rigidity, size)
+    kernel.hold(chain, holds, grid, last, depth, needle.length)
+    state, trial, factor = np.zeros((size, 2)), np.empty((size, 2)), np.empty((size, WIDTH))
+    kernel.start(state, chain, size)
     newton = Newton(rules.tolerance, rules.max_iterations)
-    status, iterations = equilibrate(state, chain, compile_tissue(tissue), grid, y, last, newton)
+    status, iterations = equilibrate(
+        state, chain, compile_tissue(tissue), grid, y, last, newton, trial, factor
+    )
     if status != CONVERGED:
         state[:] = np.nan
     nodes = np.concatenate((chain.front, grid.nodes))
@@ -192,7 +197,7 @@ def pack(stops: Sequence[Stop]) -> tuple[kernel.Stops, Ints]:
 def read(under_way: kernel.Insertion, stop: Stop, status: int, iterations: int) -> NeedleShape:
     """Return the needle's shape at a stop; NaN where the solution failed on the way there."""
     size = int(under_way.size[0])
-    nodes, state = under_way.nodes[:size].copy(), under_way.state[:size].copy()
+    nodes, state = under_way.nodes[:size].copy(), under_way.states[0, :size].copy()
     x = constraint_depths(stop.tip, stop.cell, under_way.first_cell, under_way.spacing)
     points = np.column_stack((x, under_way.y[: stop.cell + 1]))
     track = under_way.track[: stop.cell + 1].copy()

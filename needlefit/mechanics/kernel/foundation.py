@@ -48,7 +48,7 @@ def make_foundation(
     # half the second derivative of k e over its first, as far as the series goes; fourfold, for the lever
     # of a needle that reaches beyond its stiffest layer
     bend = np.abs(series[:, 1]) + 3.0 * np.abs(series[:, 2]) * limit
-    curvature = 4.0 * np.max(bend / series[:, 0])
+    curvature = 2.0 * np.max(bend / series[:, 0])
     return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough, curvature)
 
 

@@ -16,7 +16,16 @@ from needlefit.mechanics.kernel.grid import (
     node_depths,
 )
 from needlefit.mechanics.kernel.hermite import hermite
-from needlefit.mechanics.kernel.scalar import CLAMPED, CONVERGED, FREE, PINNED, Chain, Newton, equilibrate
+from needlefit.mechanics.kernel.scalar import (
+    CLAMPED,
+    CONVERGED,
+    FREE,
+    PINNED,
+    WIDTH,
+    Chain,
+    Newton,
+    equilibrate,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -58,8 +67,9 @@ class Insertion(NamedTuple):
     rays: Floats  # (R, 4) x, y, slope of the tip where each ray begins, and the bevel's turn
     tip: Floats  # (3,) x, y, slope of the tip now
     nodes: Floats  # (C,) depth of the chain's nodes now
-    state: Floats  # (C, 2) their deflection and slope
-    size: Ints  # (3,) nodes of the chain, those before the tissue, whether the rest are the main grid's
+    states: Floats  # (3, C, 2) their deflection and slope: now, one cell ago, and room for a third
+    size: Ints  # (4,) nodes of the chain, those before the tissue, whether the rest are the main grid's,
+    # and how many of them stood in the tissue one cell ago (0: there was no such stop)
 
 
 @njit(cache=True, nogil=True)
@@ -78,7 +88,7 @@ def begin(
     return Insertion(
         rigidity, length, first_cell, spacing, element, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
-        np.zeros(3), np.zeros(room), np.zeros((room, 2)), np.zeros(3, np.int64),
+        np.zeros(3), np.zeros(room), np.zeros((3, room, 2)), np.zeros(4, np.int64),
     )  # fmt: skip
 
 
@@ -91,64 +101,76 @@ def advance(
     Where a stop fails the needle's state is worthless.
     """
     iterations = 0
+    rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
+    room = states.shape[1]
+    chain = begin_chain(holds, insertion.rigidity, room)
+    trial, factor = np.empty((room, 2)), np.empty((room, WIDTH))
     for s in range(len(stops.tip)):
-        place(insertion, stops, s)
-        grid, last = grid_at(insertion, holds, stops, s)
-        chain = hold(holds, grid, last, stops.tip[s], insertion.length, insertion.rigidity)
-        carry(insertion, chain, grid, last, stops.permanent[s] and len(holds.within) == 0)
-        status, used = equilibrate(insertion.state, chain, foundation, grid, insertion.y, last, newton)
+        depth, cell, ray = stops.tip[s], stops.cell[s], stops.ray[s]
+        if stops.opens[s]:
+            rays[ray, 0], rays[ray, 1], rays[ray, 2], rays[ray, 3] = tip[0], tip[1], tip[2], stops.turn[s]
+        if cell > 0:
+            y[cell] = rays[ray, 1] + (depth - rays[ray, 0]) * (rays[ray, 2] + rays[ray, 3])
+        on_main = stops.permanent[s] and cell > 0 and len(holds.within) == 0
+        if on_main:
+            grid = insertion.main
+            last = np.searchsorted(grid.nodes, depth - SLACK)
+        else:
+            grid = grid_at(insertion, holds, depth, cell)
+            last = len(grid.nodes) - 1
+        hold(chain, holds, grid, last, depth, insertion.length)
+        bold = carry(insertion, chain, grid, last, on_main)
+        status, used = equilibrate(states[0], chain, foundation, grid, y, last, newton, trial, factor)
         iterations += used
+        if status != CONVERGED and bold:
+            go_straight(insertion, chain, grid)
+            status, used = equilibrate(states[0], chain, foundation, grid, y, last, newton, trial, factor)
+            iterations += used
         if status != CONVERGED:
             return status, iterations, s
-        settle(insertion, stops, s)
+        end = size[0] - 1
+        tip[0], tip[1], tip[2] = depth, states[0, end, 0], states[0, end, 1]
+        insertion.track[cell, 0], insertion.track[cell, 1] = tip[1], tip[2]
     return CONVERGED, iterations, len(stops.tip)
 
 
 @njit(cache=True, nogil=True)
-def place(insertion: Insertion, stops: Stops, s: int) -> None:
-    """Put the constraint point under the tip of stop `s` on its ray."""
-    if stops.opens[s]:
-        insertion.rays[stops.ray[s], :3] = insertion.tip
-        insertion.rays[stops.ray[s], 3] = stops.turn[s]
-    if stops.cell[s] > 0:
-        x, y, slope, turn = insertion.rays[stops.ray[s]]
-        insertion.y[stops.cell[s]] = y + (stops.tip[s] - x) * (slope + turn)
-
-
-@njit(cache=True, nogil=True)
-def grid_at(insertion: Insertion, holds: Holds, stops: Stops, s: int) -> tuple[Grid, int]:
-    """Return the grid of stop `s` and the number of the tip's node in it."""
-    tip, cell = stops.tip[s], stops.cell[s]
-    if stops.permanent[s] and cell > 0 and len(holds.within) == 0:
-        return insertion.main, np.searchsorted(insertion.main.nodes, tip - SLACK)
+def grid_at(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Grid:
+    """Return the grid of a tip that stands between constraint points, or of guides in the tissue."""
     active = holds.within[:, 0]
     active = active[active <= tip - 0.25 * insertion.element]
     nodes = node_depths(tip, insertion.first_cell, insertion.element, active)
     points = constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
-    return build_grid(points, insertion.boundaries, nodes), len(nodes) - 1
+    return build_grid(points, insertion.boundaries, nodes)
 
 
 @njit(cache=True, nogil=True)
-def hold(holds: Holds, grid: Grid, last: int, tip: float, length: float, rigidity: float) -> Chain:
-    """Return the chain of a tip at `tip`, with what is prescribed on it."""
+def begin_chain(holds: Holds, rigidity: float, room: int) -> Chain:
+    """Return a chain of up to `room` nodes on which base and guides before the tissue are prescribed."""
     before = 1 + len(holds.before)
-    front = np.empty(before)
-    front[0] = tip - length
-    front[1:] = holds.before[:, 0]
-    kind = np.zeros(before + last + 1, np.int64)
-    value = np.zeros((before + last + 1, 2))
+    front, kind, value = np.zeros(before), np.zeros(room, np.int64), np.zeros((room, 2))
     kind[0] = CLAMPED
-    value[0, 0] = holds.base[0] + holds.base[2] * tip
     value[0, 1] = holds.base[1]
     for i in range(1, before):
+        front[i] = holds.before[i - 1, 0]
         _prescribe(kind, value, i, holds.before[i - 1, 1], holds.before[i - 1, 2])
-    for i in range(len(holds.within)):
-        node = before + np.searchsorted(grid.nodes, holds.within[i, 0])
-        if node <= before + last and grid.nodes[node - before] == holds.within[i, 0]:
-            _prescribe(kind, value, node, holds.within[i, 1], holds.within[i, 2])
-    if not np.isnan(holds.tip[0]):
-        _prescribe(kind, value, before + last, holds.tip[0], holds.tip[1])
     return Chain(rigidity, front, kind, value)
+
+
+@njit(cache=True, nogil=True, inline="always")
+def hold(chain: Chain, holds: Holds, grid: Grid, last: int, tip: float, length: float) -> None:
+    """Prescribe what depends on where the tip stands: the base, guides in the tissue, the tip itself."""
+    before = len(chain.front)
+    chain.front[0] = tip - length
+    chain.value[0, 0] = holds.base[0] + holds.base[2] * tip
+    for i in range(before, before + last + 1):
+        chain.kind[i] = FREE
+    for i in range(len(holds.within)):
+        node = np.searchsorted(grid.nodes, holds.within[i, 0])
+        if node <= last and grid.nodes[node] == holds.within[i, 0]:
+            _prescribe(chain.kind, chain.value, before + node, holds.within[i, 1], holds.within[i, 2])
+    if not np.isnan(holds.tip[0]):
+        _prescribe(chain.kind, chain.value, before + last, holds.tip[0], holds.tip[1])
 
 
 @njit(cache=True, nogil=True)
@@ -160,32 +182,71 @@ def _prescribe(kind: Ints, value: Floats, node: int, y: float, slope: float) -> 
         kind[node] = CLAMPED
 
 
-@njit(cache=True, nogil=True)
-def carry(insertion: Insertion, chain: Chain, grid: Grid, last: int, on_main: bool) -> None:
-    """Guess the next stop: the shape as it is, straight on where the needle did not reach before."""
+@njit(cache=True, nogil=True, inline="always")
+def carry(insertion: Insertion, chain: Chain, grid: Grid, last: int, on_main: bool) -> bool:
+    """Guess the next stop from the shape as it is; return whether it was extrapolated from two stops."""
+    states, nodes, now = insertion.states, insertion.nodes, insertion.size
     before, size = len(chain.front), len(chain.front) + last + 1
-    state = insertion.state
-    old_size, old_before = insertion.size[0], insertion.size[1]
-    if on_main and insertion.size[2] == 1 and before == old_before:
-        for i in range(old_size, size):  # the nodes behind have not moved
-            ahead = grid.nodes[i - before] - insertion.tip[0]
-            state[i, 0] = insertion.tip[1] + ahead * insertion.tip[2]
-            state[i, 1] = insertion.tip[2]
-    elif old_size > 0:
-        old_nodes, old_state = insertion.nodes[:old_size].copy(), state[:old_size].copy()
+    old_size, known = now[0], now[3]
+    same = on_main and now[2] == 1 and before == now[1]  # the nodes behind have not moved
+    grown = size - old_size
+    if not same and old_size > 0:
+        old_nodes, old_state = nodes[:old_size].copy(), states[0, :old_size].copy()
         for i in range(size):
-            x = chain.front[i] if i < before else grid.nodes[i - before]
-            _read(old_nodes, old_state, x, state[i])
-    for i in range(before):
-        insertion.nodes[i] = chain.front[i]
-    for i in range(last + 1):
-        insertion.nodes[before + i] = grid.nodes[i]
+            _read(
+                old_nodes, old_state, chain.front[i] if i < before else grid.nodes[i - before], states[0, i]
+            )
+    now[0], now[1], now[2], now[3] = size, before, int(on_main), 0
+    nodes[0] = chain.front[0]
+    for i in range(max(old_size, 1) if same else 1, size):
+        nodes[i] = chain.front[i] if i < before else grid.nodes[i - before]
+    if not same or grown <= 0:
+        start(states[0], chain, size)
+        return False
+    now[3] = old_size
+    for i in range(old_size):
+        for j in range(2):
+            states[2, i, j] = states[1, i, j]
+            states[1, i, j] = states[0, i, j]
+    go_straight(insertion, chain, grid)
+    if grown != old_size - known or known < before + grown:
+        return False
+    # every node moves on as it moved, or as the node one cell behind it did, in the cell before
+    u, slope = states[2, known - 1, 0], states[2, known - 1, 1]
+    for i in range(before, size):
+        j = i if i < known else i - grown
+        if i < old_size:
+            states[0, i, 0] += states[1, j, 0] - states[2, j, 0]
+            states[0, i, 1] += states[1, j, 1] - states[2, j, 1]
+        else:
+            ahead = nodes[j] - nodes[known - 1]
+            states[0, i, 0] += states[1, j, 0] - (u + ahead * slope)
+            states[0, i, 1] += states[1, j, 1] - slope
+    start(states[0], chain, size)
+    return True
+
+
+@njit(cache=True, nogil=True)
+def go_straight(insertion: Insertion, chain: Chain, grid: Grid) -> None:
+    """Guess that the shape stays and goes on along the tip's tangent in its new cell."""
+    states, tip, old_size, before = insertion.states, insertion.tip, insertion.size[3], insertion.size[1]
+    for i in range(insertion.size[0]):
+        if i < old_size:
+            states[0, i, 0], states[0, i, 1] = states[1, i, 0], states[1, i, 1]
+        else:
+            states[0, i, 0] = tip[1] + (grid.nodes[i - before] - tip[0]) * tip[2]
+            states[0, i, 1] = tip[2]
+    start(states[0], chain, insertion.size[0])
+
+
+@njit(cache=True, nogil=True)
+def start(state: Floats, chain: Chain, size: int) -> None:
+    """Put what is prescribed into a guess."""
     for i in range(size):
         if chain.kind[i] != FREE:
             state[i, 0] = chain.value[i, 0]
             if chain.kind[i] == CLAMPED:
                 state[i, 1] = chain.value[i, 1]
-    insertion.size[0], insertion.size[1], insertion.size[2] = size, before, int(on_main)
 
 
 @njit(cache=True, nogil=True)
@@ -202,12 +263,3 @@ def _read(nodes: Floats, state: Floats, x: float, into: Floats) -> None:
     a0, a1, b0, b1 = state[e, 0], state[e, 1], state[e + 1, 0], state[e + 1, 1]
     into[0] = n[0] * a0 + n[1] * a1 + n[2] * b0 + n[3] * b1
     into[1] = n[4] * a0 + n[5] * a1 + n[6] * b0 + n[7] * b1
-
-
-@njit(cache=True, nogil=True)
-def settle(insertion: Insertion, stops: Stops, s: int) -> None:
-    """Remember where the tip stands."""
-    end = insertion.size[0] - 1
-    insertion.tip[0] = stops.tip[s]
-    insertion.tip[1], insertion.tip[2] = insertion.state[end, 0], insertion.state[end, 1]
-    insertion.track[stops.cell[s]] = insertion.state[end]

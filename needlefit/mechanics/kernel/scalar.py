@@ -46,8 +46,9 @@ class Newton(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def equilibrate(
-    state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, newton: Newton
-) -> tuple[int, int]:
+    state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, newton: Newton,
+    trial: Floats, factor: Floats,
+) -> tuple[int, int]:  # fmt: skip
     """Bring `state` into equilibrium with the tip at node `last` of the grid.
 
     Parameters
@@ -56,6 +57,8 @@ def equilibrate(
         Deflection and slope of the chain's nodes: a guess, replaced by the answer.
     y : (M + 1,) array
         Constraint points, mm.
+    trial, factor : (F + N, 2) and (F + N, WIDTH) arrays
+        Room to work in; `factor` is left as the last sweep filled it.
 
     Returns
     -------
@@ -64,8 +67,8 @@ def equilibrate(
     front = len(chain.front)
     size = front + last + 1
     span_shapes(grid, chain.front[front - 1])
-    trial = state[:size].copy()
-    factor = np.empty((size, WIDTH))
+    state, trial, factor = state[:size], trial[:size], factor[:size]
+    trial[:] = state
     before = np.inf
     compressed = False
     for iteration in range(newton.max_iterations):
@@ -75,9 +78,9 @@ def equilibrate(
                 return OVER_COMPRESSED, iteration
             compressed = True
             # half the way back toward the last state that some tissue bore
-            trial[:] = 0.5 * (trial + state[:size])
+            trial[:] = 0.5 * (trial + state)
             continue
-        state[:size] = trial
+        state[:] = trial
         change = back(trial, factor)
         if not np.isfinite(change):
             return NON_FINITE, iteration + 1
@@ -85,7 +88,7 @@ def equilibrate(
         # next increment; one this small that no longer shrinks is rounding: fine meshes in soft tissue
         next_one = foundation.curvature * change * change if tissue == SERIES else change
         if min(change, next_one) < newton.tolerance or (change < ROUNDING and change > 0.5 * before):
-            state[:size] = trial
+            state[:] = trial
             return CONVERGED, iteration + 1
         before = change
     return OVER_COMPRESSED if compressed else NOT_CONVERGED, newton.max_iterations
