@@ -121,7 +121,8 @@ def equilibrium(
     check_reach(needle.length, depth, controls)
     holds = compile_controls(controls)
     within = np.array([guide.x for guide in controls.within if guide.x <= depth - 0.25 * rules.element])
-    grid = build_grid(depths, tissue.boundaries, node_depths(depth, depths[1], rules.element, within))
+    nodes = node_depths(depth, depths[1], rules.spacing, rules.element, within)
+    grid = build_grid(depths, tissue.boundaries, nodes)
     last = len(grid.nodes) - 1
     size = 1 + len(controls.before) + len(grid.nodes)
     chain = kernel.begin_chain(holds, needle.flexural_rigidity, size)
@@ -158,6 +159,7 @@ def compile_tissue(tissue: Tissue) -> Foundation:
     return make_foundation(tissue.mu, coefficients, exponents, tissue.thickness, tissue.friction)
 
 
+@lru_cache(maxsize=64)
 def compile_controls(controls: Controls) -> kernel.Holds:
     """Return the inputs as the kernel reads them."""
     tip = controls.tip
@@ -199,7 +201,8 @@ def read(under_way: kernel.Insertion, stop: Stop, status: int, iterations: int) 
     size = int(under_way.size[0])
     nodes, state = under_way.nodes[:size].copy(), under_way.states[0, :size].copy()
     x = constraint_depths(stop.tip, stop.cell, under_way.first_cell, under_way.spacing)
-    points = np.column_stack((x, under_way.y[: stop.cell + 1]))
+    points = np.empty((len(x), 2))
+    points[:, 0], points[:, 1] = x, under_way.y[: stop.cell + 1]
     track = under_way.track[: stop.cell + 1].copy()
     if status != CONVERGED:
         state[:] = np.nan

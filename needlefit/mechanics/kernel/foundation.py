@@ -45,7 +45,7 @@ def make_foundation(
         ratio = 2.0 * left_out / (TRUNCATION * series[i, 0])
         limit[i] = min(0.02 * thickness[i], ratio ** (-1.0 / TERMS)) if ratio > 0.0 else 0.02 * thickness[i]
     rough = bool(np.any(friction > 0.0))
-    # half the second derivative of k e over its first, as far as the series goes; fourfold, for the lever
+    # half the second derivative of k e over its first, as far as the series goes; doubled, for the lever
     # of a needle that reaches beyond its stiffest layer
     bend = np.abs(series[:, 1]) + 3.0 * np.abs(series[:, 2]) * limit
     curvature = 2.0 * np.max(bend / series[:, 0])

@@ -50,21 +50,21 @@ def constraint_depths(tip: float, cell: int, first_cell: float, spacing: float) 
 
 
 @njit(cache=True, nogil=True)
-def node_depths(tip: float, first_cell: float, element: float, within: Floats) -> Floats:
+def node_depths(tip: float, first_cell: float, spacing: float, element: float, within: Floats) -> Floats:
     """Return the nodes in the tissue of a tip at `tip`; `within` (G,) are the guides that hold there.
 
     Nodes stand every `element` before and after x_1. Short elements ruin the conditioning: a node is left
     out that is nearer than half an element to the tip or a quarter to a guide, and so is the entry when
     the first one after it is nearer than half an element.
     """
-    start = first_cell - element * (np.ceil(first_cell / element - SLACK) - 1.0)
-    capacity = int(np.ceil(max(tip - start, 0.0) / element)) + 3 + len(within)
-    nodes = np.empty(capacity)
+    per_cell = round(spacing / element)
+    i = 1 - int(np.ceil(first_cell / element - SLACK))  # counted from x_1; the first after the entry
+    nodes = np.empty(int(np.ceil(tip / element)) + 4 + len(within))
     count = 1  # room for the entry
     guide = 0
-    i = 0
     while True:
-        x = start + i * element
+        cell = max(i, 0) // per_cell
+        x = first_cell + cell * spacing + (i - cell * per_cell) * element  # to the bit, wherever the tip is
         if x > tip - 0.5 * element + SLACK:
             break
         i += 1

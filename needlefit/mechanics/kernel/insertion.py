@@ -80,7 +80,7 @@ def begin(
     """Return a needle before first contact, with room up to `deepest` (mm) for so many guides and rays."""
     cells = max(cell_of(deepest, first_cell, spacing), 1)
     tip = first_cell + (cells - 1) * spacing
-    nodes = node_depths(tip, first_cell, element, np.empty(0))
+    nodes = node_depths(tip, first_cell, spacing, element, np.empty(0))
     main = build_grid(constraint_depths(tip, cells, first_cell, spacing), boundaries, nodes)
     room = len(nodes) + guides + 3  # base, entry, a tip between constraint points
     y = np.full(cells + 1, np.nan)  # what a failed insertion never reached stays NaN
@@ -139,7 +139,7 @@ def grid_at(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Grid:
     """Return the grid of a tip that stands between constraint points, or of guides in the tissue."""
     active = holds.within[:, 0]
     active = active[active <= tip - 0.25 * insertion.element]
-    nodes = node_depths(tip, insertion.first_cell, insertion.element, active)
+    nodes = node_depths(tip, insertion.first_cell, insertion.spacing, insertion.element, active)
     points = constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
     return build_grid(points, insertion.boundaries, nodes)
 
