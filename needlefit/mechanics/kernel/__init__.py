@@ -31,7 +31,10 @@ COMPILED_BEFORE = any(_folder.glob("*/*.nbi"))
 _config: Any = numba.config  # a module that makes its attributes at run time
 _before, _config.CACHE_DIR = _config.CACHE_DIR, str(_folder)
 try:  # numba reads the setting when a function is declared
-    for _module in ("foundation", "grid", "hermite", "scalar", "insertion", "positions"):
+    for _module in (
+        "foundation", "grid", "hermite", "scalar", "insertion", "positions",
+        "perturbation", "derivatives", "adjoint", "tangent", "sensitivity", "movement",
+    ):  # fmt: skip
         importlib.import_module(f"{__name__}.{_module}")
 finally:
     _config.CACHE_DIR = _before

@@ -26,6 +26,14 @@ class Foundation(NamedTuple):
     curvature: float  # a Newton step leaves at most about this times its increment squared, 1 / mm
 
 
+class Trend(NamedTuple):
+    """What alpha does to the layers: derivatives with respect to each layer's own."""
+
+    coefficients: Floats  # (P,) of the law's coefficients
+    exponents: Floats  # (P,) and exponents
+    series: Floats  # (n, TERMS) of k in |e|, MPa / mm^j
+
+
 @njit(cache=True)
 def make_foundation(
     mu: Floats, coefficients: Floats, exponents: Floats, thickness: Floats, friction: Floats
@@ -50,6 +58,23 @@ def make_foundation(
     bend = np.abs(series[:, 1]) + 3.0 * np.abs(series[:, 2]) * limit
     curvature = 2.0 * np.max(bend / series[:, 0])
     return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough, curvature)
+
+
+@njit(cache=True)
+def make_trend(foundation: Foundation, coefficients: Floats, exponents: Floats) -> Trend:
+    """Return the change of the layers per unit of alpha, given that of the law's powers (P,)."""
+    series = np.zeros_like(foundation.series)
+    for i in range(len(foundation.mu)):
+        for p in range(len(coefficients)):
+            term = foundation.mu[i] * foundation.coefficients[i, p]
+            slope = foundation.mu[i] * coefficients[p]
+            for j in range(TERMS):
+                series[i, j] += slope
+                shorter = -1.0 / ((j + 1) * foundation.thickness[i])
+                factor = shorter * (foundation.exponents[i, p] - j)
+                slope = slope * factor + term * shorter * exponents[p]
+                term *= factor
+    return Trend(coefficients, exponents, series)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -100,12 +100,21 @@ def advance(
 
     Where a stop fails the needle's state is worthless.
     """
-    iterations = 0
-    rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
-    room = states.shape[1]
+    room = insertion.states.shape[1]
     chain = begin_chain(holds, insertion.rigidity, room)
     trial, factor = np.empty((room, 2)), np.empty((room, WIDTH))
-    for s in range(len(stops.tip)):
+    return between(insertion, foundation, holds, stops, 0, len(stops.tip), newton, chain, trial, factor)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def between(
+    insertion: Insertion, foundation: Foundation, holds: Holds, stops: Stops, begin: int, end: int,
+    newton: Newton, chain: Chain, trial: Floats, factor: Floats,
+) -> tuple[int, int, int]:  # fmt: skip
+    """Go from stop `begin` on to the one before `end`; `chain`, `trial` and `factor` are room to work in."""
+    iterations = 0
+    rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
+    for s in range(begin, end):
         depth, cell, ray = stops.tip[s], stops.cell[s], stops.ray[s]
         if stops.opens[s]:
             rays[ray, 0], rays[ray, 1], rays[ray, 2], rays[ray, 3] = tip[0], tip[1], tip[2], stops.turn[s]
@@ -128,10 +137,10 @@ def advance(
             iterations += used
         if status != CONVERGED:
             return status, iterations, s
-        end = size[0] - 1
-        tip[0], tip[1], tip[2] = depth, states[0, end, 0], states[0, end, 1]
+        foot = size[0] - 1
+        tip[0], tip[1], tip[2] = depth, states[0, foot, 0], states[0, foot, 1]
         insertion.track[cell, 0], insertion.track[cell, 1] = tip[1], tip[2]
-    return CONVERGED, iterations, len(stops.tip)
+    return CONVERGED, iterations, end
 
 
 @njit(cache=True, nogil=True)

@@ -1,12 +1,14 @@
 """Tissue laws: how the foundation modulus depends on the stretch. One law, one file.
 
 A law is a sum of powers of the stretch, k(lambda) = mu * sum_p c_p lambda^q_p. Its file defines
-`terms(alpha)`, which returns the pairs (c_p, q_p); values, slopes and series all follow from these,
-so that the reference and the compiled kernel know every law without naming any.
+`terms(alpha)`, which returns the pairs (c_p, q_p), both at most linear in alpha; values, slopes, series and
+the derivatives with respect to alpha all follow from these, so that the reference and the compiled kernel
+know every law without naming any.
 """
 
 import importlib
 import pkgutil
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -31,8 +33,25 @@ def power_terms(law: str, alpha: Floats) -> tuple[Floats, Floats]:
     ModelError
         If there is no law of that name.
     """
+    pairs = np.array([_terms(law)(float(a)) for a in alpha])  # (n, P, 2)
+    return np.ascontiguousarray(pairs[..., 0]), np.ascontiguousarray(pairs[..., 1])
+
+
+@cache
+def term_slopes(law: str) -> tuple[Floats, Floats]:
+    """Return the derivatives of coefficients and exponents, each (P,), with respect to alpha.
+
+    Raises
+    ------
+    ModelError
+        If there is no law of that name.
+    """
+    slopes = np.array(_terms(law)(1.0)) - np.array(_terms(law)(0.0))  # (P, 2): the terms are linear in alpha
+    return np.ascontiguousarray(slopes[:, 0]), np.ascontiguousarray(slopes[:, 1])
+
+
+def _terms(law: str) -> Callable[[float], list[tuple[float, float]]]:
     if law not in names():
         raise ModelError(f"there is no tissue law called `{law}`", expected=f"one of {', '.join(names())}")
-    module = importlib.import_module(f"{__name__}.{law}")
-    pairs = np.array([module.terms(float(a)) for a in alpha])  # (n, P, 2)
-    return np.ascontiguousarray(pairs[..., 0]), np.ascontiguousarray(pairs[..., 1])
+    terms: Callable[[float], list[tuple[float, float]]] = importlib.import_module(f"{__name__}.{law}").terms
+    return terms

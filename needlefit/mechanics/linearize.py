@@ -1,0 +1,207 @@
+"""The model with its exact derivatives: shape and Jacobian from one pass."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import ModelError
+from needlefit.mechanics import laws
+from needlefit.mechanics.control import Bevel, Controls, Rules, Step
+from needlefit.mechanics.kernel import sensitivity as kernel
+from needlefit.mechanics.kernel.derivatives import Columns
+from needlefit.mechanics.kernel.derivatives import begin as begin_history
+from needlefit.mechanics.kernel.foundation import make_trend
+from needlefit.mechanics.kernel.movement import movement
+from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice, lattice_of, moves_of, stops_of
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import begin, compile_controls, compile_tissue, packed, read
+from needlefit.mechanics.tissue import Tissue
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+KINDS = (
+    "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "base_y", "base_slope", "stage_slope",
+    "guides",
+)  # fmt: skip
+"""What `wrt` may name, in the order of the Jacobian's columns."""
+
+_DEFAULT_CONTROLS = Controls()
+_DEFAULT_RULES = Rules()
+_DEFAULT_WRT = ("mu", "alpha", "offset")
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """Derivatives of a `NeedleShape` with respect to P parameters, per MPa, mm, N mm^2, rad or 1.
+
+    Bevel offset and base are shifted alike in all steps; guides of several steps at the same x are one guide,
+    numbered by x. Where a node itself moves along the needle, its deflection is followed along with it.
+
+    Attributes
+    ----------
+    names : tuple of str
+        mu1, ..., alpha1, ..., friction1, ..., boundary1, ..., rigidity, offset, base_y, base_slope,
+        stage_slope, guide1_x, guide1_y, guide1_slope, ...
+    x : (N, P) array
+        Of the nodes' beam coordinates: 1 for a guide's node and its own x, else 0.
+    u, slope : (N, P) arrays
+        Of the nodes' deflection and slope.
+    constraints : (M + 1, P) array
+        Of the y of the constraint points.
+    """
+
+    names: tuple[str, ...]
+    x: Floats
+    u: Floats
+    slope: Floats
+    constraints: Floats
+
+
+def linearize(
+    needle: Needle,
+    tissue: Tissue,
+    bevel: Bevel,
+    depth: float,
+    controls: Controls = _DEFAULT_CONTROLS,
+    rules: Rules = _DEFAULT_RULES,
+    *,
+    wrt: Sequence[str] = _DEFAULT_WRT,
+) -> tuple[NeedleShape, Jacobian]:
+    """Insert the needle as `simulate` does; return its shape and the derivatives of that shape.
+
+    Parameters
+    ----------
+    wrt : sequence of str
+        Kinds of parameters, of `KINDS`; the columns stand in the order of `KINDS`.
+
+    Returns
+    -------
+    NeedleShape
+    Jacobian
+        NaN where the solution failed.
+
+    Raises
+    ------
+    ModelError
+        If the needle is too short for the depth or the guides, or there is no such kind of parameter.
+    """
+    if not (math.isfinite(depth) and depth > 0):
+        raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
+    return linearize_along(needle, tissue, (Step(float(depth), bevel, controls),), rules, wrt=wrt)
+
+
+def linearize_along(
+    needle: Needle,
+    tissue: Tissue,
+    steps: Sequence[Step],
+    rules: Rules = _DEFAULT_RULES,
+    lattice: Lattice | None = None,
+    *,
+    wrt: Sequence[str] = _DEFAULT_WRT,
+) -> tuple[NeedleShape, Jacobian]:
+    """Lead the needle through `steps` as `follow` does; return its last shape and that shape's derivatives.
+
+    Parameters and returns are those of `follow` and `linearize`.
+    """
+    lattice = lattice or lattice_of(steps, rules)
+    moves = moves_of(steps, needle.length)
+    stands = _stands(steps)
+    names, columns, at_guides = _columns(tuple(wrt), tissue.layers, stands)
+    under_way = begin(needle, tissue, steps, lattice, rules)
+    foundation = compile_tissue(tissue)
+    trend = make_trend(foundation, *laws.term_slopes(tissue.law))
+    history = begin_history(len(under_way.y), len(under_way.rays), columns.count)
+    whole = np.empty((len(under_way.nodes), 2, columns.count))
+    newton = Newton(rules.tolerance, rules.max_iterations)
+    sides = np.array([step.bevel.side / rules.spacing for step in steps])
+    offsets = np.array([step.bevel.offset for step in steps])
+    status, iterations = CONVERGED, 0
+    groups = packed(moves, lattice)
+    for n, (held, stops, cut) in enumerate(groups):
+        swing = sides[cut]
+        stops = stops._replace(turn=offsets[cut] * swing)
+        controls = steps[held].controls
+        status, used = kernel.advance(
+            under_way, foundation, trend, compile_controls(controls), _guides(controls, stands, at_guides),
+            stops, swing, newton, columns, history, whole if n + 1 == len(groups) else whole[:0],
+        )  # fmt: skip
+        iterations += used
+        if status != CONVERGED:
+            break
+    shape = read(under_way, stops_of(moves, lattice)[-1], status, iterations)
+    if status != CONVERGED:
+        return shape, _nothing(names, shape)
+    nodes = np.zeros((len(shape.x), len(names)))
+    for stand, (column, _, _) in zip(stands, at_guides, strict=True):
+        if column >= 0:
+            nodes[shape.x == stand, column] = 1.0
+    whole = whole[: len(shape.x)]
+    points = history.constraints[: len(shape.constraints)]
+    return shape, Jacobian(names, nodes, whole[:, 0], whole[:, 1], points)
+
+
+def moved(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
+    """Return the derivatives (K, 2, P) of `positions(shape, s)` with respect to the Jacobian's parameters.
+
+    Parameters
+    ----------
+    s : (K,) array
+        Beam coordinates on the needle, mm.
+    """
+    wanted = np.ascontiguousarray(s, dtype=np.float64)
+    return movement(
+        shape.x, shape.u, shape.slope, wanted, jacobian.x,
+        np.ascontiguousarray(jacobian.u), np.ascontiguousarray(jacobian.slope),
+    )  # fmt: skip
+
+
+def _stands(steps: Sequence[Step]) -> tuple[float, ...]:
+    """Return where guides stand in any step, mm, from the base inwards."""
+    return tuple(sorted({guide.x for step in steps for guide in step.controls.guides}))
+
+
+def _columns(
+    wrt: tuple[str, ...], layers: int, stands: tuple[float, ...]
+) -> tuple[tuple[str, ...], Columns, Ints]:
+    """Return the columns' names, where each kind begins, and each guide's columns (G, 3)."""
+    wrong = [kind for kind in wrt if kind not in KINDS]
+    if wrong:
+        raise ModelError(
+            f"there is no derivative with respect to `{wrong[0]}`", expected=f"of {', '.join(KINDS)}"
+        )
+    names: list[str] = []
+    first: dict[str, int] = {}
+    for kind in KINDS:
+        first[kind] = len(names) if kind in wrt else -1
+        if kind in wrt:
+            names += _names(kind, layers, len(stands))
+    at_guides = np.full((len(stands), 3), -1)
+    if first["guides"] >= 0:
+        at_guides = first["guides"] + np.arange(3 * len(stands)).reshape(-1, 3)
+    return tuple(names), Columns(len(names), *(first[kind] for kind in KINDS[:-1])), at_guides
+
+
+def _names(kind: str, layers: int, guides: int) -> list[str]:
+    if kind in ("mu", "alpha", "friction"):
+        return [f"{kind}{i + 1}" for i in range(layers)]
+    if kind == "boundaries":
+        return [f"boundary{i + 1}" for i in range(layers - 1)]
+    if kind == "guides":
+        return [f"guide{i + 1}_{what}" for i in range(guides) for what in ("x", "y", "slope")]
+    return [kind]
+
+
+def _guides(controls: Controls, stands: tuple[float, ...], at_guides: Ints) -> Ints:
+    """Return the columns (G, 3) of the guides of one step."""
+    return at_guides[[stands.index(guide.x) for guide in controls.guides]]
+
+
+def _nothing(names: tuple[str, ...], shape: NeedleShape) -> Jacobian:
+    nodes = np.full((len(shape.x), len(names)), np.nan)
+    return Jacobian(names, nodes, nodes, nodes, np.full((len(shape.constraints), len(names)), np.nan))
