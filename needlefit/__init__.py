@@ -11,11 +11,11 @@ if TYPE_CHECKING:
     from needlefit.errors import NeedlefitError
     from needlefit.inference.optimize import minimize
     from needlefit.inference.problem import Problem
-    from needlefit.mechanics.control import Bevel, Controls, Rules
+    from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
     from needlefit.mechanics.needle import Needle
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.shape import NeedleShape
-    from needlefit.mechanics.simulate import simulate
+    from needlefit.mechanics.simulate import follow, simulate
     from needlefit.mechanics.tissue import Tissue
     from needlefit.reporting.write import write
     from needlefit.validation.run import run
@@ -25,13 +25,17 @@ __version__ = "0.1.0"
 __all__ = [
     "Bevel",
     "Controls",
+    "Guide",
     "Needle",
     "NeedleShape",
     "NeedlefitError",
     "Problem",
     "Rules",
     "Scene",
+    "Step",
     "Tissue",
+    "TrackedTip",
+    "follow",
     "minimize",
     "open_scene",
     "read_dataset",
@@ -43,13 +47,17 @@ __all__ = [
 _HOMES = {
     "Bevel": "mechanics.control",
     "Controls": "mechanics.control",
+    "Guide": "mechanics.control",
     "Needle": "mechanics.needle",
     "NeedleShape": "mechanics.shape",
     "NeedlefitError": "errors",
     "Problem": "inference.problem",
     "Rules": "mechanics.control",
     "Scene": "mechanics.scene",
+    "Step": "mechanics.control",
     "Tissue": "mechanics.tissue",
+    "TrackedTip": "mechanics.control",
+    "follow": "mechanics.simulate",
     "minimize": "inference.optimize",
     "read_dataset": "datasets.read:read",
     "run": "validation.run",

@@ -91,9 +91,9 @@ def test_a_wrong_value_names_its_key(setting, told, capsys):
 
 def test_a_needle_too_short_says_how_deep_it_goes(capsys):
     assert run("simulate", "phantom1", "--depth", "150") == 3
-    assert "less than 150 mm" in capsys.readouterr().err
+    assert "a depth below 150 mm" in capsys.readouterr().err
     assert run("simulate", "phantom1", "--depth", "120", "--set", "controls.guide_distance_mm=40") == 3
-    assert "less than 110 mm" in capsys.readouterr().err
+    assert "a depth below 110 mm" in capsys.readouterr().err
 
 
 def test_what_is_no_assignment_is_a_usage_error(capsys):
@@ -151,3 +151,81 @@ def test_a_path_is_a_scene_too(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert answer(capsys, "mine.toml")["depth_mm"] == 20
     assert answer(capsys, "./mine.toml")["depth_mm"] == 20
+
+
+def test_a_scene_of_one_step_says_the_same_of_it(capsys):
+    found = answer(capsys, "phantom1")
+    (step,) = found["steps"]
+    assert {key: found[key] for key in step} == step
+    assert step["tip_angle_deg"] == pytest.approx(math.degrees(math.atan(step["tip_slope"])))
+
+
+def test_json_has_an_entry_for_every_step(capsys):
+    found = answer(capsys, "figure1")
+    assert [step["depth_mm"] for step in found["steps"]] == [40, 70, 105]
+    assert {key: found[key] for key in ("deflection_mm", "tip_mm", "status")}.items() <= found["steps"][
+        -1
+    ].items()
+    assert sum(step["iterations"] for step in found["steps"]) == found["iterations"]
+    first = answer(capsys, "figure1", "--set", "steps.2.side=1")["steps"]
+    assert first[0] == found["steps"][0] and first[1]["deflection_mm"] > found["steps"][1]["deflection_mm"]
+
+
+def test_every_step_has_its_line(capsys):
+    assert run("simulate", "figure1") == 0
+    lines = [line.split() for line in capsys.readouterr().out.splitlines() if "step " in line]
+    assert [line[:4] for line in lines] == [
+        ["step", str(n), depth, "mm"] for n, depth in ((1, "40"), (2, "70"), (3, "105"))
+    ]
+    assert run("simulate", "phantom1") == 0
+    assert "step" not in capsys.readouterr().out
+
+
+def test_a_failure_names_its_step(capsys):
+    assert run("simulate", "figure1", "--set", "steps.2.offset_mm=60", "--json") == 5
+    captured = capsys.readouterr()
+    found = json.loads(captured.out, parse_constant=pytest.fail)
+    assert [step["status"] for step in found["steps"]] == ["converged", "over-compressed", "not reached"]
+    assert (found["status"], found["depth_mm"], found["deflection_mm"]) == ("over-compressed", 70, None)
+    assert found["steps"][2]["tip_mm"] is None
+    assert "step 2 of 3 did not converge (over-compressed)" in captured.err
+
+
+def test_the_depth_of_steps_is_set_by_their_keys(capsys):
+    assert run("simulate", "figure1", "--depth", "50") == 2
+    assert "steps.3.depth_mm=50" in " ".join(capsys.readouterr().err.split())
+    found = answer(capsys, "figure1", "--set", "steps.3.depth_mm=50")
+    assert [step["depth_mm"] for step in found["steps"]] == [40, 70, 50]
+
+
+def test_guides_and_steps_are_set_by_name_and_number(capsys):
+    plain = answer(capsys, "figure1")
+    moved = answer(capsys, "figure1", "--set", "steps.1.guides.template.y_mm=1")
+    assert moved["steps"][0]["deflection_mm"] != plain["steps"][0]["deflection_mm"]
+    assert moved["steps"][2]["iterations"] > 0
+    freed = answer(capsys, "figure1", "--set", "guides.1.turns_freely=true")
+    assert freed["deflection_mm"] != plain["deflection_mm"]
+    assert run("simulate", "figure1", "--set", "steps.2.guides.templat.y_mm=1") == 3
+    assert "steps.2.guides.template.y_mm" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("guides.1.x_mm=5", "key `guides.1`: guide stands at x = 5.0 mm"),
+        ("steps.2.guides.template.x_mm=5", "key `steps.2.guides.template`: guide stands at x = 5.0 mm"),
+        ("steps.3.guides.template.in_tissue=true", "key `steps.3.guides.template`"),
+        ("guides.1.angle_deg=100", "lies 80 degrees off the insertion axis"),
+        ("controls.stage_angle_deg=46", "key `controls.stage_angle_deg`"),
+        ("controls.guide_distance_mm=15", "key `guides`: two guides stand at the same x"),
+        ("steps.2.depth_mm=135", "key `steps.2.depth_mm`: a needle of 150 mm cannot be inserted 135 mm"),
+        ("steps.2.side=2", "steps.2.side"),
+        ("steps.2.tip_slope_deg=2", "tip_slope_deg needs tip_y_mm"),
+        ("depth_mm=30", "steps.3.depth_mm"),
+        ("guides.1.name=stencil", "steps.2.guides.template"),
+        ("guides.1.name=2", "guides.1.name"),
+    ],
+)
+def test_a_wrong_step_or_guide_names_its_key(setting, told, capsys):
+    assert run("simulate", "figure1", "--set", setting) == 3
+    assert told in capsys.readouterr().err

@@ -72,9 +72,10 @@ def test_a_scene_s_angles_become_slopes_and_its_moduli_mpa() -> None:
         }
     )  # fmt: skip
     scene = Scene.from_record(record)
-    assert scene.controls.base_y == 0.4 and scene.controls.guides == ()
-    assert scene.controls.base_slope == pytest.approx(1 / math.sqrt(3))
-    assert (scene.bevel, scene.rules, scene.depth) == (Bevel(0.07, -1), Rules(2.0, 0.5), 20.0)
+    (step,) = scene.steps
+    assert step.controls.base_y == 0.4 and step.controls.guides == ()
+    assert step.controls.base_slope == pytest.approx(1 / math.sqrt(3))
+    assert (step.bevel, scene.rules, scene.depth) == (Bevel(0.07, -1), Rules(2.0, 0.5), 20.0)
     assert scene.tissue.mu.tolist() == pytest.approx([0.2, 4.0])
     assert scene.tissue.alpha.tolist() == [3.0, -2.0]
     assert scene.tissue.boundaries.tolist() == [9.0]

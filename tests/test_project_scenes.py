@@ -1,4 +1,4 @@
-"""The shipped scenes hold the paper's parameter sets, and nothing else."""
+"""Scenes: the shipped ones hold the paper's parameter sets; what a scene's file may say."""
 
 import csv
 from pathlib import Path
@@ -10,6 +10,7 @@ from needlefit.project.load import check, load
 from needlefit.project.overrides import keys, override
 from needlefit.project.places import find, names, shipped
 from needlefit.project.records.scene import SceneRecord
+from needlefit.project.schedule import schedule
 
 PAPER = shipped() / "data" / "paper"
 TUNED_ON = {"study1": "phantom2", "study2": "phantom2", "study3": "phantom2", "study4": "phantom2"}
@@ -81,6 +82,95 @@ def test_setting_leaves_the_file_s_tables_alone():
     changed = override(tables, [("layers.1.mu_pa", "3e5"), ("law", "linear")], SceneRecord, "a.toml")
     assert changed == {"depth_mm": 3.0, "layers": [{"mu_pa": 3e5}], "law": "linear"}
     assert tables == {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}]}
+
+
+def test_what_a_step_changes_of_a_guide_is_set_by_the_guide_s_name():
+    tables = {"guides": [{"name": "template"}, {"name": "ring"}], "steps": [{}, {"guides": {}}]}
+    known = set(keys(SceneRecord, tables))
+    assert {"guides.2.y_mm", "steps.1.guides.ring.y_mm", "steps.2.guides.template.holds"} <= known
+    assert "steps.1.guides.other.y_mm" not in known and "steps.3.side" not in known
+    assert "steps.1.guides.ring.name" not in known
+    changed = override(tables, [("steps.1.guides.ring.y_mm", "2")], SceneRecord, "a.toml")
+    assert changed["steps"][0] == {"guides": {"ring": {"y_mm": 2}}}
+
+
+BARE = {
+    "schema": 1,
+    "needle": {"length_mm": 90, "flexural_rigidity_nmm2": 1e4},
+    "bevel": {"offset_mm": 0.1},
+    "layers": [{"top_mm": 0, "mu_pa": 1e5, "alpha": 1}],
+}
+RING = {"name": "ring", "x_mm": -9, "y_mm": 0}
+
+
+def test_what_a_step_does_not_say_carries_over():
+    steps = [
+        {"depth_mm": 10},
+        {"depth_mm": 20, "side": -1, "base_y_mm": 2, "guides": {"ring": {"y_mm": 0.5}}},
+        {"depth_mm": 5, "offset_mm": 0.3, "tip_y_mm": 0.1, "tip_slope_deg": 3},
+        {"depth_mm": 5, "tip_y_mm": 0.2, "base_slope_deg": -1},
+        {"depth_mm": 6, "guides": {"ring": {"holds": False}}},
+        {"depth_mm": 6, "tip_free": True},
+    ]
+    controls = {"base_y_mm": 1, "stage_angle_deg": 4}
+    record = check(BARE | {"guides": [RING], "controls": controls, "steps": steps}, SceneRecord, "a.toml")
+    whole = schedule(record)
+    assert [(step.depth_mm, step.key) for step in whole] == [
+        (depth, f"steps.{n}.depth_mm") for n, depth in enumerate((10, 20, 5, 5, 6, 6), start=1)
+    ]
+    assert [(step.bevel.offset_mm, step.bevel.side) for step in whole] == [
+        (0.1, 1), (0.1, -1), (0.3, -1), (0.3, -1), (0.3, -1), (0.3, -1),
+    ]  # fmt: skip
+    assert [step.controls.base_y_mm for step in whole] == [1, 2, 2, 2, 2, 2]
+    assert [step.controls.base_slope_deg for step in whole] == [0, 0, 0, -1, -1, -1]
+    assert [(step.controls.tip_y_mm, step.controls.tip_slope_deg) for step in whole] == [
+        (None, None), (None, None), (0.1, 3), (0.2, None), (0.2, None), (None, None),
+    ]  # fmt: skip
+    assert all(step.controls.stage_angle_deg == 4 for step in whole)
+    rings = [step.guides[0] for step in whole]
+    assert [(key, ring.y_mm, ring.holds) for key, ring in rings] == [
+        ("guides.1", 0, True), ("steps.2.guides.ring", 0.5, True), ("steps.2.guides.ring", 0.5, True),
+        ("steps.2.guides.ring", 0.5, True), ("steps.5.guides.ring", 0.5, False),
+        ("steps.5.guides.ring", 0.5, False),
+    ]  # fmt: skip
+
+
+def test_a_scene_without_steps_is_one():
+    (step,) = schedule(check(BARE | {"depth_mm": 7, "guides": [RING]}, SceneRecord, "a.toml"))
+    assert (step.depth_mm, step.key, step.bevel.side) == (7, "depth_mm", 1)
+    assert step.guides[0][1].name == "ring"
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({}, r"`depth_mm` is missing: give it, or \[\[steps\]\]"),
+        ({"depth_mm": 5, "steps": [{"depth_mm": 5}]}, r"delete it, or set steps\.1\.depth_mm"),
+        ({"steps": [{"side": 1}]}, r"`steps\.1\.depth_mm` is missing"),
+        ({"steps": [{"depth_mm": -1}]}, r"`steps\.1\.depth_mm`"),
+        ({"steps": [{"depth_mm": 1, "sied": 1}]}, r"`steps\.1\.sied` is unknown; did you mean `side`"),
+        (
+            {"steps": [{"depth_mm": 1, "guides": {"rang": {}}}]},
+            r"`steps\.1\.guides\.rang`.*did you mean `ring`",
+        ),
+        ({"steps": [{"depth_mm": 1, "guides": {"ring": {"z_mm": 1}}}]}, r"`steps\.1\.guides\.ring\.z_mm`"),
+        ({"steps": [{"depth_mm": 1, "tip_slope_deg": 1}]}, r"`steps\.1`: tip_slope_deg needs tip_y_mm"),
+        ({"steps": [{"depth_mm": 1, "tip_y_mm": 1, "tip_free": True}]}, r"`steps\.1`: tip_free"),
+        ({"depth_mm": 5, "controls": {"tip_slope_deg": 1}}, r"`controls`: tip_slope_deg needs tip_y_mm"),
+        ({"depth_mm": 5, "guides": [RING, RING]}, r"`guides\.2\.name`: `ring` names another guide already"),
+        ({"depth_mm": 5, "guides": [RING | {"name": "7"}]}, r"`guides\.1\.name`"),
+    ],
+)
+def test_what_a_scene_may_not_say(more, told):
+    with pytest.raises(ConfigError, match=told):
+        check(BARE | {"guides": [RING]} | more, SceneRecord, "a.toml")
+
+
+def test_the_scene_of_figure_1_says_what_is_invented():
+    record = scene("figure1")
+    assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
+    assert (len(record.layers), len(record.steps), len(record.guides)) == (4, 3, 1)
+    assert "invented" in record.note
 
 
 def test_a_fault_in_a_list_is_numbered_from_1(tmp_path: Path):

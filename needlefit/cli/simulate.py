@@ -1,5 +1,7 @@
-"""`needlefit simulate`: one scene, one shape."""
+"""`needlefit simulate`: one scene, the needle's shape after each of its steps."""
 
+import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -7,10 +9,9 @@ import typer
 
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import scenes
-from needlefit.errors import ConfigError, ModelError
 
 if TYPE_CHECKING:
-    from needlefit.mechanics.scene import Scene
+    from needlefit.mechanics.scene import Entry, Scene
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.project.records.scene import SceneRecord
 
@@ -25,15 +26,16 @@ def simulate(
         typer.Argument(metavar="SCENE", autocompletion=scenes, help="configs/scenes/<name>.toml or a path."),
     ],
     depth: Annotated[
-        float | None, typer.Option(metavar="MM", help="Inserted arc length; else the scene's.")
+        float | None,
+        typer.Option(metavar="MM", help="Inserted arc length, of a scene without steps; else the scene's."),
     ] = None,
     set_: Annotated[
         list[str] | None,
         typer.Option(
             "--set",
             metavar="KEY=VALUE",
-            help="Change a key of the scene, e.g. bevel.offset_mm=0.1; layers are numbered from 1: "
-            "layers.1.mu_pa=3e5 is the first one. May be given again.",
+            help="Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered "
+            "from 1: layers.1.mu_pa=3e5 is the first one. May be given again.",
         ),
     ] = None,
     json: options.Json = False,
@@ -42,18 +44,18 @@ def simulate(
     ] = None,
     verbose: options.Verbose = False,
 ) -> None:
-    """Simulate a SCENE: a needle, layers, a bevel and a depth.
+    """Simulate a SCENE: a needle, layers, a bevel, and a depth or steps.
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
     where, record = _record(scene, depth, set_ or [])
     title = record.title or scene
-    built, shape = _insert(record, where)
-    answer = summary(built, shape)
+    built, shapes = _insert(record, where)
+    answer = summary(built, shapes)
     if plot is not None:  # before anything is printed: the name may be none of a picture
         from needlefit.reporting.figures.scene import draw_scene
 
-        draw_scene(title, built, shape, plot)
+        draw_scene(title, built, shapes, plot)
         screen.note(f"drawn: {plot}")
     if json:
         screen.show_json(answer)
@@ -64,49 +66,58 @@ def simulate(
             f"needlefit: warning: slopes reach {answer['max_slope']:.2f}: the model assumes small ones, "
             f"up to about {STEEP:g}"
         )
-    if not shape.converged:
-        screen.note(f"needlefit: the solution did not converge ({shape.status}); what it prints is no result")
+    if not answer["converged"]:
+        failed = f"step {len(shapes)} of {len(built.steps)}" if len(built.steps) > 1 else "the solution"
+        screen.note(f"needlefit: {failed} did not converge ({answer['status']}); what it prints is no result")
         raise typer.Exit(failure.NOT_CONVERGED)
 
 
-def summary(scene: "Scene", shape: "NeedleShape") -> dict[str, Any]:
-    """Return what `--json` prints; lengths in mm."""
+def summary(scene: "Scene", shapes: "Sequence[NeedleShape]") -> dict[str, Any]:
+    """Return what `--json` prints, of the last step that was tried and, in `steps`, of each; lengths in mm.
+
+    `shapes` end with the last step, or with the one that failed.
+    """
+    pairs = zip(scene.steps, shapes, strict=False)
+    steps = [{"depth_mm": step.depth} | _summary_of_step(scene.entry, shape) for step, shape in pairs]
+    for step, before in zip(steps[:0:-1], steps[-2::-1], strict=True):
+        step["iterations"] -= before["iterations"]  # a shape counts from first contact
+    unreached = dict.fromkeys(steps[0], None) | {"converged": False, "status": "not reached", "iterations": 0}
+    left = [unreached | {"depth_mm": step.depth} for step in scene.steps[len(shapes) :]]
+    return steps[-1] | {
+        "max_slope": max(float(abs(shape.slope).max()) for shape in shapes),
+        "boundaries_mm": scene.tissue.boundaries,
+        "constraints_mm": shapes[-1].constraints,
+        "iterations": shapes[-1].iterations,
+        "steps": steps + left,
+    }
+
+
+def _summary_of_step(entry: "Entry", shape: "NeedleShape") -> dict[str, Any]:
     from needlefit.mechanics.shape import positions
 
-    tip = scene.entry.to_world(positions(shape, shape.x[-1:]))[0]
+    slope = float(shape.slope[-1])
     return {
-        "depth_mm": scene.depth,
         "deflection_mm": shape.deflection,
-        "tip_slope": float(shape.slope[-1]),
-        "max_slope": float(abs(shape.slope).max()),
-        "tip_mm": tip,
-        "boundaries_mm": scene.tissue.boundaries,
-        "constraints_mm": shape.constraints,
+        "tip_slope": slope,
+        "tip_mm": entry.to_world(positions(shape, shape.x[-1:]))[0],
+        "tip_angle_deg": math.degrees(entry.angle + math.atan(slope)),
         "converged": shape.converged,
         "status": shape.status,
         "iterations": shape.iterations,
     }
 
 
-def _insert(record: "SceneRecord", where: str) -> tuple["Scene", "NeedleShape"]:
-    """Simulate; what the model will not take is a fault of the scene, a solution not found is none."""
-    from needlefit.mechanics.scene import Scene
-    from needlefit.mechanics.simulate import simulate as insert
+def _insert(record: "SceneRecord", where: str) -> tuple["Scene", "tuple[NeedleShape, ...]"]:
+    from needlefit.mechanics.scene import Scene, insert
 
     screen.note_compiling()
-    try:
-        scene = Scene.from_record(record)
-        shape = insert(scene.needle, scene.tissue, scene.bevel, scene.depth, scene.controls, scene.rules)
-    except ModelError as error:
-        raise ConfigError(error.what, where=where, expected=error.expected, mend=error.mend) from error
-    return scene, shape
+    scene = Scene.from_record(record, where)
+    return scene, insert(scene)
 
 
 def _record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:
     """Return where the scene stands and what it says, with what the options change."""
     pairs = [_pair(text) for text in assignments]
-    if depth is not None:
-        pairs.append(("depth_mm", repr(depth)))
     from needlefit.project.load import check, load, read_toml
     from needlefit.project.overrides import override
     from needlefit.project.places import find
@@ -114,6 +125,14 @@ def _record(name: str, depth: float | None, assignments: list[str]) -> tuple[str
 
     path = find("scene", name)
     record = load(path, SceneRecord)
+    if depth is not None:
+        if record.steps:
+            raise typer.BadParameter(
+                "the scene has steps, each with its own depth: "
+                f"--set steps.{len(record.steps)}.depth_mm={depth:g}",
+                param_hint="--depth",
+            )
+        pairs.append(("depth_mm", repr(depth)))
     if not pairs:
         return str(path), record
     where = f"{path}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
@@ -139,5 +158,18 @@ def _print(title: str, answer: dict[str, Any]) -> None:
         ("converged", f"{state} ({answer['iterations']} Newton iterations)"),
     ]
     screen.say(title)
+    if len(answer["steps"]) > 1:
+        for n, step in enumerate(answer["steps"], start=1):
+            screen.say(f"  {f'step {n}':<11} {_line(step)}")
     for label, text in rows:
         screen.say(f"  {label:<11} {text}")
+
+
+def _line(step: dict[str, Any]) -> str:
+    """Return a step in one line."""
+    depth = f"{step['depth_mm']:g} mm deep"
+    if not step["converged"]:
+        return f"{depth}: {step['status'] if step['status'] == 'not reached' else 'NO: ' + step['status']}"
+    x, y = step["tip_mm"]
+    angle = step["tip_angle_deg"]
+    return f"{depth}, deflection {step['deflection_mm']:.3f} mm, tip ({x:.3f}, {y:.3f}) mm at {angle:.2f}°"

@@ -1,18 +1,30 @@
-"""A scene: everything that one simulation needs, and where it stands in the world."""
+"""A scene: everything that one insertion needs, and where it stands in the world."""
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules
+from needlefit.errors import ConfigError, ModelError
+from needlefit.mechanics import laws
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import NEAR, check_reach, lattice_of
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.scene import ControlsRecord, EntryRecord, SceneRecord
+from needlefit.project.records.scene import EntryRecord, SceneRecord
+from needlefit.project.records.steps import GuideRecord
+from needlefit.project.schedule import WholeStep, schedule
 
 Floats = NDArray[np.float64]
+
+STEEPEST = math.radians(45)
+"""Greatest angle between C's x axis and a guide's or the stage's."""
 
 
 @dataclass(frozen=True)
@@ -34,42 +46,124 @@ class Entry:
         x, y = np.asarray(points, dtype=np.float64).T  # (K,)
         return np.column_stack((self.x + cos * x - sin * y, self.y + sin * x + cos * y))
 
+    def to_frame(self, points: ArrayLike) -> Floats:
+        """Return points (K, 2) of the world in C, mm."""
+        cos, sin = math.cos(self.angle), math.sin(self.angle)
+        x, y = (np.asarray(points, dtype=np.float64) - [self.x, self.y]).T  # (K,)
+        return np.column_stack((cos * x + sin * y, cos * y - sin * x))
+
+    def slope_of(self, angle: float) -> float:
+        """Return the slope in C of an axis with direction `angle` (rad) in the world.
+
+        Raises
+        ------
+        ModelError
+            If the axis lies 45 degrees or more off C's x: the needle need not meet its normal line.
+        """
+        turn = math.remainder(angle - self.angle, math.pi)  # an axis has no front
+        if abs(turn) >= STEEPEST:
+            raise ModelError(
+                f"an axis at {math.degrees(angle):g} degrees in the world lies {math.degrees(abs(turn)):g} "
+                f"degrees off the insertion axis",
+                expected=f"less than 45 degrees off the entry's {math.degrees(self.angle):g} degrees",
+                mend="give the direction in which the needle slides, not the one across it",
+            )
+        return math.tan(turn)
+
 
 @dataclass(frozen=True)
 class Scene:
-    """The arguments of `simulate`, and the entry's pose.
+    """The arguments of `follow`, and the entry's pose.
 
     Attributes
     ----------
-    depth : float
-        Inserted arc length, mm.
+    steps : tuple of Step
+        From first contact on; guides and stage in C.
     entry : Entry
         C in the world.
     """
 
     needle: Needle
     tissue: Tissue
-    bevel: Bevel
-    depth: float
-    controls: Controls = Controls()
+    steps: tuple[Step, ...]
     rules: Rules = Rules()
     entry: Entry = Entry()
 
+    @property
+    def depth(self) -> float:
+        """Where the last step ends: inserted arc length, mm."""
+        return self.steps[-1].depth
+
     @classmethod
-    def from_record(cls, record: SceneRecord) -> Self:
-        """Return the scene that a checked record describes."""
-        return cls(
-            needle=Needle.from_record(record.needle),
-            tissue=Tissue.from_records(record.layers, record.law),
-            bevel=Bevel.from_record(record.bevel),
-            depth=record.depth_mm,
-            controls=_controls(record.controls),
-            rules=Rules.from_record(record.rules),
-            entry=Entry.from_record(record.entry),
-        )
+    def from_record(cls, record: SceneRecord, where: str = "") -> Self:
+        """Return the scene that a checked record describes; `where` is named in errors.
+
+        Raises
+        ------
+        ConfigError
+            If the model does not take one of its values; the key is named where there is one.
+        """
+        entry = Entry.from_record(record.entry)
+        with _naming("", where):
+            needle = Needle.from_record(record.needle)
+            tissue = Tissue.from_records(record.layers, record.law)
+            rules = Rules.from_record(record.rules)
+        with _naming("law", where):
+            laws.power_terms(tissue.law, tissue.alpha)  # refused here, where the key is known
+        steps = tuple(_step(whole, needle, entry, where) for whole in schedule(record))
+        return cls(needle, tissue, steps, rules, entry)
 
 
-def _controls(record: ControlsRecord) -> Controls:
-    """Return the controls that a checked record describes (degrees become slopes)."""
-    guides = () if record.guide_distance_mm is None else (Guide(-record.guide_distance_mm),)
-    return Controls(record.base_y_mm, math.tan(math.radians(record.base_slope_deg)), guides=guides)
+def insert(scene: Scene) -> tuple[NeedleShape, ...]:
+    """Return the needle's shape after each step in C, up to the first step that fails.
+
+    All of them have the constraint points of the whole insertion, so that each one is the next one's past.
+    """
+    lattice = lattice_of(scene.steps, scene.rules)
+    shapes: list[NeedleShape] = []
+    for n in range(1, len(scene.steps) + 1):
+        shapes.append(follow(scene.needle, scene.tissue, scene.steps[:n], scene.rules, lattice))
+        if not shapes[-1].converged:
+            break
+    return tuple(shapes)
+
+
+def _step(whole: WholeStep, needle: Needle, entry: Entry, where: str) -> Step:
+    """Return a step whose guides and stage, given in the world, are seen from C."""
+    held = whole.controls
+    with _naming("controls.stage_angle_deg", where):
+        stage = 0.0 if held.stage_angle_deg is None else entry.slope_of(math.radians(held.stage_angle_deg))
+    guides = [_guide(guide, entry, key, where) for key, guide in whole.guides if guide.holds]
+    if held.guide_distance_mm is not None:
+        guides.append(Guide(-held.guide_distance_mm))
+    tip = None
+    if held.tip_y_mm is not None:
+        tip = TrackedTip(held.tip_y_mm, None if held.tip_slope_deg is None else _slope(held.tip_slope_deg))
+    with _naming("guides", where):
+        controls = Controls(held.base_y_mm, _slope(held.base_slope_deg), stage, tuple(guides), tip)
+    with _naming(whole.key, where):
+        check_reach(needle.length, whole.depth_mm, controls)
+        return Step(whole.depth_mm, Bevel.from_record(whole.bevel), controls)
+
+
+def _guide(guide: GuideRecord, entry: Entry, key: str, where: str) -> Guide:
+    with _naming(key, where):
+        (x, y), slope = entry.to_frame([[guide.x_mm, guide.y_mm]])[0], 0.0
+        if guide.angle_deg is not None and not guide.turns_freely:
+            slope = entry.slope_of(math.radians(guide.angle_deg))
+        at = 0.0 if abs(x) < NEAR else float(x)  # rounding must not push it out of the tissue
+        return Guide(at, float(y), None if guide.turns_freely else slope, guide.in_tissue)
+
+
+def _slope(degrees: float) -> float:
+    return math.tan(math.radians(degrees))
+
+
+@contextmanager
+def _naming(key: str, where: str) -> Iterator[None]:
+    """Turn what the model refuses into a fault of the file, at a key where there is one."""
+    try:
+        yield
+    except ModelError as error:
+        what = f"key `{key}`: {error.what}" if key else error.what
+        raise ConfigError(what, where=where, expected=error.expected, mend=error.mend) from error

@@ -16,7 +16,7 @@ def override(
 ) -> dict[str, Any]:
     """Return a copy of `tables` in which each dotted key has its new value.
 
-    Members of a list are numbered from 1, as layers are: `layers.1` is the first layer.
+    Members of a list are numbered from 1: `layers.1` is the first layer, `steps.1` the first step.
 
     Raises
     ------
@@ -32,22 +32,33 @@ def override(
                 f"there is no key `{key}`",
                 where=where,
                 expected=f"one of {', '.join(near)}",
-                mend="use one of these keys; layers are numbered from 1",
+                mend="use one of these keys; layers, guides and steps are numbered from 1",
             )
         _assign(changed, key.split("."), _parsed(text))
     return changed
 
 
 def keys(kind: type[BaseModel], tables: Mapping[str, Any]) -> Iterator[str]:
-    """Yield every dotted key that a file of this kind may hold; lists are as long as in `tables`."""
+    """Yield every dotted key that a file of this kind may hold; lists are as long as in `tables`.
+
+    The tables of a mapping are called like the members of the file's list of the same name: what a step
+    changes of a guide is `steps.2.guides.template.y_mm` where one of `guides` has the name `template`.
+    """
+    return _keys(kind, tables, tables)
+
+
+def _keys(kind: type[BaseModel], tables: Mapping[str, Any], file: Mapping[str, Any]) -> Iterator[str]:
     for name, field in kind.model_fields.items():
         name = field.alias or name
         inner: Any = field.annotation
         if _is_record(inner):
-            yield from (f"{name}.{key}" for key in keys(inner, tables.get(name, {})))
+            yield from (f"{name}.{key}" for key in _keys(inner, tables.get(name, {}), file))
         elif get_origin(inner) is tuple and _is_record(get_args(inner)[0]):
             for number, member in enumerate(tables.get(name, []), start=1):
-                yield from (f"{name}.{number}.{key}" for key in keys(get_args(inner)[0], member))
+                yield from (f"{name}.{number}.{key}" for key in _keys(get_args(inner)[0], member, file))
+        elif get_origin(inner) is dict and _is_record(get_args(inner)[1]):
+            for member in (member["name"] for member in file.get(name, []) if "name" in member):
+                yield from (f"{name}.{member}.{key}" for key in _keys(get_args(inner)[1], {}, file))
         elif name != "schema":
             yield name
 

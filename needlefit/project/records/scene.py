@@ -1,11 +1,13 @@
-"""A scene: one needle, one stack of layers, one bevel, one depth."""
+"""A scene: one needle, one stack of layers, and the steps in which it is inserted."""
 
+import difflib
 from itertools import pairwise
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from needlefit.project.records.record import FileRecord, Record
+from needlefit.project.records.steps import GuideRecord, StepRecord, check_tip
 
 
 class NeedleRecord(Record):
@@ -57,11 +59,23 @@ class RulesRecord(Record):
 
 
 class ControlsRecord(Record):
-    """Where the needle is held: the base in C, or a clamping guide before the tissue."""
+    """How the needle is held at first: the base, a clamping guide before the tissue, a tracked tip.
+
+    All of it in C, but for `stage_angle_deg`: the direction in the world in which the stage carries the
+    base (default: the entry's).
+    """
 
     base_y_mm: float = 0.0
     base_slope_deg: float = Field(default=0.0, gt=-45, lt=45)
+    stage_angle_deg: float | None = None
     guide_distance_mm: float | None = Field(default=None, gt=0)
+    tip_y_mm: float | None = None
+    tip_slope_deg: float | None = Field(default=None, gt=-45, lt=45)
+
+    @model_validator(mode="after")
+    def _placed(self) -> Self:
+        check_tip(self.tip_y_mm, self.tip_slope_deg)
+        return self
 
 
 class EntryRecord(Record):
@@ -73,11 +87,15 @@ class EntryRecord(Record):
 
 
 class SceneRecord(FileRecord):
-    """`configs/scenes/<name>.toml`."""
+    """`configs/scenes/<name>.toml`: one insertion to `depth_mm`, or `steps`.
+
+    What a step does not say carries over from the step before, the first one's from `bevel`, `controls`
+    and `guides`.
+    """
 
     title: str = ""
     note: str = ""
-    depth_mm: float = Field(gt=0)
+    depth_mm: float | None = Field(default=None, gt=0)
     law: str = "ogden"
     needle: NeedleRecord
     layers: tuple[LayerRecord, ...] = Field(min_length=1)
@@ -85,6 +103,8 @@ class SceneRecord(FileRecord):
     rules: RulesRecord = RulesRecord()
     controls: ControlsRecord = ControlsRecord()
     entry: EntryRecord = EntryRecord()
+    guides: tuple[GuideRecord, ...] = ()
+    steps: tuple[StepRecord, ...] = ()
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -96,12 +116,26 @@ class SceneRecord(FileRecord):
         return self
 
     @model_validator(mode="after")
-    def _reachable(self) -> Self:
-        reach = self.needle.length_mm - (self.controls.guide_distance_mm or 0.0)
-        if self.depth_mm >= reach:
-            behind = "the guide" if self.controls.guide_distance_mm else "the tissue"
+    def _one_way(self) -> Self:
+        if self.steps and self.depth_mm is not None:
             raise ValueError(
-                f"depth_mm = {self.depth_mm:g} drives the needle's base into {behind}: "
-                f"expected less than {reach:g} mm"
+                f"key `depth_mm` stands beside steps, each of which has its own: delete it, or set "
+                f"steps.{len(self.steps)}.depth_mm"
             )
+        if not self.steps and self.depth_mm is None:
+            raise ValueError("key `depth_mm` is missing: give it, or [[steps]] with a depth_mm each")
+        return self
+
+    @model_validator(mode="after")
+    def _known_guides(self) -> Self:
+        names = [guide.name for guide in self.guides]
+        for n, name in enumerate(names, start=1):
+            if name in names[: n - 1]:
+                raise ValueError(f"key `guides.{n}.name`: `{name}` names another guide already")
+        for n, step in enumerate(self.steps, start=1):
+            for name in step.guides:
+                if name not in names:
+                    near = difflib.get_close_matches(name, names, n=1) or names
+                    known = f"did you mean `{', '.join(near)}`?" if near else "the scene has no guides"
+                    raise ValueError(f"key `steps.{n}.guides.{name}`: there is no such guide; {known}")
         return self

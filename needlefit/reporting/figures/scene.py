@@ -1,37 +1,44 @@
 """A picture of one simulated scene: the needle in its layers."""
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.colors import LinearSegmentedColormap
 from matplotlib.figure import Figure
 
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, positions
 from needlefit.reporting.figures.overlays import stretch
+from needlefit.reporting.figures.steps import paint_steps
 from needlefit.reporting.figures.style import WIDTH, draw
+from needlefit.reporting.figures.tissue import layer_label, shades
 from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
-from needlefit.reporting.numbers import number, typeset
 
-_LAYERS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
 _TALLEST = 5.5  # inches: a needle that bends further is drawn narrower
 _OUTSIDE = 0.22  # share of the depth drawn before the entry
 
 
-def draw_scene(title: str, scene: Scene, shape: NeedleShape, path: Path) -> None:
-    """Draw the needle, its layers and its constraint points in C, mm, to a .pdf, .png or .svg file.
+def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Path) -> None:
+    """Draw the needle, its layers and its constraint points, mm, to a .pdf, .png or .svg file.
 
+    A scene of one step is drawn in C, as far as it is inserted; one of several in the world, a panel a step.
     Deflections are small beside depths: y is stretched by the factor that its label states, by none where
     the needle bends enough.
+
+    Parameters
+    ----------
+    shapes : sequence of NeedleShape
+        After each step, up to the one that failed.
 
     Raises
     ------
     ConfigError
         If the ending of `path` is another one, or its folder does not exist.
     """
-    draw(path, lambda: _paint(title, scene, shape))
+    several = len(scene.steps) > 1
+    draw(path, lambda: paint_steps(title, scene, shapes) if several else _paint(title, scene, shapes[-1]))
 
 
 def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
@@ -62,17 +69,13 @@ def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
     low, high = axes.get_ylim()
     free = 0.04 if high > -low else 0.96
     edges = np.minimum([0.0, *scene.tissue.boundaries, np.inf], end)
-    stiffness = np.log10(scene.tissue.mu)
-    decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
-    for i, (top, bottom) in enumerate(pairwise(edges)):
+    for i, ((top, bottom), shade) in enumerate(zip(pairwise(edges), shades(scene.tissue), strict=True)):
         if bottom <= top:
             continue
-        shade = _LAYERS(float((stiffness[i] - stiffness.min()) / decades))
         axes.axvspan(top, bottom, color=shade, lw=0, zorder=0)
         inches = (bottom - top) / (end - start) * width
-        modulus = f"layer {i + 1}\n{typeset(number(scene.tissue.mu[i] * 1e6))} Pa"
         axes.text(
-            (top + bottom) / 2, free, modulus if inches > 0.75 else f"{i + 1}", ha="center", fontsize=6.5,
+            (top + bottom) / 2, free, layer_label(scene.tissue, i, inches), ha="center", fontsize=6.5,
             va="bottom" if free < 0.5 else "top", linespacing=1.3, transform=axes.get_xaxis_transform(),
         )  # fmt: skip
     for depth in scene.tissue.boundaries[scene.tissue.boundaries < end]:

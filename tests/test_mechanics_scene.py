@@ -1,0 +1,243 @@
+"""A scene in the world: poses seen from C, steps that carry on, and the paper's Fig. 1."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import needlefit
+from needlefit.errors import ConfigError
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.plan import lattice_of
+from needlefit.mechanics.scene import Entry, Scene, insert
+from needlefit.mechanics.shape import NeedleShape, inserted_points, positions
+from needlefit.mechanics.simulate import follow
+from needlefit.project.load import check
+from needlefit.project.records.scene import SceneRecord
+
+FIGURE1 = needlefit.open_scene("figure1")
+SHAPES = insert(FIGURE1)
+
+TABLES: dict[str, Any] = {
+    "schema": 1,
+    "needle": {"length_mm": 100, "flexural_rigidity_nmm2": 1e4},
+    "bevel": {"offset_mm": 0.1},
+    "layers": [{"top_mm": 0, "mu_pa": 1e5, "alpha": 1}, {"top_mm": 12, "mu_pa": 2e6, "alpha": -1}],
+}
+
+
+def built(**tables: Any) -> Scene:
+    return Scene.from_record(check(TABLES | tables, SceneRecord, "a.toml"), "a.toml")
+
+
+def test_entry_carries_points_there_and_back():
+    entry = Entry(3.0, -2.0, 0.7)
+    points = np.array([[1.0, 2.0], [-4.0, 0.5]])
+    assert entry.to_frame(entry.to_world(points)) == pytest.approx(points, abs=1e-14)
+    assert entry.to_frame([[3.0, -2.0]]).tolist() == [[0.0, 0.0]]
+
+
+@pytest.mark.parametrize(
+    ("entry_deg", "axis_deg", "slope"),
+    [
+        (0, 0, 0),
+        (0, 30, math.tan(math.pi / 6)),
+        (90, 90, 0),
+        (90, 270, 0),
+        (170, -175, math.tan(math.radians(15))),
+    ],
+)  # an axis has no front, and angles go round
+def test_an_axis_in_the_world_has_a_slope_in_c(entry_deg, axis_deg, slope):
+    found = Entry(angle=math.radians(entry_deg)).slope_of(math.radians(axis_deg))
+    assert found == pytest.approx(slope, abs=1e-12)
+
+
+def test_what_a_file_says_in_the_world_is_seen_from_c():
+    entry = {"x_mm": 1, "y_mm": 2, "angle_deg": 90}  # C's x points up, its y to the left
+    guides = [
+        {"name": "held", "x_mm": 1 - 0.5, "y_mm": 2 - 20, "angle_deg": 100},
+        {"name": "ring", "x_mm": 1, "y_mm": 2 - 10, "turns_freely": True},
+        {"name": "deep", "x_mm": 1 + 0.25, "y_mm": 2 + 5, "in_tissue": True},
+        {"name": "open", "x_mm": 9, "y_mm": 9, "holds": False},
+    ]
+    controls = {
+        "base_y_mm": 3,
+        "base_slope_deg": 2,
+        "stage_angle_deg": 91,
+        "tip_y_mm": 0.5,
+        "tip_slope_deg": 1,
+    }
+    (step,) = built(entry=entry, guides=guides, controls=controls, depth_mm=15).steps
+    held, ring, deep = step.controls.guides
+    assert (held.x, held.y) == pytest.approx((-20, 0.5)) and held.slope == pytest.approx(
+        math.tan(math.radians(10))
+    )
+    assert (ring.x, ring.y) == pytest.approx((-10, 0)) and ring.slope is None
+    assert (deep.x, deep.y, deep.slope) == pytest.approx((5, -0.25, 0)) and deep.in_tissue
+    assert step.controls.base_y == 3
+    assert step.controls.base_slope == pytest.approx(math.tan(math.radians(2)))
+    assert step.controls.stage_slope == pytest.approx(math.tan(math.radians(1)))
+    assert step.controls.tip == TrackedTip(0.5, math.tan(math.radians(1)))
+
+
+def test_the_simple_guide_is_one_on_the_insertion_axis():
+    (step,) = built(depth_mm=20, controls={"guide_distance_mm": 8}, entry={"angle_deg": 33}).steps
+    assert step == Step(20.0, Bevel(0.1), Controls(guides=(Guide(-8.0),)))
+    world = {
+        "name": "same",
+        "x_mm": -8 * math.cos(0.3),
+        "y_mm": -8 * math.sin(0.3),
+        "angle_deg": math.degrees(0.3),
+    }
+    (same,) = built(depth_mm=20, guides=[world], entry={"angle_deg": math.degrees(0.3)}).steps
+    assert same.controls.guides[0].x == pytest.approx(-8) and same.controls.guides[0].y == pytest.approx(0)
+
+
+def test_a_guide_at_the_entry_stands_in_the_tissue_whatever_the_rounding():
+    for degrees in range(0, 360, 7):
+        angle = math.radians(degrees)
+        beside = {"x_mm": 0.1 - 3 * math.sin(angle), "y_mm": 0.7 + 3 * math.cos(angle)}
+        entry = {"x_mm": 0.1, "y_mm": 0.7, "angle_deg": degrees}
+        (step,) = built(depth_mm=9, entry=entry, guides=[{"name": "g", "in_tissue": True} | beside]).steps
+        assert step.controls.guides[0].x == 0.0
+
+
+def test_faults_name_file_and_key():
+    with pytest.raises(ConfigError, match=r"a\.toml: key `steps\.2\.guides\.g`: guide stands at x = 1"):
+        built(
+            guides=[{"name": "g", "x_mm": -5, "y_mm": 0}],
+            steps=[{"depth_mm": 5}, {"depth_mm": 9, "guides": {"g": {"x_mm": 1}}}],
+        )
+    with pytest.raises(ConfigError, match=r"a\.toml: key `law`: there is no tissue law"):
+        built(depth_mm=5, law="rubber")
+
+
+ANGLES = st.floats(-180, 180)
+SHIFTS = st.floats(-50, 50)
+
+
+@settings(max_examples=20, deadline=None)
+@given(turn=ANGLES, shift_x=SHIFTS, shift_y=SHIFTS, start=ANGLES)
+def test_a_scene_moved_as_a_whole_is_the_same_scene(turn, shift_x, shift_y, start):
+    motion = Entry(shift_x, shift_y, math.radians(turn))
+
+    def moved(x: float, y: float) -> dict[str, float]:
+        (at,) = motion.to_world([[x, y]])
+        return {"x_mm": float(at[0]), "y_mm": float(at[1])}
+
+    def place(x: float, y: float) -> tuple[float, float]:  # places before the motion, seen from the entry
+        (at,) = Entry(2.0, -1.0, math.radians(start)).to_world([[x, y]])
+        return float(at[0]), float(at[1])
+
+    def scene(where: Any, angle: float) -> Scene:
+        return built(
+            entry=where(2.0, -1.0) | {"angle_deg": start + angle},
+            controls={"stage_angle_deg": start + 2 + angle},
+            guides=[
+                {"name": "a", "angle_deg": start - 3 + angle} | where(*place(-12, 0.3)),
+                {"name": "b", "in_tissue": True, "turns_freely": True} | where(*place(6.3, -0.2)),
+            ],
+            steps=[
+                {"depth_mm": 14},
+                {"depth_mm": 21, "guides": {"a": where(*place(-10, 1))}},
+                {"depth_mm": 17},
+            ],
+        )
+
+    before = scene(lambda x, y: {"x_mm": x, "y_mm": y}, 0.0)
+    after = scene(moved, turn)
+    for one, other in zip(insert(before), insert(after), strict=True):
+        assert other.u == pytest.approx(one.u, abs=1e-8) and other.x == pytest.approx(one.x, abs=1e-9)
+        points = before.entry.to_world(inserted_points(one, 11))
+        assert after.entry.to_world(inserted_points(other, 11)) == pytest.approx(
+            motion.to_world(points), abs=1e-8
+        )
+
+
+def test_each_shape_is_the_next_one_s_past():
+    lattice = lattice_of(FIGURE1.steps, FIGURE1.rules)
+    for n, shape in enumerate(SHAPES, start=1):
+        alone = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps[:n], FIGURE1.rules, lattice)
+        assert np.array_equal(alone.u, shape.u)
+    whole = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps, FIGURE1.rules)
+    assert np.array_equal(whole.u, SHAPES[-1].u)
+
+
+def test_shapes_end_with_the_step_that_fails():
+    crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
+    shapes = insert(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
+    assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
+
+
+def at(shape: NeedleShape, x: float) -> tuple[float, float]:
+    """Return deflection and slope at a node."""
+    (node,) = np.flatnonzero(np.abs(shape.x - x) < 1e-9)
+    return float(shape.u[node]), float(shape.slope[node])
+
+
+def test_figure_1_is_held_where_its_controls_say():
+    assert FIGURE1.tissue.layers == 4 and len(FIGURE1.steps) == 3
+    assert {step.bevel.side for step in FIGURE1.steps} == {1, -1}
+    template = [(0.0, 0.0), (2.0, 0.0), (-1.5, 0.0)]  # the file's y_mm, and the slope of its axis
+    base = [(0.0, 0.0), (5.0, 0.0), (-4.0, math.tan(math.radians(4)))]
+    for shape, depth, held, driven in zip(SHAPES, (40.0, 70.0, 105.0), template, base, strict=True):
+        assert shape.converged and shape.depth == depth
+        assert at(shape, -15.0) == pytest.approx(held, abs=1e-12)
+        assert at(shape, depth - 150.0) == pytest.approx(driven, abs=1e-12)
+        start = FIGURE1.entry.to_world(positions(shape, shape.x[:1]))[0]
+        assert start == pytest.approx([depth - 150.0, driven[0]])  # the stage carries it along the world's x
+
+
+def test_figure_1_mirrored_deflects_to_the_other_side():
+    def mirrored(step: Step) -> Step:
+        held = step.controls
+        guides = tuple(replace(guide, y=-guide.y, slope=-(guide.slope or 0.0)) for guide in held.guides)
+        controls = replace(held, base_y=-held.base_y, base_slope=-held.base_slope, guides=guides)
+        return Step(step.depth, replace(step.bevel, side=-step.bevel.side), controls)
+
+    for shape, other in zip(
+        SHAPES, insert(replace(FIGURE1, steps=tuple(map(mirrored, FIGURE1.steps)))), strict=True
+    ):
+        assert other.u == pytest.approx(-shape.u, abs=1e-12)
+        assert other.constraints[:, 1] == pytest.approx(-shape.constraints[:, 1], abs=1e-12)
+
+
+def test_figure_1_keeps_what_it_has_cut_and_begins_anew_where_the_bevel_turns():
+    b, spacing = FIGURE1.steps[0].bevel.offset, FIGURE1.rules.spacing
+    for past, shape, side, last in ((SHAPES[0], SHAPES[1], -1, 40), (SHAPES[1], SHAPES[2], -1, 70)):
+        assert np.array_equal(shape.constraints[: last + 1], past.constraints)  # x_m = m mm: a point a mm
+        u, slope = shape.tip_track[last]  # of the tip where it stood, the inputs of the new step upon it
+        assert shape.constraints[last + 1, 1] == pytest.approx(u + spacing * slope + side * b, abs=1e-9)
+    turned = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps[:1], FIGURE1.rules)
+    assert turned.deflection > 0  # the first step's bevel faces left
+
+
+def test_figure_1_bends_toward_its_bevel():
+    """Without the lateral inputs, the turned bevel takes the tip back from where the first side led it."""
+    alone = replace(FIGURE1, steps=tuple(replace(step, controls=Controls()) for step in FIGURE1.steps))
+    straight = replace(
+        alone, steps=tuple(replace(step, bevel=replace(step.bevel, side=1)) for step in alone.steps)
+    )
+    turned, kept = insert(alone), insert(straight)
+    assert np.array_equal(turned[0].u, kept[0].u)
+    assert turned[1].slope[-1] < turned[0].slope[-1] < kept[1].slope[-1]
+    assert turned[2].slope[-1] < 0 < kept[2].slope[-1]
+
+
+def test_figure_1_pulled_back_and_pushed_again_returns():
+    last = FIGURE1.steps[-1]
+    lattice = lattice_of(FIGURE1.steps, Rules())
+    there = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps, FIGURE1.rules, lattice)
+    for back in (104.3, 104.0 + 1e-3):  # within the last cell: along its ray
+        steps = (*FIGURE1.steps, replace(last, depth=back), last)
+        again = follow(FIGURE1.needle, FIGURE1.tissue, steps, FIGURE1.rules, lattice)
+        assert again.u == pytest.approx(there.u, abs=1e-6)
+        assert again.constraints == pytest.approx(there.constraints, abs=1e-9)
+    far = follow(
+        FIGURE1.needle, FIGURE1.tissue, (*FIGURE1.steps, replace(last, depth=90.0)), FIGURE1.rules, lattice
+    )
+    assert far.constraints == pytest.approx(there.constraints[:91], abs=1e-12)
