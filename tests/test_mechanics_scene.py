@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 import needlefit
 from needlefit.errors import ConfigError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.plan import lattice_of
 from needlefit.mechanics.scene import Entry, Scene, insert
 from needlefit.mechanics.shape import NeedleShape, inserted_points, positions
@@ -212,8 +212,6 @@ def test_figure_1_keeps_what_it_has_cut_and_begins_anew_where_the_bevel_turns():
         assert np.array_equal(shape.constraints[: last + 1], past.constraints)  # x_m = m mm: a point a mm
         u, slope = shape.tip_track[last]  # of the tip where it stood, the inputs of the new step upon it
         assert shape.constraints[last + 1, 1] == pytest.approx(u + spacing * slope + side * b, abs=1e-9)
-    turned = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps[:1], FIGURE1.rules)
-    assert turned.deflection > 0  # the first step's bevel faces left
 
 
 def test_figure_1_bends_toward_its_bevel():
@@ -228,16 +226,16 @@ def test_figure_1_bends_toward_its_bevel():
     assert turned[2].slope[-1] < 0 < kept[2].slope[-1]
 
 
-def test_figure_1_pulled_back_and_pushed_again_returns():
-    last = FIGURE1.steps[-1]
-    lattice = lattice_of(FIGURE1.steps, Rules())
-    there = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps, FIGURE1.rules, lattice)
-    for back in (104.3, 104.0 + 1e-3):  # within the last cell: along its ray
-        steps = (*FIGURE1.steps, replace(last, depth=back), last)
-        again = follow(FIGURE1.needle, FIGURE1.tissue, steps, FIGURE1.rules, lattice)
-        assert again.u == pytest.approx(there.u, abs=1e-6)
-        assert again.constraints == pytest.approx(there.constraints, abs=1e-9)
-    far = follow(
-        FIGURE1.needle, FIGURE1.tissue, (*FIGURE1.steps, replace(last, depth=90.0)), FIGURE1.rules, lattice
+@pytest.mark.parametrize("back", [104.3, 104.001, 90.0, 80.4])  # within the last cell, and cells back
+def test_figure_1_pulled_back_and_pushed_again_returns(back):
+    there, last = SHAPES[-1], FIGURE1.steps[-1]
+    lattice = lattice_of(FIGURE1.steps, FIGURE1.rules)
+    pulled, returned = (
+        follow(FIGURE1.needle, FIGURE1.tissue, (*FIGURE1.steps, *more), FIGURE1.rules, lattice)
+        for more in ((replace(last, depth=back),), (replace(last, depth=back), last))
     )
-    assert far.constraints == pytest.approx(there.constraints[:91], abs=1e-12)
+    kept = int(back) + 1  # x_m = m mm
+    assert np.array_equal(pulled.constraints[:kept], there.constraints[:kept])
+    assert pulled.depth == back and pulled.deflection != there.deflection
+    assert returned.u == pytest.approx(there.u, abs=1e-6)
+    assert returned.constraints == pytest.approx(there.constraints, abs=1e-6)
