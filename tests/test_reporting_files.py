@@ -225,6 +225,13 @@ def test_the_steps_after_a_failure_are_not_drawn():
     assert "NOT CONVERGED: over-compressed" in panels[1].get_title("right")
 
 
+@pytest.mark.parametrize("step", [Step(25.0, Bevel(60.0)), Step(0.0, Bevel(0.1))], ids=["failed", "outside"])
+def test_a_needle_that_shows_little_is_drawn_all_the_same(tmp_path, step):
+    one = dataclasses.replace(scene(), steps=(step,))
+    figures.draw_scene("One step", one, insert(one), tmp_path / "needle.png")
+    assert (tmp_path / "needle.png").stat().st_size > 0
+
+
 @pytest.mark.parametrize("name", ["needle.jpg", "needle"])
 def test_another_suffix_is_refused_with_what_would_do(tmp_path, name):
     one = scene()

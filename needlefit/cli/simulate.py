@@ -152,8 +152,8 @@ def _print(title: str, answer: dict[str, Any]) -> None:
     state = "yes" if answer["converged"] else f"NO: {answer['status']}"
     rows = [
         ("depth", f"{answer['depth_mm']:g} mm"),
-        ("deflection", f"{answer['deflection_mm']:.3f} mm, tip in the constraint frame"),
-        ("tip", f"({x:.3f}, {y:.3f}) mm in the world"),
+        ("deflection", f"{answer['deflection_mm']:z.3f} mm, tip in the constraint frame"),
+        ("tip", f"({x:z.3f}, {y:z.3f}) mm in the world"),
         ("boundaries", interfaces + (" mm" if interfaces != "none" else "")),
         ("converged", f"{state} ({answer['iterations']} Newton iterations)"),
     ]
@@ -172,4 +172,4 @@ def _line(step: dict[str, Any]) -> str:
         return f"{depth}: {step['status'] if step['status'] == 'not reached' else 'NO: ' + step['status']}"
     x, y = step["tip_mm"]
     angle = step["tip_angle_deg"]
-    return f"{depth}, deflection {step['deflection_mm']:.3f} mm, tip ({x:.3f}, {y:.3f}) mm at {angle:.2f}°"
+    return f"{depth}, deflection {step['deflection_mm']:z.3f} mm, tip ({x:z.3f}, {y:z.3f}) mm at {angle:z.2f}°"

@@ -37,13 +37,17 @@ def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Pa
     ConfigError
         If the ending of `path` is another one, or its folder does not exist.
     """
-    several = len(scene.steps) > 1
+    several = (
+        len(scene.steps) > 1 or scene.depth == 0
+    )  # a needle that is not in the tissue has no depth to show
     draw(path, lambda: paint_steps(title, scene, shapes) if several else _paint(title, scene, shapes[-1]))
 
 
 def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     start = max(float(shape.x[0]), -_OUTSIDE * scene.depth)
     needle = positions(shape, np.linspace(start, shape.depth, 400))  # (400, 2)
+    if not shape.converged:
+        needle = np.zeros((1, 2))  # there is none to show
     bend = float(np.abs(needle[:, 1]).max()) or 1.0
     y = (min(needle[:, 1].min(), 0.0) - 0.35 * bend, max(needle[:, 1].max(), 0.0) + 0.35 * bend)
     x = (-_OUTSIDE * scene.depth, 1.04 * scene.depth)
@@ -55,7 +59,8 @@ def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     axes.set(xlim=x, ylim=y)
     axes.set_aspect(factor)
     _draw_layers(axes, scene, width)
-    _draw_needle(axes, shape, needle)
+    if shape.converged:
+        _draw_needle(axes, shape, needle)
     state = "" if shape.converged else f"   NOT CONVERGED: {shape.status}"
     axes.set_title(f"{title}{state}", loc="left", pad=6)
     axes.set_xlabel("x along the entry (mm)")
