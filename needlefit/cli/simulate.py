@@ -171,5 +171,5 @@ def _line(step: dict[str, Any]) -> str:
     if not step["converged"]:
         return f"{depth}: {step['status'] if step['status'] == 'not reached' else 'NO: ' + step['status']}"
     x, y = step["tip_mm"]
-    angle = step["tip_angle_deg"]
-    return f"{depth}, deflection {step['deflection_mm']:z.3f} mm, tip ({x:z.3f}, {y:z.3f}) mm at {angle:z.2f}°"
+    deflection, angle = step["deflection_mm"], step["tip_angle_deg"]
+    return f"{depth}, deflection {deflection:z.3f} mm, tip ({x:z.3f}, {y:z.3f}) mm at {angle:z.2f}°"
