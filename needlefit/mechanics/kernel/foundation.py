@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 TERMS = 6  # of the series of k in the compression
-TRUNCATION = 1e-11  # relative error of k that the series may have; beyond, the exact law is evaluated
+TRUNCATION = 1e-9  # relative error of k that the series may have; beyond, the exact law is evaluated
 
 
 class Foundation(NamedTuple):
@@ -23,7 +23,7 @@ class Foundation(NamedTuple):
     series: Floats  # (n, TERMS) of k in the deflection |e|, MPa / mm^j
     limit: Floats  # (n,) the |e| up to which the series is used, mm
     rough: bool  # whether any layer has friction
-    curvature: float  # a Newton step leaves at most about this times its increment squared, 1 / mm
+    curvature: Floats  # (n,) a Newton step leaves at most about this times its increment squared, 1 / mm
 
 
 class Trend(NamedTuple):
@@ -51,12 +51,12 @@ def make_foundation(
             left_out += abs(term)
         # the first term left out, doubled for those after it, is to stay below TRUNCATION of the first
         ratio = 2.0 * left_out / (TRUNCATION * series[i, 0])
-        limit[i] = min(0.02 * thickness[i], ratio ** (-1.0 / TERMS)) if ratio > 0.0 else 0.02 * thickness[i]
+        limit[i] = min(0.05 * thickness[i], ratio ** (-1.0 / TERMS)) if ratio > 0.0 else 0.05 * thickness[i]
     rough = bool(np.any(friction > 0.0))
     # half the second derivative of k e over its first, as far as the series goes; doubled, for the lever
     # of a needle that reaches beyond its stiffest layer
     bend = np.abs(series[:, 1]) + 3.0 * np.abs(series[:, 2]) * limit
-    curvature = 2.0 * np.max(bend / series[:, 0])
+    curvature = 2.0 * bend / series[:, 0]
     return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough, curvature)
 
 

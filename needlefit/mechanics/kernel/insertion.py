@@ -176,7 +176,7 @@ def hold(chain: Chain, holds: Holds, grid: Grid, last: int, tip: float, length: 
         chain.kind[i] = FREE
     for i in range(len(holds.within)):
         node = np.searchsorted(grid.nodes, holds.within[i, 0])
-        if node <= last and grid.nodes[node] == holds.within[i, 0]:
+        if node < last and grid.nodes[node] == holds.within[i, 0]:  # none holds the tip itself
             _prescribe(chain.kind, chain.value, before + node, holds.within[i, 1], holds.within[i, 2])
     if not np.isnan(holds.tip[0]):
         _prescribe(chain.kind, chain.value, before + last, holds.tip[0], holds.tip[1])

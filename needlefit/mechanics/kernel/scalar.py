@@ -68,8 +68,9 @@ def equilibrate(
     size = front + last + 1
     span_shapes(grid, chain.front[front - 1])
     state, trial, factor = state[:size], trial[:size], factor[:size]
-    trial[:] = state
+    copy(trial, state)
     before = np.inf
+    curvature = np.max(foundation.curvature)
     compressed = False
     for iteration in range(newton.max_iterations):
         tissue = sweep(trial, chain, foundation, grid, y, last, factor)
@@ -78,20 +79,29 @@ def equilibrate(
                 return OVER_COMPRESSED, iteration
             compressed = True
             # half the way back toward the last state that some tissue bore
-            trial[:] = 0.5 * (trial + state)
+            for i in range(size):
+                trial[i, 0] = 0.5 * (trial[i, 0] + state[i, 0])
+                trial[i, 1] = 0.5 * (trial[i, 1] + state[i, 1])
             continue
-        state[:] = trial
+        copy(state, trial)
         change = back(trial, factor)
         if not np.isfinite(change):
             return NON_FINITE, iteration + 1
         # a step's error is about the square of its increment times the law's curvature, which bounds the
         # next increment; one this small that no longer shrinks is rounding: fine meshes in soft tissue
-        next_one = foundation.curvature * change * change if tissue == SERIES else change
+        next_one = curvature * change * change if tissue == SERIES else change
         if min(change, next_one) < newton.tolerance or (change < ROUNDING and change > 0.5 * before):
-            state[:] = trial
+            copy(state, trial)
             return CONVERGED, iteration + 1
         before = change
     return OVER_COMPRESSED if compressed else NOT_CONVERGED, newton.max_iterations
+
+
+@njit(cache=True, nogil=True)
+def copy(into: Floats, state: Floats) -> None:
+    """Copy deflections and slopes; an assignment of arrays takes seconds to compile."""
+    for i in range(len(state)):
+        into[i, 0], into[i, 1] = state[i, 0], state[i, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})

@@ -14,8 +14,8 @@ from needlefit.mechanics.kernel import insertion as forward
 from needlefit.mechanics.kernel.adjoint import differentiate_tip
 from needlefit.mechanics.kernel.derivatives import Columns, Here, History, list_spots, make_room, place
 from needlefit.mechanics.kernel.foundation import Foundation, Trend
-from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
 from needlefit.mechanics.kernel.grid import Grid
+from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
 from needlefit.mechanics.kernel.scalar import (
     BROKEN,
     CONVERGED,

@@ -26,15 +26,15 @@ def names() -> tuple[str, ...]:
 
 
 def power_terms(law: str, alpha: Floats) -> tuple[Floats, Floats]:
-    """Return coefficients and exponents, each (n, P), of the named law for n layers.
+    """Return coefficients and exponents, each (..., P), of the named law for layers of `alpha` (...).
 
     Raises
     ------
     ModelError
         If there is no law of that name.
     """
-    pairs = np.array([_terms(law)(float(a)) for a in alpha])  # (n, P, 2)
-    return np.ascontiguousarray(pairs[..., 0]), np.ascontiguousarray(pairs[..., 1])
+    (c, q), (dc, dq) = _at_zero(law), term_slopes(law)
+    return c + alpha[..., None] * dc, q + alpha[..., None] * dq
 
 
 @cache
@@ -48,6 +48,12 @@ def term_slopes(law: str) -> tuple[Floats, Floats]:
     """
     slopes = np.array(_terms(law)(1.0)) - np.array(_terms(law)(0.0))  # (P, 2): the terms are linear in alpha
     return np.ascontiguousarray(slopes[:, 0]), np.ascontiguousarray(slopes[:, 1])
+
+
+@cache
+def _at_zero(law: str) -> tuple[Floats, Floats]:
+    pairs = np.array(_terms(law)(0.0))  # (P, 2)
+    return np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
 
 
 def _terms(law: str) -> Callable[[float], list[tuple[float, float]]]:

@@ -1,0 +1,165 @@
+"""Many parameter sets of one insertion, and their shapes."""
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Bevel, Rules, Step
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import NeedleShape, Status
+from needlefit.mechanics.simulate import STATUS
+from needlefit.mechanics.tissue import Tissue
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """One insertion with B parameter sets; what a set does not give is that of the nouns.
+
+    Attributes
+    ----------
+    needle, tissue, steps, rules
+        The insertion, as `simulate.follow` takes it.
+    mu, alpha : (B, n) arrays
+        Of the n layers of `tissue`, MPa and 1.
+    offset : (B,) array
+        Of every bevel, mm; sides stay.
+    rigidity : (B,) array
+        EI, N mm^2.
+    base_y, base_slope : (B,) arrays
+        Of the base in every step, mm and 1.
+    guide_x : (B,) array
+        Where the one guide before the tissue stands, mm; there must be one.
+    """
+
+    needle: Needle
+    tissue: Tissue
+    steps: tuple[Step, ...]
+    rules: Rules = Rules()
+    mu: Floats | None = None
+    alpha: Floats | None = None
+    offset: Floats | None = None
+    rigidity: Floats | None = None
+    base_y: Floats | None = None
+    base_slope: Floats | None = None
+    guide_x: Floats | None = None
+
+    def __post_init__(self) -> None:
+        sizes = {}
+        for name in VARYING:
+            value = getattr(self, name)
+            if value is None:
+                continue
+            shape = (-1, self.tissue.layers) if name in ("mu", "alpha") else (-1,)
+            array = np.ascontiguousarray(value, dtype=np.float64)
+            if array.ndim != len(shape) or (len(shape) == 2 and array.shape[1] != shape[1]):
+                raise ModelError(
+                    f"batch {name} has shape {array.shape}",
+                    expected=f"(B, {shape[1]})" if len(shape) == 2 else "(B,)",
+                )
+            sizes[name] = len(array)
+            object.__setattr__(self, name, array)
+        if len(set(sizes.values())) != 1:
+            raise ModelError(f"a batch whose sets are {sizes or 'not given'}", expected="one size B for all")
+        if self.guide_x is not None and any(len(step.controls.before) != 1 for step in self.steps):
+            raise ModelError("guide_x is given", expected="exactly one guide before the tissue in every step")
+        object.__setattr__(self, "steps", tuple(self.steps))
+
+    def __len__(self) -> int:
+        return len(next(v for v in (getattr(self, name) for name in VARYING) if v is not None))
+
+    def one(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:
+        """Return set i as the arguments of `simulate.follow`."""
+
+        def pick(name: str, default: float) -> float:
+            values = getattr(self, name)
+            return default if values is None else float(values[i])
+
+        def controlled(step: Step) -> Step:
+            controls = replace(
+                step.controls,
+                base_y=pick("base_y", step.controls.base_y),
+                base_slope=pick("base_slope", step.controls.base_slope),
+            )
+            if self.guide_x is not None:
+                (guide,) = step.controls.before
+                moved = replace(guide, x=float(self.guide_x[i]))
+                controls = replace(controls, guides=(moved, *step.controls.within))
+            return Step(step.depth, Bevel(pick("offset", step.bevel.offset), step.bevel.side), controls)
+
+        return (
+            replace(self.needle, flexural_rigidity=pick("rigidity", self.needle.flexural_rigidity)),
+            replace(
+                self.tissue,
+                mu=self.tissue.mu if self.mu is None else self.mu[i],
+                alpha=self.tissue.alpha if self.alpha is None else self.alpha[i],
+            ),
+            tuple(controlled(step) for step in self.steps),
+            self.rules,
+        )
+
+
+VARYING = tuple(field.name for field in fields(Batch))[4:]
+"""What a set may give."""
+
+
+@dataclass(frozen=True)
+class NeedleShapes:
+    """The shapes of a batch; the fields of `NeedleShape` with a leading axis of B sets.
+
+    Attributes
+    ----------
+    x, u, slope : (B, N) arrays
+    constraints : (B, M + 1, 2) array
+    tip_track : (B, M + 1, 2) array
+    status : (B,) array of int
+        Into `simulate.STATUS`; 0: converged.
+    iterations : (B,) array of int
+    """
+
+    x: Floats
+    u: Floats
+    slope: Floats
+    constraints: Floats
+    tip_track: Floats
+    status: Ints
+    iterations: Ints
+
+    def __len__(self) -> int:
+        return len(self.u)
+
+    def __getitem__(self, i: int) -> NeedleShape:
+        return NeedleShape(
+            self.x[i], self.u[i], self.slope[i], self.constraints[i], self.tip_track[i],
+            STATUS[self.status[i]], int(self.iterations[i]),
+        )  # fmt: skip
+
+    @classmethod
+    def of(cls, shapes: Sequence[NeedleShape]) -> Self:
+        """Return shapes of the same insertion together."""
+        return cls(
+            np.array([shape.x for shape in shapes]),
+            np.array([shape.u for shape in shapes]),
+            np.array([shape.slope for shape in shapes]),
+            np.array([shape.constraints for shape in shapes]),
+            np.array([shape.tip_track for shape in shapes]),
+            np.array([STATUS.index(shape.status) for shape in shapes]),
+            np.array([shape.iterations for shape in shapes]),
+        )
+
+    @property
+    def converged(self) -> NDArray[np.bool_]:
+        """Whether each set reached the tolerance, (B,)."""
+        return np.equal(self.status, 0)
+
+    @property
+    def failures(self) -> Counter[Status]:
+        """How many sets failed, by reason."""
+        return Counter(STATUS[status] for status in self.status if status != 0)

@@ -1,0 +1,265 @@
+"""Many insertions with many parameter sets: vectors within an insertion, cores between them."""
+
+import math
+import os
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics import laws
+from needlefit.mechanics.batch import VARYING, Batch, NeedleShapes
+from needlefit.mechanics.control import Controls, Guide
+from needlefit.mechanics.kernel import lanes as kernel
+from needlefit.mechanics.kernel.foundation import make_foundation
+from needlefit.mechanics.kernel.grid import constraint_depths
+from needlefit.mechanics.kernel.insertion import Insertion, Stops
+from needlefit.mechanics.kernel.passes import LANES
+from needlefit.mechanics.plan import Lattice, Stop, lattice_of, moves_of, stops_of
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import begin, compile_controls, follow, packed
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Bools = NDArray[np.bool_]
+
+
+def follow_batches(batches: Sequence[Batch], threads: int | None = None) -> tuple[NeedleShapes, ...]:
+    """Lead every parameter set of every batch through its steps; longest insertions first, on all cores.
+
+    What a set gives does not depend on the sets beside it, on their order, or on the number of threads. A
+    set whose tissue is compressed beyond the series of its law, and every set of an insertion with
+    friction, a tracked tip or guides in the tissue, goes through the scalar kernel, alone.
+
+    Parameters
+    ----------
+    batches : sequence of Batch
+    threads : int, optional
+        By default as many as there are cores.
+
+    Returns
+    -------
+    tuple of NeedleShapes
+        In the order of `batches`; sets that failed are NaN and say why in `status`. Numbers that are no
+        parameters (not finite, mu not above 0) count as "non-finite".
+
+    Raises
+    ------
+    ModelError
+        If a needle is too short for its steps.
+    """
+    jobs = [_prepare(batch) for batch in batches]
+    tasks = [(n, start) for n, job in enumerate(jobs) for start in range(0, len(job.batch), LANES)]
+    tasks.sort(key=lambda task: -jobs[task[0]].cost)  # stable: blocks of one batch stay in order
+    threads = min(threads or len(os.sched_getaffinity(0)), len(tasks))
+
+    def run(task: tuple[int, int]) -> NeedleShapes:
+        return _run(jobs[task[0]], task[1])
+
+    if threads <= 1:
+        parts = [run(task) for task in tasks]
+    else:
+        with ThreadPoolExecutor(threads) as pool:  # the kernel lets go of the interpreter
+            parts = list(pool.map(run, tasks))
+    found: list[list[NeedleShapes]] = [[] for _ in jobs]
+    for (n, _), part in zip(tasks, parts, strict=True):
+        found[n].append(part)
+    return tuple(_join(some) for some in found)
+
+
+@dataclass(frozen=True)
+class _Shared:
+    """What the sets of a batch share in the lanes, and what the lanes read of each."""
+
+    grids: Insertion
+    tables: kernel.Tables
+    layers: Floats  # (B, n, LAYER)
+    curvature: Floats  # (B,)
+
+
+@dataclass(frozen=True)
+class _Job:
+    batch: Batch
+    lattice: Lattice
+    groups: tuple[tuple[int, Stops, Ints], ...]  # as `simulate.packed`
+    stops: tuple[Stop, ...]
+    valid: Bools  # (B,) which sets are made of numbers that the nouns take
+    shared: _Shared | None  # None: every set goes alone
+
+    @property
+    def cost(self) -> float:
+        """Nodes to be solved for, about."""
+        return sum(stop.tip for stop in self.stops)
+
+
+def _prepare(batch: Batch) -> _Job:
+    far = 0 if batch.guide_x is None else int(np.argmin(batch.guide_x))
+    needle, _, steps, rules = batch.one(far)
+    lattice = lattice_of(steps, rules)
+    moves = moves_of(steps, needle.length)  # raises where the farthest guide is out of reach
+    stops, valid = stops_of(moves, lattice), _valid(batch)
+    shared = None
+    if _fit(batch, lattice, stops):
+        grids = begin(needle, batch.tissue, steps, lattice, rules)
+        shared = _Shared(grids, kernel.tabulate(grids.main), *_layers(batch, valid))
+    return _Job(batch, lattice, packed(moves, lattice), stops, valid, shared)
+
+
+def _valid(batch: Batch) -> NDArray[np.bool_]:
+    """Return which sets are made of numbers that a tissue or needle may have, (B,)."""
+    good = np.ones(len(batch), dtype=bool)
+    for name in VARYING:
+        values = getattr(batch, name)
+        if values is not None:
+            bad = ~np.isfinite(values) | ((values <= 0) if name in ("mu", "rigidity") else False)
+            good &= ~bad.reshape(len(batch), -1).any(axis=1)
+    return good
+
+
+def _fit(batch: Batch, lattice: Lattice, stops: Sequence[Stop]) -> bool:
+    """Return whether the lanes know how to hold this needle."""
+    half = 0.5 * batch.rules.element
+    # element 0 carries tissue where the entry has no node; its length must then be the same in all lanes
+    short = lattice.first_cell < half or any(0 < stop.tip < half for stop in stops)
+    inputs = [step.controls for step in batch.steps]
+    free = any(controls.before and controls.before[-1].slope is None for controls in inputs)
+    return not (
+        np.any(batch.tissue.friction > 0)
+        or any(controls.tip is not None or controls.within for controls in inputs)
+        or (short and (free or batch.guide_x is not None))
+    )
+
+
+def _layers(batch: Batch, valid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
+    """Return the series and limits of every set's layers (B, n, LAYER), and curvatures (B,)."""
+    tissue, shape = batch.tissue, (len(batch), batch.tissue.layers)
+    mu = np.broadcast_to(tissue.mu if batch.mu is None else batch.mu, shape)
+    alpha = np.broadcast_to(tissue.alpha if batch.alpha is None else batch.alpha, shape)
+    mu, alpha = np.where(valid[:, None], mu, 1.0), np.where(valid[:, None], alpha, 1.0)
+    coefficients, exponents = laws.power_terms(tissue.law, alpha.ravel())
+    thickness, friction = (np.resize(part, mu.size) for part in (tissue.thickness, tissue.friction))
+    found = make_foundation(mu.ravel(), coefficients, exponents, thickness, friction)
+    series = np.concatenate((found.series, found.limit[:, None]), axis=1)
+    return series.reshape(*shape, -1), found.curvature.reshape(shape).max(axis=1)
+
+
+def _run(job: _Job, start: int) -> NeedleShapes:
+    """Return the shapes of one block of sets."""
+    sets = np.arange(start, min(start + LANES, len(job.batch)))
+    if job.shared is None:
+        return NeedleShapes.of([_alone(job, int(i)) for i in sets])
+    shapes, left = _together(job, job.shared, sets)
+    for i in np.flatnonzero(left | ~job.valid[sets]):
+        alone = _alone(job, int(sets[i]))
+        for part, value in zip(_parts(shapes), _parts(NeedleShapes.of([alone])), strict=True):
+            part[i] = value[0]
+    return shapes
+
+
+def _alone(job: _Job, i: int) -> NeedleShape:
+    """Return the shape of one set, from the scalar kernel."""
+    batch = job.batch
+    if job.valid[i]:
+        return follow(*batch.one(i), job.lattice)
+    model = follow(batch.needle, batch.tissue, batch.steps, batch.rules, job.lattice)
+    lost = {name: np.full_like(getattr(model, name), np.nan) for name in ("u", "slope", "tip_track")}
+    points = np.column_stack((model.constraints[:, 0], np.full(len(model.constraints), np.nan)))
+    return replace(model, **lost, constraints=points, status="non-finite", iterations=0)
+
+
+def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Bools]:
+    """Return the shapes of up to LANES sets, and which of them left the lanes."""
+    batch, last = job.batch, job.stops[-1]
+    lane = np.resize(sets, LANES)  # lanes to spare repeat what the others do
+    nodes = len(shared.grids.main.nodes) + 2
+    under_way = kernel.begin_lanes(len(shared.grids.y), nodes, len(shared.grids.rays))
+    for held, stops, cut in job.groups:
+        controls = batch.steps[held].controls
+        kernel.advance_lanes(
+            under_way, shared.grids, shared.tables, compile_controls(controls),
+            _inputs(batch, shared, controls, cut, lane), stops, batch.rules.tolerance,
+        )  # fmt: skip
+    count, size = len(sets), int(under_way.size[0])
+    state = under_way.states[under_way.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
+    front = _front(batch, controls, last.tip, sets, float(under_way.nodes[0]), state[0])  # (B, F, 3)
+    points = np.empty((count, last.cell + 1, 2))
+    points[:, :, 0] = constraint_depths(last.tip, last.cell, job.lattice.first_cell, job.lattice.spacing)
+    points[:, :, 1] = under_way.y[: last.cell + 1, :count].T
+    track = under_way.track[: last.cell + 1].reshape(-1, 2, LANES)[:, :, :count]
+    inner = np.broadcast_to(under_way.nodes[:size], (count, size))
+    shapes = NeedleShapes(
+        np.concatenate((front[:, :, 0], inner), axis=1),
+        np.concatenate((front[:, :, 1], state[:, 0].T), axis=1),
+        np.concatenate((front[:, :, 2], state[:, 1].T), axis=1),
+        points, np.ascontiguousarray(track.transpose(2, 0, 1)),
+        np.zeros(count, np.int64), under_way.passes[:count].copy(),
+    )  # fmt: skip
+    return shapes, under_way.at[:count] == kernel.LEFT
+
+
+def _inputs(batch: Batch, shared: _Shared, controls: Controls, cut: Ints, lane: Ints) -> kernel.LaneInputs:
+    """Return what differs between lanes under the inputs of one step; `lane` (W,) says whose they are."""
+
+    def given(name: str, otherwise: float) -> Floats:
+        values = getattr(batch, name)
+        return np.full(len(lane), otherwise) if values is None else values[lane]
+
+    turns = np.array([step.bevel.side / batch.rules.spacing for step in batch.steps])
+    offsets = np.array([given("offset", step.bevel.offset) for step in batch.steps])  # (steps, W)
+    before = np.array([[given("guide_x", guide.x), *np.full((2, len(lane)), [[guide.y], [_slope(guide)]])]
+                       for guide in controls.before])  # fmt: skip
+    base = (controls.base_y, controls.base_slope, controls.stage_slope)
+    layers = shared.layers[lane]  # (W, n, LAYER)
+    return kernel.LaneInputs(
+        given("rigidity", batch.needle.flexural_rigidity),
+        np.ascontiguousarray(layers.transpose(1, 2, 0)).reshape(layers.shape[1], -1),
+        shared.curvature[lane],
+        np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])]),
+        before.reshape(-1, 3, len(lane)),
+        turns[cut, None] * offsets[cut],
+    )
+
+
+def _slope(guide: Guide) -> float:
+    return math.nan if guide.slope is None else guide.slope
+
+
+def _front(batch: Batch, controls: Controls, tip: float, sets: Ints, node: float, state: Floats) -> Floats:
+    """Return depth, deflection and slope (B, F, 3) of base and guides before the tissue.
+
+    The slope of a guide that is passed freely follows from the moments on its two sides being equal;
+    `state` (2, B) is deflection and slope of the first node in the tissue, which stands at `node`.
+    """
+    count, guides = len(sets), controls.before
+    front = np.empty((count, 1 + len(guides), 3))
+    y = controls.base_y if batch.base_y is None else batch.base_y[sets]
+    front[:, 0, 0], front[:, 0, 1] = tip - batch.needle.length, y + controls.stage_slope * tip
+    front[:, 0, 2] = controls.base_slope if batch.base_slope is None else batch.base_slope[sets]
+    for i, guide in enumerate(guides, start=1):
+        front[:, i] = guide.x, guide.y, _slope(guide)
+    if batch.guide_x is not None:
+        front[:, 1, 0] = batch.guide_x[sets]
+    if not np.isnan(front[..., 2]).any():
+        return front
+    x, y = (np.column_stack((front[..., j], end)) for j, end in ((0, np.full(count, node)), (1, state[0])))
+    span, rise = np.diff(x), np.diff(y)
+    matrix = np.broadcast_to(np.eye(len(guides) + 2), (count, len(guides) + 2, len(guides) + 2)).copy()
+    right = np.column_stack((front[..., 2], state[1]))
+    for i, guide in enumerate(guides, start=1):
+        if guide.slope is None:
+            a, b = 1 / span[:, i - 1], 1 / span[:, i]
+            matrix[:, i, i - 1], matrix[:, i, i], matrix[:, i, i + 1] = a, 2 * (a + b), b
+            right[:, i] = 3 * (rise[:, i - 1] * a**2 + rise[:, i] * b**2)
+    front[..., 2] = np.linalg.solve(matrix, right[..., None])[:, :-1, 0]
+    return front
+
+
+def _parts(shapes: NeedleShapes) -> list[NDArray[Any]]:
+    return [getattr(shapes, field.name) for field in fields(shapes)]
+
+
+def _join(parts: Sequence[NeedleShapes]) -> NeedleShapes:
+    return NeedleShapes(*(np.concatenate(some) for some in zip(*map(_parts, parts), strict=True)))
