@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,8 +117,8 @@ def linearize_along(
     under_way = begin(needle, tissue, steps, lattice, rules)
     foundation = compile_tissue(tissue)
     trend = make_trend(foundation, *laws.term_slopes(tissue.law))
-    history = begin_history(len(under_way.y), len(under_way.rays), columns.count)
-    whole = np.empty((len(under_way.nodes), 2, columns.count))
+    history = begin_history(len(under_way.y), len(under_way.rays), columns.total)
+    whole = np.empty((len(under_way.nodes), 2, columns.total))
     newton = Newton(rules.tolerance, rules.max_iterations)
     sides = np.array([step.bevel.side / rules.spacing for step in steps])
     offsets = np.array([step.bevel.offset for step in steps])
@@ -166,6 +167,7 @@ def _stands(steps: Sequence[Step]) -> tuple[float, ...]:
     return tuple(sorted({guide.x for step in steps for guide in step.controls.guides}))
 
 
+@lru_cache(maxsize=512)  # a fit asks for the same columns over and over
 def _columns(
     wrt: tuple[str, ...], layers: int, stands: tuple[float, ...]
 ) -> tuple[tuple[str, ...], Columns, Ints]:

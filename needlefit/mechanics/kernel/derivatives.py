@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import Grid
-from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
+from needlefit.mechanics.kernel.insertion import Holds, Insertion
 from needlefit.mechanics.kernel.perturbation import boundary_load, node_load
 from needlefit.mechanics.kernel.scalar import CLAMPED, WIDTH, Chain
 
@@ -21,7 +21,7 @@ SUMS = 3  # per layer: of the force k e g, and what dk/dalpha and dg/dgamma make
 class Columns(NamedTuple):
     """Which column belongs to which parameter: the first of its kind, or -1 where it is not asked for."""
 
-    count: int
+    total: int
     mu: int
     alpha: int
     friction: int
@@ -41,23 +41,15 @@ class History(NamedTuple):
     tip: Floats  # (2, P) of the tip's deflection and slope now
 
 
-class Here(NamedTuple):
-    """One stop, in equilibrium."""
-
-    tip: float  # mm
-    cell: int
-    grid: Grid
-    last: int  # the grid's node at the tip
-    chain: Chain
-    state: Floats  # (C, 2) deflection and slope of the chain's nodes
-    y: Floats  # (M + 1,) of the constraint points, mm
-
-
 class Room(NamedTuple):
     """Where a stop does its sums."""
 
     factor: Floats  # (C, WIDTH)
-    rows: Floats  # (C, 4) adjoint of the tip's deflection (two columns) and slope
+    points: (
+        Floats  # (Q, 4) e, and times its weight d(k e g)/de, k e g and dk/dalpha e of each quadrature point
+    )
+    rows: Floats  # (C, 4) adjoint of the tip's deflection (two columns) and slope, 0 where prescribed
+    held: Floats  # (C, 4) the same where something is prescribed: the answer per unit of that
     by_constraint: Floats  # (M + 1, 2)
     by_layer: Floats  # (n, 2, SUMS)
     load: Floats  # (3, 2) on three nodes
@@ -73,40 +65,24 @@ def begin(points: int, rays: int, columns: int) -> History:
 
 @njit(cache=True, nogil=True)
 def make_room(insertion: Insertion, layers: int, guides: int) -> Room:
-    size = len(insertion.nodes)
+    size = insertion.states.shape[1]
     spots = 3 + 8 * guides + 4 * layers
     return Room(
-        np.empty((size, WIDTH)), np.empty((size, 4)), np.empty((len(insertion.y), 2)),
+        np.empty((size, WIDTH)), np.zeros((2 * (size + len(insertion.y) + layers), 4)), np.empty((size, 4)),
+        np.empty((size, 4)), np.empty((len(insertion.y), 2)),
         np.empty((layers, 2, SUMS)), np.empty((3, 2)), np.empty((spots, 3), np.int64), np.empty(spots),
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True)
-def place(
-    history: History, insertion: Insertion, columns: Columns, stops: Stops, s: int, swing: float
-) -> None:
-    """Differentiate the constraint point under the tip: c = y + (tip - x)(slope + turn)."""
-    ray, cell = stops.ray[s], stops.cell[s]
-    if stops.opens[s]:
-        history.rays[ray] = history.tip
-    if cell > 0:
-        ahead = stops.tip[s] - insertion.rays[ray, 0]
-        for p in range(columns.count):
-            history.constraints[cell, p] = history.rays[ray, 0, p] + ahead * history.rays[ray, 1, p]
-        if columns.offset >= 0:
-            history.constraints[cell, columns.offset] += ahead * swing
-
-
-@njit(cache=True, nogil=True)
 def list_spots(
-    room: Room, boundaries: Floats, foundation: Foundation, here: Here, holds: Holds, guides: Ints,
-    columns: Columns,
+    room: Room, boundaries: Floats, foundation: Foundation, grid: Grid, chain: Chain, state: Floats,
+    y: Floats, holds: Holds, guides: Ints, columns: Columns, last: int, depth: float,
 ) -> int:  # fmt: skip
     """List the right-hand sides of base, guides and boundaries; return how many entries they have."""
-    chain, grid, state, y = here.chain, here.grid, here.state, here.y
     n = 0
     n = _spot(room, n, 0, 0, columns.base_y, 1.0)
-    n = _spot(room, n, 0, 0, columns.stage_slope, here.tip)
+    n = _spot(room, n, 0, 0, columns.stage_slope, depth)
     n = _spot(room, n, 0, 1, columns.base_slope, 1.0)
     before = len(chain.front)
     for g in range(len(guides)):
@@ -114,8 +90,8 @@ def list_spots(
         if node >= before:
             x = holds.within[node - before, 0]
             node = before + np.searchsorted(grid.nodes, x)
-            if node > before + here.last or grid.nodes[node - before] != x:
-                continue
+            if node >= before + last or grid.nodes[node - before] != x:
+                continue  # the tip has not passed it yet
         n = _spot(room, n, node, 0, guides[g, 1], 1.0)
         if chain.kind[node] == CLAMPED:
             n = _spot(room, n, node, 1, guides[g, 2], 1.0)
@@ -124,9 +100,8 @@ def list_spots(
             n = _loads(room, n, chain, node - 1, 3, guides[g, 0])
     if columns.boundary >= 0:
         for b in range(len(boundaries)):
-            depth = boundaries[b]
-            if 0.0 <= depth < here.tip:
-                node = boundary_load(room.load, b, depth, state, chain, foundation, grid, y)
+            if 0.0 <= boundaries[b] < depth:
+                node = boundary_load(room.load, b, boundaries[b], state, chain, foundation, grid, y)
                 n = _loads(room, n, chain, node, 2, columns.boundary + b)
     return n
 

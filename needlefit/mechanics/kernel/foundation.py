@@ -89,3 +89,14 @@ def drag(gamma: float, slope: float) -> tuple[float, float]:
     """Return the friction factor g = 1 - gamma sin^2(atan u') and dg/du'."""
     square = slope * slope
     return 1.0 - gamma * square / (1.0 + square), -2.0 * gamma * slope / ((1.0 + square) * (1.0 + square))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def steepen(foundation: Foundation, trend: Trend, layer: int, size: float) -> float:
+    """Return dk/dalpha, MPa, at |e| = size mm: mu sum (dc/dalpha + c dq/dalpha ln lambda) lambda^q."""
+    logarithm = np.log1p(-size / foundation.thickness[layer])
+    total = 0.0
+    for p in range(len(trend.exponents)):
+        slope = trend.coefficients[p] + foundation.coefficients[layer, p] * trend.exponents[p] * logarithm
+        total += slope * np.exp(foundation.exponents[layer, p] * logarithm)
+    return foundation.mu[layer] * total

@@ -35,7 +35,7 @@ def node_load(
     load: Floats, i: int, state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats
 ) -> None:
     """Fill `load` (3, 2) with d(residual)/dx of the chain's node `i`, for the nodes i - 1, i and i + 1."""
-    load[:] = 0.0
+    _empty(load)
     before = len(chain.front)
     for side in range(2):  # the element that ends at the node grows, the one that begins there shrinks
         a = i - 1 + side
@@ -75,9 +75,9 @@ def boundary_load(
     int
         The chain's node to which the first row of `load` belongs.
     """
-    load[:] = 0.0
-    right = np.searchsorted(grid.x, depth)  # pieces end at boundaries: the first point beyond
-    e = np.searchsorted(grid.first, right, side="right") - 1
+    _empty(load)
+    right = int(np.searchsorted(grid.x, depth))  # pieces end at boundaries: the first point beyond
+    e = int(np.searchsorted(grid.first, right, side="right")) - 1
     before = len(chain.front)
     a = e - 1 + before
     start = chain.front[a] if a < before else grid.nodes[a - before]
@@ -106,6 +106,12 @@ def boundary_load(
     else:  # a layer without extent
         _point(load, 0, state, a, foundation, c, b + 1, depth - start, length, 0.0, 0.0, 0.0, -1.0)
     return a
+
+
+@njit(cache=True, nogil=True)
+def _empty(load: Floats) -> None:
+    for i in range(3):
+        load[i, 0] = load[i, 1] = 0.0
 
 
 @njit(cache=True, nogil=True)

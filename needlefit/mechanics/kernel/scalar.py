@@ -106,8 +106,9 @@ def copy(into: Floats, state: Floats) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def sweep(
-    state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, factor: Floats
-) -> int:
+    state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, factor: Floats,
+    keep: Floats | None = None,
+) -> int:  # fmt: skip
     """Linearise about `state` and eliminate from base to tip; return which form of the law it took.
 
     Scalars, not small arrays, and no calls with arrays in the loops: the compiler then keeps everything
@@ -170,6 +171,8 @@ def sweep(
                         w *= g
                     by_u = w * tangent
                     r += by_u * u - w * k * away
+                    if keep is not None:  # decided when compiled: forward runs do not ask
+                        keep[q, 0], keep[q, 1], keep[q, 2] = away, by_u, w * k * away
                     t0, t1, t2, t3 = by_u * n0, by_u * n1, by_u * n2, by_u * n3
                     k00, k01, k02, k03 = k00 + n0 * t0, k01 + n0 * t1, k02 + n0 * t2, k03 + n0 * t3
                     k11, k12, k13 = k11 + n1 * t1, k12 + n1 * t2, k13 + n1 * t3

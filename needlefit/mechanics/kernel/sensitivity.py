@@ -11,16 +11,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from needlefit.mechanics.kernel import insertion as forward
-from needlefit.mechanics.kernel.adjoint import differentiate_tip
-from needlefit.mechanics.kernel.derivatives import Columns, Here, History, list_spots, make_room, place
+from needlefit.mechanics.kernel.adjoint import add_layers, add_spots, bend, carry_over, gather, solve_rows
+from needlefit.mechanics.kernel.derivatives import Columns, History, list_spots, make_room
 from needlefit.mechanics.kernel.foundation import Foundation, Trend
-from needlefit.mechanics.kernel.grid import Grid
 from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
 from needlefit.mechanics.kernel.scalar import (
     BROKEN,
     CONVERGED,
     OVER_COMPRESSED,
-    Chain,
     Newton,
     span_shapes,
     sweep,
@@ -52,35 +50,61 @@ def advance(
     size = insertion.states.shape[1]
     chain, trial = forward.begin_chain(holds, insertion.rigidity, size), np.empty((size, 2))
     room = make_room(insertion, len(foundation.mu), len(guides))
-    state, y = insertion.states[0], insertion.y
-    end = len(stops.tip) - 1
+    state, y, factor, at, main = insertion.states[0], insertion.y, room.factor, insertion.size, insertion.main
+    boundaries, starts, before = insertion.boundaries, insertion.rays, len(chain.front)
+    constraints, rays, tip = history.constraints, history.rays, history.tip
+    depths, cells, ray_of, opens = stops.tip, stops.cell, stops.ray, stops.opens
+    total, offset = columns.total, columns.offset
+    local = (
+        len(guides) > 0 or max(columns.boundary, columns.base_y, columns.base_slope, columns.stage_slope) >= 0
+    )
+    kind, mu, points, rows, held = chain.kind, foundation.mu, room.points, room.rows, room.held
+    by_constraint, by_layer = room.by_constraint, room.by_layer
+    curved = columns.alpha >= 0
+    rough = foundation.rough or columns.friction >= 0
+    end = len(depths) - 1
     for s in range(end + 1):
+        depth, cell, ray = depths[s], cells[s], ray_of[s]
         status, used, _ = forward.between(
-            insertion, foundation, holds, stops, s, s + 1, newton, chain, trial, room.factor
+            insertion, foundation, holds, stops, s, s + 1, newton, chain, trial, factor
         )
         iterations += used
         if status != CONVERGED:
             return status, iterations
-        grid, last = _grid(insertion, holds, chain, stops.tip[s], stops.cell[s])
-        place(history, insertion, columns, stops, s, swing[s])
-        if sweep(state, chain, foundation, grid, y, last, room.factor) == BROKEN:
-            return OVER_COMPRESSED, iterations
-        here = Here(stops.tip[s], stops.cell[s], grid, last, chain, state, y)
-        spots = list_spots(room, insertion.boundaries, foundation, here, holds, guides, columns)
-        if s == end and len(whole) > 0:
-            differentiate_all(whole, room, spots, foundation, trend, here, columns, history)
-            history.tip[:] = whole[len(chain.front) + last]
+        if opens[s]:
+            for p in range(total):
+                rays[ray, 0, p], rays[ray, 1, p] = tip[0, p], tip[1, p]
+        if cell > 0:  # c = y + (tip - x)(slope + turn)
+            ahead = depth - starts[ray, 0]
+            for p in range(total):
+                constraints[cell, p] = rays[ray, 0, p] + ahead * rays[ray, 1, p]
+            if offset >= 0:
+                constraints[cell, offset] += ahead * swing[s]
+        last = at[0] - before - 1
+        if at[2] == 1:
+            grid = main
         else:
-            differentiate_tip(room, spots, foundation, trend, here, columns, history)
+            grid = forward.grid_at(insertion, holds, depth, cell)
+            span_shapes(grid, chain.front[before - 1])
+        if sweep(state, chain, foundation, grid, y, last, factor, points) == BROKEN:
+            return OVER_COMPRESSED, iterations
+        if curved:
+            bend(points, foundation, trend, grid, last)
+        spots = 0
+        if local:
+            spots = list_spots(
+                room, boundaries, foundation, grid, chain, state, y, holds, guides, columns, last, depth
+            )
+        if s == end and len(whole) > 0:
+            differentiate_all(whole, room, spots, foundation, grid, chain, state, constraints, columns, last)
+        else:
+            solve_rows(kind, before + last, factor, rows, held)
+            gather(rows, points, by_constraint, by_layer, foundation, grid, state, before, last, cell, rough)
+            carry_over(tip, by_constraint, constraints, cell, total)
+            add_layers(
+                tip, by_layer, mu, insertion.rigidity, columns.mu, columns.alpha, columns.friction,
+                columns.rigidity,
+            )  # fmt: skip
+            if spots > 0:
+                add_spots(tip, room, spots, kind)
     return CONVERGED, iterations
-
-
-@njit(cache=True, nogil=True)
-def _grid(insertion: Insertion, holds: Holds, chain: Chain, depth: float, cell: int) -> tuple[Grid, int]:
-    """Return the grid of the stop at which the needle stands, and the tip's node in it."""
-    last = insertion.size[0] - insertion.size[1] - 1
-    if insertion.size[2] == 1:
-        return insertion.main, last
-    grid = forward.grid_at(insertion, holds, depth, cell)
-    span_shapes(grid, chain.front[len(chain.front) - 1])
-    return grid, last
