@@ -17,7 +17,9 @@ from needlefit.mechanics.kernel import lanes as kernel
 from needlefit.mechanics.kernel.foundation import make_foundation
 from needlefit.mechanics.kernel.grid import constraint_depths
 from needlefit.mechanics.kernel.insertion import Insertion, Stops
+from needlefit.mechanics.kernel.lane_newton import LEFT, LaneInputs
 from needlefit.mechanics.kernel.passes import LANES
+from needlefit.mechanics.kernel.tables import Tables, tabulate
 from needlefit.mechanics.plan import Lattice, Stop, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import begin, compile_controls, follow, packed
@@ -75,7 +77,7 @@ class _Shared:
     """What the sets of a batch share in the lanes, and what the lanes read of each."""
 
     grids: Insertion
-    tables: kernel.Tables
+    tables: Tables
     layers: Floats  # (B, n, LAYER)
     curvature: Floats  # (B,)
 
@@ -104,7 +106,7 @@ def _prepare(batch: Batch) -> _Job:
     shared = None
     if _fit(batch, lattice, stops):
         grids = begin(needle, batch.tissue, steps, lattice, rules)
-        shared = _Shared(grids, kernel.tabulate(grids.main), *_layers(batch, valid))
+        shared = _Shared(grids, tabulate(grids.main), *_layers(batch, valid))
     return _Job(batch, lattice, packed(moves, lattice), stops, valid, shared)
 
 
@@ -197,10 +199,10 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
         points, np.ascontiguousarray(track.transpose(2, 0, 1)),
         np.zeros(count, np.int64), under_way.passes[:count].copy(),
     )  # fmt: skip
-    return shapes, under_way.at[:count] == kernel.LEFT
+    return shapes, under_way.at[:count] == LEFT
 
 
-def _inputs(batch: Batch, shared: _Shared, controls: Controls, cut: Ints, lane: Ints) -> kernel.LaneInputs:
+def _inputs(batch: Batch, shared: _Shared, controls: Controls, cut: Ints, lane: Ints) -> LaneInputs:
     """Return what differs between lanes under the inputs of one step; `lane` (W,) says whose they are."""
 
     def given(name: str, otherwise: float) -> Floats:
@@ -213,9 +215,9 @@ def _inputs(batch: Batch, shared: _Shared, controls: Controls, cut: Ints, lane: 
                        for guide in controls.before])  # fmt: skip
     base = (controls.base_y, controls.base_slope, controls.stage_slope)
     layers = shared.layers[lane]  # (W, n, LAYER)
-    return kernel.LaneInputs(
+    return LaneInputs(
         given("rigidity", batch.needle.flexural_rigidity),
-        np.ascontiguousarray(layers.transpose(1, 2, 0)).reshape(layers.shape[1], -1),
+        layers.transpose(1, 2, 0).ravel(),
         shared.curvature[lane],
         np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])]),
         before.reshape(-1, 3, len(lane)),

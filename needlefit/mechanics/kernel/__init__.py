@@ -33,7 +33,8 @@ _before, _config.CACHE_DIR = _config.CACHE_DIR, str(_folder)
 try:  # numba reads the setting when a function is declared
     for _module in (
         "foundation", "grid", "hermite", "scalar", "insertion", "positions",
-        "perturbation", "derivatives", "adjoint", "tangent", "sensitivity", "movement", "passes", "lanes",
+        "perturbation", "derivatives", "adjoint", "tangent", "sensitivity", "movement",
+        "passes", "tables", "lane_newton", "lanes",
     ):  # fmt: skip
         importlib.import_module(f"{__name__}.{_module}")
 finally:

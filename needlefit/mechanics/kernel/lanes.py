@@ -18,45 +18,14 @@ from numpy.typing import NDArray
 from needlefit.mechanics.kernel.grid import SLACK, Grid
 from needlefit.mechanics.kernel.hermite import hermite
 from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops, grid_at
-from needlefit.mechanics.kernel.passes import (
-    EXCESS,
-    LANES,
-    NODE,
-    POINT,
-    SUMS,
-    R,
-    S,
-    back,
-    back_tip,
-    chord_interval,
-    chord_regular,
-    chord_sums,
-    foresee,
-    full_interval,
-    full_regular,
-    full_sums,
-    last_chord,
-    last_node,
-)
+from needlefit.mechanics.kernel.lane_newton import HERE, LaneInputs, Room, equilibrate_lanes
+from needlefit.mechanics.kernel.passes import LANES, ROWS, SUMS, foresee
+from needlefit.mechanics.kernel.tables import Tables, tabulate, tabulate_point
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 W = LANES
-ROUNDING = 1e-4  # mm; an increment this small that no longer shrinks is rounding
-MOST = 12  # passes at one stop; a lane that needs more leaves
-HERE, LEFT = 0, 1  # a lane: under way, gone to the scalar kernel
-
-
-class LaneInputs(NamedTuple):
-    """What differs between lanes."""
-
-    rigidity: Floats  # (W,) EI, N mm^2
-    layers: Floats  # (n, LAYER W) series of k in |e|, and the |e| up to which it holds
-    curvature: Floats  # (W,) a full pass leaves at most about this times its increment squared, 1 / mm
-    base: Floats  # (3, W) y, slope, slope of the stage's axis
-    before: Floats  # (F, 3, W) x, y, slope (NaN: free, then in all lanes) of the guides before the tissue
-    turn: Floats  # (S, W) of each stop's bevel
 
 
 class Lanes(NamedTuple):
@@ -73,24 +42,6 @@ class Lanes(NamedTuple):
     size: Ints  # (4,) nodes in the tissue now, whether they are the main grid's, nodes one cell ago, and
     # which of the two states is now
     depth: Floats  # (1,) of the tip, mm
-
-
-class Room(NamedTuple):
-    """Where the passes work; what they keep from one to the next."""
-
-    work: Floats  # (N + 2) NODE, what was handed on from before the tissue, then one row of rows per node
-    tangents: Floats  # (Q W,) of the points of elements that are not regular
-    sums: Floats  # (SUMS,) of one such element
-    entry: Floats  # (SUMS,) of element 0
-
-
-class Tables(NamedTuple):
-    """A grid as the loops over lanes read it."""
-
-    points: Floats  # (Q, POINT) N, w N, w N N of every point
-    bending: Floats  # (N, 4) 12, 6 l, 4 l^2, 2 l^2 over l^3 of the element that ends at each node
-    regular: Floats  # (T, 4 POINT + 4) of the different elements with two intervals
-    which: Ints  # (N,) the row of an element in `regular`, -1 for elements of another kind
 
 
 @njit(cache=True, nogil=True)
@@ -114,7 +65,9 @@ def advance_lanes(
     """
     nodes = lanes.states.shape[1]
     points = len(insertion.main.x) + 8
-    room = Room(np.zeros((nodes + 2) * NODE), np.zeros(points * W), np.zeros(SUMS), np.zeros(SUMS))
+    room = Room(
+        np.zeros((nodes + 2) * ROWS * W), np.zeros(points * W), np.zeros(SUMS * W), np.zeros(SUMS * W)
+    )
     for s in range(len(stops.tip)):
         tip, cell = stops.tip[s], stops.cell[s]
         _place(lanes, inputs, stops, s)
@@ -126,7 +79,20 @@ def advance_lanes(
         last = np.searchsorted(grid.nodes, tip - SLACK)
         _carry(lanes, grid, last, on_main)
         ends = _front(lanes, inputs, grid, tables, tip, insertion.length)
-        _equilibrate(lanes, inputs, grid, tables, last, ends, room, tolerance)
+        state = lanes.states[lanes.size[3]].reshape(-1)
+        equilibrate_lanes(
+            state,
+            lanes.y.reshape(-1),
+            lanes.at,
+            lanes.passes,
+            inputs,
+            grid,
+            tables,
+            last,
+            ends,
+            room,
+            tolerance,
+        )
         lanes.depth[0] = tip
         for l in range(2 * W):
             lanes.track[cell, l] = lanes.states[lanes.size[3], last, l]
@@ -135,58 +101,6 @@ def advance_lanes(
             here += int(lanes.at[l] == HERE)
         if here == 0:
             return
-
-
-@njit(cache=True, nogil=True)
-def tabulate(grid: Grid) -> Tables:
-    """Return the tables of a grid; those of element 0 are filled when its length is known."""
-    count = len(grid.nodes)
-    points, bending = np.zeros((len(grid.x), POINT)), np.zeros((count, 4))
-    regular, which, kinds = np.empty((count, 4 * POINT + 4)), np.full(count, -1), 0
-    for e in range(1, count):
-        length = grid.nodes[e] - grid.nodes[e - 1]
-        _stiffness(bending[e], length)
-        for q in range(grid.first[e], grid.first[e + 1]):
-            _tabulate_point(points[q], grid.shapes[q], grid.weight[q])
-        first = grid.first[e]
-        if grid.first[e + 1] - first != 4 or grid.constraint[first + 2] != grid.constraint[first] + 1:
-            continue
-        row = regular[kinds]
-        for q in range(4):
-            for i in range(POINT):
-                row[q * POINT + i] = points[first + q, i]
-        for i in range(4):
-            row[4 * POINT + i] = bending[e, i]
-        which[e] = kinds
-        if kinds > 0 and _alike(row, regular[kinds - 1]):
-            which[e] -= 1
-        else:
-            kinds += 1
-    return Tables(points, bending, regular[:kinds].copy(), which)
-
-
-@njit(cache=True, nogil=True)
-def _alike(row: Floats, other: Floats) -> bool:
-    """Return whether two tables are the same but for rounding; one of them then stays in the cache."""
-    different = 0
-    for i in range(len(row)):
-        different += int(abs(row[i] - other[i]) > 1e-12 * abs(other[i]))
-    return different == 0
-
-
-@njit(cache=True, nogil=True)
-def _tabulate_point(row: Floats, shape: Floats, weight: float) -> None:
-    at = 8
-    for i in range(4):
-        row[i], row[4 + i] = shape[i], weight * shape[i]
-        for j in range(i, 4):
-            row[at] = weight * shape[i] * shape[j]
-            at += 1
-
-
-@njit(cache=True, nogil=True)
-def _stiffness(row: Floats, length: float) -> None:
-    row[0], row[1], row[2], row[3] = 12.0 / length**3, 6.0 / length**2, 4.0 / length, 2.0 / length
 
 
 @njit(cache=True, nogil=True)
@@ -280,7 +194,7 @@ def _front(lanes: Lanes, inputs: LaneInputs, grid: Grid, tables: Tables, tip: fl
     held = tip - length if last == 0 else inputs.before[last - 1, 0, 0]
     for q in range(grid.first[1]):
         hermite(grid.shapes[q], grid.x[q] - held, grid.nodes[0] - held)
-        _tabulate_point(tables.points[q], grid.shapes[q], grid.weight[q])
+        tabulate_point(tables.points[q], grid.shapes[q], grid.weight[q])
     ends = np.empty(7 * W)
     for l in range(W):
         s00 = s01 = s11 = r0 = r1 = 0.0
@@ -305,131 +219,3 @@ def _front(lanes: Lanes, inputs: LaneInputs, grid: Grid, tables: Tables, tip: fl
         ends[l], ends[W + l], ends[2 * W + l], ends[3 * W + l], ends[4 * W + l] = s00, s01, s11, r0, r1
         ends[5 * W + l], ends[6 * W + l] = y, slope
     return ends
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _equilibrate(
-    lanes: Lanes, inputs: LaneInputs, grid: Grid, tables: Tables, last: int, ends: Floats, room: Room,
-    tolerance: float,
-) -> None:  # fmt: skip
-    """Newton passes until every lane has converged or left; what one lane does, no other sees."""
-    state, y, work = lanes.states[lanes.size[3]].reshape(-1), lanes.y.reshape(-1), room.work
-    busy = np.zeros(3 * W)  # whether a lane is at work, its increment, the one before
-    for l in range(W):
-        busy[l] = 1.0 if lanes.at[l] == HERE else 0.0
-    for n in range(MOST):
-        full = n != 1
-        _enter(grid, tables, inputs, y, state, ends, room, full)
-        _eliminate(grid, tables, inputs, y, state, last, room, full)
-        back_tip(work[(last + 1) * NODE : (last + 2) * NODE], state[2 * W * last : 2 * W * (last + 1)], busy)
-        for i in range(last - 1, -1, -1):
-            back(work[(i + 1) * NODE : (i + 2) * NODE], state[2 * W * i : 2 * W * (i + 2)], busy)
-        at_work = 0
-        for l in range(W):
-            if busy[l] == 0.0:
-                continue
-            lanes.passes[l] += 1
-            change, before = busy[W + l], busy[2 * W + l]
-            # the next increment: a full pass squares it, a half one multiplies it by the one before
-            ahead = inputs.curvature[l] * change * (change if full else 2.0 * before)
-            stalled = n > 1 and change < ROUNDING and change > 0.5 * before
-            if not (np.isfinite(change) and work[(last + 1) * NODE + EXCESS + l] <= 0.0):
-                lanes.at[l], busy[l] = LEFT, 0.0
-            elif min(change, ahead) < tolerance or stalled:
-                busy[l] = 0.0
-            at_work += int(busy[l])
-            busy[2 * W + l] = change
-        if at_work == 0:
-            return
-    for l in range(W):
-        if busy[l] > 0.0:
-            lanes.at[l] = LEFT
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _enter(
-    grid: Grid,
-    tables: Tables,
-    inputs: LaneInputs,
-    y: Floats,
-    state: Floats,
-    ends: Floats,
-    room: Room,
-    full: bool,
-) -> None:
-    """Hand on S and r from before the tissue, with what of element 0 lies in it."""
-    work, sums = room.work, room.entry
-    for l in range(5 * W):
-        work[S + l] = ends[l]
-    for l in range(W):
-        work[EXCESS + l] = -np.inf
-    if grid.first[1] == 0:
-        return
-    span = np.empty(4 * W)
-    for l in range(2 * W):
-        span[l], span[2 * W + l] = ends[5 * W + l], state[l]
-    for l in range(0 if full else 10 * W, SUMS):  # a half pass keeps the stiffness
-        sums[l] = 0.0
-    for q in range(0, grid.first[1], 2):
-        _interval(grid, tables, inputs, y, span, q, room.tangents, sums, full)
-    for l in range(W):
-        v0, v1 = ends[5 * W + l], ends[6 * W + l]
-        for i in range(3):
-            work[S + i * W + l] += sums[(7 + i) * W + l]
-        work[R + l] += sums[12 * W + l] - sums[2 * W + l] * v0 - sums[5 * W + l] * v1
-        work[R + W + l] += sums[13 * W + l] - sums[3 * W + l] * v0 - sums[6 * W + l] * v1
-        work[EXCESS + l] = sums[14 * W + l]
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _eliminate(
-    grid: Grid,
-    tables: Tables,
-    inputs: LaneInputs,
-    y: Floats,
-    state: Floats,
-    last: int,
-    room: Room,
-    full: bool,
-) -> None:
-    """Go from the first node in the tissue to the tip, element by element."""
-    layers, rigidity, sums = inputs.layers, inputs.rigidity, room.sums
-    for e in range(1, last + 1):
-        ends, work = state[2 * W * (e - 1) : 2 * W * (e + 1)], room.work[(e - 1) * NODE : (e + 1) * NODE]
-        q = grid.first[e]
-        if tables.which[e] >= 0:
-            table, c = tables.regular[tables.which[e]], grid.constraint[q]
-            points, first, second = y[c * W : (c + 2) * W], layers[grid.layer[q]], layers[grid.layer[q + 2]]
-            if full:
-                full_regular(ends, points, first, second, table, rigidity, work)
-            else:
-                chord_regular(ends, points, first, second, table, work)
-            continue
-        for l in range(SUMS):
-            sums[l] = 0.0
-        for p in range(q, grid.first[e + 1], 2):
-            _interval(grid, tables, inputs, y, ends, p, room.tangents, sums, full)
-        if full:
-            full_sums(sums, tables.bending[e], rigidity, work)
-        else:
-            chord_sums(sums, work)
-    work = room.work[last * NODE : (last + 2) * NODE]
-    if full:
-        last_node(work)
-    else:
-        last_chord(work)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def _interval(
-    grid: Grid, tables: Tables, inputs: LaneInputs, y: Floats, ends: Floats, q: int, tangents: Floats,
-    sums: Floats, full: bool,
-) -> None:  # fmt: skip
-    """Add the interval whose first point is `q` to the sums of its element."""
-    c = grid.constraint[q]
-    table = tables.points[q : q + 2].reshape(-1)
-    point, layer, kept = y[c * W : (c + 1) * W], inputs.layers[grid.layer[q]], tangents[q * W : (q + 2) * W]
-    if full:
-        full_interval(ends, point, layer, table, kept, sums)
-    else:
-        chord_interval(ends, point, layer, table, kept, sums)
