@@ -99,4 +99,4 @@ def steepen(foundation: Foundation, trend: Trend, layer: int, size: float) -> fl
     for p in range(len(trend.exponents)):
         slope = trend.coefficients[p] + foundation.coefficients[layer, p] * trend.exponents[p] * logarithm
         total += slope * np.exp(foundation.exponents[layer, p] * logarithm)
-    return foundation.mu[layer] * total
+    return float(foundation.mu[layer] * total)

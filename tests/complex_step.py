@@ -1,0 +1,142 @@
+"""Derivatives of a needle's shape by complex steps through the equations, dense and apart from the kernel.
+
+f(p + i h) = f(p) + i h f'(p) to rounding for h = 1e-30: nothing is subtracted, so nothing cancels. All
+branches follow real parts; |e| is sign(Re e) e. What the kernel linearises by hand is here left to complex
+arithmetic: boundaries and guides carry their step into quadrature points, weights and shape functions.
+"""
+
+# ruff: noqa: N803, N806  EI, K, N: the symbols of the equations
+import importlib
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from needlefit.mechanics import reference
+from needlefit.mechanics.control import Rules, Step
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice, lattice_of, plan
+from needlefit.mechanics.tissue import Tissue
+
+H = 1e-30
+
+
+class Inputs:
+    """The numbers of a case as complex ones, one of them with a step."""
+
+    def __init__(self, needle: Needle, tissue: Tissue, stands: Sequence[float], name: str) -> None:
+        for kind in ("mu", "alpha", "friction", "boundaries", "thickness"):
+            setattr(self, kind, getattr(tissue, kind).astype(complex))
+        self.law = importlib.import_module(f"needlefit.mechanics.laws.{tissue.law}")
+        self.rigidity = complex(needle.flexural_rigidity)
+        self.offset = self.base_y = self.base_slope = self.stage_slope = 0j
+        self.guides = {x: np.zeros(3, dtype=complex) for x in stands}
+        kind, _, what = name.partition("_") if name.startswith("guide") else (name, "", "")
+        number = int("".join(filter(str.isdigit, kind)) or 0)
+        kind = kind.rstrip("0123456789")
+        if kind == "guide":
+            self.guides[stands[number - 1]][("x", "y", "slope").index(what)] += H * 1j
+        elif number:
+            getattr(self, "boundaries" if kind == "boundary" else kind)[number - 1] += H * 1j
+        else:
+            setattr(self, kind, getattr(self, kind) + H * 1j)
+
+
+def follow(
+    needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: Rules, name: str,
+    lattice: Lattice | None = None,
+) -> tuple[np.ndarray, ...]:  # fmt: skip
+    """Return the derivatives of nodes, deflection, slope and constraint points by one parameter."""
+    stands = sorted({guide.x for step in steps for guide in step.controls.guides})
+    inputs = Inputs(needle, tissue, stands, name)
+    lattice = lattice or lattice_of(steps, rules)
+    c, rays, tip = {0: 0j}, {}, (0.0, 0j, 0j)
+    for stop in plan(steps, lattice, needle.length):
+        if stop.opens:
+            rays[stop.ray] = tip
+        if stop.cell > 0:
+            x, u, slope = rays[stop.ray]
+            bevel = steps[stop.cut].bevel
+            turn = bevel.side * (bevel.offset + inputs.offset) / rules.spacing
+            c[stop.cell] = u + (stop.tip - x) * (slope + turn)
+        x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
+        y_c = np.array([c[m] for m in range(stop.cell + 1)])
+        controls = steps[stop.held].controls
+        real, guess, held = reference.mesh(stop, controls, lattice, needle.length, rules.element)
+        nodes, state = real.astype(complex), guess.astype(complex).reshape(-1, 2)
+        state[0] += inputs.base_y + inputs.stage_slope * stop.tip, inputs.base_slope
+        for guide in controls.guides:
+            for node in np.flatnonzero(real == guide.x):
+                nodes[node] += inputs.guides[guide.x][0]
+                state[node] += inputs.guides[guide.x][1:] * held.reshape(-1, 2)[node]
+        state = _equilibrium(inputs, nodes, x_c, y_c, state.ravel(), held).reshape(-1, 2)
+        tip = (stop.tip, state[-1, 0], state[-1, 1])
+    return tuple(a.imag / H for a in (nodes, state[:, 0], state[:, 1], y_c))
+
+
+def _equilibrium(inputs, nodes, x_c, y_c, u, held):
+    K_b = _bending(nodes, inputs.rigidity)
+    x, w, layer, nearest = _quadrature(nodes, x_c, inputs.boundaries)
+    N, dN = _shapes(nodes, x)
+    free = ~held
+    t, gamma = inputs.thickness[layer], inputs.friction[layer]
+    left = 4  # Newton steps after the real part has converged: the imaginary one is a step behind
+    for _ in range(60):
+        e, slope = N @ u - y_c[nearest], dN @ u
+        size = np.sign(e.real) * e
+        lam = 1 - size / t
+        k = dk = 0
+        for at, alpha in enumerate(inputs.alpha):
+            mu, terms = inputs.mu[at] * (layer == at), inputs.law.terms(alpha)
+            k = k + mu * sum(b * lam**q for b, q in terms)
+            dk = dk + mu * sum(b * q * lam ** (q - 1) for b, q in terms)
+        kt = k - size / t * dk
+        g = 1 - gamma * slope**2 / (1 + slope**2)
+        dg = -2 * gamma * slope / (1 + slope**2) ** 2
+        residual = K_b @ u + N.T @ (w * k * e * g)
+        tangent = K_b + N.T @ ((w * kt * g)[:, None] * N) + N.T @ ((w * k * e * dg)[:, None] * dN)
+        step = np.linalg.solve(tangent[np.ix_(free, free)], -residual[free])
+        u = u.copy()
+        u[free] += step
+        if np.max(np.abs(step.real), initial=0.0) < 1e-7:
+            left -= 1
+            if left == 0:
+                return u
+    raise ArithmeticError("the oracle found no equilibrium")
+
+
+def _bending(nodes, EI):
+    K = np.zeros((2 * len(nodes), 2 * len(nodes)), dtype=complex)
+    for a, h in enumerate(np.diff(nodes)):
+        block = [[12, 6 * h, -12, 6 * h], [6 * h, 4 * h**2, -6 * h, 2 * h**2]]
+        block += [[-12, -6 * h, 12, -6 * h], [6 * h, 2 * h**2, -6 * h, 4 * h**2]]
+        K[2 * a : 2 * a + 4, 2 * a : 2 * a + 4] += EI / h**3 * np.array(block)
+    return K
+
+
+def _quadrature(nodes, x_c, boundaries):
+    """Split at whatever lies strictly between entry and tip, as complex places in the order of real ones."""
+    halfway = (x_c[1:] + x_c[:-1]) / 2
+    inner = np.concatenate((nodes, halfway, boundaries))
+    inner = inner[(inner.real > 0) & (inner.real < x_c[-1])]
+    edges = np.concatenate(([0j], inner[np.argsort(inner.real, kind="stable")], [x_c[-1] + 0j]))
+    edges = edges[np.concatenate(([True], np.diff(edges.real) > 0))]
+    middle, half = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
+    x = (middle[:, None] + half[:, None] * np.array([-1, 1]) / math.sqrt(3)).ravel()
+    layer = np.searchsorted(boundaries.real, x.real)
+    nearest = np.argmin(np.abs(x.real[:, None] - x_c), axis=1)
+    return x, np.repeat(half, 2), layer, nearest
+
+
+def _shapes(nodes, x):
+    N = np.zeros((len(x), 2 * len(nodes)), dtype=complex)
+    dN = np.zeros_like(N)
+    element = np.clip(np.searchsorted(nodes.real, x.real) - 1, 0, len(nodes) - 2)
+    h = np.diff(nodes)[element]
+    s = (x - nodes[element]) / h
+    values = (1 - 3 * s**2 + 2 * s**3, h * s * (1 - s) ** 2, 3 * s**2 - 2 * s**3, h * s**2 * (s - 1))
+    slopes = (6 * s * (s - 1) / h, (1 - s) * (1 - 3 * s), 6 * s * (1 - s) / h, s * (3 * s - 2))
+    for j in range(4):
+        N[np.arange(len(x)), 2 * element + j] = values[j]
+        dN[np.arange(len(x)), 2 * element + j] = slopes[j]
+    return N, dN

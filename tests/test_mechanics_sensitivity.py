@@ -1,0 +1,273 @@
+"""The Jacobian is the derivative: complex steps through the equations, and what is known beforehand."""
+
+import complex_step
+import numpy as np
+import pytest
+
+from needlefit.errors import ModelError
+from needlefit.mechanics import laws
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.linearize import KINDS, linearize, linearize_along, moved
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.shape import positions
+from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
+SHARP = 1e-9  # mm; Newton's tolerance where a derivative is held to 1e-7 of itself
+
+
+def random_tissue(rng: np.random.Generator, rules: Rules, deepest: float) -> Tissue:
+    layers = int(rng.integers(1, 5))
+    while True:  # a boundary near a change of constraint has two derivatives
+        boundaries = np.sort(rng.uniform(0.5, deepest, layers - 1))
+        if np.all(np.abs(2 * boundaries / rules.spacing - np.round(2 * boundaries / rules.spacing)) > 0.01):
+            break
+    # in soft tissue rounding alone moves the derivative by more than 1e-7 of itself on a fine mesh
+    softest = -3 if rules.element >= 1.0 else -1.5
+    return Tissue(
+        mu=10 ** rng.uniform(softest, 2, layers),
+        alpha=rng.uniform(-10, 10, layers),
+        boundaries=boundaries,
+        thickness=rng.uniform(5.0, 80.0, layers),
+        friction=rng.choice([0.0, 0.3]) * rng.uniform(size=layers),
+        law=str(rng.choice(laws.names())),
+    )
+
+
+def random_rules(rng: np.random.Generator) -> Rules:
+    return Rules(*[(0.5, 0.5), (1.0, 1.0), (1.0, 0.5), (2.0, 1.0)][rng.integers(4)], tolerance=SHARP)
+
+
+def random_steps(rng: np.random.Generator) -> list[Step]:
+    """Insertions and retractions: bevel and base change, guides stay, sometimes the tip is held."""
+    choice = lambda slope: rng.choice([None, slope])  # noqa: E731
+    guides = [
+        Guide(-float(rng.uniform(13, 25)), rng.uniform(-0.3, 0.3), choice(-0.01)),
+        Guide(-float(rng.uniform(2, 12)), rng.uniform(-0.3, 0.3), choice(0.01)),
+        Guide(float(rng.uniform(1, 5)), rng.uniform(-0.3, 0.3), choice(0.02), in_tissue=True),
+    ]
+    guides = [guide for guide in guides if rng.random() < 0.6]
+    steps = []
+    for _ in range(3):
+        here = tuple(Guide(g.x, g.y + float(rng.uniform(-0.1, 0.1)), g.slope, g.in_tissue) for g in guides)
+        tip = TrackedTip(float(rng.uniform(-0.2, 0.2)), choice(0.01)) if rng.random() < 0.15 else None
+        base = rng.uniform(-1, 1, 3) * (0.5, 0.01, 0.01)
+        bevel = Bevel(float(rng.uniform(0, 0.2)), int(rng.choice([-1, 1])))
+        steps.append(Step(float(rng.uniform(2, 14)), bevel, Controls(*map(float, base), here, tip)))
+    return steps
+
+
+def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: Rules, lattice=None) -> None:
+    shape, found = linearize_along(needle, tissue, steps, rules, lattice, wrt=KINDS)
+    assert shape.converged
+    for p, name in enumerate(found.names):
+        nodes, u, slope, points = complex_step.follow(needle, tissue, steps, rules, name, lattice)
+        tolerance = 1e-5 if name.startswith("alpha") else 1e-7
+        largest = max(np.abs(u).max(), np.abs(points).max(), 1e-12)
+        # a parameter that shifts the needle as a whole hardly turns it: its slopes are but rounding
+        steepest = max(np.abs(slope).max(), 0.01 * largest)
+        np.testing.assert_allclose(found.x[:, p], nodes, atol=1e-12, err_msg=name)
+        np.testing.assert_allclose(found.u[:, p], u, rtol=0, atol=tolerance * largest, err_msg=name)
+        np.testing.assert_allclose(found.slope[:, p], slope, rtol=0, atol=tolerance * steepest, err_msg=name)
+        np.testing.assert_allclose(
+            found.constraints[:, p], points, rtol=0, atol=tolerance * largest, err_msg=name
+        )
+
+
+@pytest.mark.parametrize("seed", range(16))
+def test_jacobian_of_an_insertion_equals_complex_steps(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    rules, depth = random_rules(rng), float(rng.choice([rng.uniform(0.2, 18), rng.integers(1, 18)]))
+    needle = Needle(float(rng.uniform(60, 200)), float(10 ** rng.uniform(3, 5)))
+    guided = rng.random() < 0.4
+    controls = Controls(
+        float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)),
+        guides=(Guide(-float(rng.uniform(5, 35))),) if guided else (),
+    )  # fmt: skip
+    step = Step(depth, Bevel(float(rng.uniform(0, 0.3)), int(rng.choice([-1, 1]))), controls)
+    check(needle, random_tissue(rng, rules, 16.0), [step], rules)
+
+
+@pytest.mark.parametrize("seed", range(100, 116))
+def test_jacobian_along_steps_equals_complex_steps(seed: int) -> None:
+    """Guides before and in the tissue, a tracked tip, retraction, re-insertion, changes of base and bevel."""
+    rng = np.random.default_rng(seed)
+    rules = random_rules(rng)
+    steps = random_steps(rng)
+    needle = Needle(float(rng.uniform(60, 200)), float(10 ** rng.uniform(3, 5)))
+    lattice = Lattice(float(rng.uniform(0.2, 1.0)) * rules.spacing, rules.spacing)
+    # on a lattice of its own, boundaries meet changes of constraint at unforeseen places
+    tissue = random_tissue(rng, rules, 12.0)
+    halves = np.array([lattice.depth(m) for m in range(40)])
+    halves = (halves[1:] + halves[:-1]) / 2
+    assert tissue.layers == 1 or np.min(np.abs(tissue.boundaries[:, None] - halves)) > 1e-3
+    check(needle, tissue, steps, rules, lattice)
+
+
+def test_jacobian_beyond_the_series_of_the_law() -> None:
+    """A base moved sideways compresses thin tissue by a third; the law is evaluated, not its series."""
+    tissue = Tissue(mu=[0.05, 0.1], alpha=[8.0, -3.0], boundaries=[5.3], thickness=[3.0], friction=[0.2])
+    shape = simulate(NEEDLE, tissue, Bevel(0.02), 12.0, Controls(base_y=1.0))
+    assert np.max(np.abs(shape.u[1:])) / 3.0 > 0.1
+    check(NEEDLE, tissue, [Step(12.0, Bevel(0.02), Controls(base_y=1.0))], Rules(tolerance=SHARP))
+
+
+@pytest.mark.parametrize("depth", [19.63, 55.0])
+def test_the_shape_is_that_of_the_forward_run(depth: float) -> None:
+    shape, _ = linearize(NEEDLE, PHANTOM, Bevel(0.085), depth)
+    plain = simulate(NEEDLE, PHANTOM, Bevel(0.085), depth)
+    np.testing.assert_array_equal(shape.u, plain.u)
+    np.testing.assert_array_equal(shape.slope, plain.slope)
+    np.testing.assert_array_equal(shape.constraints, plain.constraints)
+    assert shape.iterations == plain.iterations
+
+
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_first_constraint_point_moves_as_geometry_says(side: int) -> None:
+    """The free needle is a rod: c_1 moves by 1 per base y, L + x_1 per base slope, s x_1 / C_int per b."""
+    rules = Rules(2.0, 1.0)
+    _, found = linearize(
+        NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1, side), 7.3, rules=rules,
+        wrt=("offset", "base_y", "base_slope", "stage_slope"),
+    )  # fmt: skip
+    first = dict(zip(found.names, found.constraints[1], strict=True))
+    assert first["offset"] == pytest.approx(side * 1.3 / 2.0, rel=1e-12)
+    assert first["base_y"] == pytest.approx(1.0, rel=1e-9)
+    assert first["base_slope"] == pytest.approx(150.0 + 1.3, rel=1e-9)
+    assert first["stage_slope"] == 0.0  # at contact the stage has not carried the base anywhere
+    assert np.all(found.constraints[0] == 0.0)
+
+
+def test_stiffer_needle_in_stiffer_tissue_is_the_same_needle() -> None:
+    """EI d/dEI + sum mu_i d/dmu_i = 0: only their ratio matters."""
+    controls = Controls(base_y=0.3, guides=(Guide(-12.0),))
+    shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 50.0, controls, wrt=("mu", "rigidity"))
+    scales = np.array([*PHANTOM.mu, NEEDLE.flexural_rigidity])
+    parts = found.u * scales
+    assert shape.converged and np.abs(parts).max() > 0.1
+    np.testing.assert_allclose(parts.sum(axis=1), 0.0, atol=1e-9)
+
+
+def test_a_boundary_between_equal_layers_moves_nothing() -> None:
+    """But for the quadrature, whose intervals it splits."""
+    tissue = Tissue(mu=[2.0, 2.0, 9.0], alpha=[3.0] * 3, boundaries=[6.3, 12.8])
+    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 20.0, wrt=("boundaries",))
+    assert np.abs(found.u[:, 1]).max() > 1e-3
+    assert np.abs(found.u[:, 0]).max() < 1e-5 * np.abs(found.u[:, 1]).max()
+
+
+def test_boundaries_the_tip_has_not_reached_move_nothing() -> None:
+    tissue = Tissue(mu=[2.0, 20.0, 9.0], alpha=[3.0] * 3, boundaries=[6.3, 20.0])
+    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 20.0, wrt=("boundaries", "mu"))
+    columns = dict(zip(found.names, found.u.T, strict=True))
+    assert np.abs(columns["boundary1"]).max() > 0
+    assert not np.any(columns["boundary2"]) and not np.any(columns["mu3"])
+
+
+@pytest.mark.parametrize("boundary", [6.5, 7.0])
+def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_deeper(boundary: float) -> None:
+    rules, step = Rules(tolerance=1e-11), 1e-5
+
+    def deflection(at: float) -> np.ndarray:
+        tissue = Tissue(mu=[0.3, 20.0], alpha=[1.0, 1.0], boundaries=[at])
+        return simulate(NEEDLE, tissue, Bevel(0.1), 12.0, rules=rules).u
+
+    tissue = Tissue(mu=[0.3, 20.0], alpha=[1.0, 1.0], boundaries=[boundary])
+    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 12.0, rules=rules, wrt=("boundaries",))
+    ahead = (4 * deflection(boundary + step) - 3 * deflection(boundary) - deflection(boundary + 2 * step)) / (
+        2 * step
+    )
+    np.testing.assert_allclose(found.u[:, 0], ahead, rtol=0, atol=1e-4 * np.abs(ahead).max())
+
+
+@pytest.mark.parametrize("law", ["linear", "neo_hookean"])
+def test_a_law_without_alpha_has_none_in_its_derivatives(law: str) -> None:
+    tissue = Tissue(mu=[0.3, 20.0], alpha=[5.0, -5.0], boundaries=[7.2], law=law)
+    _, found = linearize(NEEDLE, tissue, Bevel(0.1), 12.0, wrt=("alpha", "mu"))
+    columns = dict(zip(found.names, found.u.T, strict=True))
+    assert not np.any(columns["alpha1"]) and not np.any(columns["alpha2"])
+    assert np.any(columns["mu1"])
+
+
+@pytest.mark.parametrize("law", laws.names())
+def test_every_law_is_linear_in_alpha_term_by_term(law: str) -> None:
+    (c, q), (dc, dq) = laws.power_terms(law, np.array([-7.5, 0.0, 4.25])), laws.term_slopes(law)
+    for i, alpha in ((0, -7.5), (2, 4.25)):
+        np.testing.assert_allclose(c[i], c[1] + alpha * dc, rtol=1e-15)
+        np.testing.assert_allclose(q[i], q[1] + alpha * dq, rtol=1e-15)
+
+
+def test_a_tracked_tip_stands_where_it_is_said_to_stand() -> None:
+    controls = Controls(base_y=0.2, tip=TrackedTip(0.4, 0.01))
+    _, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, controls, wrt=KINDS)
+    assert not np.any(found.u[-1]) and not np.any(found.slope[-1])
+    assert np.abs(found.u).max() > 0.1
+
+
+def test_what_a_guide_holds_moves_with_it() -> None:
+    guides = (Guide(-20.0, slope=None), Guide(-5.0, 0.1), Guide(6.0, 0.2, in_tissue=True))
+    shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, Controls(guides=guides), wrt=("guides",))
+    assert found.names == tuple(f"guide{i}_{what}" for i in (1, 2, 3) for what in ("x", "y", "slope"))
+    for i, guide in enumerate(guides):
+        node = int(np.flatnonzero(shape.x == guide.x)[0])
+        for j in range(3):
+            assert found.x[node, 3 * j] == (i == j)
+            assert found.u[node, 3 * j + 1] == pytest.approx(float(i == j), abs=1e-12)
+            if guide.slope is not None:
+                assert found.slope[node, 3 * j + 2] == pytest.approx(float(i == j), abs=1e-12)
+    assert not np.any(found.u[:, 2])  # the first leaves the needle free to turn
+
+
+def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
+    steps = [
+        Step(8.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.1),))),
+        Step(12.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.2), Guide(-4.0)))),
+    ]
+    _, found = linearize_along(NEEDLE, PHANTOM, steps, wrt=("guides",))
+    assert len(found.names) == 6
+
+    def deflection(shift: float) -> np.ndarray:
+        shifted = [
+            Step(s.depth, s.bevel, Controls(guides=(Guide(-9.0, s.controls.guides[0].y + shift),
+                                                    *s.controls.guides[1:])))
+            for s in steps
+        ]  # fmt: skip
+        return follow(NEEDLE, PHANTOM, shifted, Rules(tolerance=1e-11)).u
+
+    slope = (deflection(1e-4) - deflection(-1e-4)) / 2e-4
+    np.testing.assert_allclose(found.u[:, 1], slope, atol=1e-6)
+
+
+def test_points_in_the_plane_move_as_differences_say() -> None:
+    controls = Controls(base_slope=0.01, guides=(Guide(-15.0, 0.2, None), Guide(4.6, 0.3, in_tissue=True)))
+    rules = Rules(tolerance=1e-11)
+    shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.15), 25.0, controls, rules, wrt=("offset", "guides"))
+    s = np.array([-100.0, -15.5, -3.0, 0.0, 4.3, 4.9, 12.5, 25.0])
+    moves = moved(shape, found, s)
+    assert moves.shape == (8, 2, 7)
+
+    def points(offset: float = 0.0, before: float = 0.0, within: float = 0.0) -> np.ndarray:
+        guides = (Guide(-15.0 + before, 0.2, None), Guide(4.6 + within, 0.3, in_tissue=True))
+        moved_controls = Controls(base_slope=0.01, guides=guides)
+        return positions(simulate(NEEDLE, PHANTOM, Bevel(0.15 + offset), 25.0, moved_controls, rules), s)
+
+    for column, name in ((0, "offset"), (1, "before"), (4, "within")):
+        slope = (points(**{name: 1e-4}) - points(**{name: -1e-4})) / 2e-4
+        assert np.abs(slope).max() > 1e-3
+        np.testing.assert_allclose(moves[:, :, column], slope, rtol=0, atol=2e-5 * np.abs(slope).max())
+
+
+def test_a_failed_needle_has_no_derivatives() -> None:
+    shape, found = linearize(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], thickness=[0.05]), Bevel(0.2), 10.0)
+    assert shape.status == "over-compressed"
+    assert found.u.shape == (len(shape.x), 3) and found.constraints.shape == (11, 3)
+    for part in (found.x, found.u, found.slope, found.constraints):
+        assert np.isnan(part).all()
+
+
+def test_unknown_kinds_are_refused_with_those_there_are() -> None:
+    with pytest.raises(ModelError, match="`depth`"):
+        linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth"))
