@@ -12,9 +12,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Rules, Step
 from needlefit.mechanics.kernel import sensitivity as kernel
-from needlefit.mechanics.kernel.derivatives import Columns
-from needlefit.mechanics.kernel.derivatives import begin as begin_history
-from needlefit.mechanics.kernel.foundation import make_trend
+from needlefit.mechanics.kernel.derivatives import Columns, History
 from needlefit.mechanics.kernel.movement import movement
 from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
 from needlefit.mechanics.needle import Needle
@@ -116,8 +114,12 @@ def linearize_along(
     names, columns, at_guides = _columns(tuple(wrt), tissue.layers, stands)
     under_way = begin(needle, tissue, steps, lattice, rules)
     foundation = compile_tissue(tissue)
-    trend = make_trend(foundation, *laws.term_slopes(tissue.law))
-    history = begin_history(len(under_way.y), len(under_way.rays), columns.total)
+    by_alpha = laws.term_slopes(tissue.law)
+    history = History(
+        np.zeros((len(under_way.y), columns.total)),
+        np.zeros((len(under_way.rays), 2, columns.total)),
+        np.zeros((2, columns.total)),
+    )
     whole = np.empty((len(under_way.nodes), 2, columns.total))
     newton = Newton(rules.tolerance, rules.max_iterations)
     sides = np.array([step.bevel.side / rules.spacing for step in steps])
@@ -129,7 +131,7 @@ def linearize_along(
         stops = stops._replace(turn=offsets[cut] * swing)
         controls = steps[held].controls
         status, used = kernel.advance(
-            under_way, foundation, trend, compile_controls(controls), _guides(controls, stands, at_guides),
+            under_way, foundation, by_alpha, compile_controls(controls), _guides(controls, stands, at_guides),
             stops, swing, newton, columns, history, whole if n + 1 == len(groups) else whole[:0],
         )  # fmt: skip
         iterations += used

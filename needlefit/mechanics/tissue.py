@@ -77,4 +77,4 @@ def _vector(name: str, value: ArrayLike, size: int) -> Floats:
         raise ModelError(f"tissue {name} has shape {array.shape}", expected=f"({size},)")
     if not np.all(np.isfinite(array)):
         raise ModelError(f"tissue {name} is not finite: {array.tolist()}")
-    return np.ascontiguousarray(np.broadcast_to(array, (size,)))
+    return np.broadcast_to(array, (size,)).copy()  # never read-only: the kernel would be compiled for both

@@ -34,7 +34,10 @@ class Columns(NamedTuple):
 
 
 class History(NamedTuple):
-    """Derivatives of what the stops so far have left behind, with respect to P parameters."""
+    """Derivatives of what the stops so far have left behind, with respect to P parameters.
+
+    All are 0 before first contact: no parameter moves a tip that defines the frame.
+    """
 
     constraints: Floats  # (M + 1, P) of the constraint points' y
     rays: Floats  # (R, 2, P) of the deflection and slope with which each ray begins
@@ -55,12 +58,6 @@ class Room(NamedTuple):
     load: Floats  # (3, 2) on three nodes
     spots: Ints  # (E, 3) node, component and column of right-hand sides that touch few nodes
     amounts: Floats  # (E,)
-
-
-@njit(cache=True, nogil=True)
-def begin(points: int, rays: int, columns: int) -> History:
-    """Return the history before first contact, which no parameter moves."""
-    return History(np.zeros((points, columns)), np.zeros((rays, 2, columns)), np.zeros((2, columns)))
 
 
 @njit(cache=True, nogil=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from needlefit.mechanics.kernel import insertion as forward
 from needlefit.mechanics.kernel.adjoint import add_layers, add_spots, bend, carry_over, gather, solve_rows
 from needlefit.mechanics.kernel.derivatives import Columns, History, list_spots, make_room
-from needlefit.mechanics.kernel.foundation import Foundation, Trend
+from needlefit.mechanics.kernel.foundation import Foundation, make_trend
 from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
 from needlefit.mechanics.kernel.scalar import (
     BROKEN,
@@ -31,13 +31,15 @@ Ints = NDArray[np.int64]
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance(
-    insertion: Insertion, foundation: Foundation, trend: Trend, holds: Holds, guides: Ints, stops: Stops,
-    swing: Floats, newton: Newton, columns: Columns, history: History, whole: Floats,
+    insertion: Insertion, foundation: Foundation, by_alpha: tuple[Floats, Floats], holds: Holds, guides: Ints,
+    stops: Stops, swing: Floats, newton: Newton, columns: Columns, history: History, whole: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """Bring needle and derivatives from stop to stop; return the status and Newton iterations.
 
     Parameters
     ----------
+    by_alpha : (P,) and (P,) arrays
+        Derivatives of the law's coefficients and exponents with respect to alpha.
     guides : (G + H, 3) array
         Columns of each guide's x, y and slope, of those before the tissue first; -1: not asked for.
     swing : (S,) array
@@ -47,6 +49,7 @@ def advance(
         more stops are to follow.
     """
     iterations = 0
+    trend = make_trend(foundation, by_alpha[0], by_alpha[1])
     size = insertion.states.shape[1]
     chain, trial = forward.begin_chain(holds, insertion.rigidity, size), np.empty((size, 2))
     room = make_room(insertion, len(foundation.mu), len(guides))
