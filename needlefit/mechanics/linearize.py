@@ -137,7 +137,7 @@ def linearize_along(
         iterations += used
         if status != CONVERGED:
             break
-    shape = read(under_way, stops_of(moves, lattice)[-1], status, iterations)
+    shape = read(under_way, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
     if status != CONVERGED:
         return shape, _nothing(names, shape)
     nodes = np.zeros((len(shape.x), len(names)))

@@ -140,7 +140,7 @@ class Session:
                 self._under_way, self._foundation, holds, packed, self._newton
             )
             self._stop = stops[-1]
-        shape = read(self._under_way, self._stop, status, iterations)
+        shape = read(self._under_way, self._stop, step.controls, status, iterations)
         if status == CONVERGED:
             self._position, self.last = position, step
             _forget(self._bevels, (ray.cut for ray in position.rays), step.bevel)

@@ -96,7 +96,7 @@ def follow(
         iterations += used
         if status != CONVERGED:
             break
-    return read(under_way, stops_of(moves, lattice)[-1], status, iterations)
+    return read(under_way, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
 
 
 def equilibrium(
@@ -196,14 +196,18 @@ def pack(stops: Sequence[Stop]) -> tuple[kernel.Stops, Ints]:
     return kernel.Stops(tip, cell, permanent, ray, opens, np.empty(0)), cut
 
 
-def read(under_way: kernel.Insertion, stop: Stop, status: int, iterations: int) -> NeedleShape:
+def read(
+    under_way: kernel.Insertion, stop: Stop, controls: Controls, status: int, iterations: int
+) -> NeedleShape:
     """Return the needle's shape at a stop; NaN where the solution failed on the way there."""
-    size = int(under_way.size[0])
-    nodes, state = under_way.nodes[:size].copy(), under_way.states[0, :size].copy()
+    if status == CONVERGED:
+        size = int(under_way.size[0])
+        nodes, state = under_way.nodes[:size].copy(), under_way.states[0, :size].copy()
+    else:
+        nodes = kernel.chain_nodes(under_way, compile_controls(controls), stop.tip, stop.cell)
+        state = np.full((len(nodes), 2), np.nan)
     x = constraint_depths(stop.tip, stop.cell, under_way.first_cell, under_way.spacing)
     points = np.empty((len(x), 2))
     points[:, 0], points[:, 1] = x, under_way.y[: stop.cell + 1]
     track = under_way.track[: stop.cell + 1].copy()
-    if status != CONVERGED:
-        state[:] = np.nan
     return NeedleShape(nodes, state[:, 0], state[:, 1], points, track, STATUS[status], iterations)

@@ -40,7 +40,7 @@ def solve_rows(kind: Ints, end: int, factor: Floats, rows: Floats, held: Floats)
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
 def bend(points: Floats, foundation: Foundation, trend: Trend, grid: Grid, last: int) -> None:
     """Put weight times dk/dalpha e of each quadrature point into the last column of `points`."""
-    weight, layer, limit, series = grid.weight, grid.layer, foundation.limit, trend.series
+    weight, layer, limit, series = grid.weight, grid.layer, trend.limit, trend.series
     for q in range(grid.first[last + 1]):
         here, away = layer[q], points[q, 0]
         size = abs(away)

@@ -154,6 +154,19 @@ def grid_at(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Grid:
 
 
 @njit(cache=True, nogil=True)
+def chain_nodes(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Floats:
+    """Return the depths of all nodes of a tip at `tip`, base first."""
+    before, nodes = holds.before[:, 0], grid_at(insertion, holds, tip, cell).nodes
+    depths = np.empty(1 + len(before) + len(nodes))
+    depths[0] = tip - insertion.length
+    for i in range(len(before)):
+        depths[1 + i] = before[i]
+    for i in range(len(nodes)):
+        depths[1 + len(before) + i] = nodes[i]
+    return depths
+
+
+@njit(cache=True, nogil=True)
 def begin_chain(holds: Holds, rigidity: float, room: int) -> Chain:
     """Return a chain of up to `room` nodes on which base and guides before the tissue are prescribed."""
     before = 1 + len(holds.before)

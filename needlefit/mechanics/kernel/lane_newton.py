@@ -105,10 +105,11 @@ def equilibrate_lanes(
             # the next increment: a full pass squares it, a half one multiplies it by the one before
             ahead = inputs.curvature[l] * change * (change if full else 2.0 * before)
             stalled = n > 1 and change < ROUNDING and change > 0.5 * before
-            if not (np.isfinite(change) and excess[l] <= 0.0):
+            if not np.isfinite(change):
                 at[l], busy[l] = LEFT, 0.0
             elif min(change, ahead) < tolerance or stalled:
-                busy[l] = 0.0
+                busy[l] = 0.0  # on the way there a guess may have left the series, the answer may not
+                at[l] = HERE if excess[l] <= 0.0 else LEFT
             at_work += int(busy[l])
             busy[2 * W + l] = change
         if at_work == 0:
