@@ -113,19 +113,22 @@ def linearize_along(
     stands = _stands(steps)
     names, columns, at_guides = _columns(tuple(wrt), tissue.layers, stands)
     under_way = begin(needle, tissue, steps, lattice, rules)
+    groups = packed(moves, lattice)
+    most = max(len(stops.tip) for _, stops, _ in groups)
+    under_way = under_way._replace(record=np.empty((most, *under_way.record.shape[1:])))
     foundation = compile_tissue(tissue)
     by_alpha = laws.term_slopes(tissue.law)
     history = History(
         np.zeros((len(under_way.y), columns.total)),
         np.zeros((len(under_way.rays), 2, columns.total)),
         np.zeros((2, columns.total)),
+        np.zeros(len(under_way.y)),
     )
     whole = np.empty((len(under_way.nodes), 2, columns.total))
     newton = Newton(rules.tolerance, rules.max_iterations)
     sides = np.array([step.bevel.side / rules.spacing for step in steps])
     offsets = np.array([step.bevel.offset for step in steps])
     status, iterations = CONVERGED, 0
-    groups = packed(moves, lattice)
     for n, (held, stops, cut) in enumerate(groups):
         swing = sides[cut]
         stops = stops._replace(turn=offsets[cut] * swing)

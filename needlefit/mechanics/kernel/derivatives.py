@@ -42,6 +42,7 @@ class History(NamedTuple):
     constraints: Floats  # (M + 1, P) of the constraint points' y
     rays: Floats  # (R, 2, P) of the deflection and slope with which each ray begins
     tip: Floats  # (2, P) of the tip's deflection and slope now
+    y: Floats  # (M + 1,) the constraint points themselves, as they stood then
 
 
 class Room(NamedTuple):

@@ -70,6 +70,8 @@ class Insertion(NamedTuple):
     states: Floats  # (3, C, 2) their deflection and slope: now, one cell ago, and room for a third
     size: Ints  # (4,) nodes of the chain, those before the tissue, whether the rest are the main grid's,
     # and how many of them stood in the tissue one cell ago (0: there was no such stop)
+    record: Floats  # (S, C + 1, 2) for who differentiates: the state at each stop under way, and below it
+    # the y of the constraint point there and the depth where its ray begins; (0, C + 1, 2): nobody does
 
 
 @njit(cache=True, nogil=True)
@@ -89,6 +91,7 @@ def begin(
         rigidity, length, first_cell, spacing, element, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
         np.zeros(3), np.zeros(room), np.zeros((3, room, 2)), np.zeros(4, np.int64),
+        np.zeros((0, room + 1, 2)),
     )  # fmt: skip
 
 
@@ -100,21 +103,12 @@ def advance(
 
     Where a stop fails the needle's state is worthless.
     """
-    room = insertion.states.shape[1]
-    chain = begin_chain(holds, insertion.rigidity, room)
-    trial, factor = np.empty((room, 2)), np.empty((room, WIDTH))
-    return between(insertion, foundation, holds, stops, 0, len(stops.tip), newton, chain, trial, factor)
-
-
-@njit(cache=True, nogil=True, error_model="numpy")
-def between(
-    insertion: Insertion, foundation: Foundation, holds: Holds, stops: Stops, begin: int, end: int,
-    newton: Newton, chain: Chain, trial: Floats, factor: Floats,
-) -> tuple[int, int, int]:  # fmt: skip
-    """Go from stop `begin` on to the one before `end`; `chain`, `trial` and `factor` are room to work in."""
     iterations = 0
     rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
-    for s in range(begin, end):
+    record, room = insertion.record, insertion.states.shape[1]
+    chain = begin_chain(holds, insertion.rigidity, room)
+    trial, factor = np.empty((room, 2)), np.empty((room, WIDTH))
+    for s in range(len(stops.tip)):
         depth, cell, ray = stops.tip[s], stops.cell[s], stops.ray[s]
         if stops.opens[s]:
             rays[ray, 0], rays[ray, 1], rays[ray, 2], rays[ray, 3] = tip[0], tip[1], tip[2], stops.turn[s]
@@ -137,10 +131,14 @@ def between(
             iterations += used
         if status != CONVERGED:
             return status, iterations, s
-        foot = size[0] - 1
-        tip[0], tip[1], tip[2] = depth, states[0, foot, 0], states[0, foot, 1]
+        end = size[0] - 1
+        tip[0], tip[1], tip[2] = depth, states[0, end, 0], states[0, end, 1]
         insertion.track[cell, 0], insertion.track[cell, 1] = tip[1], tip[2]
-    return CONVERGED, iterations, end
+        if len(record) > 0:
+            for i in range(size[0]):
+                record[s, i, 0], record[s, i, 1] = states[0, i, 0], states[0, i, 1]
+            record[s, room, 0], record[s, room, 1] = y[cell], rays[ray, 0]
+    return CONVERGED, iterations, len(stops.tip)
 
 
 @njit(cache=True, nogil=True)

@@ -14,6 +14,7 @@ from needlefit.mechanics.kernel import insertion as forward
 from needlefit.mechanics.kernel.adjoint import add_layers, add_spots, bend, carry_over, gather, solve_rows
 from needlefit.mechanics.kernel.derivatives import Columns, History, list_spots, make_room
 from needlefit.mechanics.kernel.foundation import Foundation, make_trend
+from needlefit.mechanics.kernel.grid import SLACK
 from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
 from needlefit.mechanics.kernel.scalar import (
     BROKEN,
@@ -34,7 +35,7 @@ def advance(
     insertion: Insertion, foundation: Foundation, by_alpha: tuple[Floats, Floats], holds: Holds, guides: Ints,
     stops: Stops, swing: Floats, newton: Newton, columns: Columns, history: History, whole: Floats,
 ) -> tuple[int, int]:  # fmt: skip
-    """Bring needle and derivatives from stop to stop; return the status and Newton iterations.
+    """Bring the needle from stop to stop, then its derivatives; return the status and Newton iterations.
 
     Parameters
     ----------
@@ -48,16 +49,20 @@ def advance(
         Filled with the derivatives of every node's deflection and slope at the last stop; without rows:
         more stops are to follow.
     """
-    iterations = 0
+    status, iterations, _ = forward.advance(insertion, foundation, holds, stops, newton)
+    if status != CONVERGED:
+        return status, iterations
     trend = make_trend(foundation, by_alpha[0], by_alpha[1])
     size = insertion.states.shape[1]
-    chain, trial = forward.begin_chain(holds, insertion.rigidity, size), np.empty((size, 2))
+    chain = forward.begin_chain(holds, insertion.rigidity, size)
     room = make_room(insertion, len(foundation.mu), len(guides))
-    state, y, factor, at, main = insertion.states[0], insertion.y, room.factor, insertion.size, insertion.main
-    boundaries, starts, before = insertion.boundaries, insertion.rays, len(chain.front)
+    record, y, factor, main = insertion.record, history.y, room.factor, insertion.main
+    boundaries, rigidity, length, before = (
+        insertion.boundaries, insertion.rigidity, insertion.length, len(chain.front)
+    )  # fmt: skip
     constraints, rays, tip = history.constraints, history.rays, history.tip
-    depths, cells, ray_of, opens = stops.tip, stops.cell, stops.ray, stops.opens
-    total, offset = columns.total, columns.offset
+    depths, cells, ray_of, opens, permanent = stops.tip, stops.cell, stops.ray, stops.opens, stops.permanent
+    total, offset, alone = columns.total, columns.offset, len(holds.within) == 0
     local = (
         len(guides) > 0 or max(columns.boundary, columns.base_y, columns.base_slope, columns.stage_slope) >= 0
     )
@@ -67,28 +72,25 @@ def advance(
     rough = foundation.rough or columns.friction >= 0
     end = len(depths) - 1
     for s in range(end + 1):
-        depth, cell, ray = depths[s], cells[s], ray_of[s]
-        status, used, _ = forward.between(
-            insertion, foundation, holds, stops, s, s + 1, newton, chain, trial, factor
-        )
-        iterations += used
-        if status != CONVERGED:
-            return status, iterations
+        depth, cell, ray, state = depths[s], cells[s], ray_of[s], record[s]
         if opens[s]:
             for p in range(total):
                 rays[ray, 0, p], rays[ray, 1, p] = tip[0, p], tip[1, p]
         if cell > 0:  # c = y + (tip - x)(slope + turn)
-            ahead = depth - starts[ray, 0]
+            y[cell] = state[size, 0]
+            ahead = depth - state[size, 1]
             for p in range(total):
                 constraints[cell, p] = rays[ray, 0, p] + ahead * rays[ray, 1, p]
             if offset >= 0:
                 constraints[cell, offset] += ahead * swing[s]
-        last = at[0] - before - 1
-        if at[2] == 1:
+        if permanent[s] and cell > 0 and alone:
             grid = main
+            last = np.searchsorted(grid.nodes, depth - SLACK)
         else:
             grid = forward.grid_at(insertion, holds, depth, cell)
-            span_shapes(grid, chain.front[before - 1])
+            last = len(grid.nodes) - 1
+        forward.hold(chain, holds, grid, last, depth, length)
+        span_shapes(grid, chain.front[before - 1])
         if sweep(state, chain, foundation, grid, y, last, factor, points) == BROKEN:
             return OVER_COMPRESSED, iterations
         if curved:
@@ -105,7 +107,7 @@ def advance(
             gather(rows, points, by_constraint, by_layer, foundation, grid, state, before, last, cell, rough)
             carry_over(tip, by_constraint, constraints, cell, total)
             add_layers(
-                tip, by_layer, mu, insertion.rigidity, columns.mu, columns.alpha, columns.friction,
+                tip, by_layer, mu, rigidity, columns.mu, columns.alpha, columns.friction,
                 columns.rigidity,
             )  # fmt: skip
             if spots > 0:
