@@ -1,0 +1,172 @@
+"""The lanes beside the limit of the machine: packed instructions, peak of multiply-adds, fraction reached.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/lanes.py [--json] [--rounds N]
+
+The loops of `kernel.passes` are compiled anew here, to read which instructions they became: of the
+arithmetic on doubles, all but a rest has to be packed, or the compiler has given up on a loop.
+
+The peak is measured: chains of multiply-adds on rows of doubles, independent of each other, held in
+registers. Arithmetic per element (floating-point operations; a division counts as one, abs, max and
+comparisons as none), read off the source of `kernel.passes`:
+
+| | full pass | half pass |
+|---|---|---|
+| u at four points | 28 | 28 |
+| e, over | 6 | 6 |
+| k, with d(k e)/de / without | 80 | 40 |
+| right-hand side at the points | 12 | 12 |
+| bending and stiffness | 84 | 0 |
+| load | 28 | 28 |
+| eliminate, z, S, r | 50 | 16 |
+| `back` | 9 | 9 |
+| all | 297 | 139 |
+
+Per step a lane makes one full pass and, where it has not converged, a half one (more are counted as half
+ones); the work that a block does for lanes that have already converged is not counted, nor is the guess of
+the next shape (4 a node), nor what is done once a step. The fraction is thus that of *useful* arithmetic, and
+of a peak that only pure multiply-adds can reach.
+"""
+
+import argparse
+import json
+import os
+import re
+import time
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from reference_problem import DEPTH, batch
+
+from needlefit.mechanics.kernel import passes
+from needlefit.mechanics.kernel.passes import LANES
+from needlefit.mechanics.lanes import follow_batches
+
+FULL, HALF = 297, 139
+TOLERANCES = (1e-7, 1e-9)  # mm
+ROW, CHAIN, REPEATS = 512, 16, 4000  # doubles, multiply-adds on each, times
+SETS = 512
+LOOPS = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
+         "last_node", "last_chord", "back_tip", "back", "foresee")  # fmt: skip
+ARITHMETIC = re.compile(r"\bv?(?:add|sub|mul|div|fn?m(?:add|sub)(?:132|213|231))([ps])d\b.*")
+
+
+@numba.njit(nogil=True, fastmath={"contract"})
+def multiply_adds(row: NDArray[np.float64], a: float, b: float, repeats: int) -> None:
+    """Make CHAIN multiply-adds on every number of a row, again and again."""
+    for _ in range(repeats):
+        for l in range(ROW):  # noqa: E741
+            x = row[l]
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            x = x * a + b
+            row[l] = x
+
+
+def arithmetic(assembly: str) -> dict[str, int]:
+    """Count the instructions on doubles: packed, by the width of their registers, and single."""
+    counts = {"zmm": 0, "ymm": 0, "xmm": 0, "single": 0}
+    for found in ARITHMETIC.finditer(assembly):
+        if found[1] == "s":
+            counts["single"] += 1
+        else:
+            counts[next((name for name in ("zmm", "ymm") if name in found[0]), "xmm")] += 1
+    return counts
+
+
+def anew(name: str) -> dict[str, int]:
+    """Compile a loop of the kernel anew and count its instructions; what comes from the cache has no text."""
+    from_kernel = getattr(passes, name)
+    arrays = (numba.float64[::1],) * from_kernel.py_func.__code__.co_argcount
+    fresh = numba.njit(arrays, nogil=True, error_model="numpy", fastmath=passes.FAST)(from_kernel.py_func)
+    return arithmetic(fresh.inspect_asm(fresh.signatures[0]))
+
+
+def rate(work: float, threads: int, call: Callable[[int], object], rounds: int) -> dict[str, float]:
+    """Return 10^9 operations per second.
+
+    Of all threads by the clock on the wall, in the best round; of one by processor time, the median.
+    """
+    wall, processor = [], []
+    with ThreadPoolExecutor(threads) as pool:
+        for _ in range(rounds):
+            begin, begin_wall = time.process_time(), time.perf_counter()
+            list(pool.map(call, range(threads)))
+            processor.append((time.process_time() - begin) / threads)
+            wall.append(time.perf_counter() - begin_wall)
+    return {
+        "best": work * threads / min(wall) / 1e9,
+        "per_thread": work / float(np.median(processor)) / 1e9,
+    }
+
+
+def measure(rounds: int) -> dict[str, object]:
+    """Return all figures; peak and lanes in turns."""
+    rows = [np.linspace(0.5, 1.5, ROW) for _ in range(2)]
+    multiply_adds(rows[0], 0.999, 0.001, 1)
+    figures: dict[str, object] = {
+        "instructions": {name: anew(name) for name in LOOPS},
+        "peak_instructions": arithmetic(multiply_adds.inspect_asm(multiply_adds.signatures[0])),
+    }
+    steps = round(DEPTH)
+    for threads in (1, 2):
+        peak = rate(
+            2.0 * ROW * CHAIN * REPEATS, threads,
+            lambda i: multiply_adds(rows[i], 0.999, 0.001, REPEATS), rounds,
+        )  # fmt: skip
+        figures[f"peak_{threads}"] = peak
+        for tolerance in TOLERANCES:
+            sets = batch(SETS, tolerance)
+            (shapes,) = follow_batches([sets], 1)
+            per_step = float(shapes.iterations.mean()) / steps
+            elements = steps * (steps + 1) / 2 * SETS
+            work = elements * (FULL + HALF * (per_step - 1.0))
+            # one block of lanes is one task; two callers have a batch each
+            reached = rate(work, threads, lambda _, sets=sets: follow_batches([sets], 1), rounds)
+            figures[f"lanes_{threads}_{tolerance:g}"] = {
+                **reached,
+                "passes_per_step": per_step,
+                "flop_per_step": work / SETS / steps,
+                "fraction_best": reached["best"] / peak["best"],
+                "fraction_per_thread": reached["per_thread"] / peak["per_thread"],
+            }
+    return figures
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--rounds", type=int, default=25)
+    arguments = parser.parse_args()
+    figures = measure(arguments.rounds)
+    if arguments.json:
+        print(json.dumps(figures, indent=2))
+        return
+    print(f"{LANES} lanes; load average {os.getloadavg()[0]:.1f}\narithmetic instructions on doubles")
+    instructions = figures.pop("instructions")
+    instructions["the peak's chain"] = figures.pop("peak_instructions")
+    for name, counts in instructions.items():
+        print(f"  {name:18s}" + "".join(f"{counts[kind]:6d} {kind}" for kind in counts))
+    print("GFLOP/s: all threads, best round by the wall; one thread, median by processor time")
+    for name, values in figures.items():
+        print(f"  {name:18s}" + "".join(f"  {key} {value:.3g}" for key, value in values.items()))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,280 @@
+"""The forward model, every way there is to run it: time per step, ratios, and proof that all find the same.
+
+One insertion (150 mm needle of 18G solid, EI 10 216 N mm^2; 55 steps of 1 mm, four layers), nominal or with
+sets within 30 % of nominal (`reference_problem`). All ways have the same quadrature and the same rule for
+stopping Newton: a pass leaves at most its increment squared times the law's curvature, and no more passes
+are made once that is below the tolerance. At 1e-7 mm that is what stopping at an increment of 1e-4 mm
+leaves; 1e-9 mm is shown too.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/solver.py [--json] [--rounds N]
+
+Each round runs all ways in turns, in one process. Ways with one thread are timed by the processor time of
+that thread (median of the rounds). Ways with two need the clock on the wall, which other programs stretch:
+the least and the median of the rounds are shown, and the processor time, which two idle cores would share.
+Ratios take the first column. `jax` is timed where it is installed; needlefit does not need it.
+"""
+
+import argparse
+import importlib.util
+import json
+import multiprocessing
+import os
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, field
+
+import numpy as np
+from full_needle import FullNeedle
+from numpy.typing import NDArray
+from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE, batch
+
+from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.control import Bevel, Rules, Step
+from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.tissue import Tissue
+
+Floats = NDArray[np.float64]
+TOLERANCES = (1e-7, 1e-9)  # mm
+STEPS = round(DEPTH)
+POOL = 2  # processes
+SETS = (32, 64, 256, 1024)
+RAGGED = np.linspace(32.0, 78.0, 47).round()  # mm; as many insertions as the paper's, 55 mm deep on average
+COMPARED = 4  # sets on which all ways have to agree
+GOALS = {
+    "lanes, us per step and lane": "<= 0.55",
+    "lanes over solveh_banded": "about 1000",
+    "lanes over scalar kernel": "10-15",
+    "insertions per second": ">= 30000",
+    "Session, us per step": "<= 40",
+}
+
+
+@dataclass
+class Way:
+    """A way to run the model.
+
+    Attributes
+    ----------
+    steps : float
+        Of all insertions together, in one call.
+    call : callable
+    alone : bool
+        Whether it runs on one thread, and is timed by that thread's clock.
+    every : int
+        It is run in every so many-th round.
+    passes : float
+        Newton passes per step; NaN: not counted.
+    tips : array
+        Of the sets compared, mm.
+    """
+
+    steps: float
+    call: Callable[[], object]
+    alone: bool = True
+    every: int = 1
+    passes: float = np.nan
+    tips: Floats = field(default_factory=lambda: np.empty(0))
+    wall: list[float] = field(default_factory=list)
+    processor: list[float] = field(default_factory=list)
+
+    def run(self) -> None:
+        """Call it once and note the time per step, us."""
+        clock = time.thread_time if self.alone else time.process_time
+        begin, begin_wall = clock(), time.perf_counter()
+        self.call()
+        self.processor.append((clock() - begin) / self.steps * 1e6)
+        self.wall.append((time.perf_counter() - begin_wall) / self.steps * 1e6)
+
+    def figures(self) -> dict[str, float]:
+        """Return what was found."""
+        taken = np.median(self.processor) if self.alone else min(self.wall)
+        return {
+            "us": float(taken),
+            "us_wall_median": float(np.median(self.wall)),
+            "us_processor": float(np.median(self.processor)),
+            "insertions_per_s": 1e6 / (float(taken) * STEPS),
+            "passes_per_step": self.passes,
+        }
+
+
+def rival(tolerance: float, solve: Callable[..., Floats], every: int, compared: int) -> Way:
+    """Return the full needle of NumPy and SciPy."""
+    sets = batch(COMPARED, tolerance)
+    needles = [FullNeedle(*_arguments(sets, i), tolerance) for i in range(compared)]
+    tips = np.array([needle.insertion(lambda *a, n=needle: solve(n, *a)) for needle in needles])
+    passes = float(np.mean([needle.passes for needle in needles])) / STEPS
+    first = needles[0]
+    return Way(STEPS, lambda: first.insertion(lambda *a: solve(first, *a)), True, every, passes, tips)
+
+
+def _arguments(sets: Batch, i: int) -> tuple[object, Tissue, Step]:
+    needle, tissue, steps, _ = sets.one(i)
+    return needle, tissue, steps[0]
+
+
+def scalar(tolerance: float) -> Way:
+    """Return the compiled scalar kernel, set after set."""
+    sets = batch(32, tolerance)
+    inputs = [sets.one(i) for i in range(len(sets))]
+    shapes = [follow(*one) for one in inputs]
+    tips = np.array([shape.deflection for shape in shapes[:COMPARED]])
+    passes = float(np.mean([shape.iterations for shape in shapes])) / STEPS
+    return Way(STEPS * len(sets), lambda: [follow(*one) for one in inputs], passes=passes, tips=tips)
+
+
+def pool(tolerance: float, workers: ProcessPoolExecutor) -> Way:
+    """Return the scalar kernel in processes that are sent arrays of parameters and send tips back."""
+    sets = batch(256, tolerance)
+    parts = [(sets.mu[i : i + 32], sets.alpha[i : i + 32], sets.offset[i : i + 32], tolerance)
+             for i in range(0, len(sets), 32)]  # fmt: skip
+
+    def call() -> Floats:
+        return np.concatenate(list(workers.map(_insert, parts)))
+
+    return Way(STEPS * len(sets), call, False, tips=call()[:COMPARED])
+
+
+def _insert(sets: tuple[Floats, Floats, Floats, float]) -> Floats:
+    """Return the tips of some sets; runs in another process."""
+    *columns, tolerance = sets
+    rules = Rules(tolerance=tolerance)
+    return np.array([
+        follow(NEEDLE, Tissue(mu, alpha, TISSUE.boundaries), (Step(DEPTH, Bevel(offset)),), rules).deflection
+        for mu, alpha, offset in zip(*columns, strict=True)
+    ])  # fmt: skip
+
+
+def session(tolerance: float, step: float) -> Way:
+    """Return a session that inserts in steps of so many mm."""
+    count = round(DEPTH / step)
+    rules = Rules(tolerance=tolerance)
+
+    def insert(tissue: Tissue = TISSUE, bevel: Bevel = BEVEL) -> Session:
+        session = Session(NEEDLE, tissue, bevel, rules=rules)
+        for _ in range(count):
+            session.step(step)
+        return session
+
+    sets, tips = batch(COMPARED, tolerance), []
+    for i in range(COMPARED):
+        _, tissue, end = _arguments(sets, i)
+        at_end = insert(tissue, end.bevel)
+        tips.append(at_end.step(DEPTH - at_end.depth).deflection)
+    return Way(count, insert, tips=np.array(tips))
+
+
+def base_moves(tolerance: float) -> Way:
+    """Return a session whose base moves back and forth while the tip stands at the whole depth."""
+    session = Session(NEEDLE, TISSUE, BEVEL, rules=Rules(tolerance=tolerance))
+    for _ in range(STEPS):
+        session.step(1.0)
+    moves = np.random.default_rng(2).normal(size=(100, 2)) * (1.0, 0.005)  # mm, 1; none comes twice
+
+    def call() -> None:
+        for y, slope in moves + np.random.default_rng().uniform(0, 1e-6):
+            session.step(base=(y, slope))
+
+    return Way(len(moves), call)
+
+
+def lanes(sets: Sequence[Batch], threads: int) -> Way:
+    """Return the lanes."""
+    steps = [step.depth for some in sets for step in some.steps for _ in range(len(some))]
+    found = follow_batches(sets, threads)
+    passes = sum(float(shapes.iterations.sum()) for shapes in found) / sum(steps)
+    tips = found[0].u[:COMPARED, -1] if len(sets) == 1 else np.empty(0)
+    return Way(sum(steps), lambda: follow_batches(sets, threads), threads == 1, passes=passes, tips=tips)
+
+
+def with_jax(tolerance: float, count: int) -> Way:
+    """Return the model in JAX, on as many threads as it likes."""
+    from jax_lanes import compile_batch
+
+    call, steps = compile_batch(batch(count, tolerance))
+    tips, passes = call()
+    return Way(steps * count, call, False, 3, float(passes.mean()) / steps, tips[:COMPARED])
+
+
+def ways(tolerance: float, workers: ProcessPoolExecutor) -> dict[str, Way]:
+    """Return all ways to run the model, warm."""
+    found = {
+        "dense NumPy, element by element": rival(tolerance, FullNeedle.dense, 5, 1),
+        "solveh_banded, full needle": rival(tolerance, FullNeedle.banded, 1, COMPARED),
+        "scalar kernel": scalar(tolerance),
+        f"scalar kernel, {POOL} processes": pool(tolerance, workers),
+        "Session, steps of 1 mm": session(tolerance, 1.0),
+        "Session, steps of 0.1 mm": session(tolerance, 0.1),
+        "Session, base moves at 55 mm": base_moves(tolerance),
+    }
+    for count in SETS:
+        for threads in (1, 2):
+            found[f"lanes, {count} sets, {threads} thread{'s' * (threads > 1)}"] = lanes(
+                [batch(count, tolerance)], threads
+            )
+    ragged = [batch(32, tolerance, float(depth)) for depth in RAGGED]
+    for threads in (1, 2):
+        found[f"lanes, 47 depths x 32, {threads} thread{'s' * (threads > 1)}"] = lanes(ragged, threads)
+    if importlib.util.find_spec("jax"):
+        for count in (32, 256):
+            found[f"JAX, {count} sets"] = with_jax(tolerance, count)
+    return found
+
+
+def measure(rounds: int) -> dict[str, dict[str, dict[str, float]]]:
+    """Return the figures of every way, by tolerance."""
+    with ProcessPoolExecutor(POOL, mp_context=multiprocessing.get_context("spawn")) as workers:
+        table = {tolerance: ways(tolerance, workers) for tolerance in TOLERANCES}
+        for n in range(rounds):
+            for some in table.values():
+                for way in some.values():
+                    if n % way.every == 0:
+                        way.run()
+    figures = {}
+    for tolerance, some in table.items():
+        expected = some["scalar kernel"].tips
+        column = {name: way.figures() for name, way in some.items()}
+        for name, way in some.items():
+            own = column[name]
+            own["times_banded"] = column["solveh_banded, full needle"]["us"] / own["us"]
+            own["times_scalar"] = column["scalar kernel"]["us"] / own["us"]
+            differ = np.abs(way.tips - expected[: len(way.tips)])
+            own["tip_differs_mm"] = float(np.max(differ)) if len(differ) else np.nan
+        figures[f"{tolerance:g}"] = column
+    return figures
+
+
+def show(figures: dict[str, dict[str, dict[str, float]]], rounds: int) -> None:
+    """Print the figures as tables."""
+    load = " ".join(f"{value:.1f}" for value in os.getloadavg())
+    print(f"{rounds} rounds, {len(os.sched_getaffinity(0))} cores, load average {load}")
+    head = ("us", "wall", "processor", "insertions/s", "x banded", "x scalar", "passes", "tip differs")
+    for tolerance, column in figures.items():
+        print(f"\ntolerance {tolerance} mm; us per step (and lane)")
+        print(f"{'':38s}" + "".join(f"{text:>13s}" for text in head))
+        for name, own in column.items():
+            print(f"{name:38s}" + "".join(f"{value:13.4g}" for value in own.values()))
+        worst = np.nanmax([own["tip_differs_mm"] for own in column.values()])
+        print(f"largest difference of a tip from the scalar kernel's: {worst:.2g} mm")
+    if not importlib.util.find_spec("jax"):
+        print("\njax is not installed: its rows are left out")
+    print("\naims, two threads: " + "; ".join(f"{name} {value}" for name, value in GOALS.items()))
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--rounds", type=int, default=15)
+    arguments = parser.parse_args()
+    figures = measure(arguments.rounds)
+    if arguments.json:
+        print(json.dumps(figures, indent=2))
+    else:
+        show(figures, arguments.rounds)
+
+
+if __name__ == "__main__":
+    main()
