@@ -84,7 +84,7 @@ def _reach(coefficients: Floats, exponents: Floats, interval: float) -> float:
     for _ in range(8):  # the term grows along the interval as lambda^(q - TERMS)
         end = min(interval * reach, MOST)
         reach = at_rest * (1.0 - end) ** (steepest / TERMS)
-    return min(reach, MOST / interval)
+    return float(min(reach, MOST / interval))
 
 
 @njit(cache=True, error_model="numpy")
