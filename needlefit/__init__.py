@@ -11,9 +11,13 @@ if TYPE_CHECKING:
     from needlefit.errors import NeedlefitError
     from needlefit.inference.optimize import minimize
     from needlefit.inference.problem import Problem
+    from needlefit.mechanics.batch import Batch, NeedleShapes
     from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+    from needlefit.mechanics.lanes import follow_batches
+    from needlefit.mechanics.linearize import Jacobian, linearize
     from needlefit.mechanics.needle import Needle
     from needlefit.mechanics.scene import Scene
+    from needlefit.mechanics.session import Session
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.mechanics.simulate import follow, simulate
     from needlefit.mechanics.tissue import Tissue
@@ -23,19 +27,25 @@ if TYPE_CHECKING:
 __version__ = "0.1.0"
 
 __all__ = [
+    "Batch",
     "Bevel",
     "Controls",
     "Guide",
+    "Jacobian",
     "Needle",
     "NeedleShape",
+    "NeedleShapes",
     "NeedlefitError",
     "Problem",
     "Rules",
     "Scene",
+    "Session",
     "Step",
     "Tissue",
     "TrackedTip",
     "follow",
+    "follow_batches",
+    "linearize",
     "minimize",
     "open_scene",
     "read_dataset",
@@ -45,19 +55,25 @@ __all__ = [
 ]
 
 _HOMES = {
+    "Batch": "mechanics.batch",
     "Bevel": "mechanics.control",
     "Controls": "mechanics.control",
     "Guide": "mechanics.control",
+    "Jacobian": "mechanics.linearize",
     "Needle": "mechanics.needle",
     "NeedleShape": "mechanics.shape",
+    "NeedleShapes": "mechanics.batch",
     "NeedlefitError": "errors",
     "Problem": "inference.problem",
     "Rules": "mechanics.control",
     "Scene": "mechanics.scene",
+    "Session": "mechanics.session",
     "Step": "mechanics.control",
     "Tissue": "mechanics.tissue",
     "TrackedTip": "mechanics.control",
     "follow": "mechanics.simulate",
+    "follow_batches": "mechanics.lanes",
+    "linearize": "mechanics.linearize",
     "minimize": "inference.optimize",
     "read_dataset": "datasets.read:read",
     "run": "validation.run",

@@ -19,11 +19,17 @@ def block(after: str) -> str:
     return found[1].strip()
 
 
-def test_the_python_example_prints_what_stands_below_it(capsys):
-    example = re.search(r"```python\n(.*?)```\s*```text\n(.*?)```", TEXT, re.DOTALL)
-    assert example
-    exec(compile(example[1], str(README), "exec"), {})
-    assert capsys.readouterr().out == example[2]
+EXAMPLES = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", TEXT, re.DOTALL)
+
+
+@pytest.mark.parametrize(("code", "prints"), EXAMPLES)
+def test_a_python_example_prints_what_stands_below_it(code, prints, capsys):
+    exec(compile(code, str(README), "exec"), {})
+    assert capsys.readouterr().out == prints
+
+
+def test_there_are_python_examples():
+    assert len(EXAMPLES) == 2
 
 
 def test_every_command_exists():
