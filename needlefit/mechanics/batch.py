@@ -66,8 +66,10 @@ class Batch:
                 )
             sizes[name] = len(array)
             object.__setattr__(self, name, array)
-        if len(set(sizes.values())) != 1:
-            raise ModelError(f"a batch whose sets are {sizes or 'not given'}", expected="one size B for all")
+        if len(set(sizes.values())) != 1 or 0 in sizes.values():
+            raise ModelError(
+                f"a batch whose sets are {sizes or 'not given'}", expected="one size B for all, at least 1"
+            )
         if self.guide_x is not None and any(len(step.controls.before) != 1 for step in self.steps):
             raise ModelError("guide_x is given", expected="exactly one guide before the tissue in every step")
         object.__setattr__(self, "steps", tuple(self.steps))

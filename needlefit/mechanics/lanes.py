@@ -4,7 +4,7 @@ import math
 import os
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -12,17 +12,20 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics import laws
 from needlefit.mechanics.batch import VARYING, Batch, NeedleShapes
-from needlefit.mechanics.control import Controls, Guide
+from needlefit.mechanics.control import Controls, Guide, Rules, Step
 from needlefit.mechanics.kernel import lanes as kernel
 from needlefit.mechanics.kernel.foundation import make_foundation
 from needlefit.mechanics.kernel.grid import constraint_depths
 from needlefit.mechanics.kernel.insertion import Insertion, Stops
 from needlefit.mechanics.kernel.lane_newton import LEFT, LaneInputs
 from needlefit.mechanics.kernel.passes import LANES
+from needlefit.mechanics.kernel.scalar import NON_FINITE
 from needlefit.mechanics.kernel.tables import Tables, tabulate
-from needlefit.mechanics.plan import Lattice, Stop, lattice_of, moves_of, stops_of
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import NEAR, Lattice, Stop, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import begin, compile_controls, follow, packed
+from needlefit.mechanics.simulate import begin, compile_controls, follow, packed, read
+from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -98,11 +101,11 @@ class _Job:
 
 
 def _prepare(batch: Batch) -> _Job:
-    far = 0 if batch.guide_x is None else int(np.argmin(batch.guide_x))
-    needle, _, steps, rules = batch.one(far)
+    valid = _valid(batch)
+    needle, _, steps, rules = _farthest(batch, valid)
     lattice = lattice_of(steps, rules)
     moves = moves_of(steps, needle.length)  # raises where the farthest guide is out of reach
-    stops, valid = stops_of(moves, lattice), _valid(batch)
+    stops = stops_of(moves, lattice)
     shared = None
     if _fit(batch, lattice, stops):
         grids = begin(needle, batch.tissue, steps, lattice, rules)
@@ -110,22 +113,35 @@ def _prepare(batch: Batch) -> _Job:
     return _Job(batch, lattice, packed(moves, lattice), stops, valid, shared)
 
 
-def _valid(batch: Batch) -> NDArray[np.bool_]:
+def _valid(batch: Batch) -> Bools:
     """Return which sets are made of numbers that a tissue or needle may have, (B,)."""
     good = np.ones(len(batch), dtype=bool)
     for name in VARYING:
         values = getattr(batch, name)
         if values is not None:
-            bad = ~np.isfinite(values) | ((values <= 0) if name in ("mu", "rigidity") else False)
-            good &= ~bad.reshape(len(batch), -1).any(axis=1)
+            fine = np.isfinite(values)
+            if name in ("mu", "rigidity"):
+                fine &= values > 0
+            if name == "guide_x":
+                fine &= values < 0
+            good &= fine.reshape(len(batch), -1).all(axis=1)
     return good
+
+
+def _farthest(batch: Batch, valid: Bools) -> tuple[Needle, Tissue, Sequence[Step], Rules]:
+    """Return the insertion of the set whose guide stands farthest before the tissue."""
+    if not valid.any():
+        return batch.needle, batch.tissue, batch.steps, batch.rules
+    reach = np.zeros(len(batch)) if batch.guide_x is None else batch.guide_x
+    return batch.one(int(np.argmin(np.where(valid, reach, np.inf))))
 
 
 def _fit(batch: Batch, lattice: Lattice, stops: Sequence[Stop]) -> bool:
     """Return whether the lanes know how to hold this needle."""
-    half = 0.5 * batch.rules.element
+    element, first = batch.rules.element, lattice.first_cell
+    least = first - element * (math.ceil(first / element - NEAR) - 1)  # depth of the first node
     # element 0 carries tissue where the entry has no node; its length must then be the same in all lanes
-    short = lattice.first_cell < half or any(0 < stop.tip < half for stop in stops)
+    short = least < 0.5 * element or any(0 < stop.tip < 0.5 * element for stop in stops)
     inputs = [step.controls for step in batch.steps]
     free = any(controls.before and controls.before[-1].slope is None for controls in inputs)
     return not (
@@ -154,6 +170,8 @@ def _run(job: _Job, start: int) -> NeedleShapes:
     if job.shared is None:
         return NeedleShapes.of([_alone(job, int(i)) for i in sets])
     shapes, left = _together(job, job.shared, sets)
+    if left.all():  # the lanes were given up before their last stop
+        return NeedleShapes.of([_alone(job, int(i)) for i in sets])
     for i in np.flatnonzero(left | ~job.valid[sets]):
         alone = _alone(job, int(sets[i]))
         for part, value in zip(_parts(shapes), _parts(NeedleShapes.of([alone])), strict=True):
@@ -166,10 +184,9 @@ def _alone(job: _Job, i: int) -> NeedleShape:
     batch = job.batch
     if job.valid[i]:
         return follow(*batch.one(i), job.lattice)
-    model = follow(batch.needle, batch.tissue, batch.steps, batch.rules, job.lattice)
-    lost = {name: np.full_like(getattr(model, name), np.nan) for name in ("u", "slope", "tip_track")}
-    points = np.column_stack((model.constraints[:, 0], np.full(len(model.constraints), np.nan)))
-    return replace(model, **lost, constraints=points, status="non-finite", iterations=0)
+    last = job.stops[-1]
+    untouched = begin(batch.needle, batch.tissue, batch.steps, job.lattice, batch.rules)
+    return read(untouched, last, batch.steps[last.held].controls, NON_FINITE, 0)
 
 
 def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Bools]:
@@ -177,11 +194,12 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
     batch, last = job.batch, job.stops[-1]
     lane = np.resize(sets, LANES)  # lanes to spare repeat what the others do
     nodes = len(shared.grids.main.nodes) + 2
+    grids, tables = _own(shared)
     under_way = kernel.begin_lanes(len(shared.grids.y), nodes, len(shared.grids.rays))
     for held, stops, cut in job.groups:
         controls = batch.steps[held].controls
         kernel.advance_lanes(
-            under_way, shared.grids, shared.tables, compile_controls(controls),
+            under_way, grids, tables, compile_controls(controls),
             _inputs(batch, shared, controls, cut, lane), stops, batch.rules.tolerance,
         )  # fmt: skip
     count, size = len(sets), int(under_way.size[0])
@@ -200,6 +218,15 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
         np.zeros(count, np.int64), under_way.passes[:count].copy(),
     )  # fmt: skip
     return shapes, under_way.at[:count] == LEFT
+
+
+def _own(shared: _Shared) -> tuple[Insertion, Tables]:
+    """Return grid and tables for one block: element 0 changes at every stop if the entry has no node."""
+    main, tables = shared.grids.main, shared.tables
+    if main.first[1] == 0:
+        return shared.grids, tables
+    own = main._replace(shapes=main.shapes.copy())
+    return shared.grids._replace(main=own), tables._replace(points=tables.points.copy())
 
 
 def _inputs(batch: Batch, shared: _Shared, controls: Controls, cut: Ints, lane: Ints) -> LaneInputs:

@@ -70,7 +70,7 @@ class Session:
         self._controls: dict[Controls, int] = {}
         self._guides = self._rays = 0
         self._make_room(guides=4, rays=math.ceil(needle.length / rules.spacing))
-        self._go(self.last)
+        self.go(self.last)
 
     @property
     def depth(self) -> float:
