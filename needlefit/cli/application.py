@@ -14,11 +14,13 @@ from needlefit.cli.start import init, new_dataset
 from needlefit.cli.tune import tune
 from needlefit.cli.twin import twin_build
 from needlefit.cli.validate import validate
+from needlefit.cli.verify import verify
 
 _EPILOG = (
     "A noun is a path (holds / or ends in .toml) or a bare name, looked up in the working folder's project, "
     "then in the shipped one. Results go to ./reports/. Exit codes: 0 ok, 1 unexpected, 2 usage, 3 bad data "
-    "or configuration, 4 the solver failed, 5 not converged (result written, marked), 130 interrupted."
+    "or configuration, 4 the solver failed, 5 not converged (result written, marked), 6 a verification "
+    "failed, 130 interrupted."
 )
 
 
@@ -42,7 +44,7 @@ def build() -> typer.Typer:
     plain = {"rich_markup_mode": None, "no_args_is_help": True}
     app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **plain)  # type: ignore[arg-type]
     app.callback()(_needlefit)
-    for command in (simulate, check, tune, validate, paper, init):
+    for command in (simulate, check, tune, validate, verify, paper, init):
         app.command()(command)
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]
     twin.callback()(_group)

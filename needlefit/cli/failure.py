@@ -7,7 +7,7 @@ import traceback
 from needlefit.cli.invocation import Invocation
 from needlefit.errors import ConfigError, NeedlefitError
 
-UNEXPECTED, NOT_CONVERGED, INTERRUPTED = 1, 5, 130
+UNEXPECTED, NOT_CONVERGED, VERIFICATION_FAILED, INTERRUPTED = 1, 5, 6, 130
 
 
 def report(error: BaseException, invocation: Invocation) -> int | None:

@@ -1,0 +1,67 @@
+"""`needlefit verify`: is the model solved rightly?"""
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from needlefit.cli import failure, options, screen
+from needlefit.cli.progress import progress
+
+if TYPE_CHECKING:
+    from needlefit.verification.run import Verification
+
+FOLDER = "verification"
+
+
+def verify(
+    context: typer.Context,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random cases.")] = 1,
+    out: options.Out = Path("reports"),
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Verify the solver: closed forms, observed orders, an independent solution, symmetries.
+
+    Every figure is measured now; none is stored. Prints the table and writes it as CSV, JSON
+    and PDF to OUT/verification/. Exit code 6 where a row fails.
+    """
+    from needlefit.reporting.verification import refinements, summary, table, write_verification
+    from needlefit.reporting.write import require_result
+    from needlefit.verification.run import verify as measure
+
+    folder = out / FOLDER
+    require_result(folder)
+    invocation = context.find_root().obj
+    if not invocation.quiet:
+        screen.note_compiling()
+    started = time.perf_counter()
+    with progress(invocation.quiet) as report:
+        found = measure(seed, progress=report)
+    if invocation.verbose:
+        for trace in found.traces:
+            screen.note(trace)
+    write_verification(found, folder, {"seconds": round(time.perf_counter() - started, 2)})
+    if json:
+        screen.show_json(
+            {"seed": seed, "summary": summary(found), "rows": table(found), "refinements": refinements(found)}
+        )
+    else:
+        _show(found, folder)
+    for row in found.failed:
+        screen.note(
+            f"needlefit: {row.title}: {row.quantity}: fails{f' ({row.remark})' if row.remark else ''}"
+        )
+    if found.failed:
+        raise typer.Exit(failure.VERIFICATION_FAILED)
+
+
+def _show(found: "Verification", folder: Path) -> None:
+    from needlefit.reporting.verification import layouts, summary
+
+    for part in layouts(found):
+        screen.show_display(part)
+    screen.say(summary(found))
+    screen.say(f"written: {folder}/")

@@ -1,0 +1,67 @@
+"""Errors of manufactured solutions under refinement, log over log."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import NullFormatter
+
+from needlefit.reporting.figures.style import WIDTH, draw
+from needlefit.reporting.names import GREY, INK
+from needlefit.verification.check import Curve
+
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")  # Okabe and Ito
+_MARKS = "osD^vP"
+_PANELS = (("deflection", 4, "error of the deflection (mm)"), ("slope", 3, "error of the slope"))
+
+
+def convergence(curves: Sequence[Curve], path: Path) -> Path:
+    """Draw the largest error of deflection and slope over the mesh size, a line per case."""
+    return draw(path, lambda: _paint(curves))
+
+
+def _paint(curves: Sequence[Curve]) -> Figure:
+    figure = Figure(figsize=(WIDTH, 1.75))
+    panels = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
+    for axes, (norm, order, words) in zip(panels[:2], _PANELS, strict=True):
+        _draw_panel(axes, curves, norm, order)
+        axes.set_title(words, loc="left")
+        axes.set_xlabel("element size h (mm)")
+    handles, labels = panels[0].get_legend_handles_labels()
+    panels[2].axis("off")
+    panels[2].legend(handles, labels, loc="center left", fontsize=6, handlelength=1.6, labelspacing=0.7)
+    return figure
+
+
+def _draw_panel(axes: Axes, curves: Sequence[Curve], norm: str, order: int) -> None:
+    sizes = np.array(curves[0].h)
+    for i, curve in enumerate(curves):
+        style = {
+            "color": _COLOURS[i % 6],
+            "marker": _MARKS[i % 6],
+            "ms": 3.2,
+            "mfc": "none",
+            "lw": 0.8,
+            "mew": 0.7,
+        }
+        axes.loglog(curve.h, curve.errors[norm], label=_short(curve.case), **style)
+    at_nodes = np.max([curve.errors[f"{norm} at the nodes"] for curve in curves], axis=0)
+    axes.loglog(sizes, at_nodes, ".-", color=GREY, ms=3, lw=0.8, label="at the nodes, all")
+    finest = max(curve.errors[norm][-1] for curve in curves)
+    for error, slope in ((2.2 * finest, order), (at_nodes[-1] / 2.2, 4)):
+        line = error * (sizes / sizes[-1]) ** slope
+        axes.loglog(sizes, line, color=INK, lw=0.6, ls=(0, (4, 3)), zorder=1)
+        axes.annotate(
+            f"order {slope}", (sizes[1], line[1]), xytext=(0, 7 if error > finest else -9), color=INK,
+            textcoords="offset points", ha="center", fontsize=6.5,
+        )  # fmt: skip
+    axes.set_xticks(sizes, [f"{size:g}" for size in sizes])
+    axes.xaxis.set_minor_formatter(NullFormatter())
+    axes.xaxis.set_tick_params(which="minor", size=0)
+    axes.margins(x=0.12)
+
+
+def _short(case: str) -> str:
+    return case.replace(", ", ",\n", 1)

@@ -1,0 +1,212 @@
+"""The table of `needlefit verify`: for the screen, as files, and as a page."""
+
+import json
+import math
+import platform
+import tempfile
+from collections.abc import Mapping
+from dataclasses import asdict
+from importlib.metadata import version
+from importlib.resources import files
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+import typst
+
+from needlefit.mechanics.control import Rules
+from needlefit.project.plain import plain
+from needlefit.project.replace import replacing
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.figures.convergence import convergence
+from needlefit.reporting.numbers import MISSING, number, typeset
+from needlefit.reporting.write import require_result
+from needlefit.verification.check import Bound, Row
+from needlefit.verification.run import Verification
+
+_PACKAGES = ("needlefit", "numpy", "scipy", "numba")
+_CAPTION = (
+    "Manufactured solutions: largest error in the tissue under refinement, per case. Dashed: the orders that "
+    "theory promises. “At the nodes”: the largest of all cases there alone, where the slope superconverges."
+)
+
+
+def layouts(verification: Verification) -> list[Display]:
+    """Return the table, one part per group."""
+    parts = []
+    for group, rows in groupby(verification.rows, key=lambda row: row.group):
+        shown = list(rows)
+        cells = [_cells(row, before) for row, before in zip(shown, [None, *shown], strict=False)]
+        columns = (
+            text("Check"),
+            text("Quantity"),
+            Column("Measured"),
+            Column("Bound"),
+            text("Unit"),
+            text("Verdict"),
+        )
+        remarks = "; ".join(f"{row.title.split(',')[0]}: {row.remark}" for row in _remarked(shown))
+        notes = (f"{remarks}.",) if remarks else ()
+        caption = f"{group.title}. {group.says}"
+        parts.append(Display(group.name.lower(), caption, columns, tuple(cells), notes=notes))
+    return parts
+
+
+def summary(verification: Verification) -> str:
+    """Return the outcome in a sentence."""
+    judged = [row for row in verification.rows if row.verdict != "stated"]
+    failed = len(verification.failed)
+    said = f"{failed} of {len(judged)} rows FAIL" if failed else f"All {len(judged)} rows with a bound pass"
+    stated = len(verification.rows) - len(judged)
+    return f"{said}; {stated} are stated without one." if stated else f"{said}."
+
+
+def table(verification: Verification) -> list[dict[str, Any]]:
+    """Return the rows for machines, in the units that they name."""
+    return [
+        {
+            "group": row.group.title,
+            "check": row.title,
+            "quantity": row.quantity,
+            "measured": row.measured,
+            "bound_low": row.bound.low,
+            "bound_high": row.bound.high,
+            "unit": row.unit,
+            "verdict": row.verdict,
+            "remark": row.remark,
+        }
+        for row in verification.rows
+    ]
+
+
+def refinements(verification: Verification) -> list[dict[str, Any]]:
+    """Return every error of the refinement studies, with the order observed since the mesh size before."""
+    rows: list[dict[str, Any]] = []
+    for curve in verification.curves:
+        for norm, errors in curve.errors.items():
+            orders = [None, *curve.orders(norm)]
+            rows += [
+                {"case": curve.case, "norm": norm, "h_mm": h, "error": error, "order": order}
+                for h, error, order in zip(curve.h, errors, orders, strict=True)
+            ]
+    return rows
+
+
+def write_verification(verification: Verification, folder: Path, timing: Mapping[str, Any]) -> None:
+    """Write table, refinement studies, figure and report to `folder`, replacing an earlier result there.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` exists and holds something that is no result.
+    """
+    require_result(folder)
+    with replacing(folder) as new:
+        rows, studies = table(verification), refinements(verification)
+        _csv(rows, new / "verification.csv")
+        _json(new / "verification.json", {"summary": summary(verification), "rows": rows})
+        _json(new / "run.json", provenance(verification))
+        _json(new / "timing.json", timing)
+        drawn = None
+        if studies:
+            _csv(studies, new / "convergence.csv")
+            drawn = convergence(verification.curves, new / "convergence.pdf")
+        (new / "report.pdf").write_bytes(_page(verification, drawn))
+
+
+def provenance(verification: Verification) -> dict[str, Any]:
+    """Return what a reader needs to repeat the table: versions, seed and rules; no time and no path."""
+    versions = {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
+    return {
+        "name": "verification",
+        "versions": versions,
+        "machine": platform.machine(),
+        "seed": verification.seed,
+        "rules": asdict(Rules()),
+        "failed": len(verification.failed),
+    }
+
+
+def _page(verification: Verification, drawn: Path | None) -> bytes:
+    """Return the PDF; only fonts that come with typst are used."""
+    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
+        page = Path(name)
+        template = files("needlefit.reporting") / "templates" / "verification.typ"
+        (page / "verification.typ").write_bytes(template.read_bytes())
+        if drawn is not None:
+            (page / drawn.name).write_bytes(drawn.read_bytes())
+        payload = _payload(verification, drawn.name if drawn else None)
+        (page / "data.json").write_text(json.dumps(payload), encoding="utf-8")
+        pdf = typst.compile(str(page / "verification.typ"), root=name, ignore_system_fonts=True)
+    assert isinstance(pdf, bytes)
+    return pdf
+
+
+def _payload(verification: Verification, figure: str | None) -> dict[str, Any]:
+    about = provenance(verification)
+    versions = ", ".join(f"{name} {number}" for name, number in about["versions"].items())
+    rules = about["rules"]
+    return {
+        "title": "Verification of the solver",
+        "summary": summary(verification),
+        "failed": bool(verification.failed),
+        "produced": f"needlefit verify --seed {verification.seed}, with {versions}, on {about['machine']}. "
+        "Every figure was measured by this run; none is stored. Errors and differences are the largest "
+        f"found, at and between nodes. Default rules: constraint spacing {rules['spacing']:g} mm, elements "
+        f"of {rules['element']:g} mm, Newton tolerance {typeset(number(rules['tolerance']))} mm.",
+        "columns": [column.label for column in layouts(verification)[0].columns],
+        "groups": [
+            {"caption": part.caption, "rows": part.rows, "notes": part.notes}
+            for part in layouts(verification)
+        ],
+        "figure": figure,
+        "caption": _CAPTION,
+        "version": about["versions"]["needlefit"],
+    }
+
+
+def _cells(row: Row, before: Row | None) -> tuple[str, ...]:
+    begins = before is None or before.title != row.title
+    same = not begins and before is not None and before.group is row.group
+    return (
+        "" if same else row.title,
+        row.quantity,
+        measured_said(row.measured),
+        bound_said(row.bound),
+        row.unit,
+        row.verdict,
+    )
+
+
+def measured_said(value: float) -> str:
+    """Return a measured value with three digits, trailing zeros among them."""
+    if not math.isfinite(value):
+        return MISSING
+    if value == 0.0 or 0.1 <= abs(value) < 100:
+        return f"{value:#.3g}" if value else "0"
+    mantissa, _, exponent = f"{value:.2e}".partition("e")
+    return typeset(f"{mantissa}e{int(exponent)}")
+
+
+def bound_said(bound: Bound) -> str:
+    """Return a bound as print has it."""
+    low, high = (typeset(number(value)) for value in (bound.low, bound.high))
+    if low and high:
+        return f"{low} to {high}"
+    return f"≤ {high}" if high else f"≥ {low}" if low else MISSING
+
+
+def _remarked(rows: list[Row]) -> list[Row]:
+    first = {row.title: row for row in reversed(rows) if row.remark}
+    return [first[title] for title in dict.fromkeys(row.title for row in rows) if title in first]
+
+
+def _csv(rows: list[dict[str, Any]], path: Path) -> None:
+    frame = pd.DataFrame(rows)
+    frame.to_csv(path, index=False, float_format="%.8g", lineterminator="\n", encoding="utf-8")
+
+
+def _json(path: Path, value: Mapping[str, Any]) -> None:
+    written = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    path.write_text(written + "\n", encoding="utf-8")

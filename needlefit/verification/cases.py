@@ -1,0 +1,119 @@
+"""Random insertions, far wider than any prior of a fit."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
+
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+"""The paper's: 150 mm, 18 gauge, 80 GPa."""
+
+EXACT = Rules(tolerance=1e-11)
+"""The default mesh, solved down to rounding."""
+
+
+def layers(
+    mu: Sequence[float],
+    alpha: Sequence[float],
+    boundaries: Sequence[float] = (),
+    thickness: Sequence[float] = (40.0,),
+    friction: Sequence[float] = (0.0,),
+    law: str = "ogden",
+) -> Tissue:
+    """Return a tissue of plain numbers."""
+    cut, t, gamma = (np.array(values, dtype=np.float64) for values in (boundaries, thickness, friction))
+    return Tissue(np.array(mu), np.array(alpha), cut, t, gamma, law)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A needle, what it is inserted into, and how."""
+
+    needle: Needle
+    tissue: Tissue
+    steps: tuple[Step, ...]
+
+    def shape(self, rules: Rules = EXACT, lattice: Lattice | None = None) -> NeedleShape:
+        """Return where it ends."""
+        return solved(follow(self.needle, self.tissue, self.steps, rules, lattice))
+
+
+T = TypeVar("T")
+Draw = Callable[[np.random.Generator, float, float], Case]
+"""Draws a case: deepest tip (mm) and softest layer (MPa)."""
+
+
+def random_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> Case:
+    """Return an insertion into 1 to 4 layers: mu `softest` to 100 MPa, |alpha| to 10, t 5 to 80 mm."""
+    count = int(rng.integers(1, 5))
+    depth = float(rng.uniform(0.25, 1.0) * deepest)
+    tissue = Tissue(
+        mu=10 ** rng.uniform(np.log10(softest), 2, count),
+        alpha=rng.uniform(-10, 10, count),
+        boundaries=np.sort(rng.uniform(1, depth, count - 1)),
+        thickness=rng.uniform(5, 80, count),
+    )
+    base = Controls(float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)))
+    return Case(NEEDLE, tissue, (Step(depth, _bevel(rng), base),))
+
+
+def random_schedule(rng: np.random.Generator, deepest: float = 25.0, softest: float = 1e-3) -> Case:
+    """Return a case with friction and changing inputs of all kinds, retraction and re-insertion."""
+    case = random_case(rng, deepest, softest)
+    depth = case.steps[0].depth
+    stops = (0.4 * depth, 0.7 * depth, 0.55 * depth, 0.55 * depth, depth)
+    friction = rng.uniform(0, 1, case.tissue.layers)
+    tissue = Tissue(
+        case.tissue.mu, case.tissue.alpha, case.tissue.boundaries, case.tissue.thickness, friction
+    )
+    return Case(NEEDLE, tissue, tuple(Step(stop, _bevel(rng), _inputs(rng, depth)) for stop in stops))
+
+
+def _bevel(rng: np.random.Generator) -> Bevel:
+    return Bevel(float(rng.uniform(0.01, 0.3)), int(rng.choice([-1, 1])))
+
+
+def _inputs(rng: np.random.Generator, depth: float) -> Controls:
+    """Return a base, and with even chances a guide before the tissue, one within it, a tracked tip."""
+    y, slope = rng.uniform(-0.5, 0.5, 8), rng.uniform(-0.01, 0.01, 4)
+    guides, tip = list[Guide](), None
+    if rng.random() < 0.5:
+        guides.append(Guide(float(rng.uniform(-40, -5)), y[1], rng.choice([None, slope[1]])))
+    if rng.random() < 0.5:
+        guides.append(Guide(float(rng.uniform(0.2, 0.8) * depth), y[2], None, in_tissue=True))
+    if rng.random() < 0.3:
+        tip = TrackedTip(y[3], rng.choice([None, slope[3]]))
+    return Controls(y[0], slope[0], slope[2], tuple(guides), tip)
+
+
+def solvable(draw: Callable[[], Case], solve: Callable[[Case], T], count: int) -> tuple[list[T], str]:
+    """Return what `solve` makes of so many cases, and what to remark.
+
+    The reference begins every stop at the straight needle, and compresses thin tissue to nothing where the
+    cut has left the axis by more than its thickness; such a case is drawn again, and counted.
+    """
+    found, unsolved = list[T](), 0
+    while len(found) < count:
+        try:
+            with np.errstate(invalid="ignore"):
+                found.append(solve(draw()))
+        except ArithmeticError:
+            unsolved += 1
+            if unsolved > 2 * count:
+                raise
+    return found, f"{unsolved} more drawn in which the reference finds no solution" if unsolved else ""
+
+
+def solved(shape: NeedleShape) -> NeedleShape:
+    """Return the shape, unless the solution failed: then raise what a crashing check shows."""
+    if not shape.converged:
+        raise ArithmeticError(f"the solver failed: {shape.status}")
+    return shape

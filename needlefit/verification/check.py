@@ -1,0 +1,151 @@
+"""What a check is: quantities with bounds, declared before anything is measured, and how to measure them."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from enum import Enum
+from typing import Literal
+
+import numpy as np
+
+Verdict = Literal["passes", "FAILS", "stated"]
+
+
+class Group(Enum):
+    """The groups of the table, in its order: the title of each, and what it shows."""
+
+    CLOSED_FORMS = ("Closed forms", "Beams whose deflection is known exactly; default mesh, h = 1 mm.")
+    MANUFACTURED = (
+        "Manufactured solutions",
+        "A deflection is chosen and the cut laid so that it is exact; observed orders, h = 4 to 0.5 mm.",
+    )
+    COLLOCATION = (
+        "Independent collocation",
+        "Single equilibria out of finished insertions as boundary value problems: no elements, no weak form.",
+    )
+    REFINEMENT = ("Discretisation error", "What the default mesh, h = C_int = 1 mm, leaves at the tip.")
+    REFERENCE = (
+        "Compiled model and reference",
+        "Series, elimination and warm starts against dense matrices that read like the equations.",
+    )
+    TANGENT = ("Newton’s tangent", "Its step d at a state u, against the reference’s residual R(u).")
+    SENSITIVITIES = (
+        "Sensitivities",
+        "Against the stepped equations of the reference; errors over a column’s largest entry.",
+    )
+    SYMMETRIES = ("Symmetries and identities", "What must not matter.")
+    STATED = (
+        "Constraint spacing",
+        "C_int is part of the model and no mesh size: stated, not judged.",
+    )
+
+    def __init__(self, title: str, says: str) -> None:
+        self.title, self.says = title, says
+
+
+@dataclass(frozen=True)
+class Bound:
+    """What a measured value must keep: `low` <= value <= `high`; None, None: it is stated, not judged."""
+
+    low: float | None = None
+    high: float | None = None
+
+    def verdict(self, value: float) -> Verdict:
+        """Return how a value stands to this bound; what is not finite always fails."""
+        if not math.isfinite(value):
+            return "FAILS"
+        if self.low is None and self.high is None:
+            return "stated"
+        kept = (self.low is None or value >= self.low) and (self.high is None or value <= self.high)
+        return "passes" if kept else "FAILS"
+
+
+def at_most(high: float) -> Bound:
+    """Return the bound of an error."""
+    return Bound(high=high)
+
+
+def about(value: float, slack: float) -> Bound:
+    """Return the bound of an observed order."""
+    return Bound(value - slack, value + slack)
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One row of the table before it is measured."""
+
+    words: str
+    bound: Bound
+    unit: str  # "" where it has none
+
+
+@dataclass(frozen=True)
+class Curve:
+    """A refinement study: errors at decreasing mesh sizes.
+
+    Attributes
+    ----------
+    case : str
+        What was solved.
+    h : tuple of float
+        Mesh sizes, mm.
+    errors : mapping of str to tuple of float
+        Per norm, the error at each mesh size.
+    """
+
+    case: str
+    h: tuple[float, ...]
+    errors: dict[str, tuple[float, ...]]
+
+    def order(self, norm: str) -> float:
+        """Return the observed order: the slope of log error over log h, by least squares."""
+        return float(np.polyfit(np.log(self.h), np.log(self.errors[norm]), 1)[0])
+
+    def orders(self, norm: str) -> list[float]:
+        """Return the observed order of every single refinement."""
+        ratios = np.diff(np.log(self.errors[norm])) / np.diff(np.log(self.h))
+        return [float(ratio) for ratio in ratios]
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What measuring a check gave: a value for each of its quantities."""
+
+    values: tuple[float, ...]
+    remark: str = ""
+    curves: tuple[Curve, ...] = ()
+
+
+@dataclass(frozen=True)
+class Check:
+    """One thing that must hold.
+
+    Attributes
+    ----------
+    group : Group
+    title : str
+        What is solved.
+    quantities : tuple of Quantity
+        What is measured there.
+    measure : callable
+        Returns the outcome; whatever is random comes from the generator that it is given.
+    """
+
+    group: Group
+    title: str
+    quantities: tuple[Quantity, ...]
+    measure: Callable[[np.random.Generator], Outcome]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One row of the table."""
+
+    group: Group
+    title: str
+    quantity: str
+    measured: float  # NaN where measuring it failed
+    bound: Bound
+    unit: str
+    verdict: Verdict
+    remark: str = ""

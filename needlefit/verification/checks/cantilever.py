@@ -1,0 +1,78 @@
+"""Beams whose load is known: a very soft tissue, cut very far away, pulls with the same force everywhere.
+
+The needle of length L stands clamped at its base and is loaded by q on its inserted part, s > a = L - D
+from the base. Cantilever:
+
+    24 EI u / q = s^2 ( 6 (L^2 - a^2) - 4 s (L - a) )               s < a
+                  s^2 ( 6 L^2 - 4 s L + s^2 ) - a^3 ( 4 s - a )     s > a
+
+A prop at s = p adds a force P that keeps u(p) = 0; it moves the beam by P p^2 (3 s - p) / 6 EI beyond, by
+P s^2 (3 p - s) / 6 EI before the prop.
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics.control import Controls, Guide, TrackedTip
+from needlefit.mechanics.simulate import equilibrium
+from needlefit.verification.cases import NEEDLE, layers, solved
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
+from needlefit.verification.samples import dense, read
+
+Floats = NDArray[np.float64]
+
+DEPTH = 90.0
+LOAD = 1e-3  # N / mm
+_FAR = 1e9  # mm; the reaction then varies by 1e-9 of itself while the needle bends
+
+
+def cantilever(s: Floats, a: float) -> Floats:
+    """Return the deflection (mm) at distances `s` from the base under the load beyond `a`."""
+    L, EI = NEEDLE.length, NEEDLE.flexural_rigidity
+    before = s**2 * (6 * (L**2 - a**2) - 4 * s * (L - a))
+    beyond = s**2 * (6 * L**2 - 4 * s * L + s**2) - a**3 * (4 * s - a)
+    return LOAD / (24 * EI) * np.where(s < a, before, beyond)
+
+
+def prop(s: Floats, p: float) -> Floats:
+    """Return the deflection (mm) at distances `s` under a unit force at `p`."""
+    near, far = np.minimum(s, p), np.maximum(s, p)
+    moved: Floats = near**2 * (3 * far - near) / (6 * NEEDLE.flexural_rigidity)
+    return moved
+
+
+def error(propped_at: float | None, controls: Controls) -> float:
+    """Return the largest error of the deflection along the needle over the largest deflection."""
+    tissue = layers(mu=[LOAD / _FAR / 3], alpha=[1.0], thickness=[1e3 * _FAR], law="linear")
+    depths = np.arange(DEPTH + 0.5)
+    points = np.column_stack((depths, np.full(len(depths), _FAR)))
+    shape = solved(equilibrium(NEEDLE, tissue, points, controls))
+    x = dense(shape)
+    s, a = x - x[0], NEEDLE.length - DEPTH
+    exact = cantilever(s, a)
+    if propped_at is not None:
+        at = np.array([propped_at])
+        exact = exact - prop(s, propped_at) * (cantilever(at, a) / prop(at, propped_at))
+    return float(np.max(np.abs(read(shape, x) - exact)) / np.max(np.abs(exact)))
+
+
+_GUIDE = -25.0  # mm: the place of the prop before the tissue
+_WORDS = "error of the deflection over the largest one"
+
+
+def _check(title: str, propped_at: float | None, controls: Controls) -> Check:
+    return Check(
+        Group.CLOSED_FORMS, title, (Quantity(_WORDS, at_most(1e-7), ""),),
+        lambda rng: Outcome((error(propped_at, controls),)),
+    )  # fmt: skip
+
+
+CHECKS = (
+    _check("Cantilever under a uniform load on its outer 90 mm", None, Controls()),
+    _check(
+        "Propped cantilever, a guide that turns freely 25 mm before the tissue",
+        NEEDLE.length - DEPTH + _GUIDE,
+        Controls(guides=(Guide(_GUIDE, slope=None),)),
+    ),
+    _check("Propped cantilever, the tip tracked at 0", NEEDLE.length, Controls(tip=TrackedTip(0.0))),
+)

@@ -1,0 +1,41 @@
+"""The constraint spacing C_int is part of the model, not a mesh size: halving it is another model.
+
+Stated, not judged. b turns the cut once per C_int, so halving C_int at fixed b turns the needle more often;
+b halved with it turns as much per mm, and still does not give the same needle.
+"""
+
+import numpy as np
+
+from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.simulate import simulate
+from needlefit.verification.cases import NEEDLE, layers, solved
+from needlefit.verification.check import Bound, Check, Group, Outcome, Quantity
+
+DEPTH, OFFSET = 50.0, 0.085
+_TISSUE = layers(mu=[0.2, 33.0, 0.2, 33.0], alpha=[1.0, -1.0, 1.0, -1.0], boundaries=[20.0, 28.0, 45.0])
+
+
+def tip(spacing: float, offset: float) -> float:
+    """Return the tip's deflection, mm."""
+    return solved(simulate(NEEDLE, _TISSUE, Bevel(offset), DEPTH, rules=Rules(spacing, spacing))).deflection
+
+
+def _measure(rng: np.random.Generator) -> Outcome:
+    return Outcome((tip(1.0, OFFSET), tip(0.5, OFFSET), tip(0.5, OFFSET / 2)))
+
+
+CHECKS = (
+    Check(
+        Group.STATED,
+        "The tip in four layers of the paper’s values, 50 mm deep",
+        tuple(
+            Quantity(f"deflection, {words}", Bound(), "mm")
+            for words in (
+                f"C_int = 1 mm, b = {OFFSET:g} mm",
+                f"C_int = 0.5 mm, b = {OFFSET:g} mm",
+                f"C_int = 0.5 mm, b = {OFFSET / 2:g} mm",
+            )
+        ),
+        _measure,
+    ),
+)

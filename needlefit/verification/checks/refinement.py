@@ -1,0 +1,65 @@
+"""What the default mesh (h = C_int = 1 mm) leaves of discretisation error at the tip.
+
+Constraint spacing and everything else stay as they are; only the mesh is refined.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from needlefit.mechanics.control import Rules, Step
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.tissue import Tissue
+from needlefit.project.load import load
+from needlefit.project.places import shipped
+from needlefit.project.records.scene import SceneRecord
+from needlefit.verification.cases import random_case, solved
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
+
+FINER = 8
+RANDOM = 40
+STEEPEST = 0.3
+
+
+def error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: Rules) -> float:
+    """Return how far the tip moves when elements become eight times shorter, mm."""
+    fine = Rules(rules.spacing, rules.element / FINER)
+    tips = [solved(follow(needle, tissue, steps, each)).deflection for each in (rules, fine)]
+    return abs(tips[1] - tips[0])
+
+
+def _scenes(rng: np.random.Generator) -> Outcome:
+    errors = {}
+    for path in sorted((shipped() / "configs" / "scenes").glob("*.toml")):
+        scene = Scene.from_record(load(path, SceneRecord))
+        errors[path.stem] = error(scene.needle, scene.tissue, scene.steps, scene.rules)
+    worst = max(errors, key=lambda name: errors[name])
+    return Outcome((errors[worst],), f"{len(errors)} scenes; the largest is that of {worst}")
+
+
+def _random(rng: np.random.Generator) -> Outcome:
+    """Draw insertions that the model is meant for: it assumes small slopes."""
+    errors = list[float]()
+    steep = 0
+    while len(errors) < RANDOM:
+        case = random_case(rng)
+        if np.max(np.abs(case.shape(Rules()).slope)) < STEEPEST:
+            errors.append(error(case.needle, case.tissue, case.steps, Rules()))
+        else:
+            steep += 1
+    said = f"{steep} more drawn whose slopes exceed {STEEPEST:g}"
+    return Outcome((max(errors), float(np.median(errors))), said)
+
+
+_LARGEST = Quantity("change of the tip, h = 1 to 0.125 mm", at_most(1e-3), "mm")
+CHECKS = (
+    Check(Group.REFINEMENT, "The shipped scenes", (_LARGEST,), _scenes),
+    Check(
+        Group.REFINEMENT,
+        f"{RANDOM} random insertions, 1 kPa to 100 MPa, t = 5 to 80 mm, slopes below 0.3",
+        (_LARGEST, Quantity("median of the same", at_most(1e-4), "mm")),
+        _random,
+    ),
+)

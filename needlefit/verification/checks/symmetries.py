@@ -1,0 +1,97 @@
+"""What must not matter: handedness, units of force, names of layers, sub-steps, going too far and back."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.mechanics.control import Bevel, Controls, Step
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import lattice_of
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.tissue import Tissue
+from needlefit.verification.cases import EXACT, Case, Draw, random_case, random_schedule, solved
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
+from needlefit.verification.samples import distance
+
+RANDOM = 10
+
+
+def mirrored(case: Case) -> float:
+    """The other side of the bevel and the base on the other side give the mirrored needle."""
+
+    def mirror(step: Step) -> Step:
+        held = Controls(-step.controls.base_y, -step.controls.base_slope)
+        return Step(step.depth, Bevel(step.bevel.offset, -step.bevel.side), held)
+
+    one, other = case.shape(), replace(case, steps=tuple(map(mirror, case.steps))).shape()
+    return float(np.max(np.abs(one.u + other.u)))
+
+
+def doubled(case: Case) -> float:
+    """Forces have no unit of their own: EI and all mu twice as large leave the shape as it is."""
+    needle = Needle(case.needle.length, 2 * case.needle.flexural_rigidity)
+    tissue = replace(case.tissue, mu=2 * case.tissue.mu)
+    return distance(case.shape(), Case(needle, tissue, case.steps).shape())
+
+
+def cut_in_two(case: Case) -> float:
+    """A layer cut into two equal ones is the same layer, but for the quadrature, which is split there."""
+    tissue = case.tissue
+    edges = np.array([0.0, *tissue.boundaries, case.steps[-1].depth])
+    widest = int(np.argmax(np.diff(edges)))
+    cut = edges[widest] + 0.41 * (edges[widest + 1] - edges[widest])
+    mu, alpha, thickness, friction = (
+        np.insert(values, widest, values[widest])
+        for values in (tissue.mu, tissue.alpha, tissue.thickness, tissue.friction)
+    )
+    boundaries = np.insert(tissue.boundaries, widest, cut)
+    halves = Tissue(mu, alpha, boundaries, thickness, friction, tissue.law)
+    return distance(case.shape(), replace(case, tissue=halves).shape())
+
+
+def in_pieces(case: Case) -> float:
+    """Halts on the way, on constraint points or between them, change nothing."""
+    whole = case.steps[0]
+    halts = [replace(whole, depth=whole.depth * part) for part in (0.123, 0.25, 0.251, 0.5, 0.875)]
+    return _against(case, (*halts, whole))
+
+
+def there_and_back(case: Case) -> float:
+    """A little further and back, and back and again, ends where it began."""
+    whole = case.steps[0]
+    way = (whole.depth, whole.depth + 0.3, whole.depth, whole.depth - 3.7, whole.depth)
+    return _against(case, tuple(replace(whole, depth=depth) for depth in way))
+
+
+def one_by_one(case: Case) -> float:
+    """A session led step by step finds what the whole schedule finds, bit by bit."""
+    first = case.steps[0]
+    lattice = lattice_of(case.steps, EXACT)
+    session = Session(case.needle, case.tissue, first.bevel, lattice.first_cell, first.controls, EXACT)
+    shapes = [solved(session.go(step)) for step in case.steps]
+    return float(np.max(np.abs(shapes[-1].u - case.shape().u)))
+
+
+def _against(case: Case, steps: tuple[Step, ...]) -> float:
+    lattice = lattice_of(case.steps, EXACT)
+    return distance(case.shape(), replace(case, steps=steps).shape(lattice=lattice))
+
+
+def _check(title: str, measure: Callable[[Case], float], bound: float, draw: Draw = random_case) -> Check:
+    words = f"difference of the deflection, {RANDOM} random cases"
+
+    def worst(rng: np.random.Generator) -> Outcome:
+        return Outcome((max(measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM)),))
+
+    return Check(Group.SYMMETRIES, title, (Quantity(words, at_most(bound), "mm"),), worst)
+
+
+CHECKS = (
+    _check("Mirror: bevel, base and its tilt to the other side", mirrored, 1e-9),
+    _check("EI and every mu doubled", doubled, 1e-7),
+    _check("A layer cut into two equal ones", cut_in_two, 1e-4),
+    _check("Sub-steps on the way", in_pieces, 1e-7),
+    _check("0.3 mm further and back; 3.7 mm back and again", there_and_back, 1e-7),
+    _check("Schedules by a session, step by step", one_by_one, 0.0, random_schedule),
+)

@@ -1,0 +1,82 @@
+"""Newton's step of the compiled solver, against the residual of the readable reference.
+
+At a state u the solver steps by d = -K_T^-1 R(u). If K_T is the derivative of R, then R'(u) d = -R(u), with
+R put together from the reference and its derivative by a complex step; and near the solution each step
+squares the error.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics import reference
+from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.kernel.scalar import Newton
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
+from needlefit.verification.cases import NEEDLE, layers, solved
+from needlefit.verification.check import Check, Group, Outcome, Quantity, about, at_most
+from needlefit.verification.stop import ONE_STEP, Stop, settle, stop_at
+
+Floats = NDArray[np.float64]
+Numbers = NDArray[Any]  # real or complex
+
+_STARTS = (0.2, 0.1, 0.05, 0.025)  # share of the disturbance, whose largest deflection is 1 mm
+
+
+def residual(stop: Stop, tissue: Tissue, constraints: Floats) -> Callable[[Numbers], Numbers]:
+    """Return R(u) of the reference's equations, (2 N,), but for the clamped base's; u may be complex."""
+    x_c, y_c = constraints.T
+    K_b = reference.bending_stiffness(stop.x, NEEDLE.flexural_rigidity)
+    x, w = reference.quadrature(stop.x, x_c, tissue.boundaries)
+    N, dN = reference.shape_functions(stop.x, x)
+    layer = np.searchsorted(tissue.boundaries, x)
+    nearest = np.argmin(np.abs(x[:, None] - x_c), axis=1)
+    t, gamma = tissue.thickness[layer], tissue.friction[layer]
+
+    def R(u: Numbers) -> Numbers:
+        e = N @ u - y_c[nearest]
+        k, _ = reference.modulus(tissue, layer, 1 - np.sign(e.real) * e / t)
+        g = 1 - gamma * np.sin(np.arctan(dN @ u)) ** 2
+        forces: Numbers = (K_b @ u + N.T @ (w * k * e * g))[2:]
+        return forces
+
+    return R
+
+
+def measure(friction: float) -> tuple[float, float]:
+    """Return the relative defect of a Newton step, and the order at which steps converge."""
+    tissue = layers(
+        mu=[0.5, 3.0], alpha=[6.0, -5.0], boundaries=[13.37], thickness=[5.0, 5.0], friction=[friction] * 2
+    )
+    constraints = solved(simulate(NEEDLE, tissue, Bevel(0.2), 25.0)).constraints
+    stop = stop_at(NEEDLE, tissue, constraints, Rules())
+    s = (stop.x - stop.x[0]) / NEEDLE.length
+    sway = np.column_stack((s**2 * np.cos(9 * s), (2 * s * np.cos(9 * s) - 9 * s**2 * np.sin(9 * s)) / 150))
+    found = settle(stop, np.zeros_like(sway), Newton(1e-12, 60))
+    start = found + _STARTS[0] * sway
+    step = settle(stop, start, ONE_STEP) - start
+    R = residual(stop, tissue, constraints)
+    force = R(start.ravel())
+    along = R(start.ravel() + 1e-30j * step.ravel()).imag / 1e-30
+    defect = np.linalg.norm(along + force) / np.linalg.norm(force)
+    errors = [np.max(np.abs(settle(stop, found + a * sway, ONE_STEP)[:, 0] - found[:, 0])) for a in _STARTS]
+    return float(defect), float(np.polyfit(np.log(_STARTS), np.log(errors), 1)[0])
+
+
+_QUANTITIES = (
+    Quantity("defect of R′(u) d = −R(u) over |R|", at_most(1e-8), ""),
+    Quantity("order of Newton’s convergence", about(2.0, 0.15), ""),
+)
+
+
+def _check(title: str, friction: float) -> Check:
+    return Check(Group.TANGENT, title, _QUANTITIES, lambda rng: Outcome(measure(friction)))
+
+
+CHECKS = (
+    _check("Ogden law in thin tissue (t = 5 mm), symmetric tangent", 0.0),
+    _check("The same with friction, tangent not symmetric", 2.0),
+)

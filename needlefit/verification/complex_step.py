@@ -1,0 +1,183 @@
+"""Derivatives of an insertion without any calculus by hand: the reference, stepped, and dense solves.
+
+A parameter p enters a stop's residual R by itself and through the constraint points, whose derivatives the
+stops before have left: du/dp = -K_T^-1 dR/dp, the state kept in dR/dp. Im R(p + i h) / h is that derivative
+to rounding, nothing being subtracted. What moves quadrature points or nodes (boundaries, guides along the
+needle) is stepped in real numbers, on both sides and twice: R of a frozen state has no noise of a solution.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics import reference
+from needlefit.mechanics.control import Controls, Rules
+from needlefit.mechanics.plan import Stop, lattice_of, plan
+from needlefit.verification.cases import Case
+from needlefit.verification.law import STEP, Law, Numbers
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+_LAYERED = ("mu", "alpha", "friction")
+_SINGLE = ("rigidity", "offset", "base_y", "base_slope", "stage_slope")
+KINDS = (*_LAYERED, *_SINGLE, "boundaries", "guides")
+_REACH = 1e-4  # mm: the longer of the two real steps; no change of constraint lies so near
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter: its kind, of which layer, boundary or guide (from 0)."""
+
+    kind: str
+    number: int = 0
+
+
+@dataclass(frozen=True)
+class Equilibrium:
+    """One stop in equilibrium: `u` (2 N,) of its nodes, where `held`."""
+
+    nodes: Floats
+    points: Numbers  # (M + 1, 2)
+    u: Numbers
+    held: Bools
+
+
+def parameters(case: Case) -> dict[str, Parameter]:
+    """Return the parameters under the names that a `Jacobian` gives them."""
+    named = {f"{kind}{i + 1}": Parameter(kind, i) for kind in _LAYERED for i in range(case.tissue.layers)}
+    named |= {kind: Parameter(kind) for kind in _SINGLE}
+    named |= {f"boundary{i + 1}": Parameter("boundary", i) for i in range(case.tissue.layers - 1)}
+    for i in range(len(_stands(case))):
+        named |= {f"guide{i + 1}_{what}": Parameter(f"guide_{what}", i) for what in ("x", "y", "slope")}
+    return named
+
+
+def derivatives(case: Case, wanted: list[Parameter], rules: Rules) -> tuple[Floats, Floats]:
+    """Return the derivatives of deflection and slope of all nodes (2 N, P), and of the cut (M + 1, P)."""
+    lattice = lattice_of(case.steps, rules)
+    c, dc = {0: 0.0}, {0: np.zeros(len(wanted))}
+    rays: dict[int, tuple[float, Floats, Floats]] = {}  # where each ray begins: x, (u, u'), and d(u, u')/dp
+    x_tip, tip, dtip = 0.0, np.zeros(2), np.zeros((2, len(wanted)))
+    by_offset = np.array([p.kind == "offset" for p in wanted], dtype=np.float64)
+    for stop in plan(case.steps, lattice, case.needle.length):
+        if stop.opens:
+            rays[stop.ray] = x_tip, tip, dtip
+        if stop.cell > 0:
+            x, (u_0, slope), (du_0, dslope) = rays[stop.ray]
+            bevel, ahead = case.steps[stop.cut].bevel, stop.tip - x
+            c[stop.cell] = u_0 + ahead * (slope + bevel.side * bevel.offset / rules.spacing)
+            dc[stop.cell] = du_0 + ahead * (dslope + by_offset * bevel.side / rules.spacing)
+        places = [lattice.depth(m) for m in range(stop.cell)] + [stop.tip]
+        points = np.column_stack((places, [c[m] for m in range(stop.cell + 1)]))
+        moved = np.array([dc[m] for m in range(stop.cell + 1)])  # (M + 1, P)
+        controls = case.steps[stop.held].controls
+        nodes, guess, held = reference.mesh(stop, controls, lattice, case.needle.length, rules.element)
+        guess = np.where(held, guess, along_the_cut(nodes, points))
+        u, _ = reference.equilibrium(case.needle, case.tissue, nodes, points, guess, held, rules)
+        here = Equilibrium(nodes, points, u, held)
+        du = response(case, here, wanted, moved, imposed(case, wanted, here, stop, controls))
+        x_tip, tip, dtip = stop.tip, u[-2:], du[-2:]
+    return du, moved
+
+
+def along_the_cut(nodes: Floats, points: Floats) -> Floats:
+    """Return deflections and slopes (2 N,) that compress the tissue little, to begin with."""
+    u = np.interp(nodes, *points.T)
+    return np.column_stack((u, np.gradient(u, nodes))).ravel()
+
+
+def imposed(case: Case, wanted: list[Parameter], here: Equilibrium, stop: Stop, controls: Controls) -> Floats:
+    """Return the derivatives (2 N, P) of what is prescribed at the nodes."""
+    base = {"base_y": (0, 1.0), "base_slope": (1, 1.0), "stage_slope": (0, stop.tip)}
+    rates = np.zeros((len(here.held), len(wanted)))
+    for column, p in enumerate(wanted):
+        if p.kind in base:
+            row, rate = base[p.kind]
+            rates[row, column] = rate
+        elif p.kind in ("guide_y", "guide_slope"):
+            stand = _stand(case, p)
+            node = np.flatnonzero(here.nodes == stand)
+            active = len(node) > 0 and any(guide.x == stand for guide in controls.guides)
+            row = 2 * int(node[0]) + (p.kind == "guide_slope") if active else 0
+            rates[row, column] = float(active and here.held[row])
+    return rates
+
+
+def response(case: Case, here: Equilibrium, wanted: list[Parameter], moved: Floats, rates: Floats) -> Floats:
+    """Return du/dp (2 N, P), given the derivatives of the cut (M + 1, P) and of what is prescribed."""
+    loads = np.column_stack([load(case, here, p, moved[:, i]) for i, p in enumerate(wanted)])
+    law, EI = Law.of(case.tissue), case.needle.flexural_rigidity
+    stepped = (here.u + 1j * STEP * row for row in np.eye(len(here.u)))
+    forces = [EI * bending(here.nodes, u) + foundation(case, replace(here, u=u), law) for u in stepped]
+    K_T = np.column_stack(forces).imag / STEP
+    free = ~here.held
+    du = rates.copy()
+    du[free] = np.linalg.solve(K_T[np.ix_(free, free)], -(loads + K_T @ rates)[free])
+    return du
+
+
+def load(case: Case, here: Equilibrium, p: Parameter, moved: Floats) -> Floats:
+    """Return dR/dp (2 N,) at a frozen state, the constraint points moving at the rates `moved`."""
+    points = here.points.astype(np.complex128)
+    points[:, 1] += 1j * STEP * moved
+    tissue, EI = case.tissue, complex(case.needle.flexural_rigidity)
+    law = Law.of(tissue)
+    if p.kind in _LAYERED:
+        values = getattr(law, p.kind).astype(np.complex128)
+        values[p.number] += 1j * STEP
+        law = replace(law, **{p.kind: values})
+    EI += 1j * STEP if p.kind == "rigidity" else 0.0
+    nodes = here.nodes + 1j * STEP * (p.kind == "guide_x") * (here.nodes == _stand(case, p))
+    force = EI * bending(nodes, here.u) + foundation(case, replace(here, points=points), law)
+    total: Floats = force.imag / STEP
+    if p.kind in ("boundary", "guide_x"):
+        coarse, fine = (
+            (_placed(case, here, p, h) - _placed(case, here, p, -h)) / (2 * h) for h in (_REACH, _REACH / 2)
+        )
+        total = total + (4 * fine - coarse) / 3
+    return total
+
+
+def bending(nodes: Numbers, u: Numbers) -> Numbers:
+    """Return the forces and moments (2 N,) that bend the nodes' cubics, over EI."""
+    h = np.diff(nodes)
+    (a, slope_a), (b, slope_b) = u.reshape(-1, 2)[:-1].T, u.reshape(-1, 2)[1:].T
+    shear = (12 * (a - b) + 6 * h * (slope_a + slope_b)) / h**3
+    moment_a = (6 * (a - b) + h * (4 * slope_a + 2 * slope_b)) / h**2
+    moment_b = (6 * (a - b) + h * (2 * slope_a + 4 * slope_b)) / h**2
+    total = np.zeros((len(nodes), 2), dtype=np.result_type(nodes, u))
+    total[:-1] += np.column_stack((shear, moment_a))
+    total[1:] += np.column_stack((-shear, moment_b))
+    return total.ravel()
+
+
+def foundation(case: Case, here: Equilibrium, law: Law) -> Numbers:
+    """Return the tissue's forces and moments (2 N,); state, points' y and law may be complex."""
+    boundaries, depths = case.tissue.boundaries, here.points[:, 0].real
+    x, w = reference.quadrature(here.nodes, depths, boundaries)
+    N, dN = reference.shape_functions(here.nodes, x)
+    nearest = np.argmin(np.abs(x[:, None] - depths), axis=1)
+    e = N @ here.u - here.points[nearest, 1]
+    return N.T @ (w * law.reaction(np.searchsorted(boundaries, x), e, dN @ here.u))
+
+
+def _placed(case: Case, here: Equilibrium, p: Parameter, step: float) -> Floats:
+    """Return the tissue's forces with a boundary or a guide's node moved along the needle."""
+    law = Law.of(case.tissue)
+    if p.kind == "boundary":
+        boundaries = case.tissue.boundaries.copy()
+        boundaries[p.number] += step
+        return foundation(replace(case, tissue=replace(case.tissue, boundaries=boundaries)), here, law)
+    nodes = np.where(here.nodes == _stand(case, p), here.nodes + step, here.nodes)
+    return foundation(case, replace(here, nodes=nodes), law)
+
+
+def _stand(case: Case, p: Parameter) -> float:
+    """Return where the guide of a parameter stands, mm; NaN if it is no guide's."""
+    return _stands(case)[p.number] if p.kind.startswith("guide") else np.nan
+
+
+def _stands(case: Case) -> list[float]:
+    return sorted({guide.x for step in case.steps for guide in step.controls.guides})

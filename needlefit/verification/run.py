@@ -1,0 +1,79 @@
+"""Find every check in the folder `checks`, measure it, judge it."""
+
+import importlib
+import pkgutil
+import traceback
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from needlefit.project.streams import stream
+from needlefit.verification import checks
+from needlefit.verification.check import Check, Curve, Group, Outcome, Row
+
+SEED = 1
+"""Of the random cases, where none is asked for."""
+
+Progress = Callable[[str, int, int], None]
+
+
+@dataclass(frozen=True)
+class Verification:
+    """The table, and the refinement studies behind its observed orders.
+
+    Attributes
+    ----------
+    seed : int
+        Of the random cases.
+    rows : tuple of Row
+    curves : tuple of Curve
+    traces : tuple of str
+        Where measuring a check ended in an error: its traceback.
+    """
+
+    seed: int
+    rows: tuple[Row, ...]
+    curves: tuple[Curve, ...]
+    traces: tuple[str, ...] = ()
+
+    @property
+    def failed(self) -> tuple[Row, ...]:
+        """The rows that fail."""
+        return tuple(row for row in self.rows if row.verdict == "FAILS")
+
+
+def find_checks() -> tuple[Check, ...]:
+    """Return the checks of all files of the folder, in the order of the table."""
+    modules = sorted(module.name for module in pkgutil.iter_modules(checks.__path__))
+    every = [
+        check for name in modules for check in importlib.import_module(f"{checks.__name__}.{name}").CHECKS
+    ]
+    order = list(Group)
+    return tuple(sorted(every, key=lambda check: order.index(check.group)))
+
+
+def verify(
+    seed: int = SEED, every: Sequence[Check] | None = None, progress: Progress = lambda *_: None
+) -> Verification:
+    """Measure all checks, or those of `every`; a check that crashes fails, and the others go on."""
+    rows, curves, traces = list[Row](), list[Curve](), list[str]()
+    every = find_checks() if every is None else every
+    for done, check in enumerate(every):
+        progress(check.title, done, len(every))
+        try:
+            outcome = check.measure(stream(seed, "verify", check.group.title, check.title))
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            outcome = Outcome((float("nan"),) * len(check.quantities), f"not measured: {reason}")
+            traces.append("".join(traceback.format_exception(error)))
+        rows += _judged(check, outcome)
+        curves += outcome.curves
+    return Verification(seed, tuple(rows), tuple(curves), tuple(traces))
+
+
+def _judged(check: Check, outcome: Outcome) -> Iterator[Row]:
+    for quantity, value in zip(check.quantities, outcome.values, strict=True):
+        verdict = quantity.bound.verdict(value)
+        yield Row(
+            check.group, check.title, quantity.words, float(value), quantity.bound, quantity.unit,
+            verdict, outcome.remark,
+        )  # fmt: skip

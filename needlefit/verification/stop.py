@@ -1,0 +1,64 @@
+"""One stop handed to the compiled solver directly, with any constraint points and from any guess."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics.control import Rules
+from needlefit.mechanics.kernel.foundation import Foundation
+from needlefit.mechanics.kernel.grid import Grid, build_grid
+from needlefit.mechanics.kernel.scalar import CLAMPED, WIDTH, Chain, Newton, equilibrate
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.simulate import STATUS, compile_tissue, equilibrium
+from needlefit.mechanics.tissue import Tissue
+
+Floats = NDArray[np.float64]
+
+ONE_STEP = Newton(np.inf, 1)
+
+
+@dataclass(frozen=True)
+class Stop:
+    """A needle clamped at its base, y = u' = 0, and otherwise free.
+
+    Attributes
+    ----------
+    x : (N,) array
+        Nodes from base to tip, mm: those that the model itself would take.
+    y : (M + 1,) array
+        Of the constraint points that `grid` names, mm.
+    """
+
+    x: Floats
+    chain: Chain
+    grid: Grid
+    foundation: Foundation
+    y: Floats
+
+
+def stop_at(needle: Needle, tissue: Tissue, constraints: Floats, rules: Rules) -> Stop:
+    """Return the stop with these constraint points (M + 1, 2)."""
+    x = equilibrium(needle, tissue, constraints, rules=rules).x
+    depths, y = np.ascontiguousarray(constraints.T)
+    held = Chain(needle.flexural_rigidity, x[:1].copy(), np.zeros(len(x), np.int64), np.zeros((len(x), 2)))
+    held.kind[0] = CLAMPED
+    grid = build_grid(depths, tissue.boundaries, x[1:].copy())
+    return Stop(x, held, grid, compile_tissue(tissue), y)
+
+
+def settle(stop: Stop, guess: Floats, newton: Newton) -> Floats:
+    """Return the state (N, 2) that Newton's method makes of a guess.
+
+    Raises
+    ------
+    ArithmeticError
+        If it does not converge.
+    """
+    state = guess.copy()
+    room = np.empty_like(state), np.empty((len(state), WIDTH))
+    last = len(stop.grid.nodes) - 1
+    status, _ = equilibrate(state, stop.chain, stop.foundation, stop.grid, stop.y, last, newton, *room)
+    if STATUS[status] != "converged":
+        raise ArithmeticError(f"the solver failed: {STATUS[status]}")
+    return state
