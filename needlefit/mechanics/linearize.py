@@ -140,12 +140,7 @@ def linearize_along(
         iterations += used
         if status != CONVERGED:
             break
-<<<<<<< HEAD
     shape = read(under_way, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
-=======
-    last = stops_of(moves, lattice)[-1]
-    shape = read(under_way, last, steps[last.held].controls, status, iterations)
->>>>>>> a8b9ebf (wip)
     if status != CONVERGED:
         return shape, _nothing(names, shape)
     nodes = np.zeros((len(shape.x), len(names)))

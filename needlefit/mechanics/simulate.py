@@ -96,12 +96,7 @@ def follow(
         iterations += used
         if status != CONVERGED:
             break
-<<<<<<< HEAD
     return read(under_way, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
-=======
-    last = stops_of(moves, lattice)[-1]
-    return read(under_way, last, steps[last.held].controls, status, iterations)
->>>>>>> a8b9ebf (wip)
 
 
 def equilibrium(
@@ -215,18 +210,4 @@ def read(
     points = np.empty((len(x), 2))
     points[:, 0], points[:, 1] = x, under_way.y[: stop.cell + 1]
     track = under_way.track[: stop.cell + 1].copy()
-<<<<<<< HEAD
-=======
-    if status != CONVERGED:  # the nodes are those of the stop where it failed
-        nodes = _nodes(under_way, stop, controls)
-        state = np.full((len(nodes), 2), np.nan)
->>>>>>> a8b9ebf (wip)
     return NeedleShape(nodes, state[:, 0], state[:, 1], points, track, STATUS[status], iterations)
-
-
-def _nodes(under_way: kernel.Insertion, stop: Stop, controls: Controls) -> Floats:
-    """Return the nodes (N,) that a needle has at a stop, from base to tip."""
-    first_cell, spacing, element = under_way.first_cell, under_way.spacing, under_way.element
-    within = np.array([guide.x for guide in controls.within if guide.x <= stop.tip - 0.25 * element])
-    inserted = node_depths(stop.tip, first_cell, spacing, element, within)
-    return np.array([stop.tip - under_way.length, *(guide.x for guide in controls.before), *inserted])
