@@ -1,0 +1,310 @@
+"""Many parameter sets at once are as many single ones: to rounding, and whatever stands beside them."""
+
+import inspect
+import re
+from collections import Counter
+from dataclasses import fields, replace
+
+import numba
+import numpy as np
+import pytest
+from llvmlite import binding
+from mechanics_cases import random_batch, random_steps
+
+from needlefit.errors import ModelError
+from needlefit.mechanics import lanes, reference
+from needlefit.mechanics.batch import Batch, NeedleShapes
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.kernel import passes
+from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
+WIDE = Step(14.2, Bevel(0.1), Controls(base_y=0.3))  # its first cell is short: the entry has no node
+TURN = Step(17.2, Bevel(0.1, -1), Controls(base_y=0.1, base_slope=0.004))
+THERE_AND_BACK = (WIDE, replace(WIDE, depth=5.6), TURN)
+
+
+def one(batch: Batch, threads: int | None = None) -> NeedleShapes:
+    (shapes,) = follow_batches([batch], threads)
+    return shapes
+
+
+def broad(sets: int, seed: int = 0, steps: tuple[Step, ...] = THERE_AND_BACK) -> Batch:
+    rng = np.random.default_rng(seed)
+    mu, alpha = 10 ** rng.uniform(-3, 2, (sets, 2)), rng.uniform(-10, 10, (sets, 2))
+    return Batch(NEEDLE, TISSUE, steps, mu=mu, alpha=alpha, offset=rng.uniform(0, 0.2, sets))
+
+
+def some(batch: Batch, sets: np.ndarray) -> Batch:
+    given = {name: getattr(batch, name) for name in ("mu", "alpha", "offset", "base_y", "guide_x")}
+    return replace(batch, **{name: v[sets] for name, v in given.items() if v is not None})
+
+
+def assert_same_bits(found: NeedleShapes | NeedleShape, expected: NeedleShapes | NeedleShape) -> None:
+    for field in fields(found):
+        np.testing.assert_array_equal(getattr(found, field.name), getattr(expected, field.name))
+
+
+def assert_close(found: NeedleShape, expected: NeedleShape, atol: float = 1e-7) -> None:
+    assert found.converged and expected.converged
+    np.testing.assert_allclose(found.x, expected.x, atol=1e-12)
+    for name in ("u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=atol, err_msg=name)
+    track = np.isnan(expected.tip_track)  # a retraction may have left a point without its tip
+    np.testing.assert_array_equal(np.isnan(found.tip_track), track)
+    np.testing.assert_allclose(found.tip_track[~track], expected.tip_track[~track], atol=atol)
+
+
+@pytest.mark.parametrize("seed", range(60))
+def test_every_set_is_what_the_scalar_kernel_gives(seed: int) -> None:
+    batch = random_batch(np.random.default_rng(seed), 6)
+    shapes = one(batch)
+    assert shapes.converged.all()
+    for i in range(len(batch)):
+        assert_close(shapes[i], follow(*batch.one(i)))
+
+
+@pytest.mark.parametrize("seed", [*range(100, 107), *range(108, 113)])
+def test_every_set_is_what_the_reference_gives(seed: int) -> None:
+    batch = random_batch(np.random.default_rng(seed), 2)
+    shapes = one(batch)
+    for i in range(len(batch)):
+        assert_close(shapes[i], reference.follow(*batch.one(i)))
+
+
+@pytest.mark.parametrize("first", [1e-4, 0.2, 0.55, 0.7, 1.0])
+@pytest.mark.parametrize("slope", [None, 0.003])
+def test_each_set_may_have_its_guide_elsewhere_wherever_the_first_nodes_lie(first, slope) -> None:
+    """Half-millimetre elements: at 0.2 and 0.55 mm the first node stands too near the entry for another."""
+    guided = Controls(base_y=0.2, guides=(Guide(-9.0, 0.1, slope),))
+    steps, x = (Step(9 + first, Bevel(0.1), guided),), np.array([-3.0, -9.0, -30.0, -101.0])
+    batch = Batch(NEEDLE, TISSUE, steps, Rules(1.0, 0.5), guide_x=x)
+    shapes = one(batch)
+    for i in range(4):
+        assert_close(shapes[i], follow(*batch.one(i)))
+        assert shapes[i].x[1] == x[i] and shapes[i].u[1] == pytest.approx(0.1, abs=1e-14)
+
+
+def test_ordinary_sets_never_ask_the_scalar_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(lanes, "follow", refuse)
+    rng = np.random.default_rng(0)
+    mu = 10 ** rng.uniform(-1.5, 1.5, (50, 2))
+    batch = Batch(NEEDLE, TISSUE, THERE_AND_BACK, mu=mu, offset=rng.uniform(0, 0.1, 50))
+    assert one(batch).converged.all()
+
+
+def test_a_mirrored_set_is_the_mirrored_needle() -> None:
+    rng = np.random.default_rng(4)
+    offset, y, slope = rng.uniform(-0.1, 0.1, 40), rng.uniform(-1, 1, 40), rng.uniform(-0.01, 0.01, 40)
+    left, right = (
+        one(Batch(NEEDLE, TISSUE, THERE_AND_BACK, offset=s * offset, base_y=s * y, base_slope=s * slope))
+        for s in (1, -1)
+    )
+    np.testing.assert_array_equal(left.u, -right.u)
+    assert np.ptp(left.u[:, -1]) > 0.1
+
+
+def test_without_bevel_and_inputs_every_set_is_straight() -> None:
+    steps = (Step(20.0, Bevel(0.0)),)
+    shapes = one(Batch(NEEDLE, TISSUE, steps, mu=10 ** np.random.default_rng(0).uniform(-3, 2, (7, 2))))
+    assert np.all(shapes.u == 0.0) and shapes.u.shape == (7, 22)
+
+
+@pytest.mark.parametrize("sets", [1, 31, 33, 64])
+def test_neighbours_and_spare_lanes_change_no_bit(sets: int) -> None:
+    batch = broad(64)
+    assert_same_bits(one(some(batch, np.arange(sets))), part(one(batch), np.arange(sets)))
+
+
+def test_order_changes_no_bit() -> None:
+    batch, order = broad(70), np.random.default_rng(1).permutation(70)
+    assert_same_bits(one(some(batch, order)), part(one(batch), order))
+
+
+def part(shapes: NeedleShapes, sets: np.ndarray) -> NeedleShapes:
+    return NeedleShapes(*(getattr(shapes, field.name)[sets] for field in fields(shapes)))
+
+
+@pytest.mark.parametrize("threads", [2, 3, 8])
+def test_the_number_of_threads_changes_no_bit(threads: int) -> None:
+    """Blocks of one insertion run side by side; its element at the entry grows with each stop of a block."""
+    batch = broad(320, steps=(replace(WIDE, depth=40.2),))
+    alone = one(batch, 1)
+    for _ in range(3):
+        assert_same_bits(one(batch, threads), alone)
+
+
+@pytest.mark.parametrize("steps", [THERE_AND_BACK, (replace(WIDE, depth=16.0),)])
+def test_bad_numbers_spoil_and_delay_nobody(steps: tuple[Step, ...]) -> None:
+    """Also where the bad set is the first, or fills a block of its own."""
+    good = broad(40, steps=steps)
+    bad = np.array([[np.nan, 1.0], [1.0, np.inf], [0.0, 1.0], [1.0, -2.0]])
+    at = np.array([0, 0, 17, 40])
+    mixed = replace(
+        good,
+        mu=np.insert(good.mu, at, bad, axis=0),
+        alpha=np.insert(good.alpha, at, 1.0, axis=0),
+        offset=np.insert(good.offset, at, 0.1),
+    )
+    shapes = one(mixed)
+    lost = at + np.arange(4)
+    assert_same_bits(part(shapes, np.delete(np.arange(44), lost)), one(good))
+    assert [shapes[i].status for i in lost] == 4 * ["non-finite"]
+    assert np.isnan(shapes.u[lost]).all() and np.isnan(shapes.constraints[lost, 1:, 1]).all()
+    assert shapes.failures == Counter({"non-finite": 4})
+    np.testing.assert_array_equal(shapes.x[lost], np.tile(shapes.x[lost[0] + 2], (4, 1)))
+
+
+@pytest.mark.parametrize("name", ["rigidity", "base_y", "base_slope", "offset", "guide_x"])
+def test_any_parameter_may_be_no_number(name: str) -> None:
+    value = {"rigidity": 1e4, "guide_x": -7.0}.get(name, 0.01)
+    steps = (Step(8.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
+    shapes = one(Batch(NEEDLE, TISSUE, steps, **{name: [np.nan, value, value, np.inf]}))
+    assert shapes.status.tolist() == [3, 0, 0, 3]
+    assert_same_bits(shapes[1], one(Batch(NEEDLE, TISSUE, steps, **{name: [value]}))[0])
+    assert one(Batch(NEEDLE, TISSUE, steps, **{name: [np.nan]})).failures == Counter({"non-finite": 1})
+
+
+def test_a_guide_cannot_be_moved_into_the_tissue() -> None:
+    steps = (Step(8.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
+    assert one(Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, 0.0, 3.0])).status.tolist() == [0, 3, 3]
+
+
+def thin(offset: list[float], thickness: float, friction: float = 0.0) -> Batch:
+    tissue = Tissue(mu=[0.2], alpha=[1.0], thickness=[thickness], friction=[friction])
+    return Batch(NEEDLE, tissue, (Step(10.0, Bevel(0.1)),), offset=offset)
+
+
+@pytest.mark.parametrize("friction", [0.0, 0.3])
+def test_an_over_compressed_set_is_told_and_harms_nobody(friction: float) -> None:
+    """At b = 0.2 mm the first cell alone wants 0.05 mm of tissue, all there is."""
+    shapes = one(thin([0.2, 0.001, 0.3, 0.002], 0.05, friction))
+    assert shapes.status.tolist() == [1, 0, 1, 0]
+    assert shapes.failures == Counter({"over-compressed": 2})
+    assert np.isnan(shapes.u[[0, 2]]).all()
+    assert_same_bits(part(shapes, np.array([1, 3])), one(thin([0.001, 0.002], 0.05, friction)))
+
+
+def test_a_batch_of_nothing_but_failures_is_a_batch() -> None:
+    shapes = one(thin([0.2] * 40, 0.05))
+    assert shapes.failures == Counter({"over-compressed": 40})
+    assert shapes.u.shape == (40, 12) and np.isnan(shapes.u).all()
+    assert shapes[0].depth == 10.0
+
+
+def test_a_set_that_leaves_the_series_goes_on_alone_and_exactly() -> None:
+    """Tissue of 1 mm: at b = 0.05 mm its compression is beyond the series; small ones stay together."""
+    batch = thin([0.05, 0.001, 0.05, 0.002], 1.0)
+    shapes = one(batch)
+    for i in (0, 2):
+        alone = follow(*batch.one(i))
+        assert np.max(np.abs(np.interp(alone.x, *alone.constraints.T) - alone.u)[1:]) > 0.05
+        assert_same_bits(shapes[i], alone)
+    assert_same_bits(part(shapes, np.array([1, 3])), one(thin([0.001, 0.002], 1.0)))
+    assert_same_bits(one(thin([0.05, 0.05], 1.0))[1], shapes[0])  # also where everybody leaves
+
+
+@pytest.mark.parametrize(
+    "controls",
+    [
+        Controls(tip=TrackedTip(0.1)),
+        Controls(guides=(Guide(3.3, 0.05, in_tissue=True),)),
+        Controls(guides=(Guide(-4.0), Guide(5.0, 0.1, None, in_tissue=True))),
+    ],
+)
+def test_inputs_that_lanes_do_not_know_go_through_the_scalar_kernel(controls: Controls) -> None:
+    batch = Batch(NEEDLE, TISSUE, (Step(9.6, Bevel(0.1), controls),), mu=[[0.3, 3.0], [2.0, 20.0]])
+    shapes = one(batch)
+    for i in range(2):
+        assert_same_bits(shapes[i], follow(*batch.one(i)))
+
+
+def test_different_insertions_come_back_in_their_order() -> None:
+    """The longest is begun first, a shallow one with many sets takes the other core."""
+    rng = np.random.default_rng(7)
+    depths, sizes = [3.3, 41.0, 12.6, 0.4, 24.0, 1.0], [70, 3, 33, 1, 32, 5]
+    batches = [
+        broad(size, n, (Step(depth, Bevel(0.1), WIDE.controls),))
+        for n, (depth, size) in enumerate(zip(depths, sizes, strict=True))
+    ]
+    batches.append(Batch(NEEDLE, TISSUE, random_steps(rng, 3), offset=[0.01, 0.02]))
+    batches.append(thin([0.2, 0.001], 0.05))
+    found = follow_batches(batches)
+    assert [len(shapes) for shapes in found] == [*sizes, 2, 2]
+    assert [shapes[0].depth for shapes in found[:6]] == depths
+    for batch, shapes in zip(batches, found, strict=True):
+        assert_same_bits(shapes, one(batch, 1))
+
+
+def test_no_insertions_give_no_shapes() -> None:
+    assert follow_batches([]) == ()
+
+
+def test_shapes_are_shapes() -> None:
+    batch = broad(3)
+    shapes = one(batch)
+    assert len(shapes) == len(batch) == 3 and isinstance(shapes[1], NeedleShape)
+    assert_same_bits(NeedleShapes.of([shapes[i] for i in range(3)]), shapes)
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({}, "not given"),
+        ({"mu": [[1.0, 2.0, 3.0]]}, r"mu has shape \(1, 3\)"),
+        ({"mu": [1.0, 2.0]}, r"mu has shape \(2,\)"),
+        ({"offset": [[0.1]]}, r"offset has shape \(1, 1\)"),
+        ({"offset": [0.1, 0.2], "base_y": [0.0]}, "one size B for all"),
+        ({"offset": []}, "at least 1"),
+        ({"guide_x": [-3.0]}, "exactly one guide"),
+    ],
+)
+def test_sets_that_make_no_batch_are_refused(given: dict, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        Batch(NEEDLE, TISSUE, THERE_AND_BACK, **given)
+
+
+def test_a_guide_that_the_base_would_reach_is_refused() -> None:
+    steps = (Step(50.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
+    with pytest.raises(ModelError, match="through a guide 100 mm before the tissue"):
+        follow_batches([Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, -100.0, -50.0])])
+
+
+PACKED = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
+          "last_node", "back")  # fmt: skip
+
+
+@pytest.mark.parametrize("name", PACKED)
+def test_loops_over_lanes_are_packed(name: str) -> None:
+    """Every fused multiply-add stands in a loop of whole vectors; single ones only where rows overlap."""
+    if not all(binding.get_host_cpu_features().get(feature) for feature in ("avx2", "fma")):
+        pytest.skip("this processor has no AVX2 with FMA")
+    lines = assembly(getattr(passes, name)).splitlines()
+    fused = [line for line in lines if re.match(r"\s*vfn?m(add|sub)\w*pd\s", line)]
+    wide = [line for line in fused if "%ymm" in line or "%zmm" in line]
+    single = [line for line in lines if re.match(r"\s*vfn?m(add|sub)\w*sd\s", line)]
+    assert wide and len(wide) >= len(single)
+
+
+def assembly(loop: numba.core.dispatcher.Dispatcher) -> str:
+    """Compile a loop anew, with its own options: one that comes from a cache has no text."""
+    given = {
+        name: v for name, v in loop.targetoptions.items() if name in ("nogil", "error_model", "fastmath")
+    }
+    signature = tuple(
+        numba.uint64 if parameter.annotation is passes.Offset
+        else numba.float64[:, ::1] if parameter.name in ("table", "bending")
+        else numba.float64[::1]
+        for parameter in inspect.signature(loop.py_func).parameters.values()
+    )  # fmt: skip
+    compiled = numba.njit(**given)(loop.py_func)
+    compiled.compile(signature)
+    return compiled.inspect_asm(signature)
