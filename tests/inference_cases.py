@@ -104,6 +104,9 @@ class Analytic:
     def objective(self, theta: np.ndarray) -> float:
         return self.function(theta)
 
+    def log_posteriors(self, thetas: np.ndarray, jobs: int) -> np.ndarray:
+        return np.array([self.log_posterior(theta) for theta in thetas])
+
     def log_posterior(self, theta: np.ndarray) -> float:
         return self.function(theta)
 

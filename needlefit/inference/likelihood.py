@@ -16,6 +16,7 @@ the model.
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +63,12 @@ class Evidence:
     log_norm: float
     pose: Pose
 
+    @cached_property
+    def whitening(self) -> Floats:
+        """The inverse of `factor`, (K, K): many curves at once are whitened by one product."""
+        inverse: Floats = solve_triangular(self.factor, np.eye(len(self.factor)), lower=True)
+        return inverse
+
 
 def evidence(dataset: Dataset, insertion: Insertion, noise: Noise | None = None) -> Evidence:
     """Return the evidence of one insertion; `noise` replaces what the dataset states.
@@ -100,6 +107,16 @@ def log_likelihood(evidence: Evidence, curve: Curve) -> float:
     """Return the logarithm of the density of the measured points, given the simulated curve."""
     white = whitened(evidence, curve)
     return evidence.log_norm - 0.5 * float(white @ white)
+
+
+def log_likelihoods(evidence: Evidence, simulated: Floats) -> Floats:
+    """Return the same (B,) for many simulated curves (B, K, 2), given at the beam coordinates `evidence.s`."""
+    if evidence.pose == "free":
+        simulated = np.array([align_rigid(points, evidence.measured) for points in simulated])
+    residuals = simulated[:, :, 1] - evidence.measured[:, 1]  # (B, K)
+    white = residuals @ evidence.whitening.T  # (B, K)
+    found: Floats = evidence.log_norm - 0.5 * np.sum(white**2, axis=1)
+    return found
 
 
 def covariance(s: Floats, points: Floats, noise: Noise, pose: tuple[float, float]) -> Floats:

@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.parameters import tissue
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules
+from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate
@@ -56,6 +57,25 @@ def predict(
         insertion.depth,
         _clamped(values.get("guide_distance_mm", insertion.guide_distance)),
         rules(medium),
+    )
+
+
+def predict_each(
+    sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
+) -> Batch:
+    """Return one insertion with many parameter sets, for `lanes.follow_batches`; else as `predict`."""
+    first = sets[0]
+    guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
+    controls = _clamped(first.get("guide_distance_mm", insertion.guide_distance))
+    return Batch(
+        needle,
+        tissue(first, insertion.sequence, insertion.boundaries, medium),
+        (Step(insertion.depth, Bevel(first["bevel_mm"], insertion.side), controls),),
+        rules(medium),
+        mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence] for values in sets]),
+        alpha=np.array([[values[f"alpha{layer}"] for layer in insertion.sequence] for values in sets]),
+        offset=np.array([values["bevel_mm"] for values in sets]),
+        guide_x=-guide if np.ptp(guide) > 0 else None,  # the lanes prefer one place for all
     )
 
 

@@ -11,9 +11,11 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.errors import ConfigError
 from needlefit.geometry.compare import CurveErrors, compare
 from needlefit.inference.comparison import Target, curve_of, scored, target
-from needlefit.inference.likelihood import Evidence, evidence, log_likelihood, whitened
+from needlefit.inference.likelihood import Evidence, evidence, log_likelihood, log_likelihoods, whitened
 from needlefit.inference.parameters import Parameters, Theta
-from needlefit.inference.predict import predict
+from needlefit.inference.predict import predict, predict_each
+from needlefit.mechanics.batch import positions_each
+from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import WeightsRecord
@@ -128,6 +130,21 @@ class Problem:
                 return float("-inf")
             total += log_likelihood(known, curve_of(shape))
         return total
+
+    def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
+        """Return the log posterior (W,) of many thetas (W, P) at once, on `jobs` threads."""
+        density = np.full(len(thetas), -np.inf)
+        inside = np.flatnonzero(np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1))
+        if not len(inside):
+            return density
+        sets = [self.values(thetas[w]) for w in inside]
+        batches = [predict_each(sets, self.medium, self.dataset.needle, i) for i in self.insertions]
+        density[inside] = 0.0
+        for known, shapes in zip(self.evidence, follow_batches(batches, jobs), strict=True):
+            good = shapes.converged
+            density[inside[~good]] = -np.inf
+            density[inside[good]] += log_likelihoods(known, positions_each(shapes, known.s)[good])
+        return density
 
     def with_parameters(self, parameters: Parameters) -> "Problem":
         """Return the same problem searched over other parameters, e.g. the bevel alone."""

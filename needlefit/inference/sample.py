@@ -7,8 +7,6 @@ legacy generator is seeded from the passed one.
 import logging
 import math
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -47,8 +45,11 @@ class Density(Protocol):
     def upper(self) -> Floats:
         """Upper bounds of theta: (P,)."""
 
-    def log_posterior(self, theta: Floats) -> float:
-        """Return the log density, not normalised; -inf where it is 0."""
+    def log_posteriors(self, thetas: Floats, jobs: int) -> Floats:
+        """Return the log densities (W,) of `thetas` (W, P), not normalised; -inf where it is 0.
+
+        `jobs` threads may be used; the densities do not depend on it.
+        """
 
     def values(self, theta: Floats) -> dict[str, float]:
         """Return what theta means, by name."""
@@ -74,11 +75,9 @@ def sample(
     """
     watch = Watch() if watch is None else watch
     _check(problem, settings)
-    with _batched(problem, watch.jobs) as batch:
-        ensembles = [
-            _begin(problem, np.asarray(best), settings, rng, batch) for _ in range(settings.ensembles)
-        ]
-        done = _advance(ensembles, settings, watch)
+    batch = _Evaluator(problem, watch.jobs)
+    ensembles = [_begin(problem, np.asarray(best), settings, rng, batch) for _ in range(settings.ensembles)]
+    done = _advance(ensembles, settings, watch)
     kept = done - settings.burn_in
     if kept < 1:
         raise FitError(
@@ -89,35 +88,32 @@ def sample(
 
 @dataclass
 class _Evaluator:
-    """The density of many thetas at once, in threads; whatever is no number or fails has density 0."""
+    """The density of many thetas at once; whatever is no number or fails has density 0."""
 
     problem: Density
-    pool: ThreadPoolExecutor | None
+    jobs: int
     failures: int = 0
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (W,) of `thetas` (W, P)."""
-        found = list(self.pool.map(self._one, thetas)) if self.pool else [self._one(t) for t in thetas]
-        self.failures += sum(value is None for value in found)
-        return np.array([-math.inf if value is None else value for value in found])
+        lower, upper = self.problem.lower, self.problem.upper
+        inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
+        density = np.full(len(thetas), -math.inf)
+        if np.any(inside):
+            found = self._guarded(thetas[inside])
+            lost = np.isnan(found) | (found == math.inf)
+            self.failures += int(np.sum(lost))
+            density[inside] = np.where(lost, -math.inf, found)
+        return density
 
-    def _one(self, theta: Floats) -> float | None:
-        if np.any(theta < self.problem.lower) or np.any(theta > self.problem.upper):
-            return -math.inf
+    def _guarded(self, thetas: Floats) -> Floats:
+        """Return the densities, NaN for a theta that raises: it is looked for one by one."""
         try:
-            value = float(self.problem.log_posterior(theta))
+            return self.problem.log_posteriors(thetas, self.jobs)
         except FAILURES:
-            return None
-        return None if math.isnan(value) or value == math.inf else value
-
-
-@contextmanager
-def _batched(problem: Density, jobs: int) -> Iterator[_Evaluator]:
-    if jobs <= 1:
-        yield _Evaluator(problem, None)
-        return
-    with ThreadPoolExecutor(jobs, thread_name_prefix="walker") as pool:
-        yield _Evaluator(problem, pool)
+            if len(thetas) == 1:
+                return np.array([math.nan])
+            return np.concatenate([self._guarded(theta[None]) for theta in thetas])
 
 
 def _check(problem: Density, settings: SampleRecord) -> None:

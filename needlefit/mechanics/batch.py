@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Rules, Step
+from needlefit.mechanics.kernel import positions as kernel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS
@@ -165,3 +166,8 @@ class NeedleShapes:
     def failures(self) -> Counter[Status]:
         """How many sets failed, by reason."""
         return Counter(STATUS[status] for status in self.status if status != 0)
+
+
+def positions_each(shapes: NeedleShapes, s: Floats) -> Floats:
+    """Return points (B, K, 2) in C of every needle at beam coordinates `s` (K,), mm; else as `positions`."""
+    return kernel.positions_each(shapes.x, shapes.u, shapes.slope, np.ascontiguousarray(s, dtype=np.float64))

@@ -33,6 +33,17 @@ def positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     return points
 
 
+@njit(cache=True, nogil=True)
+def positions_each(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
+    """Return points (B, K, 2) of B needles, their nodes (B, N), at the same beam coordinates."""
+    points = np.empty((len(x), len(s), 2))
+    for b in range(len(x)):
+        one = positions(x[b], u[b], slope[b], s)
+        for i in range(len(s)):
+            points[b, i, 0], points[b, i, 1] = one[i, 0], one[i, 1]
+    return points
+
+
 @njit(cache=True, nogil=True, inline="always")
 def _ends(ends: Floats, u: Floats, slope: Floats, e: int) -> None:
     ends[0], ends[1], ends[2], ends[3] = u[e], slope[e], u[e + 1], slope[e + 1]
