@@ -221,6 +221,17 @@ def test_what_a_guide_holds_moves_with_it() -> None:
     assert not np.any(found.u[:, 2])  # the first leaves the needle free to turn
 
 
+def test_a_guide_that_holds_nothing_any_more_moves_no_node() -> None:
+    """It stood at a depth where the mesh has a node of its own; then at the tip, which no guide holds."""
+    guided = Controls(guides=(Guide(3.0, 0.1, in_tissue=True),))
+    free_again = [Step(6.0, Bevel(0.1), guided), Step(8.0, Bevel(0.1))]
+    back_to_it = [Step(6.0, Bevel(0.1), guided), Step(3.0, Bevel(0.1), guided)]
+    for steps in (free_again, back_to_it):
+        shape, found = linearize_along(NEEDLE, PHANTOM, steps, wrt=("guides",))
+        assert 3.0 in shape.x
+        assert not np.any(found.x)
+
+
 def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
     steps = [
         Step(8.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.1),))),

@@ -118,12 +118,7 @@ def linearize_along(
     under_way = under_way._replace(record=np.empty((most, *under_way.record.shape[1:])))
     foundation = compile_tissue(tissue)
     by_alpha = laws.term_slopes(tissue.law)
-    history = History(
-        np.zeros((len(under_way.y), columns.total)),
-        np.zeros((len(under_way.rays), 2, columns.total)),
-        np.zeros((2, columns.total)),
-        np.zeros(len(under_way.y)),
-    )
+    history = _nothing_yet(len(under_way.y), len(under_way.rays), columns.total)
     whole = np.empty((len(under_way.nodes), 2, columns.total))
     newton = Newton(rules.tolerance, rules.max_iterations)
     sides = np.array([step.bevel.side / rules.spacing for step in steps])
@@ -143,12 +138,9 @@ def linearize_along(
     shape = read(under_way, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
     if status != CONVERGED:
         return shape, _nothing(names, shape)
-    nodes = np.zeros((len(shape.x), len(names)))
-    for stand, (column, _, _) in zip(stands, at_guides, strict=True):
-        if column >= 0:
-            nodes[shape.x == stand, column] = 1.0
-    whole = whole[: len(shape.x)]
-    points = history.constraints[: len(shape.constraints)]
+    whole, points = whole[: len(shape.x)], history.constraints[: len(shape.constraints)]
+    controls = steps[-1].controls
+    nodes = _nodes(shape.x, controls, _guides(controls, stands, at_guides), columns.total)
     return shape, Jacobian(names, nodes, whole[:, 0], whole[:, 1], points)
 
 
@@ -207,6 +199,22 @@ def _names(kind: str, layers: int, guides: int) -> list[str]:
 def _guides(controls: Controls, stands: tuple[float, ...], at_guides: Ints) -> Ints:
     """Return the columns (G, 3) of the guides of one step."""
     return at_guides[[stands.index(guide.x) for guide in controls.guides]]
+
+
+def _nothing_yet(points: int, rays: int, columns: int) -> History:
+    """Return the derivatives before first contact."""
+    return History(
+        np.zeros((points, columns)), np.zeros((rays, 2, columns)), np.zeros((2, columns)), np.zeros(points)
+    )
+
+
+def _nodes(x: Floats, controls: Controls, at_guides: Ints, columns: int) -> Floats:
+    """Return how the nodes (N,) move along the needle: those of guides that hold it, with their own x."""
+    nodes = np.zeros((len(x), columns))
+    for guide, column in zip(controls.guides, at_guides[:, 0], strict=True):
+        if column >= 0:
+            nodes[:-1][x[:-1] == guide.x, column] = 1.0  # none holds the tip
+    return nodes
 
 
 def _nothing(names: tuple[str, ...], shape: NeedleShape) -> Jacobian:

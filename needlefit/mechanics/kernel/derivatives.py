@@ -49,9 +49,7 @@ class Room(NamedTuple):
     """Where a stop does its sums."""
 
     factor: Floats  # (C, WIDTH)
-    points: (
-        Floats  # (Q, 4) e, and times its weight d(k e g)/de, k e g and dk/dalpha e of each quadrature point
-    )
+    points: Floats  # (Q, 4) of each quadrature point e and, by weight, d(k e g)/de, k e g and e dk/dalpha
     rows: Floats  # (C, 4) adjoint of the tip's deflection (two columns) and slope, 0 where prescribed
     held: Floats  # (C, 4) the same where something is prescribed: the answer per unit of that
     by_constraint: Floats  # (M + 1, 2)
