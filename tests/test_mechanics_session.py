@@ -1,0 +1,266 @@
+"""A session is the same insertion, step by step: identity, sub-steps, retraction, failures."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mechanics_cases import random_needle, random_rules, random_steps, random_tissue
+
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
+LEFT, RIGHT = Bevel(0.1, 1), Bevel(0.1, -1)
+OUTPUT = ("x", "u", "slope", "constraints", "tip_track", "status")
+
+
+def session(first_cell: float = 1.0, **given) -> Session:
+    return Session(NEEDLE, TISSUE, LEFT, first_cell, **given)
+
+
+def assert_same_bits(found: NeedleShape, expected: NeedleShape) -> None:
+    for name in OUTPUT:
+        np.testing.assert_array_equal(getattr(found, name), getattr(expected, name), err_msg=name)
+
+
+def assert_close(found: NeedleShape, expected: NeedleShape) -> None:
+    np.testing.assert_allclose(found.x, expected.x, atol=1e-9)
+    for name in ("u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-7, err_msg=name)
+
+
+def ahead(shape: NeedleShape, to: float, bevel: Bevel, spacing: float = 1.0) -> float:
+    """Return where the tip of `shape`, cutting on along its tangent turned by the bevel, is at depth `to`."""
+    return shape.u[-1] + (to - shape.depth) * (shape.slope[-1] + bevel.side * bevel.offset / spacing)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int) -> None:
+    """After every step: bevels, base, guides, tracked tip and depth change as they like."""
+    rng = np.random.default_rng(seed)
+    rules = random_rules(rng)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, friction=rng.choice([0.0, 0.3]))
+    steps, first = random_steps(rng, 5), rng.uniform(0.05, 1.0) * rules.spacing
+    under_way = Session(needle, tissue, steps[0].bevel, first, steps[0].controls, rules)
+    for n, step in enumerate(steps, start=1):
+        expected = follow(needle, tissue, steps[:n], rules, Lattice(first, rules.spacing))
+        assert_same_bits(under_way.go(step), expected)
+
+
+def test_one_step_is_the_batch_at_the_same_first_cell() -> None:
+    controls = Controls(base_y=0.2, guides=(Guide(-5.0),))
+    found = session(0.25, controls=controls).step(14.25)
+    assert_same_bits(found, simulate(NEEDLE, TISSUE, LEFT, 14.25, controls))
+
+
+def test_named_inputs_are_the_inputs_of_a_step() -> None:
+    under_way, guides, tip = session(), (Guide(-5.0), Guide(2.0, 0.1, None, True)), TrackedTip(0.3)
+    calls = [
+        {"insert": 3.3},
+        {"base": (0.2, 0.01), "bevel": RIGHT},
+        {"insert": 2.0, "guides": guides},
+        {"tip": tip},
+        {"insert": -1.0, "tip": None, "guides": ()},
+    ]
+    based = Controls(base_y=0.2, base_slope=0.01)
+    steps = (
+        Step(0.0, LEFT), Step(3.3, LEFT), Step(3.3, RIGHT, based),
+        Step(5.3, RIGHT, replace(based, guides=guides)),
+        Step(5.3, RIGHT, replace(based, guides=guides, tip=tip)), Step(4.3, RIGHT, based),
+    )  # fmt: skip
+    for n, call in enumerate(calls, start=2):
+        assert_same_bits(
+            under_way.step(**call), follow(NEEDLE, TISSUE, steps[:n], Rules(), Lattice(1.0, 1.0))
+        )
+    assert under_way.last == steps[-1] and under_way.depth == 4.3
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.lists(st.floats(0.01, 17.3), max_size=12), st.floats(0.1, 1.0))
+def test_sub_steps_change_nothing(halts: list[float], first: float) -> None:
+    whole = session(first).step(17.31)
+    under_way = session(first)
+    for depth in sorted(halts):
+        under_way.step(depth - under_way.depth)
+    assert_close(under_way.step(17.31 - under_way.depth), whole)
+
+
+@settings(deadline=None, max_examples=30)
+@given(
+    st.lists(
+        st.tuples(st.floats(0.5, 6.0), st.sampled_from([LEFT, RIGHT]), st.floats(-0.3, 0.3)),
+        min_size=1,
+        max_size=4,
+    ),
+    st.integers(1, 7),
+)
+def test_equal_sub_steps_of_every_step_change_nothing(inputs: list, division: int) -> None:
+    """Also where bevel and base change with each step."""
+    once, often = session(), session()
+    for insert, bevel, y in inputs:
+        expected = once.step(insert, bevel=bevel, base=(y, 0.0))
+        for _ in range(division):
+            found = often.step(insert / division, bevel=bevel, base=(y, 0.0))
+        assert_close(found, expected)
+
+
+@pytest.mark.parametrize("depth", [5.0, 5.4, 0.6, 1.0])
+@pytest.mark.parametrize("eps", [1e-3, 0.2, 0.5])
+def test_a_little_in_and_out_again_returns(depth: float, eps: float) -> None:
+    under_way, untouched = session(), session()
+    here = under_way.step(depth)
+    under_way.step(eps)
+    assert_close(under_way.step(-eps), here)
+    untouched.step(depth)
+    under_way.step(-eps)
+    assert_close(under_way.step(eps), here)
+    assert_close(under_way.step(4.0), untouched.step(4.0))
+
+
+@pytest.mark.parametrize("back", [0.3, 2.0, 2.5, 6.9])
+def test_retraction_forgets_what_lies_beyond_and_keeps_what_lies_behind(back: float) -> None:
+    under_way = session()
+    before = under_way.step(9.0)
+    found = under_way.step(-back)
+    kept = np.flatnonzero(before.constraints[:, 0] < 9.0 - back - 1e-9)
+    np.testing.assert_array_equal(found.constraints[:-1], before.constraints[kept])
+    assert found.depth == found.constraints[-1, 0] == 9.0 - back
+    start = session().step(float(len(kept) - 1))  # the point under the tip lies on its cell's old ray
+    assert found.constraints[-1, 1] == pytest.approx(ahead(start, 9.0 - back, LEFT), abs=1e-7)
+
+
+def test_re_insertion_with_unchanged_inputs_gives_the_needle_of_a_single_insertion() -> None:
+    under_way = session(0.7)
+    for insert in (9.4, -6.2, 3.1, -0.05, -3.0, 0.4):
+        under_way.step(insert)
+    assert_close(under_way.step(14.7 - under_way.depth), session(0.7).step(14.7))
+
+
+def test_re_insertion_goes_on_along_the_old_grid_under_the_new_inputs() -> None:
+    """Retracted into cell 4, 2.7 ... 3.7 mm, and turned: the new point 4 lies on a ray from 3.1 mm."""
+    under_way = session(0.7)
+    old = under_way.step(7.7)
+    here = under_way.step(3.1 - 7.7)
+    found = under_way.step(4.6, bevel=RIGHT)
+    np.testing.assert_array_equal(found.constraints[:, 0], old.constraints[:, 0])
+    np.testing.assert_array_equal(found.constraints[:4], old.constraints[:4])
+    assert found.constraints[4, 1] == pytest.approx(ahead(here, 3.7, RIGHT), abs=1e-12)
+    assert abs(found.constraints[4, 1] - old.constraints[4, 1]) > 0.1
+
+
+@pytest.mark.parametrize("bevel", [RIGHT, Bevel(0.04, 1), Bevel(0.0)])
+@pytest.mark.parametrize("d", [2.3, 3.0, 0.4])
+def test_a_turned_bevel_cuts_from_where_the_tip_stands(bevel: Bevel, d: float) -> None:
+    under_way = session()
+    here = under_way.step(d)
+    m = int(d) + 1
+    found = under_way.step(m + 0.5 - d, bevel=bevel).constraints
+    np.testing.assert_array_equal(found[:m], np.vstack((here.constraints, [[d, 0]]))[:m])
+    assert found[m, 1] == pytest.approx(ahead(here, m, bevel), abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"base": (0.5, 0.0)},
+        {"base": (0.0, 0.01)},
+        {"guides": (Guide(-3.0, 0.1),)},
+        {"guides": (Guide(1.5, 0.1, None, True),)},
+        {"tip": TrackedTip(0.2)},
+    ],
+)
+def test_a_moved_input_sets_the_ray_anew_where_the_tip_then_stands(change: dict) -> None:
+    under_way = session()
+    before = under_way.step(2.3)
+    here = under_way.step(**change)
+    np.testing.assert_array_equal(here.constraints, before.constraints)
+    assert abs(here.deflection - before.deflection) > 1e-5
+    found = under_way.step(0.7)
+    assert found.constraints[3, 1] == pytest.approx(ahead(here, 3.0, LEFT), abs=1e-12)
+    at_once = session()  # the change may come with the insertion
+    at_once.step(2.3)
+    assert_close(at_once.step(0.7, **change), found)
+
+
+@pytest.mark.parametrize(
+    ("there", "back"),
+    [
+        ({"bevel": RIGHT}, {"bevel": LEFT}),
+        ({"base": (0.3, 0.0)}, {"base": (0.0, 0.0)}),
+        ({"tip": TrackedTip(0.2)}, {"tip": None}),
+    ],
+)
+def test_a_change_taken_back_at_the_same_depth_has_happened(there: dict, back: dict) -> None:
+    under_way, untouched = session(), session()
+    untouched.step(5.3)
+    under_way.step(5.3)
+    under_way.step(**there)
+    here = under_way.step(**back)
+    found, other = under_way.step(0.7), untouched.step(0.7)
+    assert found.constraints[6, 1] == pytest.approx(ahead(here, 6.0, LEFT), abs=1e-12)
+    assert abs(found.constraints[6, 1] - other.constraints[6, 1]) > 1e-5
+
+
+def test_equal_inputs_given_again_change_nothing() -> None:
+    under_way, untouched = session(), session()
+    untouched.step(5.3)
+    under_way.step(5.3)
+    under_way.step(bevel=Bevel(0.1, 1), base=(0.0, 0.0), guides=(), tip=None)
+    assert_same_bits(under_way.step(0.7), untouched.step(0.7))
+
+
+def test_all_the_way_out_and_in_again() -> None:
+    under_way = session()
+    under_way.step(12.5)
+    out = under_way.step(-12.5)
+    assert out.depth == 0.0 and under_way.depth == 0.0
+    np.testing.assert_allclose(out.u, 0.0, atol=1e-12)
+    np.testing.assert_array_equal(out.constraints, [[0.0, 0.0]])
+    assert_close(under_way.step(8.5), session().step(8.5))
+
+
+def test_out_of_the_tissue_base_and_guide_alone_move_the_tip() -> None:
+    under_way = session()
+    under_way.step(5.0)
+    under_way.step(-5.0)
+    shape = under_way.step(base=(0.5, 0.01))
+    assert shape.u[-1] == pytest.approx(0.5 + 150 * 0.01)
+    found = under_way.step(1.0).constraints
+    assert found[1, 1] == pytest.approx(ahead(shape, 1.0, LEFT))
+
+
+@pytest.mark.parametrize("first_cell", [0.0, -0.5, 1.2, np.nan])
+def test_the_first_cell_lies_within_the_constraint_spacing(first_cell: float) -> None:
+    with pytest.raises(ModelError, match="first cell"):
+        session(first_cell)
+
+
+def test_the_first_cell_is_kept_with_the_session() -> None:
+    assert session(0.3).lattice == Lattice(0.3, 1.0)
+    assert session().lattice.first_cell == 1.0
+    np.testing.assert_allclose(session(0.3).step(2.5).constraints[:, 0], [0, 0.3, 1.3, 2.3, 2.5])
+
+
+def test_a_long_session_neither_grows_nor_loses_itself() -> None:
+    """Thousands of steps in and out, each under inputs never seen before."""
+    rng = np.random.default_rng(0)
+    under_way = session(0.4)
+    for n in range(3000):
+        insert = np.clip(rng.uniform(-2, 2), -under_way.depth, 30 - under_way.depth)
+        base, bevel = rng.uniform(-0.3, 0.3, 2) * (1, 0.01), Bevel(rng.uniform(0, 0.1), rng.choice([-1, 1]))
+        guides = (Guide(-5.0, rng.uniform(-0.1, 0.1)),) if n % 7 < 2 else ()
+        shape = under_way.step(insert, bevel=bevel, base=tuple(base), guides=guides)
+        assert shape.converged and np.abs(shape.u).max() < 10
+        assert shape.depth == pytest.approx(under_way.depth, abs=1e-9)
+    remembered = len(under_way._bevels) + len(under_way._controls)
+    assert remembered < 700 and len(under_way._position.rays) < 200
+    assert sum(part.size for part in under_way._moving()) < 10_000
