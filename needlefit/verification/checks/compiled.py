@@ -3,12 +3,30 @@
 import numpy as np
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Rules
+from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.control import Bevel, Controls, Rules, Step
+from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.verification.cases import Case, Draw, random_case, random_schedule, solvable
+from needlefit.verification.cases import (
+    NEEDLE,
+    Case,
+    Draw,
+    layers,
+    random_case,
+    random_schedule,
+    solvable,
+    solved,
+)
 from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
 
 SOFTEST = 1e-3  # MPa
+SETS = 24
+
+
+_QUANTITIES = (
+    Quantity("difference of deflections and of the cut", at_most(1e-6), "mm"),
+    Quantity("difference of slopes", at_most(1e-6), ""),
+)
 
 
 def reference_shape(case: Case) -> tuple[Case, NeedleShape]:
@@ -16,29 +34,43 @@ def reference_shape(case: Case) -> tuple[Case, NeedleShape]:
     return case, reference.follow(case.needle, case.tissue, case.steps)
 
 
-def difference(case: Case, slow: NeedleShape) -> tuple[float, float]:
+def compare(fast: NeedleShape, slow: NeedleShape) -> tuple[float, float]:
     """Return the largest differences of deflection or constraint point (mm) and of slope."""
-    fast = case.shape(Rules())
     points = np.max(np.abs(fast.constraints - slow.constraints))
     u, slope = np.max(np.abs(fast.u - slow.u)), np.max(np.abs(fast.slope - slow.slope))
     return float(max(points, u)), float(slope)
 
 
 def _check(title: str, draw: Draw, count: int, deepest: float) -> Check:
-    quantities = (
-        Quantity("difference of deflections and of the cut", at_most(1e-6), "mm"),
-        Quantity("difference of slopes", at_most(1e-6), ""),
-    )
-
     def measure(rng: np.random.Generator) -> Outcome:
         cases, said = solvable(lambda: draw(rng, deepest, SOFTEST), reference_shape, count)
-        found = np.array([difference(*case) for case in cases])
+        found = np.array([compare(case.shape(Rules()), slow) for case, slow in cases])
         return Outcome(tuple(map(float, found.max(axis=0))), said)
 
-    return Check(Group.REFERENCE, f"{count} random {title}", quantities, measure)
+    return Check(Group.REFERENCE, f"{count} random {title}", _QUANTITIES, measure)
+
+
+def _in_lanes(rng: np.random.Generator) -> Outcome:
+    """Many parameter sets of one insertion at once; every one against the reference by itself."""
+    depth = float(rng.uniform(20, 40))
+    steps = (Step(depth, Bevel(0.1), Controls(0.3)),)
+    tissue = layers([1.0] * 3, [1.0] * 3, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0])
+    batch = Batch(
+        NEEDLE,
+        tissue,
+        steps,
+        mu=10 ** rng.uniform(-2, 2, (SETS, 3)),
+        alpha=rng.uniform(-10, 10, (SETS, 3)),
+        offset=rng.uniform(0.01, 0.15, SETS),
+        rigidity=10 ** rng.uniform(3.5, 4.5, SETS),
+    )
+    (shapes,) = follow_batches([batch])
+    found = np.array([compare(solved(shapes[i]), reference.follow(*batch.one(i))) for i in range(SETS)])
+    return Outcome(tuple(map(float, found.max(axis=0))))
 
 
 CHECKS = (
     _check("insertions under constant inputs", random_case, 12, 40.0),
     _check("schedules: guides, tracked tip, retraction, friction", random_schedule, 10, 25.0),
+    Check(Group.REFERENCE, f"{SETS} parameter sets of one insertion at once", _QUANTITIES, _in_lanes),
 )

@@ -1,0 +1,153 @@
+"""`needlefit verify`: the table, its files, exit code 6."""
+
+import csv
+import hashlib
+import json
+import subprocess
+
+import pytest
+from test_cli import run
+
+from needlefit.verification import run as running
+from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most
+
+FILES = {
+    "convergence.csv", "convergence.pdf", "report.pdf", "run.json", "timing.json",
+    "verification.csv", "verification.json",
+}  # fmt: skip
+H = (4.0, 2.0, 1.0)
+NORMS = {"deflection": 4, "slope": 3, "deflection at the nodes": 4, "slope at the nodes": 4}
+
+
+def refined(rng):
+    curve = Curve("A power law", H, {norm: tuple(1e-6 * h**p for h in H) for norm, p in NORMS.items()})
+    return Outcome((curve.order("deflection"),), curves=(curve,))
+
+
+def read_csv(path):
+    return list(csv.DictReader(path.read_text(encoding="utf-8").splitlines()))
+
+
+def crash(rng):
+    raise ZeroDivisionError("no luck")
+
+
+GOOD = (
+    Check(
+        Group.CLOSED_FORMS,
+        "A beam",
+        (Quantity("error", at_most(1e-5), "mm"),),
+        lambda rng: Outcome((2.5e-7,)),
+    ),
+    Check(Group.MANUFACTURED, "A power law", (Quantity("order", about(4, 0.2), ""),), refined),
+    Check(
+        Group.STATED,
+        "A spacing",
+        (Quantity("tip", Bound(), "mm"),),
+        lambda rng: Outcome((3.0,), "another model"),
+    ),
+)
+BAD = Check(
+    Group.SYMMETRIES, "A mirror", (Quantity("difference", at_most(0.0), "mm"),), lambda rng: Outcome((0.1,))
+)
+WORSE = Check(Group.TANGENT, "A step", (Quantity("defect", at_most(1e-8), ""),), crash)
+
+
+@pytest.fixture
+def table(monkeypatch):
+    """Return what decides which checks there are: a few quick ones."""
+
+    def choose(*checks):
+        monkeypatch.setattr(running, "find_checks", lambda: checks)
+
+    return choose
+
+
+def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
+    table(*GOOD)
+    assert run("verify", "--out", str(tmp_path)) == 0
+    out = capsys.readouterr().out
+    assert "Closed forms. Beams whose deflection is known exactly" in out
+    assert "2.50 × 10⁻⁷" in out and "≤ 10⁻⁵" in out and "3.8 to 4.2" in out and "stated" in out
+    assert "All 2 rows with a bound pass; 1 are stated without one." in out
+    assert f"written: {tmp_path}/verification/" in out
+    folder = tmp_path / "verification"
+    assert {path.name for path in folder.iterdir()} == FILES
+    rows = read_csv(folder / "verification.csv")
+    assert [row["verdict"] for row in rows] == ["passes", "passes", "stated"]
+    assert float(rows[0]["measured"]) == 2.5e-7 and float(rows[0]["bound_high"]) == 1e-5
+    assert rows[0]["unit"] == "mm" and rows[2]["remark"] == "another model"
+    assert json.loads((folder / "verification.json").read_text())["rows"][1]["measured"] == pytest.approx(4)
+    orders = [row["order"] for row in read_csv(folder / "convergence.csv")]
+    assert orders[:3] == ["", "4", "4"]
+    about = json.loads((folder / "run.json").read_text())
+    assert about["seed"] == 1 and about["rules"]["spacing"] == 1.0 and "scipy" in about["versions"]
+
+
+def test_a_failed_row_ends_in_exit_code_6_with_the_table_written(table, tmp_path, capsys):
+    table(*GOOD, BAD, WORSE)
+    assert run("verify", "--out", str(tmp_path), "--json") == 6
+    captured = capsys.readouterr()
+    found = json.loads(captured.out)
+    assert [row["verdict"] for row in found["rows"]] == ["passes", "passes", "stated", "FAILS", "FAILS"]
+    assert found["rows"][4]["measured"] is None
+    assert found["summary"].startswith("2 of 4 rows FAIL")
+    assert "needlefit: A mirror: difference: fails\n" in captured.err
+    assert "A step: defect: fails (not measured: ZeroDivisionError: no luck)" in captured.err
+    assert "Traceback" not in captured.err
+    assert (tmp_path / "verification" / "report.pdf").read_bytes().startswith(b"%PDF")
+
+
+def test_verbose_shows_where_a_row_crashed(table, tmp_path, capsys):
+    table(WORSE)
+    assert run("verify", "--out", str(tmp_path), "-v") == 6
+    assert "in crash" in capsys.readouterr().err
+
+
+def test_a_fault_of_the_solver_ends_in_exit_code_6(monkeypatch, tmp_path, capsys):
+    """Not one of the checks' making: the law's coefficients are wrong by a thousandth."""
+    from needlefit.mechanics import laws
+    from needlefit.verification.checks import elastic_foundation
+
+    true = laws.power_terms
+    monkeypatch.setattr(
+        laws, "power_terms", lambda law, alpha: (1.001 * true(law, alpha)[0], true(law, alpha)[1])
+    )
+    monkeypatch.setattr(running, "find_checks", lambda: elastic_foundation.CHECKS)
+    assert run("verify", "--out", str(tmp_path)) == 6
+    assert "FAILS" in capsys.readouterr().out
+
+
+def test_the_same_measurements_give_the_same_bytes(table, tmp_path, capsys):
+    table(*GOOD)
+    for name in ("a", "b"):
+        assert run("verify", "--out", str(tmp_path / name)) == 0
+    first, second = (
+        {
+            p.name: hashlib.sha256(p.read_bytes()).hexdigest()
+            for p in (tmp_path / name / "verification").iterdir()
+        }
+        for name in ("a", "b")
+    )
+    del first["timing.json"], second["timing.json"]
+    assert first == second
+
+
+def test_nothing_of_a_users_is_replaced(table, tmp_path, capsys):
+    table(*GOOD)
+    (tmp_path / "verification").mkdir()
+    (tmp_path / "verification" / "notes.txt").write_text("mine")
+    assert run("verify", "--out", str(tmp_path)) == 3
+    assert (tmp_path / "verification" / "notes.txt").read_text() == "mine"
+    assert "is not replaced" in capsys.readouterr().err
+
+
+def test_the_report_says_it_in_words(table, tmp_path, capsys):
+    table(*GOOD, BAD)
+    assert run("verify", "--out", str(tmp_path)) == 6
+    pdf = tmp_path / "verification" / "report.pdf"
+    try:
+        said = subprocess.run(["pdftotext", str(pdf), "-"], capture_output=True, text=True, check=True).stdout
+    except FileNotFoundError:
+        pytest.skip("no pdftotext")
+    assert "1 of 3 rows FAIL" in said and "A mirror" in said and "needlefit verify --seed 1" in said

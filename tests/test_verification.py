@@ -1,0 +1,329 @@
+"""The checks of `needlefit verify` pass on this solver, and fail on one with a fault in it."""
+
+import dataclasses
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needlefit.mechanics import laws, reference
+from needlefit.mechanics import simulate as simulate_module
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.simulate import equilibrium, follow
+from needlefit.verification import stop as stop_module
+from needlefit.verification.cases import NEEDLE, layers
+from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most
+from needlefit.verification.checks import (
+    cantilever,
+    collocation,
+    compiled,
+    elastic_foundation,
+    manufactured,
+    refinement,
+    sensitivities,
+    symmetries,
+    tangent,
+    world,
+)
+from needlefit.verification.foundation import hetenyi
+from needlefit.verification.law import Law
+from needlefit.verification.manufactured import DEPTH, FREE, choose
+from needlefit.verification.run import find_checks, verify
+
+
+def failing(*modules, seed=1):
+    """Return the titles of the rows that fail among the checks of some files."""
+    checks = [check for module in modules for check in module.CHECKS]
+    return {row.title for row in verify(seed, checks).failed}
+
+
+def titles(module):
+    return {check.title for check in module.CHECKS}
+
+
+# ---- the table ----
+
+
+def test_every_row_passes_or_is_stated_and_every_group_has_one():
+    seen = []
+    found = verify(progress=lambda label, done, total: seen.append((label, done, total)))
+    assert [(row.title, row.quantity, row.measured, row.remark) for row in found.failed] == []
+    assert {row.group for row in found.rows} == set(Group)
+    assert [row.verdict for row in found.rows if row.group is Group.STATED] == ["stated"] * 3
+    assert all(row.verdict == "passes" for row in found.rows if row.group is not Group.STATED)
+    assert [done for _, done, _ in seen] == list(range(len(find_checks())))
+    assert len(found.curves) == 6 and found.traces == ()
+
+
+def test_titles_are_the_keys_of_random_streams_and_differ():
+    checks = find_checks()
+    assert len({(check.group, check.title) for check in checks}) == len(checks)
+
+
+def test_the_same_seed_measures_the_same_and_another_one_other_cases():
+    some = [check for check in compiled.CHECKS if "12 random" in check.title]
+    first, again, other = (verify(seed, some).rows[0].measured for seed in (3, 3, 4))
+    assert first == again != other
+
+
+def test_a_file_in_the_folder_is_a_row(tmp_path, monkeypatch):
+    from needlefit.verification import checks
+
+    (tmp_path / "another.py").write_text(
+        "from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most\n"
+        "ROWS = (Quantity('zero', at_most(1), ''),)\n"
+        "CHECKS = (Check(Group.TANGENT, 'One more', ROWS, lambda rng: Outcome((0.0,))),)\n"
+    )
+    before = len(find_checks())
+    monkeypatch.setattr(checks, "__path__", [*checks.__path__, str(tmp_path)])
+    assert len(find_checks()) == before + 1
+    assert "One more" in {check.title for check in find_checks()}
+
+
+def test_a_check_that_crashes_is_a_failed_row_with_its_reason_and_the_next_one_goes_on():
+    def crash(rng):
+        raise ZeroDivisionError("no\nluck")
+
+    quantities = (Quantity("a", at_most(1.0), "mm"), Quantity("b", Bound(), ""))
+    bad = Check(Group.TANGENT, "bad", quantities, crash)
+    good = Check(Group.TANGENT, "good", quantities, lambda rng: Outcome((0.5, 7.0)))
+    found = verify(1, [bad, good])
+    assert [row.verdict for row in found.rows] == ["FAILS", "FAILS", "passes", "stated"]
+    assert found.rows[0].remark == "not measured: ZeroDivisionError: no luck"
+    assert "test_verification.py" in found.traces[0]
+
+
+@pytest.mark.parametrize(
+    ("bound", "value", "verdict"),
+    [
+        (at_most(1e-6), 1e-6, "passes"),
+        (at_most(1e-6), 1.01e-6, "FAILS"),
+        (about(4, 0.2), 3.79, "FAILS"),
+        (about(4, 0.2), 4.21, "FAILS"),
+        (about(4, 0.2), 4.1, "passes"),
+        (Bound(), 3.0, "stated"),
+        (Bound(), float("nan"), "FAILS"),
+        (at_most(1.0), float("-inf"), "FAILS"),
+    ],
+)
+def test_verdicts(bound, value, verdict):
+    assert bound.verdict(value) == verdict
+
+
+def test_orders_of_a_power_law_are_its_exponent():
+    h = (4.0, 2.0, 1.0)
+    curve = Curve("x^3", h, {"u": tuple(0.7 * x**3 for x in h)})
+    assert curve.order("u") == pytest.approx(3)
+    assert curve.orders("u") == pytest.approx([3, 3])
+
+
+# ---- what the checks measure against ----
+
+
+def test_the_general_foundation_beam_is_hetenyis_formula_where_that_holds():
+    rigidity, k = 1e4, 30.0
+    beta = (k / (4 * rigidity)) ** 0.25
+    x = np.linspace(0, 20, 7)
+    found = hetenyi(rigidity, np.array([k]), np.array([0.0, np.inf]), 1e-6)(x)
+    np.testing.assert_allclose(found, np.exp(-beta * x) * (np.cos(beta * x) + np.sin(beta * x)), atol=1e-6)
+
+
+def test_equal_layers_are_one():
+    x = np.linspace(0, 40, 9)
+    one = hetenyi(1e4, np.array([5.0]), np.array([0.0, 40.0]), 20.0)(x)
+    two = hetenyi(1e4, np.array([5.0, 5.0]), np.array([0.0, 11.0, 40.0]), 20.0)(x)
+    np.testing.assert_allclose(one, two, atol=1e-10)
+
+
+def test_the_propped_cantilever_carries_three_eighths():
+    """A uniform load all along: the prop at the tip carries 3 q L / 8."""
+    tip = np.array([NEEDLE.length])
+    reaction = cantilever.cantilever(tip, 0.0) / cantilever.prop(tip, NEEDLE.length)
+    assert reaction == pytest.approx(3 / 8 * cantilever.LOAD * NEEDLE.length)
+
+
+def test_the_chosen_deflection_is_smooth_clamped_and_free_at_the_tip():
+    chosen = choose(np.array([17.37]))
+    for order in range(4):
+        for x in (0.0, 17.37):
+            below, above = (float(chosen.at(np.array([x + d]), order)[0]) for d in (-1e-9, 1e-9))
+            assert below == pytest.approx(above, abs=1e-9)
+    base, tip = np.array([-FREE]), np.array([DEPTH])
+    for x, order in ((base, 0), (base, 1), (tip, 2), (tip, 3)):
+        assert chosen.at(x, order)[0] == pytest.approx(0, abs=1e-12)
+    assert abs(float(np.diff(chosen.at(np.array([17.36999, 17.37001]), 4))[0])) > 1e-6
+
+
+def test_the_reaction_by_hand_and_its_inverse():
+    """alpha = 3, mu = 1, lambda = 1/4: k = 32.125 (see the model's tests); here e = 3 of t = 4 mm."""
+    law, layer = Law.of(layers([1.0], [3.0], thickness=[4.0])), np.array([0])
+    e, level = np.array([3.0]), np.array([0.0])
+    assert law.reaction(layer, e, level)[0] == pytest.approx(3 * 32.125)
+    assert law.reaction(layer, -e, level)[0] == pytest.approx(-3 * 32.125)
+    assert law.deflection_of(layer, np.array([-96.375]), level)[0] == pytest.approx(-3.0)
+
+
+def test_every_law_stands_in_the_independent_form_too():
+    for name in laws.names():
+        law = Law.of(layers([2.0], [1.3], law=name))
+        assert law.reaction(np.array([0]), np.array([1e-9]), np.array([0.0]))[0] == pytest.approx(6e-9)
+
+
+# ---- faults: each is planted into the solver, and the right rows fail ----
+
+
+def fault(monkeypatch, change):
+    """Make a fault of the tissue that the compiled solver reads."""
+    true = simulate_module.compile_tissue
+
+    def wrong(tissue):
+        return true(change(tissue))
+
+    for module in (simulate_module, stop_module):
+        monkeypatch.setattr(module, "compile_tissue", wrong)
+
+
+def stiffer(tissue):
+    return replace(tissue, mu=1.01 * tissue.mu)
+
+
+def test_a_percent_of_stiffness_is_noticed_by_every_solution(monkeypatch):
+    fault(monkeypatch, stiffer)
+    assert failing(cantilever) == titles(cantilever)
+    assert failing(elastic_foundation) == titles(elastic_foundation)
+    assert failing(manufactured) == titles(manufactured)
+    assert failing(collocation) == titles(collocation)
+    assert len(failing(compiled)) >= 2
+
+
+@pytest.mark.parametrize("change", [lambda t: replace(t, alpha=-t.alpha), lambda t: replace(t, law="linear")])
+def test_a_wrong_nonlinearity_is_noticed_where_tissue_is_thin(change, monkeypatch):
+    fault(monkeypatch, change)
+    assert failing(cantilever, elastic_foundation) == set()  # linear
+    assert {title for title in titles(collocation) if "Thin" in title} <= failing(collocation)
+    nonlinear = {title for title in titles(manufactured) if "Ogden" in title or "The same" in title}
+    assert nonlinear < failing(manufactured) and "One layer, linear law" not in failing(manufactured)
+    assert failing(tangent) == titles(tangent)
+
+
+def test_friction_left_out_is_noticed(monkeypatch):
+    fault(monkeypatch, lambda tissue: replace(tissue, friction=0 * tissue.friction))
+    assert failing(collocation) == {title for title in titles(collocation) if "Friction" in title}
+    assert failing(tangent) == {title for title in titles(tangent) if "friction" in title}
+    assert "The same with friction" in failing(manufactured)
+
+
+def test_wrong_weights_are_noticed(monkeypatch):
+    """Quadrature that loses a fiftieth of every element's second half."""
+    true = stop_module.build_grid
+
+    def wrong(*arguments):
+        grid = true(*arguments)
+        weight = grid.weight.copy()
+        weight[1::2] *= 0.98
+        return grid._replace(weight=weight)
+
+    monkeypatch.setattr(stop_module, "build_grid", wrong)
+    monkeypatch.setattr(simulate_module, "build_grid", wrong)
+    assert failing(cantilever, elastic_foundation) == titles(cantilever) | titles(elastic_foundation)
+    assert failing(manufactured) == titles(manufactured)
+    assert failing(tangent) == titles(tangent)
+
+
+def test_one_gauss_point_for_two_costs_orders(monkeypatch):
+    """The midpoint rule is consistent, so errors still fall: with order 2, which is seen."""
+    true = stop_module.build_grid
+
+    def wrong(*arguments):
+        grid = true(*arguments)
+        pairs = grid.x.reshape(-1, 2).mean(axis=1).repeat(2)
+        shapes = grid.shapes.reshape(-1, 2, 8).mean(axis=1).repeat(2, axis=0)  # of a nearby rule
+        return grid._replace(x=pairs, shapes=shapes)
+
+    monkeypatch.setattr(stop_module, "build_grid", wrong)
+    rows = verify(1, manufactured.CHECKS[:1]).rows
+    assert rows[0].verdict == "FAILS" and rows[0].measured == pytest.approx(2, abs=0.5)
+
+
+def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
+    """Elements four times too long: what the refinement study and the closed forms bound."""
+
+    def coarse(needle, tissue, steps, rules=Rules(), lattice=None):
+        return follow(needle, tissue, steps, Rules(4.0, 4 * rules.element), lattice)
+
+    def long_elements(needle, tissue, constraints, controls=Controls(), rules=Rules()):
+        return equilibrium(needle, tissue, constraints, controls, Rules(4.0, 4 * rules.element))
+
+    monkeypatch.setattr(refinement, "follow", coarse)
+    monkeypatch.setattr(elastic_foundation, "equilibrium", long_elements)
+    assert any("99" in title for title in failing(elastic_foundation))
+    worst = [row for row in verify(1, refinement.CHECKS).rows if "random" in row.title]
+    clean = 1e-4  # mm, see the table
+    assert max(row.measured for row in worst) > clean
+
+
+def test_an_unsymmetric_bevel_is_noticed(monkeypatch):
+    def lopsided(needle, tissue, steps, rules=Rules(), lattice=None):
+        bent = [
+            dataclasses.replace(
+                step, bevel=Bevel(step.bevel.offset * (1 + 1e-6 * step.bevel.side), step.bevel.side)
+            )
+            for step in steps
+        ]
+        return follow(needle, tissue, bent, rules, lattice)
+
+    monkeypatch.setattr("needlefit.verification.cases.follow", lopsided)
+    assert any("Mirror" in title for title in failing(symmetries))
+
+
+def test_sub_steps_that_matter_are_noticed(monkeypatch):
+    def forgetful(needle, tissue, steps, rules=Rules(), lattice=None):
+        """Turn the bevel a little more with every halt."""
+        more = [
+            Step(step.depth, Bevel(step.bevel.offset * (1 + 1e-4 * n), step.bevel.side), step.controls)
+            for n, step in enumerate(steps)
+        ]
+        return follow(needle, tissue, more, rules, lattice)
+
+    monkeypatch.setattr("needlefit.verification.cases.follow", forgetful)
+    failed = failing(symmetries)
+    assert "Sub-steps on the way" in failed and any("back" in title for title in failed)
+
+
+def test_a_template_that_stays_behind_is_noticed(monkeypatch):
+    true = world.scene
+
+    def forgotten(origin, turn):
+        moved = true(origin, turn)
+        steps = tuple(
+            replace(step, controls=replace(step.controls, guides=(Guide(-15.0, 0.0, 0.0),)))
+            for step in moved.steps
+        )
+        return replace(moved, steps=steps) if turn else moved
+
+    monkeypatch.setattr(world, "scene", forgotten)
+    assert failing(world) == titles(world)
+
+
+def test_a_jacobian_one_part_in_a_million_wrong_is_noticed(monkeypatch):
+    true = sensitivities.linearize_along
+
+    def wrong(*arguments, **named):
+        shape, jacobian = true(*arguments, **named)
+        return shape, replace(jacobian, u=jacobian.u * (1 + 1e-6))
+
+    monkeypatch.setattr(sensitivities, "linearize_along", wrong)
+    failed = verify(1, sensitivities.CHECKS).failed
+    assert {row.quantity for row in failed} == {"error of the columns, but for α"}  # α's bound is 1e-5
+
+
+def test_a_reference_that_differs_is_noticed(monkeypatch):
+    true = reference.modulus
+
+    def wrong(*arguments):
+        k, dk = true(*arguments)
+        return 1.001 * k, 1.001 * dk
+
+    monkeypatch.setattr(reference, "modulus", wrong)
+    assert failing(compiled) == titles(compiled)
+    assert failing(tangent) == titles(tangent)
