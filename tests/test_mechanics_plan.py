@@ -1,0 +1,194 @@
+"""The stops of small insertions, written out by hand."""
+
+import pytest
+
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.plan import Lattice, Move, Position, Ray, advance, lattice_of, plan, stops_of
+
+HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
+
+
+def stops(*moves: tuple[float, int, int], lattice: Lattice = HALF) -> list[tuple]:
+    """Return tip, cell, permanent, ray, opens, cut, held of the stops of moves (depth, cut, held)."""
+    found = stops_of(tuple(Move(*move) for move in moves), lattice)
+    return [(s.tip, s.cell, s.permanent, s.ray, s.opens, s.cut, s.held) for s in found]
+
+
+def entry(held: int = 0) -> tuple:
+    return (0.0, 0, True, -1, False, 0, held)
+
+
+def test_before_first_contact_there_is_one_stop_at_the_entry() -> None:
+    assert stops((0.0, 0, 0)) == [entry()]
+
+
+def test_forward_across_cells() -> None:
+    """One ray and one stop a cell; the last one ends on the way to point 3."""
+    assert stops((2.1, 0, 0)) == [
+        entry(),
+        (0.5, 1, True, 0, True, 0, 0),
+        (1.5, 2, True, 1, True, 0, 0),
+        (2.1, 3, False, 2, True, 0, 0),
+    ]
+
+
+def test_a_cell_goes_on_along_its_ray() -> None:
+    assert stops((0.2, 0, 0), (0.4, 0, 0), (1.5, 0, 0), (1.6, 0, 0)) == [
+        entry(),
+        (0.2, 1, False, 0, True, 0, 0),
+        (0.4, 1, False, 0, False, 0, 0),
+        (0.5, 1, True, 0, False, 0, 0),
+        (1.5, 2, True, 1, True, 0, 0),
+        (1.6, 3, False, 2, True, 0, 0),
+    ]
+
+
+def test_a_bevel_turned_at_a_constraint_point_needs_no_stop_of_its_own() -> None:
+    assert stops((0.5, 0, 0), (1.5, 1, 0)) == [
+        entry(),
+        (0.5, 1, True, 0, True, 0, 0),
+        (1.5, 2, True, 1, True, 1, 0),
+    ]
+
+
+def test_a_bevel_turned_inside_a_cell_opens_a_ray_there() -> None:
+    assert stops((0.9, 0, 0), (0.9, 1, 0), (1.5, 1, 0)) == [
+        entry(),
+        (0.5, 1, True, 0, True, 0, 0),
+        (0.9, 2, False, 1, True, 0, 0),
+        (1.5, 2, True, 2, True, 1, 0),
+    ]
+
+
+def test_a_bevel_turned_and_turned_back_opens_a_ray_all_the_same() -> None:
+    assert stops((0.9, 0, 0), (0.9, 1, 0), (0.9, 0, 0), (1.5, 0, 0))[-1] == (1.5, 2, True, 2, True, 0, 0)
+    assert stops((0.9, 0, 0), (0.9, 0, 0), (1.5, 0, 0))[-1] == (1.5, 2, True, 1, False, 0, 0)
+
+
+@pytest.mark.parametrize("depth", [0.5, 0.9])
+def test_moved_inputs_hold_the_needle_before_it_goes_on(depth: float) -> None:
+    """At a constraint point and inside a cell alike: equilibrium at the same depth, then a new ray."""
+    cell, ray, permanent = (1, 0, True) if depth == 0.5 else (2, 1, False)
+    moved = (depth, cell, permanent, ray, False, 0, 1)
+    onward = (1.5, 2, True, ray + 1, True, 0, 1)
+    assert stops((depth, 0, 0), (1.5, 0, 1))[-2:] == [moved, onward]
+    assert stops((depth, 0, 0), (depth, 0, 1), (1.5, 0, 1))[-2:] == [moved, onward]
+
+
+def test_inputs_moved_and_moved_back_open_a_ray_all_the_same() -> None:
+    assert stops((0.9, 0, 0), (0.9, 0, 1), (0.9, 0, 0), (1.5, 0, 0))[-3:] == [
+        (0.9, 2, False, 1, False, 0, 1),
+        (0.9, 2, False, 1, False, 0, 0),
+        (1.5, 2, True, 2, True, 0, 0),
+    ]
+
+
+def test_moved_inputs_before_first_contact_bring_the_free_tip_elsewhere() -> None:
+    assert stops((0.0, 0, 0), (0.5, 0, 1)) == [entry(), entry(1), (0.5, 1, True, 0, True, 0, 1)]
+
+
+def test_retraction_inside_a_cell_stays_on_its_ray() -> None:
+    assert stops((2.5, 0, 0), (1.7, 0, 0), (2.1, 0, 0), (2.5, 0, 0))[4:] == [
+        (1.7, 3, False, 2, False, 0, 0),
+        (2.1, 3, False, 2, False, 0, 0),
+        (2.5, 3, True, 2, False, 0, 0),
+    ]
+
+
+def test_retraction_to_a_constraint_point_stays_on_the_ray_that_led_there() -> None:
+    assert stops((2.5, 0, 0), (1.5, 0, 0), (2.5, 0, 0))[4:] == [
+        (1.5, 2, True, 1, False, 0, 0),
+        (2.5, 3, True, 2, True, 0, 0),
+    ]
+
+
+def test_a_ray_begun_inside_a_cell_is_left_where_it_began() -> None:
+    """Back to 1.6 mm, before the turn at 1.8 mm, the cell's first ray leads, cut by the first bevel."""
+    turned = ((1.8, 0, 0), (2.5, 1, 0))
+    assert stops(*turned)[-1] == (2.5, 3, True, 3, True, 1, 0)
+    assert stops(*turned, (2.0, 1, 0))[-1] == (2.0, 3, False, 3, False, 1, 0)
+    assert stops(*turned, (1.8, 1, 0))[-1] == (1.8, 3, False, 2, False, 0, 0)
+    assert stops(*turned, (1.6, 1, 0))[-1] == (1.6, 3, False, 2, False, 0, 0)
+
+
+def test_re_insertion_under_another_bevel_opens_a_ray_where_it_begins() -> None:
+    """Retracted into cell 3 the ray is the old bevel's; going on, the new one cuts from there."""
+    assert stops((2.5, 0, 0), (1.7, 1, 0), (2.5, 1, 0))[4:] == [
+        (1.7, 3, False, 2, False, 0, 0),
+        (2.5, 3, True, 3, True, 1, 0),
+    ]
+
+
+def test_re_insertion_under_other_inputs_opens_a_ray_where_it_begins() -> None:
+    """They hold the needle already as it comes back: no further stop before it goes on."""
+    assert stops((2.5, 0, 0), (1.7, 0, 1), (2.5, 0, 1))[4:] == [
+        (1.7, 3, False, 2, False, 0, 1),
+        (2.5, 3, True, 3, True, 0, 1),
+    ]
+
+
+def test_all_the_way_out_there_is_no_ray() -> None:
+    assert stops((1.5, 0, 0), (0.0, 0, 0), (0.5, 1, 0))[3:] == [
+        (0.0, 0, True, -1, False, 0, 0),
+        (0.5, 1, True, 0, True, 1, 0),
+    ]
+
+
+def test_depths_nearer_than_a_millionth_of_a_micrometre_are_the_same() -> None:
+    assert stops((0.5 + 1e-10, 0, 0), (0.5, 0, 0), (1.5 - 1e-10, 0, 0)) == [
+        entry(),
+        (0.5, 1, True, 0, True, 0, 0),
+        (1.5, 2, True, 1, True, 0, 0),
+    ]
+
+
+def test_a_position_remembers_the_rays_from_the_entry_on() -> None:
+    position, found = advance(Position(), Move(0.9, 7, 3), HALF)
+    assert found[-1] == position.last and len(found) == 3
+    assert position.rays == (Ray(0.0, 7, 3), Ray(0.5, 7, 3)) and not position.turned
+    turned, none = advance(position, Move(0.9, 8, 3), HALF)
+    assert none == [] and turned.turned and turned.last == position.last
+    onward, _ = advance(turned, Move(1.2, 8, 3), HALF)
+    assert onward.rays == (*position.rays, Ray(0.9, 8, 3)) and not onward.turned
+
+
+def test_steps_with_equal_inputs_are_held_by_the_same() -> None:
+    """Bevel and controls are told apart by value, and named after the first step that has them."""
+    moved = Controls(base_y=1.0)
+    steps = (Step(0.5, Bevel(0.1)), Step(1.5, Bevel(0.1), moved), Step(2.5, Bevel(0.1, -1)),
+             Step(3.5, Bevel(0.1), moved))  # fmt: skip
+    found = [(s.tip, s.cut, s.held) for s in plan(steps, HALF, 150.0)]
+    assert found == [
+        (0.0, 0, 0), (0.5, 0, 0), (0.5, 0, 1), (1.5, 0, 1),
+        (1.5, 0, 0), (2.5, 2, 0), (2.5, 2, 1), (3.5, 0, 1),
+    ]  # fmt: skip
+
+
+def test_the_lattice_of_an_insertion_ends_with_its_last_step() -> None:
+    def first(*depths: float, spacing: float = 1.0) -> float:
+        return lattice_of([Step(depth, Bevel(0.1)) for depth in depths], Rules(spacing)).first_cell
+
+    assert first(19.63) == pytest.approx(0.63)
+    assert first(3.0) == 1.0 and first(0.2) == 0.2
+    assert first(7.0, spacing=2.0) == 1.0 and first(8.0, spacing=2.0) == 2.0
+    assert first(12.0, 7.25) == 0.25
+    assert first(5.0, 0.0) == 1.0  # out again: there is nothing to end on
+
+
+def test_lattice_depths_and_cells() -> None:
+    assert [HALF.depth(m) for m in range(4)] == [0.0, 0.5, 1.5, 2.5]
+    assert [HALF.cell(d) for d in (0.0, 0.1, 0.5, 0.5 + 1e-10, 0.51, 1.5, 2.2)] == [0, 1, 1, 1, 2, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("depth", "guides"), [(150.0, ()), (140.0, (Guide(-10.0),)), (100.0, (Guide(-3.0), Guide(-60.0)))]
+)
+def test_the_base_stays_before_guides_and_tissue(depth: float, guides: tuple[Guide, ...]) -> None:
+    with pytest.raises(ModelError, match=f"cannot be inserted {depth:g} mm"):
+        plan((Step(1.0, Bevel(0.1)), Step(depth, Bevel(0.1), Controls(guides=guides))), HALF, 150.0)
+
+
+def test_no_steps_are_no_insertion() -> None:
+    with pytest.raises(ModelError, match="without steps"):
+        plan((), HALF, 150.0)
