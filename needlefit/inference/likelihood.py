@@ -110,7 +110,7 @@ def log_likelihood(evidence: Evidence, curve: Curve) -> float:
 
 
 def log_likelihoods(evidence: Evidence, simulated: Floats) -> Floats:
-    """Return the same (B,) for many simulated curves (B, K, 2), given at the beam coordinates `evidence.s`."""
+    """Return the same (B,) for many simulated curves, points (B, K, 2) at the beam coordinates `s`."""
     if evidence.pose == "free":
         simulated = np.array([align_rigid(points, evidence.measured) for points in simulated])
     residuals = simulated[:, :, 1] - evidence.measured[:, 1]  # (B, K)
