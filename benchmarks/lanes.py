@@ -5,9 +5,9 @@
 The loops of `kernel.passes` are compiled anew here, to read which instructions they became: of the
 arithmetic on doubles, all but a rest has to be packed, or the compiler has given up on a loop.
 
-The peak is measured: chains of multiply-adds on rows of doubles, independent of each other, held in
-registers. Arithmetic per element (floating-point operations; a division counts as one, abs, max and
-comparisons as none), read off the source of `kernel.passes`:
+The peak is measured, on one core and on both: chains of multiply-adds on rows of doubles, independent of
+each other, held in registers. Arithmetic per element (floating-point operations; a division counts as one;
+abs, max and comparisons as none), read off the source of `kernel.passes`:
 
 | | full pass | half pass |
 |---|---|---|
@@ -24,7 +24,8 @@ comparisons as none), read off the source of `kernel.passes`:
 Per step a lane makes one full pass and, where it has not converged, a half one (more are counted as half
 ones); the work that a block does for lanes that have already converged is not counted, nor is the guess of
 the next shape (4 a node), nor what is done once a step. The fraction is thus that of *useful* arithmetic, and
-of a peak that only pure multiply-adds can reach.
+of a peak that only pure multiply-adds can reach. `full_regular` and `chord_regular` are these loops alone, on
+one element that stays in the first cache.
 """
 
 import argparse
@@ -41,20 +42,22 @@ from numpy.typing import NDArray
 from reference_problem import DEPTH, batch
 
 from needlefit.mechanics.kernel import passes
-from needlefit.mechanics.kernel.passes import LANES
+from needlefit.mechanics.kernel.passes import LANES, LAYER, POINT, ROWS, chord_regular, full_regular
 from needlefit.mechanics.lanes import follow_batches
 
-FULL, HALF = 297, 139
+Floats = NDArray[np.float64]
+FULL, HALF, BACK = 297, 139, 9
 TOLERANCES = (1e-7, 1e-9)  # mm
 ROW, CHAIN, REPEATS = 512, 16, 4000  # doubles, multiply-adds on each, times
 SETS = 512
 LOOPS = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
          "last_node", "last_chord", "back_tip", "back", "foresee")  # fmt: skip
+TABLES = ("table", "bending")  # the arguments that have two dimensions
 ARITHMETIC = re.compile(r"\bv?(?:add|sub|mul|div|fn?m(?:add|sub)(?:132|213|231))([ps])d\b.*")
 
 
 @numba.njit(nogil=True, fastmath={"contract"})
-def multiply_adds(row: NDArray[np.float64], a: float, b: float, repeats: int) -> None:
+def multiply_adds(row: Floats, a: float, b: float, repeats: int) -> None:
     """Make CHAIN multiply-adds on every number of a row, again and again."""
     for _ in range(repeats):
         for l in range(ROW):  # noqa: E741
@@ -78,6 +81,17 @@ def multiply_adds(row: NDArray[np.float64], a: float, b: float, repeats: int) ->
             row[l] = x
 
 
+@numba.njit(nogil=True)
+def loop_alone(full: bool, state: Floats, layer: Floats, table: Floats, work: Floats, repeats: int) -> None:
+    """Run the loop over the lanes of one element, again and again."""
+    nought, own = np.uint64(0), np.uint64(ROWS * LANES)
+    for _ in range(repeats):
+        if full:
+            full_regular(state, nought, layer, nought, layer, nought, nought, table, nought, layer, work, own)
+        else:
+            chord_regular(state, nought, layer, nought, layer, nought, nought, table, nought, work, own)
+
+
 def arithmetic(assembly: str) -> dict[str, int]:
     """Count the instructions on doubles: packed, by the width of their registers, and single."""
     counts = {"zmm": 0, "ymm": 0, "xmm": 0, "single": 0}
@@ -91,9 +105,13 @@ def arithmetic(assembly: str) -> dict[str, int]:
 
 def anew(name: str) -> dict[str, int]:
     """Compile a loop of the kernel anew and count its instructions; what comes from the cache has no text."""
-    from_kernel = getattr(passes, name)
-    arrays = (numba.float64[::1],) * from_kernel.py_func.__code__.co_argcount
-    fresh = numba.njit(arrays, nogil=True, error_model="numpy", fastmath=passes.FAST)(from_kernel.py_func)
+    loop = getattr(passes, name).py_func
+    kinds = [
+        numba.uint64 if hint is np.uint64 else numba.float64[:, ::1] if of in TABLES else numba.float64[::1]
+        for of, hint in loop.__annotations__.items()
+        if of != "return"
+    ]
+    fresh = numba.njit(tuple(kinds), nogil=True, error_model="numpy", fastmath=passes.FAST)(loop)
     return arithmetic(fresh.inspect_asm(fresh.signatures[0]))
 
 
@@ -124,6 +142,14 @@ def measure(rounds: int) -> dict[str, object]:
         "peak_instructions": arithmetic(multiply_adds.inspect_asm(multiply_adds.signatures[0])),
     }
     steps = round(DEPTH)
+    state, layer = np.zeros(4 * LANES), np.ones(LAYER * LANES)
+    table, work = np.ones((1, 4 * POINT + 4)), np.ones(2 * ROWS * LANES)
+    for full, name, count in ((True, "full_regular", FULL), (False, "chord_regular", HALF)):
+        loop_alone(full, state, layer, table, work, 1)
+        figures[name] = rate(
+            (count - BACK) * LANES * REPEATS, 1,
+            lambda _, full=full: loop_alone(full, state, layer, table, work, REPEATS), rounds,
+        )  # fmt: skip
     for threads in (1, 2):
         peak = rate(
             2.0 * ROW * CHAIN * REPEATS, threads,
