@@ -76,7 +76,7 @@ def random_controls(rng: Random, within: bool = True) -> Controls:
     )
 
 
-def random_steps(rng: Random, count: int, within: bool = True) -> tuple[Step, ...]:
+def random_steps(rng: Random, count: int, within: bool = True, deepest: float = 22.0) -> tuple[Step, ...]:
     """Return steps in any order of depths, 0 among them; the last one stands in the tissue."""
     steps = []
     bevel, controls = random_bevel(rng), random_controls(rng, within)
@@ -85,11 +85,11 @@ def random_steps(rng: Random, count: int, within: bool = True) -> tuple[Step, ..
             bevel = random_bevel(rng)
         if rng.random() < 0.5:
             controls = random_controls(rng, within)
-        depth = 0.0 if rng.random() < 0.1 else random_depth(rng)
+        depth = 0.0 if rng.random() < 0.1 else random_depth(rng, deepest)
         if steps and rng.random() < 0.2:
             depth = steps[-1].depth
         steps.append(Step(depth, bevel, controls))
-    return (*steps, Step(random_depth(rng), bevel, controls))
+    return (*steps, Step(random_depth(rng, deepest), bevel, controls))
 
 
 def random_batch(rng: Random, sets: int) -> Batch:

@@ -2,54 +2,46 @@
 
 import numpy as np
 import pytest
+from mechanics_cases import random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.errors import ModelError
-from needlefit.mechanics import laws, reference
+from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import inserted_points, positions
-from needlefit.mechanics.simulate import equilibrium, simulate
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.shape import NeedleShape, inserted_points, positions
+from needlefit.mechanics.simulate import equilibrium, follow, simulate
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
 
-def random_case(rng: np.random.Generator) -> dict:
-    layers = int(rng.integers(1, 5))
-    spacing = float(rng.choice([0.5, 1.0, 2.0]))
-    # finer meshes in softer tissue: rounding alone would exceed the 1e-7 mm asked for
-    element = max(spacing / int(rng.choice([1, 2, 4])), 0.25)
-    softest = -3 if element >= 0.5 else -1
-    guided = rng.random() < 0.4  # a guide stands on the axis: it leaves the base nothing to impose
-    thickness = rng.uniform(5.0, 80.0, layers)
-    return {
-        "needle": Needle(rng.uniform(60, 200), 10 ** rng.uniform(3, 5)),
-        "tissue": Tissue(
-            mu=10 ** rng.uniform(softest, 2, layers),
-            alpha=rng.uniform(-10, 10, layers),
-            boundaries=np.sort(rng.uniform(1, 20, layers - 1)),
-            thickness=thickness,
-            friction=rng.choice([0.0, 0.3]) * rng.uniform(size=layers),
-            law=str(rng.choice(laws.names())),
-        ),
-        "bevel": Bevel(rng.uniform(0, 0.3), int(rng.choice([-1, 1]))),
-        "depth": float(rng.choice([rng.uniform(0.2, 22), rng.integers(1, 22), rng.integers(1, 22) + 1e-4])),
-        "controls": Controls(guides=(Guide(-float(rng.uniform(5, 35))),))
-        if guided
-        else Controls(base_y=rng.uniform(-1, 1), base_slope=rng.uniform(-0.01, 0.01)),
-        "rules": Rules(spacing, element),
-    }
-
-
-@pytest.mark.parametrize("seed", range(40))
-def test_kernel_equals_reference(seed: int) -> None:
-    case = random_case(np.random.default_rng(seed))
-    fast, slow = simulate(**case), reference.simulate(**case)
+def assert_close(fast: NeedleShape, slow: NeedleShape, atol: float = 1e-7) -> None:
     assert fast.converged
     np.testing.assert_allclose(fast.x, slow.x, atol=1e-12)
-    np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
-    np.testing.assert_allclose(fast.slope, slow.slope, atol=1e-7)
-    np.testing.assert_allclose(fast.constraints, slow.constraints, atol=1e-7)
+    for name in ("u", "slope", "constraints"):
+        np.testing.assert_allclose(getattr(fast, name), getattr(slow, name), atol=atol, err_msg=name)
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_kernel_equals_reference(seed: int) -> None:
+    """One step, any inputs: base, stage, guides before and in the tissue, a tracked tip."""
+    rng = np.random.default_rng(seed)
+    rules = random_rules(rng)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
+    case = (needle, tissue, random_steps(rng, 0), rules)
+    assert_close(follow(*case), reference.follow(*case))
+
+
+@pytest.mark.parametrize("seed", range(100, 130))
+def test_kernel_equals_reference_along_many_steps(seed: int) -> None:
+    """Inputs and bevel change on the way in, and out, and in again, on any grid."""
+    rng = np.random.default_rng(seed)
+    rules = random_rules(rng)
+    needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
+    lattice = Lattice(rng.uniform(0.01, 1.0) * rules.spacing, rules.spacing)
+    case = (needle, tissue, random_steps(rng, 5, deepest=11.0), rules, lattice)
+    assert_close(follow(*case), reference.follow(*case))
 
 
 @pytest.mark.parametrize("depth", [19.63, 23.79, 44.0, 55.0])

@@ -112,12 +112,6 @@ def test_a_mirrored_set_is_the_mirrored_needle() -> None:
     assert np.ptp(left.u[:, -1]) > 0.1
 
 
-def test_without_bevel_and_inputs_every_set_is_straight() -> None:
-    steps = (Step(20.0, Bevel(0.0)),)
-    shapes = one(Batch(NEEDLE, TISSUE, steps, mu=10 ** np.random.default_rng(0).uniform(-3, 2, (7, 2))))
-    assert np.all(shapes.u == 0.0) and shapes.u.shape == (7, 22)
-
-
 @pytest.mark.parametrize("sets", [1, 31, 33, 64])
 def test_neighbours_and_spare_lanes_change_no_bit(sets: int) -> None:
     batch = broad(64)
@@ -157,7 +151,6 @@ def test_bad_numbers_spoil_and_delay_nobody(steps: tuple[Step, ...]) -> None:
     shapes = one(mixed)
     lost = at + np.arange(4)
     assert_same_bits(part(shapes, np.delete(np.arange(44), lost)), one(good))
-    assert [shapes[i].status for i in lost] == 4 * ["non-finite"]
     assert np.isnan(shapes.u[lost]).all() and np.isnan(shapes.constraints[lost, 1:, 1]).all()
     assert shapes.failures == Counter({"non-finite": 4})
     np.testing.assert_array_equal(shapes.x[lost], np.tile(shapes.x[lost[0] + 2], (4, 1)))
@@ -242,9 +235,6 @@ def test_different_insertions_come_back_in_their_order() -> None:
     assert [shapes[0].depth for shapes in found[:6]] == depths
     for batch, shapes in zip(batches, found, strict=True):
         assert_same_bits(shapes, one(batch, 1))
-
-
-def test_no_insertions_give_no_shapes() -> None:
     assert follow_batches([]) == ()
 
 
@@ -299,12 +289,12 @@ def assembly(loop: numba.core.dispatcher.Dispatcher) -> str:
     given = {
         name: v for name, v in loop.targetoptions.items() if name in ("nogil", "error_model", "fastmath")
     }
+    named = inspect.signature(loop.py_func).parameters.items()
+    arrays = {"table": numba.float64[:, ::1], "bending": numba.float64[:, ::1]}
     signature = tuple(
-        numba.uint64 if parameter.annotation is passes.Offset
-        else numba.float64[:, ::1] if parameter.name in ("table", "bending")
-        else numba.float64[::1]
-        for parameter in inspect.signature(loop.py_func).parameters.values()
-    )  # fmt: skip
+        numba.uint64 if of.annotation is passes.Offset else arrays.get(name, numba.float64[::1])
+        for name, of in named
+    )
     compiled = numba.njit(**given)(loop.py_func)
     compiled.compile(signature)
     return compiled.inspect_asm(signature)

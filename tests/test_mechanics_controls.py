@@ -1,0 +1,265 @@
+"""What holds the needle, holds it: base, guides, stage and tracked tip, in known answers."""
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+
+from needlefit.errors import ModelError
+from needlefit.mechanics import reference
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import Lattice
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.tissue import Tissue
+
+NEEDLE = Needle(150.0, 1.0e4)
+TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
+AIR = Tissue(mu=[1e-13], alpha=[1.0])
+BEVEL = Bevel(0.1)
+
+
+def at(shape: NeedleShape, x: float) -> int:
+    (node,) = np.flatnonzero(shape.x == x)
+    return int(node)
+
+
+def moments(shape: NeedleShape, node: int) -> tuple[float, float]:
+    """Return u'' on both sides of a node, from the cubics that meet there."""
+    (h, k), u, s = np.diff(shape.x[node - 1 : node + 2]), shape.u[node - 1 :], shape.slope[node - 1 :]
+    before = 6 * (u[0] - u[1]) / h**2 + (2 * s[0] + 4 * s[1]) / h
+    after = 6 * (u[2] - u[1]) / k**2 - (4 * s[1] + 2 * s[2]) / k
+    return before, after
+
+
+def test_in_air_the_tip_follows_the_base() -> None:
+    shape = simulate(NEEDLE, AIR, Bevel(0.0), 30.0, Controls(0.7, 0.01))
+    assert shape.deflection == pytest.approx(0.7 + 0.01 * 150)
+    np.testing.assert_allclose(shape.slope, 0.01, atol=1e-8)
+
+
+def test_in_air_a_free_guide_bends_the_needle_as_a_propped_cantilever() -> None:
+    """Clamped, displaced by y at a, free beyond: slope 3 y / 2 a there, and straight on to the tip."""
+    shape = simulate(NEEDLE, AIR, Bevel(0.0), 30.0, Controls(guides=(Guide(-40.0, 0.5, None),)))
+    a = 150 - 30 - 40
+    assert shape.slope[1] == pytest.approx(1.5 * 0.5 / a)
+    assert shape.deflection == pytest.approx(0.5 + 70 * 1.5 * 0.5 / a)
+
+
+def test_in_air_two_free_guides_bend_the_needle_as_a_continuous_beam() -> None:
+    """Clamped base, prop at 40 (0), prop at 80 (y), by the three-moment equation with equal spans a.
+
+    2 M_0 + M_1 = 0 and M_0 + 4 M_1 = -6 EI y / a^2, so M_1 = -12 EI y / (7 a^2); the end slope is
+    y / a + a M_1 / (6 EI) + ... = y / a + 2 y / 7 a, M being positive where it holds the beam up.
+    """
+    y, a = 0.3, 40.0
+    guides = (Guide(-80.0 + 150 - 120, 0.0, None), Guide(-40.0 + 150 - 120, y, None))
+    shape = simulate(Needle(150.0, 1e4), AIR, Bevel(0.0), 60.0, Controls(guides=guides))
+    assert [shape.x[1] - shape.x[0], shape.x[2] - shape.x[1]] == [a, a]
+    np.testing.assert_allclose(moments(shape, 1), 12 * y / (7 * a**2), rtol=1e-6)
+    assert shape.slope[2] == pytest.approx(y / a + 2 * y / (7 * a), rel=1e-6)
+
+
+def test_a_clamped_guide_on_the_axis_isolates_the_base() -> None:
+    guide = (Guide(-5.0),)
+    still, moved = (
+        simulate(NEEDLE, TISSUE, BEVEL, 21.4, Controls(y, slope, stage, guide))
+        for y, slope, stage in ((0.0, 0.0, 0.0), (3.0, -0.05, 0.02))
+    )
+    assert moved.u[0] == 3.0 + 0.02 * 21.4
+    np.testing.assert_array_equal(moved.x[1:], still.x[1:])
+    np.testing.assert_allclose(moved.u[1:], still.u[1:], atol=1e-10)
+    np.testing.assert_allclose(moved.slope[1:], still.slope[1:], atol=1e-10)
+
+
+def test_a_base_before_a_free_guide_still_bends_the_needle_beyond() -> None:
+    ends = [
+        simulate(NEEDLE, TISSUE, BEVEL, 21.4, Controls(y, guides=(Guide(-5.0, 0.0, None),))).deflection
+        for y in (0.0, 3.0)
+    ]
+    assert abs(ends[1] - ends[0]) > 1e-2
+
+
+@pytest.mark.parametrize("x", [-30.0, -2.2, 6.3, 7.4])
+def test_a_free_guide_carries_no_moment_and_a_fixed_one_does(x: float) -> None:
+    rules = Rules(tolerance=1e-10)
+    free, fixed = (
+        simulate(NEEDLE, TISSUE, BEVEL, 17.0, Controls(0.5, guides=(Guide(x, 0.2, slope, x > 0),)), rules)
+        for slope in (None, -0.05)
+    )
+    node = at(free, x)
+    assert free.u[node] == pytest.approx(0.2, abs=1e-13) == fixed.u[node]
+    assert fixed.slope[node] == pytest.approx(-0.05, abs=1e-13)
+    left, right = moments(free, node)
+    # free spans are exact cubics; beside the others there is tissue
+    assert left == pytest.approx(right, abs=1e-9 if x < 0 else 2e-4)
+    left, right = moments(fixed, node)
+    assert abs(left - right) > 1e-3
+
+
+@pytest.mark.parametrize("element", [1.0, 0.5])
+@pytest.mark.parametrize("x", [3.0, 3.37, 0.2, 0.0])
+@pytest.mark.parametrize("slope", [None, 0.03])
+def test_a_guide_in_tissue_holds_once_the_tip_is_a_quarter_element_past(element, x, slope) -> None:
+    controls, rules = Controls(guides=(Guide(x, 0.2, slope, True),)), Rules(1.0, element)
+    lattice = Lattice(1.0, 1.0)
+
+    def insert(depth: float) -> NeedleShape:
+        return follow(NEEDLE, TISSUE, (Step(depth, BEVEL, controls),), rules, lattice)
+
+    shy, past, far = (insert(x + element * d) for d in (0.249, 0.251, 3.3))
+    without = follow(NEEDLE, TISSUE, (Step(shy.depth, BEVEL),), rules, lattice)
+    np.testing.assert_allclose(shy.u, without.u, atol=1e-10)
+    for shape in (past, far):
+        node = at(shape, x)
+        assert shape.u[node] == pytest.approx(0.2, abs=1e-13)
+        if slope is not None:
+            assert shape.slope[node] == pytest.approx(slope, abs=1e-13)
+
+
+@pytest.mark.parametrize("guides", [
+    (Guide(3.0, 0.1, None, True),), (Guide(3.0, 0.1, 0.01, True),), (Guide(0.0, 0.05, 0.02, True),),
+    (Guide(4.5, 0.1, None, True), Guide(2.0, 0.05, 0.01, True)), (Guide(2.25, 0.1, 0.0, True), Guide(-3.0)),
+])  # fmt: skip
+@pytest.mark.parametrize("depths", [(2.0, 3.0, 3.1, 4.5, 6.0), (6.0, 3.0, 3.25, 2.0, 2.25, 2.5, 4.5, 4.4)])
+@pytest.mark.parametrize("element", [1.0, 0.25])
+def test_a_tip_may_halt_on_a_guide(guides: tuple[Guide, ...], depths: tuple, element: float) -> None:
+    """At its depth to the bit, a quarter element before or behind it, coming from either side."""
+    rules, lattice = Rules(1.0, element), Lattice(1.0, 1.0)
+    steps = tuple(Step(depth, BEVEL, Controls(guides=guides)) for depth in depths)
+    for n in range(1, len(steps) + 1):
+        fast = follow(NEEDLE, TISSUE, steps[:n], rules, lattice)
+        assert fast.converged
+    slow = reference.follow(NEEDLE, TISSUE, steps, rules, lattice)
+    np.testing.assert_array_equal(fast.x, slow.x)
+    np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
+    np.testing.assert_allclose(fast.constraints, slow.constraints, atol=1e-7)
+
+
+@pytest.mark.parametrize("depth", [1e-3, 0.3, 4.0, 17.25])
+@pytest.mark.parametrize("slope", [None, 0.04])
+def test_a_tracked_tip_is_where_it_was_seen(depth: float, slope: float | None) -> None:
+    shape = simulate(NEEDLE, TISSUE, BEVEL, depth, Controls(tip=TrackedTip(0.2, slope)))
+    assert shape.u[-1] == pytest.approx(0.2, abs=1e-13)
+    if slope is not None:
+        assert shape.slope[-1] == pytest.approx(slope, abs=1e-13)
+
+
+@pytest.mark.parametrize("depth", [0.4, 5.0, 23.1])
+def test_the_stage_carries_the_base_along_its_axis(depth: float) -> None:
+    steps = (Step(26.0, BEVEL, Controls(0.3, 0.01, 0.02)), Step(depth, BEVEL, Controls(0.3, 0.01, 0.02)))
+    for shape in (follow(NEEDLE, TISSUE, steps), simulate(NEEDLE, TISSUE, BEVEL, depth, steps[0].controls)):
+        assert shape.x[0] == depth - 150
+        assert shape.u[0] == 0.3 + 0.02 * depth
+        assert shape.slope[0] == 0.01
+
+
+@pytest.mark.parametrize("depth", [0.4, 1.0, 7.3, 9.0])
+@pytest.mark.parametrize("spacing", [1.0, 2.0])
+@pytest.mark.parametrize("side", [1, -1])
+@pytest.mark.parametrize("solve", [simulate, reference.simulate])
+def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side, solve) -> None:
+    """Load-free until it enters: c_1 = y + slope (L + x_1) + x_1 s b / C_int."""
+    y, slope = 0.7, -0.004
+    rules = Rules(spacing, spacing)
+    shape = solve(NEEDLE, TISSUE, Bevel(0.1, side), depth, Controls(y, slope), rules)
+    x_1 = shape.constraints[1, 0]
+    expected = y + slope * (150 + x_1) + x_1 * side * 0.1 / spacing
+    assert shape.constraints[1, 1] == pytest.approx(expected, abs=1e-9)
+    np.testing.assert_array_equal(shape.constraints[0], 0.0)  # first contact has been
+    np.testing.assert_allclose(shape.tip_track[0], [y + slope * 150, slope], atol=1e-12)
+
+
+def test_the_first_point_lies_ahead_of_a_guided_tip() -> None:
+    """The free tip at the entry of a needle clamped at (-10, 0.2), slope 0.01, then y + 0.01 (10 + x_1)."""
+    shape = simulate(NEEDLE, TISSUE, BEVEL, 5.5, Controls(guides=(Guide(-10.0, 0.2, 0.01),)))
+    assert shape.constraints[1, 1] == pytest.approx(0.2 + 0.01 * 10.5 + 0.5 * 0.1, abs=1e-9)
+
+
+def tilted(slope: float) -> Controls:
+    """Everything on the line through first contact: base, stage, guides before and in the tissue."""
+    guides = (
+        Guide(-10.0, -10 * slope, slope),
+        Guide(-3.0, -3 * slope, None),
+        Guide(4.0, 4 * slope, None, True),
+    )
+    return Controls(-150 * slope, slope, slope, guides)
+
+
+def test_a_tilted_straight_needle_keeps_its_line() -> None:
+    """As exactly as points every C_int can be nearest to it: twelve times better for a quarter of that."""
+    off = []
+    for spacing in (1.0, 0.5, 0.25):
+        shape = simulate(NEEDLE, TISSUE, Bevel(0.0), 20.0, tilted(0.02), Rules(spacing, spacing))
+        off.append(np.max(np.abs(shape.u - 0.02 * shape.x)))
+    assert off[0] < 0.02 / 2
+    assert off[0] > off[1] > off[2] and off[0] > 12 * off[2]
+    level = simulate(NEEDLE, TISSUE, Bevel(0.0), 20.0, tilted(0.0))
+    np.testing.assert_array_equal(level.u, 0.0)
+
+
+def test_everything_mirrored_is_the_mirrored_needle() -> None:
+    def steps(s: int) -> tuple[Step, ...]:
+        guides = (
+            Guide(-20.0, s * 0.1, None),
+            Guide(-4.0, s * -0.1, s * 0.01),
+            Guide(3.3, s * 0.2, None, True),
+        )
+        bound = Controls(s * 0.5, s * 0.004, s * 0.01, guides)
+        return (
+            Step(7.3, Bevel(0.1, s), bound),
+            Step(4.0, Bevel(0.1, -s), Controls(s * 0.1)),
+            Step(12.6, Bevel(0.2, -s), Controls(tip=TrackedTip(s * 0.3))),
+            Step(15.0, Bevel(0.2, s), bound),
+        )
+
+    left, right = (follow(NEEDLE, TISSUE, steps(s)) for s in (1, -1))
+    np.testing.assert_array_equal(left.u, -right.u)
+    np.testing.assert_array_equal(left.constraints[:, 1], -right.constraints[:, 1])
+
+
+def test_the_bevel_turned_halfway_bends_the_needle_twice() -> None:
+    """Ten millimetres up, ten down: what was cut first stays, the slope at the tip turns its sign."""
+    tissue = Tissue(mu=[33.0], alpha=[1.0])
+    once = simulate(NEEDLE, tissue, Bevel(0.05, 1), 10.0)
+    twice = follow(NEEDLE, tissue, (Step(10.0, Bevel(0.05, 1)), Step(30.0, Bevel(0.05, -1))))
+    np.testing.assert_allclose(twice.constraints[:11], once.constraints, atol=1e-9)
+    assert once.slope[-1] > 0.01 and twice.slope[-1] < -0.01
+
+
+def test_the_order_in_which_guides_are_named_does_not_matter() -> None:
+    guides = (Guide(-20.0, 0.1, None), Guide(-4.0), Guide(3.3, 0.05, None, True))
+    ways = [Controls(guides=order) for order in permutations(guides)]
+    assert all(way == ways[0] for way in ways)
+    assert ways[-1].before == guides[:2] and ways[-1].within == guides[2:]
+
+
+@pytest.mark.parametrize("x", [-3.0, 0.0, 4.5])
+def test_two_guides_at_one_place_are_refused(x: float) -> None:
+    with pytest.raises(ModelError, match="same x"):
+        Controls(guides=(Guide(x, 0.0, in_tissue=x >= 0), Guide(x, 0.1, None, x >= 0)))
+
+
+@pytest.mark.parametrize(("x", "in_tissue"), [(3.0, False), (0.0, False), (-3.0, True)])
+def test_a_guide_says_on_which_side_of_the_entry_it_stands(x: float, in_tissue: bool) -> None:
+    with pytest.raises(ModelError, match="before the tissue"):
+        Guide(x, in_tissue=in_tissue)
+
+
+@pytest.mark.parametrize("solve", [simulate, reference.simulate])
+def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
+    guides = (Guide(-3.0), Guide(-130.0, 0.0, None))
+    assert solve(NEEDLE, TISSUE, BEVEL, 19.9, Controls(guides=guides)).converged
+    with pytest.raises(ModelError, match="guide 130 mm before the tissue"):
+        solve(NEEDLE, TISSUE, BEVEL, 20.0, Controls(guides=guides))
+
+
+@pytest.mark.parametrize("make", [
+    lambda: Controls(base_y=np.nan), lambda: Controls(stage_slope=np.inf), lambda: Guide(np.nan),
+    lambda: Guide(-1.0, slope=np.nan), lambda: TrackedTip(np.inf), lambda: Bevel(np.nan),
+    lambda: Bevel(0.1, 0), lambda: Step(-1.0, BEVEL), lambda: Step(np.nan, BEVEL),
+])  # fmt: skip
+def test_inputs_are_numbers(make) -> None:
+    with pytest.raises(ModelError):
+        make()
