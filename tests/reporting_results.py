@@ -163,6 +163,19 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
     return rows
 
 
+def failed(begun: list[dict]) -> pd.DataFrame:
+    """The first 20 failures of every start that has any."""
+    about = ("objective", "as_good", "evaluations", "failed_solves", "stopped")
+    rows = [
+        {"fold": row["fold"], "fit": row["fit"], "start": row["start"]}
+        | {"insertion": "phantom2-4-01t", "reason": ("over-compressed", "not converged")[n % 4 == 3]}
+        | {name: value for name, value in row.items() if name not in about}
+        for row in begun
+        for n in range(min(20, row["failed_solves"]))
+    ]
+    return pd.DataFrame(rows)
+
+
 def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]:
     design = pd.DataFrame(insertions).groupby(["role", "medium", "layers"], sort=False)["depth_mm"]
     table = design.agg(insertions="count", depth_min_mm="min", depth_max_mm="max").reset_index()
@@ -173,6 +186,7 @@ def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]
         "errors": pd.DataFrame(errors),
         "shapes": pd.concat(shapes, ignore_index=True),
         "starts": pd.DataFrame(begun, columns=begun[0].keys()),
+        "failures": failed(begun),
         "parameters": pd.DataFrame(params),
         "directions": pd.DataFrame({"fold": 1, "sd": sds, "words": words}),
     }

@@ -28,7 +28,7 @@ from needlefit.reporting.story import story
 from needlefit.validation.results import COLUMNS
 
 EXPECTED = {
-    *(f"{name}.csv" for name in ("design", "directions", "errors", "shapes", "starts")),
+    *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
     *(f"{name}.pdf" for name in ("boxplot", "overlays", "rivals", "waterfall", "report")),
     *("run.json", "timing.json"),
@@ -86,6 +86,15 @@ def test_every_csv_says_synthetic_in_every_row(folder):
         assert {row["origin"] for row in rows} == {"synthetic"}
     for path in folder.glob("*.tex"):
         assert path.read_text().count(r"\caption{SYNTHETIC DATA.") == path.read_text().count(r"\caption{")
+
+
+def test_failures_are_counted_by_reason_where_there_are_any():
+    """Start 0 of both fits fails 600 times, every fourth time because it does not converge; 20 are kept."""
+    said = (
+        "1200 of 9600 evaluations failed; failures.csv holds the parameters of the first 40: "
+        "30 over-compressed, 10 not converged."
+    )
+    assert said in [block.get("text") for block in story(study(1), {}).blocks]
 
 
 def test_the_report_warns_before_any_number():

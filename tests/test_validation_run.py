@@ -11,16 +11,21 @@ import pytest
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.predict import predict
 from needlefit.inference.starts import Start
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
+from needlefit.project.load import load
+from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.reporting.sentences import failures_said
+from needlefit.reporting.write import write
 from needlefit.validation.checkpoint import open_checkpoint
 from needlefit.validation.folds import folds
 from needlefit.validation.planned import planned_layers
-from needlefit.validation.results import Results
+from needlefit.validation.results import COLUMNS, Results
 from needlefit.validation.run import Settings, run
 
 MEDIUM = """schema = 1
@@ -59,8 +64,7 @@ def study(**changes: object) -> StudyRecord:
 
 
 def frames(results: Results) -> dict[str, pd.DataFrame]:
-    names = ("design", "errors", "shapes", "starts", "parameters", "directions")
-    return {name: getattr(results, name) for name in names}
+    return {name: getattr(results, name) for name in COLUMNS}
 
 
 def assert_same(one: Results, two: Results) -> None:
@@ -128,6 +132,38 @@ def test_a_checkpoint_of_other_work_is_refused(project: Path) -> None:
     run("other", study(), Settings(checkpoint=kept))
     with pytest.raises(ConfigError, match="other work"):
         run("other", study(), Settings(checkpoint=kept, resume=True, seed=99))
+
+
+def test_where_nothing_fails_the_table_of_failures_is_a_header(project: Path) -> None:
+    results = run("clean", study(), Settings())
+    assert list(results.failures.columns) == [*COLUMNS["failures"], *results.parameters["parameter"]]
+    assert results.failures.empty
+    assert results.run["recorded_failures"] == {}
+    assert failures_said(results) == ""
+
+
+def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(project: Path) -> None:
+    """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
+    rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { bounds = [0.02, 3e3] }")
+    results = run("violent", study(), Settings())
+    write(results, project / "violent")
+    rows = pd.read_csv(project / "violent" / "failures.csv")
+    assert set(rows["fit"]) == {"fitted"} and set(rows["origin"]) == {"synthetic"}
+    dataset = read(project / "data" / "needles" / "dataset.toml")
+    medium = load(project / "configs" / "media" / "gel.toml", MediumRecord)
+    by_id = {insertion.id: insertion for insertion in dataset.insertions}
+    for row in rows.to_dict("records"):
+        assert predict(row, medium, dataset.needle, by_id[row["insertion"]]).status == row["reason"]
+    counted = results.run["failed_solves"]
+    assert sum(results.run["recorded_failures"].values()) == len(rows) == counted
+    assert failures_said(results).startswith(
+        f"{counted} of {results.starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"
+    )
+    kept, done = project / "violent.partial", []
+    stopped = Settings(checkpoint=kept, progress=lambda *said: done.append(said), stop=lambda: len(done) >= 2)
+    assert run("violent", study(), stopped).interrupted
+    again = run("violent", study(), Settings(checkpoint=kept, resume=True))
+    pd.testing.assert_frame_equal(again.failures, results.failures, check_exact=True)
 
 
 def test_a_torn_line_is_no_start(tmp_path: Path) -> None:

@@ -77,7 +77,7 @@ def as_json(results: "Results") -> dict[str, Any]:
 
     about = {"name": results.name, "origin": results.origin, "dataset": results.dataset_title}
     frames = {"parameters": parameters_table(results)}
-    frames |= {name: getattr(results, name) for name in ("errors", "starts", "directions")}
+    frames |= {name: getattr(results, name) for name in ("errors", "starts", "failures", "directions")}
     if results.posteriors:
         frames["posterior"] = percentiles_table(results)
     rows = {name: frame.to_dict("records") for name, frame in frames.items()}
@@ -87,11 +87,10 @@ def as_json(results: "Results") -> dict[str, Any]:
 def waterfall(starts: "pd.DataFrame") -> str:
     """Say how many starts of one search end practically as well as the best."""
     best, agree = starts["objective"].min(), int(starts["as_good"].sum())
-    failed, solves = int(starts["failed_solves"].sum()), int(starts["evaluations"].sum())
     share = f"{agree} of {len(starts)} starts end practically as well as the best, {best:.4g} mm"
     ended = int((starts["stopped"] == "budget").sum())
     spent = f"; {ended} ended because their budget was spent: raise the recipe's evaluations" if ended else ""
-    return f"Waterfall: {share} (all of them in starts.csv){spent}; {failed} of {solves} solves failed."
+    return f"Waterfall: {share} (all of them in starts.csv){spent}."
 
 
 def open_questions(parameters: "pd.DataFrame", directions: "pd.DataFrame") -> list[str]:

@@ -42,7 +42,9 @@ def show_validation(results: "Results") -> None:
 
 
 def show_head(results: "Results") -> None:
-    """Print what this is, and what the data are, in words that a reader cannot miss."""
+    """Print what this is, what the data are, and what failed, in words that a reader cannot miss."""
+    from needlefit.reporting.sentences import failures_said
+
     screen.say(f"{results.name}: {results.title}" if results.title else results.name)
     if results.origin == "synthetic":
         screen.say(f"  SYNTHETIC data ({results.dataset_title}): consistency, no evidence for the model")
@@ -50,3 +52,5 @@ def show_head(results: "Results") -> None:
         screen.say(f"  measured data: {results.dataset_title}")
     if results.interrupted:
         screen.say("  INTERRUPTED: the best found so far")
+    if said := failures_said(results):
+        screen.say(f"  {said}")

@@ -15,6 +15,9 @@ Floats = NDArray[np.float64]
 FAILURES = (NeedlefitError, ArithmeticError, np.linalg.LinAlgError)
 """What an evaluation may raise and be counted as failed; anything else is a bug and ends the search."""
 
+KEPT = 20
+"""Failed points that one start, or one ensemble of the sampler, keeps; the others are only counted."""
+
 
 class Target(Protocol):
     """What can be minimised; `Problem` is one."""
@@ -50,6 +53,8 @@ class Ledger:
     objective, worst : float
         Smallest and largest finite value seen.
     evaluations, failures : int
+    failed : list of tuple of float
+        The first `KEPT` points that failed.
     reason : str
         Why the books ended the search; empty if they did not.
     """
@@ -61,6 +66,7 @@ class Ledger:
         self.theta: Floats | None = None
         self.objective, self.worst = math.inf, -math.inf
         self.evaluations = self.failures = 0
+        self.failed: list[tuple[float, ...]] = []
         self.reason = ""
 
     def to_cube(self, theta: Floats) -> Floats:
@@ -92,6 +98,8 @@ class Ledger:
             value = math.nan
         if not math.isfinite(value):
             self.failures += 1
+            if len(self.failed) < KEPT:
+                self.failed.append(tuple(theta.tolist()))
             return math.inf
         self.worst = max(self.worst, value)
         if value < self.objective:

@@ -213,6 +213,7 @@ def _search(
         evaluations=books.evaluations,
         failures=books.failures,
         stopped=reason,
+        failed=tuple(books.failed),
     )
 
 

@@ -1,5 +1,6 @@
 """The posterior: draws, what they say, and their file (netCDF in the InferenceData layout)."""
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -47,6 +48,8 @@ class Posterior:
     failures : int
         Evaluations that were not a number, or raised, and were given density 0.
     interrupted : bool
+    failed : tuple of tuples of theta
+        By ensemble the first of these, theta and not values, to be simulated again.
     """
 
     names: tuple[str, ...]
@@ -59,6 +62,7 @@ class Posterior:
     burn_in: int
     failures: int
     interrupted: bool
+    failed: tuple[tuple[tuple[float, ...], ...], ...] = ()
 
     @property
     def steps(self) -> int:
@@ -153,6 +157,7 @@ def _attributes(of: Posterior) -> dict[str, str | int | Floats]:
         "walkers": of.walkers,
         "burn_in": of.burn_in,
         "failures": of.failures,
+        "failed_theta": json.dumps(of.failed),
         "interrupted": int(of.interrupted),
         "converged": int(of.converged),
         "r_hat": of.r_hat,
@@ -174,4 +179,7 @@ def _read(draws: "xarray.Dataset", stats: "xarray.Dataset") -> Posterior:
         burn_in=int(draws.attrs["burn_in"]),
         failures=int(draws.attrs["failures"]),
         interrupted=bool(draws.attrs["interrupted"]),
+        failed=tuple(
+            tuple(tuple(theta) for theta in ensemble) for ensemble in json.loads(draws.attrs["failed_theta"])
+        ),
     )

@@ -117,8 +117,8 @@ class Problem:
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density in theta.
 
-        The prior is flat in theta within the bounds: moduli and lengths are log-uniform. -inf outside,
-        and where a solve fails.
+        The prior is flat in theta within the bounds: moduli and lengths are log-uniform. -inf outside, NaN
+        where a solve fails: the density is not known there.
         """
         inside = np.all(np.asarray(theta) >= self.lower) and np.all(np.asarray(theta) <= self.upper)
         if not inside:
@@ -127,12 +127,12 @@ class Problem:
         for insertion, known in zip(self.insertions, self.evidence, strict=True):
             shape = predict(values, self.medium, self.dataset.needle, insertion)
             if not shape.converged:
-                return float("-inf")
+                return float("nan")
             total += log_likelihood(known, curve_of(shape))
         return total
 
     def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
-        """Return the log posterior (W,) of many thetas (W, P) at once, on `jobs` threads."""
+        """Return `log_posterior` (W,) of many thetas (W, P) at once, on `jobs` threads."""
         density = np.full(len(thetas), -np.inf)
         inside = np.flatnonzero(np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1))
         if not len(inside):
@@ -142,7 +142,7 @@ class Problem:
         density[inside] = 0.0
         for known, shapes in zip(self.evidence, follow_batches(batches, jobs), strict=True):
             good = shapes.converged
-            density[inside[~good]] = -np.inf
+            density[inside[~good]] = np.nan
             density[inside[good]] += log_likelihoods(known, positions_each(shapes, known.s)[good])
         return density
 

@@ -6,8 +6,8 @@ legacy generator is seeded from the passed one.
 
 import logging
 import math
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
@@ -15,13 +15,12 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.convergence import r_hat
-from needlefit.inference.ledger import FAILURES
+from needlefit.inference.ledger import FAILURES, KEPT
 from needlefit.inference.posterior import Posterior
 from needlefit.inference.starts import Watch
 from needlefit.project.records.recipe import SampleRecord
 
 Floats = NDArray[np.float64]
-Batch = Callable[[Floats], Floats]
 
 SCATTER = 0.05
 """Walkers begin scattered about the best point, and ensembles about each other, by this part of the range."""
@@ -46,9 +45,10 @@ class Density(Protocol):
         """Upper bounds of theta: (P,)."""
 
     def log_posteriors(self, thetas: Floats, jobs: int) -> Floats:
-        """Return the log densities (W,) of `thetas` (W, P), not normalised; -inf where it is 0.
+        """Return the log densities (W,) of `thetas` (W, P), not normalised.
 
-        `jobs` threads may be used; the densities do not depend on it.
+        -inf where the density is 0, NaN where it cannot be computed. `jobs` threads may be used; the
+        densities do not depend on it.
         """
 
     def values(self, theta: Floats) -> dict[str, float]:
@@ -75,24 +75,25 @@ def sample(
     """
     watch = Watch() if watch is None else watch
     _check(problem, settings)
-    batch = _Evaluator(problem, watch.jobs)
-    ensembles = [_begin(problem, np.asarray(best), settings, rng, batch) for _ in range(settings.ensembles)]
+    begin, count = np.asarray(best), settings.ensembles
+    ensembles = [_begin(_Evaluator(problem, watch.jobs), begin, settings, rng) for _ in range(count)]
     done = _advance(ensembles, settings, watch)
     kept = done - settings.burn_in
     if kept < 1:
         raise FitError(
             f"the sampler was stopped after {done} of {settings.burn_in} steps of burn-in: nothing to keep"
         )
-    return _collected(problem, ensembles, settings, batch.failures, kept)
+    return _collected(problem, ensembles, settings, kept)
 
 
 @dataclass
 class _Evaluator:
-    """The density of many thetas at once; whatever is no number or fails has density 0."""
+    """The density of many thetas at once; whatever is no number or fails is counted and has density 0."""
 
     problem: Density
     jobs: int
     failures: int = 0
+    failed: list[tuple[float, ...]] = field(default_factory=list)
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (W,) of `thetas` (W, P)."""
@@ -103,6 +104,8 @@ class _Evaluator:
             found = self._guarded(thetas[inside])
             lost = np.isnan(found) | (found == math.inf)
             self.failures += int(np.sum(lost))
+            self.failed += [tuple(theta) for theta in thetas[inside][lost].tolist()]
+            del self.failed[KEPT:]
             density[inside] = np.where(lost, -math.inf, found)
         return density
 
@@ -129,26 +132,28 @@ def _check(problem: Density, settings: SampleRecord) -> None:
 
 @dataclass(frozen=True)
 class _Ensemble:
+    evaluator: _Evaluator
     sampler: Any  # emcee.EnsembleSampler
     steps: Iterator[object]
 
 
 def _begin(
-    problem: Density, best: Floats, settings: SampleRecord, rng: np.random.Generator, batch: Batch
+    evaluator: _Evaluator, best: Floats, settings: SampleRecord, rng: np.random.Generator
 ) -> _Ensemble:
     """Return an ensemble whose walkers stand scattered about a point scattered about the best."""
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
-    start = _walkers(problem, best, settings.walkers, rng, batch)
-    sampler = emcee.EnsembleSampler(settings.walkers, len(problem.names), batch, vectorize=True)
+    start = _walkers(evaluator, best, settings.walkers, rng)
+    sampler = emcee.EnsembleSampler(settings.walkers, len(best), evaluator, vectorize=True)
     legacy = np.random.RandomState(int(rng.integers(2**32)))  # all that emcee takes
     state = emcee.State(start, random_state=legacy.get_state())
-    return _Ensemble(sampler, iter(sampler.sample(state, iterations=settings.burn_in + settings.steps)))
+    steps = sampler.sample(state, iterations=settings.burn_in + settings.steps)
+    return _Ensemble(evaluator, sampler, iter(steps))
 
 
-def _walkers(problem: Density, best: Floats, count: int, rng: np.random.Generator, batch: Batch) -> Floats:
+def _walkers(evaluator: _Evaluator, best: Floats, count: int, rng: np.random.Generator) -> Floats:
     """Return starting points (W, P) of positive density."""
-    lower, span = problem.lower, problem.upper - problem.lower
+    lower, span = evaluator.problem.lower, evaluator.problem.upper - evaluator.problem.lower
     inside = np.clip((best - lower) / span, 0.0, 1.0)
     centre = inside + SCATTER * rng.normal(size=len(best))
     found = np.empty((0, len(best)))
@@ -158,7 +163,7 @@ def _walkers(problem: Density, best: Floats, count: int, rng: np.random.Generato
         cube = about + shrink * SCATTER * rng.normal(size=(count, len(best)))
         folded = 1 - np.abs(1 - np.abs(cube) % 2)  # reflects at both ends of [0, 1]
         thetas = lower + folded * span
-        found = np.concatenate([found, thetas[np.isfinite(batch(thetas))]])
+        found = np.concatenate([found, thetas[np.isfinite(evaluator(thetas))]])
         if len(found) >= count:
             return found[:count]
     raise FitError(
@@ -179,9 +184,7 @@ def _advance(ensembles: list[_Ensemble], settings: SampleRecord, watch: Watch) -
     return total
 
 
-def _collected(
-    problem: Density, ensembles: list[_Ensemble], settings: SampleRecord, failures: int, kept: int
-) -> Posterior:
+def _collected(problem: Density, ensembles: list[_Ensemble], settings: SampleRecord, kept: int) -> Posterior:
     first, last = settings.burn_in, settings.burn_in + kept
     chains = np.stack([e.sampler.get_chain()[first:last] for e in ensembles])  # (E, S, W, P)
     density = np.stack([e.sampler.get_log_prob()[first:last] for e in ensembles])  # (E, S, W)
@@ -199,8 +202,9 @@ def _collected(
         autocorrelation_time=np.stack([_times(chain) for chain in chains]),
         r_hat=np.array([r_hat(pooled[:, :, k]) for k in range(dimensions)]),
         burn_in=settings.burn_in,
-        failures=failures,
+        failures=sum(e.evaluator.failures for e in ensembles),
         interrupted=kept < settings.steps,
+        failed=tuple(tuple(e.evaluator.failed) for e in ensembles),
     )
 
 

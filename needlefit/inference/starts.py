@@ -27,6 +27,8 @@ class Start:
         Objective evaluations, and those among them in which a solve failed.
     stopped : str
         Why it ended: "tolerance", "budget", "roundoff", "interrupted", "no finite value".
+    failed : tuple of theta
+        The first evaluations that failed, to be simulated again; not all where there are many.
     """
 
     index: int
@@ -36,6 +38,7 @@ class Start:
     evaluations: int
     failures: int
     stopped: str
+    failed: tuple[tuple[float, ...], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -113,6 +116,7 @@ def to_dict(start: Start) -> dict[str, Any]:
         "evaluations": start.evaluations,
         "failures": start.failures,
         "stopped": start.stopped,
+        "failed": [list(theta) for theta in start.failed],
     }
 
 
@@ -128,6 +132,7 @@ def from_dict(table: Mapping[str, Any]) -> Start:
             evaluations=int(table["evaluations"]),
             failures=int(table["failures"]),
             stopped=str(table["stopped"]),
+            failed=tuple(tuple(float(x) for x in theta) for theta in table["failed"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise FitError(

@@ -8,7 +8,7 @@ from needlefit.reporting.numbers import fixed, symbol
 from needlefit.reporting.parameters import held_fixed, undetermined
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
-from needlefit.validation.summary import aggregate
+from needlefit.validation.summary import aggregate, reasons
 
 _SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned")
 
@@ -41,6 +41,22 @@ def undetermined_said(results: Results) -> str:
         f"The data do not determine {_symbols(open_ones)}{where}: printed as such, because the prediction "
         f"used one of many values that fit practically as well, and that value is no estimate.{said}"
     )
+
+
+def failures_said(results: Results) -> str:
+    """Return how many evaluations failed and why; nothing if none did."""
+    failed = int(results.starts["failed_solves"].sum())
+    evaluations = int(results.starts["evaluations"].sum())
+    sampled = sum(posterior.failures for posterior in results.posteriors.values())
+    if not failed + sampled:
+        return ""
+    recorded = len(results.failures)
+    counts = ", ".join(f"{count} {reason}" for reason, count in reasons(results.failures).items())
+    said = f"{failed} of {evaluations} evaluations failed"
+    said += f", and {sampled} of the sampler's" if sampled else ""
+    if recorded == failed + sampled:
+        return f"{said}: {counts}; failures.csv holds their parameters."
+    return f"{said}; failures.csv holds the parameters of the first {recorded}: {counts}."
 
 
 def floor_said(results: Results) -> str:

@@ -71,6 +71,8 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
 def _frames(results: Results, folder: Path) -> None:
     for name in ("design", "errors", "shapes", "starts", "directions"):
         _csv(getattr(results, name).assign(origin=results.origin), folder / f"{name}.csv")
+    # With every digit: it is exactly these values that fail again.
+    _csv(results.failures.assign(origin=results.origin), folder / "failures.csv", digits=None)
 
 
 def _tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
@@ -119,8 +121,8 @@ def _has(frame: pd.DataFrame, role: str) -> bool:
     return bool(((frame["role"] == role) & (frame["rival"] == "fitted")).any())
 
 
-def _csv(frame: pd.DataFrame, path: Path) -> None:
-    frame.to_csv(path, index=False, float_format="%.8g", lineterminator="\n", encoding="utf-8")
+def _csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
+    frame.to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
 
 
 def _json(path: Path, value: Mapping[str, Any]) -> None:

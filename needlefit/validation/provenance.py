@@ -1,13 +1,14 @@
 """What a reader needs to repeat a run: versions, data, configuration, rules; no time and no path."""
 
 import platform
-from collections.abc import Mapping
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
 from needlefit.inference.predict import rules as mesh
 from needlefit.validation.job import Job
+from needlefit.validation.summary import reasons
+from needlefit.validation.tabulate import Tables
 
 _PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
 
@@ -55,13 +56,16 @@ def rules(job: Job) -> dict[str, Any]:
     }
 
 
-def outcome(searches: Mapping[str, Mapping[str, Any]], interrupted: bool) -> dict[str, Any]:
-    """Return what the searches came to; `searches` by fold, then by fit."""
-    every = [search for fold in searches.values() for search in fold.values()]
+def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:
+    """Return what the searches came to, by fold, then by fit, and what failed in them and in the sampler."""
+    every = [search for fold in tables.searches.values() for search in fold.values()]
+    sampled = {"failed_solves_of_sampler": sum(p.failures for p in tables.posteriors.values())}
     return {
-        "searches": searches,
+        "searches": tables.searches,
         "evaluations": sum(search["evaluations"] for search in every),
         "failed_solves": sum(search["failed_solves"] for search in every),
+        **(sampled if tables.posteriors else {}),
+        "recorded_failures": reasons(tables.frame("failures")),
         "interrupted": interrupted,
         "budget_limited": False,  # every budget is counted in evaluations, none in time
     }

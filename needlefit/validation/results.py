@@ -33,6 +33,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("fold", "fit", "start", "objective", "as_good"),
             *("evaluations", "failed_solves", "stopped"),
         ),
+        "failures": ("fold", "fit", "start", "insertion", "reason"),
         "parameters": (
             *("fold", "rival", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "spread_low", "spread_high", "determined", "note"),
@@ -67,6 +68,10 @@ class Results:
     starts : DataFrame
         Every start of every search, then one column per parameter; `as_good` marks those that ended
         practically as well as the best.
+    failures : DataFrame
+        The first evaluations that failed, of every start and of every ensemble of the sampler (`fit` is
+        then "posterior"): the insertion without a solution, why it has none, then one column per
+        parameter. Simulated again with these values it fails again; `starts` counts all.
     parameters : DataFrame
         Values per fold and rival; `sd` is of ln for moduli and lengths, of the value for alpha;
         `spread_low`, `spread_high` is the range among starts practically as good as the best.
@@ -97,6 +102,7 @@ class Results:
     errors: pd.DataFrame
     shapes: pd.DataFrame
     starts: pd.DataFrame
+    failures: pd.DataFrame
     parameters: pd.DataFrame
     directions: pd.DataFrame
     run: dict[str, Any]

@@ -21,7 +21,7 @@ from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.results import COLUMNS, Results
 from needlefit.validation.score import Scorer
-from needlefit.validation.tabulate import Tables, tabulate
+from needlefit.validation.tabulate import Tables, tabulate, tabulate_posterior
 
 __all__ = ["Settings", "run"]
 
@@ -44,7 +44,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
     work = provenance.work(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
     scorer = Scorer(job.dataset, job.record.reading, _floors(job))
-    tables, interrupted = Tables(), False
+    tables, interrupted = Tables(job.parameters.names), False
     for number, fold in enumerate(job.folds):
         fits = _search(job, fold, number, settings, checkpoint)
         interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
@@ -63,7 +63,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         design=_design(job),
         **{frame: tables.frame(frame) for frame in COLUMNS if frame != "design"},
         posteriors=tables.posteriors,
-        run={**work, **provenance.outcome(tables.searches, interrupted)},
+        run={**work, **provenance.outcome(tables, interrupted)},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=interrupted,
     )
@@ -118,7 +118,7 @@ def _sample(job: Job, fold: Fold, fit: Fit, settings: Settings, tables: Tables) 
         if settings.stop():  # before the first draw that is kept: there is no posterior to write
             return True
         raise
-    tables.posteriors[fold.name] = posterior
+    tabulate_posterior(job, fold, posterior, tables)
     return posterior.interrupted
 
 

@@ -1,5 +1,6 @@
 """Errors of single insertions, aggregated over insertions in the two ways that differ."""
 
+from collections import Counter
 from collections.abc import Sequence
 from typing import Any, Literal
 
@@ -14,6 +15,12 @@ _PAIRED = (
     *("rival", "boundaries", "insertions", "ipe_mean_mm", "te_mm"),
     *("difference_mm", "difference_se_mm", "better"),
 )
+
+
+def reasons(failures: pd.DataFrame) -> dict[str, int]:
+    """Return how many rows of `Results.failures` have which reason, most first; of an error its kind."""
+    kinds = (str(reason).partition(":")[0] for reason in failures["reason"])
+    return dict(Counter(kinds).most_common())
 
 
 def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.DataFrame:

@@ -1,7 +1,7 @@
 """What one fold found, as rows of the frames of `Results`."""
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -11,7 +11,9 @@ import pandas as pd
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
+from needlefit.inference.failure import failure
 from needlefit.inference.identify import Verdict, as_good, identify
+from needlefit.inference.parameters import Theta
 from needlefit.inference.posterior import Posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.starts import Fit, Start
@@ -23,11 +25,13 @@ from needlefit.validation.score import Rival, Row, Scorer, curve_rival, model_ri
 
 @dataclass
 class Tables:
-    """The rows that a run collects, by frame of `Results`."""
+    """The rows that a run collects, by frame of `Results`; `names` are the medium's parameters."""
 
+    names: tuple[str, ...]
     errors: list[Row] = field(default_factory=list)
     shapes: list[Row] = field(default_factory=list)
     starts: list[Row] = field(default_factory=list)
+    failures: list[Row] = field(default_factory=list)
     parameters: list[Row] = field(default_factory=list)
     directions: list[Row] = field(default_factory=list)
     searches: dict[str, dict[str, Row]] = field(default_factory=dict)
@@ -36,7 +40,8 @@ class Tables:
     def frame(self, name: str) -> pd.DataFrame:
         """Return one frame; without rows it still has its columns."""
         rows = getattr(self, name)
-        return pd.DataFrame(rows) if rows else pd.DataFrame(columns=list(COLUMNS[name]))
+        values = self.names if name in ("starts", "failures") else ()
+        return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*COLUMNS[name], *values])
 
 
 def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tables: Tables) -> None:
@@ -46,6 +51,8 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
         problem = job.problem(fold, name)
         place = {"fold": fold.name, "fit": name}
         tables.starts += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
+        for start in fit.starts:
+            tables.failures += _failure_rows({**place, "start": start.index}, problem, start.failed)
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
     if "fitted" in usable:
         verdict = identify(job.problem(fold), usable["fitted"])
@@ -59,6 +66,14 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
                 errors, shapes = scorer.score(place, insertion, curves)
                 tables.errors += errors
                 tables.shapes += shapes
+
+
+def tabulate_posterior(job: Job, fold: Fold, posterior: Posterior, tables: Tables) -> None:
+    """Keep the posterior of one fold, and what could not be solved while it was sampled."""
+    tables.posteriors[fold.name] = posterior
+    for ensemble, thetas in enumerate(posterior.failed):
+        place = {"fold": fold.name, "fit": "posterior", "start": ensemble}
+        tables.failures += _failure_rows(place, job.problem(fold), thetas)
 
 
 def _rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
@@ -89,6 +104,12 @@ def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
         "stopped": start.stopped,
         **problem.values(np.array(start.theta)),
     }
+
+
+def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list[Row]:
+    """Return one row per theta that failed, simulated again for the insertion and the reason."""
+    found = [(failure(problem, theta), problem.values(theta)) for theta in thetas]
+    return [{**place, "insertion": f.insertion, "reason": f.reason, **values} for f, values in found]
 
 
 def _search_row(fit: Fit) -> Row:
