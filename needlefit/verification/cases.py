@@ -58,7 +58,7 @@ def random_case(rng: np.random.Generator, deepest: float = 60.0, softest: float 
     tissue = Tissue(
         mu=10 ** rng.uniform(np.log10(softest), 2, count),
         alpha=rng.uniform(-10, 10, count),
-        boundaries=np.sort(rng.uniform(1, depth, count - 1)),
+        boundaries=np.sort(rng.uniform(1, depth - 0.2, count - 1)) + 0.05 * np.arange(count - 1),
         thickness=rng.uniform(5, 80, count),
     )
     base = Controls(float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)))

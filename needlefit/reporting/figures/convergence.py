@@ -23,7 +23,7 @@ def convergence(curves: Sequence[Curve], path: Path) -> Path:
 
 
 def _paint(curves: Sequence[Curve]) -> Figure:
-    figure = Figure(figsize=(WIDTH, 1.75))
+    figure = Figure(figsize=(WIDTH, 1.55))
     panels = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
     for axes, (norm, order, words) in zip(panels[:2], _PANELS, strict=True):
         _draw_panel(axes, curves, norm, order)
