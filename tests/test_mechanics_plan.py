@@ -4,7 +4,7 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
-from needlefit.mechanics.plan import Lattice, Move, Position, Ray, advance, lattice_of, plan, stops_of
+from needlefit.mechanics.plan import Lattice, Move, Position, Ray, advance, lattice_of, plan, rays, stops_of
 
 HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
 
@@ -146,11 +146,11 @@ def test_depths_nearer_than_a_millionth_of_a_micrometre_are_the_same() -> None:
 def test_a_position_remembers_the_rays_from_the_entry_on() -> None:
     position, found = advance(Position(), Move(0.9, 7, 3), HALF)
     assert found[-1] == position.last and len(found) == 3
-    assert position.rays == (Ray(0.0, 7, 3), Ray(0.5, 7, 3)) and not position.turned
+    assert rays(position) == [Ray(0.0, 7, 3, 0), Ray(0.5, 7, 3, 1)] and not position.turned
     turned, none = advance(position, Move(0.9, 8, 3), HALF)
     assert none == [] and turned.turned and turned.last == position.last
     onward, _ = advance(turned, Move(1.2, 8, 3), HALF)
-    assert onward.rays == (*position.rays, Ray(0.9, 8, 3)) and not onward.turned
+    assert rays(onward) == [*rays(position), Ray(0.9, 8, 3, 2)] and not onward.turned
 
 
 def test_steps_with_equal_inputs_are_held_by_the_same() -> None:

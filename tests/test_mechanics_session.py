@@ -11,8 +11,8 @@ from mechanics_cases import random_needle, random_rules, random_steps, random_ti
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.session import Session
+from needlefit.mechanics.plan import Lattice, rays
+from needlefit.mechanics.session import Session, _parts
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import follow, simulate
 from needlefit.mechanics.tissue import Tissue
@@ -261,6 +261,6 @@ def test_a_long_session_neither_grows_nor_loses_itself() -> None:
         shape = under_way.step(insert, bevel=bevel, base=tuple(base), guides=guides)
         assert shape.converged and np.abs(shape.u).max() < 10
         assert shape.depth == pytest.approx(under_way.depth, abs=1e-9)
-    remembered = len(under_way._bevels) + len(under_way._controls)
-    assert remembered < 700 and len(under_way._position.rays) < 200
-    assert sum(part.size for part in under_way._moving()) < 10_000
+    remembered = len(under_way._bevels._numbers) + len(under_way._controls._numbers)
+    assert remembered < 1500 and len(rays(under_way._position)) < 200
+    assert sum(part.size for part in _parts(under_way._under_way)) < 10_000

@@ -19,7 +19,7 @@ from needlefit.mechanics.kernel.grid import constraint_depths
 from needlefit.mechanics.kernel.insertion import Insertion, Stops
 from needlefit.mechanics.kernel.lane_newton import LEFT, LaneInputs
 from needlefit.mechanics.kernel.passes import LANES
-from needlefit.mechanics.kernel.scalar import NON_FINITE
+from needlefit.mechanics.kernel.scalar import NON_FINITE, Newton
 from needlefit.mechanics.kernel.tables import Tables, tabulate
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import NEAR, Lattice, Stop, lattice_of, moves_of, stops_of
@@ -196,11 +196,12 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
     nodes = len(shared.grids.main.nodes) + 2
     grids, tables = _own(shared)
     under_way = kernel.begin_lanes(len(shared.grids.y), nodes, len(shared.grids.rays))
+    newton = Newton(batch.rules.tolerance, batch.rules.max_iterations)
     for held, stops, cut in job.groups:
         controls = batch.steps[held].controls
         kernel.advance_lanes(
             under_way, grids, tables, compile_controls(controls),
-            _inputs(batch, shared, controls, cut, lane), stops, batch.rules.tolerance,
+            _inputs(batch, shared, controls, cut, lane), stops, newton,
         )  # fmt: skip
     count, size = len(sets), int(under_way.size[0])
     state = under_way.states[under_way.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)

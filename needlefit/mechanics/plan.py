@@ -7,7 +7,7 @@ reference, the compiled kernel, its lanes, the sensitivities, a session) follows
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 
 from needlefit.errors import ModelError
@@ -60,11 +60,16 @@ class Stop:
 
 @dataclass(frozen=True)
 class Ray:
-    """The way that the tip cuts from `start` (mm) on, and the inputs under which it was begun."""
+    """The way that the tip cuts from `start` (mm) on, and the inputs under which it was begun.
+
+    Rays are linked from the tip back to the entry: a long session adds and drops them at no cost.
+    """
 
     start: float
     cut: int
     held: int
+    number: int
+    before: "Ray | None" = field(default=None, compare=False, repr=False)
 
 
 @dataclass(frozen=True)
@@ -114,8 +119,8 @@ class Position:
     ----------
     last : Stop or None
         The stop at which the tip stands; None before first contact.
-    rays : tuple of Ray
-        From the entry to the tip.
+    ray : Ray or None
+        The one that led there, and so all before it; None at the entry.
     move : Move or None
         The move before, whose inputs the next one may change.
     turned : bool
@@ -123,22 +128,31 @@ class Position:
     """
 
     last: Stop | None = None
-    rays: tuple[Ray, ...] = ()
+    ray: Ray | None = None
     move: Move | None = None
     turned: bool = False
 
 
+def rays(position: Position) -> list[Ray]:
+    """Return the rays that led to a position, from the entry on."""
+    found, ray = [], position.ray
+    while ray:
+        found.append(ray)
+        ray = ray.before
+    return found[::-1]
+
+
 def advance(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[Stop]]:
     """Return where a move leads, and its stops, the last of which stands at its depth under its inputs."""
-    rays = list(position.rays)
+    ray = position.ray
     stops: list[Stop] = []
 
     def halt(depth: float, *, opens: bool = False) -> Stop:
         cell = lattice.cell(depth)
         permanent = abs(lattice.depth(cell) - depth) <= NEAR
         tip = lattice.depth(cell) if permanent else depth
-        cut = rays[-1].cut if rays else move.cut
-        stops.append(Stop(tip, cell, permanent, len(rays) - 1, opens, cut, move.held))
+        cut, number = (ray.cut, ray.number) if ray else (move.cut, -1)
+        stops.append(Stop(tip, cell, permanent, number, opens, cut, move.held))
         return stops[-1]
 
     here = position.last or halt(0.0)
@@ -146,23 +160,23 @@ def advance(position: Position, move: Move, lattice: Lattice) -> tuple[Position,
     turned = position.turned or (before.cut, before.held) != (move.cut, move.held)
     if move.depth > here.tip + NEAR:
         # a cell goes on along its ray unless something has changed; at a constraint point a new cell begins
-        begins = here.permanent or turned or (rays[-1].cut, rays[-1].held) != (move.cut, move.held)
+        begins = ray is None or here.permanent or turned or (ray.cut, ray.held) != (move.cut, move.held)
         if begins and here.held != move.held:
             halt(here.tip)
         at = here.tip
         while move.depth > at + NEAR:
             if begins:
-                rays.append(Ray(at, move.cut, move.held))
+                ray = Ray(at, move.cut, move.held, ray.number + 1 if ray else 0, ray)
             at = halt(min(lattice.depth(lattice.cell(at + 2 * NEAR)), move.depth), opens=begins).tip
             begins = True
     elif move.depth < here.tip - NEAR:
-        while rays and rays[-1].start >= move.depth - NEAR:
-            rays.pop()
+        while ray and ray.start >= move.depth - NEAR:
+            ray = ray.before
         halt(move.depth)
     elif here.held != move.held:
         halt(here.tip)
     moved = abs(move.depth - here.tip) > NEAR
-    return Position(stops[-1] if stops else here, tuple(rays), move, turned and not moved), stops
+    return Position(stops[-1] if stops else here, ray, move, turned and not moved), stops
 
 
 def plan(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[Stop, ...]:

@@ -2,9 +2,9 @@
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, Tra
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import NEAR, Lattice, Move, Position, advance, check_reach
+from needlefit.mechanics.plan import NEAR, Lattice, Move, Position, Stop, advance, check_reach, rays
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack, read
 from needlefit.mechanics.tissue import Tissue
@@ -66,10 +66,9 @@ class Session:
         self._foundation = compile_tissue(tissue)
         self._newton = Newton(rules.tolerance, rules.max_iterations)
         self._position = Position()
-        self._bevels: dict[Bevel, int] = {}  # numbers that the plan knows them by
-        self._controls: dict[Controls, int] = {}
-        self._guides = self._rays = 0
-        self._make_room(guides=4, rays=math.ceil(needle.length / rules.spacing))
+        self._bevels, self._controls = _Numbers[Bevel](), _Numbers[Controls]()
+        self._guides, self._rays = 4, math.ceil(needle.length / rules.spacing)
+        self._under_way = self._begin()
         self.go(self.last)
 
     @property
@@ -125,15 +124,15 @@ class Session:
         return self._go(step)
 
     def _go(self, step: Step) -> NeedleShape:
-        move = Move(step.depth, _number(self._bevels, step.bevel), _number(self._controls, step.controls))
+        move = Move(step.depth, self._bevels.of(step.bevel), self._controls.of(step.controls))
         position, stops = advance(self._position, move, self.lattice)
         status, iterations = CONVERGED, 0
         if stops:  # there are none where only the bevel was turned
             self._make_room(len(step.controls.guides), stops[-1].ray + 1)
-            kept = [part.copy() for part in self._moving()]
-            turn = (
-                step.bevel.side * step.bevel.offset / self.rules.spacing
-            )  # rays that open now are cut by it
+            moving = self._moving(stops)
+            kept = [part.copy() for part in moving]
+            # rays that open now are cut by this bevel; of the others nobody asks the turn
+            turn = step.bevel.side * step.bevel.offset / self.rules.spacing
             packed = pack(stops)[0]._replace(turn=np.full(len(stops), turn))
             holds = compile_controls(step.controls)
             status, iterations, _ = kernel.advance(
@@ -143,45 +142,61 @@ class Session:
         shape = read(self._under_way, self._stop, step.controls, status, iterations)
         if status == CONVERGED:
             self._position, self.last = position, step
-            _forget(self._bevels, (ray.cut for ray in position.rays), step.bevel)
-            _forget(self._controls, (ray.held for ray in position.rays), step.controls)
+            self._bevels.forget(lambda: {move.cut, *(ray.cut for ray in rays(position))})
+            self._controls.forget(lambda: {move.held, *(ray.held for ray in rays(position))})
         else:
             self.failures[shape.status] += 1
             self._stop = self._position.last or self._stop
-            for part, before in zip(self._moving(), kept, strict=True):
+            for part, before in zip(moving, kept, strict=True):
                 part[...] = before
         return shape
 
-    def _moving(self) -> tuple[np.ndarray, ...]:
-        """Return the arrays that a step changes."""
+    def _moving(self, stops: Sequence[Stop]) -> tuple[np.ndarray, ...]:
+        """Return what the stops of a step change."""
         now = self._under_way
-        return now.y, now.track, now.rays, now.tip, now.nodes, now.states, now.size
+        cells = slice(min(stop.cell for stop in stops), max(stop.cell for stop in stops) + 1)
+        rays = slice(max(min(stop.ray for stop in stops), 0), stops[-1].ray + 1)
+        return now.y[cells], now.track[cells], now.rays[rays], now.tip, now.nodes, now.states, now.size
 
     def _make_room(self, guides: int, rays: int) -> None:
         """Let the kernel's arrays hold so many guides and rays; what they hold already stays."""
         if guides <= self._guides and rays <= self._rays:
             return
         self._guides, self._rays = max(2 * guides, self._guides), max(2 * rays, self._rays)
-        before = self._moving() if self._guides and self._position.last else ()
-        self._under_way = kernel.begin(
+        before, self._under_way = self._under_way, self._begin()
+        for part, old in zip(_parts(self._under_way), _parts(before), strict=True):
+            part[tuple(slice(n) for n in old.shape)] = old
+
+    def _begin(self) -> kernel.Insertion:
+        return kernel.begin(
             self.needle.flexural_rigidity, self.needle.length, self.lattice.first_cell,
             self.lattice.spacing, self.rules.element, self.tissue.boundaries,
             self.needle.length, self._guides, self._rays,
         )  # fmt: skip
-        for part, old in zip(self._moving(), before, strict=False):
-            part[tuple(slice(n) for n in old.shape)] = old
 
 
-def _forget(numbers: dict[T, int], used: Iterable[int], now: T) -> None:
-    """Drop the numbers of inputs under which no ray was cut, lest a long session grow."""
-    if len(numbers) > 256:
-        kept = set(used)
-        for value in [v for v, number in numbers.items() if number not in kept and v != now]:
-            del numbers[value]
+def _parts(now: kernel.Insertion) -> tuple[np.ndarray, ...]:
+    """Return what an insertion under way has left behind."""
+    return now.y, now.track, now.rays, now.tip, now.nodes, now.states, now.size
 
 
-def _number(numbers: dict[T, int], value: T) -> int:
-    """Return the number of an input; equal inputs have equal ones."""
-    if value not in numbers:
-        numbers[value] = max(numbers.values(), default=-1) + 1
-    return numbers[value]
+class _Numbers(Generic[T]):
+    """The numbers by which the plan knows inputs: equal inputs have equal ones."""
+
+    def __init__(self) -> None:
+        self._numbers: dict[T, int] = {}
+        self._next, self._most = 0, 256
+
+    def of(self, value: T) -> int:
+        """Return the number of an input."""
+        if value not in self._numbers:
+            self._numbers[value] = self._next
+            self._next += 1
+        return self._numbers[value]
+
+    def forget(self, used: Callable[[], set[int]]) -> None:
+        """Now and then drop inputs under which no ray was cut, lest a long session grow."""
+        if len(self._numbers) > self._most:
+            kept = used()
+            self._numbers = {value: number for value, number in self._numbers.items() if number in kept}
+            self._most = 256 + 2 * len(self._numbers)

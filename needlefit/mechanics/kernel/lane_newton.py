@@ -31,7 +31,7 @@ from needlefit.mechanics.kernel.passes import (
     last_chord,
     last_node,
 )  # fmt: skip
-from needlefit.mechanics.kernel.scalar import ROUNDING
+from needlefit.mechanics.kernel.scalar import ROUNDING, Newton
 from needlefit.mechanics.kernel.tables import Tables
 
 Floats = NDArray[np.float64]
@@ -67,7 +67,7 @@ class Room(NamedTuple):
 @njit(cache=True, nogil=True, error_model="numpy")
 def equilibrate_lanes(
     state: Floats, y: Floats, at: Ints, passes: Ints, inputs: LaneInputs, grid: Grid, tables: Tables,
-    last: int, ends: Floats, room: Room, tolerance: float,
+    last: int, ends: Floats, room: Room, newton: Newton,
 ) -> None:  # fmt: skip
     """Make Newton passes until every lane has converged or left; what one lane does, no other sees.
 
@@ -88,7 +88,7 @@ def equilibrate_lanes(
     busy = np.zeros(3 * W)  # whether a lane is at work, its increment, the one before
     for l in range(W):
         busy[l] = 1.0 if at[l] == HERE else 0.0
-    for n in range(MOST):
+    for n in range(min(MOST, newton.max_iterations)):
         full = n != 1
         _enter(grid, tables, inputs, y, state, ends, room, full)
         _eliminate(grid, tables, inputs, y, state, last, room, full)
@@ -107,7 +107,7 @@ def equilibrate_lanes(
             stalled = n > 1 and change < ROUNDING and change > 0.5 * before
             if not np.isfinite(change):
                 at[l], busy[l] = LEFT, 0.0
-            elif min(change, ahead) < tolerance or stalled:
+            elif min(change, ahead) < newton.tolerance or stalled:
                 busy[l] = 0.0  # on the way there a guess may have left the series, the answer may not
                 at[l] = HERE if excess[l] <= 0.0 else LEFT
             at_work += int(busy[l])

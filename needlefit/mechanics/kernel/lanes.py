@@ -20,6 +20,7 @@ from needlefit.mechanics.kernel.hermite import hermite
 from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops, grid_at
 from needlefit.mechanics.kernel.lane_newton import HERE, LaneInputs, Room, equilibrate_lanes
 from needlefit.mechanics.kernel.passes import LANES, ROWS, SUMS, foresee
+from needlefit.mechanics.kernel.scalar import Newton
 from needlefit.mechanics.kernel.tables import Tables, tabulate, tabulate_point
 
 Floats = NDArray[np.float64]
@@ -57,7 +58,7 @@ def begin_lanes(cells: int, nodes: int, rays: int) -> Lanes:
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance_lanes(
     lanes: Lanes, insertion: Insertion, main: Tables, holds: Holds, inputs: LaneInputs, stops: Stops,
-    tolerance: float,
+    newton: Newton,
 ) -> None:  # fmt: skip
     """Bring the needles of all lanes from stop to stop; else as `insertion.advance`.
 
@@ -91,7 +92,7 @@ def advance_lanes(
             last,
             ends,
             room,
-            tolerance,
+            newton,
         )
         lanes.depth[0] = tip
         for l in range(2 * W):
