@@ -210,13 +210,16 @@ def sweep(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def back(state: Floats, factor: Floats) -> float:
-    """Substitute back from tip to base into `state`; return the largest change of a deflection, mm."""
+    """Substitute back from tip to base into `state`; return the largest change, mm.
+
+    Of a deflection, or of a slope over a millimetre: where all deflections are prescribed, slopes alone tell.
+    """
     change = 0.0
     u = slope = 0.0  # the last node's G is 0
     for i in range(len(state) - 1, -1, -1):
         row = factor[i]
         u, slope = row[4] - row[0] * u - row[1] * slope, row[5] - row[2] * u - row[3] * slope
-        step = abs(u - state[i, 0])
+        step = max(abs(u - state[i, 0]), abs(slope - state[i, 1]))
         if not step <= change:  # a NaN is kept, for the caller to see
             change = step
         state[i, 0], state[i, 1] = u, slope
