@@ -2,12 +2,12 @@
 
     OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/lanes.py [--json] [--rounds N]
 
-The loops of `kernel.passes` are compiled anew here, to read which instructions they became: of the
+The loops of `kernel.lanes.passes` are compiled anew here, to read which instructions they became: of the
 arithmetic on doubles, all but a rest has to be packed, or the compiler has given up on a loop.
 
 The peak is measured, on one core and on both: chains of multiply-adds on rows of doubles, independent of
 each other, held in registers. Arithmetic per element (floating-point operations; a division counts as one;
-abs, max and comparisons as none), read off the source of `kernel.passes`:
+abs, max and comparisons as none), read off the source of `kernel.lanes.passes`:
 
 | | full pass | half pass |
 |---|---|---|
@@ -41,8 +41,8 @@ import numpy as np
 from numpy.typing import NDArray
 from reference_problem import DEPTH, batch
 
-from needlefit.mechanics.kernel import passes
-from needlefit.mechanics.kernel.passes import LANES, LAYER, POINT, ROWS, chord_regular, full_regular
+from needlefit.mechanics.kernel.lanes import passes
+from needlefit.mechanics.kernel.lanes.passes import LANES, LAYER, POINT, ROWS, chord_regular, full_regular
 from needlefit.mechanics.lanes import follow_batches
 
 Floats = NDArray[np.float64]

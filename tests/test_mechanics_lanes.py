@@ -15,7 +15,7 @@ from needlefit.errors import ModelError
 from needlefit.mechanics import lanes, reference
 from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
-from needlefit.mechanics.kernel import passes
+from needlefit.mechanics.kernel.lanes import passes
 from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape

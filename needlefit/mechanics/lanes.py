@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from needlefit.mechanics import laws
 from needlefit.mechanics.batch import VARYING, Batch, NeedleShapes
 from needlefit.mechanics.control import Controls, Guide, Rules, Step
-from needlefit.mechanics.kernel import lanes as kernel
 from needlefit.mechanics.kernel.foundation import make_foundation
 from needlefit.mechanics.kernel.grid import constraint_depths
 from needlefit.mechanics.kernel.insertion import Insertion, Stops
-from needlefit.mechanics.kernel.lane_newton import LEFT, LaneInputs
-from needlefit.mechanics.kernel.passes import LANES
+from needlefit.mechanics.kernel.lanes import insertion as kernel
+from needlefit.mechanics.kernel.lanes.newton import LEFT, LaneInputs
+from needlefit.mechanics.kernel.lanes.passes import LANES
+from needlefit.mechanics.kernel.lanes.tables import Tables, tabulate
 from needlefit.mechanics.kernel.scalar import NON_FINITE, Newton
-from needlefit.mechanics.kernel.tables import Tables, tabulate
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import NEAR, Lattice, Stop, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape

@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Rules, Step
-from needlefit.mechanics.kernel import sensitivity as kernel
-from needlefit.mechanics.kernel.derivatives import Columns, History
-from needlefit.mechanics.kernel.movement import movement
 from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
+from needlefit.mechanics.kernel.sensitivity import insertion as kernel
+from needlefit.mechanics.kernel.sensitivity.derivatives import Columns, History
+from needlefit.mechanics.kernel.sensitivity.movement import movement
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape

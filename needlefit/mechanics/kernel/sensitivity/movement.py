@@ -5,7 +5,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from needlefit.mechanics.kernel.hermite import hermite
-from needlefit.mechanics.kernel.perturbation import hermite_slopes
+from needlefit.mechanics.kernel.sensitivity.perturbation import hermite_slopes
 
 Floats = NDArray[np.float64]
 

@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from needlefit.mechanics.kernel.grid import SLACK, Grid
 from needlefit.mechanics.kernel.hermite import hermite
 from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops, grid_at
-from needlefit.mechanics.kernel.lane_newton import HERE, LaneInputs, Room, equilibrate_lanes
-from needlefit.mechanics.kernel.passes import LANES, ROWS, SUMS, foresee
+from needlefit.mechanics.kernel.lanes.newton import HERE, LaneInputs, Room, equilibrate_lanes
+from needlefit.mechanics.kernel.lanes.passes import LANES, ROWS, SUMS, foresee
+from needlefit.mechanics.kernel.lanes.tables import Tables, tabulate, tabulate_point
 from needlefit.mechanics.kernel.scalar import Newton
-from needlefit.mechanics.kernel.tables import Tables, tabulate, tabulate_point
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

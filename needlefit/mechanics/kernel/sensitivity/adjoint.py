@@ -4,10 +4,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.derivatives import SUMS, Room
 from needlefit.mechanics.kernel.foundation import TERMS, Foundation, Trend, steepen
 from needlefit.mechanics.kernel.grid import Grid
 from needlefit.mechanics.kernel.scalar import CLAMPED, FREE
+from needlefit.mechanics.kernel.sensitivity.derivatives import SUMS, Room
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import Grid
 from needlefit.mechanics.kernel.insertion import Holds, Insertion
-from needlefit.mechanics.kernel.perturbation import boundary_load, node_load
 from needlefit.mechanics.kernel.scalar import CLAMPED, WIDTH, Chain
+from needlefit.mechanics.kernel.sensitivity.perturbation import boundary_load, node_load
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -11,8 +11,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from needlefit.mechanics.kernel import insertion as forward
-from needlefit.mechanics.kernel.adjoint import add_layers, add_spots, bend, carry_over, gather, solve_rows
-from needlefit.mechanics.kernel.derivatives import Columns, History, list_spots, make_room
 from needlefit.mechanics.kernel.foundation import Foundation, make_trend
 from needlefit.mechanics.kernel.grid import SLACK
 from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
@@ -24,7 +22,16 @@ from needlefit.mechanics.kernel.scalar import (
     span_shapes,
     sweep,
 )
-from needlefit.mechanics.kernel.tangent import differentiate_all
+from needlefit.mechanics.kernel.sensitivity.adjoint import (
+    add_layers,
+    add_spots,
+    bend,
+    carry_over,
+    gather,
+    solve_rows,
+)
+from needlefit.mechanics.kernel.sensitivity.derivatives import Columns, History, list_spots, make_room
+from needlefit.mechanics.kernel.sensitivity.tangent import differentiate_all
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

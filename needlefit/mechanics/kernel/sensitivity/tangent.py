@@ -4,10 +4,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.derivatives import Columns, Room
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import Grid
 from needlefit.mechanics.kernel.scalar import CLAMPED, FREE, Chain
+from needlefit.mechanics.kernel.sensitivity.derivatives import Columns, Room
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

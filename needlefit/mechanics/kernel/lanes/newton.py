@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from needlefit.mechanics.kernel.grid import Grid
-from needlefit.mechanics.kernel.passes import (
+from needlefit.mechanics.kernel.lanes.passes import (
     EXCESS,
     LANES,
     LAYER,
@@ -31,8 +31,8 @@ from needlefit.mechanics.kernel.passes import (
     last_chord,
     last_node,
 )  # fmt: skip
+from needlefit.mechanics.kernel.lanes.tables import Tables
 from needlefit.mechanics.kernel.scalar import ROUNDING, Newton
-from needlefit.mechanics.kernel.tables import Tables
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

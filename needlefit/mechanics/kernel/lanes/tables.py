@@ -7,7 +7,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from needlefit.mechanics.kernel.grid import Grid
-from needlefit.mechanics.kernel.passes import POINT
+from needlefit.mechanics.kernel.lanes.passes import POINT
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -1,0 +1,1 @@
+"""Many parameter sets of one insertion at once: `insertion` > `newton` > `tables` > `passes`."""

@@ -1,0 +1,1 @@
+"""Exact derivatives: `insertion` > `tangent`, `adjoint` > `derivatives`, `perturbation`; `movement` in C."""
