@@ -1,8 +1,8 @@
 """The model of `mechanics/reference.py`, compiled; a test ties the two.
 
 `insertion` goes from stop to stop; at each `grid` says what is met, `scalar` finds the equilibrium and
-`foundation` evaluates the tissue's law; `positions` lays the beam in the plane. `lanes/` does the same for many
-parameter sets at once, `sensitivity/` adds exact derivatives.
+`foundation` evaluates the tissue's law; `positions` lays the beam in the plane. `lanes/` does the same for
+many parameter sets at once, `sensitivity/` adds exact derivatives.
 
 Numba keeps compiled functions on disk and tells whether one is stale by the file that it stands in alone,
 not by the files that it calls. Kept in a folder named after all sources of this package, no stale one is
