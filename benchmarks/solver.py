@@ -10,8 +10,9 @@ leaves; 1e-9 mm is shown too.
 
 Each round runs all ways in turns, in one process. Ways with one thread are timed by the processor time of
 that thread (median of the rounds). Ways with two need the clock on the wall, which other programs stretch:
-the least and the median of the rounds are shown, and the processor time, which two idle cores would share.
-Ratios take the first column. `jax` is timed where it is installed; needlefit does not need it.
+they are called once at a time, after a rest, several times a round; the least and the median of all calls
+are shown, and the processor time of both threads together. Ratios take the first column. `jax` is timed
+where it is installed; needlefit does not need it.
 """
 
 import argparse
@@ -41,7 +42,8 @@ Floats = NDArray[np.float64]
 TOLERANCES = (1e-7, 1e-9)  # mm
 STEPS = round(DEPTH)
 POOL = 2  # processes
-LEAST = 0.02  # s, of a measurement
+LEAST = 0.02  # s, of a measurement on one thread
+BURSTS, PAUSE = 8, 0.02  # calls in a round on several threads, and the rest before each, s
 SETS = (32, 64, 256, 1024)
 RAGGED = np.linspace(32.0, 78.0, 47).round()  # mm; as many insertions as the paper's, 55 mm deep on average
 COMPARED = 4  # sets on which all ways have to agree
@@ -87,10 +89,17 @@ class Way:
 
     def run(self) -> None:
         """Call it for a while and note the time per step, us."""
-        clock = time.thread_time if self.alone else time.process_time
-        begin_wall = time.perf_counter()
         self.call()  # brings its own arrays into the caches
-        repeats = max(1, round(LEAST / (time.perf_counter() - begin_wall)))
+        if not self.alone:
+            for _ in range(BURSTS):
+                time.sleep(PAUSE)
+                self._time(time.process_time, 1)
+            return
+        begin = time.perf_counter()
+        self.call()
+        self._time(time.thread_time, max(1, round(LEAST / (time.perf_counter() - begin))))
+
+    def _time(self, clock: Callable[[], float], repeats: int) -> None:
         begin, begin_wall = clock(), time.perf_counter()
         for _ in range(repeats):
             self.call()
