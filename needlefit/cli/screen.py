@@ -22,11 +22,14 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def note_compiling() -> None:
-    """Say so where the model is about to be compiled, so that nobody takes the wait for a hang."""
-    from needlefit.mechanics.kernel import COMPILED_BEFORE
+def note_compiling(*rooms: str) -> None:
+    """Say so where the model, or a further room of its kernel, is about to be compiled.
 
-    if not COMPILED_BEFORE:
+    Nobody should take the wait for a hang.
+    """
+    from needlefit.mechanics.kernel import compiled
+
+    if not all(compiled(room) for room in ("kernel", *rooms)):
         note("needlefit: compiling the model; this happens once and takes some seconds")
 
 

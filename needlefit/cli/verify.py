@@ -36,7 +36,7 @@ def verify(
     require_result(folder)
     invocation = context.find_root().obj
     if not invocation.quiet:
-        screen.note_compiling()
+        screen.note_compiling("lanes", "sensitivity")
     started = time.perf_counter()
     with progress(invocation.quiet) as report:
         found = measure(seed, progress=report)

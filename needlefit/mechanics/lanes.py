@@ -77,12 +77,10 @@ def follow_batches(batches: Sequence[Batch], threads: int | None = None) -> tupl
 
 @dataclass(frozen=True)
 class _Shared:
-    """What the sets of a batch share in the lanes, and what the lanes read of each."""
+    """What the sets of a batch share in the lanes."""
 
     grids: Insertion
     tables: Tables
-    layers: Floats  # (B, n, LAYER)
-    curvature: Floats  # (B,)
 
 
 @dataclass(frozen=True)
@@ -109,7 +107,7 @@ def _prepare(batch: Batch) -> _Job:
     shared = None
     if _fit(batch, lattice, stops):
         grids = begin(needle, batch.tissue, steps, lattice, rules)
-        shared = _Shared(grids, tabulate(grids.main), *_layers(batch, valid))
+        shared = _Shared(grids, tabulate(grids.main))
     return _Job(batch, lattice, packed(moves, lattice), stops, valid, shared)
 
 
@@ -151,17 +149,18 @@ def _fit(batch: Batch, lattice: Lattice, stops: Sequence[Stop]) -> bool:
     )
 
 
-def _layers(batch: Batch, valid: NDArray[np.bool_]) -> tuple[Floats, Floats]:
-    """Return the series and limits of every set's layers (B, n, LAYER), and curvatures (B,)."""
-    tissue, shape = batch.tissue, (len(batch), batch.tissue.layers)
-    mu = np.broadcast_to(tissue.mu if batch.mu is None else batch.mu, shape)
-    alpha = np.broadcast_to(tissue.alpha if batch.alpha is None else batch.alpha, shape)
-    mu, alpha = np.where(valid[:, None], mu, 1.0), np.where(valid[:, None], alpha, 1.0)
+def _layers(job: _Job, lane: Ints) -> tuple[Floats, Floats]:
+    """Return the series and limits of every lane's layers (n LAYER W,), and curvatures (W,)."""
+    tissue, shape = job.batch.tissue, (len(lane), job.batch.tissue.layers)
+    mu = np.broadcast_to(tissue.mu if job.batch.mu is None else job.batch.mu[lane], shape)
+    alpha = np.broadcast_to(tissue.alpha if job.batch.alpha is None else job.batch.alpha[lane], shape)
+    valid = job.valid[lane, None]
+    mu, alpha = np.where(valid, mu, 1.0), np.where(valid, alpha, 1.0)
     coefficients, exponents = laws.power_terms(tissue.law, alpha.ravel())
     thickness, friction = (np.resize(part, mu.size) for part in (tissue.thickness, tissue.friction))
     found = make_foundation(mu.ravel(), coefficients, exponents, thickness, friction)
     series = np.concatenate((found.series, found.limit[:, None]), axis=1)
-    return series.reshape(*shape, -1), found.curvature.reshape(shape).max(axis=1)
+    return series.reshape(*shape, -1).transpose(1, 2, 0).ravel(), found.curvature.reshape(shape).max(axis=1)
 
 
 def _run(job: _Job, start: int) -> NeedleShapes:
@@ -197,11 +196,12 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
     grids, tables = _own(shared)
     under_way = kernel.begin_lanes(len(shared.grids.y), nodes, len(shared.grids.rays))
     newton = Newton(batch.rules.tolerance, batch.rules.max_iterations)
+    tissue = _layers(job, lane)
     for held, stops, cut in job.groups:
         controls = batch.steps[held].controls
         kernel.advance_lanes(
             under_way, grids, tables, compile_controls(controls),
-            _inputs(batch, shared, controls, cut, lane), stops, newton,
+            _inputs(batch, tissue, controls, cut, lane), stops, newton,
         )  # fmt: skip
     count, size = len(sets), int(under_way.size[0])
     state = under_way.states[under_way.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
@@ -230,7 +230,9 @@ def _own(shared: _Shared) -> tuple[Insertion, Tables]:
     return shared.grids._replace(main=own), tables._replace(points=tables.points.copy())
 
 
-def _inputs(batch: Batch, shared: _Shared, controls: Controls, cut: Ints, lane: Ints) -> LaneInputs:
+def _inputs(
+    batch: Batch, tissue: tuple[Floats, Floats], controls: Controls, cut: Ints, lane: Ints
+) -> LaneInputs:
     """Return what differs between lanes under the inputs of one step; `lane` (W,) says whose they are."""
 
     def given(name: str, otherwise: float) -> Floats:
@@ -242,11 +244,9 @@ def _inputs(batch: Batch, shared: _Shared, controls: Controls, cut: Ints, lane: 
     before = np.array([[given("guide_x", guide.x), *np.full((2, len(lane)), [[guide.y], [_slope(guide)]])]
                        for guide in controls.before])  # fmt: skip
     base = (controls.base_y, controls.base_slope, controls.stage_slope)
-    layers = shared.layers[lane]  # (W, n, LAYER)
     return LaneInputs(
         given("rigidity", batch.needle.flexural_rigidity),
-        layers.transpose(1, 2, 0).ravel(),
-        shared.curvature[lane],
+        *tissue,
         np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])]),
         before.reshape(-1, 3, len(lane)),
         turns[cut, None] * offsets[cut],

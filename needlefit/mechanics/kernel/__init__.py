@@ -30,8 +30,12 @@ def _cache_folder() -> Path:
 
 
 _folder = _cache_folder()
-COMPILED_BEFORE = any(_folder.glob("*/*.nbi"))
-"""Whether functions of these sources were found compiled; if not, the first call takes some seconds."""
+
+
+def compiled(room: str) -> bool:
+    """Return whether what moves a needle in a room (kernel, lanes, sensitivity) stands compiled on disk."""
+    return any(_folder.glob(f"{room}_*/insertion.advance*.nbi"))
+
 
 _config: Any = numba.config  # a module that makes its attributes at run time
 _before, _config.CACHE_DIR = _config.CACHE_DIR, str(_folder)

@@ -36,7 +36,7 @@ class Trend(NamedTuple):
     limit: Floats  # (n,) the |e| up to which that is used, mm
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def make_foundation(
     mu: Floats, coefficients: Floats, exponents: Floats, thickness: Floats, friction: Floats
 ) -> Foundation:
@@ -63,7 +63,7 @@ def make_foundation(
     return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough, curvature)
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _reach(coefficients: Floats, exponents: Floats, interval: float) -> float:
     """Return the d = |e| / t at which the first term left out of Taylor's series is TRUNCATION of k.
 
@@ -87,7 +87,7 @@ def _reach(coefficients: Floats, exponents: Floats, interval: float) -> float:
     return float(min(reach, MOST / interval))
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy")
 def _interpolate(series: Floats, factors: Floats, exponents: Floats, thickness: float, limit: float) -> None:
     """Fill `series` with the polynomial through k at Chebyshev's points of 0 <= |e| <= limit."""
     at, value = np.empty(TERMS), np.zeros(TERMS)

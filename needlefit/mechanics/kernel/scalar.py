@@ -219,7 +219,9 @@ def back(state: Floats, factor: Floats) -> float:
     for i in range(len(state) - 1, -1, -1):
         row = factor[i]
         u, slope = row[4] - row[0] * u - row[1] * slope, row[5] - row[2] * u - row[3] * slope
-        step = max(abs(u - state[i, 0]), abs(slope - state[i, 1]))
+        step, turn = abs(u - state[i, 0]), abs(slope - state[i, 1])
+        if not turn <= step:
+            step = turn
         if not step <= change:  # a NaN is kept, for the caller to see
             change = step
         state[i, 0], state[i, 1] = u, slope
