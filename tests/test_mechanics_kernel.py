@@ -173,3 +173,10 @@ def test_inserted_points_begin_at_the_entry_and_end_at_the_tip() -> None:
     assert points.shape == (7, 2)
     assert points[-1, 1] == pytest.approx(shape.deflection)
     assert -0.01 < points[0, 0] <= 0.0  # the free span lags by a little too
+
+
+@pytest.mark.parametrize("rules", [(1.0, 0.04), (0.04, 0.04)])
+def test_elements_so_short_that_rounding_wins_are_refused(rules) -> None:
+    """1 kPa tissue with 0.02 mm elements would be 3 % off, and look converged."""
+    with pytest.raises(ModelError, match=r"elements of 0\.04 mm"):
+        Rules(*rules)

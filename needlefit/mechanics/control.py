@@ -132,6 +132,10 @@ class Step:
             raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
 
 
+SHORTEST_ELEMENT = 0.05
+"""mm; below, rounding exceeds the discretisation error and would be taken for an answer."""
+
+
 @dataclass(frozen=True)
 class Rules:
     """What else decides the answer.
@@ -154,6 +158,12 @@ class Rules:
     max_iterations: int = 40
 
     def __post_init__(self) -> None:
+        if 0 < min(self.element, self.spacing) < SHORTEST_ELEMENT:
+            raise ModelError(
+                f"elements of {min(self.element, self.spacing):g} mm",
+                expected=f"{SHORTEST_ELEMENT:g} mm or more: rounding grows with the fourth power of their number",
+                mend="1 mm elements leave less than 0.001 mm at the tip, as `needlefit verify` shows",
+            )
         ratio = self.spacing / self.element if self.element > 0 else 0.0
         if not (self.spacing > 0 and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-3)):
             raise ModelError(

@@ -27,7 +27,7 @@ class SampleRecord(Record):
 
     ensembles: int = Field(default=4, ge=1)
     walkers: int = Field(default=16, ge=4)
-    steps: int = Field(default=6000, ge=2)
+    steps: int = Field(default=8000, ge=2)
     burn_in: int = Field(default=1000, ge=0)
 
 
