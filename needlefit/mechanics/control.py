@@ -161,7 +161,7 @@ class Rules:
         if 0 < min(self.element, self.spacing) < SHORTEST_ELEMENT:
             raise ModelError(
                 f"elements of {min(self.element, self.spacing):g} mm",
-                expected=f"{SHORTEST_ELEMENT:g} mm or more: rounding grows with the fourth power of their number",
+                expected=f"{SHORTEST_ELEMENT:g} mm or more: rounding grows as they shrink",
                 mend="1 mm elements leave less than 0.001 mm at the tip, as `needlefit verify` shows",
             )
         ratio = self.spacing / self.element if self.element > 0 else 0.0
