@@ -92,10 +92,11 @@ def open_scene(name: str) -> "Scene":
     """
     from needlefit.mechanics.scene import Scene
     from needlefit.project.load import load
-    from needlefit.project.places import find
+    from needlefit.project.places import find, label
     from needlefit.project.records.scene import SceneRecord
 
-    return Scene.from_record(load(find("scene", name), SceneRecord))
+    path = find("scene", name)
+    return Scene.from_record(load(path, SceneRecord), label(path))
 
 
 def __getattr__(name: str) -> object:

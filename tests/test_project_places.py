@@ -30,6 +30,17 @@ def test_the_working_folder_comes_first(project):
     assert "mine" in places.names("study") and "phantom2" in places.names("scene")
 
 
+def test_messages_call_a_shipped_file_by_its_name_and_the_user_s_own_by_its_path(project, monkeypatch):
+    own = project / "configs/scenes/phantom1.toml"
+    own.write_text("schema = 1\n")
+    assert places.label(places.find("scene", "phantom1")) == str(own)
+    assert places.label(places.find("scene", "phantom2")) == "scene phantom2 (shipped)"
+    assert places.label(places.find("dataset", "twin")) == "dataset twin (shipped)"
+    assert places.label(places.find("study", "study3")) == "study study3 (shipped)"
+    monkeypatch.chdir(places.shipped())  # then the shipped files are what the user works on
+    assert places.label(places.find("scene", "phantom2")).endswith("configs/scenes/phantom2.toml")
+
+
 def test_an_empty_folder_uses_the_shipped_project(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert places.roots() == (places.shipped(),)

@@ -1,6 +1,7 @@
 """Scenes: the shipped ones hold the paper's parameter sets; what a scene's file may say."""
 
 import csv
+from datetime import date
 from pathlib import Path
 
 import pytest
@@ -164,6 +165,55 @@ def test_a_scene_without_steps_is_one():
 def test_what_a_scene_may_not_say(more, told):
     with pytest.raises(ConfigError, match=told):
         check(BARE | {"guides": [RING]} | more, SceneRecord, "a.toml")
+
+
+@pytest.mark.parametrize(
+    ("more", "what", "expected", "mend"),
+    [
+        ({"depth_mm": -1}, "key `depth_mm` is -1", "a number above 0", "correct `depth_mm`"),
+        (
+            {"controls": {"base_slope_deg": 50}},
+            "key `controls.base_slope_deg` is 50", "a number below 45", "correct `controls.base_slope_deg`",
+        ),
+        ({"bevel": {"offset_mm": -1}}, "is -1", "a number of at least 0", "correct `bevel.offset_mm`"),
+        ({"bevel": {"offset_mm": "0.1"}}, 'is "0.1"', "a number, without quotes", "correct"),
+        ({"bevel": {"offset_mm": True}}, "is true", "a number, without quotes", "correct"),
+        ({"bevel": {"offset_mm": 1, "side": 2}}, "key `bevel.side` is 2", "1 or -1", "correct `bevel.side`"),
+        ({"bevel": {}}, "key `bevel.offset_mm` is missing", "a number of at least 0", "add `bevel.off"),
+        ({"bevel": 7}, "key `bevel` is 7", "a table of keys and values", "correct `bevel`"),
+        ({"title": 4}, "key `title` is 4", 'a text, in quotes ("...")', "correct `title`"),
+        ({"layers": []}, "key `layers` has too few members", "a list of at least 1", "correct `layers`"),
+        ({"steps": {}}, "key `steps` is of another kind", "[[...]] for each member", "correct `steps`"),
+        ({"layers": [{"top_mm": 0, "alpha": 1}]}, "`layers.1.mu_pa` is missing", "a number above 0", "add"),
+        ({"dpth_mm": 1}, "`dpth_mm` is unknown", "depth_mm", "write `depth_mm`, or leave it out"),
+        ({"zzzzzzzzz": 1}, "`zzzzzzzzz` is unknown", "depth_mm", "leave `zzzzzzzzz` out"),
+        (
+            {"guides": [RING | {"name": "7"}]},
+            'key `guides.1.name` is "7"', "a letter, then letters, digits, - or _", "correct `guides.1.name`",
+        ),
+    ],
+)  # fmt: skip
+def test_a_fault_says_what_was_expected_and_what_to_do(more, what, expected, mend):
+    with pytest.raises(ConfigError) as fault:
+        check(BARE | {"depth_mm": 5} | more, SceneRecord, "a.toml")
+    assert what in fault.value.what and ";" not in fault.value.what.split("; did you mean")[0]
+    assert expected in fault.value.expected and mend in fault.value.mend
+
+
+def test_of_several_faults_each_is_told_once():
+    layer = {"top_mm": 0, "mu_pa": -1, "alpha": "x"}
+    with pytest.raises(ConfigError) as fault:
+        check(BARE | {"depth_mm": 5, "layers": [layer]}, SceneRecord, "a.toml")
+    assert fault.value.what == 'key `layers.1.mu_pa` is -1; key `layers.1.alpha` is "x"'
+    expected = "`layers.1.mu_pa`: a number above 0; `layers.1.alpha`: a number, without quotes"
+    assert fault.value.expected == expected
+    assert fault.value.mend == "correct `layers.1.mu_pa`; correct `layers.1.alpha`"
+
+
+def test_a_whole_number_is_a_number_and_a_date_is_nothing():
+    assert check(BARE | {"depth_mm": 5}, SceneRecord, "a.toml").depth_mm == 5.0
+    with pytest.raises(ConfigError, match="key `title`"):
+        check(BARE | {"depth_mm": 5, "title": date(2020, 1, 1)}, SceneRecord, "a.toml")
 
 
 def test_the_scene_of_figure_1_says_what_is_invented():

@@ -120,7 +120,7 @@ def _record(name: str, depth: float | None, assignments: list[str]) -> tuple[str
     pairs = [_pair(text) for text in assignments]
     from needlefit.project.load import check, load, read_toml
     from needlefit.project.overrides import override
-    from needlefit.project.places import find
+    from needlefit.project.places import find, label
     from needlefit.project.records.scene import SceneRecord
 
     path = find("scene", name)
@@ -134,9 +134,9 @@ def _record(name: str, depth: float | None, assignments: list[str]) -> tuple[str
             )
         pairs.append(("depth_mm", repr(depth)))
     if not pairs:
-        return str(path), record
-    where = f"{path}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
-    return where, check(override(read_toml(path), pairs, SceneRecord, str(path)), SceneRecord, where)
+        return label(path), record
+    where = f"{label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
+    return where, check(override(read_toml(path), pairs, SceneRecord, label(path)), SceneRecord, where)
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -75,6 +75,16 @@ def find(kind: Kind, name: str) -> Path:
     raise _unknown(kind, name, names(kind))
 
 
+def label(path: Path) -> str:
+    """Return how messages call a file: a shipped one by its name, the user's own by its path."""
+    root = shipped()
+    if Path.cwd() != root and path.is_relative_to(root):
+        for kind, pattern in _PATTERNS.items():
+            if path.relative_to(root).match(pattern.format(name="*")):
+                return f"{kind} {_name(kind, path)} (shipped)"
+    return str(path)
+
+
 def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
     if _is_path(name):
