@@ -89,6 +89,13 @@ def test_a_wrong_value_names_its_key(setting, told, capsys):
     assert told in capsys.readouterr().err
 
 
+def test_a_shipped_scene_goes_by_its_name_in_messages(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert run("simulate", "figure1", "--set", "bevel.side=0") == 3
+    told = capsys.readouterr().err
+    assert told.startswith("needlefit: scene figure1 (shipped), changed by bevel.side=0: key `bevel.side`")
+
+
 def test_a_needle_too_short_says_how_deep_it_goes(capsys):
     assert run("simulate", "phantom1", "--depth", "150") == 3
     assert "a depth below 150 mm" in capsys.readouterr().err
@@ -111,6 +118,41 @@ def test_without_convergence_the_answer_is_marked_and_the_exit_code_5(capsys):
     assert "did not converge" in captured.err
     assert run("simulate", "phantom1", *crushing) == 5
     assert "NO" in capsys.readouterr().out
+
+
+def test_what_was_not_found_is_a_dash_in_print(capsys):
+    assert run("simulate", "phantom2", "--set", "bevel.offset_mm=60") == 5
+    out = capsys.readouterr().out
+    assert "nan" not in out
+    assert "deflection  – mm" in out and "tip         (–, –) mm" in out
+
+
+@pytest.mark.parametrize(
+    ("setting", "told"),
+    [
+        ("needle.youngs_modulus_gpa=1001", "`needle.youngs_modulus_gpa` is 1001, more than any"),
+        ("layers.2.mu_pa=33", "`layers.2.mu_pa` is 33, very little for a tissue: is it Pa?"),
+        ("layers.2.mu_pa=3e10", "`layers.2.mu_pa` is 3e+10, very much for a tissue: is it Pa?"),
+        ("bevel.offset_mm=2.1", "`bevel.offset_mm` is 2.1 per 1 mm of depth, a very sharp turn: is it mm?"),
+    ],
+)
+def test_values_that_are_hard_to_believe_are_asked_about(setting, told, capsys):
+    run("simulate", "phantom2", "--set", setting)
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if "is it" in line]
+    assert line.startswith(f"needlefit: warning: {told}")
+
+
+def test_a_step_s_offset_is_asked_about_and_counts_per_mm(capsys):
+    run("simulate", "figure1", "--set", "steps.2.offset_mm=1.5", "--set", "rules.constraint_spacing_mm=0.5")
+    assert "`steps.2.offset_mm` is 1.5 per 0.5 mm of depth" in capsys.readouterr().err
+
+
+def test_the_mesh_follows_the_constraint_spacing_where_the_file_does_not_say(capsys):
+    half = answer(capsys, "phantom2", "--set", "rules.constraint_spacing_mm=0.5")
+    same = answer(
+        capsys, "phantom2", "--set", "rules.constraint_spacing_mm=0.5", "--set", "rules.element_mm=0.5"
+    )
+    assert half == same
 
 
 def test_what_was_not_found_is_null(capsys):
@@ -217,8 +259,22 @@ def test_guides_and_steps_are_set_by_name_and_number(capsys):
         ("steps.3.guides.template.in_tissue=true", "key `steps.3.guides.template`"),
         ("guides.1.angle_deg=100", "lies 80 degrees off the insertion axis"),
         ("controls.stage_angle_deg=46", "key `controls.stage_angle_deg`"),
-        ("controls.guide_distance_mm=15", "key `guides`: two guides stand at the same x"),
-        ("steps.2.depth_mm=135", "key `steps.2.depth_mm`: a needle of 150 mm cannot be inserted 135 mm"),
+        (
+            "controls.guide_distance_mm=15",
+            "keys `guides.1` and `controls.guide_distance_mm`: two guides stand at the same x = -15 mm",
+        ),
+        (
+            "steps.2.depth_mm=135",
+            "keys `steps.2.depth_mm` and `steps.2.guides.template`: a needle of 150 mm cannot be inserted "
+            "135 mm through a guide 15 mm before the tissue",
+        ),
+        ("guides.1.x_mm=-120", "a depth below 30 mm, or a guide less than 110 mm before the tissue"),
+        (
+            "needle.length_mm=0.15",
+            "keys `needle.length_mm` and `guides.1`: a needle of 0.15 mm does not even reach the tissue "
+            "through a guide 15 mm before the tissue\n  expected: a needle longer than 55 mm to go 40 mm "
+            "deep\n",
+        ),
         ("steps.2.side=2", "steps.2.side"),
         ("steps.2.tip_slope_deg=2", "tip_slope_deg needs tip_y_mm"),
         ("depth_mm=30", "steps.3.depth_mm"),

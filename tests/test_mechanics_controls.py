@@ -237,7 +237,7 @@ def test_the_order_in_which_guides_are_named_does_not_matter() -> None:
 
 @pytest.mark.parametrize("x", [-3.0, 0.0, 4.5])
 def test_two_guides_at_one_place_are_refused(x: float) -> None:
-    with pytest.raises(ModelError, match="same x"):
+    with pytest.raises(ModelError, match=f"same x = {x:g} mm.*\n.*\n  mend: move one"):
         Controls(guides=(Guide(x, 0.0, in_tissue=x >= 0), Guide(x, 0.1, None, x >= 0)))
 
 
@@ -258,7 +258,9 @@ def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
 @pytest.mark.parametrize("make", [
     lambda: Controls(base_y=np.nan), lambda: Controls(stage_slope=np.inf), lambda: Guide(np.nan),
     lambda: Guide(-1.0, slope=np.nan), lambda: TrackedTip(np.inf), lambda: Bevel(np.nan),
-    lambda: Bevel(0.1, 0), lambda: Step(-1.0, BEVEL), lambda: Step(np.nan, BEVEL),
+    lambda: Bevel(0.1, 0), lambda: Bevel("a"), lambda: Guide("a"), lambda: Needle("a", 1.0),
+    lambda: Rules("a"), lambda: Step(None, BEVEL), lambda: Controls("a"), lambda: TrackedTip("a"),
+    lambda: Step(-1.0, BEVEL), lambda: Step(np.nan, BEVEL),
 ])  # fmt: skip
 def test_inputs_are_numbers(make) -> None:
     with pytest.raises(ModelError):

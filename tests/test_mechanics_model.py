@@ -11,6 +11,7 @@ from needlefit.mechanics.control import Bevel, Rules
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
+from needlefit.project.records.scene import RulesRecord
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 
@@ -114,3 +115,25 @@ def test_alpha_hardly_moves_the_tip() -> None:
     ]
     assert abs(ends[1] - ends[0]) < 0.015
     assert abs(ends[1] - ends[0]) > 1e-4
+
+
+@pytest.mark.parametrize(
+    ("wrong", "told"),
+    [
+        ({"mu": [0.2, -1.0]}, "layer 2 has mu -1 MPa"),
+        ({"thickness": [0.0, 40.0]}, "layer 1 has thickness 0 mm"),
+        ({"friction": [0.0, -0.1]}, "layer 2 has friction -0.1"),
+    ],
+)
+def test_a_wrong_layer_is_named_with_its_value(wrong, told):
+    with pytest.raises(ModelError, match=told):
+        Tissue(**{"mu": np.ones(2), "alpha": np.ones(2), "boundaries": np.array([5.0])} | wrong)
+
+
+@pytest.mark.parametrize(
+    ("spacing", "element"), [(1.0, 1.0), (0.5, 0.5), (0.3, 0.3), (1.5, 0.75), (2.0, 1.0), (2.5, 2.5 / 3)]
+)
+def test_a_record_s_mesh_divides_its_spacing_into_elements_of_up_to_1_mm(spacing, element):
+    assert Rules.from_record(RulesRecord(constraint_spacing_mm=spacing)).element == pytest.approx(element)
+    given = RulesRecord(constraint_spacing_mm=spacing, element_mm=spacing / 4)
+    assert Rules.from_record(given).element == pytest.approx(spacing / 4)

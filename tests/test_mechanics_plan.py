@@ -189,6 +189,13 @@ def test_the_base_stays_before_guides_and_tissue(depth: float, guides: tuple[Gui
         plan((Step(1.0, Bevel(0.1)), Step(depth, Bevel(0.1), Controls(guides=guides))), HALF, 150.0)
 
 
+def test_a_needle_that_ends_before_its_guide_is_called_too_short() -> None:
+    guides = Controls(guides=(Guide(-15.0),))
+    with pytest.raises(ModelError, match=r"needle of 0\.15 mm does not even reach the tissue") as fault:
+        plan((Step(40.0, Bevel(0.1), guides),), HALF, 0.15)
+    assert fault.value.expected == "a needle longer than 55 mm to go 40 mm deep"
+
+
 def test_no_steps_are_no_insertion() -> None:
     with pytest.raises(ModelError, match="without steps"):
         plan((), HALF, 150.0)

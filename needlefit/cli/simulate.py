@@ -9,6 +9,7 @@ import typer
 
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import scenes
+from needlefit.cli.plausibility import doubts
 
 if TYPE_CHECKING:
     from needlefit.mechanics.scene import Entry, Scene
@@ -49,6 +50,8 @@ def simulate(
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
     where, record = _record(scene, depth, set_ or [])
+    for doubt in doubts(record):
+        screen.note(f"needlefit: warning: {doubt}")
     title = record.title or scene
     built, shapes = _insert(record, where)
     answer = summary(built, shapes)
@@ -152,8 +155,8 @@ def _print(title: str, answer: dict[str, Any]) -> None:
     state = "yes" if answer["converged"] else f"NO: {answer['status']}"
     rows = [
         ("depth", f"{answer['depth_mm']:g} mm"),
-        ("deflection", f"{answer['deflection_mm']:z.3f} mm, tip in the constraint frame"),
-        ("tip", f"({x:z.3f}, {y:z.3f}) mm in the world"),
+        ("deflection", f"{_found(answer['deflection_mm'])} mm, tip in the constraint frame"),
+        ("tip", f"({_found(x)}, {_found(y)}) mm in the world"),
         ("boundaries", interfaces + (" mm" if interfaces != "none" else "")),
         ("converged", f"{state} ({answer['iterations']} Newton iterations)"),
     ]
@@ -163,6 +166,11 @@ def _print(title: str, answer: dict[str, Any]) -> None:
             screen.say(f"  {f'step {n}':<11} {_line(step)}")
     for label, text in rows:
         screen.say(f"  {label:<11} {text}")
+
+
+def _found(value: float) -> str:
+    """Return a length in print; a dash where the needle was not found."""
+    return f"{value:z.3f}" if math.isfinite(value) else "–"
 
 
 def _line(step: dict[str, Any]) -> str:

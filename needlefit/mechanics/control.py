@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Self
 
 from needlefit.errors import ModelError
+from needlefit.mechanics.finite import finite
 from needlefit.project.records.scene import BevelRecord, RulesRecord
 
 
@@ -17,9 +18,10 @@ class Bevel:
     side: int = 1
 
     def __post_init__(self) -> None:
-        if not math.isfinite(self.offset) or self.side not in (1, -1):
+        if not finite(self.offset) or self.side not in (1, -1):
             raise ModelError(
-                f"bevel has offset {self.offset} mm, side {self.side}", expected="finite; +1 or -1"
+                f"bevel has offset {self.offset} mm, side {self.side}",
+                expected="an offset that is a finite number, side +1 or -1",
             )
 
     @classmethod
@@ -48,7 +50,7 @@ class Guide:
     in_tissue: bool = False
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.x, self.y, self.slope or 0.0))):
+        if not finite(self.x, self.y, self.slope or 0.0):
             raise ModelError(
                 f"guide stands at ({self.x}, {self.y}) mm, slope {self.slope}", expected="finite numbers"
             )
@@ -68,7 +70,7 @@ class TrackedTip:
     slope: float | None = None
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.y) and math.isfinite(self.slope or 0.0)):
+        if not finite(self.y, self.slope or 0.0):
             raise ModelError(f"tracked tip is at {self.y} mm, slope {self.slope}", expected="finite numbers")
 
 
@@ -94,15 +96,20 @@ class Controls:
     tip: TrackedTip | None = None
 
     def __post_init__(self) -> None:
-        if not all(map(math.isfinite, (self.base_y, self.base_slope, self.stage_slope))):
+        if not finite(self.base_y, self.base_slope, self.stage_slope):
             raise ModelError(
                 f"base is at {self.base_y} mm, slope {self.base_slope}, on a stage of slope "
                 f"{self.stage_slope}",
                 expected="finite numbers",
             )
         ordered = tuple(sorted(self.guides, key=lambda guide: guide.x))
-        if any(a.x == b.x for a, b in pairwise(ordered)):
-            raise ModelError("two guides stand at the same x", expected="guides at different x")
+        for one, other in pairwise(ordered):
+            if one.x == other.x:
+                raise ModelError(
+                    f"two guides stand at the same x = {one.x:g} mm",
+                    expected="guides at different x",
+                    mend="move one of them, or leave it out",
+                )
         object.__setattr__(self, "guides", ordered)
 
     @property
@@ -128,7 +135,7 @@ class Step:
     controls: Controls = Controls()
 
     def __post_init__(self) -> None:
-        if not (math.isfinite(self.depth) and self.depth >= 0):
+        if not (finite(self.depth) and self.depth >= 0):
             raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
 
 
@@ -158,6 +165,11 @@ class Rules:
     max_iterations: int = 40
 
     def __post_init__(self) -> None:
+        if not finite(self.spacing, self.element):
+            raise ModelError(
+                f"constraint spacing is {self.spacing} mm, element size {self.element} mm",
+                expected="finite numbers",
+            )
         if 0 < min(self.element, self.spacing) < SHORTEST_ELEMENT:
             raise ModelError(
                 f"elements of {min(self.element, self.spacing):g} mm",
@@ -169,10 +181,11 @@ class Rules:
             raise ModelError(
                 f"element size {self.element} mm does not divide the constraint spacing {self.spacing} mm",
                 expected="element_mm = constraint_spacing_mm / 1, 2, 3, ... (to three digits)",
+                mend="leave element_mm out of the scene: it then follows the spacing",
             )
         object.__setattr__(self, "element", self.spacing / round(ratio))  # 0.333 means a third
 
     @classmethod
     def from_record(cls, record: RulesRecord) -> Self:
         """Return the rules that a checked record describes."""
-        return cls(record.constraint_spacing_mm, record.element_mm)
+        return cls(record.constraint_spacing_mm, record.element)

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Self
 
 from needlefit.errors import ModelError
+from needlefit.mechanics.finite import finite
 from needlefit.project.records.scene import NeedleRecord
 
 
@@ -26,7 +27,7 @@ class Needle:
     def __post_init__(self) -> None:
         for name in ("length", "flexural_rigidity"):
             value = getattr(self, name)
-            if not (math.isfinite(value) and value > 0):
+            if not (finite(value) and value > 0):
                 raise ModelError(f"needle {name} is {value}", expected="a positive, finite number")
 
     @classmethod

@@ -220,12 +220,22 @@ def lattice_of(steps: Sequence[Step], rules: Rules) -> Lattice:
 
 def check_reach(length: float, depth: float, controls: Controls) -> None:
     """Raise ModelError unless a needle of `length` reaches `depth` with its base before guides and tissue."""
-    guides = controls.before
-    before = -guides[0].x if guides else 0.0
-    if depth + before >= length:
+    before = -controls.before[0].x if controls.before else 0.0
+    if depth + before < length:
+        return
+    needle = f"a needle of {length:g} mm"
+    through = f" through a guide {before:g} mm before the tissue" if before else ""
+    nearer = (
+        f", or a guide less than {length - depth:g} mm before the tissue" if before and depth < length else ""
+    )
+    if before >= length:
         raise ModelError(
-            f"a needle of {length:g} mm cannot be inserted {depth:g} mm"
-            + (f" through a guide {before:g} mm before the tissue" if guides else ""),
-            expected=f"a depth below {length - before:g} mm",
-            mend="lessen the depth, or give the needle's true length",
+            f"{needle} does not even reach the tissue{through}",
+            expected=f"a needle longer than {depth + before:g} mm to go {depth:g} mm deep{nearer}",
+            mend="give the needle's true length, or move the guide toward the tissue",
         )
+    raise ModelError(
+        f"{needle} cannot be inserted {depth:g} mm{through}",
+        expected=f"a depth below {length - before:g} mm{nearer}",
+        mend=f"lessen the depth,{' move the guide,' if nearer else ''} or give the needle's true length",
+    )

@@ -1,7 +1,7 @@
 """A scene: everything that one insertion needs, and where it stands in the world."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Self
@@ -104,11 +104,11 @@ class Scene:
             If the model does not take one of its values; the key is named where there is one.
         """
         entry = Entry.from_record(record.entry)
-        with _naming("", where):
+        with _naming(where):
             needle = Needle.from_record(record.needle)
             tissue = Tissue.from_records(record.layers, record.law)
             rules = Rules.from_record(record.rules)
-        with _naming("law", where):
+        with _naming(where, "law"):
             laws.power_terms(tissue.law, tissue.alpha)  # refused here, where the key is known
         steps = tuple(_step(whole, needle, entry, where) for whole in schedule(record))
         return cls(needle, tissue, steps, rules, entry)
@@ -131,23 +131,37 @@ def insert(scene: Scene) -> tuple[NeedleShape, ...]:
 def _step(whole: WholeStep, needle: Needle, entry: Entry, where: str) -> Step:
     """Return a step whose guides and stage, given in the world, are seen from C."""
     held = whole.controls
-    with _naming("controls.stage_angle_deg", where):
+    with _naming(where, "controls.stage_angle_deg"):
         stage = 0.0 if held.stage_angle_deg is None else entry.slope_of(math.radians(held.stage_angle_deg))
-    guides = [_guide(guide, entry, key, where) for key, guide in whole.guides if guide.holds]
+    guides = [(key, _guide(guide, entry, key, where)) for key, guide in whole.guides if guide.holds]
     if held.guide_distance_mm is not None:
-        guides.append(Guide(-held.guide_distance_mm))
+        guides.append(("controls.guide_distance_mm", Guide(-held.guide_distance_mm)))
     tip = None
     if held.tip_y_mm is not None:
         tip = TrackedTip(held.tip_y_mm, None if held.tip_slope_deg is None else _slope(held.tip_slope_deg))
-    with _naming("guides", where):
-        controls = Controls(held.base_y_mm, _slope(held.base_slope_deg), stage, tuple(guides), tip)
-    with _naming(whole.key, where):
+    with _naming(where, *_at_one_x(guides)):
+        placed = tuple(guide for _, guide in guides)
+        controls = Controls(held.base_y_mm, _slope(held.base_slope_deg), stage, placed, tip)
+    with _naming(where, *_reaching(whole, needle, guides)):
         check_reach(needle.length, whole.depth_mm, controls)
         return Step(whole.depth_mm, Bevel.from_record(whole.bevel), controls)
 
 
+def _at_one_x(guides: Sequence[tuple[str, Guide]]) -> list[str]:
+    """Return the keys of the guides that stand where another one does."""
+    return [key for key, guide in guides if sum(guide.x == other.x for _, other in guides) > 1]
+
+
+def _reaching(whole: WholeStep, needle: Needle, guides: Sequence[tuple[str, Guide]]) -> list[str]:
+    """Return the keys that decide whether the needle is long enough."""
+    key, first = min(guides, key=lambda keyed: keyed[1].x, default=("", None))
+    if first is None or first.in_tissue:
+        return [whole.key]
+    return [whole.key if -first.x < needle.length else "needle.length_mm", key]
+
+
 def _guide(guide: GuideRecord, entry: Entry, key: str, where: str) -> Guide:
-    with _naming(key, where):
+    with _naming(where, key):
         (x, y), slope = entry.to_frame([[guide.x_mm, guide.y_mm]])[0], 0.0
         if guide.angle_deg is not None and not guide.turns_freely:
             slope = entry.slope_of(math.radians(guide.angle_deg))
@@ -160,10 +174,14 @@ def _slope(degrees: float) -> float:
 
 
 @contextmanager
-def _naming(key: str, where: str) -> Iterator[None]:
-    """Turn what the model refuses into a fault of the file, at a key where there is one."""
+def _naming(where: str, *keys: str) -> Iterator[None]:
+    """Turn what the model refuses into a fault of the file, at those keys."""
     try:
         yield
     except ModelError as error:
-        what = f"key `{key}`: {error.what}" if key else error.what
-        raise ConfigError(what, where=where, expected=error.expected, mend=error.mend) from error
+        named = (
+            f"key{'s' if len(keys) > 1 else ''} {' and '.join(f'`{key}`' for key in keys)}: " if keys else ""
+        )
+        raise ConfigError(
+            f"{named}{error.what}", where=where, expected=error.expected, mend=error.mend
+        ) from error

@@ -49,8 +49,9 @@ class Tissue:
                 f"layer boundaries are {self.boundaries.tolist()} mm",
                 expected="depths that increase, none negative",
             )
-        if np.any(self.mu <= 0) or np.any(self.thickness <= 0) or np.any(self.friction < 0):
-            raise ModelError("tissue has mu or thickness not above 0, or negative friction")
+        _refuse("mu", " MPa", self.mu, self.mu <= 0, "above 0")
+        _refuse("thickness", " mm", self.thickness, self.thickness <= 0, "above 0")
+        _refuse("friction", "", self.friction, self.friction < 0, "0 or above")
 
     @property
     def layers(self) -> int:
@@ -67,6 +68,14 @@ class Tissue:
             thickness=np.array([layer.thickness_mm for layer in layers]),
             friction=np.array([layer.friction for layer in layers]),
             law=law,
+        )
+
+
+def _refuse(name: str, unit: str, values: Floats, wrong: NDArray[np.bool_], expected: str) -> None:
+    """Raise ModelError for the first layer whose value is wrong."""
+    for layer in np.flatnonzero(wrong):
+        raise ModelError(
+            f"layer {layer + 1} has {name} {values[layer]:g}{unit}", expected=f"{name} {expected}"
         )
 
 

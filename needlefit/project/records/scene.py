@@ -1,6 +1,7 @@
 """A scene: one needle, one stack of layers, and the steps in which it is inserted."""
 
 import difflib
+import math
 from itertools import pairwise
 from typing import Literal, Self
 
@@ -55,7 +56,13 @@ class RulesRecord(Record):
     """What is part of the model (`constraint_spacing_mm`) and what is numerical (`element_mm`)."""
 
     constraint_spacing_mm: float = Field(default=1.0, gt=0)
-    element_mm: float = Field(default=1.0, gt=0)
+    element_mm: float | None = Field(default=None, gt=0)
+
+    @property
+    def element(self) -> float:
+        """`element_mm`; where the file does not say, the spacing or that part of it that is up to 1 mm."""
+        spacing = self.constraint_spacing_mm
+        return self.element_mm or spacing / max(1, math.ceil(spacing - 1e-9))
 
 
 class ControlsRecord(Record):
