@@ -11,8 +11,8 @@ from needlefit.mechanics import simulate as simulate_module
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.simulate import equilibrium, follow
 from needlefit.verification import stop as stop_module
-from needlefit.verification.cases import NEEDLE, layers
-from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most
+from needlefit.verification.cases import NEEDLE, Case, layers
+from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most, worst
 from needlefit.verification.checks import (
     cantilever,
     collocation,
@@ -52,7 +52,7 @@ def test_every_row_passes_or_is_stated_and_every_group_has_one():
     assert [row.verdict for row in found.rows if row.group is Group.STATED] == ["stated"] * 3
     assert all(row.verdict == "passes" for row in found.rows if row.group is not Group.STATED)
     assert [done for _, done, _ in seen] == list(range(len(find_checks())))
-    assert len(found.curves) == 6 and found.traces == ()
+    assert len(found.curves) == 7 and found.traces == ()
 
 
 def test_titles_are_the_keys_of_random_streams_and_differ():
@@ -166,7 +166,8 @@ def test_the_reaction_by_hand_and_its_inverse():
 def test_every_law_stands_in_the_independent_form_too():
     for name in laws.names():
         law = Law.of(layers([2.0], [1.3], law=name))
-        assert law.reaction(np.array([0]), np.array([1e-9]), np.array([0.0]))[0] == pytest.approx(6e-9)
+        force = law.reaction(np.array([0]), np.array([1e-9]), np.array([0.0]))  # raises where it is missing
+        assert force[0] == pytest.approx(6e-9), f"write {name} out in needlefit/verification/law.py"
 
 
 # ---- faults: each is planted into the solver, and the right rows fail ----
@@ -194,6 +195,12 @@ def test_a_percent_of_stiffness_is_noticed_by_every_solution(monkeypatch):
     assert failing(manufactured) == titles(manufactured)
     assert failing(collocation) == titles(collocation)
     assert len(failing(compiled)) >= 2
+
+
+def test_a_law_taken_for_another_is_noticed(monkeypatch):
+    fault(monkeypatch, lambda tissue: replace(tissue, law=tissue.law.replace("neo_hookean", "ogden")))
+    assert failing(manufactured) >= {title for title in titles(manufactured) if "neo-Hookean" in title}
+    assert failing(collocation) == {title for title in titles(collocation) if "Neo-Hookean" in title}
 
 
 @pytest.mark.parametrize("change", [lambda t: replace(t, alpha=-t.alpha), lambda t: replace(t, law="linear")])
@@ -313,8 +320,8 @@ def test_a_jacobian_one_part_in_a_million_wrong_is_noticed(monkeypatch):
         return shape, replace(jacobian, u=jacobian.u * (1 + 5e-7))
 
     monkeypatch.setattr(sensitivities, "linearize_along", wrong)
-    failed = verify(1, sensitivities.CHECKS).failed
-    assert {row.quantity for row in failed} == {"error of the columns, but for places and α"}
+    failed = verify(1, sensitivities.CHECKS[:2]).failed
+    assert len(failed) == 6
 
 
 def test_a_reference_that_differs_is_noticed(monkeypatch):
@@ -327,3 +334,122 @@ def test_a_reference_that_differs_is_noticed(monkeypatch):
     monkeypatch.setattr(reference, "modulus", wrong)
     assert failing(compiled) == titles(compiled)
     assert failing(tangent) == titles(tangent)
+
+
+# ---- what is no number passes nowhere ----
+
+
+def test_the_worst_of_values_is_nan_if_one_is_and_nothing_if_there_are_none():
+    for values in ([np.nan, 1.0], [1.0, np.nan], np.array([0.0, np.nan, 2.0])):
+        assert np.isnan(worst(values))
+    assert worst((1.0, 3.0, 2.0)) == 3.0
+    with pytest.raises(ValueError, match="zero-size"):
+        worst([])
+
+
+def with_jacobian(monkeypatch, change):
+    true = sensitivities.linearize_along
+
+    def wrong(*arguments, **named):
+        return change(*true(*arguments, **named))
+
+    monkeypatch.setattr(sensitivities, "linearize_along", wrong)
+    monkeypatch.setattr(sensitivities, "RANDOM", 2)
+    return verify(1, sensitivities.CHECKS[:1])
+
+
+@pytest.mark.parametrize(
+    ("prefix", "quantity"), [("offset", "other columns"), ("boundary1", "places"), ("alpha2", "α")]
+)
+@pytest.mark.parametrize("part", ["u", "slope", "constraints"])
+def test_a_column_without_a_number_fails_its_quantity(prefix, quantity, part, monkeypatch):
+    def blank(shape, jacobian):
+        values = getattr(jacobian, part).copy()
+        values[-1, jacobian.names.index(prefix)] = np.nan
+        return shape, replace(jacobian, **{part: values})
+
+    (failed,) = with_jacobian(monkeypatch, blank).failed
+    assert quantity in failed.quantity and np.isnan(failed.measured)
+
+
+def test_a_kind_of_columns_that_is_missing_fails(monkeypatch):
+    def fewer(shape, jacobian):
+        kept = [i for i, name in enumerate(jacobian.names) if not name.startswith("boundary")]
+        parts = {part: getattr(jacobian, part)[:, kept] for part in ("x", "u", "slope", "constraints")}
+        return shape, replace(jacobian, names=tuple(jacobian.names[i] for i in kept), **parts)
+
+    found = with_jacobian(monkeypatch, fewer)
+    assert len(found.failed) == 3 and "ValueError" in found.failed[0].remark
+
+
+def test_a_kind_that_no_case_has_fails(monkeypatch):
+    true = sensitivities.errors
+
+    def measured(other):
+        return {name: error for name, error in true(other).items() if not name.startswith("alpha")}
+
+    monkeypatch.setattr(sensitivities, "errors", measured)
+    monkeypatch.setattr(sensitivities, "RANDOM", 2)
+    assert len(verify(1, sensitivities.CHECKS[:1]).failed) == 3
+
+
+def test_a_solution_that_fails_under_derivatives_is_not_drawn_again(monkeypatch):
+    def failed(shape, jacobian):
+        return replace(shape, status="not converged"), jacobian
+
+    found = with_jacobian(monkeypatch, failed)
+    assert len(found.failed) == 3 and "the solver failed: not converged" in found.failed[0].remark
+
+
+@pytest.mark.parametrize("check", symmetries.CHECKS, ids=lambda check: check.title)
+def test_a_single_distance_without_a_number_fails(check, monkeypatch):
+    """The last of ten shapes is no shape: Python's own max of the ten would be a number."""
+    shapes = []
+    true = Case.shape
+
+    def last_is_nan(self, *arguments, **named):
+        shape = true(self, *arguments, **named)
+        shapes.append(shape)
+        return replace(shape, u=np.full_like(shape.u, np.nan)) if len(shapes) == 10 else shape
+
+    monkeypatch.setattr(Case, "shape", last_is_nan)
+    assert len(verify(1, [check]).failed) == 1
+
+
+def test_a_tip_that_is_no_number_fails_its_refinement(monkeypatch):
+    count = []
+    true = refinement.error
+
+    def third(*arguments):
+        count.append(1)
+        return np.nan if len(count) == 3 else true(*arguments)
+
+    monkeypatch.setattr(refinement, "error", third)
+    assert verify(1, refinement.CHECKS[:1]).rows[0].verdict == "FAILS"
+    count.clear()
+    assert {row.verdict for row in verify(1, refinement.CHECKS[1:]).rows} == {"FAILS"}
+
+
+def test_a_difference_that_is_no_number_fails_its_comparison(monkeypatch):
+    true = reference.follow
+
+    def blank(*arguments):
+        shape = true(*arguments)
+        return replace(shape, u=np.full_like(shape.u, np.nan))
+
+    monkeypatch.setattr(reference, "follow", blank)
+    rows = verify(1, compiled.CHECKS).rows
+    assert {row.verdict for row in rows if "deflections" in row.quantity} == {"FAILS"}
+
+
+def test_an_order_of_errors_that_are_no_numbers_fails(monkeypatch):
+    true = manufactured.refine
+
+    def third(title, *case):
+        curve = true(title, *case)
+        blank = {norm: (*errors[:-1], np.nan) for norm, errors in curve.errors.items()}
+        return replace(curve, errors=blank) if "neo" in title else curve
+
+    monkeypatch.setattr(manufactured, "refine", third)
+    failed = failing(manufactured)
+    assert any("neo" in title for title in failed) and any("at the nodes" in title for title in failed)

@@ -17,10 +17,6 @@ if TYPE_CHECKING:
     from needlefit.project.records.scene import SceneRecord
 
 
-STEEP = 0.3
-"""Greatest slope |u'| at which small ones may be assumed: the curvature is then 14 % off."""
-
-
 def simulate(
     scene: Annotated[
         str,
@@ -64,6 +60,8 @@ def simulate(
         screen.show_json(answer)
     else:
         _print(title, answer)
+    from needlefit.mechanics.shape import STEEP
+
     if answer["max_slope"] > STEEP:
         screen.note(
             f"needlefit: warning: slopes reach {answer['max_slope']:.2f}: the model assumes small ones, "

@@ -12,6 +12,9 @@ from needlefit.mechanics.kernel import positions as kernel
 Floats = NDArray[np.float64]
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 
+STEEP = 0.3
+"""Greatest slope |u'| at which small ones may be assumed: the curvature is then 14 % off."""
+
 
 @dataclass(frozen=True)
 class NeedleShape:

@@ -46,9 +46,7 @@ def layouts(verification: Verification) -> list[Display]:
             text("Unit"),
             text("Verdict"),
         )
-        remarks = "; ".join(
-            f"{row.title.split(',')[0].split(':')[0]}: {row.remark}" for row in _remarked(shown)
-        )
+        remarks = "; ".join(f"{row.title.split(':')[0]}: {row.remark}" for row in _remarked(shown))
         notes = (f"{remarks}.",) if remarks else ()
         caption = f"{group.title}. {group.says}"
         parts.append(Display(group.name.lower(), caption, columns, tuple(cells), notes=notes))

@@ -1,11 +1,12 @@
 """Random insertions, far wider than any prior of a fit."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
 
+from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
@@ -52,7 +53,7 @@ Draw = Callable[[np.random.Generator, float, float], Case]
 
 
 def random_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> Case:
-    """Return an insertion into 1 to 4 layers: mu `softest` to 100 MPa, |alpha| to 10, t 5 to 80 mm."""
+    """Return an insertion into 1 to 4 layers of any law: mu `softest` to 100 MPa, |alpha| up to 10."""
     count = int(rng.integers(1, 5))
     depth = float(rng.uniform(0.25, 1.0) * deepest)
     tissue = Tissue(
@@ -60,6 +61,7 @@ def random_case(rng: np.random.Generator, deepest: float = 60.0, softest: float 
         alpha=rng.uniform(-10, 10, count),
         boundaries=np.sort(rng.uniform(1, depth - 0.2, count - 1)) + 0.05 * np.arange(count - 1),
         thickness=rng.uniform(5, 80, count),
+        law=str(rng.choice(laws.names())),
     )
     base = Controls(float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)))
     return Case(NEEDLE, tissue, (Step(depth, _bevel(rng), base),))
@@ -70,10 +72,7 @@ def random_schedule(rng: np.random.Generator, deepest: float = 25.0, softest: fl
     case = random_case(rng, deepest, softest)
     depth = case.steps[0].depth
     stops = (0.4 * depth, 0.7 * depth, 0.55 * depth, 0.55 * depth, depth)
-    friction = rng.uniform(0, 1, case.tissue.layers)
-    tissue = Tissue(
-        case.tissue.mu, case.tissue.alpha, case.tissue.boundaries, case.tissue.thickness, friction
-    )
+    tissue = replace(case.tissue, friction=rng.uniform(0, 1, case.tissue.layers))
     return Case(NEEDLE, tissue, tuple(Step(stop, _bevel(rng), _inputs(rng, depth)) for stop in stops))
 
 
@@ -82,14 +81,17 @@ def _bevel(rng: np.random.Generator) -> Bevel:
 
 
 def _inputs(rng: np.random.Generator, depth: float) -> Controls:
-    """Return a base, and with even chances a guide before the tissue, one within it, a tracked tip."""
+    """Return a base, and with even chances a guide before the tissue, one within it or else a tracked tip.
+
+    Not both of these: the tip passes the guide, and held 0.1 mm apart they bend the needle without bound.
+    """
     y, slope = rng.uniform(-0.5, 0.5, 8), rng.uniform(-0.01, 0.01, 4)
     guides, tip = list[Guide](), None
     if rng.random() < 0.5:
         guides.append(Guide(float(rng.uniform(-40, -5)), y[1], rng.choice([None, slope[1]])))
     if rng.random() < 0.5:
         guides.append(Guide(float(rng.uniform(0.2, 0.8) * depth), y[2], None, in_tissue=True))
-    if rng.random() < 0.3:
+    elif rng.random() < 0.5:
         tip = TrackedTip(y[3], rng.choice([None, slope[3]]))
     return Controls(y[0], slope[0], slope[2], tuple(guides), tip)
 

@@ -23,7 +23,7 @@ Bools = NDArray[np.bool_]
 _LAYERED = ("mu", "alpha", "friction")
 _SINGLE = ("rigidity", "offset", "base_y", "base_slope", "stage_slope")
 KINDS = (*_LAYERED, *_SINGLE, "boundaries", "guides")
-_REACH = 1e-4  # mm: the longer of the two real steps; no change of constraint lies so near
+_REACH = 1e-4  # mm: the longer of the two real steps, unless a node or change of constraint lies so near
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ def parameters(case: Case) -> dict[str, Parameter]:
 
 
 def derivatives(case: Case, wanted: list[Parameter], rules: Rules) -> tuple[Floats, Floats]:
-    """Return the derivatives of deflection and slope of all nodes (2 N, P), and of the cut (M + 1, P)."""
+    """Return the derivatives of deflections and slopes (2 N, P) and of constraint points (M + 1, P)."""
     lattice = lattice_of(case.steps, rules)
     c, dc = {0: 0.0}, {0: np.zeros(len(wanted))}
     rays: dict[int, tuple[float, Floats, Floats]] = {}  # where each ray begins: x, (u, u'), and d(u, u')/dp
@@ -106,7 +106,7 @@ def imposed(case: Case, wanted: list[Parameter], here: Equilibrium, stop: Stop, 
 
 
 def response(case: Case, here: Equilibrium, wanted: list[Parameter], moved: Floats, rates: Floats) -> Floats:
-    """Return du/dp (2 N, P), given the derivatives of the cut (M + 1, P) and of what is prescribed."""
+    """Return du/dp (2 N, P), given those of the constraint points (M + 1, P) and of what is prescribed."""
     loads = np.column_stack([load(case, here, p, moved[:, i]) for i, p in enumerate(wanted)])
     law, EI = Law.of(case.tissue), case.needle.flexural_rigidity
     stepped = (here.u + 1j * STEP * row for row in np.eye(len(here.u)))
@@ -133,8 +133,9 @@ def load(case: Case, here: Equilibrium, p: Parameter, moved: Floats) -> Floats:
     force = EI * bending(nodes, here.u) + foundation(case, replace(here, points=points), law)
     total: Floats = force.imag / STEP
     if p.kind in ("boundary", "guide_x"):
+        reach = _reach(case, here, p)
         coarse, fine = (
-            (_placed(case, here, p, h) - _placed(case, here, p, -h)) / (2 * h) for h in (_REACH, _REACH / 2)
+            (_placed(case, here, p, h) - _placed(case, here, p, -h)) / (2 * h) for h in (reach, reach / 2)
         )
         total = total + (4 * fine - coarse) / 3
     return total
@@ -161,6 +162,14 @@ def foundation(case: Case, here: Equilibrium, law: Law) -> Numbers:
     nearest = np.argmin(np.abs(x[:, None] - depths), axis=1)
     e = N @ here.u - here.points[nearest, 1]
     return N.T @ (w * law.reaction(np.searchsorted(boundaries, x), e, dN @ here.u))
+
+
+def _reach(case: Case, here: Equilibrium, p: Parameter) -> float:
+    """Return how far (mm) a boundary or a guide's node may be moved without passing anything."""
+    boundaries, depths = case.tissue.boundaries, here.points[:, 0].real
+    place = boundaries[p.number] if p.kind == "boundary" else _stand(case, p)
+    gaps = np.abs(np.concatenate((here.nodes, 0.5 * (depths[1:] + depths[:-1]), boundaries)) - place)
+    return min(_REACH, 0.5 * float(np.min(gaps[gaps > 0])))
 
 
 def _placed(case: Case, here: Equilibrium, p: Parameter, step: float) -> Floats:

@@ -44,7 +44,9 @@ class Law:
         elif self.name == "linear":
             k = 3 * mu
         else:
-            raise NotImplementedError(f"no independent form of the law `{self.name}`")
+            raise NotImplementedError(
+                f"the law `{self.name}` is not written out in needlefit/verification/law.py"
+            )
         # sin^2(atan u') = u'^2 / (1 + u'^2)
         force: Numbers = k * e * (1 - self.friction[layer] * slope**2 / (1 + slope**2))
         return force

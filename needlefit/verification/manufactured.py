@@ -17,7 +17,7 @@ from needlefit.mechanics.control import Rules
 from needlefit.mechanics.kernel.scalar import Newton
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
-from needlefit.verification.check import Curve
+from needlefit.verification.check import Curve, worst
 from needlefit.verification.law import Law
 from needlefit.verification.samples import between
 from needlefit.verification.stop import settle, stop_at
@@ -100,5 +100,5 @@ def refine(case: str, tissue: Tissue, first_cell: float = 1.0) -> Curve:
         inserted = nodes[nodes >= 0.0]
         inside = between(np.union1d(inserted, [0.0]))
         for norm, x, order in zip(errors, (inside, inside, inserted, inserted), (0, 1, 0, 1), strict=True):
-            errors[norm].append(float(np.max(np.abs(found(x, order) - chosen.at(x, order)))))
+            errors[norm].append(worst(np.abs(found(x, order) - chosen.at(x, order))))
     return Curve(case, SIZES, {norm: tuple(values) for norm, values in errors.items()})

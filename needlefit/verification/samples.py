@@ -5,6 +5,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.mechanics.shape import NeedleShape
+from needlefit.verification.check import worst
 
 Floats = NDArray[np.float64]
 
@@ -29,7 +30,7 @@ def read(shape: NeedleShape, x: Floats, order: int = 0) -> Floats:
 
 def distance(shape: NeedleShape, other: NeedleShape) -> float:
     """Return the largest difference of deflection between two shapes, mm, at and between their nodes."""
-    start = max(shape.x[0], other.x[0])
+    start = worst([shape.x[0], other.x[0]])
     x = np.union1d(dense(shape, start), dense(other, start))
-    x = x[x <= min(shape.x[-1], other.x[-1])]
-    return float(np.max(np.abs(read(shape, x) - read(other, x))))
+    x = x[x <= np.min([shape.x[-1], other.x[-1]])]
+    return worst(np.abs(read(shape, x) - read(other, x)))

@@ -16,14 +16,14 @@ from numpy.typing import NDArray
 from needlefit.mechanics.control import Controls, Guide, TrackedTip
 from needlefit.mechanics.simulate import equilibrium
 from needlefit.verification.cases import NEEDLE, layers, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 from needlefit.verification.samples import dense, read
 
 Floats = NDArray[np.float64]
 
 DEPTH = 90.0
 LOAD = 1e-3  # N / mm
-_FAR = 1e9  # mm; the reaction then varies by 1e-9 of itself while the needle bends
+_FAR = 1e9  # mm, of the constraint points; the reaction varies by 1e-9 of itself while the needle bends
 
 
 def cantilever(s: Floats, a: float) -> Floats:
@@ -53,26 +53,35 @@ def error(propped_at: float | None, controls: Controls) -> float:
     if propped_at is not None:
         at = np.array([propped_at])
         exact = exact - prop(s, propped_at) * (cantilever(at, a) / prop(at, propped_at))
-    return float(np.max(np.abs(read(shape, x) - exact)) / np.max(np.abs(exact)))
+    return worst(np.abs(read(shape, x) - exact)) / worst(np.abs(exact))
 
 
 _GUIDE = -25.0  # mm: the place of the prop before the tissue
-_WORDS = "error of the deflection over the largest one"
+_WORDS = "largest error over largest deflection"
+
+
+_LOADED = (
+    "the load is the pull of a very soft foundation whose constraint points lie a thousand kilometres away"
+)
 
 
 def _check(title: str, propped_at: float | None, controls: Controls) -> Check:
     return Check(
         Group.CLOSED_FORMS, title, (Quantity(_WORDS, at_most(1e-7), ""),),
-        lambda rng: Outcome((error(propped_at, controls),)),
+        lambda rng: Outcome((error(propped_at, controls),), _LOADED if propped_at is None else ""),
     )  # fmt: skip
 
 
 CHECKS = (
     _check("Cantilever under a uniform load on its outer 90 mm", None, Controls()),
     _check(
-        "Propped cantilever, a guide that turns freely 25 mm before the tissue",
+        "Propped cantilever, the same load, a guide that turns freely 25 mm before the tissue",
         NEEDLE.length - DEPTH + _GUIDE,
         Controls(guides=(Guide(_GUIDE, slope=None),)),
     ),
-    _check("Propped cantilever, the tip tracked at 0", NEEDLE.length, Controls(tip=TrackedTip(0.0))),
+    _check(
+        "Propped cantilever, the same load, the tip tracked at 0",
+        NEEDLE.length,
+        Controls(tip=TrackedTip(0.0)),
+    ),
 )

@@ -1,41 +1,67 @@
 """The Jacobian of the whole shape, against the derivatives of the readable reference, stepped and solved."""
 
+from dataclasses import dataclass
+
 import numpy as np
+from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Rules
 from needlefit.mechanics.linearize import linearize_along
-from needlefit.verification.cases import Case, Draw, random_case, random_schedule, solvable
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
+from needlefit.verification.cases import EXACT, Case, Draw, random_case, random_schedule, solvable, solved
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 from needlefit.verification.complex_step import KINDS, derivatives, parameters
 
-RANDOM = 5
-COARSE = Rules(2.0, 2.0, tolerance=1e-11)
-"""Rounding grows as elements shrink, and what is checked here does not depend on them."""
+Floats = NDArray[np.float64]
+
+RANDOM = 10
+RULES: Rules = EXACT
 SMALLEST = 1e-3
 """mm per unit (per logarithm of mu and EI): a column below is measured against this, for the state itself is
 known to no better than 1e-10 mm. Of slopes: a hundredth, per mm."""
-_SOFTEST = 0.2  # MPa, the softest of the paper; in softer tissue rounding alone exceeds the bound
-
-_QUANTITIES = (
-    Quantity("error of the columns, but for places and α", at_most(1e-7), ""),
-    Quantity("places: boundaries, guides along the needle", at_most(1e-6), ""),
-    Quantity("α", at_most(1e-5), ""),
-)
+PAPER, ALL = 0.2, 1e-3
+"""MPa: the softest tissue of the paper, and far below it."""
 
 
-def errors(case: Case) -> dict[str, float]:
-    """Return the largest error of each column over its largest entry: deflections and cut, and slopes."""
-    _, jacobian = linearize_along(case.needle, case.tissue, case.steps, COARSE, wrt=KINDS)
+@dataclass(frozen=True)
+class Stepped:
+    """The reference's derivatives: of deflections and slopes (2 N, P), of constraint points (M + 1, P)."""
+
+    case: Case
+    names: tuple[str, ...]
+    du: Floats
+    dc: Floats
+
+
+def stepped(case: Case) -> Stepped:
+    """Return the derivatives with respect to every parameter that there is."""
     named = parameters(case)
-    du, dc = derivatives(case, [named[name] for name in jacobian.names], COARSE)
-    unit = np.array([_unit(case, name) for name in jacobian.names])
-    lengths = np.vstack((jacobian.u, jacobian.constraints)), np.vstack((du[0::2], dc)), SMALLEST
-    slopes = jacobian.slope, du[1::2], 0.01 * SMALLEST
+    return Stepped(case, tuple(named), *derivatives(case, list(named.values()), RULES))
+
+
+def errors(other: Stepped) -> dict[str, float]:
+    """Return the largest error of each column over its largest entry: of lengths, and of slopes.
+
+    Raises
+    ------
+    ArithmeticError
+        If the compiled solver fails where the reference did not.
+    ValueError
+        If the Jacobian lacks a column.
+    """
+    case = other.case
+    shape, jacobian = linearize_along(case.needle, case.tissue, case.steps, RULES, wrt=KINDS)
+    solved(shape)
+    columns = [jacobian.names.index(name) for name in other.names]
+    unit = np.array([_unit(case, name) for name in other.names])
+    lengths = np.vstack((jacobian.u, jacobian.constraints)), np.vstack((other.du[0::2], other.dc)), SMALLEST
+    slopes = jacobian.slope, other.du[1::2], 0.01 * SMALLEST
     shares = [
-        np.abs(ours - other).max(axis=0) * unit / np.maximum(np.abs(other).max(axis=0) * unit, smallest)
-        for ours, other, smallest in (lengths, slopes)
+        np.abs(ours[:, columns] - true).max(axis=0)
+        * unit
+        / np.maximum(np.abs(true).max(axis=0) * unit, smallest)
+        for ours, true, smallest in (lengths, slopes)
     ]
-    return dict(zip(jacobian.names, np.maximum(*shares), strict=True))
+    return dict(zip(other.names, map(float, np.maximum(*shares)), strict=True))
 
 
 def _unit(case: Case, name: str) -> float:
@@ -52,17 +78,40 @@ def _kind(name: str) -> int:
     return 1 if name.startswith("boundary") or name.endswith("_x") else 0
 
 
-def _check(title: str, draw: Draw) -> Check:
+def _layered(draw: Draw, rng: np.random.Generator, softest: float) -> Case:
+    """Return a case of two layers at least: one alone has no boundary to differentiate by."""
+    while True:
+        case = draw(rng, 25.0, softest)
+        if case.tissue.layers > 1:
+            return case
+
+
+def _check(title: str, draw: Draw, softest: float, bound: float) -> Check:
     def measure(rng: np.random.Generator) -> Outcome:
-        found, said = solvable(lambda: draw(rng, 25.0, _SOFTEST), errors, RANDOM)
-        columns = [(_kind(name), error) for each in found for name, error in each.items()]
-        worst = (max((e for kind, e in columns if kind == wanted), default=0.0) for wanted in range(3))
-        return Outcome(tuple(worst), "; ".join(filter(None, (f"{len(columns)} columns", said))))
+        found, said = solvable(lambda: _layered(draw, rng, softest), stepped, RANDOM)
+        columns = [(_kind(name), error) for each in found for name, error in errors(each).items()]
+        values = tuple(worst([e for kind, e in columns if kind == wanted]) for wanted in range(3))
+        return Outcome(values, "; ".join(filter(None, (f"{len(columns)} columns", said, _why(softest)))))
 
-    return Check(Group.SENSITIVITIES, f"{RANDOM} random {title}", _QUANTITIES, measure)
+    words = ("other columns", "columns of places: boundaries, guides along the needle", "columns of α")
+    quantities = tuple(Quantity(f"error of the {each}", at_most(bound), "") for each in words)
+    reach = "μ = 0.2" if softest == PAPER else "μ = 0.001"
+    return Check(
+        Group.SENSITIVITIES, f"{RANDOM} random {title.format(f'{reach} to 100 MPa')}", quantities, measure
+    )
 
 
+def _why(softest: float) -> str:
+    if softest == PAPER:
+        return ""
+    return "the state is known to its rounding, some 10⁻¹⁰ mm, which soft tissue passes on enlarged"
+
+
+_INSERTIONS = "insertions, constant inputs, {}"
+_SCHEDULES = "schedules, {}: guides, tracked tip, retraction, friction"
 CHECKS = (
-    _check("insertions under constant inputs", random_case),
-    _check("schedules: guides, tracked tip, retraction, friction", random_schedule),
+    _check(_INSERTIONS, random_case, PAPER, 1e-7),
+    _check(_SCHEDULES, random_schedule, PAPER, 1e-7),
+    _check(_INSERTIONS, random_case, ALL, 1e-5),
+    _check(_SCHEDULES, random_schedule, ALL, 1e-5),
 )

@@ -11,7 +11,7 @@ from needlefit.mechanics.plan import lattice_of
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import EXACT, Case, Draw, random_case, random_schedule, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 from needlefit.verification.samples import distance
 
 RANDOM = 10
@@ -25,7 +25,7 @@ def mirrored(case: Case) -> float:
         return Step(step.depth, Bevel(step.bevel.offset, -step.bevel.side), held)
 
     one, other = case.shape(), replace(case, steps=tuple(map(mirror, case.steps))).shape()
-    return float(np.max(np.abs(one.u + other.u)))
+    return worst(np.abs(one.u + other.u))
 
 
 def doubled(case: Case) -> float:
@@ -70,7 +70,7 @@ def one_by_one(case: Case) -> float:
     lattice = lattice_of(case.steps, EXACT)
     session = Session(case.needle, case.tissue, first.bevel, lattice.first_cell, first.controls, EXACT)
     shapes = [solved(session.go(step)) for step in case.steps]
-    return float(np.max(np.abs(shapes[-1].u - case.shape().u)))
+    return worst(np.abs(shapes[-1].u - case.shape().u))
 
 
 def _against(case: Case, steps: tuple[Step, ...]) -> float:
@@ -81,10 +81,10 @@ def _against(case: Case, steps: tuple[Step, ...]) -> float:
 def _check(title: str, measure: Callable[[Case], float], bound: float, draw: Draw = random_case) -> Check:
     words = f"difference of the deflection, {RANDOM} random cases"
 
-    def worst(rng: np.random.Generator) -> Outcome:
-        return Outcome((max(measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM)),))
+    def largest(rng: np.random.Generator) -> Outcome:
+        return Outcome((worst([measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM)]),))
 
-    return Check(Group.SYMMETRIES, title, (Quantity(words, at_most(bound), "mm"),), worst)
+    return Check(Group.SYMMETRIES, title, (Quantity(words, at_most(bound), "mm"),), largest)
 
 
 CHECKS = (
@@ -93,5 +93,5 @@ CHECKS = (
     _check("A layer cut into two equal ones", cut_in_two, 1e-4),
     _check("Sub-steps on the way", in_pieces, 1e-7),
     _check("0.3 mm further and back; 3.7 mm back and again", there_and_back, 1e-7),
-    _check("Schedules by a session, step by step", one_by_one, 0.0, random_schedule),
+    _check("A Session gives the bits of follow, schedules of all inputs", one_by_one, 0.0, random_schedule),
 )

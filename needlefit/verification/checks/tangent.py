@@ -17,7 +17,7 @@ from needlefit.mechanics.kernel.scalar import Newton
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import NEEDLE, layers, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, about, at_most
+from needlefit.verification.check import Check, Group, Outcome, Quantity, about, at_most, worst
 from needlefit.verification.stop import ONE_STEP, Stop, settle, stop_at
 
 Floats = NDArray[np.float64]
@@ -62,7 +62,7 @@ def measure(friction: float) -> tuple[float, float]:
     force = R(start.ravel())
     along = R(start.ravel() + 1e-30j * step.ravel()).imag / 1e-30
     defect = np.linalg.norm(along + force) / np.linalg.norm(force)
-    errors = [np.max(np.abs(settle(stop, found + a * sway, ONE_STEP)[:, 0] - found[:, 0])) for a in _STARTS]
+    errors = [worst(np.abs(settle(stop, found + a * sway, ONE_STEP)[:, 0] - found[:, 0])) for a in _STARTS]
     return float(defect), float(np.polyfit(np.log(_STARTS), np.log(errors), 1)[0])
 
 

@@ -12,7 +12,7 @@ from needlefit.mechanics.shape import inserted_points
 from needlefit.project.load import check
 from needlefit.project.records.scene import SceneRecord
 from needlefit.verification.cases import solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 
 RANDOM = 5
 _STAGE, _AXIS = 1.0, -2.0  # degrees to the insertion axis, of the stage and of the template
@@ -47,8 +47,8 @@ def difference(origin: complex, turn: float) -> tuple[float, float]:
     one, other = (solved(insert(each)[-1]) for each in (here, there))
     points = _complex(here.entry.to_world(inserted_points(one)))
     moved = _complex(there.entry.to_world(inserted_points(other)))
-    in_world = np.max(np.abs(moved - (origin + points * cmath.exp(1j * turn))))
-    return float(np.max(np.abs(one.u - other.u))), float(in_world)
+    in_world = worst(np.abs(moved - (origin + points * cmath.exp(1j * turn))))
+    return worst(np.abs(one.u - other.u)), in_world
 
 
 def _complex(points: NDArray[np.float64]) -> NDArray[np.complex128]:
@@ -58,8 +58,8 @@ def _complex(points: NDArray[np.float64]) -> NDArray[np.complex128]:
 
 def _measure(rng: np.random.Generator) -> Outcome:
     poses = [(complex(*rng.uniform(-200, 200, 2)), float(rng.uniform(-3, 3))) for _ in range(RANDOM)]
-    found = np.array([difference(*pose) for pose in poses])
-    return Outcome(tuple(map(float, found.max(axis=0))))
+    in_c, in_world = zip(*(difference(*pose) for pose in poses), strict=True)
+    return Outcome((worst(in_c), worst(in_world)))
 
 
 CHECKS = (
