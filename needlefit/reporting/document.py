@@ -66,26 +66,32 @@ def figure(path: Path, caption: str, synthetic: bool) -> Block:
 
 
 def compile_pdf(document: Document) -> bytes:
-    """Return the PDF; only fonts that come with typst are used."""
+    """Return the PDF of a report."""
+    pictures = [block["path"] for block in document.blocks if "path" in block]
+    return set_page("report.typ", _payload(document), pictures)
+
+
+def set_page(template: str, payload: Block, pictures: Sequence[Path] = ()) -> bytes:
+    """Return the PDF that a template makes of its data and pictures; only fonts of typst's own are used."""
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
         folder = Path(name)
-        template = files("needlefit.reporting") / "templates" / "report.typ"
-        (folder / "report.typ").write_bytes(template.read_bytes())
-        (folder / "data.json").write_text(json.dumps(_payload(document, folder)), encoding="utf-8")
-        pdf = typst.compile(str(folder / "report.typ"), root=name, ignore_system_fonts=True)
+        page = folder / template
+        page.write_bytes((files("needlefit.reporting") / "templates" / template).read_bytes())
+        (folder / "data.json").write_text(json.dumps(payload), encoding="utf-8")
+        for picture in pictures:
+            (folder / picture.name).write_bytes(picture.read_bytes())
+        pdf = typst.compile(str(page), root=name, ignore_system_fonts=True)
     assert isinstance(pdf, bytes)
     return pdf
 
 
-def _payload(document: Document, folder: Path) -> Block:
-    """Return what the template reads; figures are put beside it, and a table without rows is left out."""
-    blocks = []
-    for block in document.blocks:
-        if block["kind"] == "table" and not block["rows"]:
-            continue
-        if "path" in block:
-            (folder / block["file"]).write_bytes(block["path"].read_bytes())
-        blocks.append({key: value for key, value in block.items() if key != "path"})
+def _payload(document: Document) -> Block:
+    """Return what the template reads; a table without rows is left out."""
+    blocks = [
+        {key: value for key, value in block.items() if key != "path"}
+        for block in document.blocks
+        if block["kind"] != "table" or block["rows"]
+    ]
     head = {"title": document.title, "subtitle": document.subtitle, "synthetic": document.synthetic}
     return head | {"version": _version(), "blocks": blocks}
 

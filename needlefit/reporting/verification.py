@@ -1,31 +1,26 @@
 """The table of `needlefit verify`: for the screen, as files, and as a page."""
 
-import json
 import math
 import platform
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
-from importlib.resources import files
 from itertools import groupby
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
-import typst
 
 from needlefit.mechanics.control import Rules
-from needlefit.project.plain import plain
-from needlefit.project.replace import replacing
 from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.document import set_page
 from needlefit.reporting.figures.convergence import convergence
 from needlefit.reporting.numbers import MISSING, number, typeset
-from needlefit.reporting.write import require_result
+from needlefit.reporting.write import whole, write_csv, write_json
+from needlefit.validation.provenance import versions
 from needlefit.verification.check import Bound, Row
 from needlefit.verification.run import Verification
 
-_PACKAGES = ("needlefit", "numpy", "scipy", "numba")
+_PACKAGES = ("numpy", "scipy", "numba")
 _CAPTION = (
     "Manufactured solutions: largest error in the tissue under refinement, per case. Dashed: the orders that "
     "theory promises. “At the nodes”: the largest of all cases there alone, where the slope superconverges."
@@ -101,26 +96,26 @@ def write_verification(verification: Verification, folder: Path, timing: Mapping
     ConfigError
         If `folder` exists and holds something that is no result.
     """
-    require_result(folder)
-    with replacing(folder) as new:
+    with whole(folder) as new:
         rows, studies = table(verification), refinements(verification)
-        _csv(rows, new / "verification.csv")
-        _json(new / "verification.json", {"summary": summary(verification), "rows": rows})
-        _json(new / "run.json", provenance(verification))
-        _json(new / "timing.json", timing)
-        drawn = None
+        write_csv(pd.DataFrame(rows), new / "verification.csv")
+        write_json(new / "verification.json", {"summary": summary(verification), "rows": rows})
+        write_json(new / "run.json", provenance(verification))
+        write_json(new / "timing.json", timing)
+        pictures = list[Path]()
         if studies:
-            _csv(studies, new / "convergence.csv")
-            drawn = convergence(verification.curves, new / "convergence.pdf")
-        (new / "report.pdf").write_bytes(_page(verification, drawn))
+            write_csv(pd.DataFrame(studies), new / "convergence.csv")
+            pictures = [convergence(verification.curves, new / "convergence.pdf")]
+        (new / "report.pdf").write_bytes(
+            set_page("verification.typ", _payload(verification, pictures), pictures)
+        )
 
 
 def provenance(verification: Verification) -> dict[str, Any]:
     """Return what a reader needs to repeat the table: versions, seed and rules; no time and no path."""
-    versions = {"python": platform.python_version(), **{name: version(name) for name in _PACKAGES}}
     return {
         "name": "verification",
-        "versions": versions,
+        "versions": versions(_PACKAGES),
         "machine": platform.machine(),
         "seed": verification.seed,
         "rules": asdict(Rules()),
@@ -128,30 +123,15 @@ def provenance(verification: Verification) -> dict[str, Any]:
     }
 
 
-def _page(verification: Verification, drawn: Path | None) -> bytes:
-    """Return the PDF; only fonts that come with typst are used."""
-    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
-        page = Path(name)
-        template = files("needlefit.reporting") / "templates" / "verification.typ"
-        (page / "verification.typ").write_bytes(template.read_bytes())
-        if drawn is not None:
-            (page / drawn.name).write_bytes(drawn.read_bytes())
-        payload = _payload(verification, drawn.name if drawn else None)
-        (page / "data.json").write_text(json.dumps(payload), encoding="utf-8")
-        pdf = typst.compile(str(page / "verification.typ"), root=name, ignore_system_fonts=True)
-    assert isinstance(pdf, bytes)
-    return pdf
-
-
-def _payload(verification: Verification, figure: str | None) -> dict[str, Any]:
+def _payload(verification: Verification, pictures: Sequence[Path]) -> dict[str, Any]:
     about = provenance(verification)
-    versions = ", ".join(f"{name} {number}" for name, number in about["versions"].items())
+    used = ", ".join(f"{name} {number}" for name, number in about["versions"].items())
     rules = about["rules"]
     return {
         "title": "Verification of the solver",
         "summary": summary(verification),
         "failed": bool(verification.failed),
-        "produced": f"needlefit verify --seed {verification.seed}, with {versions}, on {about['machine']}. "
+        "produced": f"needlefit verify --seed {verification.seed}, with {used}, on {about['machine']}. "
         "Every figure was measured by this run; none is stored. Errors and differences are the largest "
         f"found, at and between nodes. Default rules: constraint spacing {rules['spacing']:g} mm, elements "
         f"of {rules['element']:g} mm, Newton tolerance {typeset(number(rules['tolerance']))} mm.",
@@ -160,7 +140,7 @@ def _payload(verification: Verification, figure: str | None) -> dict[str, Any]:
             {"caption": part.caption, "rows": part.rows, "notes": part.notes}
             for part in layouts(verification)
         ],
-        "figure": figure,
+        "figure": pictures[0].name if pictures else None,
         "caption": _CAPTION,
         "version": about["versions"]["needlefit"],
     }
@@ -200,13 +180,3 @@ def bound_said(bound: Bound) -> str:
 def _remarked(rows: list[Row]) -> list[Row]:
     first = {row.title: row for row in reversed(rows) if row.remark}
     return [first[title] for title in dict.fromkeys(row.title for row in rows) if title in first]
-
-
-def _csv(rows: list[dict[str, Any]], path: Path) -> None:
-    frame = pd.DataFrame(rows)
-    frame.to_csv(path, index=False, float_format="%.8g", lineterminator="\n", encoding="utf-8")
-
-
-def _json(path: Path, value: Mapping[str, Any]) -> None:
-    written = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    path.write_text(written + "\n", encoding="utf-8")

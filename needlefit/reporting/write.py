@@ -36,15 +36,15 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     ConfigError
         If `folder` exists and holds something that is no result.
     """
-    with _whole(folder) as new:
+    with whole(folder) as new:
         _frames(results, new)
         _tables([results], [results], new)
         drawn = _draw(results, new)
         for name, save in (also or {}).items():
             save(new / name)
         (new / "report.pdf").write_bytes(compile_pdf(story(results, drawn)))
-        _json(new / "run.json", results.run)
-        _json(new / "timing.json", results.timing)
+        write_json(new / "run.json", results.run)
+        write_json(new / "timing.json", results.timing)
     return _files(folder)
 
 
@@ -58,21 +58,21 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
     ConfigError
         If `folder` exists and holds something that is no result.
     """
-    with _whole(folder) as new:
+    with whole(folder) as new:
         _tables(studies, tunings or studies, new)
         drawn = _draw_scores(studies, new)
         (new / "report.pdf").write_bytes(compile_pdf(overview(studies, tunings or studies, drawn)))
         every = [*studies, *tunings]
-        _json(new / "run.json", {one.name: one.run for one in every})
-        _json(new / "timing.json", {one.name: one.timing for one in every})
+        write_json(new / "run.json", {one.name: one.run for one in every})
+        write_json(new / "timing.json", {one.name: one.timing for one in every})
     return _files(folder)
 
 
 def _frames(results: Results, folder: Path) -> None:
     for name in ("design", "errors", "shapes", "starts", "directions"):
-        _csv(getattr(results, name).assign(origin=results.origin), folder / f"{name}.csv")
+        write_csv(getattr(results, name).assign(origin=results.origin), folder / f"{name}.csv")
     # With every digit: it is exactly these values that fail again.
-    _csv(results.failures.assign(origin=results.origin), folder / "failures.csv", digits=None)
+    write_csv(results.failures.assign(origin=results.origin), folder / "failures.csv", digits=None)
 
 
 def _tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
@@ -80,7 +80,7 @@ def _tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path
     synthetic = any(one.origin == "synthetic" for one in studies)
     for name, frame, set_as in _laid_out(studies, tunings):
         if len(frame):
-            _csv(frame, folder / f"{name}.csv")
+            write_csv(frame, folder / f"{name}.csv")
             pages = [latex(table, synthetic) for table in set_as if table.rows]
             (folder / f"{name}.tex").write_text("\n".join(pages), encoding="utf-8")
 
@@ -121,17 +121,19 @@ def _has(frame: pd.DataFrame, role: str) -> bool:
     return bool(((frame["role"] == role) & (frame["rival"] == "fitted")).any())
 
 
-def _csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
+def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
+    """Write a table; `digits` None is every digit."""
     frame.to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
 
 
-def _json(path: Path, value: Mapping[str, Any]) -> None:
+def write_json(path: Path, value: Mapping[str, Any]) -> None:
+    """Write values as JSON, NaN and infinity as null, keys in order."""
     text = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
 
 
 @contextmanager
-def _whole(folder: Path) -> Iterator[Path]:
+def whole(folder: Path) -> Iterator[Path]:
     """Give a new folder, and put it in the place of `folder` once it is complete."""
     require_result(folder)
     with replacing(folder) as new:

@@ -1,6 +1,7 @@
 """What a reader needs to repeat a run: versions, data, configuration, rules; no time and no path."""
 
 import platform
+from collections.abc import Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
@@ -17,10 +18,7 @@ def work(job: Job) -> dict[str, Any]:
     """Return all that decides the result of a job, as JSON values."""
     return {
         "name": job.name,
-        "versions": {
-            "python": platform.python_version(),
-            **{package: version(package) for package in ("needlefit", *_PACKAGES)},
-        },
+        "versions": versions(_PACKAGES),
         "dataset": {
             "name": job.dataset.name,
             "origin": job.dataset.origin,
@@ -38,6 +36,12 @@ def work(job: Job) -> dict[str, Any]:
         ],
         "rules": rules(job),
     }
+
+
+def versions(packages: Sequence[str]) -> dict[str, str]:
+    """Return the versions of Python, of needlefit and of these packages."""
+    each = {package: version(package) for package in ("needlefit", *packages)}
+    return {"python": platform.python_version(), **each}
 
 
 def rules(job: Job) -> dict[str, Any]:

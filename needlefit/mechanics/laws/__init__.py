@@ -3,7 +3,8 @@
 A law is a sum of powers of the stretch, k(lambda) = mu * sum_p c_p lambda^q_p. Its file defines
 `terms(alpha)`, which returns the pairs (c_p, q_p), both at most linear in alpha; values, slopes, series and
 the derivatives with respect to alpha all follow from these, so that the reference and the compiled kernel
-know every law without naming any.
+know every law without naming any. Only `verification/law.py` does, which
+writes each out once more to check it.
 """
 
 import importlib
