@@ -106,6 +106,12 @@ def test_a_guide_at_the_entry_stands_in_the_tissue_whatever_the_rounding():
         assert step.controls.guides[0].x == 0.0
 
 
+def test_guides_and_layers_keep_their_names_for_pictures():
+    assert [guide.name for guide in FIGURE1.steps[1].controls.guides] == ["template"]
+    assert FIGURE1.layer_names == ("layer 1", "layer 2", "layer 3", "layer 4")
+    assert Guide(-3.0, name="ring") == Guide(-3.0)
+
+
 def test_faults_name_file_and_key():
     with pytest.raises(ConfigError, match=r"a\.toml: key `steps\.2\.guides\.g`: guide stands at x = 1"):
         built(

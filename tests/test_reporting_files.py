@@ -4,26 +4,18 @@ import csv
 import dataclasses
 import hashlib
 import json
-import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 from reporting_results import stereo, study
 
 from needlefit.errors import ConfigError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.scene import Entry, Scene, insert
-from needlefit.mechanics.shape import positions
-from needlefit.mechanics.tissue import Tissue
-from needlefit.reporting import figures, write
+from needlefit.reporting import write
 from needlefit.reporting.figures.overlays import stretch
-from needlefit.reporting.figures.steps import changes, paint_steps
 from needlefit.reporting.story import story
 from needlefit.validation.results import COLUMNS
 
@@ -175,77 +167,3 @@ def test_stretch_is_the_largest_that_fits():
     assert stretch(60, 4) == 5  # 0.62 * 60 mm is 9.3 times 4 mm
     assert stretch(60, 0.3) == 100
     assert stretch(60, 60) == 1
-
-
-def scene(*more: Step, entry: Entry = Entry()) -> Scene:
-    needle = Needle.from_tube(150.0, 1.27, 80e3)
-    tissue = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
-    return Scene(needle, tissue, (Step(25.0, Bevel(0.085)), *more), entry=entry)
-
-
-MOVED = Step(40.0, Bevel(0.085, -1), Controls(2.0, guides=(Guide(-10.0, 1.0),)))
-PULLED = Step(15.0, Bevel(0.085, -1), Controls(2.0))
-
-
-@pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])
-@pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
-def test_a_scene_is_drawn_by_its_suffix_with_the_same_bytes(tmp_path, suffix, begins, more):
-    one = scene(*more)
-    shapes = insert(one)
-    for name in ("a", "b"):
-        figures.draw_scene("Two layers", one, shapes, tmp_path / f"{name}.{suffix}")
-    first, second = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("a", "b"))
-    assert first == second
-    assert first.startswith(begins)
-
-
-@pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 2, -2.3])
-def test_every_panel_shows_its_needle_whole_and_where_it_is_held(angle):
-    one = scene(MOVED, PULLED, entry=Entry(30.0, -7.0, angle))
-    shapes = insert(one)
-    panels = paint_steps("Three steps", one, shapes).axes
-    assert len(panels) == 3
-    for axes, step, shape in zip(panels, one.steps, shapes, strict=True):
-        drawn = np.concatenate([line.get_xydata() for line in axes.lines])
-        ends = one.entry.to_world(positions(shape, shape.x[[0, -1]]))
-        guides = [one.entry.to_world([[guide.x, guide.y]])[0] for guide in step.controls.guides]
-        for point in (*ends, *guides):
-            assert np.abs(drawn - point).max(axis=1).min() < 1e-9
-            assert axes.get_xlim()[0] < point[0] < axes.get_xlim()[1]
-            assert axes.get_ylim()[0] < point[1] < axes.get_ylim()[1]
-        assert angle == 0 or axes.get_aspect() == 1  # true angles where the entry is tilted
-
-
-def test_a_panel_says_what_its_step_changed():
-    first, second, third = scene(MOVED, PULLED).steps
-    assert changes(None, first) == ["bevel left"]
-    assert changes(first, second) == ["bevel right", "base +2 mm", "guide +1 mm"]
-    assert changes(second, third) == ["guide let go"]
-    tracked = dataclasses.replace(third, bevel=Bevel(0.1, -1), controls=Controls(2.0, tip=TrackedTip(-0.5)))
-    assert changes(third, tracked) == ["bevel right, b 0.1 mm", "tip tracked at −0.5 mm"]
-    assert changes(tracked, dataclasses.replace(tracked, controls=Controls(2.0))) == ["tip let go"]
-
-
-def test_the_steps_after_a_failure_are_not_drawn():
-    one = scene(dataclasses.replace(MOVED, bevel=Bevel(60.0)), PULLED)
-    shapes = insert(one)
-    assert [shape.converged for shape in shapes] == [True, False]
-    panels = paint_steps("Too much", one, shapes).axes
-    assert "NOT CONVERGED: over-compressed" in panels[1].get_title("right")
-
-
-@pytest.mark.parametrize("step", [Step(25.0, Bevel(60.0)), Step(0.0, Bevel(0.1))], ids=["failed", "outside"])
-def test_a_needle_that_shows_little_is_drawn_all_the_same(tmp_path, step):
-    one = dataclasses.replace(scene(), steps=(step,))
-    figures.draw_scene("One step", one, insert(one), tmp_path / "needle.png")
-    assert (tmp_path / "needle.png").stat().st_size > 0
-
-
-@pytest.mark.parametrize("name", ["needle.jpg", "needle"])
-def test_another_suffix_is_refused_with_what_would_do(tmp_path, name):
-    one = scene()
-    shapes = insert(one)
-    with pytest.raises(ConfigError, match=r"\.pdf, \.png or \.svg"):
-        figures.draw_scene("Two layers", one, shapes, tmp_path / name)
-    with pytest.raises(ConfigError, match="no such folder"):
-        figures.draw_scene("Two layers", one, shapes, tmp_path / "missing" / "needle.pdf")

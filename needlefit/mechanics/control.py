@@ -1,7 +1,7 @@
 """What steers the needle (bevel, base, guides, a tracked tip), step by step, and the rules of its advance."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Self
 
@@ -42,12 +42,15 @@ class Guide:
         Slope of its axis in C, which the needle takes on there; None: the needle turns freely in it.
     in_tissue : bool
         Whether it stands in the tissue, x >= 0; it then holds the needle once the tip has passed.
+    name : str
+        What pictures call it; guides that differ in nothing else are the same.
     """
 
     x: float
     y: float = 0.0
     slope: float | None = 0.0
     in_tissue: bool = False
+    name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
         if not finite(self.x, self.y, self.slope or 0.0):

@@ -81,6 +81,8 @@ class Scene:
         From first contact on; guides and stage in C.
     entry : Entry
         C in the world.
+    layer_names : tuple of str
+        What pictures call the layers; none, or one each, empty where a layer has no name.
     """
 
     needle: Needle
@@ -88,6 +90,7 @@ class Scene:
     steps: tuple[Step, ...]
     rules: Rules = Rules()
     entry: Entry = Entry()
+    layer_names: tuple[str, ...] = ()
 
     @property
     def depth(self) -> float:
@@ -111,7 +114,8 @@ class Scene:
         with _naming(where, "law"):
             laws.power_terms(tissue.law, tissue.alpha)  # refused here, where the key is known
         steps = tuple(_step(whole, needle, entry, where) for whole in schedule(record))
-        return cls(needle, tissue, steps, rules, entry)
+        names = tuple(layer.name for layer in record.layers)
+        return cls(needle, tissue, steps, rules, entry, names)
 
 
 def insert(scene: Scene) -> tuple[NeedleShape, ...]:
@@ -166,7 +170,7 @@ def _guide(guide: GuideRecord, entry: Entry, key: str, where: str) -> Guide:
         if guide.angle_deg is not None and not guide.turns_freely:
             slope = entry.slope_of(math.radians(guide.angle_deg))
         at = 0.0 if abs(x) < NEAR else float(x)  # rounding must not push it out of the tissue
-        return Guide(at, float(y), None if guide.turns_freely else slope, guide.in_tissue)
+        return Guide(at, float(y), None if guide.turns_freely else slope, guide.in_tissue, guide.name)
 
 
 def _slope(degrees: float) -> float:

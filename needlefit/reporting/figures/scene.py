@@ -8,12 +8,13 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from needlefit.mechanics.control import Controls
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, positions
 from needlefit.reporting.figures.overlays import stretch
-from needlefit.reporting.figures.steps import paint_steps
-from needlefit.reporting.figures.style import WIDTH, draw
-from needlefit.reporting.figures.tissue import layer_label, shades
+from needlefit.reporting.figures.steps import paint_steps, write_failure
+from needlefit.reporting.figures.style import WIDTH, draw, snug
+from needlefit.reporting.figures.tissue import layer_labels, shades
 from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
 
 _TALLEST = 5.5  # inches: a needle that bends further is drawn narrower
@@ -23,7 +24,8 @@ _OUTSIDE = 0.22  # share of the depth drawn before the entry
 def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Path) -> None:
     """Draw the needle, its layers and its constraint points, mm, to a .pdf, .png or .svg file.
 
-    A scene of one step is drawn in C, as far as it is inserted; one of several in the world, a panel a step.
+    A scene of one step is drawn in C, as far as it is inserted; one of several, or with anything beside the
+    bevel that steers the needle, whole and in the world, a panel a step.
     Deflections are small beside depths: y is stretched by the factor that its label states, by none where
     the needle bends enough.
 
@@ -37,10 +39,9 @@ def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Pa
     ConfigError
         If the ending of `path` is another one, or its folder does not exist.
     """
-    several = (
-        len(scene.steps) > 1 or scene.depth == 0
-    )  # a needle that is not in the tissue has no depth to show
-    draw(path, lambda: paint_steps(title, scene, shapes) if several else _paint(title, scene, shapes[-1]))
+    steered = any(step.controls != Controls() for step in scene.steps)
+    whole = steered or len(scene.steps) > 1 or scene.depth == 0  # not in the tissue, it has no depth to show
+    draw(path, lambda: paint_steps(title, scene, shapes) if whole else _paint(title, scene, shapes[-1]))
 
 
 def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
@@ -48,7 +49,8 @@ def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     needle = positions(shape, np.linspace(start, shape.depth, 400))  # (400, 2)
     if not shape.converged:
         needle = np.zeros((1, 2))  # there is none to show
-    bend = float(np.abs(needle[:, 1]).max()) or 1.0
+    bend = float(np.abs(needle[:, 1]).max()) if shape.converged else 0.1 * scene.depth
+    bend = bend or 1.0
     y = (min(needle[:, 1].min(), 0.0) - 0.35 * bend, max(needle[:, 1].max(), 0.0) + 0.35 * bend)
     x = (-_OUTSIDE * scene.depth, 1.04 * scene.depth)
     factor = stretch(0.8 * (x[1] - x[0]), y[1] - y[0])
@@ -61,10 +63,13 @@ def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     _draw_layers(axes, scene, width)
     if shape.converged:
         _draw_needle(axes, shape, needle)
-    state = "" if shape.converged else f"   NOT CONVERGED: {shape.status}"
-    axes.set_title(f"{title}{state}", loc="left", pad=6)
+    else:
+        write_failure(axes, shape)
+    beside = len(title) * 0.065 < width - 2.1  # inches: the legend stands at the right
+    axes.set_title(title, loc="left", pad=6 if beside or not shape.converged else 18)
     axes.set_xlabel("x along the entry (mm)")
     axes.set_ylabel("deflection y (mm)" + ("" if factor == 1 else f",\ndrawn {factor}× as large as x"))
+    snug(figure)
     return figure
 
 
@@ -74,13 +79,13 @@ def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
     low, high = axes.get_ylim()
     free = 0.04 if high > -low else 0.96
     edges = np.minimum([0.0, *scene.tissue.boundaries, np.inf], end)
-    for i, ((top, bottom), shade) in enumerate(zip(pairwise(edges), shades(scene.tissue), strict=True)):
-        if bottom <= top:
-            continue
-        axes.axvspan(top, bottom, color=shade, lw=0, zorder=0)
-        inches = (bottom - top) / (end - start) * width
+    shown = {i: (top, bottom) for i, (top, bottom) in enumerate(pairwise(edges)) if bottom > top}
+    scale = width / (end - start)
+    labels = layer_labels(scene, {i: (bottom - top) * scale for i, (top, bottom) in shown.items()})
+    for i, (top, bottom) in shown.items():
+        axes.axvspan(top, bottom, color=shades(scene.tissue)[i], lw=0, zorder=0)
         axes.text(
-            (top + bottom) / 2, free, layer_label(scene.tissue, i, inches), ha="center", fontsize=6.5,
+            (top + bottom) / 2, free, labels[i], ha="center", fontsize=6.5,
             va="bottom" if free < 0.5 else "top", linespacing=1.3, transform=axes.get_xaxis_transform(),
         )  # fmt: skip
     for depth in scene.tissue.boundaries[scene.tissue.boundaries < end]:
@@ -96,7 +101,7 @@ def _draw_needle(axes: Axes, shape: NeedleShape, needle: np.ndarray) -> None:
     axes.plot(*tip, "o", color=RIVAL_COLOURS["fitted"], ms=3.5, zorder=4)
     outward = 1 if tip[1] >= 0 else -1
     axes.annotate(
-        f"tip {tip[1]:+.2f} mm".replace("-", "−"), tip, xytext=(4, 11 * outward), textcoords="offset points",
+        f"tip {tip[1]:+z.2f} mm".replace("-", "−"), tip, xytext=(4, 11 * outward), textcoords="offset points",
         ha="right", va="center", color=RIVAL_COLOURS["fitted"],
     )  # fmt: skip
     axes.legend(

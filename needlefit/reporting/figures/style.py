@@ -73,6 +73,13 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
     return path
 
 
+def snug(figure: Figure) -> None:
+    """Make a figure as high as what is drawn in it: axes of a given aspect need not fill it."""
+    figure.draw_without_rendering()
+    margin = 0.04  # inches, as the layout leaves at the sides
+    figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
+
+
 def label_origin(figure: Figure, synthetic: bool) -> None:
     """Write SYNTHETIC DATA across the top of a figure whose data are."""
     if synthetic:

@@ -1,11 +1,15 @@
 """How layers are drawn: the stiffer, the darker."""
 
+from collections.abc import Mapping
+
 import numpy as np
 from matplotlib.colors import LinearSegmentedColormap
 
+from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.numbers import number, typeset
 
+_LETTER, _ROOM, _WIDEST_MODULUS = 0.055, 0.05, 0.58  # inches, of 6.5 point type
 Colour = tuple[float, float, float, float]
 
 _LAYERS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7ae"])
@@ -18,9 +22,21 @@ def shades(tissue: Tissue) -> list[Colour]:
     return [_LAYERS(float((one - stiffness.min()) / decades)) for one in stiffness]
 
 
-def layer_label(tissue: Tissue, layer: int, inches: float) -> str:
-    """Return what is written on a layer (counted from 0) that is so wide on paper."""
-    modulus = f"{typeset(number(tissue.mu[layer] * 1e6))} Pa"
-    if inches > 0.75:
-        return f"layer {layer + 1}\n{modulus}"
-    return f"{layer + 1}\n{modulus}" if inches > 0.58 else f"{layer + 1}"
+def layer_labels(scene: Scene, widths: Mapping[int, float]) -> dict[int, str]:
+    """Return what is written on the layers (counted from 0) that are so wide on paper, in inches.
+
+    All of them are called in the same way: by the scene's own names if these fit, or "layer 1", or "1". Its
+    modulus stands below where a layer has room for it.
+    """
+    numbered = {i: f"layer {i + 1}" for i in widths}
+    own = {i: (scene.layer_names[i] if scene.layer_names else "") or called for i, called in numbered.items()}
+    said = {i: f"{i + 1}" for i in widths}
+    for names in (own, numbered):
+        if all(_LETTER * len(name) + _ROOM <= widths[i] for i, name in names.items()):
+            said = names
+            break
+    return {i: f"{called}{_modulus(scene, i, widths[i])}" for i, called in said.items()}
+
+
+def _modulus(scene: Scene, layer: int, width: float) -> str:
+    return f"\n{typeset(number(scene.tissue.mu[layer] * 1e6))} Pa" if width > _WIDEST_MODULUS else ""

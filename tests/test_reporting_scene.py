@@ -1,0 +1,159 @@
+"""Pictures of simulated scenes."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+from matplotlib.image import imread
+
+from needlefit.errors import ConfigError
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.scene import Entry, Scene, insert
+from needlefit.mechanics.shape import positions
+from needlefit.mechanics.tissue import Tissue
+from needlefit.reporting import figures
+from needlefit.reporting.figures.steps import changes, paint_steps
+from needlefit.reporting.figures.tissue import layer_labels
+
+
+def scene(*more: Step, entry: Entry = Entry()) -> Scene:
+    needle = Needle.from_tube(150.0, 1.27, 80e3)
+    tissue = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
+    return Scene(needle, tissue, (Step(25.0, Bevel(0.085)), *more), entry=entry)
+
+
+MOVED = Step(40.0, Bevel(0.085, -1), Controls(2.0, guides=(Guide(-10.0, 1.0),)))
+PULLED = Step(15.0, Bevel(0.085, -1), Controls(2.0))
+
+
+@pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])
+@pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
+def test_a_scene_is_drawn_by_its_suffix_with_the_same_bytes(tmp_path, suffix, begins, more):
+    one = scene(*more)
+    shapes = insert(one)
+    for name in ("a", "b"):
+        figures.draw_scene("Two layers", one, shapes, tmp_path / f"{name}.{suffix}")
+    first, second = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("a", "b"))
+    assert first == second
+    assert first.startswith(begins)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 2, -2.3])
+def test_every_panel_shows_its_needle_whole_and_where_it_is_held(angle):
+    one = scene(MOVED, PULLED, entry=Entry(30.0, -7.0, angle))
+    shapes = insert(one)
+    panels = paint_steps("Three steps", one, shapes).axes
+    assert len(panels) == 3
+    for axes, step, shape in zip(panels, one.steps, shapes, strict=True):
+        drawn = np.concatenate([line.get_xydata() for line in axes.lines])
+        ends = one.entry.to_world(positions(shape, shape.x[[0, -1]]))
+        guides = [one.entry.to_world([[guide.x, guide.y]])[0] for guide in step.controls.guides]
+        for point in (*ends, *guides):
+            assert np.abs(drawn - point).max(axis=1).min() < 1e-9
+            assert axes.get_xlim()[0] < point[0] < axes.get_xlim()[1]
+            assert axes.get_ylim()[0] < point[1] < axes.get_ylim()[1]
+        assert angle == 0 or axes.get_aspect() == 1  # true angles where the entry is tilted
+
+
+def test_a_panel_says_what_its_step_changed():
+    first, second, third = scene(MOVED, PULLED).steps
+    assert changes(None, first) == ["bevel left"]
+    assert changes(first, second) == ["bevel right", "base +2 mm", "guide +1 mm"]
+    assert changes(second, third) == ["guide let go"]
+    named = dataclasses.replace(third, controls=Controls(2.0, guides=(Guide(-10.0, 1.5, name="ring"),)))
+    assert changes(third, named, " in C") == ["ring +1.5 mm in C"]
+    assert changes(named, third) == ["ring let go"]
+    tracked = dataclasses.replace(third, bevel=Bevel(0.1, -1), controls=Controls(2.0, tip=TrackedTip(-0.5)))
+    assert changes(third, tracked) == ["bevel right, b 0.1 mm", "tip tracked at −0.5 mm"]
+    assert changes(tracked, dataclasses.replace(tracked, controls=Controls(2.0))) == ["tip let go"]
+
+
+def test_a_head_says_that_places_count_in_c_where_that_is_not_the_world():
+    for entry, frame in ((Entry(), ""), (Entry(30.0), " in C")):
+        one = scene(MOVED, entry=entry)
+        panels = paint_steps("Two steps", one, insert(one)).axes
+        assert panels[1].get_title("left").endswith(f"base +2 mm{frame}  ·  guide +1 mm{frame}")
+        assert re.fullmatch(rf"tip [+−]\d\.\d\d mm{frame}", panels[1].get_title("right"))
+
+
+def test_the_layers_of_a_picture_are_all_called_in_the_same_way():
+    one = dataclasses.replace(scene(), layer_names=("fat", "muscle"))
+    assert layer_labels(one, {0: 1.0, 1: 1.0}) == {0: "fat\n2 × 10⁵ Pa", 1: "muscle\n3.3 × 10⁷ Pa"}
+    assert layer_labels(one, {0: 0.5, 1: 0.5}) == {0: "fat", 1: "muscle"}
+    assert layer_labels(one, {0: 1.0, 1: 0.2}) == {0: "1\n2 × 10⁵ Pa", 1: "2"}
+    long = dataclasses.replace(one, layer_names=("", "the muscle below the second fascia"))
+    assert layer_labels(long, {0: 1.0, 1: 1.0})[1].startswith("layer 2")
+    assert layer_labels(one, {1: 1.0}) == {1: "muscle\n3.3 × 10⁷ Pa"}
+
+
+@pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])
+def test_no_blank_band_stands_above_or_below_a_picture(tmp_path, more):
+    one = scene(*more)
+    figures.draw_scene("Two layers", one, insert(one), tmp_path / "a.png")
+    rows = np.flatnonzero((imread(tmp_path / "a.png")[..., :3] < 1).any(axis=(1, 2)))
+    height = len(imread(tmp_path / "a.png"))
+    assert rows[0] < 0.1 * 200 and rows[-1] > height - 0.1 * 200  # pixels, at 200 to the inch
+
+
+def test_the_steps_after_a_failure_are_not_drawn():
+    one = scene(dataclasses.replace(MOVED, bevel=Bevel(60.0)), PULLED)
+    shapes = insert(one)
+    assert [shape.converged for shape in shapes] == [True, False]
+    panels = paint_steps("Too much", one, shapes).axes
+    assert "no solution: over-compressed" in [text.get_text() for text in panels[1].texts]
+    assert panels[1].get_title("right") == "" and panels[1].get_aspect() <= 5
+    base = one.entry.to_world([[40.0 - 150.0, 2.0]])[0]  # where the step brought it
+    assert any(np.allclose(line.get_xydata()[0], base) for line in panels[1].lines)
+
+
+STEERED = (
+    Controls(1.0), Controls(0.0, 0.02), Controls(stage_slope=0.01), Controls(tip=TrackedTip(0.5)),
+    Controls(guides=(Guide(-10.0),)),
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("controls", STEERED)
+def test_one_step_that_is_steered_shows_its_base_and_guides(controls):
+    plain = scene()
+    one = dataclasses.replace(plain, steps=(dataclasses.replace(plain.steps[0], controls=controls),))
+    (axes,) = paint_steps("Steered", one, insert(one)).axes
+    assert axes.get_title("left").startswith("to 25 mm")
+    drawn = np.concatenate([line.get_xydata() for line in axes.lines])
+    held = [(25.0 - 150.0, controls.base_y + 25.0 * controls.stage_slope)]
+    for point in held + [(guide.x, guide.y) for guide in controls.guides]:
+        assert np.abs(drawn - point).max(axis=1).min() < 1e-9
+
+
+@pytest.mark.parametrize(
+    ("controls", "kind"), [(Controls(), "_paint"), *((c, "paint_steps") for c in STEERED)]
+)
+def test_only_a_steered_step_is_drawn_in_the_world(tmp_path, monkeypatch, controls, kind):
+    called = []
+    for name in ("_paint", "paint_steps"):
+        monkeypatch.setattr(
+            f"needlefit.reporting.figures.scene.{name}", lambda *_, name=name: called.append(name)
+        )
+    monkeypatch.setattr("needlefit.reporting.figures.scene.draw", lambda path, paint: paint())
+    one = dataclasses.replace(scene(), steps=(Step(25.0, Bevel(0.085), controls),))
+    figures.draw_scene("One step", one, insert(one), tmp_path / "one.png")
+    assert called == [kind]
+
+
+@pytest.mark.parametrize("step", [Step(25.0, Bevel(60.0)), Step(0.0, Bevel(0.1))], ids=["failed", "outside"])
+def test_a_needle_that_shows_little_is_drawn_all_the_same(tmp_path, step):
+    one = dataclasses.replace(scene(), steps=(step,))
+    figures.draw_scene("One step", one, insert(one), tmp_path / "needle.png")
+    assert (tmp_path / "needle.png").stat().st_size > 0
+
+
+@pytest.mark.parametrize("name", ["needle.jpg", "needle"])
+def test_another_suffix_is_refused_with_what_would_do(tmp_path, name):
+    one = scene()
+    shapes = insert(one)
+    with pytest.raises(ConfigError, match=r"\.pdf, \.png or \.svg"):
+        figures.draw_scene("Two layers", one, shapes, tmp_path / name)
+    with pytest.raises(ConfigError, match="no such folder"):
+        figures.draw_scene("Two layers", one, shapes, tmp_path / "missing" / "needle.pdf")
