@@ -12,8 +12,8 @@ from needlefit.reporting.figures.style import WIDTH, draw
 from needlefit.reporting.names import GREY, INK
 from needlefit.verification.check import Curve
 
-_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")  # Okabe and Ito
-_MARKS = "osD^vP"
+_COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9", INK)  # Okabe and Ito
+_MARKS = "osD^vPX"
 _PANELS = (("deflection", 4, "error of the deflection (mm)"), ("slope", 3, "error of the slope"))
 
 
@@ -23,7 +23,7 @@ def convergence(curves: Sequence[Curve], path: Path) -> Path:
 
 
 def _paint(curves: Sequence[Curve]) -> Figure:
-    figure = Figure(figsize=(WIDTH, 1.55))
+    figure = Figure(figsize=(WIDTH, 1.9))
     panels = figure.subplots(1, 3, width_ratios=(1, 1, 0.9))
     for axes, (norm, order, words) in zip(panels[:2], _PANELS, strict=True):
         _draw_panel(axes, curves, norm, order)
@@ -39,8 +39,8 @@ def _draw_panel(axes: Axes, curves: Sequence[Curve], norm: str, order: int) -> N
     sizes = np.array(curves[0].h)
     for i, curve in enumerate(curves):
         style = {
-            "color": _COLOURS[i % 6],
-            "marker": _MARKS[i % 6],
+            "color": _COLOURS[i % 7],
+            "marker": _MARKS[i % 7],
             "ms": 3.2,
             "mfc": "none",
             "lw": 0.8,

@@ -75,12 +75,12 @@ def _check(title: str, propped_at: float | None, controls: Controls) -> Check:
 CHECKS = (
     _check("Cantilever under a uniform load on its outer 90 mm", None, Controls()),
     _check(
-        "Propped cantilever, the same load, a guide that turns freely 25 mm before the tissue",
+        "Propped cantilever, same load, free guide 25 mm before the tissue",
         NEEDLE.length - DEPTH + _GUIDE,
         Controls(guides=(Guide(_GUIDE, slope=None),)),
     ),
     _check(
-        "Propped cantilever, the same load, the tip tracked at 0",
+        "Propped cantilever, same load, the tip tracked at 0",
         NEEDLE.length,
         Controls(tip=TrackedTip(0.0)),
     ),

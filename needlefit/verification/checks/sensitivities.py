@@ -93,7 +93,7 @@ def _check(title: str, draw: Draw, softest: float, bound: float) -> Check:
         values = tuple(worst([e for kind, e in columns if kind == wanted]) for wanted in range(3))
         return Outcome(values, "; ".join(filter(None, (f"{len(columns)} columns", said, _why(softest)))))
 
-    words = ("other columns", "columns of places: boundaries, guides along the needle", "columns of α")
+    words = ("other columns", "columns of places (boundaries, guides)", "columns of α")
     quantities = tuple(Quantity(f"error of the {each}", at_most(bound), "") for each in words)
     reach = "μ = 0.2" if softest == PAPER else "μ = 0.001"
     return Check(
