@@ -6,7 +6,7 @@ from mechanics_cases import random_needle, random_rules, random_steps, random_ti
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules
+from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape, inserted_points, positions
@@ -180,3 +180,16 @@ def test_elements_so_short_that_rounding_wins_are_refused(rules) -> None:
     """1 kPa tissue with 0.02 mm elements would be 3 % off, and look converged."""
     with pytest.raises(ModelError, match=r"elements of 0\.04 mm"):
         Rules(*rules)
+
+
+def test_a_guess_beyond_what_tissue_bears_is_not_the_answer() -> None:
+    """The base moves by more than t before the first cell; the needle finds its place, and stays there."""
+    tissue = Tissue(mu=[33.0], alpha=[1.0], thickness=[5.0])
+    found = follow(NEEDLE, tissue, (Step(3.0, Bevel(0.05), Controls(base_y=5.1)),))
+    assert found.converged and 3.0 < found.deflection < 5.0
+    state = np.column_stack((found.u, found.slope)).ravel()
+    again, used = reference.equilibrium(
+        NEEDLE, tissue, found.x, found.constraints, state, np.arange(len(state)) < 2, Rules(tolerance=np.inf)
+    )
+    assert used == 1
+    np.testing.assert_allclose(again, state, atol=1e-7)

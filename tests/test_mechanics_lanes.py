@@ -262,10 +262,15 @@ def test_sets_that_make_no_batch_are_refused(given: dict, message: str) -> None:
         Batch(NEEDLE, TISSUE, THERE_AND_BACK, **given)
 
 
-def test_a_guide_that_the_base_would_reach_is_refused() -> None:
+def test_a_guide_that_the_base_would_reach_is_the_failure_of_its_set_alone() -> None:
+    """So are guides that stand nowhere; the others do not notice."""
     steps = (Step(50.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
-    with pytest.raises(ModelError, match="through a guide 100 mm before the tissue"):
-        follow_batches([Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, -100.0, -50.0])])
+    places = [-5.0, -100.0, np.inf, -50.0, -np.inf, 0.0, np.nan, 1e300]
+    (shapes,) = follow_batches([Batch(NEEDLE, TISSUE, steps, guide_x=places)])
+    (alone,) = follow_batches([Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, -50.0])])
+    assert shapes.converged.tolist() == [True, False, False, True, False, False, False, False]
+    assert shapes.failures == {"non-finite": 6}
+    np.testing.assert_array_equal(shapes.u[[0, 3]], alone.u)
 
 
 PACKED = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",

@@ -4,7 +4,10 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Move, Position, Ray, advance, lattice_of, plan, rays, stops_of
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
 
 HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
 
@@ -199,3 +202,25 @@ def test_a_needle_that_ends_before_its_guide_is_called_too_short() -> None:
 def test_no_steps_are_no_insertion() -> None:
     with pytest.raises(ModelError, match="without steps"):
         plan((), HALF, 150.0)
+
+
+@pytest.mark.parametrize("spacing", [0.5, 0.7, 1.0, 2.0])
+@pytest.mark.parametrize("off", [-2e-9, -1.1e-9, -7e-10, -1e-10, 1e-10, 7e-10, 1.1e-9, 2e-9])
+def test_depths_a_hair_beside_a_constraint_point_are_depths(spacing: float, off: float) -> None:
+    """What is near is told in millimetres everywhere: neither an endless plan nor a cell of no length."""
+    for cells in (1, 13, 64):
+        depth = cells * spacing + off
+        steps = (Step(depth, Bevel(0.1)),)
+        lattice = lattice_of(steps, Rules(spacing, spacing))
+        found = plan(steps, lattice, 150.0)
+        assert found[-1].tip == pytest.approx(depth, abs=1e-12)
+        assert len(found) in (cells + 1, cells + 2)
+        shape = simulate(Needle(150.0, 1e4), Tissue(mu=[1.0], alpha=[1.0]), Bevel(0.1), depth,
+                         rules=Rules(spacing, spacing))  # fmt: skip
+        assert shape.converged and abs(shape.deflection) < 0.5 * depth
+
+
+@pytest.mark.parametrize("first", [0.0, 1e-12, 1e-9, 1.1])
+def test_a_first_cell_of_no_length_or_too_long_is_refused(first: float) -> None:
+    with pytest.raises(ModelError, match="first cell"):
+        Lattice(first, 1.0)

@@ -49,7 +49,7 @@ def follow_batches(batches: Sequence[Batch], threads: int | None = None) -> tupl
     -------
     tuple of NeedleShapes
         In the order of `batches`; sets that failed are NaN and say why in `status`. Numbers that are no
-        parameters (not finite, mu not above 0) count as "non-finite".
+        parameters (not finite, mu not above 0, a guide out of the needle's reach) count as "non-finite".
 
     Raises
     ------
@@ -114,14 +114,15 @@ def _prepare(batch: Batch) -> _Job:
 def _valid(batch: Batch) -> Bools:
     """Return which sets are made of numbers that a tissue or needle may have, (B,)."""
     good = np.ones(len(batch), dtype=bool)
+    deepest = max(step.depth for step in batch.steps)
     for name in VARYING:
         values = getattr(batch, name)
         if values is not None:
             fine = np.isfinite(values)
             if name in ("mu", "rigidity"):
                 fine &= values > 0
-            if name == "guide_x":
-                fine &= values < 0
+            if name == "guide_x":  # before the tissue, and where the base does not come to it
+                fine &= (values < 0) & (values > deepest - batch.needle.length)
             good &= fine.reshape(len(batch), -1).all(axis=1)
     return good
 
@@ -137,7 +138,7 @@ def _farthest(batch: Batch, valid: Bools) -> tuple[Needle, Tissue, Sequence[Step
 def _fit(batch: Batch, lattice: Lattice, stops: Sequence[Stop]) -> bool:
     """Return whether the lanes know how to hold this needle."""
     element, first = batch.rules.element, lattice.first_cell
-    least = first - element * (math.ceil(first / element - NEAR) - 1)  # depth of the first node
+    least = first - element * (math.ceil((first - NEAR) / element) - 1)  # depth of the first node
     # element 0 carries tissue where the entry has no node; its length must then be the same in all lanes
     short = least < 0.5 * element or any(0 < stop.tip < 0.5 * element for stop in stops)
     inputs = [step.controls for step in batch.steps]
@@ -205,7 +206,7 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
         )  # fmt: skip
     count, size = len(sets), int(under_way.size[0])
     state = under_way.states[under_way.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
-    front = _front(batch, controls, last.tip, sets, float(under_way.nodes[0]), state[0])  # (B, F, 3)
+    front = _front(job, controls, sets, float(under_way.nodes[0]), state[0])  # (B, F, 3)
     points = np.empty((count, last.cell + 1, 2))
     points[:, :, 0] = constraint_depths(last.tip, last.cell, job.lattice.first_cell, job.lattice.spacing)
     points[:, :, 1] = under_way.y[: last.cell + 1, :count].T
@@ -257,12 +258,13 @@ def _slope(guide: Guide) -> float:
     return math.nan if guide.slope is None else guide.slope
 
 
-def _front(batch: Batch, controls: Controls, tip: float, sets: Ints, node: float, state: Floats) -> Floats:
+def _front(job: _Job, controls: Controls, sets: Ints, node: float, state: Floats) -> Floats:
     """Return depth, deflection and slope (B, F, 3) of base and guides before the tissue.
 
     The slope of a guide that is passed freely follows from the moments on its two sides being equal;
     `state` (2, B) is deflection and slope of the first node in the tissue, which stands at `node`.
     """
+    batch, tip, valid = job.batch, job.stops[-1].tip, job.valid[sets]
     count, guides = len(sets), controls.before
     front = np.empty((count, 1 + len(guides), 3))
     y = controls.base_y if batch.base_y is None else batch.base_y[sets]
@@ -271,7 +273,7 @@ def _front(batch: Batch, controls: Controls, tip: float, sets: Ints, node: float
     for i, guide in enumerate(guides, start=1):
         front[:, i] = guide.x, guide.y, _slope(guide)
     if batch.guide_x is not None:
-        front[:, 1, 0] = batch.guide_x[sets]
+        front[:, 1, 0] = np.where(valid, batch.guide_x[sets], guides[0].x)
     if not np.isnan(front[..., 2]).any():
         return front
     x, y = (np.column_stack((front[..., j], end)) for j, end in ((0, np.full(count, node)), (1, state[0])))

@@ -34,6 +34,9 @@ _DEFAULT_CONTROLS = Controls()
 _DEFAULT_RULES = Rules()
 _DEFAULT_WRT = ("mu", "alpha", "offset")
 
+SHARP = 1e-9
+"""mm; derivatives belong to the converged state: one that is 1e-7 mm off makes them up to 1e-6 wrong."""
+
 
 @dataclass(frozen=True)
 class Jacobian:
@@ -120,7 +123,7 @@ def linearize_along(
     by_alpha = laws.term_slopes(tissue.law)
     history = _nothing_yet(len(under_way.y), len(under_way.rays), columns.total)
     whole = np.empty((len(under_way.nodes), 2, columns.total))
-    newton = Newton(rules.tolerance, rules.max_iterations)
+    newton = Newton(min(rules.tolerance, SHARP), rules.max_iterations)
     sides = np.array([step.bevel.side / rules.spacing for step in steps])
     offsets = np.array([step.bevel.offset for step in steps])
     status, iterations = CONVERGED, 0

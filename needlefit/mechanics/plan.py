@@ -88,16 +88,16 @@ class Lattice:
     spacing: float
 
     def __post_init__(self) -> None:
-        if not 0 < self.first_cell <= self.spacing * (1 + NEAR):
+        if not NEAR < self.first_cell <= self.spacing + 2 * NEAR:
             raise ModelError(
                 f"the first cell is {self.first_cell} mm",
-                expected=f"above 0, up to the constraint spacing of {self.spacing:g} mm",
+                expected=f"above {NEAR:g} mm, up to the constraint spacing of {self.spacing:g} mm",
             )
 
     @classmethod
     def ending_at(cls, depth: float, spacing: float) -> "Lattice":
         """Return the lattice with a constraint point at `depth`: the last cell is whole."""
-        cells = max(1, math.ceil(depth / spacing - NEAR))
+        cells = max(1, math.ceil((depth - NEAR) / spacing))
         return cls(depth - (cells - 1) * spacing, spacing)
 
     def depth(self, m: int) -> float:

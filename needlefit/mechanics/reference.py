@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Rules, Step
+from needlefit.mechanics.kernel.grid import GRIP
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Stop, lattice_of, plan
 from needlefit.mechanics.shape import NeedleShape
@@ -74,7 +75,7 @@ def mesh(
 
     Base and guides; the entry; every h, fixed in the tissue; the tip. Very short elements ruin the
     conditioning: the entry gets no node when the next one is nearer than h / 2, nor does a place nearer
-    than h / 2 to the tip or h / 4 to a guide in the tissue, which holds once the tip is h / 4 past it.
+    than h / 2 to the tip or h / 4 to a guide in the tissue, which holds once the tip is GRIP past it.
 
     Returns
     -------
@@ -85,8 +86,8 @@ def mesh(
         Which of them are prescribed.
     """
     tip = stop.tip
-    within = [guide for guide in controls.within if guide.x <= tip - h / 4]
-    least = lattice.first_cell - h * (math.ceil(lattice.first_cell / h - 1e-9) - 1)  # in (0, h]
+    within = [guide for guide in controls.within if guide.x <= tip - GRIP]
+    least = lattice.first_cell - h * (math.ceil((lattice.first_cell - 1e-9) / h) - 1)  # in (0, h]
     fixed = [x for x in least + h * np.arange(math.ceil(tip / h)) if x <= tip - h / 2 + 1e-9]
     fixed = [x for x in fixed if all(abs(x - guide.x) >= h / 4 for guide in within)]
     inserted = sorted([*fixed, *(guide.x for guide in within), tip])

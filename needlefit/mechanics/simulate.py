@@ -13,7 +13,7 @@ from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
-from needlefit.mechanics.kernel.grid import build_grid, constraint_depths, node_depths
+from needlefit.mechanics.kernel.grid import GRIP, build_grid, constraint_depths, node_depths
 from needlefit.mechanics.kernel.scalar import CONVERGED, WIDTH, Newton, equilibrate
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Move, Stop, check_reach, lattice_of, moves_of, stops_of
@@ -120,7 +120,7 @@ def equilibrium(
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
     check_reach(needle.length, depth, controls)
     holds = compile_controls(controls)
-    within = np.array([guide.x for guide in controls.within if guide.x <= depth - 0.25 * rules.element])
+    within = np.array([guide.x for guide in controls.within if guide.x <= depth - GRIP])
     nodes = node_depths(depth, depths[1], rules.spacing, rules.element, within)
     grid = build_grid(depths, tissue.boundaries, nodes)
     last = len(grid.nodes) - 1

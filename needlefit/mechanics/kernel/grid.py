@@ -12,7 +12,10 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 GAUSS = 0.5 / np.sqrt(3.0)  # two Gauss points stand at 1/2 -+ this, in fractions of an interval
-SLACK = 1e-9  # mm and cells; depths nearer than this are the same
+SLACK = 1e-9  # mm; depths nearer than this are the same
+GRIP = (
+    0.05  # mm; a guide in the tissue holds once the tip is this far past it: a length of the model, not of h
+)
 
 
 class Grid(NamedTuple):
@@ -58,7 +61,7 @@ def node_depths(tip: float, first_cell: float, spacing: float, element: float, w
     the first one after it is nearer than half an element.
     """
     per_cell = round(spacing / element)
-    i = 1 - int(np.ceil(first_cell / element - SLACK))  # counted from x_1; the first after the entry
+    i = 1 - int(np.ceil((first_cell - SLACK) / element))  # counted from x_1; the first after the entry
     nodes = np.empty(int(np.ceil(tip / element)) + 4 + len(within))
     count = 1  # room for the entry
     guide = 0

@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import (
+    GRIP,
     SLACK,
     Grid,
     build_grid,
@@ -145,7 +146,7 @@ def advance(
 def grid_at(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Grid:
     """Return the grid of a tip that stands between constraint points, or of guides in the tissue."""
     active = holds.within[:, 0]
-    active = active[active <= tip - 0.25 * insertion.element]
+    active = active[active <= tip - GRIP]
     nodes = node_depths(tip, insertion.first_cell, insertion.spacing, insertion.element, active)
     points = constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
     return build_grid(points, insertion.boundaries, nodes)

@@ -21,6 +21,7 @@ CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE = 0, 1, 2, 3
 WIDTH = 14  # of a node's row of the factor: G = S^-1 K_ab (4), z = S^-1 r (2), S^-1 (4), K_ba (4)
 FREE, PINNED, CLAMPED = 0, 1, 2  # a node: its deflection is prescribed, or its slope too
 ROUNDING = 1e-4  # mm; Newton's last steps square the increment: only rounding keeps one this small alive
+BEARABLE = 0.5  # |e| / t
 BROKEN, EXACT, SERIES = (
     0,
     1,
@@ -71,18 +72,21 @@ def equilibrate(
     copy(trial, state)
     before = np.inf
     curvature = np.max(foundation.curvature)
-    compressed = False
+    borne = compressed = False
     for iteration in range(newton.max_iterations):
         tissue = sweep(trial, chain, foundation, grid, y, last, factor)
+        if tissue == BROKEN and not borne:  # a guess beyond what tissue bears; the answer may not be
+            if not np.isfinite(back(trial, factor)):
+                return NON_FINITE, iteration + 1
+            continue
         if tissue == BROKEN:
-            if iteration == 0:
-                return OVER_COMPRESSED, iteration
             compressed = True
             # half the way back toward the last state that some tissue bore
             for i in range(size):
                 trial[i, 0] = 0.5 * (trial[i, 0] + state[i, 0])
                 trial[i, 1] = 0.5 * (trial[i, 1] + state[i, 1])
             continue
+        borne = True
         copy(state, trial)
         change = back(trial, factor)
         if not np.isfinite(change):
@@ -94,7 +98,7 @@ def equilibrate(
             copy(state, trial)
             return CONVERGED, iteration + 1
         before = change
-    return OVER_COMPRESSED if compressed else NOT_CONVERGED, newton.max_iterations
+    return OVER_COMPRESSED if compressed or not borne else NOT_CONVERGED, newton.max_iterations
 
 
 @njit(cache=True, nogil=True)
@@ -119,7 +123,7 @@ def sweep(
     mu, coefficients, exponents = foundation.mu, foundation.coefficients, foundation.exponents
     thickness, friction = foundation.thickness, foundation.friction
     series, limit, rough = foundation.series, foundation.limit, foundation.rough
-    tissue = SERIES
+    tissue, broken = SERIES, False
     s00 = s01 = s10 = s11 = r0 = r1 = 0.0
     before = len(front)
     end = before + last
@@ -146,14 +150,16 @@ def sweep(
                             tangent = tangent * size + (j + 1) * series[here, j]
                     else:
                         d = size / thickness[here]
-                        if d >= 1.0:
-                            return BROKEN
                         tissue = EXACT
+                        if d >= 1.0:  # the factor is then of a linear foundation as stiff as at BEARABLE
+                            broken, d = True, BEARABLE
                         k = tangent = 0.0
                         for p in range(exponents.shape[1]):
                             part, tangent_part = power(exponents[here, p], d)
                             k += mu[here] * coefficients[here, p] * part
                             tangent += mu[here] * coefficients[here, p] * tangent_part
+                        if size >= thickness[here]:
+                            tangent = k
                     w = weight[q]
                     r = 0.0
                     if rough:
@@ -205,7 +211,7 @@ def sweep(
         s00, s01 = k22 - k20 * g00 - k21 * g10, k23 - k20 * g01 - k21 * g11
         s10, s11 = k32 - k30 * g00 - k31 * g10, k33 - k30 * g01 - k31 * g11
         r0, r1 = f2 - k20 * z0 - k21 * z1, f3 - k30 * z0 - k31 * z1
-    return tissue
+    return BROKEN if broken else tissue
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
