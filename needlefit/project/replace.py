@@ -1,4 +1,4 @@
-"""Writing a folder whole or not at all."""
+"""Writing a folder, or one file, whole or not at all."""
 
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -34,6 +34,22 @@ def replacing(folder: Path) -> Iterator[Path]:
         except BaseException:
             old.rename(folder)
             raise
+
+
+@contextmanager
+def replacing_file(file: Path) -> Iterator[Path]:
+    """Yield a path, of the same name, whose file takes the place of `file` when the block ends well.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there.
+    """
+    file = file.resolve()
+    with _scratch(file) as scratch:
+        fresh = Path(scratch, file.name)
+        yield fresh
+        fresh.replace(file)
 
 
 def _scratch(folder: Path) -> "TemporaryDirectory[str]":

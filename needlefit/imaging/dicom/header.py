@@ -1,0 +1,201 @@
+"""What the header of one DICOM file says of its slice; voxels are not touched."""
+
+import warnings
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pydicom
+from numpy.typing import NDArray
+from pydicom.errors import InvalidDicomError
+from pydicom.uid import UID, ImplicitVRLittleEndian
+
+from needlefit.errors import DataError
+
+Floats = NDArray[np.float64]
+
+TAGS = (
+    *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "FrameOfReferenceUID"),
+    *("ImageType", "Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "BitsAllocated"),
+    *("PixelRepresentation", "ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"),
+    *("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "PixelPaddingValue"),
+    *("PixelPaddingRangeLimit",),
+)
+_SUFFIXES = (".dcm", ".ima", ".dicom")
+_PREAMBLE = 132
+
+
+@dataclass(frozen=True)
+class Slice:
+    """One image of a series, as its header says.
+
+    Attributes
+    ----------
+    series, number, description : str
+        UID, number and name of its series; the latter two empty where the file has none.
+    syntax : UID
+        How the voxels are packed.
+    frame_of_reference : str
+        Slices of one volume share it.
+    kind : tuple of str
+        ImageType; "LOCALIZER" among them marks an overview.
+    rows, columns, frames, samples, bits : int
+        Size, and numbers and bits of a voxel.
+    position : (3,) array or None
+        Centre of the first voxel, LPS, mm.
+    axes : (2, 3) array or None
+        LPS directions of growing column and row index.
+    pixel : (2,) array or None
+        Spacing of rows and of columns, mm.
+    rescale : (2,) array or None
+        Slope and intercept.
+    padding : (2,) array or None
+        Least and greatest stored value that means "not measured".
+    table : bool
+        Whether values are rescaled by a table.
+    """
+
+    file: Path
+    series: str
+    number: str
+    description: str
+    syntax: UID
+    frame_of_reference: str
+    kind: tuple[str, ...]
+    rows: int
+    columns: int
+    frames: int
+    samples: int
+    bits: int
+    position: Floats | None
+    axes: Floats | None
+    pixel: Floats | None
+    rescale: Floats | None
+    padding: Floats | None
+    table: bool
+
+
+def read_header(file: Path) -> Slice | None:
+    """Return what a file says of its slice; None if it is no DICOM image but, say, a report or a text.
+
+    Raises
+    ------
+    DataError
+        If it is named as a DICOM file and is none, is cut short, or an entry cannot be understood.
+    """
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore"
+        )  # what pydicom doubts and we use is checked here, the rest is not ours
+        try:
+            data = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=list(TAGS))
+        except InvalidDicomError as error:
+            if file.suffix.lower() in _SUFFIXES:
+                raise _damaged(file) from error
+            return None
+        except PermissionError as error:
+            raise DataError("may not be read", where=str(file), mend="check its permissions") from error
+        except Exception as error:  # whatever the bytes provoke
+            raise _damaged(file) from error
+        storage = str(data.file_meta.get("MediaStorageSOPClassUID") or data.get("SOPClassUID") or "")
+        if storage and "Image Storage" not in UID(storage).name:
+            return None
+        if not all(name in data for name in ("SeriesInstanceUID", "Rows", "Columns")):
+            raise _damaged(file)
+        return _slice(file, data)
+
+
+def _slice(file: Path, data: pydicom.Dataset) -> Slice:
+    kind = data.get("ImageType") or ()
+    return Slice(
+        file=file,
+        series=str(data.SeriesInstanceUID),
+        number=_text(data.get("SeriesNumber")),
+        description=_text(data.get("SeriesDescription")),
+        syntax=UID(str(data.file_meta.get("TransferSyntaxUID") or ImplicitVRLittleEndian)),
+        frame_of_reference=_text(data.get("FrameOfReferenceUID")),
+        kind=(kind,) if isinstance(kind, str) else tuple(map(str, kind)),
+        rows=_whole(file, data, "Rows", 0),
+        columns=_whole(file, data, "Columns", 0),
+        frames=_whole(file, data, "NumberOfFrames", 1),
+        samples=_whole(file, data, "SamplesPerPixel", 1),
+        bits=_whole(file, data, "BitsAllocated", 16),
+        position=_numbers(file, data, ("ImagePositionPatient",), (3,)),
+        axes=_numbers(file, data, ("ImageOrientationPatient",), (2, 3)),
+        pixel=_numbers(file, data, ("PixelSpacing",), (2,)),
+        rescale=_numbers(file, data, ("RescaleSlope", "RescaleIntercept"), (2,)),
+        padding=_padding(file, data),
+        table="ModalityLUTSequence" in data,
+    )
+
+
+def _padding(file: Path, data: pydicom.Dataset) -> Floats | None:
+    """Return the least and the greatest padding value as they are stored, with their sign."""
+    values = [
+        _whole(file, data, name, 0)
+        for name in ("PixelPaddingValue", "PixelPaddingRangeLimit")
+        if data.get(name) is not None
+    ]
+    if not values or data.get("PixelPaddingValue") is None:
+        return None
+    if data.get("PixelRepresentation") == 1:  # some scanners write -2000 as 63536
+        turn = 2 ** _whole(file, data, "BitsAllocated", 16)
+        values = [value - turn if value >= turn // 2 else value for value in values]
+    return np.array([min(values), max(values)], dtype=np.float64)
+
+
+def _numbers(
+    file: Path, data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[int, ...]
+) -> Floats | None:
+    """Return the entries `names` as one array of `shape`; None if all are missing or empty."""
+    entries = [_entry(file, data, name) for name in names]
+    if all(entry is None or entry == "" for entry in entries):
+        return None
+    try:
+        array = np.array(entries, dtype=np.float64).reshape(shape)
+    except (TypeError, ValueError):
+        raise _unclear(file, " and ".join(names), entries) from None
+    if not np.isfinite(array).all():
+        raise _unclear(file, " and ".join(names), entries)
+    return array
+
+
+def _whole(file: Path, data: pydicom.Dataset, name: str, default: int) -> int:
+    value = _entry(file, data, name)
+    if value is None or value == "":
+        return default
+    try:
+        return int(value)
+    except (TypeError, ValueError):
+        raise _unclear(file, name, value) from None
+
+
+def _entry(file: Path, data: pydicom.Dataset, name: str) -> Any:  # noqa: ANN401 - whatever the file holds
+    try:
+        return data.get(name)
+    except Exception:  # pydicom parses an entry when it is asked for, and raises what its bytes provoke
+        raise _unclear(file, name, "unreadable") from None
+
+
+def _text(value: object) -> str:
+    return "" if value is None else str(value).strip()
+
+
+def _unclear(file: Path, name: str, value: object) -> DataError:
+    return DataError(
+        f"{name} is {value}",
+        where=str(file),
+        expected="finite numbers, as many as the DICOM standard asks for",
+        mend="export the series from the scanner or the archive again",
+    )
+
+
+def _damaged(file: Path) -> DataError:
+    empty = file.stat().st_size <= _PREAMBLE
+    return DataError(
+        "is empty" if empty else "its DICOM header is damaged or cut short",
+        where=str(file),
+        expected="a whole DICOM file",
+        mend="copy the file again, or export the series again",
+    )

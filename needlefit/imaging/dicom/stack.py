@@ -1,0 +1,227 @@
+"""Slices stacked into a volume, and everything that can forbid it: seen in the headers, before any voxel."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from pydicom.uid import UID
+
+from needlefit.errors import DataError
+from needlefit.imaging.dicom.header import Slice
+from needlefit.imaging.dicom.series import LOCALIZER
+from needlefit.imaging.grid import SQUARE, Grid, check_grid, squared
+
+Floats = NDArray[np.float64]
+
+ASTRAY = 0.05
+"""A slice may stand this far from its place on an even stack, mm: positions rounded to 0.1 mm do."""
+
+SAME = 1e-3
+"""Slices closer than this are one, mm."""
+
+GAP = 1.5
+"""A step longer than this many usual ones lacks slices."""
+
+DECODED = frozenset(
+    f"1.2.840.10008.1.2{end}"
+    for end in ("", ".1", ".1.99", ".2", ".5", ".4.50", ".4.51", ".4.57", ".4.70", ".4.80", ".4.81")
+) | {"1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"}
+"""Transfer syntaxes that SimpleITK unpacks: none, deflated, RLE, JPEG, JPEG-LS, JPEG 2000."""
+
+_EXPORT = "export the series from the scanner or the archive again, as original axial slices"
+
+
+def stack(slices: Sequence[Slice]) -> tuple[list[Slice], Grid]:
+    """Return the slices in the order of their positions, and where their voxels stand.
+
+    The order is along the normal of the slices (row cross column direction), so that the axes of the
+    grid are right-handed; file names and instance numbers do not matter.
+
+    Raises
+    ------
+    DataError
+        If the slices are not one even, straight, complete stack of plain images.
+    """
+    _check_kinds(slices)
+    _check_alike(slices)
+    first = slices[0]
+    axes, positions = _axes(first), np.array([item.position for item in slices])  # (2, 3), (K, 3)
+    normal = np.cross(axes[0], axes[1])
+    order = np.argsort(positions @ normal, kind="stable")
+    ordered, positions = [slices[index] for index in order], positions[order]
+    spacing = _step(ordered, positions, normal)
+    assert first.pixel is not None
+    grid = Grid(
+        size=(first.columns, first.rows, len(ordered)),
+        origin=positions[0],
+        spacing=np.array([first.pixel[1], first.pixel[0], spacing]),
+        direction=np.column_stack([axes[0], axes[1], normal]),
+    )
+    check_grid(grid, str(first.file.parent))
+    _check_lengths(ordered)
+    return ordered, grid
+
+
+def _axes(item: Slice) -> Floats:
+    """Return the row and column directions (2, 3) of a slice, made perpendicular to the last digit."""
+    assert item.axes is not None
+    if not (np.abs(item.axes @ item.axes.T - np.eye(2)) <= SQUARE).all():
+        raise DataError(
+            f"ImageOrientationPatient is {item.axes.round(4).tolist()}",
+            where=str(item.file),
+            expected="two perpendicular unit vectors",
+            mend=_EXPORT,
+        )
+    return squared(np.vstack([item.axes, np.cross(*item.axes)]).T).T[:2]
+
+
+def _check_kinds(slices: Sequence[Slice]) -> None:
+    """See that every file is a plain image with a place in the patient."""
+    faults = [(item, fault) for item in slices if (fault := _kind_fault(item)) is not None]
+    if not faults:
+        return
+    (item, (what, expected, mend)), others = faults[0], len(faults) - 1
+    more = f" ({others} more of {len(slices)} files have a fault of this sort)" if others else ""
+    raise DataError(what + more, where=str(item.file), expected=expected, mend=mend)
+
+
+def _kind_fault(item: Slice) -> tuple[str, str, str] | None:
+    """Return what forbids one file in any stack: what, expected, mend."""
+    if item.frames > 1:
+        mend = "convert it to NRRD, e.g. with 3D Slicer, or export it as single-frame (classic) CT"
+        return f"holds {item.frames} frames in one file", "one slice a file", mend
+    if LOCALIZER in item.kind:
+        mend = "move localizers (scouts, topograms) to a folder of their own"
+        return "is a localizer among the slices of a volume", "slices of the volume only", mend
+    places = ("ImagePositionPatient", item.position), ("ImageOrientationPatient", item.axes)
+    missing = [name for name, value in (*places, ("PixelSpacing", item.pixel)) if value is None]
+    if missing:
+        return f"has no {', '.join(missing)}", "where the slice stands in the patient", _EXPORT
+    if item.samples != 1 or item.table:
+        what = "rescales its values by a table" if item.table else f"holds {item.samples} colours a voxel"
+        return what, "one attenuation a voxel, with a slope and an intercept", _EXPORT
+    if item.rescale is not None and item.rescale[0] == 0.0:
+        return "RescaleSlope is 0", "a slope that keeps the values apart", _EXPORT
+    if item.syntax not in DECODED:
+        name = UID(item.syntax).name
+        mend = "decompress the series, e.g. `gdcmconv --raw IN OUT` for every file, or export it uncompressed"
+        return f"is compressed as {name}, for which there is no decoder", "plain, RLE, JPEG, JPEG 2000", mend
+    return None
+
+
+def _check_alike(slices: Sequence[Slice]) -> None:
+    """See that all slices have the size, spacing, orientation and kind of values of the first."""
+    first = slices[0]
+    for item in slices[1:]:
+        difference = _difference(first, item)
+        if difference:
+            raise DataError(
+                f"its {difference[0]} is {difference[2]}, that of {first.file.name} is {difference[1]}",
+                where=str(item.file),
+                expected="the same in every slice of a series",
+                mend="move the slices of another scan to a folder of their own, or export the series again",
+            )
+
+
+def _difference(one: Slice, other: Slice) -> tuple[str, object, object] | None:
+    """Return in what two slices differ, and both values; None if in nothing that matters."""
+    assert (
+        one.pixel is not None and one.axes is not None and other.pixel is not None and other.axes is not None
+    )
+    pixels = max(one.rows, one.columns)
+    extent = pixels * float(one.pixel.max())
+    unlike = (
+        ("size", (one.rows, one.columns), (other.rows, other.columns)),
+        ("frame of reference", one.frame_of_reference, other.frame_of_reference),
+        ("rescaling", *("missing" if item.rescale is None else "stated" for item in (one, other))),
+    )
+    for name, a, b in unlike:
+        if a != b:
+            return name, a, b
+    if np.abs(one.pixel - other.pixel).max() * pixels > ASTRAY:
+        return "pixel spacing", one.pixel.tolist(), other.pixel.tolist()
+    if np.abs(one.axes - other.axes).max() * extent > ASTRAY:
+        return "orientation", one.axes.round(4).tolist(), other.axes.round(4).tolist()
+    return None
+
+
+def _step(ordered: Sequence[Slice], positions: Floats, normal: Floats) -> float:
+    """Return the spacing of slices, mm, whose `positions` (K, 3) stand in their order along `normal`."""
+    folder = str(ordered[0].file.parent)
+    if len(ordered) < 2:
+        raise DataError(
+            "holds one slice",
+            where=folder,
+            expected="a stack of slices",
+            mend="copy all files of the series into the folder",
+        )
+    along = (positions - positions[0]) @ normal  # (K,)
+    _check_steps(ordered, np.diff(along))
+    _check_straight(folder, along, positions - positions[0] - along[:, None] * normal)
+    spacing = float(along[-1]) / (len(ordered) - 1)
+    astray = np.abs(along - spacing * np.arange(len(ordered)))
+    if astray.max() > ASTRAY:
+        worst = int(astray.argmax())
+        raise DataError(
+            f"stands {astray[worst]:.3g} mm from its place in an even stack of {spacing:.4g} mm steps",
+            where=str(ordered[worst].file),
+            expected=f"even steps, to {ASTRAY} mm",
+            mend="resample the series to even steps, e.g. in 3D Slicer, and save it as NRRD",
+        )
+    return spacing
+
+
+def _check_steps(ordered: Sequence[Slice], steps: Floats) -> None:
+    """See that no slice is there twice and none is missing; `steps` (K - 1,), mm."""
+    usual = float(np.median(steps))
+    for (before, after), step in zip(pairwise(ordered), steps, strict=True):
+        if step < SAME:
+            raise DataError(
+                f"stands at the same place as {before.file.name}",
+                where=str(after.file),
+                expected="every slice once",
+                mend="remove the copies; if the series holds several phases or times, export one of them",
+            )
+        if usual >= SAME and step > GAP * usual:
+            raise DataError(
+                f"{round(step / usual) - 1 or 1} slice(s) missing between {before.file.name} "
+                f"and {after.file.name}: a step of {step:.4g} mm where others are {usual:.4g} mm",
+                where=str(before.file.parent),
+                expected="a stack without gaps",
+                mend="copy the missing files; a series with two spacings must be resampled to one",
+            )
+
+
+def _check_straight(folder: str, along: Floats, across: Floats) -> None:
+    """See that the stack does not lean; `across` (K, 3) is how far slices shift in their own plane, mm."""
+    if np.linalg.norm(across, axis=1).max() <= ASTRAY:
+        return
+    lean = np.outer(along / along[-1], across[-1])
+    angle = np.degrees(np.arctan2(np.linalg.norm(across[-1]), along[-1]))
+    straight = np.linalg.norm(across - lean, axis=1).max() <= ASTRAY
+    raise DataError(
+        f"the stack leans by {angle:.3g} degrees: the gantry was tilted"
+        if straight
+        else "slices are shifted",
+        where=folder,
+        expected="every slice straight above the one before",
+        mend="resample the series onto a straight grid, e.g. with the gantry-tilt correction of dcm2niix or "
+        "3D Slicer, and save it as NRRD"
+        if straight
+        else _EXPORT,
+    )
+
+
+def _check_lengths(slices: Sequence[Slice]) -> None:
+    """See that every unpacked file is long enough for the voxels that it claims."""
+    for item in slices:
+        needed, size = item.rows * item.columns * item.bits // 8, item.file.stat().st_size
+        plain = not item.syntax.is_compressed and not item.syntax.is_deflated
+        if plain and size < needed:
+            raise DataError(
+                f"claims {item.columns} x {item.rows} voxels, {needed} bytes, and has {size} bytes",
+                where=str(item.file),
+                expected="all its voxels",
+                mend="the file is cut short or damaged: copy it again, or export the series again",
+            )

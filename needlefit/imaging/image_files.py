@@ -1,0 +1,190 @@
+"""NRRD, NIfTI and MetaImage files, through SimpleITK, which turns their coordinates to LPS."""
+
+import gzip
+import re
+import zlib
+from pathlib import Path
+
+import numpy as np
+import SimpleITK as sitk
+from numpy.typing import NDArray
+
+from needlefit.errors import DataError
+from needlefit.imaging.grid import SHEARED, SQUARE, STRAIGHT, STRAIGHTEN, Grid, check_grid, squared
+from needlefit.imaging.volume import READABLE, Volume
+from needlefit.project.replace import replacing_file
+
+Floats = NDArray[np.float64]
+
+_HOMES = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
+_POINTER = re.compile(r"\(0x[0-9a-f]+\)")
+"""SimpleITK puts addresses in memory into its messages."""
+_COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
+_MILLIMETRES = {1: 1e3, 2: 1.0, 3: 1e-3}
+"""One unit of a NIfTI header by its code (metre, millimetre, micrometre) in mm."""
+_BLOCK = 2**20
+_COMPRESSION = 1
+"""zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent."""
+
+
+def read_image(path: Path) -> Volume:
+    """Return the volume in an NRRD, NIfTI or MetaImage file.
+
+    Raises
+    ------
+    DataError
+        If the file is none, is cut short, has not three dimensions, does not say in which coordinate
+        system it stands, or claims an absurd size.
+    """
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO(_HOMES.get(path.suffix.lower(), "NiftiImageIO"))
+    reader.SetFileName(str(path))
+    grid = _header(reader, path)
+    check_grid(grid, str(path))
+    if reader.GetImageIO() == "NiftiImageIO":
+        _check_length(reader, path, grid)  # its reader takes what is missing for zeros
+    try:
+        image = reader.Execute()
+    except RuntimeError as error:
+        raise _cut_short(path) from error
+    values = sitk.GetArrayViewFromImage(image).astype(np.float32)
+    _check_finite(values, path)
+    return Volume(values, grid.origin, grid.spacing, squared(grid.direction))
+
+
+def write_image(volume: Volume, path: Path, description: str) -> None:
+    """Write a volume as NRRD, NIfTI or MetaImage, compressed unless it is .nii."""
+    image = sitk.GetImageFromArray(stored(volume.values))
+    image.SetOrigin(volume.origin.tolist())
+    image.SetSpacing(volume.spacing.tolist())
+    image.SetDirection(volume.direction.ravel().tolist())
+    if description:
+        image.SetMetaData("ITK_FileNotes" if ".nii" in path.name.lower() else "description", description)
+    with replacing_file(path) as fresh:
+        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION)
+
+
+def stored(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
+    """Return `values` as int16 where that loses nothing, which halves a file."""
+    with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
+        whole = values.astype(np.int16)
+    return whole if np.array_equal(whole, values) else values
+
+
+def _header(reader: sitk.ImageFileReader, path: Path) -> Grid:
+    """Return what the header says of the voxels; no voxel is read, nothing of their size allocated."""
+    try:
+        reader.ReadImageInformation()
+    except RuntimeError as error:
+        raise _no_image(path, str(error)) from error
+    parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
+    if reader.GetDimension() != 3 or parts != 1:
+        size = " x ".join(map(str, reader.GetSize()))
+        raise _several(path, f"{size} voxels of {parts} number{'s' * (parts > 1)}")
+    _check_space(reader, path)
+    columns, rows, slices = reader.GetSize()
+    return Grid(
+        (columns, rows, slices),
+        np.array(reader.GetOrigin()),
+        np.array(reader.GetSpacing()),
+        np.array(reader.GetDirection()).reshape(3, 3),
+    )
+
+
+def _check_space(reader: sitk.ImageFileReader, path: Path) -> None:
+    """See that the file itself says where the patient's left is (MetaImage: LPS by its definition)."""
+    said = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+    if reader.GetImageIO() == "NiftiImageIO":
+        _check_nifti(said, np.array(reader.GetSpacing()), path)
+    elif reader.GetImageIO() == "NrrdImageIO" and said.get("NRRD_space") != "left-posterior-superior":
+        space = said.get("NRRD_space")
+        raise DataError(
+            f"its space is {space}, which says nothing of the patient" if space else "does not say its space",
+            where=str(path),
+            expected="`space: left-posterior-superior` or another anatomical one in the header",
+            mend="export it from a program that knows the patient's axes, such as 3D Slicer",
+        )
+
+
+def _check_nifti(said: dict[str, str], spacing: Floats, path: Path) -> None:
+    """See that the header has an orientation and one spacing; SimpleITK would make one up, mix the other."""
+    if said["qform_code"] == said["sform_code"] == "0":
+        raise DataError(
+            "does not say where it stands in the patient: qform_code and sform_code are 0",
+            where=str(path),
+            expected="a NIfTI header with a qform or an sform",
+            mend="convert the scan from its DICOM series again",
+        )
+    rows = np.array([said[f"srow_{axis}"].split()[:3] for axis in "xyz"], dtype=np.float64)
+    steps = np.linalg.norm(rows, axis=0) * _MILLIMETRES.get(int(said["xyzt_units"]) % 8, 1.0)
+    if said["sform_code"] != "0" and not np.allclose(steps, spacing, rtol=SQUARE, atol=0.0):
+        raise DataError(
+            f"has two spacings: {spacing.tolist()} mm by pixdim, {steps.round(6).tolist()} mm by its sform",
+            where=str(path),
+            expected="the same spacing in both",
+            mend="convert the scan from its DICOM series again",
+        )
+
+
+def _check_length(reader: sitk.ImageFileReader, path: Path, grid: Grid) -> None:
+    """Count the bytes of a NIfTI file, unpacked, against what its header promises."""
+    start, bits = (int(float(reader.GetMetaData(key))) for key in ("vox_offset", "bitpix"))
+    needed = start + bits // 8 * int(np.prod(grid.size, dtype=np.int64))
+    try:
+        found = _unpacked(path, needed) if path.suffix.lower() == ".gz" else path.stat().st_size
+    except (EOFError, OSError, zlib.error) as error:
+        raise _cut_short(path) from error
+    if found < needed:
+        raise _cut_short(path)
+
+
+def _unpacked(path: Path, enough: int) -> int:
+    """Return how many bytes a gzip file unpacks to; counting stops beyond `enough`."""
+    total = 0
+    with gzip.open(path) as file:
+        while total <= enough and (block := file.read(_BLOCK)):  # its end, too: there stands the checksum
+            total += len(block)
+    return total
+
+
+def _check_finite(values: NDArray[np.float32], path: Path) -> None:
+    if not np.isfinite([values.min(), values.max()]).all():
+        raise DataError(
+            f"holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number",
+            where=str(path),
+            expected="a number in every voxel",
+            mend="give voxels outside the scan the value of air, e.g. -1000",
+        )
+
+
+def _no_image(path: Path, reason: str) -> DataError:
+    """Return the error for a header that SimpleITK cannot read."""
+    if "orthonormal" in reason:
+        return DataError(SHEARED, where=str(path), expected=STRAIGHT, mend=STRAIGHTEN)
+    if "number of domain axes" in reason:
+        return _several(path, "more than three dimensions")
+    said = [line.strip() for line in reason.splitlines() if line.strip()]
+    return DataError(
+        f"cannot be read as a volume: {_POINTER.sub('', said[-1]) if said else 'no reason given'}",
+        where=str(path),
+        expected=READABLE,
+        mend="check that the file is whole and its name ends as its format wants; export it again",
+    )
+
+
+def _several(path: Path, what: str) -> DataError:
+    return DataError(
+        f"is no single volume: {what}",
+        where=str(path),
+        expected="three dimensions, one number a voxel",
+        mend="export one time point, or one segment, as a volume of its own",
+    )
+
+
+def _cut_short(path: Path) -> DataError:
+    return DataError(
+        "its header is sound, but its voxels are damaged or not all there",
+        where=str(path),
+        expected="all voxels that the header promises, in this file or the one that it names",
+        mend="the file is cut short or damaged: copy or export it again",
+    )

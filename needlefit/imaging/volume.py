@@ -1,0 +1,162 @@
+"""A CT volume in the patient's coordinates: the noun, its coordinates, and the files it comes from."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.imaging.grid import Grid, check_grid
+
+Floats = NDArray[np.float64]
+
+IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
+READABLE = (
+    "a folder with a DICOM series, one file of it, NRRD (.nrrd), NIfTI (.nii, .nii.gz) or MetaImage (.mha)"
+)
+
+
+@dataclass(frozen=True)
+class Volume:
+    """A scan; patient coordinates are LPS, mm, whatever its file had.
+
+    Attributes
+    ----------
+    values : (K, J, I) array of float32
+        Attenuation [slice, row, column], rescaled as the file says (HU where the scanner gave HU).
+    origin : (3,) array
+        Centre of voxel (0, 0, 0), mm.
+    spacing : (3,) array
+        Distance of centres along i, j, k, mm.
+    direction : (3, 3) array
+        Its columns are the LPS unit vectors of i, j, k; either handedness.
+
+    Raises
+    ------
+    DataError
+        If the values are no volume, or the axes are not perpendicular unit vectors.
+    """
+
+    values: NDArray[np.float32]
+    origin: Floats
+    spacing: Floats
+    direction: Floats
+
+    def __post_init__(self) -> None:
+        """Refuse what no file could hold."""
+        if self.values.ndim != 3:
+            raise DataError(
+                f"the values of a volume have {self.values.ndim} axes", expected="slices, rows, columns"
+            )
+        check_grid(self.grid)
+
+    @property
+    def grid(self) -> Grid:
+        """Where the voxels stand."""
+        slices, rows, columns = self.values.shape
+        return Grid((columns, rows, slices), self.origin, self.spacing, self.direction)
+
+
+def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:
+    """Return the LPS points (N, 3), mm, of fractional voxel indices i, j, k (N, 3)."""
+    steps = np.asarray(ijk, dtype=np.float64) * volume.spacing
+    points: Floats = steps @ volume.direction.T + volume.origin
+    return points
+
+
+def to_index(volume: Volume, points: ArrayLike) -> Floats:
+    """Return the fractional indices i, j, k (N, 3) of LPS points (N, 3), mm; whole at voxel centres."""
+    steps = (np.asarray(points, dtype=np.float64) - volume.origin) @ volume.direction
+    index: Floats = steps / volume.spacing
+    return index
+
+
+def read(path: Path, series: str | None = None) -> Volume:
+    """Return the volume in a file or folder, after its geometry was checked.
+
+    Parameters
+    ----------
+    path : Path
+        A folder with a DICOM series, one file of the series, or an NRRD, NIfTI or MetaImage file.
+    series : str, optional
+        Number or UID of the DICOM series, where a folder holds several.
+
+    Raises
+    ------
+    DataError
+        If there is no such volume, or its geometry cannot be trusted; nothing is guessed.
+    ConfigError
+        If the packages that read scans are not installed.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise DataError(
+            "there is no such file or folder", where=str(path), expected=READABLE, mend="check the path"
+        )
+    with _packages():
+        if path.is_file() and path.name.lower().endswith(IMAGE_SUFFIXES):
+            from needlefit.imaging.image_files import read_image
+
+            return read_image(path)
+        from needlefit.imaging.dicom.read import read_series
+
+        return read_series(path, series)
+
+
+def write(volume: Volume, path: Path, description: str = "") -> None:
+    """Write a volume whole or not at all; the same volume gives the same bytes.
+
+    Parameters
+    ----------
+    path : Path
+        A .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder (no suffix): a DICOM series.
+    description : str
+        What the volume is, e.g. that it is synthetic; stands in the file's header.
+
+    Notes
+    -----
+    NRRD, NIfTI and MetaImage keep values to the bit. DICOM holds 16 bits: whole numbers in their range
+    are kept, others rounded to 1/65535 of the range of the values. NIfTI stores its geometry in single
+    precision (1e-5 mm), the others in double.
+
+    Raises
+    ------
+    DataError
+        If the suffix is unknown, the folder is not empty, or a value is not finite.
+    ConfigError
+        If nothing can be written there, or the packages that write scans are not installed.
+    """
+    path = Path(path)
+    if not np.isfinite(volume.values.min() + volume.values.max()):
+        raise DataError("the volume holds values that are not finite", expected="numbers everywhere")
+    with _packages():
+        if path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
+            from needlefit.imaging.image_files import write_image
+
+            write_image(volume, path, description)
+        elif path.suffix:
+            raise DataError(
+                f"{path.suffix} is no kind of volume that is written",
+                where=str(path),
+                expected=".nrrd, .nii, .nii.gz, .mha, or a folder for a DICOM series",
+            )
+        else:
+            from needlefit.imaging.dicom.write import write_series
+
+            write_series(volume, path, description)
+
+
+@contextmanager
+def _packages() -> Iterator[None]:
+    """Turn a missing package into the line that installs it."""
+    try:
+        yield
+    except ModuleNotFoundError as error:
+        raise ConfigError(
+            f"scans need the package {error.name}, which is not installed",
+            expected="the packages of the extra `ct`",
+            mend="pip install 'needlefit[ct]'",
+        ) from None

@@ -1,0 +1,475 @@
+"""Volumes: their coordinates, and NRRD, NIfTI and MetaImage files written byte by byte."""
+
+import gzip
+import resource
+import struct
+import sys
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from hypothesis.extra import numpy as hnp
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.imaging.volume import Volume, read, to_index, to_patient, write
+
+VALUES = np.arange(2 * 3 * 4, dtype=np.int16).reshape(2, 3, 4)  # slices, rows, columns
+STEPS, CORNER = (0.4, 0.5, 0.9), (1.0, 2.0, 3.0)
+
+
+def refused(path):
+    with pytest.raises(DataError) as error:
+        read(path)
+    fault = error.value
+    assert fault.what and fault.where == str(path) and fault.expected and fault.mend
+    return fault
+
+
+def nrrd(path, values=VALUES, data=None, **fields):
+    """Write an NRRD file; `fields` replace or, with None, remove lines of its header."""
+    said = {
+        "type": "short",
+        "dimension": values.ndim,
+        "space": "left-posterior-superior",
+        "sizes": " ".join(map(str, values.shape[::-1])),
+        "space directions": "(0.4,0,0) (0,0.5,0) (0,0,0.9)",
+        "endian": "little",
+        "encoding": "raw",
+        "space origin": "(1,2,3)",
+    } | {key.replace("_", " "): value for key, value in fields.items()}
+    lines = [f"{key}: {value}" for key, value in said.items() if value is not None]
+    header = "\n".join(["NRRD0004", *lines]) + "\n\n"
+    path.write_bytes(header.encode() + (values.tobytes() if data is None else data))
+    return path
+
+
+def nifti(path, sizes=VALUES.shape[::-1], values=VALUES, codes=(0, 1), **entries):
+    """Write a NIfTI-1 file whose sform has axes and steps in RAS; `entries` are (format, offset, numbers)."""
+    header = bytearray(348)
+    put = {
+        "size": ("<i", 0, 348),
+        "dimensions": ("<8h", 40, len(sizes), *sizes, *[1] * (7 - len(sizes))),
+        "type": ("<2h", 70, 4, 16),
+        "spacing": ("<4f", 76, 1.0, *STEPS),
+        "start": ("<f", 108, 352.0),
+        "scale": ("<2f", 112, 1.0, 0.0),
+        "units": ("<b", 123, 2),
+        "codes": ("<2h", 252, *codes),
+        "sform": ("<12f", 280, 0.4, 0, 0, 1.0, 0, 0.5, 0, 2.0, 0, 0, 0.9, 3.0),
+        "magic": ("<4s", 344, b"n+1\0"),
+    } | entries
+    for form, offset, *numbers in put.values():
+        struct.pack_into(form, header, offset, *numbers)
+    content = bytes(header) + bytes(4) + values.tobytes()
+    path.write_bytes(gzip.compress(content) if path.suffix == ".gz" else content)
+    return path
+
+
+def metaimage(path, **fields):
+    said = {
+        "ObjectType": "Image",
+        "NDims": 3,
+        "BinaryData": "True",
+        "BinaryDataByteOrderMSB": "False",
+        "TransformMatrix": "1 0 0 0 1 0 0 0 1",
+        "Offset": "1 2 3",
+        "ElementSpacing": "0.4 0.5 0.9",
+        "DimSize": "4 3 2",
+        "ElementType": "MET_SHORT",
+        "ElementDataFile": "LOCAL",
+    } | fields
+    header = "".join(f"{key} = {value}\n" for key, value in said.items())
+    path.write_bytes(header.encode() + VALUES.tobytes())
+    return path
+
+
+def volume_of(values, direction=None, origin=CORNER, spacing=STEPS):
+    direction = np.eye(3) if direction is None else direction
+    return Volume(np.asarray(values, np.float32), np.array(origin), np.array(spacing), direction)
+
+
+# Coordinates
+
+
+@st.composite
+def directions(draw):
+    """Orthonormal axes of either handedness."""
+    rng = np.random.default_rng(draw(st.integers(0, 2**32 - 1)))
+    q, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    return q * np.where(rng.random(3) < 0.5, -1.0, 1.0)
+
+
+spacings = hnp.arrays(np.float64, 3, elements=st.floats(0.05, 10.0))
+points = hnp.arrays(np.float64, (5, 3), elements=st.floats(-1000.0, 1000.0))
+
+
+@given(direction=directions(), spacing=spacings, origin=points, index=points)
+def test_index_and_patient_are_inverse(direction, spacing, origin, index):
+    volume = volume_of(VALUES, direction, origin[0], spacing)
+    assert to_index(volume, to_patient(volume, index)) == pytest.approx(index, abs=1e-8)
+    assert to_patient(volume, to_index(volume, index)) == pytest.approx(index, abs=1e-8)
+
+
+@given(direction=directions(), spacing=spacings)
+def test_a_step_of_one_voxel_is_the_spacing_along_its_axis(direction, spacing):
+    volume = volume_of(VALUES, direction, spacing=spacing)
+    steps = to_patient(volume, np.eye(3)) - to_patient(volume, np.zeros((1, 3)))
+    assert steps == pytest.approx((direction * spacing).T, abs=1e-10)
+
+
+def test_known_points():
+    """i runs to the back, j down, k to the left; values are [slice, row, column]."""
+    direction = np.array([[0, 0, 1], [1, 0, 0], [0, -1, 0]], dtype=float)
+    volume = volume_of(VALUES, direction)
+    assert to_patient(volume, [[3, 2, 1]])[0] == pytest.approx([1 + 0.9, 2 + 1.2, 3 - 1.0])
+    assert volume.grid.size == (4, 3, 2)
+    assert to_index(volume, [[1.9, 3.2, 2.0]])[0] == pytest.approx([3, 2, 1])
+
+
+@pytest.mark.parametrize(
+    ("wrong", "words"),
+    [
+        ({"values": np.zeros((3, 3))}, "have 2 axes"),
+        ({"values": np.zeros((3, 3, 1))}, "1 x 3 x 3 voxels"),
+        ({"direction": np.array([[1, 0.1, 0], [0, 1, 0], [0, 0, 1.0]])}, "not perpendicular"),
+        ({"direction": np.eye(3) * 1.1}, "not perpendicular"),
+        ({"spacing": (0.4, 0.0, 0.9)}, "0.4 x 0 x 0.9 mm"),
+        ({"spacing": (0.4, -0.5, 0.9)}, "spacing"),
+        ({"spacing": (4e-4, 5e-4, 9e-4)}, "spacing"),
+        ({"origin": (np.nan, 0, 0)}, "not finite"),
+    ],
+)
+def test_a_volume_that_cannot_be(wrong, words):
+    with pytest.raises(DataError) as error:
+        volume_of(**{"values": VALUES} | wrong)
+    assert words in str(error.value)
+
+
+# Coordinate systems of files
+
+
+def check_plain(volume, direction=(1, 1, 1), origin=CORNER):
+    assert volume.values.dtype == np.float32 and np.array_equal(volume.values, VALUES)
+    assert volume.spacing == pytest.approx(STEPS, abs=1e-7)
+    assert volume.origin == pytest.approx(origin, abs=1e-6)
+    assert volume.direction == pytest.approx(np.diag(np.array(direction, dtype=float)), abs=1e-7)
+
+
+@pytest.mark.parametrize(
+    ("space", "signs"),
+    [
+        ("left-posterior-superior", (1, 1, 1)),
+        ("LPS", (1, 1, 1)),
+        ("right-anterior-superior", (-1, -1, 1)),
+        ("RAS", (-1, -1, 1)),
+        ("left-anterior-superior", (1, -1, 1)),
+    ],
+)
+def test_nrrd_spaces_become_lps(tmp_path, space, signs):
+    """A point 1 mm to the right is at x = -1 in LPS; values stay in the order of the file."""
+    check_plain(read(nrrd(tmp_path / "a.nrrd", space=space)), signs, np.array(CORNER) * signs)
+
+
+def test_nifti_is_ras(tmp_path):
+    for name in ("a.nii", "a.nii.gz"):
+        check_plain(read(nifti(tmp_path / name)), (-1, -1, 1), (-1.0, -2.0, 3.0))
+
+
+def test_nifti_by_quaternion(tmp_path):
+    """A qform turned 180 degrees about z, with qfac -1: i left, j posterior, k inferior."""
+    form = {
+        "spacing": ("<4f", 76, -1.0, *STEPS),
+        "quaternion": ("<3f", 256, 0.0, 0.0, 1.0),
+        "offset": ("<3f", 268, 1.0, 2.0, 3.0),
+    }
+    volume = read(nifti(tmp_path / "a.nii", codes=(1, 0), **form))
+    check_plain(volume, (1, 1, -1), (-1.0, -2.0, 3.0))
+
+
+@pytest.mark.parametrize(("unit", "factor"), [(1, 1e-3), (3, 1e3)])
+def test_nifti_in_other_units(tmp_path, unit, factor):
+    steps = np.array(STEPS) * factor
+    rows = np.column_stack([np.diag(steps), np.array(CORNER) * factor])
+    form = {
+        "units": ("<b", 123, unit),
+        "spacing": ("<4f", 76, 1.0, *steps),
+        "sform": ("<12f", 280, *rows.ravel()),
+    }
+    check_plain(read(nifti(tmp_path / "a.nii", **form)), (-1, -1, 1), (-1.0, -2.0, 3.0))
+
+
+def test_nifti_rescales(tmp_path):
+    volume = read(nifti(tmp_path / "a.nii", scale=("<2f", 112, 0.5, -10.0)))
+    assert np.array_equal(volume.values, VALUES * 0.5 - 10.0)
+
+
+def test_metaimage_is_lps(tmp_path):
+    check_plain(read(metaimage(tmp_path / "a.mha")))
+
+
+def test_a_left_handed_file(tmp_path):
+    """Rows that run forward, not back: the volume is kept as it is, and its points are right."""
+    volume = read(nrrd(tmp_path / "a.nrrd", space_directions="(0.4,0,0) (0,-0.5,0) (0,0,0.9)"))
+    check_plain(volume, (1, -1, 1))
+    assert to_patient(volume, [[1, 2, 1]])[0] == pytest.approx([1.4, 1.0, 3.9])
+
+
+def test_a_turned_file(tmp_path):
+    """i climbs 30 degrees from left to the top."""
+    volume = read(
+        nrrd(tmp_path / "a.nrrd", space_directions="(0.34641016,0,0.2) (0,0.5,0) (-0.45,0,0.77942286)")
+    )
+    assert volume.spacing == pytest.approx(STEPS, abs=1e-7)
+    assert to_patient(volume, [[2, 1, 1]])[0] == pytest.approx([1.24282032, 2.5, 4.17942286], abs=1e-6)
+    assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("fields", "words"),
+    [
+        ({"space": None, "space_dimension": 3}, "does not say its space"),
+        ({"space": "scanner-xyz"}, "its space is scanner-xyz"),
+        ({"space": "3D-right-handed"}, "its space is 3D-right-handed"),
+    ],
+)
+def test_a_space_is_never_assumed(tmp_path, fields, words):
+    path = tmp_path / "a.nrrd"
+    if "space_dimension" in fields:  # it must stand where `space` stood
+        nrrd(path)
+        path.write_bytes(path.read_bytes().replace(b"space: left-posterior-superior", b"space dimension: 3"))
+    else:
+        nrrd(path, **fields)
+    assert words in refused(path).what
+
+
+def test_nifti_without_a_form(tmp_path):
+    assert "qform_code and sform_code are 0" in refused(nifti(tmp_path / "a.nii", codes=(0, 0))).what
+
+
+# Round trips
+
+
+@pytest.mark.parametrize(
+    ("name", "tolerance"), [("a.nrrd", 1e-9), ("a.mha", 1e-6), ("a.nii.gz", 2e-5), ("a.nii", 2e-5)]
+)
+@settings(max_examples=15, deadline=None)
+@given(direction=directions(), seed=st.integers(0, 2**32 - 1), whole=st.booleans())
+def test_written_and_read(tmp_path_factory, name, tolerance, direction, seed, whole):
+    """NIfTI keeps its geometry in single precision, so it is as exact as that."""
+    rng = np.random.default_rng(seed)
+    values = (rng.normal(size=(3, 4, 5)) * 1000).astype(np.float32)
+    values = np.round(values) if whole else values
+    volume = volume_of(values, direction, rng.uniform(-100, 100, 3), rng.uniform(0.2, 2.0, 3))
+    path = tmp_path_factory.mktemp("v") / name
+    write(volume, path)
+    again = read(path)
+    assert again.values.tobytes() == volume.values.tobytes()
+    corners = np.argwhere(np.ones((2, 2, 2))) * [4, 3, 2]
+    assert np.abs(to_patient(again, corners) - to_patient(volume, corners)).max() < tolerance
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz"])
+def test_extreme_values_are_kept(tmp_path, name):
+    values = np.array([-32768, 32767, 32768, 1e-30, 3e38, -1e9, 0.1, 0.0], np.float32).reshape(2, 2, 2)
+    write(volume_of(values), tmp_path / name)
+    assert np.array_equal(read(tmp_path / name).values, values)
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz", "a.nii"])
+def test_the_same_volume_gives_the_same_bytes(tmp_path, name):
+    written = []
+    for folder in ("one", "two"):
+        path = tmp_path / folder / name
+        write(volume_of(VALUES), path, "synthetic")
+        written.append(path.read_bytes())
+    assert written[0] == written[1]
+    image = sitk.ReadImage(str(path))
+    assert "synthetic" in {image.GetMetaData(key) for key in image.GetMetaDataKeys()} or name == "a.mha"
+
+
+def test_whole_numbers_take_half_the_space(tmp_path):
+    write(volume_of(VALUES), tmp_path / "a.nii")
+    write(volume_of(VALUES + 0.5), tmp_path / "b.nii")
+    sizes = [(tmp_path / name).stat().st_size - 352 for name in ("a.nii", "b.nii")]
+    assert sizes == [2 * VALUES.size, 4 * VALUES.size]
+
+
+def test_an_earlier_file_is_replaced_and_no_scratch_stays(tmp_path):
+    for value in (1, 2):
+        write(volume_of(VALUES * value), tmp_path / "a.nrrd")
+    assert np.array_equal(read(tmp_path / "a.nrrd").values, VALUES * 2)
+    assert [file.name for file in tmp_path.iterdir()] == ["a.nrrd"]
+
+
+def test_what_cannot_be_written(tmp_path):
+    with pytest.raises(DataError, match=r"\.png is no kind of volume"):
+        write(volume_of(VALUES), tmp_path / "a.png")
+    with pytest.raises(DataError, match="not finite"):
+        write(volume_of(np.where(VALUES == 3, np.nan, VALUES)), tmp_path / "a.nrrd")
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError):
+        write(volume_of(VALUES), tmp_path / "file" / "a.nrrd")
+    assert [file.name for file in tmp_path.iterdir()] == ["file"]
+
+
+# What is refused
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii", "a.nii.gz", "z.nrrd", "z.mha"])
+@pytest.mark.parametrize("kept", [0.6, 0.98])
+def test_a_file_cut_short(tmp_path, name, kept):
+    rng = np.random.default_rng(1)
+    values = rng.integers(-1000, 1000, (10, 20, 20)).astype(np.int16)
+    if name == "a.nrrd":
+        path = nrrd(tmp_path / name, values)
+    elif name == "a.mha":
+        image = sitk.GetImageFromArray(values)
+        path = tmp_path / name
+        sitk.WriteImage(image, str(path))
+    else:
+        path = tmp_path / name
+        write(volume_of(values), path)
+    path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
+    fault = refused(path)
+    assert "not all there" in fault.what and "cut short" in fault.mend
+
+
+def test_a_packed_file_with_a_wrong_byte(tmp_path):
+    path = tmp_path / "a.nii.gz"
+    write(volume_of(np.random.default_rng(1).integers(0, 9999, (60, 60, 60))), path)
+    content = bytearray(path.read_bytes())
+    content[-40] ^= 0xFF
+    path.write_bytes(content)
+    assert "damaged" in refused(path).mend
+
+
+def test_a_header_whose_voxels_are_elsewhere(tmp_path):
+    path = nrrd(tmp_path / "a.nhdr", data=b"", data_file="gone.raw")
+    assert "gone.raw" in refused(path).what
+    (tmp_path / "gone.raw").write_bytes(VALUES.tobytes()[:-4])
+    assert "not all there" in refused(path).what
+    (tmp_path / "gone.raw").write_bytes(VALUES.tobytes())
+    check_plain(read(path))
+
+
+def bombs(folder):
+    huge = "100000 100000 100000"  # a petabyte
+    return [
+        nrrd(folder / "a.nrrd", sizes=huge),
+        nrrd(folder / "b.nrrd", sizes=huge, encoding="gzip"),
+        nrrd(folder / "c.nrrd", sizes="99999999999 99999999999 99999999999"),
+        nifti(folder / "d.nii", sizes=(32767, 32767, 32767)),
+        nifti(folder / "e.nii.gz", sizes=(32767, 32767, 32767)),
+        metaimage(folder / "f.mha", DimSize=huge),
+    ]
+
+
+def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated(tmp_path):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    for path in bombs(tmp_path):
+        fault = refused(path)
+        assert "claims" in fault.what or "too large" in fault.what
+    assert "1e+15 GB" not in fault.what and "4e+06 GB" in fault.what
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50e3  # kB
+
+
+def test_a_small_file_that_claims_much_that_could_be(tmp_path):
+    """512 MB claimed, 48 bytes there: counted, not believed."""
+    assert "not all there" in refused(nifti(tmp_path / "a.nii.gz", sizes=(1024, 512, 512))).what
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nii", "a.nii.gz", "a.mha", "a.nhdr"])
+@pytest.mark.parametrize("content", [b"", b"hello", b"\x89PNG\r\n\x1a\n" + bytes(400)])
+def test_a_file_that_is_no_volume(tmp_path, name, content):
+    path = tmp_path / name
+    path.write_bytes(content)
+    fault = refused(path)
+    assert "cannot be read as a volume" in fault.what and "NRRD" in fault.expected
+
+
+def test_files_of_other_kinds(tmp_path):
+    for name in ("picture.png", "curve.csv"):
+        (tmp_path / name).write_bytes(b"1,2,3")
+        assert "no volume" in refused(tmp_path / name).what
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nii", "a.mha"])
+def test_time_series_are_refused(tmp_path, name):
+    path = tmp_path / name
+    if name == "a.nrrd":
+        four = VALUES.reshape(2, 2, 3, 2)
+        nrrd(path, four, space_directions="(1,0,0) (0,1,0) (0,0,1) none")
+    elif name == "a.nii":
+        nifti(path, sizes=(2, 3, 2, 2))
+    else:
+        metaimage(
+            path,
+            NDims=4,
+            DimSize="2 3 2 2",
+            TransformMatrix=" ".join(map(str, np.eye(4).ravel())),
+            Offset="0 0 0 0",
+            ElementSpacing="1 1 1 1",
+        )
+    fault = refused(path)
+    assert "no single volume" in fault.what and "one time point" in fault.mend
+
+
+def test_a_volume_of_vectors(tmp_path):
+    path = nrrd(
+        tmp_path / "a.nrrd",
+        VALUES.reshape(2, 2, 2, 3),
+        space_directions="none (1,0,0) (0,1,0) (0,0,1)",
+        kinds="vector domain domain domain",
+    )
+    assert "no single volume" in refused(path).what
+
+
+def test_one_image(tmp_path):
+    assert "4 x 3 x 1 voxels" in refused(nifti(tmp_path / "a.nii", sizes=(4, 3, 1))).what
+
+
+@pytest.mark.parametrize(
+    ("path", "arguments"),
+    [
+        ("a.nrrd", {"space_directions": "(0.4,0,0) (0.1,0.5,0) (0,0,0.9)"}),
+        ("a.nrrd", {"space_directions": "(0.4,0,0) (0.5,0,0) (0,0,0.9)"}),
+        ("a.nii", {"sform": ("<12f", 280, 0.4, 0.2, 0, 1.0, 0, 0.5, 0, 2.0, 0, 0, 0.9, 3.0)}),
+        ("a.mha", {"TransformMatrix": "1 0.1 0 0 1 0 0 0 1"}),
+    ],
+)
+def test_sheared_axes(tmp_path, path, arguments):
+    make = {"a.nrrd": nrrd, "a.nii": nifti, "a.mha": metaimage}[path]
+    fault = refused(make(tmp_path / path, **arguments))
+    assert "not perpendicular" in fault.what and "resample" in fault.mend
+
+
+@pytest.mark.parametrize(
+    ("path", "arguments"),
+    [
+        ("a.nrrd", {"space_directions": "(0.4,0,0) (0,0,0) (0,0,0.9)"}),
+        ("a.nrrd", {"space_directions": "(0.0004,0,0) (0,0.0005,0) (0,0,0.0009)"}),
+        ("a.nii", {"spacing": ("<4f", 76, 1.0, 0.0, 0.5, 0.9)}),
+        ("a.nii", {"spacing": ("<4f", 76, 1.0, float("nan"), 0.5, 0.9)}),
+        ("a.mha", {"ElementSpacing": "400 500 900"}),
+    ],
+)
+def test_spacings_that_cannot_be(tmp_path, path, arguments):
+    make = {"a.nrrd": nrrd, "a.nii": nifti, "a.mha": metaimage}[path]
+    assert "spacing" in refused(make(tmp_path / path, **arguments)).what
+
+
+def test_values_that_are_no_numbers(tmp_path):
+    values = VALUES.astype(np.float32)
+    values[0, 0, :2] = np.nan, np.inf
+    fault = refused(nrrd(tmp_path / "a.nrrd", values, type="float"))
+    assert "holds 2 voxels" in fault.what and "air" in fault.mend
+
+
+def test_a_missing_package_names_the_line_that_installs_it(tmp_path, monkeypatch):
+    monkeypatch.delitem(sys.modules, "needlefit.imaging.image_files", raising=False)
+    monkeypatch.setitem(sys.modules, "SimpleITK", None)
+    with pytest.raises(ConfigError) as error:
+        read(nrrd(tmp_path / "a.nrrd"))
+    assert "SimpleITK" in error.value.what and "needlefit[ct]" in error.value.mend

@@ -1,0 +1,504 @@
+"""DICOM series: what is read, and what is refused before a voxel is read."""
+
+import resource
+import time
+
+import numpy as np
+import pytest
+from dicom_series import COLUMNS, COUNT, NUMBERS, ORIGIN, ROWS, STEP, a_slice, packed_as, save, series
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydicom import dcmread, dcmwrite
+from pydicom.uid import (
+    MPEG2MPML,
+    BasicTextSRStorage,
+    DeflatedExplicitVRLittleEndian,
+    ExplicitVRBigEndian,
+    HTJ2KLossless,
+    ImplicitVRLittleEndian,
+    RLELossless,
+    SecondaryCaptureImageStorage,
+    generate_uid,
+)
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.imaging.dicom.stack import ASTRAY
+from needlefit.imaging.volume import Volume, read, to_index, to_patient, write
+
+
+def refused(path, **arguments):
+    with pytest.raises(DataError) as error:
+        read(path, **arguments)
+    fault = error.value
+    assert fault.what and fault.where.startswith(str(path)) and fault.expected and fault.mend
+    return fault
+
+
+def spoilt(k, **entries):
+    """Return a sound series but for entries of slice `k`."""
+    slices = series()
+    slices[k] = a_slice(k, **entries)
+    return slices
+
+
+# What is read
+
+
+def test_a_plain_series(tmp_path):
+    volume = read(save(tmp_path / "scan", series()))
+    assert volume.values.dtype == np.float32 and np.array_equal(volume.values, NUMBERS)
+    # PixelSpacing is rows first: j, then i
+    assert volume.spacing == pytest.approx([0.4, 0.5, STEP], abs=1e-12)
+    assert np.array_equal(volume.direction, np.eye(3))
+    assert to_patient(volume, [[2, 1, 3]])[0] == pytest.approx([-9.2, 20.5, 32.7], abs=1e-9)
+
+
+def test_the_order_of_files_means_nothing(tmp_path):
+    volume = read(save(tmp_path, series(), order=[4, 0, 5, 2, 1, 3]))
+    assert np.array_equal(volume.values, NUMBERS)
+
+
+def test_positions_that_fall_are_turned_round(tmp_path):
+    positions = [[*ORIGIN[:2], ORIGIN[2] - STEP * k] for k in range(COUNT)]
+    slices = [a_slice(k, ImagePositionPatient=position) for k, position in enumerate(positions)]
+    volume = read(save(tmp_path, slices))
+    assert np.array_equal(volume.values, NUMBERS[::-1])
+    assert volume.origin == pytest.approx(positions[-1])
+
+
+def test_a_sagittal_series(tmp_path):
+    """Rows run posterior, columns inferior, so slices are ordered to the right: -x (y cross -z)."""
+    slices = [
+        a_slice(k, ImageOrientationPatient=[0, 1, 0, 0, 0, -1], ImagePositionPatient=[2 * k, 0, 0])
+        for k in range(COUNT)
+    ]
+    volume = read(save(tmp_path, slices))
+    assert volume.direction.T.tolist() == [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
+    assert volume.origin.tolist() == [2 * (COUNT - 1), 0, 0]
+    points = to_patient(volume, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]) - volume.origin
+    assert points == pytest.approx(np.array([[0, 0.4, 0], [0, 0, -0.5], [-2, 0, 0]]))
+    assert np.array_equal(volume.values, NUMBERS[::-1])
+
+
+def test_each_slice_has_its_own_rescaling(tmp_path):
+    slices = [a_slice(k, RescaleSlope=str(0.5 + 0.25 * k), RescaleIntercept=-1024.5) for k in range(COUNT)]
+    values = read(save(tmp_path, slices)).values
+    for k in range(COUNT):
+        assert np.array_equal(values[k], NUMBERS[k] * (0.5 + 0.25 * k) - 1024.5)
+
+
+@pytest.mark.parametrize(
+    ("entries", "padded"),
+    [
+        ({"PixelPaddingValue": -2000}, [-2000]),
+        ({"PixelPaddingValue": -2000, "PixelPaddingRangeLimit": -1990}, [-2000, -1995, -1990]),
+    ],
+)
+def test_padding_gets_the_least_measured_value(tmp_path, entries, padded):
+    slices = []
+    for k in range(COUNT):
+        plane = NUMBERS[k] + 100
+        plane[0, : len(padded)] = padded
+        slices.append(a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-7, **entries))
+    values = read(save(tmp_path, slices)).values
+    least = np.float32(0.1 * (100 + len(padded)) - 7)
+    assert (values[:, 0, : len(padded)] == least).all() and values.min() == least
+
+
+def test_padding_without_its_sign(tmp_path):
+    """-2000 written as 63536, in an entry of unsigned numbers, for voxels that have a sign."""
+    plane = NUMBERS[0].copy()
+    plane[0, 0] = -2000
+    slices = [a_slice(0, plane), *series()[1:]]
+    for data in slices:
+        data.add_new("PixelPaddingValue", "US", 63536)
+    assert read(save(tmp_path, slices)).values.min() == 1
+
+
+def test_nothing_but_padding(tmp_path):
+    slices = [a_slice(k, np.full((3, 3), -2000, np.int16), PixelPaddingValue=-2000) for k in range(COUNT)]
+    assert "nothing but padding" in refused(save(tmp_path, slices)).what
+
+
+def test_twelve_bits_keep_their_sign(tmp_path):
+    values = NUMBERS % 2000 - 100  # the sign stands in bit 11
+    slices = [a_slice(k, values[k] & 0x0FFF, BitsStored=12, HighBit=11) for k in range(COUNT)]
+    assert np.array_equal(read(save(tmp_path, slices)).values, values)
+
+
+@pytest.mark.parametrize("syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian, RLELossless])
+def test_transfer_syntaxes(tmp_path, syntax):
+    slices = series()
+    for data in slices:
+        if syntax == RLELossless:
+            data.compress(syntax)
+        data.file_meta.TransferSyntaxUID = syntax
+    assert np.array_equal(read(save(tmp_path, slices)).values, NUMBERS)
+
+
+def test_big_endian(tmp_path):
+    slices = [a_slice(k, NUMBERS[k].astype(">i2")) for k in range(COUNT)]
+    for data in slices:
+        data.file_meta.TransferSyntaxUID = ExplicitVRBigEndian
+    assert np.array_equal(read(save(tmp_path, slices)).values, NUMBERS)
+
+
+@pytest.mark.parametrize("compressor", ["JPEG", "JPEG2000"])
+def test_lossless_jpeg(tmp_path, compressor):
+    slices = [packed_as(data, compressor, tmp_path) for data in series()]
+    assert np.array_equal(read(save(tmp_path / "scan", slices)).values, NUMBERS)
+
+
+def test_other_files_do_not_matter(tmp_path):
+    save(tmp_path, series())
+    (tmp_path / "README.txt").write_text("Needle 3")
+    (tmp_path / ".DS_Store").write_bytes(b"\0")
+    (tmp_path / "more").mkdir()
+    report = a_slice(0, SOPClassUID=BasicTextSRStorage, SeriesInstanceUID=generate_uid())
+    report.save_as(tmp_path / "report.dcm", enforce_file_format=True)
+    assert np.array_equal(read(tmp_path).values, NUMBERS)
+
+
+# Which series
+
+
+def two_series(folder):
+    other = generate_uid(entropy_srcs=["other"])
+    save(
+        folder,
+        [*series(), *(a_slice(k, NUMBERS[k] + 1, SeriesInstanceUID=other, SeriesNumber=4) for k in range(3))],
+    )
+    return other
+
+
+def test_two_series_are_not_guessed(tmp_path):
+    other = two_series(tmp_path)
+    fault = refused(tmp_path)
+    assert (
+        "holds 2 series" in fault.what and "number 3 'needle', 6 files" in fault.what and other in fault.what
+    )
+    assert "`series`" in fault.mend
+    assert read(tmp_path, "3").values.shape[0] == COUNT
+    assert np.array_equal(read(tmp_path, "4").values, NUMBERS[:3] + 1)
+    assert np.array_equal(read(tmp_path, other).values, NUMBERS[:3] + 1)
+    assert np.array_equal(read(tmp_path / "007.dcm").values, NUMBERS[:3] + 1)  # one of its files names it
+
+
+def test_a_series_that_is_not_there(tmp_path):
+    two_series(tmp_path)
+    fault = refused(tmp_path, series="5")
+    assert "no series is called 5" in fault.what and "number 4" in fault.what
+
+
+def test_two_series_of_one_number(tmp_path):
+    save(tmp_path, [*series(), a_slice(0, SeriesInstanceUID=generate_uid())])
+    fault = refused(tmp_path, series="3")
+    assert "2 series are called 3" in fault.what and "UID" in fault.mend
+
+
+def test_overviews_and_pictures_of_their_own_are_no_candidates(tmp_path):
+    overview = a_slice(0, SeriesInstanceUID=generate_uid(), ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"])
+    dose = a_slice(
+        0,
+        SeriesInstanceUID=generate_uid(),
+        SOPClassUID=SecondaryCaptureImageStorage,
+        ImagePositionPatient=None,
+        ImageOrientationPatient=None,
+    )
+    assert np.array_equal(read(save(tmp_path, [*series(), overview, dose])).values, NUMBERS)
+
+
+def test_folders_without_a_series(tmp_path):
+    assert "is an empty folder" in refused(tmp_path).what
+    save(tmp_path / "inside", series())
+    (tmp_path / "notes.txt").write_text("scan")
+    fault = refused(tmp_path)
+    assert "there is inside/, notes.txt" in fault.what and "name the folder" in fault.mend
+    assert "no such file" in refused(tmp_path / "elsewhere").what
+    assert "no volume" in refused(tmp_path / "notes.txt").what
+
+
+# What is refused
+
+
+def test_a_gap(tmp_path):
+    slices = series()
+    del slices[2:4]
+    fault = refused(save(tmp_path, slices))
+    assert fault.what.startswith("2 slice(s) missing between 001.dcm and 002.dcm")
+    assert "2.7 mm where others are 0.9 mm" in fault.what
+
+
+def test_a_slice_twice(tmp_path):
+    save(tmp_path, [*series(), a_slice(2)], order=[*range(COUNT), 17])
+    fault = refused(tmp_path)
+    assert fault.what == "stands at the same place as 002.dcm" and fault.where.endswith("017.dcm")
+
+
+def test_two_phases_in_one_series(tmp_path):
+    assert "several phases" in refused(save(tmp_path, [*series(), *series(RescaleIntercept=5)])).mend
+
+
+def test_a_localizer_among_the_slices(tmp_path):
+    save(tmp_path, [*series(), a_slice(0, ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"])])
+    fault = refused(tmp_path)
+    assert "is a localizer" in fault.what and fault.where.endswith("006.dcm")
+
+
+@pytest.mark.parametrize("degrees", [0.5, -15.0])
+def test_a_tilted_gantry(tmp_path, degrees):
+    """The table moves along z, the slices face `degrees` off it."""
+    sine, cosine = np.sin(np.radians(degrees)), np.cos(np.radians(degrees))
+    slices = [
+        a_slice(
+            k,
+            ImageOrientationPatient=[1, 0, 0, 0, round(cosine, 8), round(sine, 8)],
+            ImagePositionPatient=[0, 0, 5.0 * k],
+        )
+        for k in range(COUNT)
+    ]
+    fault = refused(save(tmp_path, slices))
+    assert (
+        f"leans by {abs(degrees):.3g} degrees: the gantry was tilted" in fault.what
+        and "resample" in fault.mend
+    )
+
+
+def test_an_oblique_stack_is_not_tilted(tmp_path):
+    sine, cosine = np.sin(0.3), np.cos(0.3)
+    slices = [
+        a_slice(
+            k,
+            ImageOrientationPatient=[1, 0, 0, 0, round(cosine, 8), round(sine, 8)],
+            ImagePositionPatient=[0, round(-2 * k * sine, 6), round(2 * k * cosine, 6)],
+        )
+        for k in range(COUNT)
+    ]
+    volume = read(save(tmp_path, slices))
+    assert volume.spacing[2] == pytest.approx(2.0, abs=1e-6)
+    assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-14)
+
+
+def test_shifted_slices(tmp_path):
+    fault = refused(save(tmp_path, spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8])))
+    assert "slices are shifted" in fault.what
+
+
+@pytest.mark.parametrize(("off", "fine"), [(0.04, True), (0.3, False)])
+def test_uneven_steps(tmp_path, off, fine):
+    save(tmp_path, spoilt(2, ImagePositionPatient=[*ORIGIN[:2], ORIGIN[2] + 2 * STEP + off]))
+    if fine:
+        assert read(tmp_path).spacing[2] == pytest.approx(STEP) and off < ASTRAY
+    else:
+        fault = refused(tmp_path)
+        assert "stands 0.3 mm from its place" in fault.what and fault.where.endswith("002.dcm")
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({"ImageOrientationPatient": [1, 0, 0, 0, 0.9998, 0.02]}, "orientation is"),
+        ({"PixelSpacing": [0.6, 0.4]}, "pixel spacing is [0.6, 0.4], that of 000.dcm is [0.5, 0.4]"),
+        ({"FrameOfReferenceUID": generate_uid()}, "frame of reference"),
+        ({"RescaleSlope": None, "RescaleIntercept": None}, "rescaling is missing, that of 000.dcm is stated"),
+        ({"plane": np.zeros((ROWS, 9), np.int16)}, "size is (64, 9)"),
+    ],
+)
+def test_a_slice_unlike_the_others(tmp_path, entries, words):
+    fault = refused(save(tmp_path, spoilt(4, **entries)))
+    assert words in fault.what and fault.where.endswith("004.dcm")
+
+
+@pytest.mark.parametrize(
+    ("entries", "words"),
+    [
+        ({"ImagePositionPatient": None}, "has no ImagePositionPatient"),
+        (
+            {"ImageOrientationPatient": None, "PixelSpacing": None},
+            "has no ImageOrientationPatient, PixelSpacing",
+        ),
+        ({"ImagePositionPatient": [1.0, 2.0]}, "ImagePositionPatient is [[1.0, 2.0]]"),
+        ({"RescaleSlope": None}, "RescaleSlope and RescaleIntercept is"),
+        ({"RescaleSlope": 0}, "RescaleSlope is 0"),
+        ({"NumberOfFrames": 40}, "holds 40 frames"),
+        ({"SamplesPerPixel": 3}, "holds 3 colours"),
+        ({"ModalityLUTSequence": []}, "rescales its values by a table"),
+        ({"Rows": None}, "damaged or cut short"),
+    ],
+)
+def test_a_header_that_cannot_be_used(tmp_path, entries, words):
+    fault = refused(save(tmp_path, spoilt(4, **entries)))
+    assert words in fault.what and fault.where.endswith("004.dcm")
+
+
+def test_a_number_that_is_none(tmp_path):
+    save(tmp_path, series())
+    file = tmp_path / "001.dcm"
+    file.write_bytes(file.read_bytes().replace(b"-10.0\\20.0\\30.9", b"-10.0\\abcd\\30.9"))
+    assert "ImagePositionPatient" in refused(tmp_path).what
+
+
+@pytest.mark.parametrize("axes", [[1, 0, 0, 0.1, 1, 0], [2, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 0]])
+def test_axes_that_are_none(tmp_path, axes):
+    assert "ImageOrientationPatient" in refused(save(tmp_path, series(ImageOrientationPatient=axes))).what
+
+
+def test_spacing_in_metres(tmp_path):
+    fault = refused(save(tmp_path, series(PixelSpacing=[0.0005, 0.0004])))
+    assert "spacing of the voxels is 0.0004 x 0.0005" in fault.what and "unit" in fault.mend
+
+
+def test_one_slice(tmp_path):
+    assert refused(save(tmp_path, series()[:1])).what == "holds one slice"
+
+
+def test_a_multi_frame_file(tmp_path):
+    """Enhanced CT keeps its positions inside; it is named for what it is, not for what it lacks."""
+    save(tmp_path, [a_slice(0, NumberOfFrames=9, ImagePositionPatient=None)])
+    fault = refused(tmp_path)
+    assert "holds 9 frames in one file" in fault.what and "NRRD" in fault.mend
+
+
+@pytest.mark.parametrize("syntax", [HTJ2KLossless, MPEG2MPML])
+def test_a_compression_without_decoder(tmp_path, syntax):
+    slices = series()
+    for data in slices:
+        data.compress(RLELossless)
+        data.file_meta.TransferSyntaxUID = syntax
+    fault = refused(save(tmp_path, slices))
+    assert syntax.name in fault.what and "no decoder" in fault.what and "decompress" in fault.mend
+
+
+@pytest.mark.parametrize("kept", [0, 100, 140, 300, 600, -60, -1])
+def test_a_file_cut_short(tmp_path, kept):
+    save(tmp_path, series())
+    file = tmp_path / "003.dcm"
+    file.write_bytes(file.read_bytes()[:kept])
+    fault = refused(tmp_path)
+    assert fault.where == str(file) and "again" in fault.mend
+
+
+def test_compressed_voxels_cut_short(tmp_path):
+    slices = series()
+    for data in slices:
+        data.compress(RLELossless)
+    save(tmp_path, slices)
+    file = tmp_path / "003.dcm"
+    file.write_bytes(file.read_bytes()[:-60])
+    assert "RLE" in refused(tmp_path).what
+
+
+def test_headers_that_claim_a_bomb(tmp_path):
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    fault = refused(save(tmp_path / "all", series(Rows=65535, Columns=65535)))
+    assert "65535 x 65535 x 6" in fault.what and "crop" in fault.mend
+    slices = series(Rows=8000, Columns=8000)
+    assert "claims 8000 x 8000 voxels, 128000000 bytes" in refused(save(tmp_path / "less", slices)).what
+    for data in slices:
+        data.Rows, data.Columns = ROWS, COLUMNS
+        data.compress(RLELossless)
+        data.Rows = data.Columns = 65535
+    assert "crop" in refused(save(tmp_path / "packed", slices)).mend
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # kB
+
+
+# What is written
+
+
+def turned(seed, shape=(4, 5, 6), scale=1000.0, flip=False):
+    """Return a volume at a random pose."""
+    rng = np.random.default_rng(seed)
+    direction, _ = np.linalg.qr(rng.normal(size=(3, 3)))
+    direction *= np.linalg.det(direction) * (-1 if flip else 1)
+    values = np.round(rng.normal(size=shape) * scale).astype(np.float32)
+    return Volume(values, rng.normal(size=3) * 100, rng.uniform(0.2, 2.0, 3), direction)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=st.integers(0, 2**32 - 1), flip=st.booleans())
+def test_written_and_read_every_voxel_stands_where_it_stood(tmp_path_factory, seed, flip):
+    """A left-handed volume comes back right-handed: its slices are the same, in the other order."""
+    folder = tmp_path_factory.mktemp("scan") / "series"
+    volume = turned(seed, flip=flip)
+    write(volume, folder)
+    again = read(folder)
+    assert np.linalg.det(again.direction) == pytest.approx(1.0)
+    assert np.array_equal(again.values[::-1] if flip else again.values, volume.values)
+    here = np.argwhere(np.ones(volume.values.shape))[:, ::-1]
+    there = to_index(again, to_patient(volume, here))
+    assert again.values[tuple(np.rint(there[:, ::-1]).astype(int).T)] == pytest.approx(volume.values.ravel())
+    assert np.abs(to_patient(again, np.rint(there)) - to_patient(volume, here)).max() < 1e-6
+
+
+def test_fractions_are_kept_to_a_level(tmp_path):
+    volume = turned(3, scale=1.0)
+    volume = Volume(volume.values + np.float32(0.123), volume.origin, volume.spacing, volume.direction)
+    write(volume, tmp_path / "scan")
+    span = float(np.ptp(volume.values))
+    assert np.abs(read(tmp_path / "scan").values - volume.values).max() <= 0.51 * span / 65535
+
+
+def test_one_fraction_everywhere(tmp_path):
+    volume = Volume(np.full((2, 2, 2), 0.25, np.float32), np.zeros(3), np.ones(3), np.eye(3))
+    write(volume, tmp_path / "scan")
+    assert np.array_equal(read(tmp_path / "scan").values, volume.values)
+
+
+def test_values_beyond_sixteen_bits(tmp_path):
+    values = np.array([[[0, 1e6], [5e5, 65535]], [[-1e5, 3.0], [1, 2]]], dtype=np.float32)
+    write(Volume(values, np.zeros(3), np.ones(3), np.eye(3)), tmp_path / "scan")
+    assert np.abs(read(tmp_path / "scan").values - values).max() <= 0.51 * 1.1e6 / 65535
+
+
+def test_the_same_volume_gives_the_same_bytes(tmp_path):
+    for name in ("one", "two"):
+        write(turned(5), tmp_path / name, "synthetic")
+    files = sorted(file.name for file in (tmp_path / "one").iterdir())
+    assert files == [f"{k:05d}.dcm" for k in (1, 2, 3, 4)]
+    for name in files:
+        assert (tmp_path / "one" / name).read_bytes() == (tmp_path / "two" / name).read_bytes()
+    headers = [dcmread(tmp_path / "one" / name) for name in files]
+    assert {header.SeriesDescription for header in headers} == {"synthetic"}
+    assert len({header.SOPInstanceUID for header in headers}) == 4
+    assert all(header.SOPInstanceUID.is_valid and not header.StudyDate for header in headers)
+    write(turned(6), tmp_path / "three", "synthetic")
+    assert dcmread(tmp_path / "three" / files[0]).SeriesInstanceUID != headers[0].SeriesInstanceUID
+
+
+def test_a_folder_with_something_in_it_is_left_alone(tmp_path):
+    (tmp_path / "thesis").write_text("all of it")
+    with pytest.raises(DataError, match="not empty"):
+        write(turned(1), tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["thesis"]
+
+
+def test_a_write_that_fails_leaves_nothing(tmp_path, monkeypatch):
+    def full(*_args, **_kwargs):
+        raise OSError("no space left")
+
+    monkeypatch.setattr("pydicom.dataset.FileDataset.save_as", full)
+    with pytest.raises(OSError, match="no space"):
+        write(turned(1), tmp_path / "scan")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_place_that_cannot_be_written(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(ConfigError):
+        write(turned(1), tmp_path / "file" / "scan")
+
+
+def test_a_large_series_is_read_in_seconds(tmp_path):
+    values = np.zeros((60, 512, 512), dtype=np.float32)
+    values[:, ::7, ::5] = 1000.0
+    write(Volume(values, np.zeros(3), np.ones(3), np.eye(3)), tmp_path / "scan")
+    start = time.perf_counter()
+    volume = read(tmp_path / "scan")
+    assert time.perf_counter() - start < 3.0
+    assert np.array_equal(volume.values, values)
+
+
+def test_a_file_that_is_no_dicom_dataset(tmp_path):
+    save(tmp_path, series())
+    dcmwrite(tmp_path / "x.dcm", a_slice(0, SeriesInstanceUID=None), enforce_file_format=True)
+    assert refused(tmp_path).where.endswith("x.dcm")
