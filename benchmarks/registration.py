@@ -1,0 +1,350 @@
+"""How well markers register a scan, whether the predicted error is right, and which faults are noticed.
+
+    OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 python benchmarks/registration.py [--json] [--cases N] [--seed S]
+
+Two kinds of cases, all synthetic points (no voxels). *The stated layout*: `LAYOUT`, six markers on a box of
+80 mm, random pose, Gaussian noise of `FOUND_SD` in the scan and `KNOWN_SD` in the world, per direction; one
+marker is missing in a fifth of the cases and one found is spurious in another fifth. Errors are those of the
+entry and of the tip of a 75 mm needle, at the estimated against the true pose. *Random layouts* of 4 to 12
+markers in that box, those with a symmetry left out and counted: wrong pairs, missing and spurious markers,
+reflections, wrong spacings, RAS read as LPS. Shares stand with their 95 % Wilson intervals.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from needlefit.errors import DataError
+from needlefit.geometry.frames import Frame
+from needlefit.imaging.registration.icp import icp
+from needlefit.imaging.registration.marker_sets import marker_sets
+from needlefit.imaging.registration.register import (
+    Registration,
+    predicted_mean_target_error,
+    predicted_target_error,
+    register,
+    to_world,
+)
+from needlefit.imaging.registration.symmetry import symmetries
+
+Floats = NDArray[np.float64]
+
+LAYOUT = np.array(
+    [[5, -40, -31], [22, 40, -18], [41, -40, 24], [58, 21, 40], [76, 40, 27], [80, -33, -38]], dtype=float
+)
+"""Markers on the faces of a box 0..80 x +-40 x +-40 mm; the needle enters at the origin, along x. mm."""
+
+TARGETS = np.array([[0.0, 0.0, 0.0], [75.0, 4.0, 0.0]])
+FOUND_SD, KNOWN_SD = 0.10, 0.10  # mm per direction: about a fifth of a voxel of 0.46 mm; a measuring arm
+SD = float(np.hypot(FOUND_SD, KNOWN_SD))
+GOAL = 0.19  # mm
+SCALES = (1.005, 1.01, 1.02, 1.05, 1.2, 0.5)
+ANGLES = (5, 10, 20, 40)
+
+
+@dataclass(frozen=True)
+class Case:
+    """What was found (M, 3), where it should be (N, 3), the true partner of each (-1: none), the pose."""
+
+    found: Floats
+    known: Floats
+    partner: NDArray[np.int64]
+    pose: Frame
+
+
+def draw(
+    layout: Floats,
+    rng: np.random.Generator,
+    missing: int = 0,
+    spurious: int = 0,
+    sd: Floats | float = FOUND_SD,
+) -> Case:
+    """Return a scan of the layout at a random pose, markers in random order, noise `sd` along its axes."""
+    pose = Frame(rng.normal(size=3) * 100, Rotation.random(rng=rng).as_matrix())
+    kept = rng.permutation(len(layout))[missing:]
+    ghosts = rng.uniform([0, -40, -40], [80, 40, 40], (spurious, 3))
+    partner = np.concatenate([kept, -np.ones(spurious, dtype=np.int64)])
+    found = pose.to_local(np.concatenate([layout[kept], ghosts])) + sd * rng.normal(size=(len(partner), 3))
+    order = rng.permutation(len(partner))
+    known = layout + KNOWN_SD * rng.normal(size=layout.shape)
+    return Case(found[order], known, partner[order], pose)
+
+
+def asymmetric(rng: np.random.Generator, left_out: list[int]) -> Floats:
+    """Return a random layout that has no symmetry under the noise; count in `left_out` those that have."""
+    while True:
+        layout = rng.uniform([0, -40, -40], [80, 40, 40], (int(rng.integers(4, 13)), 3))
+        if len(symmetries(layout, SD)) == 1:
+            return layout
+        left_out[0] += 1
+
+
+def tried(call: Callable[[], Registration]) -> Registration | str:
+    """Return the registration, or the message of the refusal."""
+    try:
+        return call()
+    except DataError as error:
+        return str(error)
+
+
+def right(registration: Registration, case: Case) -> bool:
+    """Say whether every pair is true."""
+    return bool((case.partner[registration.pairs[:, 0]] == registration.pairs[:, 1]).all())
+
+
+def share(hits: int, of: int) -> dict[str, float]:
+    """Return a share and its 95 % Wilson interval."""
+    z = 1.959963984540054
+    middle = (hits + z**2 / 2) / (of + z**2)
+    half = z / (of + z**2) * np.sqrt(hits * (of - hits) / of + z**2 / 4)
+    low, high = max(middle - half, 0.0), min(middle + half, 1.0)
+    return {"share": hits / of, "low": low, "high": high, "hits": hits, "of": of}
+
+
+def accuracy(cases: int, rng: np.random.Generator, sd: Floats) -> dict[str, object]:
+    """Return the target errors of the stated layout, against the prediction."""
+    realised, predicted, squares, proper, wrong, refused, inside = [], [], [], [], 0, 0, []
+    for _ in range(cases):
+        kind = rng.uniform()
+        case = draw(LAYOUT, rng, missing=int(kind < 0.2), spurious=int(kind > 0.8), sd=sd)
+        each = np.broadcast_to(sd, case.found.shape)
+        result = tried(lambda case=case, each=each: register(case.found, case.known, each, KNOWN_SD))
+        if isinstance(result, str):
+            refused += 1
+            continue
+        wrong += not right(result, case)
+        local = case.pose.to_local(TARGETS)
+        realised.append(np.linalg.norm(to_world(result, local) - TARGETS, axis=1))
+        predicted.append(predicted_mean_target_error(result, local))
+        squares.append(predicted_target_error(result, local) ** 2)
+        turn = result.rotation
+        proper.append([np.linalg.det(turn) - 1, np.abs(turn @ turn.T - np.eye(3)).max()])
+        inside.append(result.fre / result.expected_fre)
+    real, mean, square = np.array(realised), np.array(predicted), np.array(squares)
+    ends = dict(zip(("entry", "tip"), range(2), strict=True))
+    return {
+        "mean target error, mm": {name: float(real[:, n].mean()) for name, n in ends.items()},
+        "95 % of them below, mm": {name: float(np.quantile(real[:, n], 0.95)) for name, n in ends.items()},
+        "predicted mean over realised": {
+            n: float(mean[:, i].mean() / real[:, i].mean()) for n, i in ends.items()
+        },
+        "predicted rms over realised": {
+            n: float(np.sqrt(square[:, i].mean() / (real[:, i] ** 2).mean())) for n, i in ends.items()
+        },
+        "factor of the noise at which the mean would be 0.19 mm": GOAL / float(real.mean(axis=0).max()),
+        "residual (FRE) over expected, root mean square": float(np.sqrt(np.mean(np.square(inside)))),
+        "largest |determinant - 1|, deviation from orthogonality": np.abs(proper).max(axis=0).tolist(),
+        "wrong pairing accepted": share(wrong, cases),
+        "refused": share(refused, cases),
+    }
+
+
+def swaps(case: Case, rng: np.random.Generator) -> Iterator[tuple[str, NDArray[np.int64]]]:
+    """Yield wrong partners (M,) for the found markers: two swapped, the nearest two swapped, all shuffled."""
+    count = len(case.partner)
+    pair = rng.choice(count, 2, replace=False)
+    distance = np.linalg.norm(case.found[:, None] - case.found, axis=-1) + 1e9 * np.eye(count)
+    nearest = np.array(np.unravel_index(np.argmin(distance), distance.shape))
+    for name, two in (("two swapped", pair), ("nearest two swapped", nearest)):
+        wrong = case.partner.copy()
+        wrong[two] = wrong[two[::-1]]
+        yield name, wrong
+    shuffled = rng.permutation(case.partner)
+    if (shuffled != case.partner).any():
+        yield "shuffled", shuffled
+
+
+def wrong_pairs(cases: int, rng: np.random.Generator, left_out: list[int]) -> dict[str, object]:
+    """Return how often wrong pairs are refused, and how often right ones are."""
+    counts: dict[str, list[bool]] = {}
+    for _ in range(cases):
+        case = draw(asymmetric(rng, left_out), rng)
+        given = [*swaps(case, rng), ("right pairs (false alarms)", case.partner)]
+        for name, partner in given:
+            pairs = np.column_stack([np.arange(len(partner)), partner])
+            result = tried(lambda c=case, p=pairs: register(c.found, c.known, FOUND_SD, KNOWN_SD, pairs=p))
+            counts.setdefault(name, []).append(isinstance(result, str))
+    return {name: share(sum(hits), len(hits)) for name, hits in counts.items()}
+
+
+def search_pairs(cases: int, rng: np.random.Generator, left_out: list[int]) -> dict[str, object]:
+    """Return what comes of pairing by oneself, with up to two missing and two spurious markers."""
+    right_ones = wrong = refused = 0
+    for _ in range(cases):
+        layout = asymmetric(rng, left_out)
+        missing = min(int(rng.integers(0, 3)), len(layout) - 3)
+        case = draw(layout, rng, missing, int(rng.integers(0, 3)))
+        result = tried(lambda case=case: register(case.found, case.known, FOUND_SD, KNOWN_SD))
+        refused += isinstance(result, str)
+        if not isinstance(result, str):
+            right_ones += right(result, case)
+            wrong += not right(result, case)
+    answers = {"right": right_ones, "refused": refused, "wrong and accepted": wrong}
+    return {name: share(count, cases) for name, count in answers.items()}
+
+
+def nearly_symmetric(cases: int, rng: np.random.Generator) -> dict[str, object]:
+    """Return what comes of twofold layouts with one marker moved just so far that they count as asymmetric.
+
+    The wrong pairs are those of the half turn that nearly is a symmetry: the hardest to notice.
+    """
+    wrong = ["wrong pairs refused", "right pairs refused"]
+    own = ["pairing by itself: wrong and accepted", "pairing by itself: refused"]
+    answers = dict.fromkeys((*wrong, *own), 0)
+    for _ in range(cases):
+        half = rng.uniform(-40, 40, (4, 3))
+        layout = np.concatenate([half, half * [-1, -1, 1]])
+        shift = rng.normal(size=3)
+        shift /= 20 * np.linalg.norm(shift)  # mm a step
+        while len(symmetries(layout, SD)) > 1:
+            layout[0] += shift
+        case = draw(layout, rng)
+        for name, turned in zip(wrong, (4, 0), strict=True):
+            pairs = np.column_stack([np.arange(8), (case.partner + turned) % 8])
+            result = tried(lambda c=case, p=pairs: register(c.found, c.known, FOUND_SD, KNOWN_SD, pairs=p))
+            answers[name] += isinstance(result, str)
+        result = tried(lambda case=case: register(case.found, case.known, FOUND_SD, KNOWN_SD))
+        answers[own[0]] += not isinstance(result, str) and not right(result, case)
+        answers[own[1]] += isinstance(result, str)
+    return {name: share(count, cases) for name, count in answers.items()}
+
+
+def faults(cases: int, rng: np.random.Generator, left_out: list[int]) -> dict[str, object]:
+    """Return how often reflections, RAS for LPS, and spacings are noticed; and said for what they are."""
+    counts: dict[str, list[tuple[bool, bool]]] = {}
+
+    def count(name: str, result: Registration | str, word: str) -> None:
+        text = result if isinstance(result, str) else " ".join(result.remarks)
+        # accepted with a remark is noticed too
+        counts.setdefault(name, []).append((isinstance(result, str) or word in text, word in text))
+
+    for _ in range(cases):
+        case = draw(asymmetric(rng, left_out), rng)
+        wobble = Rotation.from_rotvec(rng.normal(size=3) * 0.1).as_matrix()
+        rough = Frame(case.pose.origin + 10 * rng.normal(size=3), wobble @ case.pose.rotation)
+
+        def ask(factors: object, near: Frame | None = None, case: Case = case) -> Registration | str:
+            return tried(
+                lambda: register(case.found * np.array(factors), case.known, FOUND_SD, KNOWN_SD, rough=near)
+            )
+
+        count("mirrored", ask([1, 1, -1]), "mirror")
+        count("RAS read as LPS, with a rough pose (10 mm, 6 degrees)", ask([-1, -1, 1], rough), "RAS")
+        for factor in SCALES:
+            count(f"spacing wrong by {factor:g}", ask([factor] * 3), "spacing")
+            count(f"slice spacing wrong by {factor:g}", ask([1, 1, factor]), "spacing")
+    return {
+        name: {
+            "noticed": share(sum(n for n, _ in hits), len(hits)),
+            "said": share(sum(s for _, s in hits), len(hits)),
+        }
+        for name, hits in counts.items()
+    }
+
+
+def symmetric(rng: np.random.Generator) -> dict[str, object]:
+    """Return how often symmetric layouts are refused: square, box corners, rows, twofold at random."""
+    square = np.array([[0, 0, 0], [40, 0, 0], [40, 40, 0], [0, 40, 0]], dtype=float)
+    corners = np.stack(np.meshgrid([0, 80], [-40, 40], [-40, 40]), axis=-1).reshape(-1, 3).astype(float)
+    rows = np.array([[x, y, 0] for x in (0, 20, 50) for y in (-40, 40)], dtype=float)
+    counts: dict[str, int] = {}
+    for _ in range(100):
+        half = rng.uniform(-40, 40, (4, 3))
+        twofold = np.concatenate([half, half * [-1, -1, 1]])
+        for name, layout in (("square", square), ("corners", corners), ("rows", rows), ("twofold", twofold)):
+            case = draw(layout, rng)
+            result = tried(lambda c=case, k=layout: register(c.found, k, FOUND_SD, KNOWN_SD))
+            counts[name] = counts.get(name, 0) + (isinstance(result, str) and "symmetric" in result)
+    return {name: share(count, 100) for name, count in counts.items()}
+
+
+def closest(cases: int, rng: np.random.Generator) -> dict[str, object]:
+    """Return how often closest points alone, from a pose so many degrees off, end in wrong pairs."""
+    wrong = dict.fromkeys(ANGLES, 0)
+    for _ in range(cases):
+        case = draw(LAYOUT, rng, missing=1, spurious=1)
+        sets = marker_sets(case.found, case.known, FOUND_SD, KNOWN_SD)
+        for angle in ANGLES:
+            axis = rng.normal(size=3)
+            turn = Rotation.from_rotvec(np.radians(angle) * axis / np.linalg.norm(axis)).as_matrix()
+            middle = LAYOUT.mean(axis=0)
+            rough = Frame(turn @ (case.pose.origin - middle) + middle, turn @ case.pose.rotation)
+            pairs = icp(sets, rough)
+            wrong[angle] += len(pairs) < 3 or bool((case.partner[pairs[:, 0]] != pairs[:, 1]).any())
+    return {f"{angle} degrees": share(count, cases) for angle, count in wrong.items()}
+
+
+def durations(rng: np.random.Generator) -> dict[str, float]:
+    """Return the median time of a registration, ms."""
+    found = {}
+    for count, missing, spurious in ((6, 0, 0), (12, 0, 0), (12, 2, 2), (12, 4, 4)):
+        taken = []
+        for _ in range(15):
+            case = draw(rng.uniform(-40, 40, (count, 3)), rng, missing, spurious)
+            begin = time.perf_counter()
+            tried(lambda case=case: register(case.found, case.known, FOUND_SD, KNOWN_SD))
+            taken.append(time.perf_counter() - begin)
+        found[f"{count} known, {missing} missing, {spurious} spurious"] = 1e3 * float(np.median(taken))
+    return found
+
+
+def figures(cases: int, seed: int) -> dict[str, object]:
+    """Return all figures."""
+    rngs = [np.random.default_rng([seed, n]) for n in range(9)]
+    left_out = [0]
+    found: dict[str, object] = {
+        "stated layout": accuracy(5 * cases, rngs[0], FOUND_SD * np.ones(3)),
+        "stated layout, three times the noise across slices": accuracy(
+            2 * cases, rngs[7], FOUND_SD * np.array([1, 1, 3.0])
+        ),
+        "given wrong pairs refused": wrong_pairs(2 * cases, rngs[1], left_out),
+        "pairing found by itself": search_pairs(2 * cases, rngs[2], left_out),
+        "all but symmetric layouts": nearly_symmetric(cases, rngs[8]),
+        "faults": faults(cases, rngs[3], left_out),
+        "symmetric layouts refused and said": symmetric(rngs[4]),
+        "closest points alone end in wrong pairs, one missing and one spurious": closest(cases, rngs[5]),
+        "registration, ms": durations(rngs[6]),
+    }
+    found["random layouts left out as symmetric"] = left_out[0]
+    return found
+
+
+def printed(name: str, value: object, indent: int = 0) -> None:
+    """Print a figure, or a group of them."""
+    pad = "  " * indent
+    if isinstance(value, dict) and "share" in value:
+        low, high = 100 * value["low"], 100 * value["high"]
+        text = f"{100 * value['share']:.2f} % ({low:.2f} to {high:.2f}; {value['hits']} of {value['of']})"
+        print(f"{pad}{name}: {text}")
+    elif isinstance(value, dict):
+        print(f"{pad}{name}")
+        for key, inner in value.items():
+            printed(key, inner, indent + 1)
+    else:
+        numbers = value if isinstance(value, list) else [value]
+        print(f"{pad}{name}: " + ", ".join(f"{number:.4g}" for number in numbers))
+
+
+def main() -> None:
+    """Print the figures."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--cases", type=int, default=250)
+    parser.add_argument("--seed", type=int, default=1)
+    arguments = parser.parse_args()
+    found = figures(arguments.cases, arguments.seed)
+    if arguments.json:
+        print(json.dumps(found, indent=2))
+        return
+    for name, value in found.items():
+        printed(name, value)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,150 @@
+"""Two sets of markers and what is known of their noise: those found in the scan, those known in the world."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from needlefit.errors import DataError
+from needlefit.geometry.frames import Floats
+
+FEWEST = 3
+"""Markers that fix a rigid motion."""
+
+
+@dataclass(frozen=True)
+class MarkerSets:
+    """Markers in two frames; nothing says yet which is which.
+
+    Attributes
+    ----------
+    found : (M, 3) array
+        Centres in the scan, mm.
+    known : (N, 3) array
+        Places in the world, mm.
+    found_covariance : (M, 3, 3) array
+        Of `found`, along the axes of the scan, mm^2.
+    known_covariance : (N, 3, 3) array
+        Of `known`, along the axes of the world, mm^2.
+    """
+
+    found: Floats
+    known: Floats
+    found_covariance: Floats
+    known_covariance: Floats
+
+    @property
+    def fewer(self) -> int:
+        """The number of markers in the smaller set: no pairing has more pairs."""
+        return min(len(self.found), len(self.known))
+
+    @property
+    def bound(self) -> Floats:
+        """A variance (M, N), mm^2, that no pair exceeds in any direction, whatever the rotation."""
+        found = np.linalg.eigvalsh(self.found_covariance)[:, -1]
+        known = np.linalg.eigvalsh(self.known_covariance)[:, -1]
+        both: Floats = found[:, None] + known[None, :]
+        return both
+
+    @property
+    def typical_sd(self) -> float:
+        """The deviation of a pair per direction, mm: root mean over directions, median over markers."""
+        found = np.median(np.trace(self.found_covariance, axis1=1, axis2=2)) / 3
+        known = np.median(np.trace(self.known_covariance, axis1=1, axis2=2)) / 3
+        return float(np.sqrt(found + known))
+
+    @property
+    def extent(self) -> float:
+        """The greatest distance between two known markers, mm."""
+        return float(np.max(np.linalg.norm(self.known[:, None] - self.known[None], axis=-1)))
+
+
+def marker_sets(found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike) -> MarkerSets:
+    """Check and return both sets.
+
+    A deviation is one number, one per marker (M,), one per marker and axis (M, 3), or covariances
+    (M, 3, 3); mm, mm^2; per direction, not of the length of the error.
+
+    Raises
+    ------
+    DataError
+        If a set has fewer than three markers, a number is not finite, or the deviations are not positive.
+    """
+    places = _points(found, "markers found in the scan"), _points(known, "known markers")
+    covariances = [
+        _covariances(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
+    ]
+    sets = MarkerSets(*places, *covariances)
+    if not (
+        np.isfinite(sets.bound).all() and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
+    ):
+        raise DataError(
+            "a deviation of a marker is negative or not finite",
+            where="deviations of the markers",
+            expected="one number, one per marker, one per marker and axis, or covariances",
+            mend="state the deviation of a marker's centre per direction, mm",
+        )
+    if sets.bound.min() <= 0:
+        raise DataError(
+            "the deviations of the markers are zero",
+            where="deviations of the markers",
+            expected="a positive deviation in the scan or in the world: it decides which pairing is believed",
+            mend="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
+        )
+    return sets
+
+
+def mirrored(sets: MarkerSets) -> MarkerSets:
+    """Return the sets with the found markers reflected through the origin (as good as through any plane)."""
+    return replace(sets, found=-sets.found)
+
+
+def stretched(sets: MarkerSets, factors: ArrayLike) -> MarkerSets:
+    """Return the sets with the scan stretched by `factors` (3,) along its axes; to ask, never to use."""
+    return replace(sets, found=sets.found * np.asarray(factors))
+
+
+def noisier(sets: MarkerSets, factor: float) -> MarkerSets:
+    """Return the sets with all deviations multiplied."""
+    return replace(
+        sets,
+        found_covariance=sets.found_covariance * factor**2,
+        known_covariance=sets.known_covariance * factor**2,
+    )
+
+
+def _points(given: ArrayLike, name: str) -> Floats:
+    points = np.asarray(given, dtype=np.float64)
+    if points.size == 0:
+        points = points.reshape(0, 3)
+    if points.ndim != 2 or points.shape[1] != 3 or not np.isfinite(points).all():
+        raise DataError(
+            f"the array of shape {points.shape} is no list of finite points",
+            where=name,
+            expected="three finite coordinates per marker, mm",
+            mend="look for empty cells and for columns that are no coordinates",
+        )
+    if len(points) < FEWEST:
+        raise DataError(
+            f"{len(points)} markers are too few",
+            where=name,
+            expected="at least three markers that are not on a line",
+            mend="lower the markers' threshold, give their places by hand, or scan with all markers in view",
+        )
+    return points
+
+
+def _covariances(given: ArrayLike, count: int) -> Floats:
+    sd = np.asarray(given, dtype=np.float64)
+    if sd.shape == (count, 3, 3):
+        return sd
+    if sd.shape not in ((), (count,), (count, 3)) or not (sd >= 0).all():
+        raise DataError(
+            f"deviations of shape {sd.shape} do not belong to {count} markers, or some are negative",
+            where="deviations of the markers",
+            expected=f"a number, or an array of shape ({count},), ({count}, 3) or ({count}, 3, 3)",
+            mend="state the deviation of a marker's centre per direction, mm",
+        )
+    per_axis = np.broadcast_to(sd[..., None] if sd.ndim == 1 else sd, (count, 3))
+    covariances: Floats = per_axis[:, :, None] ** 2 * np.eye(3)
+    return covariances

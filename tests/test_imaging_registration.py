@@ -1,0 +1,230 @@
+"""Laws of marker registration: known poses, invariances, closed forms of the target error, closest points."""
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from needlefit.geometry.frames import Frame
+from needlefit.imaging.registration.icp import icp
+from needlefit.imaging.registration.marker_sets import marker_sets
+from needlefit.imaging.registration.register import (
+    frame_of,
+    predicted_mean_target_error,
+    predicted_target_error,
+    register,
+    target_covariance,
+    to_world,
+)
+from needlefit.imaging.registration.rigid import kabsch, misfits
+
+seeds = st.integers(0, 2**32 - 1)
+
+LAYOUT = np.array(
+    [[5, -40, -31], [22, 40, -18], [41, -40, 24], [58, 21, 40], [76, 40, 27], [80, -33, -38]], dtype=float
+)
+SQUARE = np.array([[20, 20, 0], [-20, 20, 0], [-20, -20, 0], [20, -20, 0]], dtype=float)
+ITSELF = [[n, n] for n in range(4)]
+
+
+def pose_of(rng):
+    return Frame(rng.normal(size=3) * 100, Rotation.random(rng=rng).as_matrix())
+
+
+def same(registration, pose, tolerance):
+    points = np.array([[0, 0, 0], [75, 4, 0], [0, 50, 50]], dtype=float)
+    moved = to_world(registration, pose.to_local(points))
+    return np.abs(moved - points).max() < tolerance
+
+
+def proper(rotation):
+    return abs(np.linalg.det(rotation) - 1) < 1e-12 and np.allclose(
+        rotation @ rotation.T, np.eye(3), atol=1e-12
+    )
+
+
+# known poses
+
+
+@settings(max_examples=30, deadline=None)
+@given(seeds)
+def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
+    rng = np.random.default_rng(seed)
+    pose, order = pose_of(rng), rng.permutation(6)
+    registration = register(pose.to_local(LAYOUT)[order], LAYOUT, 0.1)
+    assert registration.pairs[:, 1].tolist() == order.tolist()
+    assert same(registration, pose, 1e-9)
+    assert proper(registration.rotation)
+    assert registration.fre < 1e-9
+    assert registration.remarks == ()
+    assert np.all(registration.leave_one_out < 1e-9)
+
+
+@settings(max_examples=20, deadline=None)
+@given(seeds)
+def test_moving_the_scan_or_the_world_moves_the_answer_with_it(seed):
+    rng = np.random.default_rng(seed)
+    pose, other = pose_of(rng), pose_of(rng)
+    found = pose.to_local(LAYOUT) + 0.1 * rng.normal(size=(6, 3))
+    first = register(found, LAYOUT, 0.1)
+    second = register(other.to_world(found), LAYOUT, 0.1)
+    third = register(found, other.to_world(LAYOUT), 0.1)
+    assert np.allclose(second.rotation @ other.rotation, first.rotation, atol=1e-9)
+    assert np.allclose(to_world(third, found), other.to_world(to_world(first, found)), atol=1e-8)
+    for one in (second, third):
+        assert one.fre == pytest.approx(first.fre)
+        assert one.chance == pytest.approx(first.chance)
+        assert np.linalg.eigvalsh(one.covariance) == pytest.approx(np.linalg.eigvalsh(first.covariance))
+
+
+def test_a_missing_and_a_spurious_marker_are_left_out_and_named():
+    rng = np.random.default_rng(3)
+    pose = pose_of(rng)
+    found = pose.to_local(np.concatenate([LAYOUT[:5], [[10, 10, 10]]])) + 0.05 * rng.normal(size=(6, 3))
+    registration = register(found, LAYOUT, 0.05)
+    assert registration.pairs.tolist() == [[n, n] for n in range(5)]
+    assert "found markers 5" in registration.remarks[0]
+    assert "known markers 5" in registration.remarks[1]
+
+
+def test_a_marker_that_was_moved_is_left_out_and_its_distance_said():
+    moved = LAYOUT.copy()
+    moved[3] += [0, 0, 2.0]
+    registration = register(moved, LAYOUT, 0.05)
+    assert 3 not in registration.pairs[:, 0]
+    assert any("found marker 3 lies 2.00 mm from known marker 3" in remark for remark in registration.remarks)
+
+
+def test_leave_one_out_of_a_single_wrong_marker_is_its_own_error():
+    moved = LAYOUT.copy()
+    moved[3] += [0, 0, 0.3]
+    registration = register(moved, LAYOUT, 0.1)
+    assert registration.leave_one_out[3] == pytest.approx(0.3, abs=1e-9)
+    assert np.isnan(register(LAYOUT[:3], LAYOUT[:3], 0.1).leave_one_out).all()
+
+
+def test_kabsch_never_reflects_even_if_a_reflection_fits_better():
+    frame = kabsch(LAYOUT * [1, 1, -1], LAYOUT, np.ones(6))
+    assert proper(frame.rotation)
+    left = np.sum((LAYOUT - frame.to_world(LAYOUT * [1, 1, -1])) ** 2)
+    assert misfits((LAYOUT * [1, 1, -1])[None], LAYOUT[None], np.ones((1, 6)))[0] == pytest.approx(left)
+    assert left > 100
+
+
+def test_a_marker_that_alone_has_weight_is_met_exactly():
+    moving = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], dtype=float)
+    weights = np.array([2.0, 1e-12, 1e-12])
+    fixed = moving + np.array([[3, 0, 0], [0, 0, 0], [0, 0, 0]])
+    assert kabsch(moving, fixed, weights).to_world(moving[:1])[0] == pytest.approx([3, 0, 0], abs=1e-6)
+
+
+def test_precise_markers_count_for_more_than_loose_ones():
+    loose = LAYOUT.copy()
+    loose[0] += [0.5, 0, 0]
+    sd = np.array([1.0, 0.01, 0.01, 0.01, 0.01, 0.01])
+    registration = register(loose, LAYOUT, sd)
+    assert np.abs(registration.residuals[1:]).max() < 1e-3
+    assert registration.residuals[0] == pytest.approx([-0.5, 0, 0], abs=1e-3)
+
+
+def test_an_axis_that_is_badly_known_is_not_believed():
+    """Errors along the loose axis of the scan alone hardly reach the pose."""
+    rng = np.random.default_rng(5)
+    noise = np.zeros((6, 3))
+    noise[:, 2] = 0.3 * rng.normal(size=6)
+    sharp = register(LAYOUT + noise, LAYOUT, np.tile([0.01, 0.01, 0.3], (6, 1)))
+    blunt = register(LAYOUT + noise, LAYOUT, 0.3)
+    angle = [np.linalg.norm(Rotation.from_matrix(r.rotation).as_rotvec()) for r in (sharp, blunt)]
+    assert angle[0] < angle[1] / 3
+
+
+# predicted errors
+
+
+def test_the_error_of_a_square_is_the_closed_form():
+    """Half-side a: f_1^2 = f_2^2 = a^2, f_3^2 = 2 a^2; at height h over the centre d_1 = d_2 = h, d_3 = 0.
+
+    TRE^2 = 3 sigma^2 / 4 (1 + 2 h^2 / (3 a^2)).
+    """
+    sigma, a = 0.2, 20.0
+    registration = register(SQUARE, SQUARE, sigma, pairs=ITSELF)
+    for height in (0.0, 20.0, 75.0):
+        expected = np.sqrt(3 * sigma**2 / 4 * (1 + 2 * height**2 / (3 * a**2)))
+        assert predicted_target_error(registration, [[0, 0, height]])[0] == pytest.approx(expected)
+    # in the plane, at distance d along x: d_1 = 0, d_2 = d_3 = d
+    d = 60.0
+    expected = np.sqrt(3 * sigma**2 / 4 * (1 + (d**2 / a**2 + d**2 / (2 * a**2)) / 3))
+    assert predicted_target_error(registration, [[d, 0, 0]])[0] == pytest.approx(expected)
+
+
+def test_the_error_at_the_centre_is_the_noise_over_the_root_of_the_number():
+    registration = register(SQUARE, SQUARE, 0.3, 0.4, pairs=ITSELF)  # hypot: 0.5
+    assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(np.eye(3) * 0.25 / 4)
+    # a Gaussian in three directions has the mean length sqrt(8 / pi) sigma
+    assert predicted_mean_target_error(registration, [[0, 0, 0]])[0] == pytest.approx(
+        np.sqrt(8 / np.pi) * 0.25
+    )
+
+
+def test_the_expected_residual_is_the_noise_less_what_the_fit_follows():
+    """E FRE^2 = (1 - 2 / N) FLE^2 (R. Sibson 1979), FLE^2 = 3 sigma^2."""
+    registration = register(LAYOUT, LAYOUT, 0.2)
+    assert registration.expected_fre == pytest.approx(np.sqrt((1 - 2 / 6) * 3 * 0.2**2))
+
+
+def test_noise_along_one_axis_only_shifts_along_it():
+    """At the centre of equally noisy markers, the error is a mean: each axis keeps its own variance."""
+    registration = register(SQUARE, SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
+    expected = np.diag([0.01, 0.01, 0.36]) / 4
+    assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(expected)
+
+
+def test_noise_given_in_the_scan_turns_with_it():
+    turn = Frame(np.zeros(3), Rotation.from_euler("x", 90, degrees=True).as_matrix())  # scan z is world -y
+    registration = register(turn.to_local(SQUARE), SQUARE, np.tile([0.1, 0.1, 0.6], (4, 1)), pairs=ITSELF)
+    assert np.diag(target_covariance(registration, [[0, 0, 0]])[0]) == pytest.approx(
+        np.array([0.01, 0.36, 0.01]) / 4
+    )
+
+
+def test_predicted_errors_are_those_of_many_draws():
+    """200 draws, unequal noise along the axes: chi-squared of each target over 3, to 5 standard errors."""
+    rng = np.random.default_rng(11)
+    sd, targets = np.tile([0.05, 0.1, 0.3], (6, 1)), np.array([[0, 0, 0], [75, 4, 0]], dtype=float)
+    errors, chances = [], []
+    for _ in range(200):
+        pose = pose_of(rng)
+        found = pose.to_local(LAYOUT) + sd * rng.normal(size=(6, 3))
+        registration = register(found, LAYOUT, sd, pairs=[[n, n] for n in range(6)])
+        local = pose.to_local(targets)
+        inverse = np.linalg.inv(target_covariance(registration, local))
+        off = to_world(registration, local) - targets
+        errors.append(np.einsum("ni,nij,nj->n", off, inverse, off) / 3)
+        chances.append(registration.chance)
+    assert np.mean(errors, axis=0) == pytest.approx([1, 1], abs=5 * np.sqrt(2 / 3 / 200))
+    assert np.mean(chances) == pytest.approx(0.5, abs=5 / np.sqrt(12 * 200))
+
+
+# closest points
+
+
+def test_closest_points_keep_the_pairs_of_a_near_pose_and_drop_the_spurious():
+    rng = np.random.default_rng(2)
+    rough = Frame(np.array([3.0, -2, 1]), Rotation.from_rotvec([0.05, 0.05, -0.05]).as_matrix())
+    found = np.concatenate([LAYOUT[[4, 2, 0, 1, 5]] + 0.1 * rng.normal(size=(5, 3)), [[40, 0, 0]]])
+    pairs = icp(marker_sets(found, LAYOUT, 0.1, 0.0), rough)
+    assert pairs.tolist() == [[0, 4], [1, 2], [2, 0], [3, 1], [4, 5]]
+
+
+def test_a_rough_pose_settles_what_a_symmetric_layout_leaves_open():
+    rough = Frame(np.array([1.0, 2, -1]), Rotation.from_rotvec([0.1, 0, 0.1]).as_matrix())
+    registration = register(SQUARE, SQUARE, 0.1, rough=rough)
+    assert np.allclose(registration.rotation, np.eye(3), atol=1e-9)
+    half = Frame(np.array([1.0, 2, -1]), np.diag([-1.0, -1.0, 1.0]) @ rough.rotation)
+    assert np.allclose(register(SQUARE, SQUARE, 0.1, rough=half).rotation, np.diag([-1, -1, 1]), atol=1e-9)
+
+
+def test_the_frame_of_a_registration_goes_both_ways():
+    registration = register(LAYOUT + 3.0, LAYOUT, 0.1)
+    assert frame_of(registration).to_local(LAYOUT) == pytest.approx(LAYOUT + 3.0)
