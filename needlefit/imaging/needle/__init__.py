@@ -1,0 +1,1 @@
+"""The needle in a scan: `segmentation` > `centerline` > `spine`, `sections`, `tip`."""

@@ -1,0 +1,204 @@
+"""The needle's axis from base to tip, with a standard deviation for every point."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length
+from needlefit.imaging.needle.sections import Sections, centroids, disc, fit, in_volume, sample, unseen
+from needlefit.imaging.needle.segmentation import AIR_BELOW, Component, main_axes
+from needlefit.imaging.needle.spine import Frames, Spine, deviation, draw, extended, frames, reversed_spine
+from needlefit.imaging.needle.tip import End, bevel_length, find_end
+from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.project.records.reconstruction import ReconstructionRecord
+
+Floats = NDArray[np.float64]
+
+BIN = 2.0
+"""Length of the pieces whose centroids are the first axis, mm."""
+
+BLUNT = 1.2
+"""How far from its end a needle still looks shorter than it is, mm."""
+
+FAINT = 0.3
+"""Cross-sections fainter than this part of the middle one are left out."""
+
+ROUNDS = 3
+"""Rounds of fits across the axis, each on the axis of the one before."""
+
+LEAST_SECTIONS = 8
+"""Fewer do not make an axis."""
+
+SWING = 0.3
+"""By which part the deviation across is larger at the tip, where the rod alone holds the axis. Set as
+`tip.OPTIMISM` is."""
+
+AT_EDGE = 3.0
+"""An end this near to the volume's face (mm) has left it."""
+
+SYSTEMATIC = 0.002
+"""What no scatter along the needle shows, mm: the grid's own pattern."""
+
+
+@dataclass(frozen=True)
+class Centerline:
+    """A needle's axis in the patient.
+
+    Attributes
+    ----------
+    points : (N, 3) array
+        LPS, mm, from base to tip; the last is the tip.
+    sd : (N,) array
+        Standard deviation of each in any one direction across the needle, mm.
+    tip : (3,) array
+        Where the axis ends, as far as the bevel's point reaches.
+    tip_sd : (2,) array
+        Standard deviation of the tip along the needle, and in any one direction across, mm.
+    bevel : (3,) array
+        Unit vector across the needle to the side of the bevel's point; nan for a blunt needle.
+    """
+
+    points: Floats
+    sd: Floats
+    tip: Floats
+    tip_sd: Floats
+    bevel: Floats
+
+
+def trace(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
+    """Return the axis of the needle whose voxels are `component`.
+
+    Raises
+    ------
+    DataError
+        If the needle's tip lies outside the volume, or cannot be told from its base.
+    """
+    spine = tip_last(volume, rough_spine(volume, component, recipe), recipe)
+    heel = bevel_length(recipe.needle) + BLUNT
+    spine = refined(volume, spine, recipe, spine.length - heel)
+    end = find_end(volume, spine, recipe.needle, spine.length + heel)
+    spine = refined(volume, spine, recipe, end.at - heel)
+    end = find_end(volume, spine, recipe.needle, end.at)
+    return _centerline(with_tip(spine, end, recipe), end, recipe)
+
+
+def rough_spine(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Spine:
+    """Return the spline through the bright centroids of the component's pieces along its main axis."""
+    points = to_patient(volume, component.voxels)
+    i, j, k = component.voxels.T
+    bright = volume.values[k, j, i].astype(np.float64)
+    bright -= bright.min() - 1.0
+    center, axes = main_axes(points)
+    along = (points - center) @ axes[0]
+    piece = np.floor((along - along.min()) / BIN).astype(int)
+    mass = np.bincount(piece, bright)
+    moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
+    pieces: Floats = moments[mass > 0] / mass[mass > 0, None]
+    return draw(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * recipe.centerline.knot_mm)
+
+
+def refined(volume: Volume, spine: Spine, recipe: ReconstructionRecord, stop: float) -> Spine:
+    """Return the spline through the cross-sections from the spine's start to `stop` (mm along it)."""
+    rules = recipe.centerline
+    plane = disc(rules.patch_mm)
+    stop = max(stop, 8 * rules.station_mm)
+    for round_ in range(ROUNDS):
+        s = np.arange(0.0, stop, rules.station_mm)
+        values = sample(volume, frames(spine, s), plane)
+        seen = in_volume(values)
+        if seen.sum() < LEAST_SECTIONS:
+            raise _too_few(int(seen.sum()))
+        where, values = frames(spine, s[seen]), values[seen]
+        rough = found = centroids(values, plane, recipe.needle.diameter_mm)
+        if round_ > 0:
+            found = fit(values, plane, fit(values, plane, rough))
+        spine = _through(where, found, recipe)
+        stop = spine.length + 1e-6
+    return replace(spine, unseen=unseen(rough, found, rules.station_mm))
+
+
+def with_tip(spine: Spine, end: End, recipe: ReconstructionRecord) -> Spine:
+    """Return the spline drawn through the tip as well: beyond the last cross-section it is no guess then."""
+    sd = max(float(end.sd[1]), SYSTEMATIC)
+    return extended(spine, end.at, end.point, sd, recipe.centerline.knot_mm)
+
+
+def tip_last(volume: Volume, spine: Spine, recipe: ReconstructionRecord) -> Spine:
+    """Return the spine run through from base to tip, or raise DataError if which is which is unknown."""
+    ends = spine.spline(np.array([0.0, spine.length]))
+    cut = [_leaves(volume, end) for end in ends]
+    where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
+    direction = recipe.centerline.entry_direction
+    if direction is not None:
+        forward = bool((ends[1] - ends[0]) @ np.asarray(direction) > 0)
+    elif cut[0] != cut[1]:
+        forward = cut[0]
+    else:
+        tissue = [_in_tissue(volume, spine, at) for at in (-4.0, spine.length + 4.0)]
+        if tissue[0] == tissue[1] and not all(cut):
+            raise DataError(
+                "both ends of the needle lie in " + ("tissue" if tissue[0] else "air"),
+                where=f"ends at L, P, S = {where} mm",
+                expected="one end in tissue or the other beyond the volume",
+                mend="set centerline.entry_direction (LPS, from base to tip) in the recipe",
+            )
+        forward = tissue[1]
+    if cut[1 if forward else 0]:
+        raise DataError(
+            "the needle leaves the volume with its tip",
+            where=f"ends at L, P, S = {where} mm",
+            expected="the tip and some tissue beyond it in the scan",
+            mend="scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction",
+        )
+    return spine if forward else reversed_spine(spine)
+
+
+def _through(where: Frames, found: Sections, recipe: ReconstructionRecord) -> Spine:
+    """Return the spline through the sections that show the needle."""
+    good = found.amplitude > FAINT * np.median(found.amplitude)
+    good &= np.linalg.norm(found.shifts, axis=1) < recipe.needle.diameter_mm
+    if good.sum() < LEAST_SECTIONS:
+        raise _too_few(int(good.sum()))
+    points = where.origins + found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
+    points = points[good]
+    s = arc_length(points)
+    noise = found.noise[good] / found.amplitude[good]
+    weights = 1 / (1 + (noise / np.median(noise)) ** 2)
+    return draw(s, points, weights / weights.mean(), recipe.centerline.knot_mm)
+
+
+def _centerline(spine: Spine, end: End, recipe: ReconstructionRecord) -> Centerline:
+    """Return the points every station from the first cross-section to the tip."""
+    count = int(np.ceil(end.at / recipe.centerline.station_mm)) + 1
+    s = np.linspace(0.0, end.at, count)
+    heel = bevel_length(recipe.needle) + BLUNT
+    beyond = np.clip((s - end.at + heel) / heel, 0, 1)
+    sd = np.hypot(deviation(spine, s), SYSTEMATIC) * (1 + SWING * beyond)
+    points = spine.spline(s)
+    return Centerline(points, sd, points[-1], np.array([end.sd[0], sd[-1]]), end.bevel)
+
+
+def _too_few(count: int) -> DataError:
+    return DataError(
+        f"the needle shows in {count} cross-sections only",
+        expected=f"{LEAST_SECTIONS} or more",
+        mend="check the mask or the thresholds, or lower centerline.station_mm",
+    )
+
+
+def _leaves(volume: Volume, point: Floats) -> bool:
+    """Whether a point lies within `AT_EDGE` mm of the volume's faces."""
+    index = to_index(volume, point[None])[0]
+    shape = np.array(volume.values.shape[::-1])
+    nearest = np.minimum(index, shape - 1 - index) * volume.spacing
+    return bool(nearest.min() < AT_EDGE)
+
+
+def _in_tissue(volume: Volume, spine: Spine, at: float) -> bool:
+    """Whether what surrounds the needle at `at` (mm along it) is denser than air."""
+    plane = disc(5.0)
+    ring = plane[np.hypot(*plane.T) > 3.0]
+    values = sample(volume, frames(spine, np.array([at])), ring)
+    return bool(np.isfinite(values).any() and np.nanmedian(values) > AIR_BELOW)

@@ -1,0 +1,245 @@
+"""Where the needle ends: a blurred, saturated, bevelled rod laid over the voxels around its end."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates, spline_filter
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.spatial import cKDTree
+
+from needlefit.imaging.needle.spine import Spine, frames
+from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.project.records.reconstruction import ScannedNeedleRecord
+
+Floats = NDArray[np.float64]
+Residuals = Callable[[Floats], Floats]
+
+STEP = 0.25
+"""Spacing of the points on which the rod is modelled, mm."""
+
+BEFORE, AFTER = 6.0, 5.0
+"""How far the fit reaches back from the bevel's heel, and on from the first guess of the tip, mm."""
+
+REACH = 2.4
+"""How far the fit reaches from the axis, mm."""
+
+SHAFT = 15.0
+"""Length of the shaft from which its look is taken, mm."""
+
+SCAN = np.arange(-3.0, 3.1, 0.75)
+"""Where around the first guess the search begins, mm."""
+
+FINER = np.arange(-0.8, 0.9, 0.4)
+"""Where around the best of these the side of the bevel is looked for, mm."""
+
+SOFT = 3.0
+"""Residuals beyond so many deviations of the noise count less."""
+
+OPTIMISM = np.array([3.3, 2.5])
+"""By what the formal deviations along and across are too small: neighbouring voxels share noise, and a
+scanner's edge is not quite the model's. Set on other scans than those of `benchmarks/reconstruction.py`."""
+
+FIXED = 1e-3
+"""Deviation of the cotangent of a blunt end's angle."""
+
+DIFFERENCE = np.array(1e-3)
+"""Relative step of the derivatives."""
+
+BLUNT_DEG = 85.0
+"""A bevel steeper than this has no side."""
+
+
+@dataclass(frozen=True)
+class Shaft:
+    """How the scanner shows the needle.
+
+    Attributes
+    ----------
+    height, background : float
+        HU of the metal over the background, and of that.
+    blur : float
+        Deviation of the Gaussian that spreads it, mm.
+    ceiling : float
+        Where the scanner's numbers end, HU; inf if they do not.
+    """
+
+    height: float
+    background: float
+    blur: float
+    ceiling: float
+
+
+@dataclass(frozen=True)
+class End:
+    """The tip.
+
+    Attributes
+    ----------
+    at : float
+        Along the spine, mm.
+    point : (3,) array
+        In the patient, mm; beside the spine, if the rod swung.
+    sd : (2,) array
+        Deviations along the needle, and across it in either direction, mm.
+    bevel : (3,) array
+        Unit vector across the needle to the side of the bevel's point; nan for a blunt end.
+    """
+
+    at: float
+    point: Floats
+    sd: Floats
+    bevel: Floats
+
+
+@dataclass(frozen=True)
+class Near:
+    """Voxels near the axis: where along, `s` (N,), and across, `u`, `v` (N,), mm; their `values` (N,), HU."""
+
+    s: Floats
+    u: Floats
+    v: Floats
+    values: Floats
+
+
+def bevel_length(needle: ScannedNeedleRecord) -> float:
+    """Return from where on the tip is cut, mm back from its point."""
+    return needle.diameter_mm / float(np.tan(np.deg2rad(needle.bevel_deg)))
+
+
+def find_end(volume: Volume, spine: Spine, needle: ScannedNeedleRecord, guess: float) -> End:
+    """Return the tip near `guess` (mm along the spine), by least squares over the voxels around it.
+
+    The tip is where the axis ends that reaches as far as the bevel's point does. A rod cut by the bevel,
+    blurred as the shaft is and cut at the scanner's ceiling, is moved along the axis, rolled about it, and
+    swung across it from the last cross-section on; the bevel's angle is the recipe's within its deviation,
+    unless the voxels say otherwise. For a blunt end far below the ceiling the profile along the axis is the
+    error function.
+    """
+    shaft = shaft_of(volume, spine, needle, guess)
+    near = voxels_near(volume, spine, guess - bevel_length(needle) - BEFORE, guess + AFTER)
+    noise = _noise(near, guess)
+    rolled = needle.bevel_deg < BLUNT_DEG
+    cot = bevel_length(needle) / needle.diameter_mm
+    cot_sd = np.deg2rad(needle.bevel_sd_deg) * (1 + cot**2) if rolled else FIXED
+
+    swing = np.clip((near.s - spine.length) / max(guess - spine.length, STEP), 0, None)
+
+    def residuals(theta: Floats) -> Floats:
+        u, v = near.u - theta[2] * swing, near.v - theta[3] * swing
+        shown = _rod(Near(near.s, u, v, near.values), theta, needle, shaft)
+        return np.append((shown - near.values) / noise, (theta[6] - cot) / cot_sd)
+
+    first = np.array([guess, 0, 0, 0, 1.0, shaft.background, cot])
+    best = min((_lay(residuals, start) for start in _starts(residuals, first, rolled)), key=lambda b: b.cost)
+    jacobian = np.asarray(best.jac, dtype=np.float64)
+    normal = jacobian.T @ jacobian + 1e-9 * np.eye(7)
+    spread = max(1.0, 2 * best.cost / max(1, len(near.s) - 7))
+    sd = np.sqrt(np.diag(np.linalg.inv(normal)) * spread)
+    both = OPTIMISM * np.array([sd[0], float(np.hypot(sd[2], sd[3]) / np.sqrt(2))])
+    at, roll, du, dv = best.x[:4]
+    there = frames(spine, np.array([at]))
+    u, v = there.u[0], there.v[0]
+    bevel = np.cos(roll) * u + np.sin(roll) * v if rolled else np.full(3, np.nan)
+    return End(float(at), there.origins[0] + du * u + dv * v, both, bevel)
+
+
+def _starts(residuals: Residuals, first: Floats, rolled: bool) -> list[Floats]:
+    """Return where to begin: as near as the eye can tell along the axis, the bevel on either of two sides."""
+
+    def rough(start: Floats) -> float:
+        return float(np.sum(np.abs(residuals(start))))
+
+    begin = min((first + np.eye(7)[0] * g for g in SCAN), key=rough)
+    if not rolled:
+        return [begin]
+    sides = []
+    for roll in np.arange(6) * np.pi / 3:
+        sides.append(min((begin + np.array([g, roll, 0, 0, 0, 0, 0]) for g in FINER), key=rough))
+    sides.sort(key=rough)
+    other = next(start for start in sides if np.cos(start[1] - sides[0][1]) < 0)
+    return [sides[0], other]
+
+
+def _lay(residuals: Residuals, start: Floats) -> OptimizeResult:
+    """Return the least squares from `start`."""
+    scale = np.array([0.2, 0.3, 0.1, 0.1, 0.1, 50.0, 0.3])
+    return least_squares(residuals, start, loss="soft_l1", f_scale=SOFT, x_scale=scale, diff_step=DIFFERENCE)
+
+
+def shaft_of(volume: Volume, spine: Spine, needle: ScannedNeedleRecord, end: float) -> Shaft:
+    """Return how the last full shaft before the bevel looks: least squares over its voxels' distances."""
+    stop = end - bevel_length(needle) - 1.5
+    near = voxels_near(volume, spine, max(stop - SHAFT, 0.0), max(stop, 2.0))
+    ceiling = _ceiling(near.values)
+    radius = np.hypot(near.u, near.v)
+    rim = float(np.median(near.values[radius > 0.8 * REACH]))
+    fine = STEP / 2
+    steps = np.arange(-np.ceil(2 * REACH / fine), np.ceil(2 * REACH / fine) + 1) * fine
+    inside = np.clip((needle.diameter_mm / 2 - np.hypot(steps[:, None], steps)) / fine + 0.5, 0, 1)
+
+    def residuals(theta: Floats) -> Floats:
+        shown = gaussian_filter(inside, np.exp(theta[1]) / fine, mode="constant")
+        profile = np.interp(radius, steps[len(steps) // 2 :], shown[len(steps) // 2, len(steps) // 2 :])
+        model = theta[2] * 100 + np.exp(theta[0]) * profile
+        return np.asarray((np.minimum(model, ceiling) - near.values) / 100, dtype=np.float64)
+
+    top = max(float(near.values.max()) - rim, 100.0)
+    begin = np.array([np.log(1.5 * top), np.log(0.45), rim / 100])
+    best = least_squares(residuals, begin, loss="soft_l1", diff_step=DIFFERENCE)
+    return Shaft(float(np.exp(best.x[0])), float(best.x[2] * 100), float(np.exp(best.x[1])), ceiling)
+
+
+def voxels_near(volume: Volume, spine: Spine, start: float, stop: float) -> Near:
+    """Return the voxels within `REACH` of the axis between `start` and `stop` (mm along the spine)."""
+    fine = np.arange(start - 1, stop + 1, 0.1)
+    where = frames(spine, fine)
+    index = to_index(volume, where.origins)
+    margin = REACH / volume.spacing
+    low = np.maximum(np.floor(index.min(axis=0) - margin), 0).astype(int)
+    high = np.minimum(np.ceil(index.max(axis=0) + margin) + 1, volume.values.shape[::-1]).astype(int)
+    ijk = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
+    points = to_patient(volume, ijk)
+    distance, nearest = cKDTree(where.origins).query(points, distance_upper_bound=REACH + 0.1)
+    close = np.isfinite(distance)
+    at = np.asarray(nearest)[close]
+    d = points[close] - where.origins[at]
+    along = np.einsum("ni,ni->n", d, where.tangents[at])
+    s = fine[at] + along
+    u, v = np.einsum("ni,ni->n", d, where.u[at]), np.einsum("ni,ni->n", d, where.v[at])
+    i, j, k = ijk[close].T
+    inside = (s >= start) & (s <= stop) & (np.abs(along) < 0.2)
+    return Near(s[inside], u[inside], v[inside], volume.values[k, j, i][inside].astype(np.float64))
+
+
+def _rod(near: Near, theta: Floats, needle: ScannedNeedleRecord, shaft: Shaft) -> Floats:
+    """Return what is shown of a rod; theta = (end, roll, .., .., part of the height, background, cot)."""
+    tip, roll, height, background = theta[0], theta[1], theta[4] * shaft.height, theta[5]
+    s = np.arange(near.s.min() - 3 * STEP, near.s.max() + 3 * STEP, STEP)
+    across = np.arange(-np.ceil(REACH / STEP) - 4, np.ceil(REACH / STEP) + 5) * STEP
+    u, v = across[:, None], across[None, :]
+    radius, cot = needle.diameter_mm / 2, theta[6]
+    cut = (radius - (u * np.cos(roll) + v * np.sin(roll))) * cot
+    edge = STEP * np.hypot(1.0, cot)  # a soft face one step thick, measured along the axis
+    disc = np.clip((radius - np.hypot(u, v)) / STEP + 0.5, 0, 1)
+    solid = np.clip((tip - cut[None] - s[:, None, None]) / edge + 0.5, 0, 1) * disc
+    blurred = spline_filter(gaussian_filter(solid, shaft.blur / STEP, mode="nearest"))
+    place = np.stack([near.s - s[0], near.u - across[0], near.v - across[0]]) / STEP
+    shown = map_coordinates(blurred, place, order=3, mode="nearest", prefilter=False)
+    model: Floats = np.minimum(background + height * shown, shaft.ceiling)
+    return model
+
+
+def _ceiling(values: Floats) -> float:
+    """Return the brightest value if several voxels share it: there the scanner's numbers end."""
+    top = float(values.max())
+    return top if np.count_nonzero(values == top) > 3 else np.inf
+
+
+def _noise(near: Near, guess: float) -> float:
+    """Return the deviation of what lies beyond the tip (HU), 10 at least."""
+    beyond = near.values[near.s > guess + 0.5 * AFTER]
+    if beyond.size < 20:
+        return 50.0
+    return max(10.0, 1.48 * float(np.median(np.abs(beyond - np.median(beyond)))))

@@ -1,0 +1,57 @@
+"""A reconstruction recipe: how the needle is found in a scan, and how its axis is drawn."""
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from needlefit.project.records.record import FileRecord, Record
+
+
+class ScannedNeedleRecord(Record):
+    """The needle that was scanned, as the tip's edge model needs it."""
+
+    diameter_mm: float = Field(default=1.27, gt=0)
+    bevel_deg: float = Field(default=30.0, ge=10, le=90)
+    bevel_sd_deg: float = Field(default=3.0, gt=0)
+
+
+class SegmentationRecord(Record):
+    """Which voxels are needle; thresholds left out are taken from the volume."""
+
+    threshold_low_hu: float | None = None
+    threshold_high_hu: float | None = None
+    min_length_mm: float = Field(default=20.0, gt=0)
+    min_elongation: float = Field(default=6.0, gt=1)
+    max_widening: float = Field(default=2.5, ge=1)
+    join_gap_mm: float = Field(default=15.0, ge=0)
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        low, high = self.threshold_low_hu, self.threshold_high_hu
+        if low is not None and high is not None and low > high:
+            raise ValueError("threshold_low_hu lies above threshold_high_hu")
+        return self
+
+
+class CenterlineRecord(Record):
+    """How the axis is drawn, and which end is the tip."""
+
+    station_mm: float = Field(default=0.5, gt=0)
+    patch_mm: float = Field(default=2.4, gt=0)
+    knot_mm: float = Field(default=15.0, gt=0)
+    entry_direction: tuple[float, float, float] | None = None
+
+    @model_validator(mode="after")
+    def _directed(self) -> Self:
+        if self.entry_direction is not None and not any(self.entry_direction):
+            raise ValueError("entry_direction is zero: give the way from base to tip (LPS)")
+        return self
+
+
+class ReconstructionRecord(FileRecord):
+    """`configs/reconstruction/<name>.toml`."""
+
+    title: str = ""
+    needle: ScannedNeedleRecord = ScannedNeedleRecord()
+    segmentation: SegmentationRecord = SegmentationRecord()
+    centerline: CenterlineRecord = CenterlineRecord()

@@ -1,0 +1,117 @@
+"""How much of each voxel is metal: supersampled where a surface passes."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import binary_dilation
+from scipy.spatial import cKDTree
+
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import unit
+from needlefit.synthetic.ct.scene import Grid, Markers, Needle3D
+
+Floats = NDArray[np.float64]
+
+SUBDIVISION = 5
+"""Points per voxel edge."""
+
+FINE = 0.05
+"""Spacing of the axis' points among which the nearest is searched, mm."""
+
+
+@dataclass(frozen=True)
+class Metal:
+    """Voxels (N, 3) (i, j, k) that hold metal, the `part` (N,) of each that does, and its `hu`."""
+
+    voxels: NDArray[np.int64]
+    part: Floats
+    hu: float
+
+
+def needle_metal(needle: Needle3D, grid: Grid) -> Metal:
+    """Return the voxels of a bevelled needle.
+
+    Within half a voxel of the axis' nearest point the needle is straight: over 0.5 mm an axis of radius
+    200 mm strays by less than a micrometre.
+    """
+    axis = dense(needle.points)
+    reach = needle.diameter / 2 + float(np.linalg.norm(grid.spacing)) / 2
+    voxels = _near(axis, reach, grid)
+    centers = (voxels * grid.spacing) @ grid.direction.T + grid.origin
+    _, nearest = cKDTree(axis).query(centers)
+    tangents = np.gradient(axis, axis=0)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    along, side = arc_length(axis), bevel_side(needle)
+    part = np.zeros(len(voxels))
+    for offset in _offsets(grid):
+        d = centers + offset - axis[nearest]  # (N, 3)
+        a = np.einsum("ni,ni->n", d, tangents[nearest])
+        across = d - a[:, None] * tangents[nearest]
+        cut = (needle.diameter / 2 - across @ side) / np.tan(np.deg2rad(needle.bevel_deg))
+        s = along[nearest] + a
+        inside = _soft(needle.diameter / 2 - np.sqrt(np.einsum("ni,ni->n", across, across)), grid)
+        part += inside * _soft(s, grid) * _soft(along[-1] - cut - s, grid)
+    return _held(voxels, part, needle.hu)
+
+
+def ball_metal(markers: Markers, grid: Grid) -> Metal:
+    """Return the voxels of the balls."""
+    reach = markers.radius + float(np.linalg.norm(grid.spacing)) / 2
+    voxels = _near(markers.centers, reach, grid)
+    centers = (voxels * grid.spacing) @ grid.direction.T + grid.origin
+    tree = cKDTree(markers.centers)
+    part = np.zeros(len(voxels))
+    for offset in _offsets(grid):
+        part += _soft(np.asarray(markers.radius - tree.query(centers + offset)[0]), grid)
+    return _held(voxels, part, markers.hu)
+
+
+def dense(points: Floats) -> Floats:
+    """Return the cubic spline through `points` (N, 3), sampled every `FINE` mm: (M, 3)."""
+    s = arc_length(points)
+    spline = make_interp_spline(s, points, k=min(3, len(points) - 1))
+    fine: Floats = spline(np.linspace(0, s[-1], int(np.ceil(s[-1] / FINE)) + 1))
+    return fine
+
+
+def bevel_side(needle: Needle3D) -> Floats:
+    """Return the unit vector (3,) across the axis at the tip on which the bevel's point lies."""
+    end = dense(needle.points)[-3:]
+    tangent = unit(end[-1] - end[0])
+    return unit(needle.bevel_toward - (needle.bevel_toward @ tangent) * tangent, "the bevel's side")
+
+
+def _held(voxels: NDArray[np.int64], part: Floats, hu: float) -> Metal:
+    """Return the voxels whose sub-points sum up to a `part` that is not nothing."""
+    return Metal(voxels[part > 0], part[part > 0] / SUBDIVISION**3, hu)
+
+
+def _soft(depth: Floats, grid: Grid) -> Floats:
+    """Return the part of a sub-voxel whose centre lies `depth` (mm) inside: no face snaps to the lattice."""
+    part: Floats = np.clip(depth / (np.mean(grid.spacing) / SUBDIVISION) + 0.5, 0, 1)
+    return part
+
+
+def _offsets(grid: Grid) -> Floats:
+    """Return the places of a voxel's sub-points relative to its centre (n, 3), mm, patient."""
+    steps = (np.arange(SUBDIVISION) + 0.5) / SUBDIVISION - 0.5
+    mesh = np.stack(np.meshgrid(steps, steps, steps, indexing="ij"), axis=-1).reshape(-1, 3)
+    offsets: Floats = (mesh * grid.spacing) @ grid.direction.T
+    return offsets
+
+
+def _near(points: Floats, reach: float, grid: Grid) -> NDArray[np.int64]:
+    """Return the voxels (N, 3) inside the grid whose centres may lie within `reach` of `points` (M, 3)."""
+    ijk = np.rint((points - grid.origin) @ grid.direction / grid.spacing).astype(np.int64)
+    margin = np.ceil(reach / grid.spacing).astype(int) + 1
+    low, high = ijk.min(axis=0) - margin, ijk.max(axis=0) + margin + 1
+    seeds = np.zeros(high - low, dtype=bool)
+    seeds[tuple((ijk - low).T)] = True
+    block = np.stack(np.meshgrid(*[np.arange(-m, m + 1) for m in margin], indexing="ij"), axis=-1)
+    ball = np.linalg.norm(block * grid.spacing, axis=-1) <= reach + np.linalg.norm(grid.spacing) / 2
+    voxels = np.argwhere(binary_dilation(seeds, ball)) + low
+    inside = np.all((voxels >= 0) & (voxels < np.array(grid.shape)), axis=1)
+    near: NDArray[np.int64] = voxels[inside]
+    return near
