@@ -39,6 +39,14 @@ def simulate(
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the needle: .png, .pdf or .svg.")
     ] = None,
+    slicer: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Write the needle for 3D Slicer: .mrk.json, a curve for every step, or .ply, a tube of the "
+            "last. Scene coordinates are taken as LPS, in the plane z = 0; mm.",
+        ),
+    ] = None,
     verbose: options.Verbose = False,
 ) -> None:
     """Simulate a SCENE: a needle, layers, a bevel, and a depth or steps.
@@ -56,6 +64,11 @@ def simulate(
 
         draw_scene(title, built, shapes, plot)
         screen.note(f"drawn: {plot}")
+    if slicer is not None:
+        from needlefit.reporting.slicer import write_scene
+
+        if write_scene(built.entry, shapes, slicer, record.needle.outer_diameter_mm):
+            screen.note(f"written: {slicer}")
     if json:
         screen.show_json(answer)
     else:

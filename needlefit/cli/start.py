@@ -30,10 +30,10 @@ def new_dataset(
         Path | None,
         typer.Option(
             "--from",
-            metavar="CSV|MAT",
+            metavar="FILE",
             help="Centrelines to begin with: a CSV with the columns x_mm, y_mm, z_mm and, for more than one "
-            "curve, id (without id the whole table is one curve; other columns are ignored), or the N x 3 "
-            "arrays of a .mat file.",
+            "curve, id (without id the whole table is one curve; other columns are ignored), the N x 3 "
+            "arrays of a .mat file, or the curves and point lists of a .mrk.json or .fcsv of 3D Slicer.",
         ),
     ] = None,
     verbose: options.Verbose = False,

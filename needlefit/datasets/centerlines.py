@@ -7,12 +7,14 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.faults import Fault, from_error
-from needlefit.datasets.formats import mat
+from needlefit.datasets.formats import mat, slicer
 from needlefit.datasets.formats.csv import Table, missing_columns, read_points, read_table
 from needlefit.datasets.formats.points import Points
 from needlefit.datasets.schema import POINT, InsertionRow
 from needlefit.errors import DataError
-from needlefit.project.records.dataset import CenterlinesRecord, DatasetRecord, InsertionsRecord
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.patient import IN_PATIENT
+from needlefit.project.records.dataset import DatasetRecord, FrameRecord, InsertionsRecord
 
 
 @dataclass(frozen=True)
@@ -95,28 +97,43 @@ def _varying(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> N
 
 
 def find_points(
-    row: InsertionRow, folder: Path, record: CenterlinesRecord, long: LongTable | None
+    row: InsertionRow, folder: Path, record: DatasetRecord, long: LongTable | None
 ) -> tuple[Points | None, list[Fault]]:
-    """Return an insertion's points (None after a fault) and the faults of their cells."""
+    """Return an insertion's points in the world (None after a fault) and the faults of their cells.
+
+    What 3D Slicer wrote stands in the scan, and is brought from there into the world.
+    """
     found: list[Fault] = []
+    lines = record.centerlines
     try:
-        if record.pattern is None:
+        if lines.pattern is None:
             if long is None or row.id not in long.groups:
                 return None, [
                     Fault(
-                        str(folder / (record.file or "")),
+                        str(folder / (lines.file or "")),
                         f"has no rows of insertion {row.id}",
                         "rows of every insertion",
                         "add them, or remove the insertion from the table",
                     )
                 ]
-            return read_points(long.part(long.groups[row.id]), POINT, record.columns, found), found
-        path = folder / record.pattern.format(id=row.id)
+            return read_points(long.part(long.groups[row.id]), POINT, lines.columns, found), found
+        path = folder / lines.pattern.format(id=row.id)
         if path.suffix.lower() == ".mat":
             return _finite(mat.read_points(path), found), found
-        return read_points(read_table(path), POINT, record.columns, found), found
+        if path.suffix.lower() in slicer.ENDINGS:
+            points = slicer.read_points(path)
+            return replace(points, values=patient_frame(record.frame).to_world(points.values)), found
+        return read_points(read_table(path), POINT, lines.columns, found), found
     except DataError as error:
         return None, [*found, from_error(error)]
+
+
+def patient_frame(record: FrameRecord) -> Frame:
+    """Return the patient coordinates of the scans as a frame in the world."""
+    if record.lps_to_world is None:
+        return IN_PATIENT
+    motion = np.array(record.lps_to_world, dtype=np.float64)  # (3, 4)
+    return Frame(motion[:, 3], motion[:, :3])
 
 
 def _finite(points: Points, found: list[Fault]) -> Points | None:

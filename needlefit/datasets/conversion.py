@@ -1,7 +1,7 @@
-"""Somebody's centrelines: the curves of one CSV or MATLAB file, and where in it each fault stands."""
+"""Somebody's centrelines: the curves of one CSV, MATLAB or Slicer file, and where in it each fault stands."""
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -9,16 +9,20 @@ import numpy as np
 
 from needlefit.datasets.curve_faults import MIN_POINTS
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats import mat
-from needlefit.datasets.formats.csv import Table, read_points, read_table
+from needlefit.datasets.formats import mat, slicer
+from needlefit.datasets.formats.csv import read_points, read_table
 from needlefit.datasets.formats.points import Points
 from needlefit.datasets.schema import POINT
 from needlefit.errors import DataError
 
 READS = (
     "--from reads a CSV with the columns x_mm, y_mm, z_mm and, for more than one curve, id "
-    "(without id the whole table is one curve; other columns are ignored), or the N x 3 arrays of a .mat"
+    "(without id the whole table is one curve; other columns are ignored), the N x 3 arrays of a .mat, or "
+    "the curves and point lists of a .mrk.json or .fcsv of 3D Slicer (LPS)"
 )
+
+Found = tuple[Mapping[str, Points], Sequence[str]]
+"""Curves by the names that a file gives them, and remarks on how it was read."""
 
 _PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
 
@@ -43,7 +47,7 @@ class Source:
 
 
 def read_source(path: Path) -> Source:
-    """Read every centreline of a CSV or .mat file.
+    """Read every centreline of a CSV, .mat, .mrk.json or .fcsv file.
 
     Raises
     ------
@@ -51,10 +55,11 @@ def read_source(path: Path) -> Source:
         If the file is missing, of another kind, or holds no usable curves; it says what is read.
     """
     suffix = path.suffix.lower()
-    if suffix not in (".csv", ".mat"):
-        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=".csv or .mat", mend=READS)
+    if suffix not in READERS:
+        expected = ", ".join(READERS)
+        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=expected, mend=READS)
     try:
-        curves, remarks = _of_table(read_table(path)) if suffix == ".csv" else (mat.read_curves(path), ())
+        curves, remarks = READERS[suffix](path)
     except DataError as error:
         mend = "check the path" if not path.is_file() else error.mend or READS
         raise DataError(error.what, where=error.where, expected=error.expected, mend=mend) from None
@@ -64,8 +69,20 @@ def read_source(path: Path) -> Source:
     return Source(path, _named(curves, path), tuple(remarks))
 
 
-def _of_table(table: Table) -> tuple[dict[str, Points], Sequence[str]]:
+def _of_matlab(path: Path) -> Found:
+    return mat.read_curves(path), ()
+
+
+def _of_slicer(path: Path) -> Found:
+    """Return the lists of a Slicer file; the points that none of them ever placed are told."""
+    unset = sum(len(one.unset) for one in slicer.read_lists(path))
+    remarks = [f"{unset} points without a position ignored"] if unset else []
+    return slicer.read_curves(path), remarks
+
+
+def _of_table(path: Path) -> Found:
     """Return the curves of a long table by its column `id`; without one, all rows are one curve."""
+    table = read_table(path)
     found: list[Fault] = []
     points = read_points(table, POINT, {}, found)
     if points is None or points.lines is None:
@@ -78,6 +95,14 @@ def _of_table(table: Table) -> tuple[dict[str, Points], Sequence[str]]:
     ids = table.cells["id"]
     rows = {str(name): np.flatnonzero((ids == name).to_numpy()) for name in ids.unique()}
     return {n: Points(table.path, points.values[i], points.lines[i]) for n, i in rows.items()}, remarks
+
+
+READERS: Mapping[str, Callable[[Path], Found]] = {
+    ".csv": _of_table,
+    ".mat": _of_matlab,
+    **dict.fromkeys(slicer.ENDINGS, _of_slicer),
+}
+"""What reads a file, by its ending."""
 
 
 def _without_mapping(fault: Fault) -> Fault:

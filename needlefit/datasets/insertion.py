@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.geometry.frames import Frame
+from needlefit.geometry.patient import IN_PATIENT
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 
@@ -121,6 +122,10 @@ class Dataset:
         SHA-256 over all files read, in the order of their names.
     notes : tuple of str
         What its makers want known of data, needle and noise; reports print it.
+    patient : Frame
+        The patient coordinates (LPS) of the scans in the world: the same, unless the dataset says otherwise.
+    outer_diameter : float or None
+        Of the needle, mm, where it is stated.
     """
 
     name: str
@@ -135,3 +140,5 @@ class Dataset:
     path: Path
     digest: str
     notes: tuple[str, ...] = ()
+    patient: Frame = IN_PATIENT
+    outer_diameter: float | None = None

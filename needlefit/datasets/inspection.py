@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from needlefit.datasets.centerlines import LongTable, find_points, read_long
+from needlefit.datasets.centerlines import LongTable, find_points, patient_frame, read_long
 from needlefit.datasets.curve_faults import curve_faults
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats.csv import Table, read_table
@@ -70,7 +70,7 @@ def _insertions(
         return
     for row in parse_rows(table, record, found):
         where = f"{table.path}:{row.line}"
-        points, faults = find_points(row, root, record.centerlines, long)
+        points, faults = find_points(row, root, record, long)
         if points is not None:
             faults += curve_faults(points, row, record)
         found += faults
@@ -167,6 +167,8 @@ def _dataset(
         path=file,
         digest=digest_,
         notes=_notes(record),
+        patient=patient_frame(record.frame),
+        outer_diameter=record.needle.outer_diameter_mm,
     )
 
 

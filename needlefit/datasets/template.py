@@ -41,7 +41,8 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
     ----------
     source : Path or None
         None: a small example, marked as made up. A CSV with columns x_mm, y_mm, z_mm and, for more than
-        one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name.
+        one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name. A .mrk.json or
+        .fcsv of 3D Slicer: its curves and point lists, in LPS.
     tell : callable
         Told how the source was read where that may surprise: columns ignored, a table taken as one curve.
 

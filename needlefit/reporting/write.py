@@ -18,6 +18,7 @@ from needlefit.reporting.document import compile_pdf
 from needlefit.reporting.latex import latex
 from needlefit.reporting.overview import overview
 from needlefit.reporting.parameters import parameters_table
+from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
@@ -28,8 +29,9 @@ Also = Mapping[str, Callable[[Path], object]]
 def write(results: Results, folder: Path, also: Also | None = None) -> list[Path]:
     """Write one study or fit to `folder`, replacing an earlier result there; return the files.
 
-    CSV and LaTeX tables, figures and report as PDF, `run.json`, and `timing.json`, the only file that may
-    differ between two runs of the same inputs. `also` names further files and what writes each.
+    CSV and LaTeX tables, figures and report as PDF, `slicer/` with every needle in its scan, `run.json`,
+    and `timing.json`, the only file that may differ between two runs of the same inputs. `also` names
+    further files and what writes each.
 
     Raises
     ------
@@ -40,6 +42,8 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
         _frames(results, new)
         _tables([results], [results], new)
         drawn = _draw(results, new)
+        if results.needles:
+            write_needles(results, new / "slicer")
         for name, save in (also or {}).items():
             save(new / name)
         (new / "report.pdf").write_bytes(compile_pdf(story(results, drawn)))

@@ -10,6 +10,7 @@ import pandas as pd
 from needlefit.inference.posterior import Posterior
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.validation.placed import PlacedNeedle
 
 METRICS = ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent")
 FLOORS = ("floor_median_err_mm", "floor_ipe_mean_mm", "floor_ipe_max_mm", "floor_te_mm")
@@ -85,6 +86,8 @@ class Results:
         Stopped by the user: the best found so far.
     posteriors : mapping
         The sampled posterior by fold, where one was asked for.
+    needles : mapping
+        Every insertion held out, or, of a single fold, any, by its id: measured and fitted, in its scan.
 
     Raises
     ------
@@ -109,6 +112,7 @@ class Results:
     timing: dict[str, Any]
     interrupted: bool
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)
+    needles: Mapping[str, PlacedNeedle] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         for frame, columns in COLUMNS.items():

@@ -19,6 +19,7 @@ from needlefit.validation import provenance
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job, Settings, prepare
+from needlefit.validation.placed import Known, PlacedNeedle, place
 from needlefit.validation.results import COLUMNS, Results
 from needlefit.validation.score import Scorer
 from needlefit.validation.tabulate import Tables, tabulate, tabulate_posterior
@@ -45,12 +46,16 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
     scorer = Scorer(job.dataset, job.record.reading, _floors(job))
     tables, interrupted = Tables(job.parameters.names), False
+    needles: dict[str, PlacedNeedle] = {}
     for number, fold in enumerate(job.folds):
         fits = _search(job, fold, number, settings, checkpoint)
         interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
         tabulate(job, fold, fits, scorer, tables)
         if settings.sample and not interrupted:
             interrupted = _sample(job, fold, fits["fitted"], settings, tables)
+        if fold.name in tables.verdicts:
+            known = Known(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
+            needles |= place(job, fold, known, settings.jobs)
         if interrupted:
             break
     return Results(
@@ -63,6 +68,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         design=_design(job),
         **{frame: tables.frame(frame) for frame in COLUMNS if frame != "design"},
         posteriors=tables.posteriors,
+        needles=needles,
         run={**work, **provenance.outcome(tables, interrupted)},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=interrupted,

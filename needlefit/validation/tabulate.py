@@ -36,6 +36,7 @@ class Tables:
     directions: list[Row] = field(default_factory=list)
     searches: dict[str, dict[str, Row]] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
+    verdicts: dict[str, Verdict] = field(default_factory=dict)
 
     def frame(self, name: str) -> pd.DataFrame:
         """Return one frame; without rows it still has its columns."""
@@ -56,6 +57,7 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
     if "fitted" in usable:
         verdict = identify(job.problem(fold), usable["fitted"])
+        tables.verdicts[fold.name] = verdict
         tables.directions += [{"fold": fold.name, "sd": d.sd, "words": d.words} for d in verdict.directions]
         tables.parameters += _fitted_rows(job, fold, usable["fitted"], verdict)
     tables.parameters += _published_rows(job, fold, usable.get("hand_tuned_b"))

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.points import LARGEST, Points
+from needlefit.datasets.formats.text import read_text
 from needlefit.errors import DataError
 
 Floats = NDArray[np.float64]
@@ -133,30 +134,8 @@ def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault]) -> 
 
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return every line that is not blank: its number and its cells."""
-    try:
-        text = path.read_text(encoding="utf-8-sig")
-    except FileNotFoundError:
-        raise DataError(
-            "there is no such file",
-            where=str(path),
-            mend="check its name against dataset.toml, or restore it",
-        ) from None
-    except UnicodeDecodeError as error:
-        raise DataError(
-            f"cannot be read as text: {error}",
-            where=str(path),
-            expected="UTF-8 text",
-            mend='save it as UTF-8 (in a spreadsheet: "CSV UTF-8")',
-        ) from None
-    except OSError as error:
-        raise DataError(
-            f"cannot be read: {error.strerror}",
-            where=str(path),
-            expected="a file that you may read",
-            mend="check what it is, and its permissions",
-        ) from None
     # pandas would forget on which line a row stood
-    reader = csv.reader(io.StringIO(text), skipinitialspace=True)
+    reader = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
     rows, end = [], 0
     try:
         for cells in reader:

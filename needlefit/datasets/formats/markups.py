@@ -1,0 +1,117 @@
+"""Markups of 3D Slicer: lists of points with labels, in LPS whatever the file holds."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.formats.points import LARGEST, Points
+from needlefit.errors import DataError
+from needlefit.geometry.patient import System
+
+Floats = NDArray[np.float64]
+
+SYSTEMS: Mapping[str, System] = MappingProxyType({"LPS": "LPS", "1": "LPS", "RAS": "RAS", "0": "RAS"})
+"""How files name their coordinate system; until 2019 by numbers."""
+
+EXPECTED_SYSTEM = "LPS or RAS (older files: 1 or 0)"
+
+KINDS = ("Curve", "Fiducial")
+"""Lists whose points, in their order, can be a centreline."""
+
+
+@dataclass(frozen=True)
+class Markups:
+    """One list of points.
+
+    Attributes
+    ----------
+    path : Path
+        Where it stands.
+    name : str
+        Of the list; the file's where it has none.
+    kind : str
+        "Fiducial", "Curve", "ClosedCurve", "Line", ...
+    labels : tuple of str
+        Of the points, N of them.
+    points : (N, 3) array
+        LPS, mm. Locked, hidden and unselected points are among them: that is how they are shown, no more.
+    system : str
+        The coordinate system of the file, from which they were turned.
+    unset : tuple of str
+        Labels of the points that were never placed; `points` leaves them out.
+    lines : (N,) array or None
+        Line of each point; None where the format has no lines.
+    """
+
+    path: Path
+    name: str
+    kind: str
+    labels: tuple[str, ...]
+    points: Floats
+    system: System = "LPS"
+    unset: tuple[str, ...] = ()
+    lines: NDArray[np.int64] | None = None
+
+    def as_curve(self) -> Points:
+        """Return the points as a centreline; DataError if the list is none."""
+        if self.kind in KINDS:
+            return Points(self.path, self.points, self.lines)
+        raise DataError(
+            f"`{self.name}` is a {self.kind}, which is no centreline",
+            where=str(self.path),
+            expected="an open curve (Curve), or points (Fiducial) from the entry to the tip",
+            mend="draw the needle in Slicer as an open curve, and save that",
+        )
+
+
+def system_of(said: str, where: str) -> System:
+    """Return the coordinate system that a file names; DataError if it is none in which points can stand."""
+    if said in SYSTEMS:
+        return SYSTEMS[said]
+    ijk = said in ("2", "IJK")
+    raise DataError(
+        f"the coordinate system is {said!r}" + (": voxels of a volume that the file does not hold" * ijk),
+        where=where,
+        expected=EXPECTED_SYSTEM,
+        mend="load it into Slicer with its volume, and save it again" if ijk else "correct it",
+    )
+
+
+def position_of(values: object, where: str) -> list[float]:
+    """Return three coordinates that a file holds as numbers; DataError if they are not that."""
+    numbers = [_number(value) for value in values] if isinstance(values, list | tuple) else []
+    if len(numbers) == 3 and all(abs(number) <= LARGEST for number in numbers):
+        return numbers
+    raise DataError(
+        f"the position is {str(values)[:80]}",
+        where=where,
+        expected=f"three finite numbers, at most {LARGEST:g}",
+        mend="place the point again in Slicer, or remove it",
+    )
+
+
+def _number(value: object) -> float:
+    """Return a number as float, NaN for what is none."""
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return float("nan")
+    try:
+        return float(value)
+    except OverflowError:
+        return float("nan")
+
+
+def require_points(markups: Markups) -> Markups:
+    """Return the list; DataError if none of its points has a position."""
+    if len(markups.points):
+        return markups
+    unset = len(markups.unset)
+    raise DataError(
+        f"list `{markups.name}` is empty" + (f": its {unset} points were never placed" if unset else ""),
+        where=str(markups.path),
+        expected="a list with points",
+        mend="place its points in Slicer and save it again, or take another file",
+    )

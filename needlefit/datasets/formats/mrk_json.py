@@ -1,0 +1,220 @@
+"""`.mrk.json`, the markups of 3D Slicer (schema 1.0.x): read any list of points, write curves."""
+
+import json
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from needlefit.datasets.formats.markups import (
+    EXPECTED_SYSTEM,
+    Markups,
+    position_of,
+    require_points,
+    system_of,
+)
+from needlefit.datasets.formats.text import read_text
+from needlefit.errors import DataError
+from needlefit.geometry.patient import lps
+
+SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+"""What Slicer itself writes: an identifier, no address."""
+
+UNITS = {"mm": 1.0, "um": 1e-3, "cm": 10.0, "m": 1e3}
+"""UCUM codes of length, in mm."""
+
+SET, UNSET = ("defined",), ("undefined", "preview", "missing")
+"""States of a point."""
+
+SAVE_AGAIN = "save the list again in Slicer, as Markups JSON"
+
+_SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Look:
+    """How Slicer shows a list: colour (red, green, blue; 0 to 1) and thickness of its line, mm."""
+
+    colour: tuple[float, float, float]
+    thickness: float = 0.5
+
+
+def read_mrk_json(path: Path) -> tuple[Markups, ...]:
+    """Read every list of points of a `.mrk.json` file; planes and boxes (ROI) are none and left out.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, no markups file, or holds no list of points; if a list is empty, does not
+        say its coordinate system, or has a point that is not finite.
+    """
+    lists = _lists(path)
+    found = [
+        _markups(path, one, n) for n, one in enumerate(lists, 1) if one.get("type") not in ("Plane", "ROI")
+    ]
+    if not found:
+        kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
+        raise DataError(
+            f"holds no list of points, but {kinds}",
+            where=str(path),
+            expected="a point list (Fiducial), a Curve or a Line",
+            mend="save such a list in Slicer",
+        )
+    return tuple(found)
+
+
+def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, Look]]) -> None:
+    """Write lists as one file that Slicer opens as so many nodes: LPS, mm, locked, every digit.
+
+    The same lists give the same bytes.
+    """
+    texts = [_text(markups, look) for markups, look in lists]
+    body = ",\n".join(texts)
+    path.write_bytes(f'{{\n"@schema": "{SCHEMA}",\n"markups": [\n{body}\n]\n}}\n'.encode())
+
+
+def _lists(path: Path) -> Sequence[dict[str, Any]]:
+    try:
+        whole = json.loads(read_text(path))
+    except (ValueError, RecursionError) as error:
+        raise DataError(
+            f"is no JSON: {error}", where=str(path), expected="a markups file of 3D Slicer", mend=SAVE_AGAIN
+        ) from None
+    lists = whole.get("markups") if isinstance(whole, dict) else None
+    if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
+        raise DataError(
+            "has no `markups`",
+            where=str(path),
+            expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
+            mend=SAVE_AGAIN,
+        )
+    schema = whole.get("@schema", SCHEMA)
+    if not (isinstance(schema, str) and _SCHEMA.search(schema)):
+        raise DataError(
+            f"its schema is {str(schema)[:120]!r}",
+            where=str(path),
+            expected="markups-schema-v1.x.y.json",
+            mend=SAVE_AGAIN,
+        )
+    return lists
+
+
+def _markups(path: Path, one: dict[str, Any], number: int) -> Markups:
+    name = str(one.get("name") or (path.name.removesuffix(".json").removesuffix(".mrk")))
+    where = f"{path}, list {number} `{name}`"
+    kind = one.get("type")
+    if not isinstance(kind, str):
+        raise DataError("has no `type`", where=where, expected="Fiducial, Curve, ...", mend=SAVE_AGAIN)
+    if one.get("coordinateSystem") in (None, ""):
+        raise DataError(
+            "does not say its coordinate system",
+            where=where,
+            expected=f'"coordinateSystem": {EXPECTED_SYSTEM}',
+            mend="add the key (Slicer writes it, and takes LPS where it is missing), or " + SAVE_AGAIN,
+        )
+    system = system_of(str(one["coordinateSystem"]), where)
+    scale = _scale(one.get("coordinateUnits", "mm"), where)
+    points = one.get("controlPoints", [])
+    if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
+        raise DataError("`controlPoints` is no list of points", where=where, mend=SAVE_AGAIN)
+    labels, positions, unset = [], [], []
+    for n, point in enumerate(points, start=1):
+        label = str(point.get("label") or "")
+        there = f"{where}, point {n}" + (f" ({label})" if label else "")
+        if _is_set(point, there):
+            labels.append(label)
+            positions.append(position_of(point["position"], there))
+        else:
+            unset.append(label)
+    placed = scale * np.array(positions, dtype=np.float64).reshape(-1, 3)
+    return require_points(Markups(path, name, kind, tuple(labels), lps(placed, system), system, tuple(unset)))
+
+
+def _scale(units: object, where: str) -> float:
+    """Return the factor to mm; units are a code, or a code with its coding scheme and meaning."""
+    code = units[0] if isinstance(units, list) and units else units
+    if isinstance(code, str) and code in UNITS:
+        return UNITS[code]
+    raise DataError(
+        f"coordinateUnits is {str(units)[:80]}",
+        where=where,
+        expected=f"one of {', '.join(UNITS)} (UCUM)",
+        mend="save the list in mm",
+    )
+
+
+def _is_set(point: dict[str, Any], where: str) -> bool:
+    """Return whether a point has a position: Slicer leaves it empty where it was never placed."""
+    status = point.get("positionStatus", "defined")
+    if status not in (*SET, *UNSET):
+        raise DataError(
+            f"positionStatus is {str(status)[:80]!r}",
+            where=where,
+            expected=f"one of {', '.join((*SET, *UNSET))}",
+            mend=SAVE_AGAIN,
+        )
+    return status in SET and point.get("position") not in (None, "", [])
+
+
+def _text(markups: Markups, look: Look) -> str:
+    head = {
+        "type": markups.kind,
+        "name": markups.name,
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "locked": True,
+        "fixedNumberOfControlPoints": True,
+        "labelFormat": "%N-%d",
+        "lastUsedControlPointNumber": len(markups.points),
+    }
+    points = [
+        {
+            "id": str(n),
+            "label": label,
+            "description": "",
+            "associatedNodeID": "",
+            "position": (position + 0.0).tolist(),
+            "orientation": [-1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 1.0],  # of Slicer's own RAS axes
+            "selected": True,
+            "locked": True,
+            "visibility": True,
+            "positionStatus": "defined",
+        }
+        for n, (label, position) in enumerate(zip(markups.labels, markups.points, strict=True), start=1)
+    ]
+    listed = ",\n".join(_json(point) for point in points)
+    display = ", ".join(f"{_json(key)}: {_json(value)}" for key, value in _display(look).items())
+    start = _json(head)[:-1]
+    return f'{start}, "controlPoints": [\n{listed}\n], "measurements": [], "display": {{{display}}}}}'
+
+
+def _display(look: Look) -> dict[str, object]:
+    colour = list(look.colour)
+    return {
+        "visibility": True,
+        "opacity": 1.0,
+        "color": colour,
+        "selectedColor": colour,  # every point is selected, and this is what shows
+        "activeColor": colour,
+        "propertiesLabelVisibility": False,
+        "pointLabelsVisibility": False,
+        "textScale": 3.0,
+        "glyphType": "Sphere3D",
+        "glyphScale": 1.0,
+        "glyphSize": look.thickness,
+        "useGlyphScale": False,
+        "sliceProjection": True,
+        "sliceProjectionUseFiducialColor": True,
+        "sliceProjectionOpacity": 0.6,
+        "lineThickness": 1.0,  # relative to glyphSize
+    }
+
+
+def _json(value: object) -> str:
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)

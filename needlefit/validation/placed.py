@@ -1,0 +1,194 @@
+"""Measured and fitted needles where they stand in the scan, with the band in which the fit is known.
+
+The band says how the needle would move with the parameters, as far as the data know them: neither the
+noise of the measured points nor what the model misses is in it. From a posterior it is the central 95 % of
+the needles of its draws. Without one it is linear about the fit: 1.96 standard deviations, over every
+direction that `identify` found.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.frames import align_rigid
+from needlefit.inference.comparison import curve_of, target
+from needlefit.inference.identify import Verdict
+from needlefit.inference.information import jacobian, steps
+from needlefit.inference.posterior import Posterior
+from needlefit.inference.predict import predict, predict_each
+from needlefit.inference.starts import Fit
+from needlefit.mechanics.batch import positions_each
+from needlefit.mechanics.lanes import follow_batches
+from needlefit.validation.folds import Fold
+from needlefit.validation.job import Job
+
+Floats = NDArray[np.float64]
+
+STATIONS = 51
+"""Points of a fitted needle and of its band."""
+
+DRAWS = 400
+"""Most draws of a posterior of which needles are simulated for a band."""
+
+CENTRAL = (2.5, 50.0, 97.5)
+NORMAL = 1.959963984540054
+"""Half width of the central 95 % of a normal distribution, in standard deviations."""
+
+DIAMETER = 1.27
+"""Diameter with which a needle is drawn where the dataset states none, mm: 18 gauge."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """The central 95 % of a fitted needle across itself, in its bending plane; (K, 3) each, LPS, mm."""
+
+    low: Floats
+    middle: Floats
+    high: Floats
+    source: Literal["posterior", "linear"]
+
+
+@dataclass(frozen=True)
+class PlacedNeedle:
+    """One insertion in the patient coordinates of its scan, LPS, mm.
+
+    Attributes
+    ----------
+    insertion, fold : str
+    role : str
+        "validate" where the fit never saw it, else "tune".
+    measured : (N, 3) array
+        The centreline, entry first.
+    toward : (3,) array
+        Unit vector across the entry, in the bending plane.
+    diameter : float
+        Of the needle as it is drawn.
+    fitted : (K, 3) array or None
+        In the bending plane; None where the solve failed.
+    band : Band or None
+        None where no needle beside the fitted one can be solved.
+    """
+
+    insertion: str
+    fold: str
+    role: str
+    measured: Floats
+    toward: Floats
+    diameter: float
+    fitted: Floats | None = None
+    band: Band | None = None
+
+
+@dataclass(frozen=True)
+class Known:
+    """What one fold found out: the fit, how well it is known, and draws where they were asked for."""
+
+    fit: Fit
+    verdict: Verdict
+    posterior: Posterior | None = None
+
+
+def place(job: Job, fold: Fold, known: Known, jobs: int = 1) -> dict[str, PlacedNeedle]:
+    """Return every insertion that a fold holds out, and, where there is one fold only, those it tunes on."""
+    roles = [("tune", fold.tune), ("validate", fold.validate)]
+    chosen = roles if len(job.folds) == 1 else roles[1:]
+    return {
+        insertion.id: _place(_Stations(job, insertion), fold.name, role, known, jobs)
+        for role, insertions in chosen
+        for insertion in insertions
+    }
+
+
+def _place(stations: "_Stations", fold: str, role: str, known: Known, jobs: int) -> PlacedNeedle:
+    dataset, insertion = stations.job.dataset, stations.insertion
+
+    def in_scan(points: Floats) -> Floats:
+        """Return points (K, 2) of C in the scan (K, 3)."""
+        flat = np.column_stack([points, np.zeros(len(points))])
+        return dataset.patient.to_local(insertion.frame.to_world(flat))
+
+    points = stations.points(np.array(known.fit.theta))
+    fitted, band = None, None
+    if np.isfinite(points).all():
+        fitted = in_scan(points)
+        drawn = known.posterior is not None
+        heights = _drawn(stations, known.posterior, jobs) if known.posterior else _linear(stations, known)
+        if heights is not None:
+            low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
+            band = Band(low, middle, high, "posterior" if drawn else "linear")
+    across = insertion.frame.rotation[:, 1] @ dataset.patient.rotation
+    diameter = DIAMETER if dataset.outer_diameter is None else dataset.outer_diameter
+    measured = dataset.patient.to_local(insertion.centerline)
+    return PlacedNeedle(insertion.id, fold, role, measured, across, diameter, fitted, band)
+
+
+@dataclass(frozen=True)
+class _Stations:
+    """The places on one needle at which it is drawn."""
+
+    job: Job
+    insertion: Insertion
+
+    @property
+    def s(self) -> Floats:
+        """Beam coordinates (K,), mm."""
+        dataset = self.job.dataset
+        return target(dataset.pose, dataset.drop_proximal, self.insertion, STATIONS).s
+
+    def points(self, theta: Floats) -> Floats:
+        """Return the needle (K, 2) in C, aligned where the pose is free; NaN where the solve fails."""
+        values = self.job.parameters.values(theta)
+        shape = predict(values, self.job.medium, self.job.dataset.needle, self.insertion)
+        if not shape.converged:
+            return np.full((STATIONS, 2), np.nan)
+        return self.laid(curve_of(shape)(self.s))
+
+    def heights(self, theta: Floats) -> Floats:
+        """Return y of the needle (K,)."""
+        return self.points(theta)[:, 1]
+
+    def laid(self, points: Floats) -> Floats:
+        """Return a simulated needle (K, 2) as it lies in C: a free shape lies on the measured one."""
+        if self.job.dataset.pose == "known":
+            return points
+        planar = self.insertion.planar
+        measured = at_arc(planar, arc_length(planar)[-1] - (self.insertion.depth - self.s))
+        return align_rigid(points, measured)
+
+
+def _linear(stations: _Stations, known: Known) -> tuple[Floats, Floats, Floats] | None:
+    """Return the band (low, middle, high) of y, linear about the fit; None where it cannot be found."""
+    names, theta = stations.job.parameters.free, np.array(known.fit.theta)
+    fitted = stations.heights(theta)
+    if not names:
+        return None
+    weights = np.array([direction.weights for direction in known.verdict.directions])  # (D, P)
+    sds = np.array([direction.sd for direction in known.verdict.directions])
+    moves = jacobian(stations.heights, theta, steps(names)) @ weights.T * sds  # (K, D)
+    width = NORMAL * np.sqrt(np.sum(moves**2, axis=1))
+    if not np.isfinite(width).all():
+        return None
+    return fitted - width, fitted, fitted + width
+
+
+def _drawn(stations: _Stations, posterior: Posterior, jobs: int) -> tuple[Floats, Floats, Floats] | None:
+    """Return the band (low, middle, high) of y over the needles of draws; None where none can be solved."""
+    job, insertion = stations.job, stations.insertion
+    draws = posterior.draws.reshape(-1, len(posterior.names))
+    chosen = draws[np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).astype(np.int64)]
+    sets: list[Mapping[str, float]] = [
+        job.parameters.values(job.parameters.theta(dict(zip(posterior.names, draw.tolist(), strict=True))))
+        for draw in chosen
+    ]
+    (shapes,) = follow_batches([predict_each(sets, job.medium, job.dataset.needle, insertion)], jobs)
+    needles = positions_each(shapes, stations.s)[shapes.converged]  # (B, K, 2)
+    if not len(needles):
+        return None
+    heights = np.array([stations.laid(needle)[:, 1] for needle in needles])  # (B, K)
+    low, middle, high = np.percentile(heights, CENTRAL, axis=0)
+    return low, middle, high

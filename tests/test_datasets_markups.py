@@ -1,0 +1,359 @@
+"""Markups of 3D Slicer: what a file says is what is read, in LPS; what it does not say is an error."""
+
+import json
+import re
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from test_datasets import CURVE, SURFACES, record, row
+
+from needlefit.datasets.check import check
+from needlefit.datasets.formats.markups import Markups
+from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
+from needlefit.datasets.formats.slicer import read_curves, read_lists, read_markups, read_points
+from needlefit.datasets.read import read
+from needlefit.datasets.template import template
+from needlefit.datasets.write import write_dataset
+from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.patient import lps
+
+anything = settings(
+    max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
+)
+coordinate = st.floats(-1e6, 1e6)
+
+SCHEMA = "https://raw.githubusercontent.com/slicer/slicer/master/markups-schema-v1.0.{}.json#"
+HEADER = "# Markups fiducial file version = {}\n# CoordinateSystem = {}\n"
+COLUMNS = "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+
+
+def point(n, position, **changes):
+    return {"id": str(n), "label": f"F-{n}", "position": position} | changes
+
+
+def markup(kind="Fiducial", system="LPS", points=((1, 2, 3), (4, 5, 6)), **changes):
+    listed = [p if isinstance(p, dict) else point(n, list(p)) for n, p in enumerate(points, 1)]
+    found = {"type": kind, "coordinateSystem": system, "coordinateUnits": "mm", "controlPoints": listed}
+    return {k: v for k, v in (found | changes).items() if v is not None}
+
+
+def save(path, *lists, version=3, **changes):
+    path.write_text(json.dumps({"@schema": SCHEMA.format(version), "markups": list(lists)} | changes))
+    return path
+
+
+@pytest.fixture
+def file(tmp_path):
+    return tmp_path / "F.mrk.json"
+
+
+def refused(path, reader=read_markups):
+    with pytest.raises(DataError) as caught:
+        reader(path)
+    error = caught.value
+    assert error.where.startswith(str(path)) and error.expected and error.mend
+    return f"{error.where}: {error.what}"
+
+
+@pytest.mark.parametrize("system", ["LPS", "1"])
+def test_points_in_lps_stay_as_they_are(file, system):
+    found = read_markups(save(file, markup(system=system)))
+    assert found.points.tolist() == [[1, 2, 3], [4, 5, 6]]
+    assert (found.labels, found.name, found.kind, found.system) == (("F-1", "F-2"), "F", "Fiducial", "LPS")
+
+
+@pytest.mark.parametrize("system", ["RAS", "0"])
+def test_points_in_ras_are_turned(file, system):
+    """Right becomes left, anterior posterior; up stays up."""
+    found = read_markups(save(file, markup(system=system)))
+    assert found.points.tolist() == [[-1, -2, 3], [-4, -5, 6]]
+    assert found.system == "RAS"
+
+
+@given(st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=9))
+def test_turning_twice_changes_nothing(points):
+    array = np.array(points)
+    np.testing.assert_array_equal(lps(lps(array, "RAS"), "RAS"), array)
+    np.testing.assert_array_equal(lps(array, "RAS")[:, 2], array[:, 2])
+
+
+@pytest.mark.parametrize(
+    ("units", "factor"), [("mm", 1), (None, 1), ("um", 1e-3), ("cm", 10), (["mm", "UCUM", "millimeter"], 1)]
+)
+def test_units_are_read_from_the_file(file, units, factor):
+    found = read_markups(save(file, markup(coordinateUnits=units)))
+    np.testing.assert_allclose(found.points, factor * np.array([[1, 2, 3], [4, 5, 6]]), rtol=1e-15)
+
+
+def test_points_that_were_never_placed_are_left_out(file):
+    points = [
+        point(1, "", positionStatus="undefined"),
+        point(2, [1, 1, 1], positionStatus="preview"),
+        point(3, [7, 8, 9], positionStatus="defined", locked=True, visibility=False, selected=False),
+        point(4, [0, 0, 0], positionStatus="missing"),
+    ]
+    found = read_markups(save(file, markup(points=points)))
+    assert found.points.tolist() == [[7, 8, 9]]
+    assert (found.labels, found.unset) == (("F-3",), ("F-1", "F-2", "F-4"))
+
+
+@pytest.mark.parametrize("version", [0, 1, 2, 3, 4])
+def test_every_kind_of_list_and_version_is_read(file, version):
+    kinds = ("Fiducial", "Curve", "ClosedCurve", "Line", "Angle")
+    lists = [markup(kind, name=kind.lower()) for kind in kinds]
+    found = read_lists(save(file, *lists, {"type": "Plane"}, {"type": "ROI"}, version=version))
+    assert [(one.kind, one.name) for one in found] == [(kind, kind.lower()) for kind in kinds]
+    assert read_markups(file, "line").kind == "Line"
+    assert "`angle`" in refused(file)
+    assert "holds 5 lists" in refused(file, lambda path: read_markups(path, "needle"))
+
+
+def test_faults_of_a_json_file(file):
+    file.write_text('{"markups": [')
+    assert "is no JSON" in refused(file)
+    file.write_text("[" * 100_000)
+    assert "is no JSON" in refused(file)
+    file.write_text('{"nodes": []}')
+    assert "has no `markups`" in refused(file)
+    assert "holds no list" in refused(save(file))
+    assert "holds no list of points, but Plane" in refused(save(file, markup("Plane")))
+    assert "schema is" in refused(save(file, markup(), **{"@schema": "annotations-v2"}))
+    assert "list 1 `F`: does not say its coordinate system" in refused(save(file, markup(system=None)))
+    assert "coordinate system is 'XYZ'" in refused(save(file, markup(system="XYZ")))
+    assert "voxels" in refused(save(file, markup(system="IJK")))
+    assert "coordinateUnits is inch" in refused(save(file, markup(coordinateUnits="inch")))
+    assert "is empty" in refused(save(file, markup(points=[])))
+    assert "2 points were never placed" in refused(save(file, markup(points=[point(1, ""), point(2, "")])))
+    assert "positionStatus is 'there'" in refused(
+        save(file, markup(points=[point(1, [1, 2, 3], positionStatus="there")]))
+    )
+
+
+@pytest.mark.parametrize(
+    "position", [[1, float("nan"), 3], [1, 2, float("inf")], [1, 2], [1, 2, 3, 4], ["1", 2, 3], [1, 2, True],
+                 "1 2 3", [1, 2, 10**400], {"x": 1}, 7]
+)  # fmt: skip
+def test_a_position_that_is_none_is_named(file, position):
+    said = refused(save(file, markup(points=[(0, 0, 0), point(2, position)])))
+    assert "list 1 `F`, point 2 (F-2): the position is" in said
+
+
+def test_a_missing_file_or_another_ending(tmp_path):
+    with pytest.raises(DataError, match="no such file"):
+        read_markups(tmp_path / "F.fcsv")
+    with pytest.raises(DataError, match=r"ending '\.csv'"):
+        read_markups(tmp_path / "F.csv")
+
+
+@pytest.mark.parametrize(
+    ("version", "system", "sign"),
+    [("4.4", "0", -1), ("4.10", "1", 1), ("4.11", "LPS", 1), ("4.13", "RAS", -1), ("5.2", "LPS", 1)],
+)
+def test_fcsv_of_every_version(tmp_path, version, system, sign):
+    path = tmp_path / "F.fcsv"
+    tail = ",2,0" if version == "5.2" else ""
+    rows = f'0,1,2.5,3,0,0,0,1,1,1,0,F-1,,{tail}\n\n1,4,5,6,0,0,0,1,0,0,1,"a, b",note,{tail}\n'
+    path.write_text(HEADER.format(version, system) + COLUMNS + rows)
+    found = read_markups(path)
+    assert found.points.tolist() == [[sign * 1, sign * 2.5, 3], [sign * 4, sign * 5, 6]]
+    assert found.labels == ("F-1", "a, b")
+    assert found.lines.tolist() == [4, 6]
+
+
+def test_fcsv_columns_follow_the_header(tmp_path):
+    path = tmp_path / "F.fcsv"
+    body = "tip,7,8,9,1,1\n"
+    path.write_text("# Fiducial List file F\n# CoordinateSystem = RAS\n" + body)  # Slicer 3, line added
+    assert read_markups(path).points.tolist() == [[-7, -8, 9]]
+    path.write_text(HEADER.format("4.11", "LPS") + "# columns = label,z,y,x\n" + body)
+    assert (read_markups(path).points.tolist(), read_markups(path).labels) == ([[9, 8, 7]], ("tip",))
+    path.write_text(HEADER.format("4.11", "LPS") + "0,1,2,3\n")  # no columns named, labels left out
+    assert read_markups(path).labels == ("",)
+
+
+def test_fcsv_faults(tmp_path):
+    path = tmp_path / "F.fcsv"
+    body = "0,1,2,3,0,0,0,1,1,1,0,F-1,,\n"
+    path.write_text("# Markups fiducial file version = 4.11\n" + COLUMNS + body)
+    assert "does not say its coordinate system" in refused(path)
+    path.write_text("# columns = label,x,y,z,sel,vis\nF,1,2,3,1,1\n")
+    with pytest.raises(DataError, match="Slicer 3 are RAS"):
+        read_markups(path)
+    path.write_text(HEADER.format("4.4", "2") + COLUMNS + body)
+    assert "'2': voxels" in refused(path)
+    path.write_text(HEADER.format("4.11", "LPS") + "# columns = id,x,y,label\n" + body)
+    assert "lack z" in refused(path)
+    for cell in ("nan", "", "1;2", "1e400"):
+        path.write_text(HEADER.format("4.11", "LPS") + COLUMNS + body + body.replace("2", cell, 1))
+        assert f"{path}:5: the position is" in refused(path)
+    path.write_text(HEADER.format("5.2", "LPS") + COLUMNS)
+    assert "is empty" in refused(path)
+    path.write_text(HEADER.format("5.2", "LPS") + COLUMNS + body.rstrip() + ",0,0\n")
+    assert "1 points were never placed" in refused(path)
+    path.write_bytes(b"\xff\xfe#")
+    with pytest.raises(DataError, match="cannot be read as text"):
+        read_markups(path)
+
+
+@given(st.binary(max_size=80) | st.text('{}[]":,#=\n x1LPS', max_size=80).map(str.encode))
+@anything
+def test_any_bytes_are_markups_or_a_data_error(tmp_path, content):
+    for ending in ("mrk.json", "fcsv"):
+        path = tmp_path / f"any.{ending}"
+        path.write_bytes(content)
+        try:
+            assert len(read_markups(path).points)
+        except DataError as error:
+            assert error.where.startswith(str(path))
+
+
+json_values = st.recursive(
+    st.none() | st.booleans() | st.integers() | st.floats() | st.text(max_size=4),
+    lambda inner: st.lists(inner, max_size=4) | st.dictionaries(st.text(max_size=4), inner, max_size=3),
+    max_leaves=6,
+)
+
+
+@given(st.sampled_from(["type", "name", "coordinateSystem", "coordinateUnits", "controlPoints", "position",
+                        "positionStatus", "label", "markups", "@schema"]), json_values)  # fmt: skip
+@anything
+def test_any_value_of_any_key_is_read_or_a_data_error(tmp_path, key, value):
+    path, one = tmp_path / "any.mrk.json", markup()
+    if key in ("markups", "@schema"):
+        save(path, one, **{key: value})
+    elif key in ("position", "positionStatus", "label"):
+        save(path, markup(points=[point(1, [1, 2, 3]) | {key: value}]))
+    else:
+        save(path, one | {key: value})
+    try:
+        assert np.isfinite(read_markups(path).points).all()
+    except DataError as error:
+        assert error.where.startswith(str(path))
+
+
+# What the published schema 1.0.3 says of the keys that are written: kind of value, and length of an array.
+ONE_OF = {
+    "type": {"Fiducial", "Line", "Angle", "Curve", "ClosedCurve", "Plane", "ROI"},
+    "coordinateSystem": {"LPS", "RAS"},
+    "coordinateUnits": {"mm", "um"},
+    "positionStatus": {"undefined", "preview", "defined"},
+    "glyphType": {"Sphere3D", "Diamond3D"},
+}
+TEXT = {"name", "labelFormat", "id", "label", "description", "associatedNodeID"}
+FLAGS = {"locked", "fixedNumberOfControlPoints", "selected", "visibility", "propertiesLabelVisibility",
+         "pointLabelsVisibility", "useGlyphScale", "sliceProjection",
+         "sliceProjectionUseFiducialColor"}  # fmt: skip
+NUMBERS = {"lastUsedControlPointNumber", "opacity", "textScale", "glyphScale", "glyphSize", "lineThickness",
+           "sliceProjectionOpacity"}  # fmt: skip
+ARRAYS = {"position": 3, "orientation": 9, "color": 3, "selectedColor": 3, "activeColor": 3}
+
+
+def conforms(table):
+    for key, value in table.items():
+        if key == "controlPoints":
+            assert isinstance(value, list) and all(conforms(item) for item in value)
+        elif key == "display":
+            assert conforms(value)
+        elif key == "measurements":
+            assert value == []
+        elif key in ONE_OF:
+            assert value in ONE_OF[key]
+        elif key in ARRAYS:
+            assert len(value) == ARRAYS[key] and all(isinstance(x, float) for x in value)
+        else:
+            kind = str if key in TEXT else bool if key in FLAGS else int | float
+            assert key in TEXT | FLAGS | NUMBERS and isinstance(value, kind), key
+    return True
+
+
+@given(st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=12), st.text(max_size=9))
+@anything
+def test_what_is_written_is_read_back_and_has_the_structure_of_the_schema(tmp_path, points, label):
+    path = tmp_path / "curve.mrk.json"
+    array = np.array(points)
+    labels = (label, *["p"] * (len(points) - 1))
+    lists = [Markups(path, name, "Curve", labels, array) for name in ("fit", "95 % band")]
+    write_mrk_json(path, [(one, Look((0.0, 0.5, 1.0))) for one in lists])
+    first, second = read_lists(path)
+    np.testing.assert_allclose(first.points, array, rtol=0, atol=1e-9)
+    np.testing.assert_array_equal(second.points, array)
+    assert (first.labels, first.name, first.kind, first.system) == (labels, "fit", "Curve", "LPS")
+    whole = json.loads(path.read_text(encoding="utf-8"))
+    assert set(whole) == {"@schema", "markups"} and whole["@schema"].endswith("markups-schema-v1.0.3.json#")
+    assert all("type" in one and conforms(one) for one in whole["markups"])
+    before = path.read_bytes()
+    write_mrk_json(path, [(one, Look((0.0, 0.5, 1.0))) for one in (first, second)])
+    assert path.read_bytes() == before
+
+
+def dataset(folder, pattern, **frame):
+    data = record(frame={"name": "world", **frame}) if frame else record()
+    rows = [row("a", "given", layers=2)]
+    file = write_dataset(folder, data, rows, {"a": CURVE}, SURFACES, checksums=False)
+    text = file.read_text()
+    file.write_text(text.replace("{id}.csv", pattern))
+    return file, folder / "centerlines"
+
+
+def test_a_centreline_may_be_a_curve_of_slicer(tmp_path):
+    file, folder = dataset(tmp_path / "d", "{id}.mrk.json")
+    ras = (CURVE * [-1, -1, 1]).tolist()
+    save(folder / "a.mrk.json", markup("Curve", "RAS", ras), markup("Fiducial", name="markers"))
+    np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
+
+
+def test_a_centreline_may_be_an_fcsv_and_its_faults_name_lines(tmp_path):
+    file, folder = dataset(tmp_path / "d", "{id}.fcsv")
+    lines = [f"{n},{-x},{-y},{z},0,0,0,1,1,1,0,F-{n},," for n, (x, y, z) in enumerate(CURVE.tolist())]
+    (folder / "a.fcsv").write_text(HEADER.format("4.11", "0") + COLUMNS + "\n".join(lines))
+    np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
+    lines[7] = lines[6]
+    (folder / "a.fcsv").write_text(HEADER.format("4.11", "0") + COLUMNS + "\n".join(lines))
+    [fault] = check(file)
+    assert fault.where == f"{folder / 'a.fcsv'}:11" and "repeats the point" in fault.what
+
+
+def test_the_scan_stands_where_the_dataset_says(tmp_path):
+    """A quarter turn about z and a shift: what lies at (x, y, z) in the scan is at (-y + 1, x + 2, z + 3)."""
+    motion = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]
+    file, folder = dataset(tmp_path / "d", "{id}.mrk.json", lps_to_world=motion)
+    x, y, z = CURVE.T
+    save(folder / "a.mrk.json", markup("Curve", "LPS", np.column_stack([y - 2, 1 - x, z - 3]).tolist()))
+    found = read(file)
+    np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-12)
+    np.testing.assert_allclose(found.patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "motion", [[[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0]], [[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]],
+               [[1, 0.1, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]], [[1, 0, 0], [0, 1, 0], [0, 0, 1]]]
+)  # fmt: skip
+def test_a_motion_with_scale_reflection_or_shear_is_refused(tmp_path, motion):
+    file, _ = dataset(tmp_path / "d", "{id}.csv", lps_to_world=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]])
+    text, count = re.subn(r"lps_to_world = .*", f"lps_to_world = {motion}", file.read_text())
+    assert count == 1
+    file.write_text(text)
+    with pytest.raises((ConfigError, DataError), match="lps_to_world"):
+        read(file)
+
+
+def test_a_list_that_is_no_open_curve_is_no_centreline(file):
+    for kind in ("ClosedCurve", "Line", "Angle"):
+        assert f"is a {kind}, which is no centreline" in refused(save(file, markup(kind)), read_points)
+    save(file, markup("Curve", name="a"), markup("Curve", name="b"))
+    assert "holds 2 lists: `a` (Curve), `b` (Curve)" in refused(file, read_points)
+    assert list(read_curves(file)) == ["a", "b"]
+    save(file, markup("Curve", name="a"), markup("Curve", name="a"))
+    assert "2 lists called `a`" in refused(file, read_curves)
+
+
+def test_a_dataset_begins_with_curves_of_slicer(tmp_path):
+    unset = point(99, "", positionStatus="undefined")
+    lists = [markup("Curve", points=[*CURVE.tolist(), unset], name=f"needle {n}") for n in (1, 2)]
+    path, told = save(tmp_path / "n.mrk.json", *lists), []
+    found = read(template(tmp_path / "mine", path, told.append))
+    assert [i.id for i in found.insertions] == ["needle_1", "needle_2"]
+    np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-4)
+    assert told == [f"{path}: 2 points without a position ignored"]

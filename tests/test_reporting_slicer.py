@@ -1,0 +1,236 @@
+"""What 3D Slicer gets: curves and bodies of needles where they stand, with the band of the fit."""
+
+import dataclasses
+import json
+import math
+from pathlib import Path
+
+import needles
+import numpy as np
+import pytest
+import trimesh
+from hypothesis import given
+from hypothesis import strategies as st
+from test_cli import run as command
+from test_validation_run import project, study  # noqa: F401 - a fixture
+
+from needlefit.datasets.formats.slicer import read_lists
+from needlefit.datasets.read import read
+from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.tubes import FACETS, tube, write_ply
+from needlefit.inference.identify import identify
+from needlefit.inference.optimize import minimize
+from needlefit.inference.posterior import Posterior
+from needlefit.inference.starts import Watch
+from needlefit.mechanics.scene import Entry
+from needlefit.project.streams import stream
+from needlefit.reporting.slicer import write_needles, write_scene
+from needlefit.validation.job import prepare
+from needlefit.validation.placed import DRAWS, Known, place
+from needlefit.validation.run import Settings, run
+
+POLYGON = FACETS / 2 * math.sin(2 * math.pi / FACETS)  # area of the polygon inscribed in a unit circle
+
+
+@given(st.floats(0.05, 5), st.floats(0.05, 5), st.floats(1, 100), st.integers(2, 20))
+def test_a_straight_tube_has_the_volume_of_a_prism(a, b, length, count):
+    axis = np.linspace([1, 2, 3], [1, 2 + length, 3], count)
+    body = tube(axis, [a, b], (0.3, 5, 0.4))
+    assert body.is_watertight and body.is_winding_consistent
+    assert body.volume == pytest.approx(POLYGON * a * b * length, rel=1e-9)
+
+
+def test_the_first_half_width_lies_along_the_direction_given():
+    body = tube([[0, 0, 0], [10, 0, 0]], [[3, 1], [2, 1]], (1, 1, 0))
+    np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [10, 6, 2], atol=1e-9)
+    assert np.ptp(body.vertices[body.vertices[:, 0] == 10], axis=0)[1] == pytest.approx(4)
+
+
+def test_a_bent_tube_has_the_volume_that_pappus_says():
+    angle = np.linspace(0, math.pi / 2, 400)
+    arc = 30 * np.column_stack([np.sin(angle), 1 - np.cos(angle), 0 * angle])
+    body = tube(arc, 0.6, (0, 0, 1))
+    assert body.volume == pytest.approx(POLYGON * 0.36 * 30 * math.pi / 2, rel=1e-4)
+
+
+def test_no_tube_without_a_curve_or_across_nothing():
+    for points, toward in (
+        ([[0, 0, 0]], (0, 1, 0)),
+        ([[0, 0, 0], [0, 0, 0]], (0, 1, 0)),
+        ([[0, 0, 0], [0, 1, 0]], (0, 1, 0)),
+        ([[0, 0, 0], [math.nan, 1, 0]], (0, 1, 0)),
+    ):
+        with pytest.raises(DataError):
+            tube(points, 1.0, toward)
+
+
+def test_a_ply_says_that_it_is_lps_and_is_the_same_bytes_again(tmp_path):
+    body = tube([[0, 0, 0], [10, 1, 0], [20, 4, 0]], 0.6, (0, 1, 0))
+    for name in ("one.ply", "two.ply"):
+        write_ply(body, tmp_path / name, ("needle, mm", "é"))
+    data = (tmp_path / "one.ply").read_bytes()
+    assert data == (tmp_path / "two.ply").read_bytes()
+    head = data.split(b"end_header")[0].decode("ascii").splitlines()
+    assert head[:2] == ["ply", "format binary_little_endian 1.0"]
+    assert "comment SPACE=LPS" in head and "comment needle, mm" in head
+    again = trimesh.load_mesh(tmp_path / "one.ply")
+    assert again.volume == pytest.approx(body.volume, rel=1e-5)
+    np.testing.assert_allclose(again.bounds, body.bounds, atol=1e-5)
+
+
+@pytest.fixture
+def fitted(project: Path):  # noqa: F811
+    job = prepare("needles", study(), Settings())
+    (fold,) = job.folds
+    problem = job.problem(fold)
+    fit = minimize(problem, job.recipe, stream(1, "test"), Watch())
+    return job, fold, Known(fit, identify(problem, fit))
+
+
+def posterior(job, rows):
+    draws = np.array(rows, dtype=np.float64)[None]
+    nothing = np.zeros((1, len(rows)))
+    names = job.parameters.free
+    tau = np.ones((1, len(names)))
+    return Posterior(names, draws, nothing, 2, nothing[0, :1], tau, np.ones(len(names)), 0, 0, False)
+
+
+def test_every_needle_stands_in_the_world_of_its_dataset(fitted):
+    job, fold, known = fitted
+    placed = place(job, fold, known)
+    assert {name: one.role for name, one in placed.items()} == {
+        "needle-1": "tune", "needle-2": "tune", "needle-3": "validate", "needle-4": "validate"
+    }  # fmt: skip
+    for n, (name, one) in enumerate(sorted(placed.items())):
+        insertion = next(i for i in job.dataset.insertions if i.id == name)
+        np.testing.assert_allclose(one.measured, insertion.centerline, atol=1e-9)
+        assert arc_length(one.fitted)[-1] == pytest.approx(needles.DEPTHS[n], rel=1e-3)
+        np.testing.assert_allclose(one.fitted[-1], insertion.centerline[-1], atol=0.02)  # the truth is known
+        np.testing.assert_allclose(one.toward, [0, 1, 0], atol=1e-12)
+        assert one.diameter == 1.27
+
+
+def test_the_linear_band_lies_about_the_fit_and_follows_the_noise(fitted):
+    job, fold, known = fitted
+    band = place(job, fold, known)["needle-4"].band
+    assert band.source == "linear"
+    width = np.linalg.norm(band.high - band.low, axis=1)
+    np.testing.assert_allclose((band.low + band.high) / 2, band.middle, atol=1e-9)
+    assert 0.01 < width[-1] < 5
+    wider = tuple(dataclasses.replace(d, sd=2 * d.sd) for d in known.verdict.directions)
+    known = dataclasses.replace(known, verdict=dataclasses.replace(known.verdict, directions=wider))
+    doubled = place(job, fold, known)["needle-4"].band
+    np.testing.assert_allclose(doubled.high - doubled.low, 2 * (band.high - band.low), atol=1e-9)
+
+
+def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
+    """The tip goes farther with every b: its percentiles are the tips of the percentiles of b."""
+    job, fold, known = fitted
+    values = known.fit.values
+    offsets = values["bevel_mm"] * np.linspace(0.9, 1.1, DRAWS)
+    draws = posterior(job, [[values["mu1_pa"], b] for b in offsets])
+    one = place(job, fold, dataclasses.replace(known, posterior=draws))["needle-3"]
+    assert one.band.source == "posterior"
+    same = place(job, fold, dataclasses.replace(known, posterior=posterior(job, draws.draws[0, [9, 9]])))
+    assert np.abs(same["needle-3"].band.high - same["needle-3"].band.low).max() < 1e-12
+    for height, b in ((one.band.low, 0.905), (one.band.middle, 1.0), (one.band.high, 1.095)):
+        at = posterior(job, [[values["mu1_pa"], b * values["bevel_mm"]]])
+        single = place(job, fold, dataclasses.replace(known, posterior=at))["needle-3"].band
+        np.testing.assert_allclose(height[-1], single.middle[-1], atol=2e-3)
+    np.testing.assert_allclose(one.band.middle, one.fitted, atol=2e-3)
+
+
+def turned(folder: Path) -> None:
+    """Let the scan stand in the world by a half turn about z and a shift."""
+    file = folder / "data" / "needles" / "dataset.toml"
+    motion = "lps_to_world = [[-1, 0, 0, 10], [0, -1, 0, 20], [0, 0, 1, 30]]"
+    text = file.read_text()
+    assert text.count("[frame]") == 1
+    file.write_text(text.replace("[frame]", f"[frame]\n{motion}"))
+
+
+def test_the_files_of_a_run_lie_in_the_scan(project, tmp_path):  # noqa: F811
+    world = run("needles", study(), Settings()).needles
+    turned(project)
+    results = run("needles", study(), Settings())
+    out, again = tmp_path / "slicer", tmp_path / "again"
+    write_needles(results, out)
+    write_needles(results, again)
+    names = sorted(path.name for path in out.iterdir())
+    assert names == sorted(
+        f"needle-{n}.{e}" for n in range(1, 5) for e in ("mrk.json", "needle.ply", "band.ply")
+    )
+    assert all((out / name).read_bytes() == (again / name).read_bytes() for name in names)
+    measured, predicted, low, high = read_lists(out / "needle-3.mrk.json")
+    assert [one.name for one in (measured, predicted)] == [
+        "needle-3 measured (synthetic)", "needle-3 predicted (synthetic)"
+    ]  # fmt: skip
+    assert "95 % band, low" in low.name and "95 % band, high" in high.name
+    assert read_lists(out / "needle-1.mrk.json")[1].name == "needle-1 fitted (synthetic)"
+    assert (measured.labels[0], measured.labels[-1]) == ("entry", "tip")
+    for curve, there in ((measured, world["needle-3"].measured), (predicted, world["needle-3"].fitted)):
+        np.testing.assert_allclose(curve.points, (there - [10, 20, 30]) * [-1, -1, 1], atol=1e-9)
+    body = trimesh.load_mesh(out / "needle-3.needle.ply")
+    lengths = arc_length(predicted.points)[-1]
+    assert body.is_watertight
+    assert body.volume == pytest.approx(POLYGON * 0.635**2 * lengths, rel=1e-3)
+    band = trimesh.load_mesh(out / "needle-3.band.ply")
+    assert band.is_watertight and band.volume > body.volume
+
+
+def test_free_shapes_lie_on_the_measured_ones(project):  # noqa: F811
+    """Known up to a rigid motion, the fit is laid on the needle where that stands, wherever it does."""
+    file = project / "data" / "needles" / "dataset.toml"
+    text = file.read_text().replace('pose = "known"', 'pose = "free"')
+    i, j = text.index("[media"), text.index("[checksums]")
+    file.write_text(text[:i] + f"[media.gel]\nboundaries_mm = [{needles.INTERFACE}]\n")
+    assert j > i and read(file).pose == "free"
+    for one in run("needles", study(), Settings()).needles.values():
+        gaps = np.linalg.norm(one.fitted[:, None] - one.measured[None], axis=2).min(axis=1)
+        assert gaps.max() < 0.1
+        assert one.band is not None
+
+
+def test_a_leave_one_out_places_every_needle_as_held_out(project):  # noqa: F811
+    record = study(leave_out="specimen", tune={}, validate=())
+    placed = run("loo", record, Settings()).needles
+    assert {one.role for one in placed.values()} == {"validate"} and len(placed) == 4
+
+
+@pytest.fixture
+def scene(capsys, tmp_path):
+    def written(ending, *words):
+        path = tmp_path / f"needle{ending}"
+        code = command("simulate", *words, "--json", "--slicer", str(path))
+        return code, path, capsys.readouterr()
+
+    return written
+
+
+def test_simulate_writes_the_needle_in_its_world(scene):
+    code, path, said = scene(".mrk.json", "figure1")
+    answer = json.loads(said.out)
+    lists = read_lists(path)
+    assert code == 0 and len(lists) == len(answer["steps"]) == 3
+    for curve, step in zip(lists, answer["steps"], strict=True):
+        np.testing.assert_allclose(curve.points[-1], [*step["tip_mm"], 0], atol=1e-9)
+        assert curve.labels[-1] == "tip" and "entry" in curve.labels
+    length = arc_length(lists[0].points)[-1]
+    assert all(arc_length(curve.points)[-1] == pytest.approx(length, rel=1e-3) for curve in lists)
+
+
+def test_simulate_writes_a_body_too(scene):
+    code, path, said = scene(".ply", "phantom1")
+    body = trimesh.load_mesh(path)
+    assert code == 0 and body.is_watertight
+    tip = json.loads(said.out)["tip_mm"]
+    assert np.linalg.norm(body.vertices - [*tip, 0], axis=1).min() < 1e-4
+
+
+def test_simulate_refuses_another_ending_or_folder(scene, tmp_path):
+    code, path, said = scene(".stl", "phantom1")
+    assert code == 3 and ".mrk.json or .ply" in said.err and not path.exists()
+    with pytest.raises(ConfigError, match="no such folder"):
+        write_scene(Entry(), (), tmp_path / "none" / "needle.ply")
+    assert not write_scene(Entry(), (), tmp_path / "needle.ply") and not (tmp_path / "needle.ply").exists()
