@@ -18,22 +18,14 @@ import time
 from collections.abc import Callable
 
 import numpy as np
+from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE
 
 from needlefit.mechanics.control import Bevel, Rules
 from needlefit.mechanics.linearize import linearize
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
-DEPTH = 55.0
 RULES = Rules(tolerance=1e-9)
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
-TISSUE = Tissue(
-    mu=np.array([0.2, 33.0, 0.2, 33.0]),
-    alpha=np.array([1.0, -1.0, 1.0, -1.0]),
-    boundaries=np.array([20.0, 28.0, 45.0]),
-)
-BEVEL = Bevel(0.085)
 
 
 def forward(tissue: Tissue = TISSUE, bevel: Bevel = BEVEL) -> float:

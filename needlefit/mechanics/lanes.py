@@ -12,20 +12,17 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics import laws
 from needlefit.mechanics.batch import VARYING, Batch, NeedleShapes
-from needlefit.mechanics.control import Controls, Guide, Rules, Step
 from needlefit.mechanics.kernel.foundation import make_foundation
 from needlefit.mechanics.kernel.grid import constraint_depths
-from needlefit.mechanics.kernel.insertion import Insertion, Stops
+from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
 from needlefit.mechanics.kernel.lanes import insertion as kernel
 from needlefit.mechanics.kernel.lanes.newton import LEFT, LaneInputs
 from needlefit.mechanics.kernel.lanes.passes import LANES
 from needlefit.mechanics.kernel.lanes.tables import Tables, tabulate
 from needlefit.mechanics.kernel.scalar import NON_FINITE, Newton
-from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import NEAR, Lattice, Stop, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import begin, compile_controls, follow, packed, read
-from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -100,9 +97,11 @@ class _Job:
 
 def _prepare(batch: Batch) -> _Job:
     valid = _valid(batch)
-    needle, _, steps, rules = _farthest(batch, valid)
+    needle, steps, rules = batch.needle, batch.steps, batch.rules
+    if valid.any():  # where one set leads, all valid ones do: any of them stands for all
+        needle, _, steps, rules = batch.one(int(np.argmax(valid)))
     lattice = lattice_of(steps, rules)
-    moves = moves_of(steps, needle.length)  # raises where the farthest guide is out of reach
+    moves = moves_of(steps, needle.length)
     stops = stops_of(moves, lattice)
     shared = None
     if _fit(batch, lattice, stops):
@@ -125,14 +124,6 @@ def _valid(batch: Batch) -> Bools:
                 fine &= (values < 0) & (values > deepest - batch.needle.length)
             good &= fine.reshape(len(batch), -1).all(axis=1)
     return good
-
-
-def _farthest(batch: Batch, valid: Bools) -> tuple[Needle, Tissue, Sequence[Step], Rules]:
-    """Return the insertion of the set whose guide stands farthest before the tissue."""
-    if not valid.any():
-        return batch.needle, batch.tissue, batch.steps, batch.rules
-    reach = np.zeros(len(batch)) if batch.guide_x is None else batch.guide_x
-    return batch.one(int(np.argmin(np.where(valid, reach, np.inf))))
 
 
 def _fit(batch: Batch, lattice: Lattice, stops: Sequence[Stop]) -> bool:
@@ -199,14 +190,12 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
     newton = Newton(batch.rules.tolerance, batch.rules.max_iterations)
     tissue = _layers(job, lane)
     for held, stops, cut in job.groups:
-        controls = batch.steps[held].controls
-        kernel.advance_lanes(
-            under_way, grids, tables, compile_controls(controls),
-            _inputs(batch, tissue, controls, cut, lane), stops, newton,
-        )  # fmt: skip
+        holds = compile_controls(batch.steps[held].controls)
+        inputs = _inputs(batch, tissue, holds, cut, lane)
+        kernel.advance_lanes(under_way, grids, tables, holds, inputs, stops, newton)
     count, size = len(sets), int(under_way.size[0])
     state = under_way.states[under_way.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
-    front = _front(job, controls, sets, float(under_way.nodes[0]), state[0])  # (B, F, 3)
+    front = _front(job, holds, sets, float(under_way.nodes[0]), state[0])  # (B, F, 3)
     points = np.empty((count, last.cell + 1, 2))
     points[:, :, 0] = constraint_depths(last.tip, last.cell, job.lattice.first_cell, job.lattice.spacing)
     points[:, :, 1] = under_way.y[: last.cell + 1, :count].T
@@ -231,9 +220,7 @@ def _own(shared: _Shared) -> tuple[Insertion, Tables]:
     return shared.grids._replace(main=own), tables._replace(points=tables.points.copy())
 
 
-def _inputs(
-    batch: Batch, tissue: tuple[Floats, Floats], controls: Controls, cut: Ints, lane: Ints
-) -> LaneInputs:
+def _inputs(batch: Batch, tissue: tuple[Floats, Floats], holds: Holds, cut: Ints, lane: Ints) -> LaneInputs:
     """Return what differs between lanes under the inputs of one step; `lane` (W,) says whose they are."""
 
     def given(name: str, otherwise: float) -> Floats:
@@ -242,38 +229,34 @@ def _inputs(
 
     turns = np.array([step.bevel.side / batch.rules.spacing for step in batch.steps])
     offsets = np.array([given("offset", step.bevel.offset) for step in batch.steps])  # (steps, W)
-    before = np.array([[given("guide_x", guide.x), *np.full((2, len(lane)), [[guide.y], [_slope(guide)]])]
-                       for guide in controls.before])  # fmt: skip
-    base = (controls.base_y, controls.base_slope, controls.stage_slope)
+    before = np.repeat(holds.before[:, :, None], len(lane), axis=2)  # (F, 3, W)
+    if batch.guide_x is not None:
+        before[0, 0] = batch.guide_x[lane]
+    base = holds.base
     return LaneInputs(
         given("rigidity", batch.needle.flexural_rigidity),
         *tissue,
         np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])]),
-        before.reshape(-1, 3, len(lane)),
+        before,
         turns[cut, None] * offsets[cut],
     )
 
 
-def _slope(guide: Guide) -> float:
-    return math.nan if guide.slope is None else guide.slope
-
-
-def _front(job: _Job, controls: Controls, sets: Ints, node: float, state: Floats) -> Floats:
+def _front(job: _Job, holds: Holds, sets: Ints, node: float, state: Floats) -> Floats:
     """Return depth, deflection and slope (B, F, 3) of base and guides before the tissue.
 
     The slope of a guide that is passed freely follows from the moments on its two sides being equal;
     `state` (2, B) is deflection and slope of the first node in the tissue, which stands at `node`.
     """
     batch, tip, valid = job.batch, job.stops[-1].tip, job.valid[sets]
-    count, guides = len(sets), controls.before
+    count, guides = len(sets), holds.before
     front = np.empty((count, 1 + len(guides), 3))
-    y = controls.base_y if batch.base_y is None else batch.base_y[sets]
-    front[:, 0, 0], front[:, 0, 1] = tip - batch.needle.length, y + controls.stage_slope * tip
-    front[:, 0, 2] = controls.base_slope if batch.base_slope is None else batch.base_slope[sets]
-    for i, guide in enumerate(guides, start=1):
-        front[:, i] = guide.x, guide.y, _slope(guide)
+    y = holds.base[0] if batch.base_y is None else batch.base_y[sets]
+    front[:, 0, 0], front[:, 0, 1] = tip - batch.needle.length, y + holds.base[2] * tip
+    front[:, 0, 2] = holds.base[1] if batch.base_slope is None else batch.base_slope[sets]
+    front[:, 1:] = guides
     if batch.guide_x is not None:
-        front[:, 1, 0] = np.where(valid, batch.guide_x[sets], guides[0].x)
+        front[:, 1, 0] = np.where(valid, batch.guide_x[sets], guides[0, 0])
     if not np.isnan(front[..., 2]).any():
         return front
     x, y = (np.column_stack((front[..., j], end)) for j, end in ((0, np.full(count, node)), (1, state[0])))
@@ -281,7 +264,7 @@ def _front(job: _Job, controls: Controls, sets: Ints, node: float, state: Floats
     matrix = np.broadcast_to(np.eye(len(guides) + 2), (count, len(guides) + 2, len(guides) + 2)).copy()
     right = np.column_stack((front[..., 2], state[1]))
     for i, guide in enumerate(guides, start=1):
-        if guide.slope is None:
+        if np.isnan(guide[2]):
             a, b = 1 / span[:, i - 1], 1 / span[:, i]
             matrix[:, i, i - 1], matrix[:, i, i], matrix[:, i, i + 1] = a, 2 * (a + b), b
             right[:, i] = 3 * (rise[:, i - 1] * a**2 + rise[:, i] * b**2)
