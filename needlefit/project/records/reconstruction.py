@@ -1,6 +1,6 @@
-"""A reconstruction recipe: how the needle is found in a scan, and how its axis is drawn."""
+"""A reconstruction recipe: what was scanned, and how needle, markers, entry and layers are found."""
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -8,9 +8,14 @@ from needlefit.project.records.record import FileRecord, Record
 
 
 class ScannedNeedleRecord(Record):
-    """The needle that was scanned, as the tip's edge model needs it."""
+    """The needle that was scanned: its tube for the dataset, diameter and bevel also for the tip's edge model."""
 
+    name: str = ""
+    length_mm: float = Field(default=150.0, gt=0)
     diameter_mm: float = Field(default=1.27, gt=0)
+    inner_diameter_mm: float = Field(default=0.0, ge=0)
+    youngs_modulus_gpa: float = Field(default=80.0, gt=0)
+    note: str = ""
     bevel_deg: float = Field(default=30.0, ge=10, le=90)
     bevel_sd_deg: float = Field(default=3.0, gt=0)
 
@@ -48,6 +53,33 @@ class CenterlineRecord(Record):
         return self
 
 
+class MarkersRecord(Record):
+    """The radiopaque markers: balls of one diameter, and how well their places are known."""
+
+    diameter_mm: float = Field(default=3.0, gt=0)
+    threshold_hu: float | None = None
+    known_sd_mm: float = Field(default=0.1, gt=0)
+    fiducial_sd_mm: float = Field(default=0.3, gt=0)
+
+
+class EntryRecord(Record):
+    """Entry pose and bending plane.
+
+    `bend_mm`, `bend_deg`: how far the tissue may move and turn the needle at the entry (standard deviations),
+    where the pose comes from the shaft outside. `plane` is used where no bevel direction is stated.
+    """
+
+    bend_mm: float = Field(default=0.3, gt=0)
+    bend_deg: float = Field(default=2.0, gt=0)
+    plane: Literal["bevel", "shape"] = "shape"
+
+
+class LayersRecord(Record):
+    """The layers' surfaces: how far one may lie from the boundary that it stands for."""
+
+    surface_sd_mm: float = Field(default=0.1, ge=0)
+
+
 class ReconstructionRecord(FileRecord):
     """`configs/reconstruction/<name>.toml`."""
 
@@ -55,3 +87,6 @@ class ReconstructionRecord(FileRecord):
     needle: ScannedNeedleRecord = ScannedNeedleRecord()
     segmentation: SegmentationRecord = SegmentationRecord()
     centerline: CenterlineRecord = CenterlineRecord()
+    markers: MarkersRecord = MarkersRecord()
+    entry: EntryRecord = EntryRecord()
+    layers: LayersRecord = LayersRecord()

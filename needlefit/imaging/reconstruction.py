@@ -1,0 +1,177 @@
+"""What a scan tells of its needle: the noun that `reconstruct` returns."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.needle.centerline import Centerline
+from needlefit.imaging.registration.register import Registration
+from needlefit.imaging.scan import Scan
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Markers in the scan.
+
+    Attributes
+    ----------
+    centers : (M, 3) array
+        LPS, mm.
+    sd : (M,) array
+        Deviation in any one direction, mm.
+    source : str
+        "volume", or "fiducials": placed by hand.
+    """
+
+    centers: Floats
+    sd: Floats
+    source: Literal["volume", "fiducials"]
+
+
+@dataclass(frozen=True)
+class EntryPose:
+    """The needle's tip at first contact.
+
+    Attributes
+    ----------
+    origin, direction : (3,) arrays
+        World; mm, unit vector into the tissue.
+    source : str
+        "stage" or "shaft".
+    shift_sd, angle_sd : float
+        Deviations of both against the measured centreline, in any one direction across; mm, rad.
+    along_sd : float
+        Deviation of `origin` along the needle, mm.
+    """
+
+    origin: Floats
+    direction: Floats
+    source: Literal["stage", "shaft"]
+    shift_sd: float
+    angle_sd: float
+    along_sd: float
+
+
+@dataclass(frozen=True)
+class Profile:
+    """Brightness along the needle.
+
+    Attributes
+    ----------
+    s : (P,) array
+        Along the needle from its first contact, mm; negative outside the tissue.
+    core, around : (P,) arrays
+        Of the needle itself and of what surrounds it, HU; nan outside the volume.
+    """
+
+    s: Floats
+    core: Floats
+    around: Floats
+
+
+@dataclass(frozen=True)
+class View:
+    """A picture of the scan in a plane of the constraint frame.
+
+    Attributes
+    ----------
+    axes : tuple of str
+        What runs to the right and upwards: "x", "y" or "z" of C.
+    values : (H, W) array
+        Greatest brightness within a thin slab, HU; nan outside the volume. Row 0 is the lowest.
+    extent : tuple of float
+        left, right, bottom, top edges of the picture, mm in C.
+    """
+
+    axes: tuple[str, str]
+    values: NDArray[np.float32]
+    extent: tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class Layers:
+    """The layers that the needle meets.
+
+    Attributes
+    ----------
+    surfaces : tuple of Surface
+        World.
+    boundaries : (n - 1,) array
+        Depths of the interfaces crossed, along C's x, mm.
+    sd : (n - 1,) array
+        Their deviations, mm: of surface, registration and centreline.
+    points : (n - 1, 3) array
+        Where they are crossed, world, mm.
+    sequence : tuple of int
+        The n layers met.
+    """
+
+    surfaces: tuple[Surface, ...]
+    boundaries: Floats
+    sd: Floats
+    points: Floats
+    sequence: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class Reconstruction:
+    """One scan, reconstructed.
+
+    Attributes
+    ----------
+    scan : Scan
+    traced : Centerline
+        The whole needle, LPS.
+    markers : Markers or None
+        None where the world is the patient frame.
+    registration : Registration or None
+    patient : Frame
+        The scan's LPS axes and origin in the world.
+    pose : EntryPose
+    frame : Frame
+        The constraint frame C in the world.
+    plane : str
+        What fixes the bending plane: "stated", "bevel" (as seen in the scan) or "shape".
+    points : (N, 3) array
+        The centreline from first contact to tip, world, mm.
+    sd : (N,) array
+        Of each point in any one direction across, mm; the registration's error, common to all, is not in it.
+    depth, depth_sd : float
+        Inserted arc length, mm.
+    target_error : (2,) array
+        Mean error that the registration leaves at the entry and at the tip, predicted, mm; 0 without one.
+    layers : Layers
+    profile : Profile
+    views : tuple of View
+    remarks : tuple of str
+        What a person should know.
+    """
+
+    scan: Scan
+    traced: Centerline
+    markers: Markers | None
+    registration: Registration | None
+    patient: Frame
+    pose: EntryPose
+    frame: Frame
+    plane: Literal["stated", "bevel", "shape"]
+    points: Floats
+    sd: Floats
+    depth: float
+    depth_sd: float
+    target_error: Floats
+    layers: Layers
+    profile: Profile
+    views: tuple[View, ...]
+    remarks: tuple[str, ...]
+
+    @property
+    def local(self) -> Floats:
+        """The centreline in C (N, 3), mm; z is what the bending plane does not hold."""
+        return self.frame.to_local(self.points)
