@@ -8,7 +8,7 @@ from needlefit.project.records.record import FileRecord, Record
 
 
 class ScannedNeedleRecord(Record):
-    """The needle that was scanned: its tube for the dataset, diameter and bevel also for the tip's edge model."""
+    """The needle that was scanned; diameter and bevel are also what the tip's edge model takes."""
 
     name: str = ""
     length_mm: float = Field(default=150.0, gt=0)
