@@ -9,6 +9,7 @@ from typer.core import TyperGroup
 from needlefit.cli import failure
 from needlefit.cli.check import check
 from needlefit.cli.paper import paper
+from needlefit.cli.reconstruct import SeveralLayers, reconstruct
 from needlefit.cli.simulate import simulate
 from needlefit.cli.start import init, new_dataset
 from needlefit.cli.tune import tune
@@ -46,6 +47,7 @@ def build() -> typer.Typer:
     app.callback()(_needlefit)
     for command in (simulate, check, tune, validate, verify, paper, init):
         app.command()(command)
+    app.command(cls=SeveralLayers)(reconstruct)
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]
     twin.callback()(_group)
     twin.command("build")(twin_build)

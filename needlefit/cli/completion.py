@@ -23,5 +23,10 @@ def datasets(incomplete: str) -> list[str]:
     return _beginning(names("dataset"), incomplete)
 
 
+def reconstructions(incomplete: str) -> list[str]:
+    """Return the recipes of reconstruction whose names begin so."""
+    return _beginning(names("reconstruction"), incomplete)
+
+
 def _beginning(known: list[str], incomplete: str) -> list[str]:
     return [name for name in known if name.startswith(incomplete)]

@@ -1,0 +1,163 @@
+"""`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+from typer.core import TyperCommand
+
+from needlefit.cli import failure, options, screen
+from needlefit.cli.completion import reconstructions
+from needlefit.cli.execution import cores
+from needlefit.cli.interruption import stopping
+from needlefit.cli.progress import progress
+from needlefit.errors import DataError
+
+if TYPE_CHECKING:
+    from needlefit.imaging.batch import Failure
+    from needlefit.imaging.reconstruction import Reconstruction
+    from needlefit.imaging.scan import Scan
+
+MOST_JOBS = 2
+"""Scans at once unless somebody wants more: each takes several times the memory of its volume."""
+
+
+class SeveralLayers(TyperCommand):
+    """A command whose `--layers` takes all words up to the next option."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Repeat `--layers` before each of its files, as typer wants it."""
+        words, repeated = [], False
+        for word in args:
+            if word.startswith("-") and word != "-":
+                repeated = word == "--layers"
+                if repeated:
+                    continue
+            words += ["--layers", word] if repeated else [word]
+        return super().parse_args(ctx, words)
+
+
+def reconstruct(
+    context: typer.Context,
+    scans: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="SCAN...",
+            help="DICOM folders, NRRD, NIfTI; or one scans.csv: a row a scan, with stage, bevel, layers.",
+        ),
+    ],
+    out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the dataset.")],
+    markers: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Known places of the markers in the world: .csv, .fcsv, .mrk.json."
+        ),
+    ] = None,
+    fiducials: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="The markers as placed in the scan by hand (.fcsv, .mrk.json)."),
+    ] = None,
+    layers: Annotated[
+        list[Path] | None,
+        typer.Option(metavar="FILES...", help="STL, PLY or OBJ, from the entry inwards; or a segmentation."),
+    ] = None,
+    layers_in: Annotated[
+        str | None, typer.Option(metavar="world|scan", help="Frame of the surfaces (default: world).")
+    ] = None,
+    mask: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="The needle's voxels, segmented elsewhere.")
+    ] = None,
+    medium: Annotated[str, typer.Option(help="Name of what was punctured.")] = "medium",
+    recipe: Annotated[
+        str,
+        typer.Option(
+            metavar="RECIPE", autocompletion=reconstructions, help="configs/reconstruction, or a path."
+        ),
+    ] = "default",
+    title: Annotated[str, typer.Option(help="Title of the dataset.")] = "",
+    jobs: Annotated[
+        int | None, typer.Option(min=1, help="Scans at once (default: 2); changes no result.")
+    ] = None,
+    resume: options.Resume = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Reconstruct the needles in SCANs into a dataset.
+
+    Needle, markers and tissue are found in each scan; its markers lay it on the world. DATASET takes the
+    dataset, tables of what was found, and for every scan a quality page (quality/) and files for 3D Slicer
+    (slicer/). A scan that fails is named, with what would mend it (exit code 3), and the others are written.
+    """
+    named = {
+        "markers": markers,
+        "fiducials": fiducials,
+        "layers": layers,
+        "layers_in": layers_in,
+        "mask": mask,
+    }
+    invocation = context.find_root().obj
+    with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        from needlefit.imaging.assemble import About
+        from needlefit.imaging.batch import Batch, Failure, reconstruct_all
+        from needlefit.project.load import load
+        from needlefit.project.places import find
+        from needlefit.project.records.reconstruction import ReconstructionRecord
+        from needlefit.reporting.reconstructed import require_replaceable, write_reconstructed
+
+        require_replaceable(out)
+        wanted = _scans(scans, medium, {name: value for name, value in named.items() if value})
+        record = load(find("reconstruction", recipe), ReconstructionRecord)
+        keep = out.resolve().with_name(f"{out.resolve().name}.partial")
+        with progress(invocation.quiet) as report:
+            found = reconstruct_all(
+                wanted, record, Batch(jobs or min(MOST_JOBS, cores()), keep, resume, report, stop)
+            )
+            if len(found) < len(wanted):
+                screen.note(f"needlefit: interrupted; to go on: {invocation.resuming()}")
+                raise typer.Exit(failure.INTERRUPTED)
+            failed = [one for one in found if isinstance(one, Failure)]
+            ones = [one for one in found if not isinstance(one, Failure)]
+            if ones:
+                about = About(out.resolve().name, title)
+                ones, faulty = write_reconstructed(out, ones, record, about, report)
+                failed += faulty
+    _show(out, ones, failed, json)
+    if failed:
+        raise typer.Exit(DataError.exit_code)  # what is finished is kept: --resume does the failed ones anew
+    shutil.rmtree(keep, ignore_errors=True)
+
+
+def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan, ...]":
+    """Return the scans that the arguments mean: the rows of a table, or volumes that share what is named."""
+    from needlefit.imaging.scans import read_scans, scans_of
+
+    if not any(path.suffix.lower() == ".csv" for path in scans):
+        return scans_of(scans, medium=medium, **named)
+    if len(scans) > 1 or named:
+        raise typer.BadParameter(
+            "a table of scans stands alone: markers, fiducials, layers and masks are columns of it"
+        )
+    return read_scans(scans[0])
+
+
+def _show(out: Path, ones: "Sequence[Reconstruction]", failed: "Sequence[Failure]", json: bool) -> None:
+    from needlefit.reporting.reconstructions import display, scans_table
+
+    if json:
+        rows = scans_table(ones).to_dict(orient="records") if ones else []
+        errors = [
+            {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
+        ]
+        screen.show_json({"dataset": str(out) if ones else None, "scans": rows, "failed": errors})
+    elif ones:
+        screen.show_display(display(ones))
+        screen.say(f"written: {out}/")
+    for one in failed:
+        screen.note(f"needlefit: {one.scan.id}: {one.error}")
+    if failed and len(ones):
+        screen.note(
+            f"needlefit: {len(failed)} of {len(failed) + len(ones)} scans failed; the others are written"
+        )

@@ -1,0 +1,127 @@
+"""Many scans, one after the other or side by side; one that fails loses nothing of the others."""
+
+import hashlib
+import pickle
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib.metadata import version
+from pathlib import Path
+
+from needlefit.errors import NeedlefitError
+from needlefit.imaging.reconstruct import reconstruct
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.scan import Scan
+from needlefit.project.processes import in_processes, never
+from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.replace import replacing_file
+
+Progress = Callable[[str, int, int], None]
+
+PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
+
+
+@dataclass(frozen=True)
+class Failure:
+    """A scan that could not be reconstructed, and why."""
+
+    scan: Scan
+    error: NeedlefitError
+
+
+def _quiet(_what: str, _done: int, _of: int) -> None:
+    """Report nothing."""
+
+
+@dataclass(frozen=True)
+class Batch:
+    """How many scans are worked on.
+
+    Attributes
+    ----------
+    jobs : int
+        At once; each takes as much memory as its volume, several times.
+    keep : Path or None
+        A folder for what is finished.
+    resume : bool
+        Whether what is kept there of the same scans, files and versions is taken as it is.
+    progress : callable
+        Told which scan was finished, how many are, and of how many.
+    stop : callable
+        Whether to begin no further scan.
+    """
+
+    jobs: int = 1
+    keep: Path | None = None
+    resume: bool = False
+    progress: Progress = _quiet
+    stop: Callable[[], bool] = never
+
+
+def reconstruct_all(
+    scans: Sequence[Scan], recipe: ReconstructionRecord, batch: Batch
+) -> tuple[Reconstruction | Failure, ...]:
+    """Return what came of every scan, in their order; where `batch.stop` said so, of fewer."""
+    found: dict[int, Reconstruction | Failure] = {}
+    for n, scan in enumerate(scans):
+        kept = _kept(scan, recipe, batch)
+        if kept is not None:
+            found[n] = kept
+    left = [n for n in range(len(scans)) if n not in found]
+    batch.progress("reconstructing", len(found), len(scans))
+    work = partial(attempt, recipe=recipe)
+    for at, one in in_processes(work, [scans[n] for n in left], batch.jobs, batch.stop):
+        found[left[at]] = one
+        if isinstance(one, Reconstruction):
+            _keep(one, recipe, batch)
+        batch.progress(scans[left[at]].id, len(found), len(scans))
+    return tuple(found[n] for n in sorted(found))
+
+
+def attempt(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction | Failure:
+    """Return the reconstruction of a scan, or why there is none."""
+    try:
+        return reconstruct(scan, recipe)
+    except NeedlefitError as error:
+        return Failure(scan, error)
+    except Exception as error:  # what nobody foresaw in one scan must not cost the others their results
+        what = f"unexpected {type(error).__name__}: {error}"
+        return Failure(scan, NeedlefitError(what, where=str(scan.volume)))
+
+
+def _kept(scan: Scan, recipe: ReconstructionRecord, batch: Batch) -> Reconstruction | None:
+    if batch.keep is None or not batch.resume or not _file(scan, batch.keep).is_file():
+        return None
+    try:
+        stamp, one = pickle.loads(_file(scan, batch.keep).read_bytes())
+    except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, ValueError):
+        return None
+    return one if stamp == _stamp(scan, recipe) and isinstance(one, Reconstruction) else None
+
+
+def _keep(one: Reconstruction, recipe: ReconstructionRecord, batch: Batch) -> None:
+    if batch.keep is None:
+        return
+    with replacing_file(_file(one.scan, batch.keep)) as fresh:
+        fresh.write_bytes(pickle.dumps((_stamp(one.scan, recipe), one)))
+
+
+def _file(scan: Scan, keep: Path) -> Path:
+    return keep / f"{scan.id}.pickle"
+
+
+def _stamp(scan: Scan, recipe: ReconstructionRecord) -> str:
+    """Return a digest of all that decides a reconstruction; of files their size and time."""
+    parts = [repr(scan), recipe.model_dump_json(), *(version(name) for name in ("needlefit", *PACKAGES))]
+    for path in sorted(_files(scan)):
+        status = path.stat()
+        parts.append(f"{path} {status.st_size} {status.st_mtime_ns}")
+    return hashlib.sha256("\n".join(parts).encode()).hexdigest()
+
+
+def _files(scan: Scan) -> Iterator[Path]:
+    """Yield every file that a reconstruction reads."""
+    given = (scan.volume, scan.mask, scan.markers, scan.fiducials, *(one.path for one in scan.surfaces))
+    for path in given:
+        if path is not None:
+            yield from (one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]

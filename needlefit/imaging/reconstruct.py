@@ -1,0 +1,198 @@
+"""One scan -> its needle in the world, its entry, its layers: the steps in their order."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import DataError
+from needlefit.geometry.crossings import surface_hits
+from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.frames import Frame, entry_frame
+from needlefit.geometry.patient import IN_PATIENT
+from needlefit.geometry.plane import bending_plane
+from needlefit.geometry.surfaces import Surface
+from needlefit.imaging import entry
+from needlefit.imaging.layers import met, read_layers
+from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
+from needlefit.imaging.needle.centerline import Centerline, trace
+from needlefit.imaging.needle.segmentation import Component, from_mask, segment
+from needlefit.imaging.profile import profile, tissue_edge
+from needlefit.imaging.reconstruction import EntryPose, Layers, Markers, Profile, Reconstruction
+from needlefit.imaging.registration.register import (
+    Registration,
+    frame_of,
+    predicted_mean_target_error,
+    register,
+)
+from needlefit.imaging.remarks import remarks
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.views import views
+from needlefit.imaging.volume import Volume, read
+from needlefit.project.records.reconstruction import ReconstructionRecord
+
+Floats = NDArray[np.float64]
+Plane = Literal["stated", "bevel", "shape"]
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What the volume shows, before anything is said of entry and layers.
+
+    Attributes
+    ----------
+    traced : Centerline
+        LPS.
+    markers : Markers or None
+    registration : Registration or None
+    profile : Profile
+        Along the whole needle, s from its first point.
+    """
+
+    traced: Centerline
+    markers: Markers | None
+    registration: Registration | None
+    profile: Profile
+
+    @property
+    def patient(self) -> Frame:
+        """The scan's LPS axes and origin in the world."""
+        return IN_PATIENT if self.registration is None else frame_of(self.registration)
+
+    @property
+    def world(self) -> Floats:
+        """The whole needle in the world (N, 3), mm."""
+        return self.patient.to_world(self.traced.points)
+
+
+def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
+    """Return what a scan tells of its needle.
+
+    The needle's axis and tip are traced in the scan, the scan is laid on the world by its markers, and
+    everything else is told in the world: the pose at first contact, the centreline from there to the tip,
+    the plane in which it bends, the layers that it meets.
+
+    Raises
+    ------
+    DataError
+        Whatever keeps the scan from being reconstructed; nothing is guessed.
+    ConfigError
+        If the packages that read scans are not installed.
+    """
+    volume = read(scan.volume, scan.series)
+    seen = see(volume, scan, recipe)
+    surfaces = read_layers(scan, seen.patient)
+    pose = _pose(seen, scan, surfaces, recipe)
+    points, sd = _inserted(seen, entry.start(seen.world, pose), recipe.centerline.station_mm)
+    frame, plane = _bending(seen, scan, pose, points, recipe)
+    layers = met(points, sd, frame, surfaces, ...)
+    _require_layers(layers, scan)
+    ...
+
+
+def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:
+    """Return what the volume shows of needle and markers."""
+    needle = _needle(volume, scan, recipe)
+    traced = trace(volume, needle, recipe)
+    markers = _markers(volume, needle, scan, recipe)
+    registration = None
+    if markers is not None and scan.markers is not None:
+        known = read_markers(scan.markers)
+        registration = register(markers.centers, known, markers.sd, recipe.markers.known_sd_mm)
+    along = profile(volume, traced.points, arc_length(traced.points))
+    return Seen(traced, markers, registration, along)
+
+
+def _needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
+    if scan.mask is None:
+        return segment(volume, recipe)
+    return from_mask(volume, read(scan.mask).values > 0, recipe)
+
+
+def _markers(volume: Volume, needle: Component, scan: Scan, recipe: ReconstructionRecord) -> Markers | None:
+    """Return the markers, placed by hand or found; None where the world needs none."""
+    if scan.fiducials is not None:
+        return check_fiducials(given_markers(scan.fiducials, recipe), volume, recipe, needle.voxels)
+    return None if scan.markers is None else find_markers(volume, recipe, needle.voxels)
+
+
+def _pose(seen: Seen, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord) -> EntryPose:
+    if scan.stage is not None:
+        (at,) = seen.patient.to_local(scan.stage.entry[None])
+        return entry.from_stage(scan.stage, seen.registration, at)
+    world = seen.world
+    s = arc_length(world)
+    at, at_sd = _tissue(seen, scan, surfaces, recipe)
+    base = recipe.needle.length_mm - (s[-1] - at)
+    shaft = entry.Shaft(
+        points=world[s < at],
+        sd=seen.traced.sd[s < at],
+        s=s[s < at] - at,
+        free=base if scan.guide_distance is None else scan.guide_distance,
+        bend=recipe.entry.bend_mm,
+        turn=np.radians(recipe.entry.bend_deg),
+    )
+    return entry.on_surface(entry.from_shaft(shaft, at_sd), surfaces)
+
+
+def _tissue(
+    seen: Seen, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+) -> tuple[float, float]:
+    """Return where along the whole needle the tissue begins, and how sure that is, mm.
+
+    The tissue's own surface says it where there is one, else the change of brightness around the needle.
+    """
+    outer = [surface for surface in surfaces if surface.into == 1]
+    hits = np.concatenate([surface_hits(seen.world, surface) for surface in outer]) if outer else np.empty(0)
+    if len(hits):
+        return float(hits.min()), recipe.layers.surface_sd_mm
+    edge = tissue_edge(seen.profile)
+    if edge is None:
+        raise DataError(
+            "the scan does not show where the needle enters the tissue",
+            where=str(scan.volume),
+            expected="air before the tissue along the needle, the tissue's surface (into = 1), or the stage",
+            mend="state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the "
+            "layers, as FILE=sheet:1 or FILE=solid:1",
+        )
+    return edge
+
+
+def _inserted(seen: Seen, begin: float, station: float) -> tuple[Floats, Floats]:
+    """Return the needle from `begin` (mm along it) to its tip: points (N, 3), world, and deviations (N,)."""
+    along = arc_length(seen.world)
+    count = int(np.ceil((along[-1] - begin) / station)) + 1
+    s = np.linspace(begin, along[-1], count)
+    return at_arc(seen.world, s), np.interp(s, along, seen.traced.sd)
+
+
+def _bending(
+    seen: Seen, scan: Scan, pose: EntryPose, points: Floats, recipe: ReconstructionRecord
+) -> tuple[Frame, Plane]:
+    """Return the constraint frame, and what fixes its plane."""
+    plane: Plane
+    bevel = seen.patient.rotation @ seen.traced.bevel
+    if scan.bevel is not None:
+        toward, plane = scan.bevel, "stated"
+    elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
+        toward, plane = bevel, "bevel"
+    else:
+        toward, plane = bending_plane(points, pose.direction), "shape"
+    return entry_frame(pose.origin, pose.direction, toward), plane
+
+
+def _require_layers(layers: Layers, scan: Scan) -> None:
+    """Refuse a needle that meets other layers than somebody counted."""
+    counted = [n for n in (scan.layers, scan.layers_alternative) if n is not None]
+    if not counted or len(layers.sequence) in counted:
+        return
+    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries) or "none"
+    raise DataError(
+        f"the needle meets {len(layers.sequence)} layers ({' > '.join(map(str, layers.sequence))}; "
+        f"interfaces at {depths} mm), but {' or '.join(map(str, counted))} are listed",
+        where=f"layers of {scan.id}",
+        expected=f"{' or '.join(map(str, counted))} layers",
+        mend="look at the quality of registration and surfaces (same frame?), or correct layers, "
+        "layers_alternative",
+    )

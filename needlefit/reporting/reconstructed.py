@@ -1,0 +1,63 @@
+"""A batch of reconstructed scans -> the folder of a dataset, with all that a person needs to judge it."""
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
+
+from needlefit.imaging.assemble import About
+from needlefit.imaging.batch import PACKAGES, Failure
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.imaging.sound import assemble_sound
+from needlefit.project.manifest import replacing_own, require_own, write_manifest
+from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.reporting.quality import write_quality
+from needlefit.reporting.reconstructions import crossings_table, markers_table, scans_table
+from needlefit.reporting.slicer_scan import write_scan
+from needlefit.reporting.write import write_csv
+from needlefit.validation.provenance import versions
+
+Progress = Callable[[str, int, int], None]
+
+MANIFEST = "reconstruction.json"
+
+
+def require_replaceable(folder: Path) -> None:
+    """Raise ConfigError if `folder` holds anything but an earlier reconstruction that nobody touched."""
+    require_own(folder, MANIFEST)
+
+
+def write_reconstructed(
+    folder: Path,
+    ones: Sequence[Reconstruction],
+    recipe: ReconstructionRecord,
+    about: About,
+    progress: Progress,
+) -> tuple[tuple[Reconstruction, ...], tuple[Failure, ...]]:
+    """Write `folder`, whole or not at all; return what is in it, and what a dataset cannot hold.
+
+    The dataset; `reconstruction.csv`, `markers.csv`, `crossings.csv`; `quality/<id>.pdf`; `slicer/`;
+    and `reconstruction.json`: versions, recipe, and the SHA-256 of every file.
+
+    Raises
+    ------
+    DataError
+        If no scan makes a dataset without faults.
+    ConfigError
+        If `folder` holds what is not its own.
+    """
+    with replacing_own(folder, MANIFEST) as fresh:
+        kept, failures = assemble_sound(fresh, ones, recipe, about)
+        for table in (scans_table, markers_table, crossings_table):
+            frame = table(kept)
+            if len(frame):
+                write_csv(frame, fresh / f"{frame.attrs['name']}.csv")
+        for done, one in enumerate(kept):
+            progress(f"{one.scan.id}: quality page", done, len(kept))
+            write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
+            write_scan(one, fresh / "slicer")
+        write_manifest(fresh, MANIFEST, _said(recipe))
+    return kept, failures
+
+
+def _said(recipe: ReconstructionRecord) -> dict[str, Any]:
+    return {"versions": versions(PACKAGES), "recipe": recipe.model_dump(mode="json", by_alias=True)}
