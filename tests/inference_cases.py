@@ -63,7 +63,7 @@ def measure(
 
 def dataset(insertions: Sequence[Insertion], noise: Noise = NOISE, pose: str = "known", drop: float = 0.0):
     return Dataset(
-        "cases", "cases", "synthetic", NEEDLE, tuple(insertions), {}, noise, pose, drop, Path(), "0"
+        "cases", "cases", "synthetic", NEEDLE, tuple(insertions), ("test",), noise, pose, drop, Path(), "0"
     )  # fmt: skip
 
 

@@ -15,6 +15,7 @@ from needlefit.datasets.schema import InsertionRow
 from needlefit.datasets.select import select
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
+from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import cylinder, sheet
 from needlefit.project.records.dataset import DatasetRecord
 from needlefit.project.records.fit import SelectionRecord
@@ -228,3 +229,95 @@ def test_toml_text_is_read_back():
 
     tables = {"a": 1, "b": 'say "x"\nü', "c": {"d e": [1.5, 2.0], "f": [{"g": True}]}, "h": {"i": {}}}
     assert tomllib.loads(dumps(tables | {"none": None, "empty": ""})) == tables | {"h": {}}
+
+
+# ---- what every insertion has for itself: deviations, its scan, its layers
+
+QUARTER = Frame(np.array([1.0, 2.0, 3.0]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))  # about z
+
+
+def test_deviations_of_points_are_kept_where_they_are_given(tmp_path):
+    sd = np.linspace(0.02, 0.3, 101)
+    curves = {"a": np.column_stack([CURVE, sd]), "b": CURVE}
+    rows = [row(name, "given", layers=2) for name in "ab"]
+    a, b = read(write_dataset(tmp_path, record(), rows, curves, SURFACES)).insertions
+    np.testing.assert_allclose(a.sd, sd, atol=0.5e-4)
+    assert b.sd is None
+    assert (tmp_path / "centerlines" / "a.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm,sd_mm"
+    assert (tmp_path / "centerlines" / "b.csv").read_text().splitlines()[0] == "x_mm,y_mm,z_mm"
+
+
+def test_every_insertion_may_have_its_own_scan(tmp_path):
+    """A quarter turn about z is the rotation vector (0, 0, 90) in degrees."""
+    rows = [row("a", "given", layers=2, patient=QUARTER), row("b", "given", layers=2)]
+    file = write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)
+    lines = (tmp_path / "insertions.csv").read_text().splitlines()
+    assert lines[0].endswith("scan_rx_deg,scan_ry_deg,scan_rz_deg,scan_x_mm,scan_y_mm,scan_z_mm")
+    assert lines[1].endswith("0.000000,0.000000,90.000000,1.0000,2.0000,3.0000")
+    assert lines[2].endswith(",,,,,,")
+    a, b = read(file).insertions
+    np.testing.assert_allclose(a.patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-9)
+    np.testing.assert_array_equal(b.patient.to_world([[5.0, 0, 0]]), [[5, 0, 0]])
+
+
+def test_a_turn_about_any_axis_is_written_and_read(tmp_path):
+    """A third of a turn about (1, 1, 1) takes x to y, y to z, z to x."""
+    turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))
+    file = write_dataset(
+        tmp_path, record(), [row("a", "given", layers=2, patient=turned)], {"a": CURVE}, SURFACES
+    )
+    found = read(file).insertions[0].patient
+    np.testing.assert_allclose(found.to_world(np.eye(3)) - found.origin, np.eye(3)[[1, 2, 0]], atol=1e-8)
+
+
+def own_layers(folder):
+    """A dataset in which the sheet lies at 20 mm for insertion a, at 30 for b; the cylinder is shared."""
+    media = {
+        "block": {
+            "surfaces": [
+                {"file": "layers/{id}_sheet.stl", "kind": "sheet", "into": 2},
+                {"file": "layers/core.stl", "kind": "solid", "into": 3},
+            ]
+        }
+    }
+    surfaces = {
+        f"layers/{name}_sheet.stl": sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
+        for name, x in (("a", 20), ("b", 30))
+    }
+    surfaces["layers/core.stl"] = SURFACES["layers/core.stl"]
+    curves = dict.fromkeys("ab", CURVE)
+    return write_dataset(folder, record(media=media), [row("a"), row("b")], curves, surfaces)
+
+
+def test_every_insertion_may_have_its_own_layers(tmp_path):
+    dataset = read(own_layers(tmp_path))
+    a, b = dataset.insertions
+    assert a.sequence == b.sequence == (1, 2, 3, 2)
+    assert (a.boundaries[0], b.boundaries[0]) == pytest.approx((20, 30), abs=1e-3)
+    assert dataset.media == ("block",)
+    assert [float(i.surfaces[0].mesh.vertices[0, 0]) for i in dataset.insertions] == [20, 30]
+    assert a.surfaces[1] is b.surfaces[1]
+
+
+def test_own_layers_are_among_the_checksums_and_the_digest(tmp_path):
+    file = own_layers(tmp_path)
+    before, path = read(file).digest, tmp_path / "layers" / "b_sheet.stl"
+    text = path.read_text()
+    path.write_text(text.replace("30.0", "30.5"))
+    assert [fault.where for fault in check(file)] == [str(path)]
+    without_checksums(file)
+    assert read(file).insertions[1].boundaries[0] == pytest.approx(30.5, abs=1e-3)
+    path.write_text(text)
+    own_layers(tmp_path)
+    assert read(file).digest == before
+
+
+def test_a_dataset_without_its_insertions_own_layers_is_not_written(tmp_path):
+    own_layers(tmp_path / "one")
+    media = {
+        "block": {"surfaces": [{"file": "layers/{id}.stl", "kind": "sheet", "into": 2}]},
+        "given": {"boundaries_mm": [20.0]},
+    }
+    rows = [row("a"), row("b", "given")]
+    with pytest.raises(DataError, match=r"nothing to write for layers/a\.stl\n"):
+        write_dataset(tmp_path / "two", record(media=media), rows, dict.fromkeys("ab", CURVE), {})

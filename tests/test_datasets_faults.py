@@ -6,10 +6,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from test_datasets import CURVE, block, without_checksums
+from test_datasets import CURVE, block, own_layers, without_checksums
 
 from needlefit.datasets.check import check
 from needlefit.datasets.read import read
+from needlefit.datasets.schema import SCAN
 from needlefit.errors import DataError
 
 
@@ -314,3 +315,73 @@ def test_every_fault_is_found_at_once(folder):
         read(folder)
     for words in ("insertions.csv:2", "b.csv:7", "c.csv", "core.stl", "mend: "):
         assert words in str(error.value)
+
+
+# ---- what every insertion has for itself
+
+
+def add_columns(path: Path, **columns: str):
+    """Append columns to a table, the same cell in every row."""
+    lines = path.read_text().splitlines()
+    heads, cells = ",".join(columns), ",".join(columns.values())
+    path.write_text("\n".join([f"{lines[0]},{heads}", *(f"{line},{cells}" for line in lines[1:])]) + "\n")
+
+
+@pytest.mark.parametrize(
+    ("value", "words"), [("-0.1", "sd_mm is -0.1"), ("inf", "'inf'"), ("", "empty"), ("wide", "'wide'")]
+)
+def test_a_wrong_deviation_of_a_point(folder, value, words):
+    path = folder / "centerlines" / "b.csv"
+    add_columns(path, sd_mm="0.1")
+    assert check(folder) == []
+    cell(path, 42, "sd_mm", value)
+    fault = the_fault(folder)
+    assert place(fault, folder) == "centerlines/b.csv:42" and words in fault.what
+
+
+def test_deviations_that_are_empty_all_through_are_none(folder):
+    add_columns(folder / "centerlines" / "b.csv", sd_mm="")
+    assert read(folder).insertions[1].sd is None
+
+
+def test_deviations_of_another_name_must_be_there(folder):
+    add_columns(folder / "centerlines" / "b.csv", error="0.1")
+    file = folder / "dataset.toml"
+    head = "[centerlines]\n"
+    assert head in file.read_text()
+    file.write_text(file.read_text().replace(head, head + 'columns = { sd_mm = "error" }\n'))
+    assert {place(fault, folder) for fault in check(folder)} == {"centerlines/a.csv:1", "centerlines/c.csv:1"}
+    for name in "ac":
+        add_columns(folder / "centerlines" / f"{name}.csv", error="0.2")
+    assert [insertion.sd[0] for insertion in read(folder).insertions] == [0.2, 0.1, 0.2]
+
+
+def test_a_scan_is_placed_by_six_numbers_or_by_none(folder):
+    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN, ""))
+    assert check(folder) == []
+    cell(folder / "insertions.csv", 3, "scan_ry_deg", "12")
+    fault = the_fault(folder)
+    assert place(fault, folder) == "insertions.csv:3" and "filled in part" in fault.what
+    cell(folder / "insertions.csv", 3, "scan_ry_deg", "east")
+    fault = the_fault(folder)
+    assert place(fault, folder) == "insertions.csv:3" and "scan_ry_deg is 'east'" in fault.what
+
+
+def test_columns_of_a_scan_that_are_missing_are_named(folder):
+    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN[:5], "0"))
+    fault = the_fault(folder)
+    assert "`scan_z_mm` is missing" in fault.what and place(fault, folder) == "insertions.csv:1"
+
+
+def test_faults_of_an_insertion_s_own_layers_name_its_file(tmp_path):
+    without_checksums(own_layers(tmp_path))
+    (tmp_path / "layers" / "a_sheet.stl").unlink()
+    fault = the_fault(tmp_path)
+    assert place(fault, tmp_path) == "layers/a_sheet.stl" and "no such file" in fault.what
+    own_layers(tmp_path)
+    mesh = trimesh.load_mesh(tmp_path / "layers" / "b_sheet.stl")
+    mesh.apply_scale(1e-3)
+    mesh.export(tmp_path / "layers" / "b_sheet.stl")
+    without_checksums(tmp_path / "dataset.toml")
+    fault = the_fault(tmp_path)
+    assert place(fault, tmp_path) == "layers/b_sheet.stl" and "metres" in fault.what

@@ -14,6 +14,7 @@ from needlefit.datasets.formats.markups import Markups
 from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
 from needlefit.datasets.formats.slicer import read_curves, read_lists, read_markups, read_points
 from needlefit.datasets.read import read
+from needlefit.datasets.schema import SCAN
 from needlefit.datasets.template import template
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
@@ -323,7 +324,18 @@ def test_the_scan_stands_where_the_dataset_says(tmp_path):
     save(folder / "a.mrk.json", markup("Curve", "LPS", np.column_stack([y - 2, 1 - x, z - 3]).tolist()))
     found = read(file)
     np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-12)
-    np.testing.assert_allclose(found.patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-12)
+    np.testing.assert_allclose(found.insertions[0].patient.to_world([[5.0, 0, 0]]), [[1, 7, 3]], atol=1e-12)
+
+
+def test_a_row_may_place_its_scan_elsewhere(tmp_path):
+    """The row's motion, a half turn about z, is used, not the dataset's."""
+    identity = [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]
+    file, folder = dataset(tmp_path / "d", "{id}.mrk.json", lps_to_world=identity)
+    table = file.parent / "insertions.csv"
+    head, line = table.read_text().splitlines()
+    table.write_text(f"{head},{','.join(SCAN)}\n{line},0,0,180,0,0,5\n")
+    save(folder / "a.mrk.json", markup("Curve", "LPS", (CURVE * [-1, -1, 1] - [0, 0, 5]).tolist()))
+    np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
 
 
 @pytest.mark.parametrize(

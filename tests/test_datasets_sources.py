@@ -242,6 +242,13 @@ def test_a_template_says_what_it_reads_and_ignores(tmp_path):
         assert "--from reads" in str(error.value) or "check the path" in error.value.mend
 
 
+def test_a_template_keeps_the_deviations_of_points(tmp_path):
+    source = tmp_path / "runs.csv"
+    lines = [f"{x},{y},{z},0.25" for x, y, z in CURVE]
+    source.write_text("\n".join(["x_mm,y_mm,z_mm,sd_mm", *lines]) + "\n")
+    np.testing.assert_array_equal(read(template(tmp_path / "mine", source)).insertions[0].sd, 0.25)
+
+
 def test_a_curve_of_few_points_is_no_template(tmp_path):
     source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a": CURVE, "b": CURVE[:1]})
     with pytest.raises(DataError, match="curve b has only 1 points") as error:

@@ -11,6 +11,7 @@ import pytest
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.geometry.surfaces import sheet
 from needlefit.inference.predict import predict
 from needlefit.inference.starts import Start
 from needlefit.mechanics.control import Bevel
@@ -203,12 +204,8 @@ def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
 def test_planned_layers_follow_the_bending_needle(project: Path, steep: float) -> None:
     """On an oblique interface the crossing found is where the simulated needle really crosses."""
     dataset = read(project / "data" / "needles" / "dataset.toml")
-    insertion, medium = dataset.insertions[2], dataset.media["gel"]
-    from needlefit.geometry.surfaces import sheet
-
-    tilted = dataclasses.replace(
-        medium, surfaces=(sheet("oblique", [18.0, 6.0, 0], [1.0, steep, 0], 200.0, 2),)
-    )
+    oblique = sheet("oblique", [18.0, 6.0, 0], [1.0, steep, 0], 200.0, 2)
+    insertion = dataclasses.replace(dataset.insertions[2], surfaces=(oblique,))
 
     def predict(boundaries: np.ndarray, sequence: tuple[int, ...]):
         tissue = Tissue(
@@ -218,7 +215,7 @@ def test_planned_layers_follow_the_bending_needle(project: Path, steep: float) -
         )
         return simulate(needles.NEEDLE, tissue, Bevel(0.25), insertion.depth)
 
-    boundaries, sequence = planned_layers(insertion, tilted, predict)
+    boundaries, sequence = planned_layers(insertion, predict)
     assert sequence == (1, 2)
     shape = predict(boundaries, sequence)
     y = np.interp(boundaries[0], *inserted_points(shape, 2001).T)

@@ -11,7 +11,7 @@ from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium
 from scipy.optimize import brentq
 from test_validation_run import MEDIUM, fitted, frames, project, study
 
-from needlefit.datasets.insertion import Insertion, Medium
+from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
 from needlefit.geometry.surfaces import sheet
@@ -32,9 +32,9 @@ ONE_EVALUATION = 'schema = 1\nalgorithm = "neldermead"\nstarts = 3\nevaluations 
 
 
 def oblique(planned: Insertion):
-    """A dataset of one insertion; its layer boundary is the plane x + 2 y = 18, whatever was measured."""
+    """The insertion with the plane x + 2 y = 18 as its layer boundary, whatever was measured."""
     surface = sheet("oblique", [18.0, 0, 0], [1.0, 2.0, 0], 300.0, 2)
-    return dataclasses.replace(dataset([planned]), media={"test": Medium("test", (surface,))})
+    return dataclasses.replace(planned, surfaces=(surface,))
 
 
 def shape_with(planned: Insertion, boundary: float) -> NeedleShape:
@@ -58,7 +58,7 @@ def planned() -> Insertion:
 
 
 def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_measured(planned) -> None:
-    curves = model_rival(WRONG, medium(), oblique(planned))(planned)
+    curves = model_rival(WRONG, medium(), dataset([planned]))(oblique(planned))
     s = np.linspace(0, 41, 42)
     crossing = own_crossing(planned)
     assert 14 < crossing < 15
@@ -69,8 +69,7 @@ def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_mea
 
 
 def test_without_surfaces_there_is_nothing_to_plan(planned) -> None:
-    shared = dataclasses.replace(dataset([planned]), media={"test": Medium("test", (), np.array([25.0]))})
-    assert list(model_rival(WRONG, medium(), shared)(planned)) == ["measured"]
+    assert list(model_rival(WRONG, medium(), dataset([planned]))(planned)) == ["measured"]
 
 
 # ---- one row

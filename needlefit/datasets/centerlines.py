@@ -8,9 +8,9 @@ import pandas as pd
 
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats import mat, slicer
-from needlefit.datasets.formats.csv import Table, missing_columns, read_points, read_table
+from needlefit.datasets.formats.csv import Table, missing_columns, read_curve, read_table
 from needlefit.datasets.formats.points import Points
-from needlefit.datasets.schema import POINT, InsertionRow
+from needlefit.datasets.schema import InsertionRow
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.patient import IN_PATIENT
@@ -116,20 +116,21 @@ def find_points(
                         "add them, or remove the insertion from the table",
                     )
                 ]
-            return read_points(long.part(long.groups[row.id]), POINT, lines.columns, found), found
+            return read_curve(long.part(long.groups[row.id]), lines.columns, found), found
         path = folder / lines.pattern.format(id=row.id)
         if path.suffix.lower() == ".mat":
             return _finite(mat.read_points(path), found), found
         if path.suffix.lower() in slicer.ENDINGS:
             points = slicer.read_points(path)
-            return replace(points, values=patient_frame(record.frame).to_world(points.values)), found
-        return read_points(read_table(path), POINT, lines.columns, found), found
+            patient = row.patient or patient_frame(record.frame)
+            return replace(points, values=patient.to_world(points.values)), found
+        return read_curve(read_table(path), lines.columns, found), found
     except DataError as error:
         return None, [*found, from_error(error)]
 
 
 def patient_frame(record: FrameRecord) -> Frame:
-    """Return the patient coordinates of the scans as a frame in the world."""
+    """Return the patient coordinates of scans that no row places otherwise, as a frame in the world."""
     if record.lps_to_world is None:
         return IN_PATIENT
     motion = np.array(record.lps_to_world, dtype=np.float64)  # (3, 4)

@@ -10,13 +10,13 @@ import numpy as np
 from needlefit.datasets.curve_faults import MIN_POINTS
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import mat, slicer
-from needlefit.datasets.formats.csv import read_points, read_table
+from needlefit.datasets.formats.csv import read_curve, read_table
 from needlefit.datasets.formats.points import Points
-from needlefit.datasets.schema import POINT
+from needlefit.datasets.schema import POINT, SD
 from needlefit.errors import DataError
 
 READS = (
-    "--from reads a CSV with the columns x_mm, y_mm, z_mm and, for more than one curve, id "
+    "--from reads a CSV with the columns x_mm, y_mm, z_mm, sd_mm if known and, for more than one curve, id "
     "(without id the whole table is one curve; other columns are ignored), the N x 3 arrays of a .mat, or "
     "the curves and point lists of a .mrk.json or .fcsv of 3D Slicer (LPS)"
 )
@@ -84,17 +84,17 @@ def _of_table(path: Path) -> Found:
     """Return the curves of a long table by its column `id`; without one, all rows are one curve."""
     table = read_table(path)
     found: list[Fault] = []
-    points = read_points(table, POINT, {}, found)
-    if points is None or points.lines is None:
+    points = read_curve(table, {}, found)
+    if points is None:
         raise as_error([_without_mapping(fault) for fault in found], table.path)
-    ignored = [f"`{name}`" for name in table.cells if name not in ("id", *POINT)]
+    ignored = [f"`{name}`" for name in table.cells if name not in ("id", *POINT, SD)]
     remarks = [f"column{'s' if len(ignored) > 1 else ''} {', '.join(ignored)} ignored"] if ignored else []
     if "id" not in table.cells:
         remarks.append(f"no column `id`: all {len(points.values)} rows are one curve")
         return {table.path.stem: points}, remarks
     ids = table.cells["id"]
     rows = {str(name): np.flatnonzero((ids == name).to_numpy()) for name in ids.unique()}
-    return {n: Points(table.path, points.values[i], points.lines[i]) for n, i in rows.items()}, remarks
+    return {name: points.part(n) for name, n in rows.items()}, remarks
 
 
 READERS: Mapping[str, Callable[[Path], Found]] = {

@@ -1,6 +1,5 @@
-"""The nouns of measured data: an insertion, the medium it went into, the dataset."""
+"""The nouns of measured data: an insertion, and the dataset."""
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -70,6 +69,12 @@ class Insertion:
         Standard deviation of the boundaries, mm.
     guide_distance : float or None
         Distance from a clamping guide to the entry, mm, where it is known.
+    sd : (N,) array or None
+        Standard deviation of each point in any one direction across the needle, mm, where it is known.
+    surfaces : tuple of Surface
+        Every boundary of its medium as it lay at this insertion, world; empty where depths are given.
+    patient : Frame
+        The patient coordinates (LPS) of its scan in the world.
     """
 
     id: str
@@ -90,6 +95,9 @@ class Insertion:
     sequence: tuple[int, ...]
     boundary_sd: float
     guide_distance: float | None = None
+    sd: Floats | None = None
+    surfaces: tuple[Surface, ...] = ()
+    patient: Frame = IN_PATIENT
 
     @property
     def deflection(self) -> float:
@@ -98,22 +106,15 @@ class Insertion:
 
 
 @dataclass(frozen=True)
-class Medium:
-    """A medium's layers: surfaces in the world, or depths along the needle shared by all insertions."""
-
-    name: str
-    surfaces: tuple[Surface, ...] = ()
-    boundaries: Floats | None = None
-
-
-@dataclass(frozen=True)
 class Dataset:
-    """Insertions measured with one needle, and the media they went into.
+    """Insertions measured with one needle.
 
     Attributes
     ----------
     origin : str
         "measured" or "synthetic"; a synthetic dataset is called so wherever it appears.
+    media : tuple of str
+        Names of the media described; every insertion went into one of them.
     pose : str
         "known", or "free" where shapes are known only up to a rigid motion.
     drop_proximal : float
@@ -122,8 +123,6 @@ class Dataset:
         SHA-256 over all files read, in the order of their names.
     notes : tuple of str
         What its makers want known of data, needle and noise; reports print it.
-    patient : Frame
-        The patient coordinates (LPS) of the scans in the world: the same, unless the dataset says otherwise.
     outer_diameter : float or None
         Of the needle, mm, where it is stated.
     """
@@ -133,12 +132,11 @@ class Dataset:
     origin: Literal["measured", "synthetic"]
     needle: Needle
     insertions: tuple[Insertion, ...]
-    media: Mapping[str, Medium]
+    media: tuple[str, ...]
     noise: Noise
     pose: Literal["known", "free"]
     drop_proximal: float
     path: Path
     digest: str
     notes: tuple[str, ...] = ()
-    patient: Frame = IN_PATIENT
     outer_diameter: float | None = None

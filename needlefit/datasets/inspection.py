@@ -8,8 +8,8 @@ from needlefit.datasets.centerlines import LongTable, find_points, patient_frame
 from needlefit.datasets.curve_faults import curve_faults
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats.csv import Table, read_table
-from needlefit.datasets.insertion import Dataset, Insertion, Medium, Noise
-from needlefit.datasets.layers import numbering_faults, read_media
+from needlefit.datasets.insertion import Dataset, Insertion, Noise
+from needlefit.datasets.layers import Shared, medium_of, numbering_faults, read_shared
 from needlefit.datasets.reduce import reduce
 from needlefit.datasets.rows import parse_rows
 from needlefit.datasets.schema import InsertionRow
@@ -45,20 +45,18 @@ def inspect(path: Path) -> Inspection:
     for root in roots:
         found += checksum_faults(record, root)
     found += [*_needle_faults(record, file), *numbering_faults(record, file)]
-    media = read_media(record, roots[0], found)
-    insertions = [insertion for root in roots for insertion in _insertions(record, root, media, found)]
+    shared = read_shared(record, roots[0], found)
+    insertions = [insertion for root in roots for insertion in _insertions(record, root, shared, found)]
     found += _repeated(insertions, file)
     if found:
         return Inspection(None, tuple(dict.fromkeys(found)))
-    files = {roots[0] / surface.file for medium in record.media.values() for surface in medium.surfaces}
+    files = {roots[0] / surface.file for surface in shared}
     for root in roots:
         files |= _files(record, root, insertions)
-    return Inspection(_dataset(record, file, insertions, media, digest(file, roots, files)), ())
+    return Inspection(_dataset(record, file, insertions, digest(file, roots, files)), ())
 
 
-def _insertions(
-    record: DatasetRecord, root: Path, media: dict[str, Medium], found: list[Fault]
-) -> Iterator[Insertion]:
+def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[Fault]) -> Iterator[Insertion]:
     """Yield the sound insertions of one folder; note the faults of the others."""
     long = None
     if record.centerlines.file is not None:
@@ -74,10 +72,11 @@ def _insertions(
         if points is not None:
             faults += curve_faults(points, row, record)
         found += faults
-        if points is None or faults or row.medium not in media:
+        medium = medium_of(row, record, root, shared, found)
+        if points is None or faults or medium is None:
             continue
         try:
-            insertion = reduce(row, points.values, media[row.medium])
+            insertion = reduce(row, points, medium, row.patient or patient_frame(record.frame))
         except DataError as error:
             fault = from_error(error, where)
             found.append(replace(fault, mend=fault.mend or POINT_ACROSS))
@@ -143,15 +142,17 @@ def _repeated(insertions: list[Insertion], file: Path) -> Iterator[Fault]:
 def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:
     tables = {root / name for name in (record.insertions.file, record.centerlines.file) if name is not None}
     pattern = record.centerlines.pattern
-    curves = {root / pattern.format(id=i.id) for i in insertions} if pattern is not None else set()
-    return tables | {path for path in curves if path.is_file()}
+    own = {root / pattern.format(id=i.id) for i in insertions} if pattern is not None else set()
+    own |= {
+        root / one.file_of(i.id) for i in insertions for one in record.media[i.medium].surfaces if one.own
+    }
+    return tables | {path for path in own if path.is_file()}
 
 
 def _dataset(
     record: DatasetRecord,
     file: Path,
     insertions: list[Insertion],
-    media: dict[str, Medium],
     digest_: str,
 ) -> Dataset:
     return Dataset(
@@ -160,14 +161,13 @@ def _dataset(
         origin=record.origin,
         needle=Needle.from_record(record.needle),
         insertions=tuple(insertions),
-        media=media,
+        media=tuple(record.media),
         noise=_noise(record.noise),
         pose=record.frame.pose,
         drop_proximal=record.frame.drop_proximal_mm,
         path=file,
         digest=digest_,
         notes=_notes(record),
-        patient=patient_frame(record.frame),
         outer_diameter=record.needle.outer_diameter_mm,
     )
 

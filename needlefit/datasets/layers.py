@@ -1,14 +1,13 @@
 """The media of a dataset, and which of their layers an insertion meets."""
 
-from collections.abc import Iterator
-from dataclasses import replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 from needlefit.datasets.faults import Fault, from_error
-from needlefit.datasets.insertion import Medium
-from needlefit.datasets.schema import Floats
+from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame
@@ -23,20 +22,38 @@ RESTORE = "check its name against dataset.toml, or restore it"
 EXPORT = "export the surface again as triangles, e.g. as STL"
 
 
-def read_media(record: DatasetRecord, folder: Path, found: list[Fault]) -> dict[str, Medium]:
-    """Return every medium whose surfaces have no fault; note the faults of the others."""
-    media = {}
-    for name, medium in record.media.items():
-        surfaces = [_read(surface, folder, found) for surface in medium.surfaces]
-        depths = medium.boundaries_mm
-        if all(surface is not None for surface in surfaces):
-            boundaries = None if depths is None else np.array(depths, dtype=np.float64)
-            media[name] = Medium(name, tuple(s for s in surfaces if s is not None), boundaries)
-    return media
+@dataclass(frozen=True)
+class Medium:
+    """The layers that one insertion may meet: surfaces in the world, or depths along the needle."""
+
+    surfaces: tuple[Surface, ...] = ()
+    boundaries: Floats | None = None
 
 
-def _read(record: SurfaceRecord, folder: Path, found: list[Fault]) -> Surface | None:
-    path = folder / record.file
+Shared = Mapping[SurfaceRecord, Surface | None]
+"""The surfaces that all insertions share; None: it has a fault, which is noted."""
+
+
+def read_shared(record: DatasetRecord, folder: Path, found: list[Fault]) -> Shared:
+    """Read the surfaces of all media but those of which every insertion has its own; note their faults."""
+    listed = [surface for medium in record.media.values() for surface in medium.surfaces]
+    return {one: _read(one, folder / one.file, found) for one in listed if not one.own}
+
+
+def medium_of(
+    row: InsertionRow, record: DatasetRecord, folder: Path, shared: Shared, found: list[Fault]
+) -> Medium | None:
+    """Return the medium of an insertion with its own surfaces, of `folder`, in place; None after a fault."""
+    medium = record.media[row.medium]
+    surfaces = [
+        _read(one, folder / one.file_of(row.id), found) if one.own else shared[one] for one in medium.surfaces
+    ]
+    sound = tuple(surface for surface in surfaces if surface is not None)
+    depths = None if medium.boundaries_mm is None else np.array(medium.boundaries_mm, dtype=np.float64)
+    return Medium(sound, depths) if len(sound) == len(surfaces) else None
+
+
+def _read(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | None:
     try:
         surface = read_surface(path, record.kind, record.into)
     except DataError as error:
@@ -83,17 +100,22 @@ def numbering_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
 
 
 def layers_met(
-    centerline: Floats, frame: Frame, medium: Medium, reach: float
+    centerline: Floats, frame: Frame, surfaces: Sequence[Surface]
 ) -> tuple[Floats, tuple[int, ...]]:
-    """Return the interfaces that an insertion crosses, as depths (n - 1,) along C's x, and the n layers met.
+    """Return at which depths (n - 1,) along C's x a centreline (N, 3) crosses surfaces, and the n layers."""
+    met = crossings(centerline, surfaces)
+    return depths_of(met.points, frame), met.sequence
 
-    With surfaces they are where the centreline (N, 3) crosses them; with given depths, those before `reach`.
-    """
-    if medium.boundaries is not None:
-        depths = medium.boundaries[medium.boundaries < reach]
-        return depths, tuple(range(1, len(depths) + 2))
-    met = crossings(centerline, medium.surfaces)
-    x = frame.to_local(met.points)[:, 0]
+
+def depths_of(points: Floats, frame: Frame) -> Floats:
+    """Return the depths (m,) along C's x of crossings (m, 3) in their order along the needle, mm."""
+    x = frame.to_local(points)[:, 0]
     # the centreline's first point is not exactly the entry: an interface there may project before it
     ordered: Floats = np.maximum.accumulate(np.maximum(x, 0.0))
-    return ordered, met.sequence
+    return ordered
+
+
+def layers_before(boundaries: Floats, reach: float) -> tuple[Floats, tuple[int, ...]]:
+    """Return those of given depths that lie before `reach`, (n - 1,), mm, and the n layers met."""
+    depths = boundaries[boundaries < reach]
+    return depths, tuple(range(1, len(depths) + 2))

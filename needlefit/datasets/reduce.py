@@ -1,14 +1,15 @@
 """A row and its centreline -> an insertion in its bending plane."""
 
-from needlefit.datasets.insertion import Insertion, Medium
-from needlefit.datasets.layers import layers_met
+from needlefit.datasets.formats.points import Points
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.layers import Medium, layers_before, layers_met
 from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.geometry.frames import Frame, entry_frame
 from needlefit.geometry.plane import bending_plane, free_frame
 
 
-def reduce(row: InsertionRow, centerline: Floats, medium: Medium) -> Insertion:
-    """Return the insertion of a row without faults.
+def reduce(row: InsertionRow, points: Points, medium: Medium, patient: Frame) -> Insertion:
+    """Return the insertion of a row without faults; `patient`: where its scan stands in the world.
 
     C stands at the entry pose; its plane is that of `row.bevel`, or, where that is empty, the one in
     which the centreline leaves the entry line. A row without entry pose gets `free_frame`.
@@ -18,10 +19,14 @@ def reduce(row: InsertionRow, centerline: Floats, medium: Medium) -> Insertion:
     DataError
         If the bevel direction is parallel to the entry.
     """
+    centerline = points.values
     frame = _frame(row, centerline)
     local = frame.to_local(centerline)
-    reach = row.depth if row.entry is None else float(local[-1, 0])
-    boundaries, sequence = layers_met(centerline, frame, medium, reach)
+    if medium.boundaries is None:
+        boundaries, sequence = layers_met(centerline, frame, medium.surfaces)
+    else:
+        reach = row.depth if row.entry is None else float(local[-1, 0])
+        boundaries, sequence = layers_before(medium.boundaries, reach)
     return Insertion(
         id=row.id,
         medium=row.medium,
@@ -41,6 +46,9 @@ def reduce(row: InsertionRow, centerline: Floats, medium: Medium) -> Insertion:
         sequence=sequence,
         boundary_sd=row.boundary_sd,
         guide_distance=row.guide_distance,
+        sd=points.sd,
+        surfaces=medium.surfaces,
+        patient=patient,
     )
 
 

@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterator
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import Table, missing_columns, numbers
@@ -16,9 +17,13 @@ from needlefit.datasets.schema import (
     POSE,
     POSE_SOURCES,
     REQUIRED,
+    SCAN,
+    SCAN_SHIFT,
+    SCAN_TURN,
     Floats,
     InsertionRow,
 )
+from needlefit.geometry.frames import Frame
 from needlefit.project.records.dataset import DatasetRecord, InsertionsRecord
 
 UNIT = 1e-3
@@ -32,7 +37,9 @@ def parse_rows(table: Table, record: DatasetRecord, found: list[Fault]) -> list[
     """Return the rows without a fault of their own; note the faults of the others."""
     known = record.frame.pose == "known"
     named = _our_columns(table, record.insertions, found)
-    if missing_columns(named, (*REQUIRED, *(POSE if known else ())), found):
+    placed = any(column in named.cells for column in SCAN)
+    wanted = (*REQUIRED, *(POSE if known else ()), *(SCAN if placed else ()))
+    if missing_columns(named, wanted, found):
         return []
     cell_faults: list[Fault] = []
     rows = _rows(named, known, cell_faults)
@@ -74,6 +81,7 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
 
     layers, alternative = column("layers"), column("layers_alternative", math.nan)
     bevel = vector(BEVEL)
+    turn, shift = (np.column_stack([column(c, math.nan) for c in names]) for names in (SCAN_TURN, SCAN_SHIFT))
     entry, direction = (vector(ENTRY), vector(DIRECTION)) if known else (None, None)
     sds = [column(name, 0.0) for name in ("pose_shift_sd_mm", "pose_angle_sd_deg", "boundary_sd_mm")]
     depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
@@ -95,6 +103,7 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
             pose_angle_sd=math.radians(sds[1][n]),
             boundary_sd=float(sds[2][n]),
             guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
+            patient=_patient(turn[n], shift[n]),
             line=int(table.lines[n]),
         )
         for n in range(len(blank))
@@ -108,6 +117,16 @@ def _column(table: Table, name: str, default: float | None, found: list[Fault]) 
         return np.full(len(table.lines), fill)
     values = numbers(table, name, found, optional=default is not None or name in BEVEL)
     return np.where(np.isnan(values), fill, values)
+
+
+def _patient(turn: Floats, shift: Floats) -> Frame | None:
+    """Return a scan's frame in the world, None where all six cells are empty; NaN where only some are."""
+    six = np.concatenate([turn, shift])
+    if np.isnan(six).all():
+        return None
+    if np.isnan(six).any():
+        return Frame(np.full(3, np.nan), np.full((3, 3), np.nan))
+    return Frame(shift, Rotation.from_rotvec(turn, degrees=True).as_matrix())
 
 
 def _whole(value: float) -> int:
@@ -194,6 +213,9 @@ def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterat
             "a direction, or three empty cells",
             "fill all three, or none",
         )
+    if row.patient is not None and np.isnan(row.patient.origin).any():
+        expected = "six numbers, or six empty cells: as [frame] lps_to_world says"
+        yield Fault(where, f"{SCAN[0]} ... {SCAN[-1]} are filled in part", expected, "fill all six, or none")
     if record.frame.pose == "free" or row.direction is None:
         return
     if row.pose_source not in POSE_SOURCES[:-1]:

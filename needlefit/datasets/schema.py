@@ -7,14 +7,24 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.geometry.frames import Frame
+
 Floats = NDArray[np.float64]
 PoseSource = Literal["stage", "shaft", "fitted", "none"]
 
 POINT = ("x_mm", "y_mm", "z_mm")
+SD = "sd_mm"
+"""The column of a centreline with the standard deviation of each point across the needle."""
+
 ENTRY = ("entry_x_mm", "entry_y_mm", "entry_z_mm")
 DIRECTION = ("entry_dx", "entry_dy", "entry_dz")
 BEVEL = ("bevel_x", "bevel_y", "bevel_z")
 POSE = (*ENTRY, *DIRECTION, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg")
+
+SCAN_TURN = ("scan_rx_deg", "scan_ry_deg", "scan_rz_deg")
+SCAN_SHIFT = ("scan_x_mm", "scan_y_mm", "scan_z_mm")
+SCAN = (*SCAN_TURN, *SCAN_SHIFT)
+"""From the patient coordinates (LPS) of an insertion's scan to the world: rotation vector and shift."""
 
 REQUIRED = ("id", "medium", "layers", "depth_mm")
 """Columns every table of insertions has; with a known pose those of `POSE` too."""
@@ -24,7 +34,8 @@ COLUMNS = (
     *(*ENTRY, *DIRECTION, *BEVEL, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
     *("boundary_sd_mm", "guide_distance_mm"),
 )
-"""Every column of `insertions.csv`, in the order in which it is written."""
+"""The columns of `insertions.csv` in the order in which they are written; those of `SCAN` follow where any
+insertion has a motion of its own."""
 
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
@@ -44,6 +55,8 @@ class InsertionRow:
         World direction toward which C's +y points; None: the plane and side to which the shape bends.
     side : int
         The side of C's x axis that the bevel faces, +1 (toward +y) or -1.
+    patient : Frame or None
+        The patient coordinates (LPS) of its scan in the world; None: as `[frame] lps_to_world` says.
     line : int
         Line of the file that it comes from, 0 if from none.
     """
@@ -63,4 +76,5 @@ class InsertionRow:
     pose_angle_sd: float = 0.0
     boundary_sd: float = 0.0
     guide_distance: float | None = None
+    patient: Frame | None = None
     line: int = 0

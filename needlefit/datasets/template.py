@@ -40,9 +40,9 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
     Parameters
     ----------
     source : Path or None
-        None: a small example, marked as made up. A CSV with columns x_mm, y_mm, z_mm and, for more than
-        one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name. A .mrk.json or
-        .fcsv of 3D Slicer: its curves and point lists, in LPS.
+        None: a small example, marked as made up. A CSV with columns x_mm, y_mm, z_mm, sd_mm if known and,
+        for more than one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name.
+        A .mrk.json or .fcsv of 3D Slicer: its curves and point lists, in LPS.
     tell : callable
         Told how the source was read where that may surprise: columns ignored, a table taken as one curve.
 
@@ -64,7 +64,7 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
         return folder / "dataset.toml"
     read = read_source(source)
     with replacing(folder) as fresh:
-        curves = {name: points.values for name, points in read.curves.items()}
+        curves = {name: points.written() for name, points in read.curves.items()}
         faults = _finish(_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
         if faults:
             raise as_error([read.fault(fault) for fault in faults], source)
@@ -123,7 +123,7 @@ def _example(folder: Path) -> Path:
 
 
 def _converted(folder: Path, curves: Mapping[str, Floats]) -> Path:
-    depths = {name: float(arc_length(curve)[-1]) for name, curve in curves.items()}
+    depths = {name: float(arc_length(curve[:, :3])[-1]) for name, curve in curves.items()}
     length = max(150.0, float(np.ceil(max(depths.values()) + 50.0)))
     record = _record(folder.resolve().name, "measured", "free", length, {"note": FILL_IN})
     rows = [InsertionRow(name, "medium1", 1, depth) for name, depth in depths.items()]

@@ -6,9 +6,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
 from needlefit.datasets.formats.toml import dumps
-from needlefit.datasets.schema import COLUMNS, POINT, Floats, InsertionRow
+from needlefit.datasets.schema import COLUMNS, POINT, SCAN, SD, Floats, InsertionRow
 from needlefit.datasets.sources import sha256
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface, write_surface
@@ -32,17 +33,20 @@ def write_dataset(
         (`insertions.csv`, `centerlines/{id}.csv`); its checksums are replaced by those of the files written.
     rows : sequence of InsertionRow
         In the order in which the table shall list them.
-    centerlines : mapping of id to (N, 3) array
-        World points from entry to tip, mm; one for every row.
+    centerlines : mapping of id to (N, 3) or (N, 4) array
+        World points from entry to tip, and, where it is known, the standard deviation of each in any one
+        direction across the needle; mm; one for every row.
     surfaces : mapping of file to Surface
-        The files that `record.media` names, e.g. `layers/phantom1_top.stl`.
+        The files that `record.media` names, e.g. `layers/phantom1_top.stl`; one for every row of the medium
+        where the name holds `{id}`.
     checksums : bool
         False for files that are there to be edited.
 
     Notes
     -----
-    Lengths are rounded to 1e-4 mm, directions to 1e-6. `dataset.toml` is written last, so that a folder
-    with one is complete. Files of an earlier dataset in `folder` that this one does not name stay there.
+    Lengths are rounded to 1e-4 mm, directions and the angles of scans to 1e-6. `dataset.toml` is written
+    last, so that a folder with one is complete. Files of an earlier dataset in `folder` that this one does
+    not name stay there.
 
     Raises
     ------
@@ -50,7 +54,8 @@ def write_dataset(
         If a row has no centreline, or a surface that the record names is not given.
     """
     surfaces = surfaces or {}
-    table, pattern = _named_files(folder, record, {row.id for row in rows} - centerlines.keys(), surfaces)
+    table, pattern = _named_files(folder, record)
+    _check_given(folder, record, rows, {*centerlines, *surfaces})
     files = {table: _rows_text(rows)}
     files |= {pattern.format(id=row.id): _points_text(centerlines[row.id]) for row in rows}
     for name, text in files.items():
@@ -63,20 +68,30 @@ def write_dataset(
     return folder / "dataset.toml"
 
 
-def _named_files(
-    folder: Path, record: DatasetRecord, without: Set[str], surfaces: Mapping[str, Surface]
-) -> tuple[str, str]:
-    """Return the table of insertions and the pattern of centrelines; DataError if anything is not given."""
+def _named_files(folder: Path, record: DatasetRecord) -> tuple[str, str]:
+    """Return the table of insertions and the pattern of centrelines; DataError if one is not named."""
     table, pattern = record.insertions.file, record.centerlines.pattern
-    named = {surface.file for medium in record.media.values() for surface in medium.surfaces}
-    missing = sorted(without) + sorted(named - surfaces.keys())
-    if table is None or pattern is None or missing:
+    if table is None or pattern is None:
         raise DataError(
-            f"nothing to write for {', '.join(missing) or 'the table of insertions or the centrelines'}",
+            "nothing to write for the table of insertions or the centrelines",
             where=str(folder),
-            expected="insertions.file, centerlines.pattern, a centreline for every row, every surface named",
+            expected="insertions.file and centerlines.pattern",
         )
     return table, pattern
+
+
+def _check_given(folder: Path, record: DatasetRecord, rows: Sequence[InsertionRow], given: Set[str]) -> None:
+    """See that there is a centreline for every row, and every surface that the record names."""
+    listed = [(name, surface) for name, medium in record.media.items() for surface in medium.surfaces]
+    named = {surface.file for _, surface in listed if not surface.own}
+    named |= {surface.file_of(row.id) for name, surface in listed for row in rows if row.medium == name}
+    missing = sorted({row.id for row in rows} - given) + sorted(named - given)
+    if missing:
+        raise DataError(
+            f"nothing to write for {', '.join(missing)}",
+            where=str(folder),
+            expected="a centreline for every row, every surface named",
+        )
 
 
 def _write(path: Path, text: str) -> None:
@@ -85,7 +100,18 @@ def _write(path: Path, text: str) -> None:
 
 
 def _rows_text(rows: Sequence[InsertionRow]) -> str:
-    return "".join(",".join(cells) + "\n" for cells in [COLUMNS, *map(_cells, rows)])
+    lines: list[tuple[str, ...]] = [COLUMNS, *map(_cells, rows)]
+    if any(row.patient is not None for row in rows):
+        lines = [(*line, *more) for line, more in zip(lines, [SCAN, *map(_scan, rows)], strict=True)]
+    return "".join(",".join(cells) + "\n" for cells in lines)
+
+
+def _scan(row: InsertionRow) -> tuple[str, ...]:
+    """Return the cells of a row under `SCAN`."""
+    if row.patient is None:
+        return ("",) * len(SCAN)
+    turn = Rotation.from_matrix(row.patient.rotation).as_rotvec(degrees=True)
+    return *_vector(turn, 6), *_vector(row.patient.origin, 4)
 
 
 def _cells(row: InsertionRow) -> tuple[str, ...]:
@@ -103,8 +129,9 @@ def _cells(row: InsertionRow) -> tuple[str, ...]:
 
 
 def _points_text(points: ArrayLike) -> str:
-    lines = [",".join(_vector(point, 4)) for point in np.asarray(points, dtype=np.float64)]
-    return "\n".join([",".join(POINT), *lines]) + "\n"
+    values = np.asarray(points, dtype=np.float64)
+    columns = (*POINT, SD)[: values.shape[1]]
+    return "\n".join([",".join(columns), *(",".join(_vector(point, 4)) for point in values)]) + "\n"
 
 
 def _vector(values: Floats | None, digits: int) -> tuple[str, ...]:

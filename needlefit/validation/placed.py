@@ -105,12 +105,13 @@ def place(job: Job, fold: Fold, known: Known, jobs: int = 1) -> dict[str, Placed
 
 
 def _place(stations: "_Stations", fold: str, role: str, known: Known, jobs: int) -> PlacedNeedle:
-    dataset, insertion = stations.job.dataset, stations.insertion
+    insertion, patient = stations.insertion, stations.insertion.patient
+    stated = stations.job.dataset.outer_diameter
 
     def in_scan(points: Floats) -> Floats:
         """Return points (K, 2) of C in the scan (K, 3)."""
         flat = np.column_stack([points, np.zeros(len(points))])
-        return dataset.patient.to_local(insertion.frame.to_world(flat))
+        return patient.to_local(insertion.frame.to_world(flat))
 
     points = stations.points(np.array(known.fit.theta))
     fitted, band = None, None
@@ -121,9 +122,9 @@ def _place(stations: "_Stations", fold: str, role: str, known: Known, jobs: int)
         if heights is not None:
             low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
             band = Band(low, middle, high, "posterior" if drawn else "linear")
-    across = insertion.frame.rotation[:, 1] @ dataset.patient.rotation
-    diameter = DIAMETER if dataset.outer_diameter is None else dataset.outer_diameter
-    measured = dataset.patient.to_local(insertion.centerline)
+    across = insertion.frame.rotation[:, 1] @ patient.rotation
+    diameter = DIAMETER if stated is None else stated
+    measured = patient.to_local(insertion.centerline)
     return PlacedNeedle(insertion.id, fold, role, measured, across, diameter, fitted, band)
 
 

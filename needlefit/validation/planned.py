@@ -9,7 +9,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.insertion import Insertion, Medium
+from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import layers_met
 from needlefit.mechanics.shape import NeedleShape, inserted_points
 
@@ -24,7 +24,7 @@ MOST = 30
 
 
 def planned_layers(
-    insertion: Insertion, medium: Medium, predict: Callable[[Floats, tuple[int, ...]], NeedleShape]
+    insertion: Insertion, predict: Callable[[Floats, tuple[int, ...]], NeedleShape]
 ) -> Layers | None:
     """Return boundaries (n - 1,) along C's x and the n layers met by the needle that `predict` simulates.
 
@@ -33,20 +33,18 @@ def planned_layers(
     Parameters
     ----------
     insertion : Insertion
-        Its depth and its frame alone are used: the entry pose, and the bending plane, which comes from the
-        bevel where the dataset states it and else from the measured shape.
-    medium : Medium
-        With surfaces; given depths are returned as they are.
+        Its depth, its surfaces and its frame alone are used: the entry pose, and the bending plane, which
+        comes from the bevel where the dataset states it and else from the measured shape.
     predict : callable
         Boundaries and sequence -> simulated shape.
     """
     path = np.column_stack((np.linspace(0.0, insertion.depth, 101), np.zeros(101)))
-    layers = _met(path, insertion, medium)
+    layers = _met(path, insertion)
     for round_ in range(MOST):
         shape = predict(*layers)
         if not shape.converged:
             return None
-        after = _met(inserted_points(shape), insertion, medium)
+        after = _met(inserted_points(shape), insertion)
         same = after[1] == layers[1]
         if same and np.all(np.abs(after[0] - layers[0]) < TOLERANCE):
             return after
@@ -54,7 +52,7 @@ def planned_layers(
     return None
 
 
-def _met(planar: Floats, insertion: Insertion, medium: Medium) -> Layers:
+def _met(planar: Floats, insertion: Insertion) -> Layers:
     """Return the layers that a curve (K, 2) in C meets."""
     world = insertion.frame.to_world(np.column_stack((planar, np.zeros(len(planar)))))
-    return layers_met(world, insertion.frame, medium, insertion.depth)
+    return layers_met(world, insertion.frame, insertion.surfaces)

@@ -38,9 +38,8 @@ def model_rival(values: Mapping[str, float], medium: MediumRecord, dataset: Data
             return predict(values, medium, dataset.needle, insertion, boundaries, sequence)
 
         shapes: dict[str, NeedleShape | None] = {"measured": at(None, None)}
-        where = dataset.media.get(insertion.medium)
-        if where is not None and where.surfaces:
-            planned = planned_layers(insertion, where, at)
+        if insertion.surfaces:
+            planned = planned_layers(insertion, at)
             shapes["planned"] = None if planned is None else at(*planned)
         return {
             kind: curve_of(shape) if shape is not None and shape.converged else None

@@ -3,7 +3,7 @@
 import csv
 import io
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.points import LARGEST, Points
 from needlefit.datasets.formats.text import read_text
+from needlefit.datasets.schema import POINT, SD
 from needlefit.errors import DataError
 
 Floats = NDArray[np.float64]
@@ -115,6 +116,33 @@ def read_points(
     before = len(found)
     values = np.column_stack([numbers(table, column, found) for column in wanted])
     return Points(table.path, values, table.lines) if len(found) == before else None
+
+
+def read_curve(table: Table, names: Mapping[str, str], found: list[Fault]) -> Points | None:
+    """Return the points of a centreline, with their deviations where it has any; None after a fault."""
+    before = len(found)
+    points = read_points(table, POINT, names, found)
+    if SD in names:
+        missing_columns(table, [names[SD]], found)
+    sd = _deviations(table, names.get(SD, SD), found)
+    return None if points is None or len(found) > before else replace(points, sd=sd)
+
+
+def _deviations(table: Table, column: str, found: list[Fault]) -> Floats | None:
+    """Return the standard deviations under `column` (N,); None where it is absent or empty all through."""
+    if column not in table.cells or (table.cells[column] == "").all():
+        return None
+    values = numbers(table, column, found)
+    for row in np.flatnonzero(values < 0)[:SHOWN]:
+        found.append(
+            Fault(
+                table.where(int(row)),
+                f"{column} is {values[row]:g}",
+                "a standard deviation, 0 or more, mm",
+                "mend the cell, or leave the whole column out",
+            )
+        )
+    return values
 
 
 def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault]) -> bool:

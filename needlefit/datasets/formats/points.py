@@ -1,6 +1,6 @@
 """A curve as a file holds it, before anything is known of it."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -20,11 +20,24 @@ class Points:
         Coordinates, as in the file.
     lines : (N,) array or None
         Line of each point; None where the format has no lines.
+    sd : (N,) array or None
+        Standard deviation of each point across the curve, mm; None where the file has none.
     """
 
     path: Path
     values: NDArray[np.float64]
     lines: NDArray[np.int64] | None = None
+    sd: NDArray[np.float64] | None = None
+
+    def part(self, rows: NDArray[np.int64]) -> "Points":
+        """Return some of the points."""
+        lines = None if self.lines is None else self.lines[rows]
+        sd = None if self.sd is None else self.sd[rows]
+        return replace(self, values=self.values[rows], lines=lines, sd=sd)
+
+    def written(self) -> NDArray[np.float64]:
+        """Return the columns of a centreline's file: (N, 3), or (N, 4) with deviations."""
+        return self.values if self.sd is None else np.column_stack([self.values, self.sd])
 
     def unusable(self) -> NDArray[np.int64]:
         """Return the points that are not finite, or absurdly far away."""

@@ -86,11 +86,23 @@ class CenterlinesRecord(Record):
 
 
 class SurfaceRecord(Record):
-    """A boundary: crossing a `sheet` leads into layer `into`; a `solid` is layer `into` wherever it is."""
+    """A boundary: crossing a `sheet` leads into layer `into`; a `solid` is layer `into` wherever it is.
+
+    With `{id}` in `file` every insertion has a file of its own, as where layers were segmented in each scan.
+    """
 
     file: str
     kind: Literal["sheet", "solid"]
     into: int = Field(ge=1)
+
+    @property
+    def own(self) -> bool:
+        """Whether every insertion has a file of its own."""
+        return "{id}" in self.file
+
+    def file_of(self, id_: str) -> str:
+        """Return the file for one insertion."""
+        return self.file.replace("{id}", id_)
 
 
 class DatasetMediumRecord(Record):
