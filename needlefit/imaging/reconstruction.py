@@ -77,14 +77,15 @@ class Profile:
 
 @dataclass(frozen=True)
 class View:
-    """A picture of the scan in a plane of the constraint frame.
+    """A picture of the scan along two axes of the constraint frame.
 
     Attributes
     ----------
     axes : tuple of str
         What runs to the right and upwards: "x", "y" or "z" of C.
     values : (H, W) array
-        Greatest brightness within a thin slab, HU; nan outside the volume. Row 0 is the lowest.
+        Mean over a thin slab, HU; nan outside the volume. Row 0 is the lowest. Along the third axis the slab
+        follows the needle, so that a bent one stays in the picture.
     extent : tuple of float
         left, right, bottom, top edges of the picture, mm in C.
     """
@@ -126,6 +127,8 @@ class Reconstruction:
     Attributes
     ----------
     scan : Scan
+    spacing : (3,) array
+        Of the voxels along i, j, k, mm.
     traced : Centerline
         The whole needle, LPS.
     markers : Markers or None
@@ -154,6 +157,7 @@ class Reconstruction:
     """
 
     scan: Scan
+    spacing: Floats
     traced: Centerline
     markers: Markers | None
     registration: Registration | None

@@ -93,11 +93,12 @@ def _payload(document: Document) -> Block:
         if block["kind"] != "table" or block["rows"]
     ]
     head = {"title": document.title, "subtitle": document.subtitle, "synthetic": document.synthetic}
-    return head | {"version": _version(), "blocks": blocks}
+    return head | {"version": version_text(), "blocks": blocks}
 
 
-def _version() -> str:
+def version_text() -> str:
+    """Return needlefit's version; empty where it is run from a source tree that is not installed."""
     try:
         return version("needlefit")
-    except PackageNotFoundError:  # run from a source tree that is not installed
+    except PackageNotFoundError:
         return ""

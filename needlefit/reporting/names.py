@@ -22,6 +22,12 @@ RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
 }
 
 
+def rgb(colour: str) -> tuple[float, float, float]:
+    """Return red, green and blue, 0 to 1, of a colour "#rrggbb"."""
+    red, green, blue = (round(int(colour[i : i + 2], 16) / 255, 6) for i in (1, 3, 5))
+    return red, green, blue
+
+
 def medium_name(name: str) -> str:
     """Return a medium as print has it: `phantom2` is "phantom 2"."""
     stem = name.rstrip("0123456789")

@@ -13,7 +13,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.tubes import tube, write_ply
 from needlefit.mechanics.scene import Entry
 from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.reporting.names import PAPER, RIVAL_COLOURS
+from needlefit.reporting.names import PAPER, RIVAL_COLOURS, rgb
 from needlefit.validation.placed import DIAMETER, Band, PlacedNeedle
 from needlefit.validation.results import Results
 
@@ -71,7 +71,7 @@ def write_scene(
         Markups(path, f"{name}, {shape.depth:g} mm deep", "Curve", _labels(s), points)
         for name, shape, (points, s) in zip(steps, shapes, curves, strict=False)
     ]
-    write_mrk_json(path, [(one, Look(_rgb(_FITTED), THICK)) for one in lists])
+    write_mrk_json(path, [(one, Look(rgb(_FITTED), THICK)) for one in lists])
     return True
 
 
@@ -86,7 +86,7 @@ def _curves(needle: PlacedNeedle, said: str) -> Iterator[tuple[Markups, Look]]:
         labels = _labels(arc_length(points))
         path = Path(needle.insertion)
         curve = Markups(path, f"{needle.insertion} {name}{said}", "Curve", labels, points)
-        yield curve, Look(_rgb(colour), thickness)
+        yield curve, Look(rgb(colour), thickness)
 
 
 def _edges(band: Band) -> Iterable[tuple[str, Floats, str, float]]:
@@ -120,11 +120,6 @@ def _labels(s: Floats) -> tuple[str, ...]:
     """Return what stands at each point: its distance from the entry; the ends say which they are."""
     ends = {int(np.argmin(np.abs(s))): "entry", len(s) - 1: "tip"}
     return tuple(ends.get(n, f"{distance:.1f} mm") for n, distance in enumerate(s))
-
-
-def _rgb(colour: str) -> tuple[float, float, float]:
-    red, green, blue = (round(int(colour[i : i + 2], 16) / 255, 6) for i in (1, 3, 5))
-    return red, green, blue
 
 
 def _check(path: Path) -> None:

@@ -58,6 +58,10 @@ class Centerline:
         Standard deviation of the tip along the needle, and in any one direction across, mm.
     bevel : (3,) array
         Unit vector across the needle to the side of the bevel's point; nan for a blunt needle.
+    sections_s : (S,) array
+        Where along the needle cross-sections were taken, mm from its first point.
+    residuals : (S, 3) array
+        By how much the needle shows beside the axis there, LPS, mm; across the needle.
     """
 
     points: Floats
@@ -65,6 +69,8 @@ class Centerline:
     tip: Floats
     tip_sd: Floats
     bevel: Floats
+    sections_s: Floats
+    residuals: Floats
 
 
 def trace(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
@@ -176,8 +182,12 @@ def _centerline(spine: Spine, end: End, recipe: ReconstructionRecord) -> Centerl
     heel = bevel_length(recipe.needle) + BLUNT
     beyond = np.clip((s - end.at + heel) / heel, 0, 1)
     sd = np.hypot(deviation(spine, s), SYSTEMATIC) * (1 + SWING * beyond)
-    points = spine.spline(s)
-    return Centerline(points, sd, points[-1], np.array([end.sd[0], sd[-1]]), end.bevel)
+    points, tip_sd = spine.spline(s), np.array([end.sd[0], sd[-1]])
+    sections = spine.s[:-1]  # the last is the tip
+    beside = spine.points[:-1] - spine.spline(sections)
+    tangents = frames(spine, sections).tangents
+    beside -= np.einsum("sd,sd->s", beside, tangents)[:, None] * tangents
+    return Centerline(points, sd, points[-1], tip_sd, end.bevel, sections, beside)
 
 
 def _too_few(count: int) -> DataError:

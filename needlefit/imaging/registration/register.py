@@ -19,7 +19,7 @@ from needlefit.imaging.registration.choice import accept, choose
 from needlefit.imaging.registration.marker_sets import FEWEST, MarkerSets, marker_sets
 from needlefit.imaging.registration.pairing import Pairing
 from needlefit.imaging.registration.remarks import remarks
-from needlefit.imaging.registration.rigid import Pairs, expected_fre, kabsch
+from needlefit.imaging.registration.rigid import Pairs, expected_fre, expected_left_out, kabsch
 from needlefit.imaging.registration.scale import Scale, scales
 from needlefit.imaging.registration.suspicion import turned_over
 
@@ -50,6 +50,10 @@ class Registration:
     leave_one_out : (P,) array
         Distance of each marker from its known place when it takes no part in the fit, mm; nan where the
         others do not fix the motion.
+    expected_leave_one_out : (P,) array
+        What the stated noise leads one to expect of it, root mean square, mm; nan likewise.
+    known : int
+        Number of the known markers, paired or not.
     centre : (3,) array
         The point of the world about which `covariance` counts: the mean of the paired known markers, mm.
     covariance : (6, 6) array
@@ -69,6 +73,8 @@ class Registration:
     chance: float
     doubt: float
     leave_one_out: Floats
+    expected_leave_one_out: Floats
+    known: int
     centre: Floats
     covariance: Floats
     scale: tuple[Scale, ...]
@@ -149,6 +155,7 @@ def _registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) -> Reg
     alignment, pairs = chosen.best.alignment, chosen.best.pairs
     found = sets.found[pairs[:, 0]]
     suggested = scales(sets, pairs, alignment)
+    left_out = _leave_one_out(sets, pairs)
     return Registration(
         rotation=alignment.frame.rotation,
         translation=alignment.frame.origin,
@@ -158,7 +165,9 @@ def _registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) -> Reg
         expected_fre=expected_fre(alignment, found),
         chance=float(chi_squared.sf(alignment.chi2, 3 * len(pairs) - 6)),
         doubt=chosen.doubt,
-        leave_one_out=_leave_one_out(sets, pairs),
+        leave_one_out=left_out,
+        expected_leave_one_out=np.where(np.isnan(left_out), np.nan, expected_left_out(alignment, found)),
+        known=len(sets.known),
         centre=alignment.centre,
         covariance=alignment.covariance,
         scale=suggested,

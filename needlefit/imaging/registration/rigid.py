@@ -107,10 +107,27 @@ def expected_fre(alignment: Alignment, found: Floats) -> float:
 
     A residual has the covariance of its pair less what the fit follows of it, C_i - J_i cov(theta) J_i^T.
     """
+    left = np.trace(_residual_covariance(alignment, found), axis1=1, axis2=2)
+    return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
+
+
+def expected_left_out(alignment: Alignment, found: Floats) -> Floats:
+    """Return the root mean square distance (P,), mm, to expect of each marker from a fit to the others.
+
+    To first order that fit misses the marker by C_i Q_i^-1 r_i, where Q_i is the covariance of its residual
+    r_i in the fit to all; so the miss has the covariance C_i Q_i^-1 C_i. `found` (P, 3), scan, mm.
+    """
+    left = np.linalg.pinv(_residual_covariance(alignment, found), hermitian=True)
+    missed = alignment.noise @ left @ alignment.noise
+    expected: Floats = np.sqrt(np.trace(missed, axis1=1, axis2=2))
+    return expected
+
+
+def _residual_covariance(alignment: Alignment, found: Floats) -> Floats:
     moved = motion(alignment.frame.to_world(found) - alignment.centre)
     followed = moved @ alignment.covariance @ np.swapaxes(moved, -1, -2)
-    left = np.trace(alignment.noise - followed, axis1=1, axis2=2)
-    return float(np.sqrt(np.mean(np.maximum(left, 0.0))))
+    left: Floats = alignment.noise - followed
+    return left
 
 
 def _step(arms: Floats, residuals: Floats, weights: Floats) -> Floats:

@@ -1,0 +1,85 @@
+"""Pictures of the scan along the needle and across it, in the axes of the constraint frame."""
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import map_coordinates
+
+from needlefit.geometry.frames import Frame
+from needlefit.imaging.reconstruction import View
+from needlefit.imaging.volume import Volume, to_index
+
+Floats = NDArray[np.float64]
+
+PIXEL = 0.3
+"""Edge of a pixel, mm: finer than the voxels of a cone-beam scan."""
+
+SLAB = np.arange(-1.2, 1.3, 0.4)
+"""Places along the third axis over which a picture is averaged, mm: the slab holds the needle whole, and its
+mean quiets the noise so that layers show."""
+
+OUTSIDE, BEYOND, BESIDE = 35.0, 10.0, 10.0
+"""How far pictures reach before the entry, beyond the tip and to the sides of the needle, mm."""
+
+BEFORE_TIP = 4.0
+"""Where the picture across the needle is taken, mm back from the tip: there even a long bevel is whole."""
+
+
+def views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[View, ...]:
+    """Return three pictures: the bending plane (x, y), across it (x, z), and near the tip (y, z).
+
+    Parameters
+    ----------
+    volume : Volume
+    patient : Frame
+        The scan's axes and origin in the world.
+    frame : Frame
+        C in the world.
+    needle : (N, 3) array
+        The whole needle from base to tip, LPS, mm.
+    """
+    local = frame.to_local(patient.to_world(needle))
+    local = local[np.argsort(local[:, 0])]
+    start, tip = float(local[0, 0]), float(local[-1, 0])
+    shown = local[local[:, 0] >= -OUTSIDE]
+    x = _pixels(max(-OUTSIDE, start - 2.0), tip + BEYOND)
+    y, z = (_pixels(float(side.min()) - BESIDE, float(side.max()) + BESIDE) for side in shown.T[1:])
+    y_at, z_at = (np.interp(x, local[:, 0], side) for side in local.T[1:])
+    end = np.full(len(y), tip - BEFORE_TIP)
+    turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
+    return (
+        _picture(volume, turned, "xyz", (x, y, z_at)),
+        _picture(volume, turned, "xzy", (x, z, y_at)),
+        _picture(volume, turned, "yzx", (y, z, end)),
+    )
+
+
+def _pixels(low: float, high: float) -> Floats:
+    """Return the centres of the pixels from `low` to about `high`, mm."""
+    return low + PIXEL * (np.arange(max(1, round((high - low) / PIXEL)), dtype=np.float64) + 0.5)
+
+
+def _picture(volume: Volume, frame: Frame, axes: str, places: tuple[Floats, Floats, Floats]) -> View:
+    """Return the mean brightness over a slab.
+
+    Parameters
+    ----------
+    frame : Frame
+        C in the scan's LPS.
+    axes : str
+        C's axes to the right, upwards, and through the slab.
+    places : tuple of arrays
+        Columns (W,), rows (H,), and where the slab's middle lies in each column (W,), mm in C.
+    """
+    right, up, middle = places
+    points = np.empty((len(up), len(right), len(SLAB), 3))
+    order = ["xyz".index(axis) for axis in axes]
+    points[..., order[0]] = right[None, :, None]
+    points[..., order[1]] = up[:, None, None]
+    points[..., order[2]] = middle[None, :, None] + SLAB
+    index = to_index(volume, frame.to_world(points.reshape(-1, 3)))[:, ::-1].T
+    values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float32)
+    mean = values.reshape(points.shape[:3]).mean(axis=2)
+    half = PIXEL / 2
+    extent = (right[0] - half, right[-1] + half, up[0] - half, up[-1] + half)
+    left, rightmost, bottom, top = (float(edge) for edge in extent)
+    return View((axes[0], axes[1]), mean, (left, rightmost, bottom, top))

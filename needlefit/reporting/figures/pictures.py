@@ -1,0 +1,119 @@
+"""The scan in the axes of the constraint frame, with what was reconstructed drawn over it."""
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from needlefit.geometry.crossings import surface_hits
+from needlefit.geometry.curves import at_arc
+from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.needle.segmentation import AIR_BELOW
+from needlefit.imaging.reconstruction import Reconstruction, View
+from needlefit.imaging.views import BEFORE_TIP
+from needlefit.reporting.names import RIVAL_COLOURS
+
+Floats = NDArray[np.float64]
+
+NEEDLE, ENTRY, LAYER, TIP, MARKER = RIVAL_COLOURS["fitted"], "#E69F00", "#56B4E9", "#C8102E", "#009E73"
+
+_NEAR = 3.0  # mm: a marker's centre may lie so far from the slab that it is drawn over
+_STEP = 0.6  # mm between the dots of a layer's outline
+_LEAST_WINDOW = 250.0  # HU
+_OUTSIDE = "#e6ecf2"  # of the volume: no grey of the scan
+
+
+def show(axes: Axes, view: View, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
+    """Draw one picture, with needle, layers and markers nearby; `span` is what it shows upwards, mm."""
+    brightness, shade = _shades(reconstruction.views)
+    axes.set_facecolor(_OUTSIDE)
+    axes.imshow(
+        np.interp(view.values, brightness, shade), cmap="gray", vmin=0, vmax=1, extent=view.extent,
+        origin="lower", interpolation="nearest", aspect="equal",
+    )  # fmt: skip
+    axes.set(xlim=view.extent[:2], ylim=span)
+    axes.yaxis.set_major_locator(MultipleLocator(5))
+    right, up = ("xyz".index(axis) for axis in view.axes)
+    if view.axes[0] == "x":
+        _draw_layers(axes, view, reconstruction, span)
+    _draw_needle(axes, reconstruction, (right, up))
+    _draw_markers(axes, view, reconstruction)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def whole_needle(reconstruction: Reconstruction) -> Floats:
+    """Return the needle from base to tip in C: (N, 3), mm."""
+    placed = reconstruction.patient.to_world(reconstruction.traced.points)
+    return reconstruction.frame.to_local(placed)
+
+
+def _shades(views: tuple[View, ...]) -> tuple[Floats, Floats]:
+    """Return brightnesses, HU, increasing, and how light each is drawn, 0 to 1.
+
+    Tissue and its layers take most of the greys; air and metal share the rest, so that their edges stay where
+    they are. Metal and its bloom are bright whatever the tissue is: the brighter tenth does not count.
+    """
+    shown = np.concatenate([view.values[np.isfinite(view.values)] for view in views])
+    tissue = shown[shown > AIR_BELOW]
+    if tissue.size == 0:
+        return np.array([-1000.0, 3000.0]), np.array([0.0, 1.0])
+    low, middle, high = np.quantile(tissue, (0.03, 0.5, 0.9))
+    room = max(_LEAST_WINDOW, 1.5 * (high - low)) / 2
+    low, high = min(low, middle - room), max(high, middle + room)
+    return np.array([-1000.0, low, high, max(3000.0, high + 1.0)]), np.array([0.0, 0.25, 0.75, 1.0])
+
+
+def _draw_needle(axes: Axes, reconstruction: Reconstruction, shown: tuple[int, int]) -> None:
+    right, up = shown
+    whole, inserted = whole_needle(reconstruction), reconstruction.local
+    outside = whole[whole[:, 0] <= 0]
+    axes.plot(outside[:, right], outside[:, up], color=NEEDLE, lw=0.6, ls=(0, (4, 2)))
+    axes.plot(inserted[:, right], inserted[:, up], color=NEEDLE, lw=0.6)
+    axes.plot(*inserted[0, [right, up]], "o", color=ENTRY, ms=2.6, mec="white", mew=0.3, zorder=5)
+    axes.plot(*inserted[-1, [right, up]], "o", color=TIP, ms=2.6, mec="white", mew=0.3, zorder=5)
+    crossed = reconstruction.frame.to_local(reconstruction.layers.points)
+    axes.plot(crossed[:, right], crossed[:, up], "o", color=LAYER, ms=2.4, mec="white", mew=0.3, zorder=5)
+
+
+def _draw_markers(axes: Axes, view: View, reconstruction: Reconstruction) -> None:
+    if reconstruction.markers is None:
+        return
+    right, up = ("xyz".index(axis) for axis in view.axes)
+    through = 3 - right - up
+    centers = reconstruction.frame.to_local(reconstruction.patient.to_world(reconstruction.markers.centers))
+    needle = whole_needle(reconstruction)
+    if view.axes[0] == "x":
+        middle = np.interp(centers[:, 0], needle[:, 0], needle[:, through])
+    else:
+        middle = np.full(len(centers), needle[-1, 0] - BEFORE_TIP)
+    near = np.abs(centers[:, through] - middle) <= _NEAR
+    axes.plot(centers[near, right], centers[near, up], "o", mfc="none", mec=MARKER, mew=0.8, ms=8)
+
+
+def _draw_layers(axes: Axes, view: View, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
+    """Dot the outlines of the layers' surfaces where the picture cuts them."""
+    for surface in reconstruction.layers.surfaces:
+        dots = outline(view, reconstruction, surface, span)
+        axes.plot(*dots.T, ".", color=LAYER, ms=1.9, mew=0, zorder=3)
+
+
+def outline(
+    view: View, reconstruction: Reconstruction, surface: Surface, span: tuple[float, float]
+) -> Floats:
+    """Return where the sheet that a picture along the needle shows cuts a surface: points (K, 2), mm.
+
+    The sheet follows the needle along its third axis; so it is swept by the needle's course shifted
+    sideways, and cuts the surface where those curves do.
+    """
+    up = "xyz".index(view.axes[1])
+    needle = whole_needle(reconstruction)
+    x = np.arange(max(0.0, view.extent[0]), view.extent[1], 2.0)
+    course = np.column_stack([x, *(np.interp(x, needle[:, 0], side) for side in needle.T[1:])])
+    cuts = []
+    for level in np.arange(*span, _STEP):
+        course[:, up] = level
+        path = reconstruction.frame.to_world(course)
+        hits = at_arc(path, surface_hits(path, surface)).reshape(-1, 3)
+        cuts.append(reconstruction.frame.to_local(hits)[:, [0, up]])
+    return np.concatenate(cuts) if cuts else np.empty((0, 2))

@@ -1,0 +1,115 @@
+"""Reconstructions put together by hand from synthetic scans, without the verb that does it."""
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+
+import ct_cases
+import numpy as np
+
+from needlefit.geometry.crossings import crossings
+from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.frames import Frame, entry_frame, unit
+from needlefit.geometry.patient import IN_PATIENT
+from needlefit.geometry.plane import bending_plane
+from needlefit.geometry.surfaces import sheet
+from needlefit.imaging.needle.centerline import trace
+from needlefit.imaging.needle.segmentation import segment
+from needlefit.imaging.profile import profile, tissue_edge
+from needlefit.imaging.reconstruction import EntryPose, Layers, Markers, Reconstruction
+from needlefit.imaging.registration.register import frame_of, predicted_mean_target_error, register
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.views import views
+
+NO_LAYERS = Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
+PATIENT = Frame(
+    np.array([-40.0, 22.0, 310.0]), np.array([[0.0, 0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, -0.6]])
+)
+"""The scan's axes and origin in the world of the markers."""
+
+MARKERS = np.array(
+    [[3.0, 4, 18], [19, 3, 22], [4, 18, 31], [17, 19, 38], [20, 9, 44], [2, 11, 47]]
+)  # LPS; the last is not found
+MARKER_SD = 0.08
+
+
+@cache
+def small_scan(toward=(0.0, 3.0)):
+    """A scan of 22 x 22 x 50 mm: the needle enters at S = 12 mm, its tip moves `toward` (L, P) at 40 mm."""
+    return ct_cases.scan(ct_cases.axis(curve=toward))
+
+
+@cache
+def small(markers=True, layers=True):
+    """A reconstruction of `small_scan`; its boundary lies 14 mm deep."""
+    volume = small_scan()
+    box = ct_cases.box()
+    into = box.rotation[:, 0]
+    boundary = sheet("interface1", box.to_world([[14.0, 0, 0]])[0], into, 60.0, into=2)
+    scan = Scan("phantom1-03", Path("scans/phantom1-03.nrrd"), "phantom1", "box 2", origin="synthetic")
+    known = MARKERS if markers else None
+    return reconstruct(scan, volume, known, (boundary,) if layers else ())
+
+
+def reconstruct(scan, volume, markers, surfaces, seed=5):
+    """A reconstruction of a needle; `markers` (LPS, the last is not found) and `surfaces` lie in the scan."""
+    traced = trace(volume, segment(volume, ct_cases.RECIPE), ct_cases.RECIPE)
+    found, registration, patient = _registered(markers, seed)
+    s = arc_length(traced.points)
+    beyond = np.arange(0.5, 8.0, 0.5)
+    forward = unit(traced.points[-1] - traced.points[-4])
+    along = np.vstack([traced.points, traced.points[-1] + beyond[:, None] * forward])
+    shown = profile(volume, along, np.concatenate([s, s[-1] + beyond]))
+    entry, entry_sd = tissue_edge(shown)
+    shown = dataclasses.replace(shown, s=shown.s - entry)
+    inserted = at_arc(traced.points, np.linspace(entry, s[-1], 60))
+    points = patient.to_world(inserted)
+    shaft = patient.to_world(at_arc(traced.points, [0.0, entry]))
+    direction = unit(shaft[1] - shaft[0])
+    frame = entry_frame(points[0], direction, bending_plane(points, direction))
+    ends = (
+        np.zeros(2) if registration is None else predicted_mean_target_error(registration, inserted[[0, -1]])
+    )
+    return Reconstruction(
+        scan=scan,
+        spacing=volume.spacing,
+        traced=traced,
+        markers=found,
+        registration=registration,
+        patient=patient,
+        pose=EntryPose(points[0], direction, "shaft", 0.04, 0.004, entry_sd),
+        frame=frame,
+        plane="shape",
+        points=points,
+        sd=np.interp(np.linspace(entry, s[-1], 60), s, traced.sd),
+        depth=float(s[-1] - entry),
+        depth_sd=float(np.hypot(entry_sd, traced.tip_sd[0])),
+        target_error=ends,
+        layers=_layers(points, frame, patient, surfaces),
+        profile=shown,
+        views=views(volume, patient, frame, traced.points),
+        remarks=() if registration is None else registration.remarks,
+    )
+
+
+def _registered(markers, seed):
+    if markers is None:
+        return None, None, IN_PATIENT
+    rng = np.random.default_rng(seed)
+    centers = markers[:-1] + MARKER_SD * rng.normal(size=(len(markers) - 1, 3))
+    registration = register(centers, PATIENT.to_world(markers), MARKER_SD)
+    found = Markers(centers, np.full(len(centers), MARKER_SD), "volume")
+    return found, registration, frame_of(registration)
+
+
+def _layers(points, frame, patient, surfaces):
+    if not surfaces:
+        return NO_LAYERS
+    placed = []
+    for surface in surfaces:
+        mesh = surface.mesh.copy()
+        mesh.vertices = patient.to_world(mesh.vertices)
+        placed.append(dataclasses.replace(surface, mesh=mesh))
+    met = crossings(points, placed)
+    depths = frame.to_local(met.points)[:, 0]
+    return Layers(tuple(placed), depths, np.full(len(depths), 0.12), met.points, met.sequence)

@@ -1,0 +1,206 @@
+"""Brightness along needles, the edge of the tissue, and pictures of the scan: known edges, known volumes."""
+
+import ct_cases as cases
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy.special import ndtr
+
+from needlefit.geometry.frames import Frame, entry_frame
+from needlefit.imaging.profile import profile, tissue_edge
+from needlefit.imaging.reconstruction import Profile
+from needlefit.imaging.views import views
+from needlefit.imaging.volume import Volume, to_patient
+from needlefit.synthetic.ct.render import render
+from needlefit.synthetic.ct.scene import Markers, Needle3D, Scanner, Scene3D
+from needlefit.synthetic.phantoms import Phantom
+
+S = np.arange(-30.0, 30.0, 0.5)
+
+
+def edge(at, width=0.6, tissue=40.0, noise=5.0, seed=1):
+    """A profile whose surroundings turn from air into tissue at `at`."""
+    clean = -1000 + (tissue + 1000) * ndtr((S - at) / width)
+    return clean + noise * np.random.default_rng(seed).normal(size=len(S))
+
+
+def found(around):
+    return tissue_edge(Profile(S, np.full(len(S), 3000.0), around))
+
+
+def linear(gradient, constant=0.0, shape=(40, 50, 60), spacing=(0.5, 0.4, 0.6)):
+    """A volume whose brightness is `gradient` . LPS + `constant`; its axes are turned."""
+    direction = np.array([[0.0, 0.6, 0.8], [1.0, 0, 0], [0, 0.8, -0.6]])
+    volume = Volume(np.zeros(shape, np.float32), np.array([5.0, -3, 8]), np.array(spacing), direction)
+    k, j, i = np.indices(shape)
+    ijk = np.stack([i, j, k], axis=-1).reshape(-1, 3)
+    values = to_patient(volume, ijk) @ gradient + constant
+    return Volume(values.reshape(shape).astype(np.float32), volume.origin, volume.spacing, direction)
+
+
+def middle(volume):
+    return to_patient(volume, (np.array(volume.values.shape[::-1]) - 1)[None] / 2)[0]
+
+
+# the edge of the tissue
+
+
+@pytest.mark.parametrize("at", [-11.37, 0.0, 4.21])
+@pytest.mark.parametrize("width", [0.4, 1.5])
+def test_an_edge_is_found_where_it_is(at, width):
+    place, sd = found(edge(at, width))
+    assert abs(place - at) < 0.05
+    assert 0.02 < sd < 0.1
+
+
+def test_neither_cupping_nor_a_layer_near_by_nor_rays_move_the_edge():
+    around = edge(2.3)
+    around += np.where(S > 2.3, -6 * np.clip(S - 2.3, 0, 20), 0)  # a slope
+    around += np.where(S > 6.3, 150.0, 0)  # another layer 4 mm behind
+    around[[50, 71, 76]] += [300, -400, 350]  # rays
+    place, _ = found(around)
+    assert abs(place - 2.3) < 0.1
+
+
+def test_the_deviation_covers_the_scatter_and_grows_with_it():
+    answers = np.array([[found(edge(1.2, noise=n, seed=seed)) for seed in range(40)] for n in (20, 60)])
+    scatter, stated = answers[:, :, 0].std(axis=1), answers[:, :, 1].mean(axis=1)
+    assert (stated > scatter).all() and (stated < 3 * scatter).all()
+    assert stated[1] > 2 * stated[0]
+
+
+def test_unknown_stations_are_left_out():
+    around = edge(3.0)
+    around[S < -10] = np.nan
+    around[::7] = np.nan
+    assert abs(found(around)[0] - 3.0) < 0.06
+
+
+@pytest.mark.parametrize(
+    "around",
+    [
+        np.full(len(S), 35.0),
+        np.full(len(S), -1000.0),
+        np.full(len(S), np.nan),
+        edge(29.0),  # a millimetre of tissue is none
+        np.where(S < 0, -560.0, -440.0),  # lung, perhaps: no edge of air
+        1000.0 - edge(0.0),  # tissue before air
+    ],
+)
+def test_no_edge_where_there_is_none(around):
+    assert found(np.array(around)) is None
+
+
+@pytest.mark.parametrize("tilt", [0.0, 20.0, 30.0])
+def test_a_face_is_found_where_the_needle_passes_however_it_slants(tilt):
+    box = entry_frame(cases.ENTRY, (np.sin(np.deg2rad(tilt)), 0, np.cos(np.deg2rad(tilt))), (0, 1, 0))
+    markers = Markers(np.array([[15.5, 11.0, 12.5], [11.0, 6.5, 16.0]]))
+    scene = Scene3D((Needle3D(cases.axis()),), Phantom((14.0,)), (40.0, 90.0), box, markers)
+    volume = render(scene, Scanner(cases.grid(), noise_hu=50.0), np.random.default_rng(4))
+    s = np.arange(-11.0, 20.0, 0.5)
+    shown = profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s)
+    place, sd = tissue_edge(shown)
+    assert abs(place) < max(0.08, 2.5 * sd)
+    assert sd < 0.12
+
+
+def test_a_slanting_face_at_the_side_of_the_volume_stays_where_it_is():
+    """Of the ring a third lies outside; the points opposite do not count either."""
+    box = entry_frame(cases.ENTRY, (0.4, 0, 1), (0, 1, 0))
+    scene = Scene3D((), Phantom(()), (40.0,), box)
+    cut = cases.grid(shape=(31, 48, 60))  # ends 2.8 mm beside the needle
+    volume = render(scene, Scanner(cut, streaks=0, cupping_hu=0, noise_hu=20), np.random.default_rng(1))
+    s = np.arange(-11.0, 14.0, 0.5)
+    place, _ = tissue_edge(profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s))
+    assert abs(place) < 0.06
+
+
+# the profile
+
+
+def test_in_a_linear_volume_core_and_surroundings_are_that_of_the_axis():
+    gradient = np.array([3.0, -20.0, 11.0])
+    volume = linear(gradient, 100.0)
+    way = np.array([0.2, 0.9, -0.3]) / np.linalg.norm([0.2, 0.9, -0.3])
+    s = np.linspace(-3, 3, 13)
+    points = middle(volume) + s[:, None] * way
+    shown = profile(volume, points, s)
+    assert_allclose(shown.core, points @ gradient + 100, atol=1e-3)
+    assert_allclose(shown.around, points @ gradient + 100, atol=1e-3)
+    assert_allclose(shown.s, s)
+
+
+def test_outside_the_volume_nothing_is_said():
+    volume = linear(np.zeros(3))
+    points = middle(volume) + np.linspace(0, 60, 31)[:, None] * [0.0, 1.0, 0.0]
+    shown = profile(volume, points, np.linspace(0, 60, 31))
+    assert np.isfinite(shown.core[0]) and np.isfinite(shown.around[0])
+    assert np.isnan(shown.core[-1]) and np.isnan(shown.around[-1])
+
+
+# pictures
+
+
+def scene(bend=0.0):
+    """A volume of 60 x 20 x 24 mm, C in it, and a needle that bends by `bend` mm to both sides."""
+    volume = linear(np.zeros(3), shape=(60, 60, 150), spacing=(0.4, 0.4, 0.4))
+    rotation = volume.direction @ np.linalg.qr(np.eye(3) + 0.03)[0] @ np.diag([-1.0, -1, 1])
+    start = middle(volume) - 5 * rotation[:, 0]
+    frame = Frame(start, rotation)
+    x = np.linspace(-12, 20, 65)
+    inside = np.clip(x, 0, None) / 20
+    return volume, frame, frame.to_world(np.column_stack([x, bend * inside**2, 0.5 * bend * inside**2]))
+
+
+def painted(volume, frame, axis):
+    """The volume with the place along one of C's axes as its brightness."""
+    gradient = frame.rotation[:, axis]
+    offset = -frame.origin @ gradient
+    k, j, i = np.indices(volume.values.shape)
+    places = to_patient(volume, np.stack([i, j, k], axis=-1).reshape(-1, 3)) @ gradient + offset
+    values = places.reshape(volume.values.shape).astype(np.float32)
+    return Volume(values, volume.origin, volume.spacing, volume.direction)
+
+
+@pytest.mark.parametrize("world", [Frame(np.zeros(3), np.eye(3)), cases.box()])
+def test_pictures_lie_in_the_axes_they_name(world):
+    volume, frame, needle = scene()
+    in_world = Frame(world.to_world(frame.origin[None])[0], world.rotation @ frame.rotation)
+    for axis in range(3):
+        for view in views(painted(volume, frame, axis), world, in_world, needle):
+            left, right, bottom, top = view.extent
+            rows, columns = view.values.shape
+            grid = {
+                view.axes[0]: left + (np.arange(columns)[None] + 0.5) * (right - left) / columns,
+                view.axes[1]: bottom + (np.arange(rows)[:, None] + 0.5) * (top - bottom) / rows,
+            }
+            place = grid.get("xyz"[axis])
+            if place is not None:
+                shown = np.isfinite(view.values)
+                assert shown.mean() > 0.3
+                assert_allclose(view.values[shown], np.broadcast_to(place, shown.shape)[shown], atol=2e-3)
+
+
+def test_the_slab_follows_the_needle_through_the_picture():
+    volume, frame, needle = scene(bend=3.0)
+    first, second, across = views(painted(volume, frame, 2), Frame(np.zeros(3), np.eye(3)), frame, needle)
+    assert (first.axes, second.axes, across.axes) == (("x", "y"), ("x", "z"), ("y", "z"))
+    row = first.values[first.values.shape[0] // 2]
+    x = first.extent[0] + 0.3 * (np.arange(len(row)) + 0.5)
+    expected = np.where(x < 0, 0.0, np.interp(x, np.linspace(0, 20, 41), 1.5 * np.linspace(0, 1, 41) ** 2))
+    assert_allclose(row[(x > -10) & (x < 19)], expected[(x > -10) & (x < 19)], atol=5e-3)
+
+
+def test_the_picture_shows_needle_entry_and_tip_where_they_are():
+    volume = cases.scan(cases.axis())
+    frame = Frame(cases.ENTRY, np.column_stack([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]]))
+    view = views(volume, Frame(np.zeros(3), np.eye(3)), frame, cases.axis())[0]
+    left, _, bottom, _ = view.extent
+    needle_row = view.values[round((0.0 - bottom) / 0.3 - 0.5)]
+    x = left + 0.3 * (np.arange(view.values.shape[1]) + 0.5)
+    assert needle_row[(x > -8) & (x < 24)].min() > 500
+    assert needle_row[x > 30].max() < 400
+    beside = view.values[round((6.0 - bottom) / 0.3 - 0.5)]
+    assert beside[(x > -8) & (x < -2)].max() < -800
+    assert beside[(x > 2) & (x < 12)].mean() == pytest.approx(40, abs=10)
+    assert beside[(x > 16) & (x < 35)].mean() == pytest.approx(90, abs=10)

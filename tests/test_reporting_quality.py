@@ -1,0 +1,208 @@
+"""What a reconstruction leaves behind: its page, its curves and bodies in Slicer, its tables."""
+
+import dataclasses
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+import reconstruction_cases as cases
+import trimesh
+from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
+
+from needlefit.datasets.formats.slicer import read_lists
+from needlefit.geometry.curves import arc_length
+from needlefit.imaging.registration.register import register
+from needlefit.project.streams import stream
+from needlefit.reporting.figures.along import spans
+from needlefit.reporting.figures.pictures import outline
+from needlefit.reporting.quality import facts, write_quality
+from needlefit.reporting.reconstructions import (
+    crossing_table,
+    marker_table,
+    reconstruction_table,
+    reconstructions_layout,
+    write_tables,
+)
+from needlefit.reporting.slicer_scan import write_scan
+
+ENTRY, TIP = np.array([11.0, 11.0, 12.0]), np.array([11.0, 14.0, 40.0])  # LPS of the rendered needle
+LONG = tuple(f"remark {n}: the surface and the scan disagree by more than they should" for n in range(12))
+
+
+def pages(path):
+    return path.read_bytes().count(b"/Type /Page\n") or path.read_bytes().count(b"/Type/Page/")
+
+
+def said(reconstruction):
+    return {name: words for group in facts(reconstruction) for name, words in group if name}
+
+
+# the page
+
+
+def test_the_page_is_one_and_the_same_bytes_again(tmp_path):
+    one = write_quality(cases.small(), tmp_path / "one.pdf")
+    two = write_quality(cases.small(), tmp_path / "quality" / "two.pdf")
+    assert one.read_bytes() == two.read_bytes()
+    assert pages(one) == 1
+    assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["one.pdf"]
+
+
+@pytest.mark.parametrize("remarks", [(), LONG, ("[brackets] *stars* #hash $dollar$ <angle>",)])
+def test_whatever_there_is_to_say_the_page_stays_one(tmp_path, remarks):
+    bare = dataclasses.replace(cases.small(markers=False, layers=False), remarks=remarks)
+    assert pages(write_quality(bare, tmp_path / "bare.pdf")) == 1
+
+
+def test_the_facts_are_those_of_the_rendered_needle():
+    words = said(cases.small())
+    length, _, sd, unit = words["inserted length"].split()
+    assert float(length) == pytest.approx(28.22, abs=0.15) and float(sd) < 0.15 and unit == "mm"
+    assert float(words["tip's deflection"].split()[0]) == pytest.approx(3.0, abs=0.1)
+    assert words["markers"] == "5 of 6 found in the scan"
+    assert words["layers"].startswith("1 → 2 at 14.00 ± 0.12")
+    assert words["voxels"] == "0.46 mm, cubes"
+
+
+def test_without_markers_and_layers_the_page_says_so():
+    words = said(cases.small(markers=False, layers=False))
+    assert words["world"].startswith("the patient frame")
+    assert words["layers"] == "no boundary crossed"
+    assert "markers" not in words
+
+
+def test_slices_thicker_than_pixels_are_named_with_all_their_edges():
+    flat = dataclasses.replace(cases.small(), spacing=np.array([0.4, 0.4, 1.25]))
+    assert said(flat)["voxels"] == "0.4 × 0.4 × 1.25 mm"
+
+
+def test_pictures_share_their_room_and_keep_the_needle_amid():
+    one = cases.small()
+    along = one.views[:2]
+    needle = one.frame.to_local(one.patient.to_world(one.traced.points))
+    (low, high), (_, _) = first, second = spans(along, needle, 20.0)
+    assert sum(top - bottom for bottom, top in (first, second)) == pytest.approx(20.0)
+    assert (low + high) / 2 == pytest.approx(needle[:, 1].min() / 2 + needle[:, 1].max() / 2)
+
+
+def test_a_layer_is_outlined_where_the_picture_cuts_it():
+    one = cases.small()
+    dots = outline(one.views[0], one, one.layers.surfaces[0], (-5.0, 5.0))
+    assert len(dots) > 10
+    assert_allclose(dots[:, 0], 14.0, atol=0.15)
+
+
+# Slicer
+
+
+def test_slicer_gets_the_needle_where_it_lies_in_the_scan(tmp_path):
+    one = cases.small()
+    files = write_scan(one, tmp_path / "slicer", 1.27)
+    lists = {markups.name.removeprefix("phantom1-03 "): markups for markups in read_lists(files[0])}
+    assert [*lists] == [
+        f"{name} (synthetic)"
+        for name in (
+            *("whole needle", "inserted", "95 % band, low", "95 % band, high"),
+            *("entry and tip", "layer crossings", "markers"),
+        )
+    ]
+    inserted, low, high = (
+        lists[f"{name} (synthetic)"].points for name in ("inserted", "95 % band, low", "95 % band, high")
+    )
+    assert_allclose(inserted[[0, -1]], [ENTRY, TIP], atol=0.15)
+    assert arc_length(inserted)[-1] == pytest.approx(one.depth, rel=1e-4)
+    assert_allclose(np.linalg.norm(high - low, axis=1), 2 * 1.96 * one.sd)
+    assert_allclose((high - low)[-1] / np.linalg.norm((high - low)[-1]), [0, 1, 0], atol=0.02)
+    assert lists["inserted (synthetic)"].labels[0] == "entry"
+    assert lists["whole needle (synthetic)"].labels[0] == "base"
+    assert lists["entry and tip (synthetic)"].labels == ("entry", "tip")
+    crossing = lists["layer crossings (synthetic)"]
+    assert crossing.labels == ("into layer 2, 14.0 mm",)
+    assert crossing.points[0, 2] == pytest.approx(26.0, abs=0.1)
+    markers = lists["markers (synthetic)"]
+    assert markers.labels == tuple(f"marker {n}" for n in range(5))
+    assert_allclose(markers.points, cases.MARKERS[:-1], atol=0.4)
+
+
+def test_the_bodies_lie_in_the_scan_and_the_band_is_wider_than_the_needle(tmp_path):
+    one = cases.small()
+    _, needle, band = write_scan(one, tmp_path, 1.27)
+    assert b"SPACE=LPS" in needle.read_bytes() and b"(synthetic)" in band.read_bytes()
+    body, hull = (trimesh.load_mesh(path) for path in (needle, band))
+    assert body.bounds[1, 2] == pytest.approx(40.0, abs=0.3)
+    length = arc_length(one.traced.points)[-1]
+    assert body.volume == pytest.approx(3.0 * 0.635**2 * length, rel=0.01)  # of a twelve-sided prism
+    assert hull.volume > body.volume * one.depth / length
+
+
+def test_without_markers_and_layers_their_lists_are_left_out(tmp_path):
+    bare = cases.small(markers=False, layers=False)
+    bare = dataclasses.replace(bare, scan=dataclasses.replace(bare.scan, origin="measured"))
+    names = [one["name"] for one in json.loads(write_scan(bare, tmp_path, 1.27)[0].read_text())["markups"]]
+    assert len(names) == 5
+    assert not any("synthetic" in name or "marker" in name or "layer" in name for name in names)
+
+
+# tables
+
+
+def test_tables_hold_every_scan_pair_and_crossing(tmp_path):
+    batch = [cases.small(), cases.small(markers=False, layers=False)]
+    files = write_tables(batch, tmp_path)
+    scans, markers, crossings = (pd.read_csv(path) for path in files)
+    assert [path.name for path in files] == ["reconstruction.csv", "markers.csv", "crossings.csv"]
+    assert (len(scans), len(markers), len(crossings)) == (2, 5, 1)
+    assert scans.loc[0, "markers_paired"] == 5 and np.isnan(scans.loc[1, "markers_paired"])
+    assert scans["depth_mm"].to_numpy() == pytest.approx(28.22, abs=0.15)
+    assert_allclose(
+        markers["residual_mm"],
+        np.linalg.norm(markers[[f"residual_{a}_mm" for a in "xyz"]], axis=1),
+        rtol=1e-6,
+    )
+    rms = np.sqrt(np.mean(markers["residual_mm"] ** 2))
+    assert scans.loc[0, "fre_mm"] == pytest.approx(rms, rel=1e-6)
+    assert crossings.loc[0, ["out_of", "into"]].tolist() == [1, 2]
+    assert (scans["origin"] == "synthetic").all()
+
+
+def test_a_batch_of_nothing_still_has_its_columns():
+    assert "depth_mm" in reconstruction_table([])
+    assert "left_out_mm" in marker_table([])
+    assert "depth_sd_mm" in crossing_table([])
+
+
+def test_the_screen_shows_what_there_is():
+    full = reconstructions_layout([cases.small()])
+    row = dict(zip((column.label for column in full.columns), full.rows[0], strict=True))
+    assert row["Markers"] == "5/6" and row["Layers at (mm)"] == "14.00 ± 0.12"
+    assert "synthetic" in full.caption
+    bare = reconstructions_layout([cases.small(markers=False, layers=False)])
+    assert not {"Markers", "FRE", "Layers at (mm)"} & {column.label for column in bare.columns}
+
+
+# what the nouns tell
+
+
+def test_cross_sections_lie_across_the_axis_and_scatter_as_little_as_it_does():
+    traced = cases.small().traced
+    assert traced.residuals.shape == (len(traced.sections_s), 3)
+    assert traced.sections_s[0] >= 0 and traced.sections_s[-1] < arc_length(traced.points)[-1]
+    assert np.linalg.norm(traced.residuals, axis=1).max() < 0.1
+    assert np.abs(traced.residuals[:, 2]).max() < 0.01  # the needle runs along S, but for its bend
+
+
+def test_markers_left_out_miss_by_what_is_expected_of_them():
+    rng = stream(1, "left out")
+    layout = np.array([[5, -40, -31], [22, 40, -18], [41, -40, 24], [58, 21, 40], [80, -33, -38.0]])
+    turn = Rotation.random(rng=rng).as_matrix()
+    pairs = [[n, n] for n in range(5)]
+    answers = [
+        register((layout + 0.1 * rng.normal(size=(5, 3))) @ turn, layout, 0.1, pairs=pairs)
+        for _ in range(300)
+    ]
+    missed = np.sqrt(np.mean([one.leave_one_out**2 for one in answers], axis=0))
+    expected = np.mean([one.expected_leave_one_out for one in answers], axis=0)
+    assert_allclose(missed, expected, rtol=0.12)
+    assert {one.known for one in answers} == {5}
