@@ -1,4 +1,4 @@
-"""What is wrong with a dataset, and the error that says so."""
+"""What is wrong with somebody's data, and the error that says so."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -26,9 +26,9 @@ def from_error(error: NeedlefitError, where: str = "") -> Fault:
 
 
 def as_error(faults: Sequence[Fault], path: Path) -> DataError:
-    """Return the error that lists every fault of the dataset at `path`."""
+    """Return the error that lists every fault of what `path` holds."""
     if len(faults) == 1:
         fault = faults[0]
         return DataError(fault.what, where=fault.where, expected=fault.expected, mend=fault.mend)
     listed = "\n".join(str(fault) for fault in faults)
-    return DataError(f"the dataset has {len(faults)} faults\n{listed}", where=str(path))
+    return DataError(f"has {len(faults)} faults\n{listed}", where=str(path))

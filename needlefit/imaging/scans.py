@@ -1,0 +1,137 @@
+"""Which scans to reconstruct: a table of them, or volumes named one by one."""
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.formats.csv import Table, numbers, read_table
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.scan_row import COLUMNS, NUMBERS, ScanRow, layer_source, row_faults, scan_of
+from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
+
+NO_VOLUME = Fault("", "there is no such file or folder", READABLE, "check the path")
+
+
+def read_scans(path: Path) -> tuple[Scan, ...]:
+    """Read a table of scans, one a row, in its order; paths in it are relative to its folder.
+
+    Only `scan` is required; what an empty cell means `Scan` says. An id that is not given is the volume's
+    name. Surfaces are separated by `;`, each a file or `file=kind:into`, e.g. `skin.stl=sheet:2`.
+
+    Raises
+    ------
+    DataError
+        Listing every fault of the table, with its line: cells, columns that are unknown, files missing.
+    """
+    table = read_table(path)
+    found = list(_column_faults(table))
+    rows = _rows(table, found)
+    unread = {fault.where for fault in found}
+    for row in rows:
+        found += row_faults(row, numbers_read=row.where not in unread)
+    ids = [row.text["id"] or id_of(Path(row.text["scan"])) for row in rows]
+    found += _repeated(ids, [row.where for row in rows])
+    if found:
+        raise as_error(found, path)
+    return tuple(scan_of(row, id_) for row, id_ in zip(rows, ids, strict=True))
+
+
+def scans_of(
+    volumes: Sequence[Path],
+    *,
+    medium: str = "medium",
+    markers: Path | None = None,
+    layers: Sequence[str] = (),
+    surfaces_in: Literal["world", "scan"] = "world",
+) -> tuple[Scan, ...]:
+    """Return a scan for each of some volumes that share markers and layers; their ids are their names.
+
+    Parameters
+    ----------
+    layers : sequence of str
+        Files, each as in a table of scans: `file` or `file=kind:into`.
+
+    Raises
+    ------
+    DataError
+        Listing every file that is missing, every layer that is not understood, and names that are alike.
+    """
+    found = [replace(NO_VOLUME, where=str(volume)) for volume in volumes if not volume.exists()]
+    if markers is not None and not markers.is_file():
+        found.append(
+            Fault(str(markers), "there is no such file", "the known places of the markers", "check the path")
+        )
+    sources = [layer_source(text, Path()) for text in layers]
+    found += [source for source in sources if isinstance(source, Fault)]
+    ids = [id_of(volume) for volume in volumes]
+    found += _repeated(ids, [str(volume) for volume in volumes])
+    if found:
+        raise as_error(found, Path(found[0].where))
+    surfaces = tuple(source for source in sources if not isinstance(source, Fault))
+    return tuple(
+        Scan(id_, volume, medium, markers=markers, surfaces=surfaces, surfaces_in=surfaces_in)
+        for id_, volume in zip(ids, volumes, strict=True)
+    )
+
+
+def id_of(volume: Path) -> str:
+    """Return the id that a volume has by its name: no ending, and only what the name of a file may hold."""
+    name = volume.resolve().name
+    ending = next((end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm") if name.lower().endswith(end)), "")
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", name[: len(name) - len(ending)]).lstrip("._-") or "scan"
+
+
+def _column_faults(table: Table) -> Iterator[Fault]:
+    """Yield columns that nothing is known of: a name mistyped would silently leave its cells out."""
+    where = f"{table.path}:1"
+    if "scan" not in table.cells:
+        yield Fault(
+            where,
+            "column `scan` is missing",
+            f"the path of each volume: {READABLE}",
+            "add the column",
+        )
+    for name in table.cells:
+        if name not in COLUMNS:
+            near = difflib.get_close_matches(str(name), COLUMNS, n=1, cutoff=0.5)
+            mend = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
+            yield Fault(where, f"column `{name}` is unknown", f"one of {', '.join(COLUMNS)}", mend)
+
+
+def _rows(table: Table, found: list[Fault]) -> list[ScanRow]:
+    blank = [""] * len(table.lines)
+    text = {name: table.cells[name].tolist() if name in table.cells else blank for name in COLUMNS}
+    number = {
+        name: numbers(table, name, found, optional=True)
+        if name in table.cells
+        else np.full(len(blank), np.nan)
+        for name in NUMBERS
+    }
+    return [
+        ScanRow(
+            table.where(n),
+            table.path.parent,
+            {name: cells[n] for name, cells in text.items()},
+            {name: float(values[n]) for name, values in number.items()},
+        )
+        for n in range(len(blank))
+    ]
+
+
+def _repeated(ids: Iterable[str], places: Iterable[str]) -> Iterator[Fault]:
+    first: dict[str, str] = {}
+    for id_, place in zip(ids, places, strict=True):
+        if id_ in first:
+            yield Fault(
+                place,
+                f"has the id {id_}, as {first[id_]} has",
+                "a different id for every scan: it names files of the dataset",
+                "give each an id of its own in a table of scans",
+            )
+        first.setdefault(id_, place)

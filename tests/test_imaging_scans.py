@@ -1,0 +1,169 @@
+"""Tables of scans, and volumes named one by one: what they ask for, and every fault with its line."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needlefit.errors import DataError
+from needlefit.geometry.surfaces import sheet, write_surface
+from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.scans import id_of, read_scans, scans_of
+
+STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """Files that a table may name; only their names matter here."""
+    for name in ("one.nrrd", "two.nii.gz", "needle.nrrd", "markers.csv", "placed.mrk.json", "all.seg.nrrd"):
+        (tmp_path / name).touch()
+    (tmp_path / "series").mkdir()
+    for name in ("skin", "core"):
+        write_surface(sheet(name, (0, 0, 0), (1, 0, 0), 50, into=2), tmp_path / f"{name}.stl")
+    return tmp_path
+
+
+def table(folder, *lines):
+    path = folder / "scans.csv"
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+def refused(folder, *lines):
+    with pytest.raises(DataError) as error:
+        read_scans(table(folder, *lines))
+    assert "mend: " in str(error.value)
+    return str(error.value)
+
+
+def test_a_scan_alone_has_the_name_of_its_volume_and_every_default(folder):
+    scans = read_scans(table(folder, "scan", "one.nrrd", "two.nii.gz", "series"))
+    assert scans == tuple(
+        Scan(name, folder / path, "medium")
+        for name, path in (("one", "one.nrrd"), ("two", "two.nii.gz"), ("series", "series"))
+    )
+
+
+def test_every_column_comes_through(folder):
+    columns = (
+        f"id,scan,series,medium,specimen,mask,markers,fiducials,surfaces,surfaces_in,{STAGE},"
+        "bevel_x,bevel_y,bevel_z,bevel_side,layers,layers_alternative,guide_distance_mm,origin"
+    )
+    cells = (
+        "a,series,2,gel,block,needle.nrrd,markers.csv,placed.mrk.json,skin.stl;core.stl=solid:4,scan,"
+        "1,2,3,0,0.6,0.8,0.1,1.5,0,0,2,-1,3,4,30,synthetic"
+    )
+    [scan] = read_scans(table(folder, columns, cells))
+    assert (scan.id, scan.volume, scan.series, scan.medium, scan.specimen) == (
+        *("a", folder / "series", "2", "gel", "block"),
+    )
+    assert (scan.mask, scan.markers, scan.fiducials) == (
+        *(folder / "needle.nrrd", folder / "markers.csv", folder / "placed.mrk.json"),
+    )
+    assert scan.surfaces == (LayerSource(folder / "skin.stl"), LayerSource(folder / "core.stl", "solid", 4))
+    assert (scan.surfaces_in, scan.side, scan.layers, scan.layers_alternative) == ("scan", -1, 3, 4)
+    assert (scan.guide_distance, scan.origin) == (30.0, "synthetic")
+    np.testing.assert_array_equal(scan.stage.entry, [1, 2, 3])
+    np.testing.assert_allclose(scan.stage.direction, [0, 0.6, 0.8])
+    assert (scan.stage.shift_sd, scan.stage.angle_sd) == (0.1, pytest.approx(1.5 * np.pi / 180))
+    np.testing.assert_array_equal(scan.bevel, [0, 0, 1])
+
+
+def test_empty_cells_are_defaults(folder):
+    lines = f"scan,surfaces,{STAGE},bevel_x,bevel_y,bevel_z,origin,layers", "one.nrrd" + "," * 14
+    assert read_scans(table(folder, *lines)) == (Scan("one", folder / "one.nrrd", "medium"),)
+
+
+@pytest.mark.parametrize(
+    ("columns", "cells", "words"),
+    [
+        ("id,scan", "../a,one.nrrd", "id is '../a'"),
+        ("scan", "none.nrrd", "there is no scan"),
+        ("id,scan", "a,", "scan is empty"),
+        ("scan,mask", "one.nrrd,none.nrrd", "there is no file"),
+        ("scan,markers", "one.nrrd,none.csv", "the markers of this scan"),
+        ("scan,fiducials", "one.nrrd,placed.mrk.json", "no markers"),
+        ("scan,surfaces", "one.nrrd,none.stl", "none.stl"),
+        ("scan,surfaces", "one.nrrd,skin.stl=shell:2", "'skin.stl=shell:2' is not understood"),
+        ("scan,surfaces", "one.nrrd,skin.stl=sheet:0", "is not understood"),
+        ("scan,surfaces", "one.nrrd,markers.csv", "has the ending '.csv'"),
+        ("scan,surfaces", "one.nrrd,all.seg.nrrd=solid:2", "segmentation of all layers"),
+        ("scan,surfaces_in", "one.nrrd,room", "surfaces_in is 'room'"),
+        ("scan,origin", "one.nrrd,guessed", "origin is 'guessed'"),
+        ("scan,layers", "one.nrrd,2.5", "layers is 2.5"),
+        ("scan,layers", "one.nrrd,0", "layers is 0"),
+        ("scan,layers", "one.nrrd,two", "layers is 'two'"),
+        ("scan,layers_alternative", "one.nrrd,2", "layers_alternative is given without layers"),
+        ("scan,bevel_side", "one.nrrd,2", "bevel_side is 2"),
+        ("scan,bevel_x", "one.nrrd,1", "bevel_y, bevel_z are empty"),
+        ("scan,bevel_x,bevel_y,bevel_z", "one.nrrd,0,0,0", "are all 0"),
+        ("scan,guide_distance_mm", "one.nrrd,-3", "guide_distance_mm is -3"),
+        ("scan,entry_x_mm,entry_y_mm", "one.nrrd,1,2", "entry_z_mm, entry_dx"),
+        (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,2,0.1,1", "entry direction has length 2"),
+        (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,1,-0.1,1", "pose_shift_sd_mm is negative"),
+        (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,1,0.1,", "pose_angle_sd_deg are empty"),
+    ],
+)
+def test_a_wrong_cell_is_named_with_its_line(folder, columns, cells, words):
+    message = refused(folder, columns, cells)
+    assert words in message and message.startswith(f"{folder / 'scans.csv'}:2: "), message
+
+
+def test_a_mistyped_column_is_an_error_that_names_the_nearest(folder):
+    message = refused(folder, "scan,marker,speciman", "one.nrrd,markers.csv,block")
+    assert "column `marker` is unknown" in message and "did you mean `markers`?" in message
+    assert "did you mean `specimen`?" in message and f"{folder / 'scans.csv'}:1" in message
+
+
+def test_a_table_without_volumes_is_refused(folder):
+    assert "column `scan` is missing" in refused(folder, "id,medium", "a,gel")
+
+
+def test_ids_are_told_apart(folder):
+    message = refused(folder, "id,scan", "one,two.nii.gz", ",one.nrrd")
+    assert message.startswith(f"{folder / 'scans.csv'}:3: has the id one, as {folder / 'scans.csv'}:2 has")
+
+
+def test_all_faults_are_told_at_once(folder):
+    message = refused(folder, "scan,layers,origin", "none.nrrd,two,guessed", "one.nrrd,1,", "two.nii.gz,-1,")
+    path = folder / "scans.csv"
+    assert f"{path}: has 4 faults" in message
+    for words in (":2: there is no scan", ":2: layers is 'two'", ":2: origin", ":4: layers is -1"):
+        assert f"{path}{words}" in message
+
+
+@pytest.mark.parametrize(
+    ("path", "id_"),
+    [
+        ("scans/a b (2).nii.gz", "a_b_2_"), ("layers.seg.nrrd", "layers"), ("x/../series7", "series7"),
+        ("IM0001.DCM", "IM0001"), ("ü.nrrd", "scan"), ("v1.2", "v1.2"),
+    ],
+)  # fmt: skip
+def test_the_id_of_a_volume_is_its_name(path, id_):
+    assert id_of(Path(path)) == id_
+
+
+def test_volumes_named_one_by_one_share_what_is_known(folder):
+    markers = folder / "markers.csv"
+    layers = (f"{folder / 'skin.stl'}=sheet:2", str(folder / "core.stl"))
+    volumes = [folder / "one.nrrd", folder / "series"]
+    one, two = scans_of(volumes, medium="gel", markers=markers, layers=layers, surfaces_in="scan")
+    surfaces = (LayerSource(folder / "skin.stl", "sheet", 2), LayerSource(folder / "core.stl"))
+    common = {"markers": markers, "surfaces": surfaces, "surfaces_in": "scan"}
+    assert one == Scan("one", folder / "one.nrrd", "gel", **common)
+    assert two == Scan("series", folder / "series", "gel", **common)
+
+
+def test_volumes_of_one_name_need_a_table(folder):
+    (folder / "one.nii").touch()
+    with pytest.raises(DataError, match=r"has the id one, as .*one\.nrrd has") as error:
+        scans_of([folder / "one.nrrd", folder / "one.nii"])
+    assert "table of scans" in error.value.mend
+
+
+def test_what_is_missing_on_the_command_line_is_told_at_once(folder):
+    with pytest.raises(DataError, match="has 3 faults") as error:
+        scans_of([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
+    for words in ("none: there is no such file or folder", "none.csv: there is no such file", "none.stl"):
+        assert words in str(error.value)
