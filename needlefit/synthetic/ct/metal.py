@@ -10,7 +10,8 @@ from scipy.spatial import cKDTree
 
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import unit
-from needlefit.synthetic.ct.scene import Grid, Markers, Needle3D
+from needlefit.imaging.grid import Grid
+from needlefit.synthetic.ct.scene import Markers, Needle3D
 
 Floats = NDArray[np.float64]
 
@@ -112,6 +113,6 @@ def _near(points: Floats, reach: float, grid: Grid) -> NDArray[np.int64]:
     block = np.stack(np.meshgrid(*[np.arange(-m, m + 1) for m in margin], indexing="ij"), axis=-1)
     ball = np.linalg.norm(block * grid.spacing, axis=-1) <= reach + np.linalg.norm(grid.spacing) / 2
     voxels = np.argwhere(binary_dilation(seeds, ball)) + low
-    inside = np.all((voxels >= 0) & (voxels < np.array(grid.shape)), axis=1)
+    inside = np.all((voxels >= 0) & (voxels < np.array(grid.size)), axis=1)
     near: NDArray[np.int64] = voxels[inside]
     return near

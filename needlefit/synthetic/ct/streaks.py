@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
+from needlefit.imaging.grid import Grid
 from needlefit.synthetic.ct.metal import Metal
-from needlefit.synthetic.ct.scene import WATER_PER_MM, Grid
+from needlefit.synthetic.ct.scene import WATER_PER_MM
 
 Floats = NDArray[np.float64]
 
@@ -46,7 +47,7 @@ def streaks(metals: Sequence[Metal], grid: Grid, views: int, rng: np.random.Gene
     """Return the error that metal makes in every slice (K, J, I), HU."""
     fan = _fan(grid, views)
     sinograms, slices = _project(metals, grid, fan)
-    error = np.zeros(grid.shape[::-1], dtype=np.float32)
+    error = np.zeros(grid.size[::-1], dtype=np.float32)
     if not len(slices):
         return error
     touched = sinograms > 0
@@ -68,7 +69,7 @@ def _gains(views: int, rng: np.random.Generator) -> Floats:
 
 
 def _fan(grid: Grid, views: int) -> Fan:
-    extent = np.array(grid.shape[:2]) * grid.spacing[:2]
+    extent = np.array(grid.size[:2]) * grid.spacing[:2]
     width = float(grid.spacing[:2].min()) / 1.5
     bins = int(np.ceil(np.hypot(*extent) / width)) + 4
     return Fan(np.arange(views) * np.pi / views, bins, width, (extent - grid.spacing[:2]) / 2)
@@ -104,7 +105,7 @@ def _filter(sinograms: Floats, fan: Fan) -> Floats:
 
 def _back_projector(grid: Grid, fan: Fan) -> csr_array:
     """Return the matrix (J * I, V * bins) that sums over the views what the nearest ray holds."""
-    x, y = ((np.arange(n) * d - c) for n, d, c in zip(grid.shape, grid.spacing, fan.center, strict=False))
+    x, y = ((np.arange(n) * d - c) for n, d, c in zip(grid.size, grid.spacing, fan.center, strict=False))
     pixels = len(x) * len(y)
     columns = np.empty((pixels, len(fan.angles)), dtype=np.int32)
     for view, angle in enumerate(fan.angles):
