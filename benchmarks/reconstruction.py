@@ -27,13 +27,14 @@ from skimage.morphology import skeletonize
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.grid import Grid
 from needlefit.imaging.needle.centerline import Centerline, trace
 from needlefit.imaging.needle.segmentation import Component, main_axes, segment
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.synthetic.ct.metal import bevel_side, dense
 from needlefit.synthetic.ct.render import render
-from needlefit.synthetic.ct.scene import Grid, Markers, Needle3D, Scanner, Scene3D, Table
+from needlefit.synthetic.ct.scene import Markers, Needle3D, Scanner, Scene3D, Table
 from needlefit.synthetic.phantoms import PHANTOMS
 
 Floats = NDArray[np.float64]

@@ -3,10 +3,11 @@
 import numpy as np
 
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.grid import Grid
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.synthetic.ct.metal import dense
 from needlefit.synthetic.ct.render import render
-from needlefit.synthetic.ct.scene import Grid, Needle3D, Scanner, Scene3D
+from needlefit.synthetic.ct.scene import Needle3D, Scanner, Scene3D
 from needlefit.synthetic.phantoms import Phantom
 
 RECIPE = ReconstructionRecord(schema=1)
@@ -34,7 +35,8 @@ def box():
 
 def grid(**changes):
     """The test's voxels."""
-    return Grid(**({"shape": SHAPE, "origin": np.zeros(3)} | changes))
+    plain = {"size": SHAPE, "origin": np.zeros(3), "spacing": np.full(3, SPACING), "direction": np.eye(3)}
+    return Grid(**(plain | changes))
 
 
 def scan(points, seed=1, scene=None, bevel_deg=30.0, hu=9000.0, **scanner):

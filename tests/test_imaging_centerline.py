@@ -82,7 +82,7 @@ def test_indices_and_patient_positions_are_inverse():
 
 def test_slices_thicker_than_pixels_are_allowed():
     truth = cases.axis(tip=(3.0, 2.0, 28.0), curve=(2.0, 0.0))
-    grid = cases.grid(shape=(48, 48, 56), spacing=np.array([0.46, 0.46, 0.9]))
+    grid = cases.grid(size=(48, 48, 56), spacing=np.array([0.46, 0.46, 0.9]))
     line = found(cases.scan(truth, grid=grid))
     assert cases.off(line.points, truth).mean() < 0.05
     assert np.linalg.norm(line.tip - truth[-1]) < 0.2

@@ -13,7 +13,7 @@ from needlefit.cli.reconstruct import SeveralLayers, reconstruct
 from needlefit.cli.simulate import simulate
 from needlefit.cli.start import init, new_dataset
 from needlefit.cli.tune import tune
-from needlefit.cli.twin import twin_build
+from needlefit.cli.twin import twin_build, twin_ct
 from needlefit.cli.validate import validate
 from needlefit.cli.verify import verify
 
@@ -51,6 +51,7 @@ def build() -> typer.Typer:
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]
     twin.callback()(_group)
     twin.command("build")(twin_build)
+    twin.command("ct")(twin_ct)
     new = typer.Typer(help="Templates of files.", **plain)  # type: ignore[arg-type]
     new.callback()(_group)
     new.command("dataset")(new_dataset)

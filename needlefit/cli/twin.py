@@ -1,12 +1,15 @@
-"""`needlefit twin build`: the synthetic dataset, made anew."""
+"""`needlefit twin`: the synthetic dataset made anew, and its scans."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from needlefit.cli import options, screen
+from needlefit.cli.execution import cores
 from needlefit.cli.progress import progress
+
+Jobs = Annotated[int | None, typer.Option(min=1, help="Processes (default: all cores); changes no byte.")]
 
 
 def twin_build(
@@ -23,8 +26,9 @@ def twin_build(
     The same seed gives the same bytes. DIR is replaced only if it holds a twin, and
     nothing else.
     """
-    from needlefit.synthetic.build import SEED, build
+    from needlefit.synthetic.build import build
     from needlefit.synthetic.replace import replacing_twin
+    from needlefit.synthetic.twin import SEED
 
     seed = SEED if seed is None else seed
     if not quiet:
@@ -32,3 +36,35 @@ def twin_build(
     with replacing_twin(out) as fresh, progress(context.find_root().obj.quiet) as report:
         build(fresh, seed, report)
     screen.say(f"{out}: synthetic dataset, seed {seed}")
+
+
+def twin_ct(
+    context: typer.Context,
+    ids: Annotated[
+        list[str] | None, typer.Argument(metavar="[ID]...", help="Insertions, or `sample` (default: all 47).")
+    ] = None,
+    seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the shipped twin's).")] = None,
+    form: Annotated[Literal["nrrd", "dicom"], typer.Option("--format", help="A file, or a series.")] = "nrrd",
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the scans.")] = Path("twin_ct"),
+    jobs: Jobs = None,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Render insertions of the synthetic dataset as CT volumes.
+
+    Writes volumes/, markers/, layers/, and scans.csv, which `needlefit reconstruct` takes.
+
+    A volume is some 20 MB. The same seed gives the same bytes. DIR is replaced only if it holds such
+    scans, and nothing else.
+    """
+    from needlefit.synthetic.design import named
+    from needlefit.synthetic.replace import replacing_scans
+    from needlefit.synthetic.scans import write_scans
+    from needlefit.synthetic.twin import SEED
+
+    seed, plan = SEED if seed is None else seed, named(ids or ())
+    if not quiet:
+        screen.note_compiling()
+    with replacing_scans(out) as fresh, progress(context.find_root().obj.quiet) as report:
+        write_scans(fresh, plan, seed, form, jobs or cores(), report)
+    screen.say(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

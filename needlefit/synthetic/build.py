@@ -10,16 +10,13 @@ from needlefit.datasets.write import write_dataset
 from needlefit.geometry.surfaces import Surface
 from needlefit.synthetic.design import Planned, insertions
 from needlefit.synthetic.measure import TURN_SD
-from needlefit.synthetic.phantoms import PHANTOMS, surfaces
-from needlefit.synthetic.statement import BOUNDARY_SD, statement, surface_file
+from needlefit.synthetic.phantoms import PHANTOMS, surface_file, surfaces
+from needlefit.synthetic.statement import BOUNDARY_SD, statement
 from needlefit.synthetic.truth import POSE_ANGLE_SD, POSE_SHIFT_SD
 from needlefit.synthetic.truth_file import write_truth
-from needlefit.synthetic.twin import Twin, synthesize
+from needlefit.synthetic.twin import SEED, Twin, synthesize
 
 Progress = Callable[[str, int, int], None]
-
-SEED = 1
-"""The seed of the twin that ships."""
 
 
 def _quiet(_what: str, _done: int, _of: int) -> None:

@@ -5,12 +5,16 @@ each needle meets the layers that its row says. One needle of phantom 2 ends at 
 it is listed with four layers, as the paper's table of insertions counts it, and could be read as three.
 """
 
+import difflib
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 
 import numpy as np
 from numpy.typing import NDArray
+
+from needlefit.errors import ConfigError
 
 Floats = NDArray[np.float64]
 
@@ -140,6 +144,28 @@ def insertions() -> tuple[Planned, ...]:
         for n, piece, row in zip(count(1), pieces, _CHICKEN, strict=False)
     )
     return (*phantoms, *chicken)
+
+
+SAMPLE = Planned("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
+"""A short insertion for the sample volume; it is none of the 47."""
+
+
+def named(names: Sequence[str]) -> tuple[Planned, ...]:
+    """Return the insertions of these ids, in this order; all 47 if there are none.
+
+    Raises
+    ------
+    ConfigError
+        If there is no such insertion; the nearest ids are listed.
+    """
+    known = {planned.id: planned for planned in (*insertions(), SAMPLE)}
+    for name in names:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or list(known)
+            raise ConfigError(
+                f"no insertion of the twin is called `{name}`", expected=f"one of {', '.join(near)}"
+            )
+    return tuple(known[name] for name in dict.fromkeys(names)) or insertions()
 
 
 def _in_phantom(medium: str, n: int, row: tuple[float, float, float, float, int, int, int]) -> Planned:

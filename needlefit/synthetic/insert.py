@@ -84,7 +84,7 @@ def insert(planned: Planned, needle: Needle, specimen: Specimen, deviations: Dev
         boundaries, sequence = _layers_met(curve, frame, specimen.surfaces)
         tissue = _tissue(curve, frame, specimen, boundaries, sequence)
         shape = simulate(needle, tissue, bevel, planned.depth, rules=RULES)
-        last, curve = curve, _in_world(shape, frame, deviations)
+        last, curve = curve, axis(shape, frame, deviations, stations(shape.depth))
         if not shape.converged:
             break
         if np.abs(curve - last).max() < SETTLED:
@@ -113,17 +113,19 @@ def stations(depth: float) -> Floats:
     return np.linspace(0.0, depth, int(np.ceil(depth / SPACING)) + 1)
 
 
-def _straight(frame: Frame, depth: float) -> Floats:
-    return frame.to_world(np.outer(stations(depth), [1.0, 0.0, 0.0]))
+def axis(shape: NeedleShape, frame: Frame, deviations: Deviations, s: Floats) -> Floats:
+    """Return the needle's world points (N, 3) at arc lengths `s` (N,), mm; negative before the tissue.
 
-
-def _in_world(shape: NeedleShape, frame: Frame, deviations: Deviations) -> Floats:
-    """Return the points (N, 3) of the needle, bent out of its plane the more the more it bends within."""
-    s = stations(shape.depth)
+    In the tissue it is bent out of its plane the more the more it bends within.
+    """
     amplitude = 0.04 + 0.06 * abs(shape.deflection)
-    along = s / shape.depth
+    along = np.clip(s, 0.0, None) / shape.depth
     aside = amplitude * (deviations.out_of_plane @ np.stack([along**2, along**3]))
     return frame.to_world(np.column_stack([positions(shape, s), aside]))
+
+
+def _straight(frame: Frame, depth: float) -> Floats:
+    return frame.to_world(np.outer(stations(depth), [1.0, 0.0, 0.0]))
 
 
 def _layers_met(curve: Floats, frame: Frame, surfaces: tuple[Surface, ...]) -> tuple[Floats, tuple[int, ...]]:

@@ -71,3 +71,8 @@ def surfaces(phantom: Phantom) -> tuple[Surface, ...]:
     axis, half = phantom.cylinder.top + phantom.cylinder.radius, phantom.cylinder.length / 2
     ends = ((axis, -half, 0), (axis, half, 0))
     return (*sheets, cylinder("cylinder", ends, phantom.cylinder.radius, into=4))
+
+
+def surface_file(medium: str, surface: Surface) -> str:
+    """Return the name of a surface's file among a medium's layers."""
+    return f"layers/{medium}_{surface.name}.stl"

@@ -1,6 +1,7 @@
-"""Which folders building a twin may replace: its own output, and nothing that anybody added to it."""
+"""Which folders making a twin may replace: its own output, and nothing that anybody added to it."""
 
-from collections.abc import Iterator
+import csv
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -8,7 +9,7 @@ from needlefit.errors import ConfigError
 from needlefit.project.load import read_toml
 from needlefit.project.replace import replacing
 
-TWIN_EXPECTED = "no such folder, an empty one, or one that `needlefit twin build` wrote and nobody added to"
+EXPECTED = "no such folder, an empty one, or one that `needlefit twin {}` wrote and nobody added to"
 
 
 @contextmanager
@@ -20,29 +21,46 @@ def replacing_twin(folder: Path) -> Iterator[Path]:
     ConfigError
         If `folder` holds anything that building a twin does not write: no user's file is ever deleted.
     """
-    _require_twin(folder)
+    with _replacing_own(folder, _no_twin, EXPECTED.format("build")) as fresh:
+        yield fresh
+
+
+@contextmanager
+def replacing_scans(folder: Path) -> Iterator[Path]:
+    """Yield what `replacing` does, for a folder that holds nothing or earlier scans of the twin.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` holds anything else.
+    """
+    with _replacing_own(folder, _no_scans, EXPECTED.format("ct")) as fresh:
+        yield fresh
+
+
+@contextmanager
+def _replacing_own(folder: Path, why_not: Callable[[Path], str], expected: str) -> Iterator[Path]:
+    _require(folder, why_not, expected)
     with replacing(folder) as fresh:
         yield fresh
-        _require_twin(folder)  # building takes a while: somebody may have put a file there
+        _require(folder, why_not, expected)  # this takes a while: somebody may have put a file there
 
 
-def _require_twin(folder: Path) -> None:
+def _require(folder: Path, why_not: Callable[[Path], str], expected: str) -> None:
     if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
         return
-    why = _no_twin(folder)
+    why = why_not(folder) if folder.is_dir() else "it is a file"
     if why:
         raise ConfigError(
             f"is not replaced: {why}",
             where=str(folder),
-            expected=TWIN_EXPECTED,
+            expected=expected,
             mend="choose another folder with --out, or move yours away",
         )
 
 
 def _no_twin(folder: Path) -> str:
     """Return why a folder is not, or not only, the output of building a twin; empty if it is."""
-    if not folder.is_dir():
-        return "it is a file"
     try:
         tables = read_toml(folder / "dataset.toml")
     except ConfigError:
@@ -52,6 +70,33 @@ def _no_twin(folder: Path) -> str:
     if not (folder / "truth.toml").is_file():
         return "it holds no truth.toml"
     written = {"dataset.toml", "truth.toml", *tables.get("checksums", {})}
-    held = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
-    foreign = [name for path in held if (name := path.relative_to(folder).as_posix()) not in written]
+    foreign = [name for name in _held(folder) if name not in written]
     return f"it holds {foreign[0]}, which a twin does not" if foreign else ""
+
+
+def _no_scans(folder: Path) -> str:
+    """Return why a folder is not, or not only, what rendering the twin wrote; empty if it is."""
+    try:
+        with (folder / "scans.csv").open(newline="", encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    except (OSError, ValueError, csv.Error):
+        return "it holds no scans.csv that can be read"
+    if not rows or any(row.get("origin") != "synthetic" for row in rows):
+        return "its scans.csv does not list synthetic scans"
+    written = {"scans.csv", "recipe.toml"}
+    for row in rows:
+        cells = [row.get("scan"), row.get("markers"), *(row.get("surfaces") or "").split(";")]
+        written |= {cell.partition("=")[0] for cell in cells if cell}
+    foreign = [name for name in _held(folder) if _series(name) not in written and name not in written]
+    return f"it holds {foreign[0]}, which scans of the twin do not" if foreign else ""
+
+
+def _held(folder: Path) -> list[str]:
+    """Return the files (and links) in a folder, relative to it."""
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
+    return [path.relative_to(folder).as_posix() for path in paths]
+
+
+def _series(name: str) -> str:
+    """Return the folder of a slice of a DICOM series; empty for any other file."""
+    return name.rpartition("/")[0] if name.endswith(".dcm") else ""

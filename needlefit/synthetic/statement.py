@@ -1,6 +1,5 @@
 """What the twin's `dataset.toml` states: origin, needle, noise, layers. Nothing of the truth."""
 
-from needlefit.geometry.surfaces import Surface
 from needlefit.project.records.dataset import (
     CenterlinesRecord,
     DatasetMediumRecord,
@@ -12,7 +11,7 @@ from needlefit.project.records.dataset import (
 )
 from needlefit.project.records.scene import NeedleRecord
 from needlefit.synthetic.measure import NOISE
-from needlefit.synthetic.phantoms import PHANTOMS, Phantom, surfaces
+from needlefit.synthetic.phantoms import PHANTOMS, Phantom, surface_file, surfaces
 
 BOUNDARY_SD = 0.15
 """Deviation of a measured layer depth, mm: of the boundary's own place, and of the centreline there."""
@@ -65,11 +64,6 @@ def statement(seed: int) -> DatasetRecord:
         centerlines=CenterlinesRecord(pattern="centerlines/{id}.csv"),
         media={name: _medium(name, phantom) for name, phantom in PHANTOMS.items()},
     )
-
-
-def surface_file(medium: str, surface: Surface) -> str:
-    """Return the name of a surface's file in the dataset."""
-    return f"layers/{medium}_{surface.name}.stl"
 
 
 def _medium(name: str, phantom: Phantom) -> DatasetMediumRecord:

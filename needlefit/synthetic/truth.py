@@ -10,7 +10,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.project.streams import stream
 from needlefit.synthetic.design import Planned
 from needlefit.synthetic.field import Field
-from needlefit.synthetic.phantoms import PHANTOMS, displaced, surfaces
+from needlefit.synthetic.phantoms import PHANTOMS, Phantom, displaced, surfaces
 
 Floats = NDArray[np.float64]
 
@@ -27,19 +27,25 @@ class MediumTruth:
         b, mm per 1 mm: chosen so that the tips deflect as much as the paper's tables imply.
     friction : float
         gamma between shaft and tissue.
+    hu : tuple of float
+        What each layer reads in a CT scan.
     """
 
     mu_pa: tuple[float, ...]
     alpha: tuple[float, ...]
     bevel: float
     friction: float
+    hu: tuple[float, ...]
 
+
+GELS = (20.0, 90.0, 35.0, 105.0)
+"""A stiffer gel holds more solids, and reads brighter."""
 
 MEDIA = {
-    "phantom1": MediumTruth((2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2),
-    "phantom2": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2),
-    "phantom3": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.03, 0.2),
-    "chicken": MediumTruth((1e3,), (1,), 0.33, 0.1),
+    "phantom1": MediumTruth((2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GELS),
+    "phantom2": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2, GELS),
+    "phantom3": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GELS),
+    "chicken": MediumTruth((1e3,), (1,), 0.33, 0.1, (55.0,)),
 }
 
 NOMINAL = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
@@ -63,8 +69,10 @@ class Specimen:
         Of each layer; mu in MPa.
     bevel, friction : float
         As in `MediumTruth`.
-    surfaces : tuple of Surface
+    phantom : Phantom
         Where the boundaries of the layers really are.
+    surfaces : tuple of Surface
+        The same as meshes.
     field : Field or None
         ln(mu / `mu`) from place to place, where the specimen is not homogeneous.
     """
@@ -75,7 +83,8 @@ class Specimen:
     alpha: Floats
     bevel: float
     friction: float
-    surfaces: tuple[Surface, ...] = ()
+    phantom: Phantom
+    surfaces: tuple[Surface, ...]
     field: Field | None = None
 
 
@@ -110,9 +119,10 @@ def true_needle(seed: int) -> Needle:
 
 def true_specimen(seed: int, medium: str, name: str) -> Specimen:
     """Return a specimen drawn around its medium."""
-    truth, phantom, rng = MEDIA[medium], PHANTOMS[medium], stream(seed, "twin", "specimen", name)
+    truth, rng = MEDIA[medium], stream(seed, "twin", "specimen", name)
     factors = np.exp(MU_SD[medium] * rng.normal(size=len(truth.mu_pa)))
-    shifts = LAYER_SD * rng.normal(size=phantom.boundaries)
+    shifts = LAYER_SD * rng.normal(size=PHANTOMS[medium].boundaries)
+    phantom = displaced(PHANTOMS[medium], shifts.tolist())
     return Specimen(
         name=name,
         medium=medium,
@@ -120,7 +130,8 @@ def true_specimen(seed: int, medium: str, name: str) -> Specimen:
         alpha=np.array(truth.alpha, dtype=np.float64),
         bevel=truth.bevel,
         friction=truth.friction,
-        surfaces=surfaces(displaced(phantom, shifts.tolist())),
+        phantom=phantom,
+        surfaces=surfaces(phantom),
         field=Field.draw(rng, FIELD_SD, FIELD_LENGTH) if medium == "chicken" else None,
     )
 

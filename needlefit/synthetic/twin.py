@@ -13,6 +13,9 @@ from needlefit.synthetic.truth import Deviations, Specimen, true_deviations, tru
 
 Floats = NDArray[np.float64]
 
+SEED = 1
+"""The seed of the twin that ships."""
+
 
 @dataclass(frozen=True)
 class Twin:

@@ -5,12 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.ndimage import binary_dilation
 from scipy.spatial import cKDTree
 
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import unit
-from needlefit.synthetic.ct.scene import Grid, Markers, Needle3D
+from needlefit.imaging.grid import Grid
+from needlefit.synthetic.ct.scene import Markers, Needle3D
 
 Floats = NDArray[np.float64]
 
@@ -104,14 +104,14 @@ def _offsets(grid: Grid) -> Floats:
 
 def _near(points: Floats, reach: float, grid: Grid) -> NDArray[np.int64]:
     """Return the voxels (N, 3) inside the grid whose centres may lie within `reach` of `points` (M, 3)."""
-    ijk = np.rint((points - grid.origin) @ grid.direction / grid.spacing).astype(np.int64)
+    seeds = np.unique(
+        np.rint((points - grid.origin) @ grid.direction / grid.spacing).astype(np.int64), axis=0
+    )
     margin = np.ceil(reach / grid.spacing).astype(int) + 1
-    low, high = ijk.min(axis=0) - margin, ijk.max(axis=0) + margin + 1
-    seeds = np.zeros(high - low, dtype=bool)
-    seeds[tuple((ijk - low).T)] = True
     block = np.stack(np.meshgrid(*[np.arange(-m, m + 1) for m in margin], indexing="ij"), axis=-1)
     ball = np.linalg.norm(block * grid.spacing, axis=-1) <= reach + np.linalg.norm(grid.spacing) / 2
-    voxels = np.argwhere(binary_dilation(seeds, ball)) + low
-    inside = np.all((voxels >= 0) & (voxels < np.array(grid.shape)), axis=1)
-    near: NDArray[np.int64] = voxels[inside]
+    voxels = (seeds[:, None] + block[ball]).reshape(-1, 3)
+    inside = voxels[np.all((voxels >= 0) & (voxels < grid.size), axis=1)]
+    flat = np.unique(np.ravel_multi_index(tuple(inside.T), grid.size))
+    near: NDArray[np.int64] = np.column_stack(np.unravel_index(flat, grid.size))
     return near

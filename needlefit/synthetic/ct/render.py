@@ -43,15 +43,15 @@ def _tissue(scene: Scene3D, scanner: Scanner) -> tuple[Voxels, Voxels]:
     The hardened beam reads a box too dark by a parabola of the distance from the middle, in the slice.
     """
     grid = scanner.grid
-    values = np.empty(grid.shape[::-1], dtype=np.float32)
+    values = np.empty(grid.size[::-1], dtype=np.float32)
     cup = np.empty_like(values)
     middle = scene.box.to_world([[BOX / 2, 0, 0]])[0]
     center = (middle - grid.origin) @ grid.direction
-    x = np.arange(grid.shape[0]) * grid.spacing[0] - center[0]
-    y = np.arange(grid.shape[1]) * grid.spacing[1] - center[1]
+    x = np.arange(grid.size[0]) * grid.spacing[0] - center[0]
+    y = np.arange(grid.size[1]) * grid.spacing[1] - center[1]
     r2 = (x[None, :] ** 2 + y[:, None] ** 2) / (BOX / 2) ** 2
     bowl = (scanner.cupping_hu * np.clip(1 - r2 / 2, 0, 1)).astype(np.float32)
-    for k in range(grid.shape[2]):
+    for k in range(grid.size[2]):
         values[k], inside = tissue_slice(scene, grid, k)
         cup[k] = bowl * inside
     return values, cup
@@ -75,7 +75,7 @@ def _blurred(values: Voxels, metals: Sequence[Metal], scanner: Scanner) -> Voxel
 def _noise(scanner: Scanner, rng: np.random.Generator) -> Voxels:
     """Return noise of the scanner's deviation, a little correlated: (K, J, I), HU."""
     sigma = scanner.noise_mm / scanner.grid.spacing[::-1]
-    white = rng.standard_normal(scanner.grid.shape[::-1], dtype=np.float32)
+    white = rng.standard_normal(scanner.grid.size[::-1], dtype=np.float32)
     smooth: Voxels = gaussian_filter(white, sigma, mode="wrap")
     smooth *= np.float32(scanner.noise_hu / max(float(smooth.std()), 1e-9))
     return smooth

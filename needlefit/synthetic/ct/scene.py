@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.geometry.frames import Frame
+from needlefit.imaging.grid import Grid
 from needlefit.synthetic.phantoms import Phantom
 
 Floats = NDArray[np.float64]
@@ -93,16 +94,6 @@ class Scene3D:
     box: Frame
     markers: Markers | None = None
     table: Table | None = None
-
-
-@dataclass(frozen=True)
-class Grid:
-    """The voxels: `shape` (I, J, K), the rest as in `imaging.volume.Volume`."""
-
-    shape: tuple[int, int, int]
-    origin: Floats
-    spacing: Floats = field(default_factory=lambda: np.full(3, 0.46))
-    direction: Floats = field(default_factory=lambda: np.eye(3))
 
 
 @dataclass(frozen=True)

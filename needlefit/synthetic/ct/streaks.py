@@ -11,13 +11,16 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from scipy.ndimage import gaussian_filter1d
 from scipy.sparse import csr_array
 
+from needlefit.imaging.grid import Grid
 from needlefit.synthetic.ct.metal import Metal
-from needlefit.synthetic.ct.scene import WATER_PER_MM, Grid
+from needlefit.synthetic.ct.scene import WATER_PER_MM
 
 Floats = NDArray[np.float64]
+Voxels = NDArray[np.float32]
 
 HARDENING = 0.06
 """h: a ray through 8 attenuation lengths of metal measures 5.4."""
@@ -31,6 +34,9 @@ PHOTONS = 1e4
 DEEPEST = 8.0
 """Line integral at which scattered photons hide what is behind."""
 
+BATCH = 32
+"""Slices that are worked on at once: what their rays hold must stay small."""
+
 
 @dataclass(frozen=True)
 class Fan:
@@ -42,22 +48,33 @@ class Fan:
     center: Floats
 
 
-def streaks(metals: Sequence[Metal], grid: Grid, views: int, rng: np.random.Generator) -> NDArray[np.float32]:
+def streaks(metals: Sequence[Metal], grid: Grid, views: int, rng: np.random.Generator) -> Voxels:
     """Return the error that metal makes in every slice (K, J, I), HU."""
     fan = _fan(grid, views)
-    sinograms, slices = _project(metals, grid, fan)
-    error = np.zeros(grid.shape[::-1], dtype=np.float32)
-    if not len(slices):
+    error = np.zeros(grid.size[::-1], dtype=np.float32)
+    held = np.unique(np.concatenate([metal.voxels[:, 2] for metal in metals]))
+    if not len(held):
         return error
-    touched = sinograms > 0
-    p = np.minimum(sinograms, DEEPEST)
-    wrong = p / (1 + HARDENING * p) - p
-    wrong += p * _gains(views, rng)[:, None]
-    wrong += rng.normal(size=p.shape) * np.sqrt(np.expm1(p) / PHOTONS)
-    filtered = _filter(np.where(touched, wrong, 0.0), fan)  # (slices, V, bins)
-    back = _back_projector(grid, fan) @ filtered.reshape(len(slices), -1).T.astype(np.float32)
-    error[slices] = (back.T / WATER_PER_MM * 1000).reshape(-1, *error.shape[1:])
+    gains, back = _gains(views, rng), _back_projector(grid, fan)
+    for first in range(0, len(held), BATCH):
+        slices = held[first : first + BATCH]
+        wrong = _wrong(_project(metals, slices, grid, fan), gains, rng)
+        rays = _filter(wrong, fan).reshape(len(slices), -1)
+        planes = back @ np.ascontiguousarray(rays.T)  # (J * I, slices)
+        error[slices] = planes.T.reshape(-1, *error.shape[1:])
+    error *= np.float32(1000 / WATER_PER_MM)
     return error
+
+
+def _wrong(lines: Voxels, gains: Floats, rng: np.random.Generator) -> Voxels:
+    """Return the error of projections whose line integrals of metal are `lines` (S, V, bins)."""
+    touched = np.nonzero(lines)
+    p = np.minimum(lines[touched], np.float32(DEEPEST))
+    hardened = p / (1 + HARDENING * p) - p
+    noise = rng.standard_normal(len(p), dtype=np.float32) * np.sqrt(np.expm1(p) / PHOTONS)
+    wrong = np.zeros_like(lines)
+    wrong[touched] = hardened + p * gains[touched[1]] + noise
+    return wrong
 
 
 def _gains(views: int, rng: np.random.Generator) -> Floats:
@@ -68,43 +85,42 @@ def _gains(views: int, rng: np.random.Generator) -> Floats:
 
 
 def _fan(grid: Grid, views: int) -> Fan:
-    extent = np.array(grid.shape[:2]) * grid.spacing[:2]
+    extent = np.array(grid.size[:2]) * grid.spacing[:2]
     width = float(grid.spacing[:2].min()) / 1.5
     bins = int(np.ceil(np.hypot(*extent) / width)) + 4
     return Fan(np.arange(views) * np.pi / views, bins, width, (extent - grid.spacing[:2]) / 2)
 
 
-def _project(metals: Sequence[Metal], grid: Grid, fan: Fan) -> tuple[Floats, NDArray[np.int64]]:
-    """Return the line integrals (S, V, bins) of the slices (S,) that hold metal."""
+def _project(metals: Sequence[Metal], slices: NDArray[np.int64], grid: Grid, fan: Fan) -> Voxels:
+    """Return the line integrals (S, V, bins) of metal in `slices` (S,), which are sorted."""
     voxels = np.concatenate([metal.voxels for metal in metals])
     weight = np.concatenate([m.part * (1 + m.hu / 1000) * WATER_PER_MM for m in metals])
-    slices, row = np.unique(voxels[:, 2], return_inverse=True)
-    place = voxels[:, :2] * grid.spacing[:2] - fan.center
-    mass = weight * grid.spacing[0] * grid.spacing[1] / fan.width
-    total = np.zeros(len(slices) * len(fan.angles) * fan.bins)
+    here = (voxels[:, 2] >= slices[0]) & (voxels[:, 2] <= slices[-1])
+    row = np.searchsorted(slices, voxels[here, 2])
+    place = voxels[here, :2] * grid.spacing[:2] - fan.center
+    mass = weight[here] * grid.spacing[0] * grid.spacing[1] / fan.width
+    total = np.zeros(len(slices) * len(fan.angles) * fan.bins, dtype=np.float32)
     for view, angle in enumerate(fan.angles):
         at = (place @ [np.cos(angle), np.sin(angle)]) / fan.width + (fan.bins - 1) / 2
         low = np.floor(at).astype(np.int64)
         first = (row * len(fan.angles) + view) * fan.bins + low
-        np.add.at(total, first, mass * (1 - (at - low)))
-        np.add.at(total, first + 1, mass * (at - low))
-    return total.reshape(len(slices), len(fan.angles), fan.bins), slices
+        np.add.at(total, first, (mass * (1 - (at - low))).astype(np.float32))
+        np.add.at(total, first + 1, (mass * (at - low)).astype(np.float32))
+    return total.reshape(len(slices), len(fan.angles), fan.bins)
 
 
-def _filter(sinograms: Floats, fan: Fan) -> Floats:
-    """Return the projections after the ramp filter under a Hann window, 1/mm."""
-    length = 2 * fan.bins
-    frequency = np.fft.rfftfreq(length, fan.width)
-    ramp = frequency * (0.5 + 0.5 * np.cos(np.pi * frequency / frequency[-1]))
-    filtered: Floats = np.stack(
-        [np.fft.irfft(np.fft.rfft(one, length) * ramp, length)[:, : fan.bins] for one in sinograms]
-    )
+def _filter(sinograms: Voxels, fan: Fan) -> Voxels:
+    """Return the projections (S, V, bins) after the ramp filter under a Hann window, 1/mm."""
+    length = next_fast_len(2 * fan.bins, real=True)
+    frequency = rfftfreq(length, fan.width)
+    ramp = (frequency * (0.5 + 0.5 * np.cos(np.pi * frequency / frequency[-1]))).astype(np.float32)
+    filtered: Voxels = irfft(rfft(sinograms, length) * ramp, length)[..., : fan.bins]
     return filtered
 
 
 def _back_projector(grid: Grid, fan: Fan) -> csr_array:
     """Return the matrix (J * I, V * bins) that sums over the views what the nearest ray holds."""
-    x, y = ((np.arange(n) * d - c) for n, d, c in zip(grid.shape, grid.spacing, fan.center, strict=False))
+    x, y = ((np.arange(n) * d - c) for n, d, c in zip(grid.size, grid.spacing, fan.center, strict=False))
     pixels = len(x) * len(y)
     columns = np.empty((pixels, len(fan.angles)), dtype=np.int32)
     for view, angle in enumerate(fan.angles):

@@ -4,7 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.geometry.frames import Frame
-from needlefit.synthetic.ct.scene import Grid, Scene3D, Table
+from needlefit.imaging.grid import Grid
+from needlefit.synthetic.ct.scene import Scene3D, Table
 from needlefit.synthetic.phantoms import BOX
 
 Slice = NDArray[np.floating]
@@ -55,7 +56,7 @@ def _local(frame: Frame, grid: Grid, k: int) -> tuple[Slice, Slice, Slice]:
     """Return the coordinates of slice `k`'s voxels in `frame`, each (J, I), mm."""
     steps = (grid.direction * grid.spacing).T @ frame.rotation  # rows: one step of i, j, k in the frame
     start = (grid.origin - frame.origin) @ frame.rotation + k * steps[2]
-    i, j = np.arange(grid.shape[0]), np.arange(grid.shape[1])
+    i, j = np.arange(grid.size[0]), np.arange(grid.size[1])
     x, y, z = (
         (start[a] + steps[0, a] * i[None, :] + steps[1, a] * j[:, None]).astype(np.float32) for a in range(3)
     )
