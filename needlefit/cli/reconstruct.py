@@ -144,16 +144,16 @@ def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan
 
 
 def _show(out: Path, ones: "Sequence[Reconstruction]", failed: "Sequence[Failure]", json: bool) -> None:
-    from needlefit.reporting.reconstructions import display, scans_table
+    from needlefit.reporting.reconstructions import reconstruction_table, reconstructions_layout
 
     if json:
-        rows = scans_table(ones).to_dict(orient="records") if ones else []
+        rows = reconstruction_table(ones).to_dict(orient="records") if ones else []
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         screen.show_json({"dataset": str(out) if ones else None, "scans": rows, "failed": errors})
     elif ones:
-        screen.show_display(display(ones))
+        screen.show_display(reconstructions_layout(ones))
         screen.say(f"written: {out}/")
     for one in failed:
         screen.note(f"needlefit: {one.scan.id}: {one.error}")

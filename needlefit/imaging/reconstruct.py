@@ -1,6 +1,6 @@
 """One scan -> its needle in the world, its entry, its layers: the steps in their order."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -14,7 +14,7 @@ from needlefit.geometry.patient import IN_PATIENT
 from needlefit.geometry.plane import bending_plane
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
-from needlefit.imaging.layers import met, read_layers
+from needlefit.imaging.layers import layer_errors, met, read_layers
 from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
 from needlefit.imaging.needle.centerline import Centerline, trace
 from needlefit.imaging.needle.segmentation import Component, from_mask, segment
@@ -84,11 +84,33 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     seen = see(volume, scan, recipe)
     surfaces = read_layers(scan, seen.patient)
     pose = _pose(seen, scan, surfaces, recipe)
-    points, sd = _inserted(seen, entry.start(seen.world, pose), recipe.centerline.station_mm)
+    begin = entry.start(seen.world, pose)
+    points, sd = _inserted(seen, begin, recipe.centerline.station_mm)
     frame, plane = _bending(seen, scan, pose, points, recipe)
-    layers = met(points, sd, frame, surfaces, ...)
+    layers = met(points, frame, surfaces, layer_errors(scan, recipe, sd, seen.registration))
     _require_layers(layers, scan)
-    ...
+    depth = float(arc_length(points)[-1])
+    found = Reconstruction(
+        scan=scan,
+        spacing=volume.spacing,
+        traced=seen.traced,
+        markers=seen.markers,
+        registration=seen.registration,
+        patient=seen.patient,
+        pose=pose,
+        frame=frame,
+        plane=plane,
+        points=points,
+        sd=sd,
+        depth=depth,
+        depth_sd=float(np.hypot(seen.traced.tip_sd[0], pose.along_sd)),
+        target_error=_target_error(seen, points),
+        layers=layers,
+        profile=replace(seen.profile, s=seen.profile.s - begin),
+        views=views(volume, seen.patient, frame, seen.traced.points),
+        remarks=(),
+    )
+    return replace(found, remarks=remarks(found))
 
 
 def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:
@@ -165,6 +187,13 @@ def _inserted(seen: Seen, begin: float, station: float) -> tuple[Floats, Floats]
     count = int(np.ceil((along[-1] - begin) / station)) + 1
     s = np.linspace(begin, along[-1], count)
     return at_arc(seen.world, s), np.interp(s, along, seen.traced.sd)
+
+
+def _target_error(seen: Seen, points: Floats) -> Floats:
+    """Return the mean error (2,) that the registration leaves at the entry and at the tip, predicted, mm."""
+    if seen.registration is None:
+        return np.zeros(2)
+    return predicted_mean_target_error(seen.registration, seen.patient.to_local(points[[0, -1]]))
 
 
 def _bending(

@@ -11,9 +11,8 @@ from needlefit.imaging.sound import assemble_sound
 from needlefit.project.manifest import replacing_own, require_own, write_manifest
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.reporting.quality import write_quality
-from needlefit.reporting.reconstructions import crossings_table, markers_table, scans_table
+from needlefit.reporting.reconstructions import write_tables
 from needlefit.reporting.slicer_scan import write_scan
-from needlefit.reporting.write import write_csv
 from needlefit.validation.provenance import versions
 
 Progress = Callable[[str, int, int], None]
@@ -47,14 +46,11 @@ def write_reconstructed(
     """
     with replacing_own(folder, MANIFEST) as fresh:
         kept, failures = assemble_sound(fresh, ones, recipe, about)
-        for table in (scans_table, markers_table, crossings_table):
-            frame = table(kept)
-            if len(frame):
-                write_csv(frame, fresh / f"{frame.attrs['name']}.csv")
+        write_tables(kept, fresh)
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
-            write_scan(one, fresh / "slicer")
+            write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
         write_manifest(fresh, MANIFEST, _said(recipe))
     return kept, failures
 
