@@ -60,7 +60,7 @@ def reconstruct(
         typer.Option(metavar="FILE", help="The markers as placed in the scan by hand (.fcsv, .mrk.json)."),
     ] = None,
     layers: Annotated[
-        list[Path] | None,
+        list[str] | None,
         typer.Option(metavar="FILES...", help="STL, PLY or OBJ, from the entry inwards; or a segmentation."),
     ] = None,
     layers_in: Annotated[
@@ -95,7 +95,7 @@ def reconstruct(
         "markers": markers,
         "fiducials": fiducials,
         "layers": layers,
-        "layers_in": layers_in,
+        "surfaces_in": layers_in,
         "mask": mask,
     }
     invocation = context.find_root().obj

@@ -30,7 +30,7 @@ class About:
 
     name: str
     title: str = ""
-    license: str = ""
+    license: str = "not stated"
     source: str = "needlefit reconstruct"
     notes: str = ""
     media: Mapping[str, str] | None = None

@@ -17,6 +17,8 @@ from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
 
 NO_VOLUME = Fault("", "there is no such file or folder", READABLE, "check the path")
 
+IN_TABLE = "write a table of scans, with a column for it"
+
 
 def read_scans(path: Path) -> tuple[Scan, ...]:
     """Read a table of scans, one a row, in its order; paths in it are relative to its folder.
@@ -49,6 +51,8 @@ def scans_of(
     markers: Path | None = None,
     layers: Sequence[str] = (),
     surfaces_in: Literal["world", "scan"] = "world",
+    fiducials: Path | None = None,
+    mask: Path | None = None,
 ) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; their ids are their names.
 
@@ -56,6 +60,8 @@ def scans_of(
     ----------
     layers : sequence of str
         Files, each as in a table of scans: `file` or `file=kind:into`.
+    fiducials, mask : Path, optional
+        Of one scan: no two have them in common.
 
     Raises
     ------
@@ -63,10 +69,16 @@ def scans_of(
         Listing every file that is missing, every layer that is not understood, and names that are alike.
     """
     found = [replace(NO_VOLUME, where=str(volume)) for volume in volumes if not volume.exists()]
-    if markers is not None and not markers.is_file():
-        found.append(
-            Fault(str(markers), "there is no such file", "the known places of the markers", "check the path")
-        )
+    given = {
+        "the known places of the markers": markers,
+        "the markers as placed in the scan": fiducials,
+        "the needle's voxels": mask,
+    }
+    for expected, path in given.items():
+        if path is not None and not path.is_file():
+            found.append(Fault(str(path), "there is no such file", expected, "check the path"))
+    if len(volumes) > 1 and (fiducials or mask):
+        found.append(Fault(str(fiducials or mask), f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
     sources = [layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
     ids = [id_of(volume) for volume in volumes]
@@ -75,7 +87,16 @@ def scans_of(
         raise as_error(found, Path(found[0].where))
     surfaces = tuple(source for source in sources if not isinstance(source, Fault))
     return tuple(
-        Scan(id_, volume, medium, markers=markers, surfaces=surfaces, surfaces_in=surfaces_in)
+        Scan(
+            id_,
+            volume,
+            medium,
+            mask=mask,
+            markers=markers,
+            fiducials=fiducials,
+            surfaces=surfaces,
+            surfaces_in=surfaces_in,
+        )
         for id_, volume in zip(ids, volumes, strict=True)
     )
 

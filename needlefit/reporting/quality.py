@@ -52,7 +52,7 @@ def facts(reconstruction: Reconstruction) -> list[list[Fact]]:
 
 def _payload(reconstruction: Reconstruction) -> document.Block:
     scan = reconstruction.scan
-    said = [medium_name(scan.medium), scan.specimen, str(scan.volume)]
+    said = [medium_name(scan.medium), scan.specimen, scan.volume.name]
     return {
         "title": f"Reconstruction of {scan.id}",
         "subtitle": " · ".join(word for word in said if word),

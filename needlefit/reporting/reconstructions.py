@@ -100,7 +100,7 @@ def _scan(one: Reconstruction) -> Row:
     i, j, k = one.spacing
     named = {"id": scan.id, "origin": scan.origin, "medium": scan.medium, "specimen": scan.specimen}
     voxel = {"voxel_i_mm": i, "voxel_j_mm": j, "voxel_k_mm": k}
-    return named | {"scan": scan.volume.as_posix()} | voxel | {"remarks": "; ".join(one.remarks)}
+    return named | {"scan": scan.volume.name} | voxel | {"remarks": "; ".join(one.remarks)}
 
 
 def _registered(one: Reconstruction) -> Row:

@@ -1,0 +1,88 @@
+"""Many scans: one that fails costs the others nothing, and what is finished is not done again."""
+
+import shutil
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needlefit.imaging import batch
+from needlefit.imaging.batch import Batch, Failure, reconstruct_all
+from needlefit.imaging.scans import read_scans
+from needlefit.project.places import shipped
+from needlefit.project.records.reconstruction import ReconstructionRecord
+
+RECIPE = ReconstructionRecord(schema=1)
+
+
+@pytest.fixture(scope="module")
+def sample():
+    (scan,) = read_scans(shipped() / "data" / "sample_scan" / "scans.csv")
+    return scan
+
+
+def test_a_scan_that_fails_is_told_and_the_others_are_there(sample, tmp_path):
+    torn = tmp_path / "torn.nrrd"
+    torn.write_bytes(sample.volume.read_bytes()[:50_000])
+    scans = [
+        replace(sample, id="torn", volume=torn),
+        sample,
+        replace(sample, id="gone", volume=tmp_path / "x"),
+    ]
+    told = []
+    found = reconstruct_all(scans, RECIPE, Batch(progress=lambda *step: told.append(step)))
+    assert [type(one) is Failure for one in found] == [True, False, True]
+    assert found[0].scan.id == "torn" and str(torn) in str(found[0].error)
+    assert found[1].depth == pytest.approx(25.0, abs=0.3)
+    assert told[-1][1:] == (3, 3)
+
+
+def test_what_nobody_foresaw_in_one_scan_is_its_failure(sample, monkeypatch):
+    def breaks(scan, recipe):
+        raise ZeroDivisionError("by nought")
+
+    monkeypatch.setattr(batch, "reconstruct", breaks)
+    (one,) = reconstruct_all([sample], RECIPE, Batch())
+    assert "unexpected ZeroDivisionError: by nought" in str(one.error)
+
+
+def test_what_is_finished_is_kept_and_taken_as_it_is(sample, tmp_path, monkeypatch):
+    other = replace(sample, id="again")
+    stopped = []
+    first = reconstruct_all(
+        [sample, other],
+        RECIPE,
+        Batch(
+            keep=tmp_path,
+            stop=lambda: len(stopped) > 0,
+            progress=lambda _, done, __: stopped.extend([0] * done),
+        ),
+    )
+    assert [one.scan.id for one in first] == ["sample"]
+    done = []
+    monkeypatch.setattr(batch, "reconstruct", lambda scan, recipe: done.append(scan.id) or first[0])
+    resumed = reconstruct_all([sample, other], RECIPE, Batch(keep=tmp_path, resume=True))
+    assert done == ["again"]
+    assert np.array_equal(resumed[0].points, first[0].points)
+
+
+@pytest.mark.parametrize("change", ["file", "scan", "recipe", "torn", "not resumed"])
+def test_what_was_kept_of_other_work_is_done_again(change, sample, tmp_path, monkeypatch):
+    volume = tmp_path / "sample.nrrd"
+    shutil.copy(sample.volume, volume)
+    scan, recipe, keep = replace(sample, volume=volume), RECIPE, tmp_path / "kept"
+    (one,) = reconstruct_all([scan], recipe, Batch(keep=keep))
+    if change == "file":
+        with volume.open("ab") as file:
+            file.write(b" ")
+    if change == "scan":
+        scan = replace(scan, side=-1)
+    if change == "recipe":
+        recipe = ReconstructionRecord.model_validate({"schema": 1, "layers": {"surface_sd_mm": 0.3}})
+    if change == "torn":
+        kept = next(keep.iterdir())
+        kept.write_bytes(kept.read_bytes()[:1000])
+    done = []
+    monkeypatch.setattr(batch, "reconstruct", lambda scan, recipe: done.append(scan.id) or one)
+    reconstruct_all([scan], recipe, Batch(keep=keep, resume=change != "not resumed"))
+    assert done == ["sample"]
