@@ -419,7 +419,7 @@ def test_sharp_edges_of_labels_are_rounded_by_half_a_millimetre(tmp_path):
 
 
 def test_layers_of_a_scan_go_through_a_dataset(slabs_file, tmp_path):
-    """Solids of labels, deviations and the scan's place: what is written passes `check` and meets the same."""
+    """Solids of labels, deviations, the scan's place: what is written passes `check` and meets the same."""
     needle = PATIENT.to_world(np.linspace(-9, 9, 73)[:, None] * NORMAL)
     direction = PATIENT.rotation @ NORMAL
     surfaces = read_layers(scan(slabs_file), PATIENT)
