@@ -8,7 +8,18 @@ from hypothesis import strategies as st
 
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
-from needlefit.geometry.surfaces import Surface, cylinder, read_surface, sheet, surface_faults, write_surface
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.solids import closed
+from needlefit.geometry.surfaces import (
+    Surface,
+    cylinder,
+    moved,
+    nearest,
+    read_surface,
+    sheet,
+    surface_faults,
+    write_surface,
+)
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -161,3 +172,32 @@ def test_what_is_no_surface_says_so(tmp_path, content):
     with pytest.raises(DataError, match=r"x\.stl") as error:
         read_surface(path, "sheet", 2)
     assert "STL, PLY or OBJ" in error.value.expected
+
+
+def test_the_nearest_place_of_surfaces_has_a_distance_and_a_normal():
+    """Between a sheet at x = 0 and one at y = 5; beside the first, its rim is the nearest."""
+    surfaces = [sheet("a", (0, 0, 0), (1, 0, 0), 10, into=2), sheet("b", (0, 5, 0), (0, 1, 0), 10, into=3)]
+    found = nearest([[2, 0, 1], [3, 4, 0], [0, -9, 0], [3, -9, 0]], surfaces)
+    np.testing.assert_allclose(found.distances, [2, 1, 4, 5])
+    np.testing.assert_allclose(
+        np.abs(found.normals), [[1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 0, 0]], atol=1e-12
+    )
+
+
+def test_a_surface_moves_with_its_frame():
+    quarter = Frame(np.array([1.0, 2, 3]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
+    there = moved(sheet("a", (5, 0, 0), (1, 0, 0), 10, into=2), quarter)
+    np.testing.assert_allclose(there.mesh.vertices.mean(axis=0), [1, 7, 3])
+    np.testing.assert_allclose(np.abs(there.mesh.face_normals), [[0, 1, 0]] * 2, atol=1e-12)
+
+
+def test_the_largest_piece_of_a_mesh_is_closed_and_faces_outward():
+    """A box of 8 x 8 x 8 with a cavity of 2 x 2 x 2, beside a box of 4 x 4 x 4, all inside out."""
+    boxes = [trimesh.creation.box((size,) * 3) for size in (8, 2, 4)]
+    boxes[1].invert()
+    boxes[2].apply_translation([20, 0, 0])
+    whole = trimesh.util.concatenate(boxes)
+    found, others = closed("box", whole.vertices, whole.faces[:, ::-1], into=3)
+    assert (found.kind, found.into, len(found.mesh.faces)) == ("solid", 3, 12)
+    assert found.mesh.volume == pytest.approx(512) and surface_faults(found.mesh, "solid") == []
+    assert others == pytest.approx((8 + 64) / 512)

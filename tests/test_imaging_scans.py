@@ -8,6 +8,7 @@ import pytest
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import sheet, write_surface
 from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.scan_row import COLUMNS
 from needlefit.imaging.scans import id_of, read_scans, scans_of
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
@@ -114,6 +115,12 @@ def test_a_mistyped_column_is_an_error_that_names_the_nearest(folder):
     message = refused(folder, "scan,marker,speciman", "one.nrrd,markers.csv,block")
     assert "column `marker` is unknown" in message and "did you mean `markers`?" in message
     assert "did you mean `specimen`?" in message and f"{folder / 'scans.csv'}:1" in message
+
+
+def test_every_column_is_documented():
+    text = (Path(__file__).parent.parent / "docs" / "scans.md").read_text(encoding="utf-8")
+    between = {"entry_y_mm", "entry_z_mm", "entry_dx", "entry_dy"}  # `entry_x_mm` ... `entry_dz`
+    assert [name for name in COLUMNS if f"`{name}`" not in text and name not in between] == []
 
 
 def test_a_table_without_volumes_is_refused(folder):

@@ -17,8 +17,7 @@ from needlefit.project.records.dataset import DatasetRecord, SurfaceRecord
 SMALLEST_SURFACE = 1.0
 """A surface whose greatest extent is less than this, mm, was written in metres."""
 
-
-RESTORE = "check its name against dataset.toml, or restore it"
+RESTORE = "check its name, or restore it"
 EXPORT = "export the surface again as triangles, e.g. as STL"
 
 
@@ -57,17 +56,23 @@ def _read(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | No
     try:
         surface = read_surface(path, record.kind, record.into)
     except DataError as error:
-        fault = from_error(error)
-        fault = fault if fault.mend else replace(fault, mend=RESTORE if not path.is_file() else EXPORT)
+        fault = file_fault(error, path)
         if fault not in found:  # two media may share a surface
             found.append(fault)
         return None
-    faults = list(_surface_faults(surface, path))
+    faults = list(mesh_faults(surface, path))
     found += [fault for fault in faults if fault not in found]
     return None if faults else surface
 
 
-def _surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
+def file_fault(error: DataError, path: Path) -> Fault:
+    """Return the fault of a surface's file that could not be read, and how to mend it."""
+    fault = from_error(error)
+    return fault if fault.mend else replace(fault, mend=RESTORE if not path.is_file() else EXPORT)
+
+
+def mesh_faults(surface: Surface, path: Path) -> Iterator[Fault]:
+    """Say what keeps the surface read from a file from being a boundary, mm."""
     expected = {
         "solid": "a closed surface in one piece, its triangles turned outward",
         "sheet": "one piece with one rim, larger than the tissue it parts",

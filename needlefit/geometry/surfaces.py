@@ -1,17 +1,19 @@
 """Layer boundaries as triangulated surfaces: read, write, build, and what is wrong with one."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Literal
 
 import numpy as np
 import trimesh
+import trimesh.triangles
 from numpy.typing import ArrayLike, NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from needlefit.errors import DataError
-from needlefit.geometry.frames import unit
+from needlefit.geometry.frames import Frame, unit
 from needlefit.geometry.plane import any_normal
 
 Kind = Literal["sheet", "solid"]
@@ -62,6 +64,37 @@ def write_surface(surface: Surface, path: Path) -> None:
     mesh.metadata["name"] = surface.name
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(trimesh.exchange.stl.export_stl_ascii(mesh).encode("ascii"))
+
+
+def moved(surface: Surface, frame: Frame) -> Surface:
+    """Return a surface of `frame` in the world."""
+    vertices = frame.to_world(surface.mesh.vertices)
+    return replace(surface, mesh=trimesh.Trimesh(vertices, surface.mesh.faces, process=False))
+
+
+@dataclass(frozen=True)
+class Nearest:
+    """The nearest place of some surfaces to each of N points: its distance (N,), mm, and normal (N, 3)."""
+
+    distances: NDArray[np.float64]
+    normals: NDArray[np.float64]
+
+
+def nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> Nearest:
+    """Return how far `points` (N, 3) lie from the nearest of some surfaces, and its unit normals there."""
+    triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
+    normals = np.vstack([surface.mesh.face_normals for surface in surfaces])
+    low, high = triangles.min(axis=1), triangles.max(axis=1)
+    distances, found = [], []
+    for point in np.atleast_2d(np.asarray(points, dtype=np.float64)):
+        outside = np.linalg.norm(np.maximum(np.maximum(low - point, point - high), 0.0), axis=1)
+        reach = np.linalg.norm(np.maximum(high - point, point - low), axis=1).min()
+        near = np.flatnonzero(outside <= reach)  # no other triangle can hold the nearest place
+        closest = trimesh.triangles.closest_point(triangles[near], np.tile(point, (len(near), 1)))
+        away = np.linalg.norm(closest - point, axis=1)
+        distances.append(away.min())
+        found.append(normals[near[np.argmin(away)]])
+    return Nearest(np.array(distances), np.array(found).reshape(-1, 3))
 
 
 def sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, into: int) -> Surface:

@@ -16,7 +16,7 @@ from needlefit.project.replace import replacing_file
 
 Floats = NDArray[np.float64]
 
-_HOMES = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
+IMAGE_HOMES = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _POINTER = re.compile(r"\(0x[0-9a-f]+\)")
 """SimpleITK puts addresses in memory into its messages."""
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
@@ -37,7 +37,7 @@ def read_image(path: Path) -> Volume:
         system it stands, or claims an absurd size.
     """
     reader = sitk.ImageFileReader()
-    reader.SetImageIO(_HOMES.get(path.suffix.lower(), "NiftiImageIO"))
+    reader.SetImageIO(IMAGE_HOMES.get(path.suffix.lower(), "NiftiImageIO"))
     reader.SetFileName(str(path))
     grid = _header(reader, path)
     check_grid(grid, str(path))

@@ -96,7 +96,7 @@ def read(path: Path, series: str | None = None) -> Volume:
         raise DataError(
             "there is no such file or folder", where=str(path), expected=READABLE, mend="check the path"
         )
-    with _packages():
+    with packages():
         if path.is_file() and path.name.lower().endswith(IMAGE_SUFFIXES):
             from needlefit.imaging.image_files import read_image
 
@@ -132,7 +132,7 @@ def write(volume: Volume, path: Path, description: str = "") -> None:
     path = Path(path)
     if not np.isfinite(volume.values.min() + volume.values.max()):
         raise DataError("the volume holds values that are not finite", expected="numbers everywhere")
-    with _packages():
+    with packages():
         if path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
             from needlefit.imaging.image_files import write_image
 
@@ -150,7 +150,7 @@ def write(volume: Volume, path: Path, description: str = "") -> None:
 
 
 @contextmanager
-def _packages() -> Iterator[None]:
+def packages() -> Iterator[None]:
     """Turn a missing package into the line that installs it."""
     try:
         yield

@@ -1,0 +1,123 @@
+"""Segmentations: volumes in which every voxel holds the number of its layer."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import SimpleITK as sitk
+
+from needlefit.errors import DataError
+from needlefit.imaging.image_files import IMAGE_HOMES
+from needlefit.imaging.volume import Volume, read
+
+MOST_LABELS = 64
+"""A volume with more labels is a scan."""
+
+EXPECTED = "a whole number of each voxel's layer, 0 outside the tissue, and no more than a few layers"
+NO_OVERLAP = 'in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again'
+
+
+@dataclass(frozen=True)
+class Segment:
+    """One layer of a segmentation: the `value` of its voxels, and its name ("" where there is none)."""
+
+    value: int
+    name: str
+
+
+@dataclass(frozen=True)
+class Labels:
+    """A segmentation; `segments` are the layers 1, 2, ... in this order."""
+
+    volume: Volume
+    segments: tuple[Segment, ...]
+
+
+def read_labels(path: Path) -> Labels:
+    """Read a segmentation: `.seg.nrrd` of 3D Slicer, or any label volume (NRRD, NIfTI, MetaImage).
+
+    The layers are the segments in the order in which Slicer lists them, or, where the file names none, the
+    labels in the order of their values.
+
+    Raises
+    ------
+    DataError
+        If it is no volume, its segments overlap, one is empty, or its values are no labels.
+    """
+    stated = _stated(path)
+    volume = read(path)
+    present = _present(volume, path)
+    if not stated:
+        return Labels(volume, tuple(Segment(value, "") for value in present))
+    empty = [f"{segment.name} (label {segment.value})" for segment in stated if segment.value not in present]
+    if empty:
+        raise DataError(
+            f"no voxel belongs to segment {', '.join(empty)}",
+            where=str(path),
+            expected="voxels in every segment",
+            mend="remove the empty segments, or fill them",
+        )
+    unnamed = sorted(set(present) - {segment.value for segment in stated})
+    if unnamed:
+        raise DataError(
+            f"voxels have the labels {', '.join(map(str, unnamed))}, which no segment has",
+            where=str(path),
+            expected=f"labels {', '.join(str(segment.value) for segment in stated)}",
+            mend="save the segmentation again from 3D Slicer",
+        )
+    return Labels(volume, stated)
+
+
+def _stated(path: Path) -> tuple[Segment, ...]:
+    """Return the segments that the header names, in its order; DataError if they overlap."""
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO(IMAGE_HOMES.get(path.suffix.lower(), "NiftiImageIO"))
+    reader.SetFileName(str(path))
+    try:
+        reader.ReadImageInformation()
+    except RuntimeError:
+        return ()  # `read` says why
+    said = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+    segments = _segments(said)
+    values = [segment.value for segment in segments]
+    if segments and (reader.GetNumberOfComponents() > 1 or len(set(values)) < len(values)):
+        raise DataError(
+            f"its segments overlap: {', '.join(segment.name for segment in segments)}",
+            where=str(path),
+            expected="every voxel in one layer",
+            mend=NO_OVERLAP,
+        )
+    return segments
+
+
+def _segments(said: Mapping[str, str]) -> tuple[Segment, ...]:
+    count = 0
+    while f"Segment{count}_ID" in said or f"Segment{count}_LabelValue" in said:
+        count += 1
+    return tuple(
+        Segment(int(said.get(f"Segment{n}_LabelValue", n + 1)), said.get(f"Segment{n}_Name", "").strip())
+        for n in range(count)
+    )
+
+
+def _present(volume: Volume, path: Path) -> list[int]:
+    """Return the labels of a volume, increasing, without 0."""
+    low, high = float(volume.values.min()), float(volume.values.max())
+    whole = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
+    if low < 0 or high >= 2**16 or not whole:
+        raise DataError(
+            f"its voxels run from {low:g} to {high:g}{'' if whole else ', with fractions'}: this is a scan",
+            where=str(path),
+            expected=EXPECTED,
+            mend="give the segmentation, not the scan that it was made from",
+        )
+    size = int(high) + 1
+    counts = sum(np.bincount(s.ravel().astype(np.int64), minlength=size) for s in volume.values)
+    present: list[int] = np.flatnonzero(counts).tolist()
+    labels = [value for value in present if value]
+    if not 1 <= len(labels) <= MOST_LABELS:
+        what = f"holds {len(labels)} labels: this is a scan" if labels else "holds no label: all voxels are 0"
+        mend = "give the segmentation of the layers" if labels else "segment the layers, and save it again"
+        raise DataError(what, where=str(path), expected=EXPECTED, mend=mend)
+    return labels

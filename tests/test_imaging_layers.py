@@ -1,0 +1,443 @@
+"""Layers of known shape come out of meshes and segmentations where they were; every bad file says so."""
+
+import dataclasses
+import math
+import re
+
+import numpy as np
+import pytest
+import trimesh
+from layer_cases import (
+    BOX,
+    CORE,
+    HOME,
+    NEEDLE,
+    PATIENT,
+    SHEET,
+    SPACING,
+    labelled,
+    save,
+    save_mesh,
+    save_segments,
+    scan,
+)
+from test_datasets import record
+
+from needlefit.datasets.layers import mesh_faults
+from needlefit.datasets.read import read
+from needlefit.datasets.schema import InsertionRow
+from needlefit.datasets.write import write_dataset
+from needlefit.errors import DataError
+from needlefit.geometry.crossings import crossings
+from needlefit.geometry.frames import Frame, entry_frame
+from needlefit.geometry.surfaces import read_surface, sheet, write_surface
+from needlefit.imaging.layer_doubts import doubts
+from needlefit.imaging.layers import LayerErrors, layer_errors, met, read_layers
+from needlefit.imaging.registration.register import register
+from needlefit.imaging.scan import LayerSource
+from needlefit.imaging.volume import Volume
+from needlefit.project.records.reconstruction import ReconstructionRecord
+
+NORMAL = np.array([0.48, 0.6, 0.64])
+EXACT = LayerErrors(0.0, np.zeros(len(NEEDLE)))
+
+
+def refused(*layers, **changes):
+    with pytest.raises(DataError) as error:
+        read_layers(scan(*layers, **changes), HOME)
+    assert "mend: " in str(error.value)
+    return str(error.value)
+
+
+def on(surface, count=3000, seed=1):
+    return trimesh.sample.sample_surface(surface.mesh, count, seed=seed)[0]
+
+
+# ---- segmentations
+
+
+def slabs(points):
+    """Layer 1 before the plane n . p = -2, 2 up to 3, 3 beyond; 0 outside a ball of 12 mm."""
+    height = points @ NORMAL
+    return (1 + (height > -2) + (height > 3)) * (np.linalg.norm(points, axis=1) < 12)
+
+
+@pytest.fixture(scope="module")
+def slabs_file(tmp_path_factory):
+    return save(tmp_path_factory.mktemp("labels") / "slabs.nii.gz", labelled(slabs))
+
+
+def test_a_plane_through_the_voxels_stays_where_it_is(slabs_file):
+    """Tilted against a tilted grid of 0.46 mm."""
+    whole, second, third = read_layers(scan(slabs_file), HOME)
+    assert [s.into for s in (whole, second, third)] == [1, 2, 3]
+    assert {s.kind for s in (whole, second, third)} == {"solid"}
+    for surface, height in ((second, -2.0), (third, 3.0)):
+        points = on(surface)
+        within = points[np.linalg.norm(points, axis=1) < 9]
+        assert len(within) > 300
+        off = np.abs(within @ NORMAL - height)
+        assert off.mean() < 0.05 and off.max() < 0.2
+    radii = np.linalg.norm(on(whole), axis=1)
+    assert (
+        11.9 < radii.mean() < 12
+    )  # a ball shrinks by s^2 / r = 0.04 mm; the middles of triangles lie within
+
+
+def test_the_last_solid_that_holds_a_point_is_its_layer(slabs_file):
+    """No gap opens between neighbours: away from the boundaries every place has the layer of its label."""
+    surfaces = read_layers(scan(slabs_file), HOME)
+    points = np.random.default_rng(1).uniform(-7, 7, (400, 3))
+    clear = np.minimum(np.abs(points @ NORMAL + 2), np.abs(points @ NORMAL - 3)) > 0.15
+    held = np.array([surface.mesh.contains(points) for surface in surfaces])  # (layers, points)
+    last = held.shape[0] - np.argmax(held[::-1], axis=0)
+    np.testing.assert_array_equal(last[clear], slabs(points)[clear])
+
+
+def test_a_needle_meets_the_labels_in_their_order(slabs_file):
+    needle = np.linspace(-9, 9, 200)[:, None] * NORMAL
+    frame = Frame(needle[0], np.linalg.qr(np.column_stack([NORMAL, np.eye(3)[:, :2]]))[0])
+    frame = Frame(frame.origin, frame.rotation * np.sign(frame.rotation[:, 0] @ NORMAL))
+    layers = met(needle, frame, read_layers(scan(slabs_file), HOME), LayerErrors(0.1, np.zeros(200)))
+    assert layers.sequence == (1, 2, 3)
+    assert layers.boundaries == pytest.approx([7, 12], abs=0.1)
+    np.testing.assert_allclose(layers.points, np.outer([-2, 3], NORMAL), atol=0.1)
+    np.testing.assert_allclose(layers.sd, 0.1, rtol=0.02)
+
+
+def test_a_cylinder_of_labels_is_met_twice(tmp_path):
+    """Its axis is z, its radius 6 mm, its centre 2 mm along x."""
+
+    def label(points):
+        return 1 + (np.hypot(points[:, 0] - 2, points[:, 1]) < 6)
+
+    path = save(tmp_path / "core.nrrd", labelled(label))
+    needle = np.column_stack([np.linspace(-10, 10, 100), np.zeros((100, 2))])
+    crossed = crossings(needle, read_layers(scan(path), HOME))
+    assert crossed.sequence == (1, 2, 1)
+    np.testing.assert_allclose(crossed.points[:, 0], [-4, 8], atol=0.1)
+
+
+def test_segments_of_slicer_are_layers_in_its_order_by_name(tmp_path):
+    """The list of segments decides, not the value of their labels."""
+    volume = labelled(lambda p: np.choose(1 * (p[:, 0] > 0), [7, 3]))
+    path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(7, "fat"), (3, "Müskel & Haut")])
+    fat, muscle = read_layers(scan(path), HOME)
+    assert (fat.name, fat.into) == ("layer_1_fat", 1)
+    assert (muscle.name, muscle.into) == ("layer_2_M_skel_Haut", 2)
+    assert muscle.mesh.bounds[0, 0] == pytest.approx(0, abs=0.3)
+    assert fat.mesh.bounds[0, 0] < -10
+
+
+def test_segmentations_lie_in_their_scan_whatever_the_meshes_would(slabs_file):
+    lps = read_layers(scan(slabs_file), HOME)
+    world = read_layers(scan(slabs_file, surfaces_in="world"), PATIENT)
+    for one, other in zip(lps, world, strict=True):
+        np.testing.assert_allclose(PATIENT.to_world(one.mesh.vertices), other.mesh.vertices, atol=1e-9)
+        assert other.mesh.volume > 0
+
+
+def test_surfaces_of_labels_survive_their_files(slabs_file, tmp_path):
+    """Rounded to 1e-4 mm they are still closed and in one piece, as a dataset asks."""
+    for surface in read_layers(scan(slabs_file), PATIENT):
+        path = tmp_path / f"{surface.name}.stl"
+        write_surface(surface, path)
+        assert list(mesh_faults(read_surface(path, "solid", surface.into), path)) == []
+
+
+def test_layers_that_leave_the_volume_are_closed_at_its_face(tmp_path):
+    shape = (20, 24, 28)
+    path = save(tmp_path / "full.nrrd", labelled(lambda p: np.ones(len(p)), shape, direction=np.eye(3)))
+    [whole] = read_layers(scan(path), HOME)
+    assert whole.mesh.is_watertight
+    size = np.array(shape[::-1]) * SPACING
+    np.testing.assert_allclose(whole.mesh.bounds, np.outer([-0.5, 0.5], size), atol=0.05)
+
+
+def test_thick_slices_keep_a_plane(tmp_path):
+    volume = labelled(lambda p: 1 + (p @ NORMAL > 0), (16, 50, 50), (0.5, 0.5, 1.5))
+    _, beyond = read_layers(scan(save(tmp_path / "thick.nrrd", volume)), HOME)
+    points = on(beyond)
+    within = points[np.abs(points).max(axis=1) < 6]
+    assert np.abs(within @ NORMAL).mean() < 0.1
+
+
+def test_segments_that_overlap_are_refused(tmp_path):
+    volume = labelled(lambda p: 1 * (p[:, 0] > 0))
+    four = save_segments(tmp_path / "four.seg.nrrd", [volume, volume], [(1, "fat"), (1, "muscle")])
+    assert "its segments overlap: fat, muscle" in refused(four) and "Segment Editor" in refused(four)
+
+
+def test_an_empty_segment_is_named(tmp_path):
+    volume = labelled(lambda p: 1 * (p[:, 0] > 0))
+    path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(1, "fat"), (2, "muscle")])
+    assert "no voxel belongs to segment muscle (label 2)" in refused(path)
+    path = save_segments(tmp_path / "m.seg.nrrd", [volume], [(2, "muscle")])
+    assert "muscle (label 2)" in refused(path)
+
+
+def test_labels_without_a_segment_are_told(tmp_path):
+    volume = labelled(lambda p: 1 + (p[:, 0] > 0))
+    path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(1, "fat")])
+    assert "voxels have the labels 2, which no segment has" in refused(path)
+
+
+@pytest.mark.parametrize(
+    ("values", "words"),
+    [
+        (lambda p: 0 * p[:, 0], "holds no label"),
+        (lambda p: 100 * p[:, 0], "this is a scan"),
+        (lambda p: np.abs(p[:, 0]), "with fractions: this is a scan"),
+        (lambda p: np.rint(np.abs(p[:, 0]) * 20), "labels: this is a scan"),
+    ],
+)
+def test_what_is_no_segmentation_is_refused(tmp_path, values, words):
+    assert words in refused(save(tmp_path / "v.nrrd", labelled(values)))
+
+
+def test_layers_in_pieces_are_refused_and_specks_are_not(tmp_path):
+    def two(radius):
+        def label(points):
+            return 1 + sum(np.linalg.norm(points - [x, 0, 0], axis=1) < r for x, r in ((-6, 5), (6, radius)))
+
+        return save(tmp_path / f"{radius}.nrrd", labelled(label))
+
+    share = re.search(r"layer 2 falls apart: islands or cavities of (\d+) % of", refused(two(4.0)))[1]
+    assert float(share) == pytest.approx(100 * (4 / 5) ** 3, abs=4)
+    _, core = read_layers(scan(two(1.0)), HOME)
+    assert core.mesh.bounds[1, 0] < 0
+
+
+def test_a_segmentation_of_another_place_is_refused(slabs_file):
+    scanned = Volume(np.zeros((20, 20, 20), np.float32), np.array([60.0, 0, 0]), np.ones(3), np.eye(3))
+    with pytest.raises(DataError, match="layer_1 lies outside this scan"):
+        read_layers(scan(slabs_file), HOME, scanned.grid)
+    here = dataclasses.replace(scanned, origin=np.array([-5.0, 0, 0]))
+    assert len(read_layers(scan(slabs_file), PATIENT, here.grid)) == 3
+
+
+def test_a_segmentation_stands_alone(slabs_file, tmp_path):
+    message = refused(slabs_file, save_mesh(tmp_path / "core.stl", CORE))
+    assert "lists a segmentation beside other surfaces: slabs.nii.gz, core.stl" in message
+
+
+# ---- meshes
+
+
+def test_meshes_are_numbered_by_their_place_and_closed_ones_are_solid(tmp_path):
+    files = [save_mesh(tmp_path / name, mesh) for name, mesh in (("s.stl", SHEET), ("c.ply", CORE))]
+    one, two = read_layers(scan(*files), HOME)
+    assert (one.kind, one.into, two.kind, two.into) == ("sheet", 2, "solid", 3)
+    outer = LayerSource(save_mesh(tmp_path / "tissue.obj", BOX), "solid", 1)
+    assert [s.into for s in read_layers(scan(outer, *files), HOME)] == [1, 2, 3]
+    stated = LayerSource(files[1], "solid", 2)
+    assert [s.into for s in read_layers(scan(LayerSource(files[0], "sheet", 3), stated), HOME)] == [3, 2]
+
+
+def test_a_layer_left_out_is_told(tmp_path):
+    file = save_mesh(tmp_path / "s.stl", SHEET)
+    assert "no surface leads into layer 2; they lead into 3" in refused(LayerSource(file, "sheet", 3))
+
+
+@pytest.mark.parametrize("name", ["a.stl", "a.ply", "a.obj"])
+@pytest.mark.parametrize(("space", "sign"), [("RAS", [-1, -1, 1]), ("LPS", [1, 1, 1]), ("", [1, 1, 1])])
+def test_what_slicer_says_of_its_axes_is_honoured(tmp_path, name, space, sign):
+    file = save_mesh(tmp_path / name, SHEET, space)
+    [found] = read_layers(scan(file), HOME)
+    assert sorted(np.round(found.mesh.vertices, 4).tolist()) == sorted(
+        (SHEET.vertices * sign).round(4).tolist()
+    )
+
+
+def test_meshes_of_the_scan_are_brought_into_the_world(tmp_path):
+    file = save_mesh(tmp_path / "core.stl", CORE)
+    [there] = read_layers(scan(file, surfaces_in="scan"), PATIENT)
+    [here] = read_layers(scan(file), PATIENT)
+    np.testing.assert_allclose(there.mesh.vertices, PATIENT.to_world(here.mesh.vertices), atol=1e-9)
+    np.testing.assert_allclose(here.mesh.bounds, CORE.bounds, atol=1e-4)
+
+
+def pieces():
+    return trimesh.util.concatenate([BOX, BOX.copy().apply_translation([50, 0, 0])])
+
+
+def holed(faces):
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=15)
+    mesh.update_faces(np.arange(len(mesh.faces)) >= faces)
+    return mesh
+
+
+def turned():
+    faces = BOX.faces.copy()
+    faces[0] = faces[0][::-1]
+    return trimesh.Trimesh(BOX.vertices, faces, process=False)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "kind", "words"),
+    [
+        (holed(1), "solid", "does not close: 1 hole, 3 open edges"),
+        (holed(1), None, "a solid with a hole?"),
+        (pieces(), "solid", "falls apart into 2 pieces"),
+        (turned(), "solid", "face opposite ways"),
+        (BOX, "sheet", "is closed, but listed as a sheet"),
+        (BOX.copy().apply_scale(1e-3), "solid", "looks like metres"),
+    ],
+)
+def test_a_mesh_that_is_no_boundary_says_why(tmp_path, mesh, kind, words):
+    file = save_mesh(tmp_path / "m.stl", mesh)
+    message = refused(LayerSource(file, kind, 2) if kind else file)
+    assert words in message and str(file) in message
+
+
+def test_all_files_are_told_at_once(tmp_path):
+    broken = tmp_path / "broken.stl"
+    broken.write_bytes(b"solid nothing")
+    message = refused(tmp_path / "none.ply", broken, save_mesh(tmp_path / "m.stl", holed(1)))
+    assert "has 3 faults" in message
+    for words in ("none.ply: there is no such file", "broken.stl", "m.stl"):
+        assert words in message
+
+
+# ---- crossings and their deviations
+
+
+def tilted(degrees):
+    """A sheet through (10, 0, 0) whose normal is tilted from x toward y."""
+    angle = math.radians(degrees)
+    return sheet("sheet", (10, 0, 0), (math.cos(angle), math.sin(angle), 0), 100, into=2)
+
+
+def test_depths_count_along_c(tmp_path):
+    frame = Frame(np.array([-2.0, 0, 0]), np.eye(3))
+    layers = met(NEEDLE, frame, (tilted(0), tilted(40)), EXACT)
+    assert layers.boundaries == pytest.approx([12.0]) and layers.sequence == (1, 2)
+    np.testing.assert_allclose(layers.points, [[10, 0, 0]], atol=1e-9)
+
+
+@pytest.mark.parametrize("degrees", [0.0, 30.0, 60.0])
+def test_deviations_grow_as_the_needle_grazes(degrees):
+    """A surface's own counts by 1 / cos, one across the needle by the tangent of the angle."""
+    angle = math.radians(degrees)
+    own = met(NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
+    assert own.sd[0] == pytest.approx(0.1 / math.cos(angle), rel=1e-6)
+    across = met(NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.0, np.full(len(NEEDLE), 0.2)))
+    assert across.sd[0] == pytest.approx(0.2 * math.tan(angle), abs=1e-9)
+
+
+def test_a_needle_in_the_surface_hardly_knows_its_crossing():
+    layers = met(NEEDLE, HOME, (tilted(89.9),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
+    assert layers.sd[0] == pytest.approx(0.1 / 0.02)
+
+
+@pytest.fixture(scope="module")
+def shifted():
+    """A registration whose only error is a shift along x, of 0.3 mm."""
+    markers = np.array([[0.0, 0, 0], [50, 0, 0], [0, 30, 0], [10, 20, 40]])
+    found = register(PATIENT.to_local(markers), markers, 0.1)
+    return dataclasses.replace(found, covariance=np.diag([0, 0, 0, 0.09, 0, 0]))
+
+
+def test_the_registration_s_error_counts_along_the_normal(shifted):
+    errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), shifted)
+    assert met(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.5)
+    half = math.hypot(0.4, 0.3 * 0.5) / 0.5
+    assert met(NEEDLE, HOME, (tilted(60),), errors).sd[0] == pytest.approx(half)
+
+
+def test_surfaces_of_the_scan_move_with_its_needle(shifted, slabs_file, tmp_path):
+    recipe, sd = ReconstructionRecord(schema=1), np.zeros(3)
+    mesh = save_mesh(tmp_path / "core.stl", CORE)
+    for one, with_registration in (
+        (scan(mesh), True), (scan(mesh, surfaces_in="scan"), False), (scan(slabs_file), False)
+    ):  # fmt: skip
+        errors = layer_errors(one, recipe, sd, shifted)
+        assert (errors.registration is not None) == with_registration
+        assert errors.surface == 0.1
+
+
+def test_without_surfaces_there_is_one_layer():
+    layers = met(NEEDLE, HOME, (), EXACT)
+    assert layers.sequence == (1,) and len(layers.boundaries) == 0 and layers.points.shape == (0, 3)
+    assert doubts(scan(layers=1), layers, NEEDLE, HOME) == ()
+
+
+# ---- doubts
+
+
+def test_a_sheet_too_small_is_told_and_by_how_much():
+    """It spans 10 mm about (10, 12, 0): its rim is 7 mm away from the needle."""
+    small = sheet("skin", (10, 12, 0), (1, 0, 0), 10, into=2)
+    layers = met(NEEDLE, HOME, (small,), EXACT)
+    said = doubts(scan(), layers, NEEDLE, HOME)
+    assert said[0] == "the needle passes 7.0 mm beside the sheet skin: it is too small"
+    assert "the nearest surface stays 7.0 mm away" in said[1]
+
+
+def test_layers_in_ras_are_recognised_by_what_would_be_crossed():
+    there = met(NEEDLE, HOME, (sheet("skin", (-10, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    assert any("if their files were in RAS" in one for one in doubts(scan(), there, NEEDLE, HOME))
+    beyond = met(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    said = doubts(scan(), beyond, NEEDLE, HOME)
+    assert said == ("the needle crosses no layer; the nearest surface stays 15.0 mm away",)
+
+
+def test_layers_counted_must_be_met():
+    layers = met(NEEDLE, HOME, (tilted(0),), EXACT)
+    assert doubts(scan(layers=2), layers, NEEDLE, HOME) == ()
+    assert doubts(scan(layers=3, layers_alternative=2), layers, NEEDLE, HOME) == ()
+    with pytest.raises(DataError, match=r"meets 2 layers \(1 > 2; interfaces at 10\.00 mm\), but 3 were"):
+        doubts(scan(layers=3), layers, NEEDLE, HOME)
+    nothing = met(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    with pytest.raises(DataError, match="but 2 were counted; the needle crosses no layer"):
+        doubts(scan(layers=2), nothing, NEEDLE, HOME)
+
+
+def test_a_needle_left_out_of_its_segmentation_is_told(tmp_path):
+    """Its voxels, 1.5 mm about x, are 0: the layers run around it and are never crossed."""
+
+    def label(points):
+        return (1 + (points[:, 0] > 0)) * (np.hypot(points[:, 1], points[:, 2]) > 1.5)
+
+    surfaces = read_layers(scan(save(tmp_path / "tunnel.nrrd", labelled(label))), HOME)
+    needle = np.column_stack([np.linspace(-8, 8, 60), np.zeros((60, 2))])
+    said = doubts(scan(), met(needle, HOME, surfaces, LayerErrors(0.1, np.zeros(60))), needle, HOME)
+    assert any("label its voxels" in one for one in said)
+
+
+# ---- what becomes of them
+
+
+def test_sharp_edges_of_labels_are_rounded_by_half_a_millimetre(tmp_path):
+    """The edge of a box along z, at a distance of 8 sqrt(2) mm from the axis."""
+    path = save(tmp_path / "box.nrrd", labelled(lambda p: 1 * (np.abs(p).max(axis=1) < 8)))
+    [box] = read_layers(scan(path), HOME)
+    points = on(box, 20000)
+    middle = points[np.abs(points[:, 2]) < 5]
+    lost = 8 * math.sqrt(2) - (np.abs(middle[:, 0]) + np.abs(middle[:, 1])).max() / math.sqrt(2)
+    assert 0.2 < lost < 0.7
+
+
+def test_layers_of_a_scan_go_through_a_dataset(slabs_file, tmp_path):
+    """Solids of labels, deviations, the scan's place: what is written passes `check` and meets the same."""
+    needle = PATIENT.to_world(np.linspace(-9, 9, 73)[:, None] * NORMAL)
+    direction = PATIENT.rotation @ NORMAL
+    surfaces = read_layers(scan(slabs_file), PATIENT)
+    frame = entry_frame(needle[0], direction, PATIENT.rotation[:, 0])
+    layers = met(needle, frame, surfaces, LayerErrors(0.1, np.full(73, 0.05)))
+    listed = [{"file": f"layers/{{id}}_{s.name}.stl", "kind": s.kind, "into": s.into} for s in surfaces]
+    row = InsertionRow(
+        "a", "gel", 3, 18.0, entry=needle[0], direction=direction, pose_source="shaft", patient=PATIENT
+    )
+    file = write_dataset(
+        tmp_path,
+        record(media={"gel": {"surfaces": listed}}),
+        [row],
+        {"a": np.column_stack([needle, np.full(73, 0.05)])},
+        {f"layers/a_{s.name}.stl": s for s in surfaces},
+    )
+    [found] = read(file).insertions
+    assert found.sequence == layers.sequence == (1, 2, 3)
+    np.testing.assert_allclose(found.boundaries, layers.boundaries, atol=1e-3)
+    np.testing.assert_allclose(found.patient.rotation, PATIENT.rotation, atol=1e-7)
+    np.testing.assert_array_equal(found.sd, 0.05)
