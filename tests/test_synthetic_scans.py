@@ -21,7 +21,7 @@ from needlefit.project.load import load
 from needlefit.project.places import shipped
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
-from needlefit.synthetic.ct.insertion import expose, scan, whole_needle
+from needlefit.synthetic.ct.insertion import acquire, expose, whole_needle
 from needlefit.synthetic.ct.setup import SAMPLE, WHOLE, stated_markers
 from needlefit.synthetic.design import insertions, named
 from needlefit.synthetic.processes import each
@@ -43,7 +43,7 @@ def crop(name, seed=1, setup=SAMPLE, **scanner):
     twin = synthesize(named([name])[0], seed)
     exposure = expose(twin, setup, seed)
     exposure = replace(exposure, scanner=replace(exposure.scanner, **scanner))
-    return twin, exposure, scan(exposure, seed, name)
+    return twin, exposure, acquire(exposure, seed, name)
 
 
 CLEAN = {"noise_hu": 0.0, "streaks": 0.0, "bloom": 0.0, "cupping_hu": 0.0}

@@ -89,7 +89,7 @@ def expose(twin: Twin, setup: Setup, seed: int) -> Exposure:
     return Exposure(scene, _scanner(grid, rng), stated_markers(setup, seed, twin.planned.id))
 
 
-def scan(exposure: Exposure, seed: int, name: str) -> Volume:
+def acquire(exposure: Exposure, seed: int, name: str) -> Volume:
     """Return the volume of an exposure; the same seed and name give the same bytes."""
     return render(exposure.scene, exposure.scanner, stream(seed, "twin", "ct", name, "rays and noise"))
 
