@@ -1,6 +1,7 @@
 """The twin as scans: what is true stands in the volumes where it is said to stand."""
 
 import csv
+import os
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,9 +21,10 @@ from needlefit.project.load import load
 from needlefit.project.places import shipped
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
-from needlefit.synthetic.ct.insertion import expose, scan, whole_needle
+from needlefit.synthetic.ct.insertion import acquire, expose, whole_needle
 from needlefit.synthetic.ct.setup import SAMPLE, WHOLE, stated_markers
 from needlefit.synthetic.design import insertions, named
+from needlefit.synthetic.processes import each
 from needlefit.synthetic.replace import replacing_scans
 from needlefit.synthetic.scans import render_insertion, write_scans
 from needlefit.synthetic.twin import SEED, synthesize
@@ -41,7 +43,7 @@ def crop(name, seed=1, setup=SAMPLE, **scanner):
     twin = synthesize(named([name])[0], seed)
     exposure = expose(twin, setup, seed)
     exposure = replace(exposure, scanner=replace(exposure.scanner, **scanner))
-    return twin, exposure, scan(exposure, seed, name)
+    return twin, exposure, acquire(exposure, seed, name)
 
 
 CLEAN = {"noise_hu": 0.0, "streaks": 0.0, "bloom": 0.0, "cupping_hu": 0.0}
@@ -117,6 +119,18 @@ def test_displaced_layers_show_at_their_true_place(clean):
     )
     assert_allclose(profile[[0, -1]], [20.0, 90.0], atol=1.0)
     assert np.interp(55.0, profile, x) == pytest.approx(true, abs=0.03)
+
+
+def test_the_cylinder_shows_at_its_true_place():
+    top = synthesize(PLAN["phantom2-01"], 1).specimen.phantom.cylinder.top
+    around = replace(WHOLE, low=np.array([36.0, -16, -3]), high=np.array([48.0, -8, 3]), outside=-38.0)
+    _, exposure, volume = crop("phantom2-01", setup=around, **CLEAN)
+    x = np.linspace(36, 44, 300)
+    world = exposure.scene.box.to_world
+    profile = np.mean([brightness(volume, world(world_points(x, y, 0))) for y in (-14, -13, -12)], axis=0)
+    assert_allclose(profile[[0, -1]], [35.0, 105.0], atol=1.0)
+    assert abs(top - 40.0) > 0.02
+    assert np.interp(70.0, profile, x) == pytest.approx(top, abs=0.03)
 
 
 def test_the_face_of_the_box_is_the_world_s_plane_x_0(clean):
@@ -305,3 +319,21 @@ def test_scans_of_others_are_never_replaced(tmp_path, content):
     with pytest.raises(ConfigError, match="is not replaced"), replacing_scans(tmp_path):
         pass
     assert (tmp_path / "scans.csv").read_text(encoding="latin-1") == content
+
+
+# ---- processes
+
+
+def test_tasks_are_answered_in_their_order_by_any_number_of_processes():
+    tasks = [-3, 1, -2]
+    assert list(each(abs, tasks, 1)) == list(each(abs, tasks, 2)) == [3, 1, 2]
+
+
+def test_the_error_of_a_task_reaches_the_caller():
+    with pytest.raises(TypeError, match="bad operand"):
+        list(each(abs, [1, "one", 2], 2))
+
+
+def test_a_process_that_is_killed_is_said_so():
+    with pytest.raises(ConfigError, match="ended from outside"):
+        list(each(os._exit, [1, 1], 2))

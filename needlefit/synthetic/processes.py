@@ -7,8 +7,11 @@ import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import TypeVar
+
+from needlefit.errors import ConfigError
 
 Task = TypeVar("Task")
 Answer = TypeVar("Answer")
@@ -18,6 +21,11 @@ def each(function: Callable[[Task], Answer], tasks: Sequence[Task], jobs: int) -
     """Yield `function(task)` of every task, in their order, from `jobs` processes.
 
     What is not begun when the caller stops asking, or one of them fails, is not begun any more.
+
+    Raises
+    ------
+    ConfigError
+        If a process was ended from outside.
     """
     if min(jobs, len(tasks)) <= 1:
         yield from map(function, tasks)
@@ -25,6 +33,12 @@ def each(function: Callable[[Task], Answer], tasks: Sequence[Task], jobs: int) -
     pool = ProcessPoolExecutor(min(jobs, len(tasks)), get_context("spawn"), initializer=_alone)
     try:
         yield from pool.map(function, tasks)
+    except BrokenProcessPool:
+        raise ConfigError(
+            "one of the processes was ended from outside, or could not begin",
+            expected="about 1 GB of memory for each",
+            mend="use fewer with --jobs",
+        ) from None
     finally:
         pool.shutdown(cancel_futures=True)
 

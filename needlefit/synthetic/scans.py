@@ -13,7 +13,7 @@ from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scan import LayerSource, Scan, Stage
 from needlefit.imaging.volume import write
 from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord
-from needlefit.synthetic.ct.insertion import Exposure, expose, scan
+from needlefit.synthetic.ct.insertion import Exposure, acquire, expose
 from needlefit.synthetic.ct.setup import Setup, setup_of
 from needlefit.synthetic.design import Planned
 from needlefit.synthetic.phantoms import PHANTOMS, surface_file, surfaces
@@ -76,7 +76,7 @@ def render_insertion(folder: Path, planned: Planned, seed: int, form: Form = "nr
     markers.parent.mkdir(parents=True, exist_ok=True)
     markers.write_bytes(markers_text(exposure.stated).encode("utf-8"))
     volume = folder / "volumes" / (name if form == "dicom" else f"{name}.nrrd")
-    write(scan(exposure, seed, name), volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
+    write(acquire(exposure, seed, name), volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
     return Scanned(twin, exposure, _as_given(folder, planned, volume, markers))
 
 

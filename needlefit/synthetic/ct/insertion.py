@@ -1,8 +1,8 @@
 """One insertion of the twin in the scanner: where it lies, what is around it, how it is scanned.
 
-The patient's axes are LPS; the scanner's long axis is S. The box stands on the table, its entry face toward
-the feet, and the table's head of the scanner is turned about the long axis at will: so are the voxels, within
-which the box is tilted by a few degrees.
+In the patient's axes (LPS) the scanner's long axis is S. The box stands on the table, its entry face toward
+the feet. The voxels are turned about the long axis by any angle, and the box is tilted against them by a few
+degrees.
 """
 
 from dataclasses import dataclass
@@ -35,12 +35,15 @@ MARGIN = 2.0
 UPRIGHT = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
 """Columns: the world's x (into the box) to the head, y to the right, z (up) to the front of the patient."""
 
-TILT, OFFSET = 6.0, 150.0  # greatest tilt of the box about each axis, degrees; of its place, mm
+TILT, OFFSET = 6.0, 150.0
+"""Greatest tilt of the box about each axis, degrees, and distance along it from the patient's origin, mm."""
 
-PSF, BLOOM, STREAKS = (0.3, 0.45), (0.05, 0.15), (0.4, 0.9)
-NOISE_HU, CUPPING_HU = (25.0, 60.0), (20.0, 80.0)
-NEEDLE_HU, BEVEL_SD = (7000.0, 11000.0), 2.0  # bevel: degrees about the nominal angle
-"""Ranges from which each scan's parameters are drawn, uniformly; one needle has one bevel."""
+PSF_MM, BLOOM, STREAKS = (0.3, 0.45), (0.05, 0.15), (0.4, 0.9)
+NOISE_HU, CUPPING_HU, NEEDLE_HU = (25.0, 60.0), (20.0, 80.0), (7000.0, 11000.0)
+"""Ranges of what is drawn for each scan, uniformly; what it is says `Scanner`."""
+
+BEVEL_SD = 2.0
+"""Deviation of the one needle's bevel from its nominal angle, degrees."""
 
 
 @dataclass(frozen=True)
@@ -86,7 +89,7 @@ def expose(twin: Twin, setup: Setup, seed: int) -> Exposure:
     return Exposure(scene, _scanner(grid, rng), stated_markers(setup, seed, twin.planned.id))
 
 
-def scan(exposure: Exposure, seed: int, name: str) -> Volume:
+def acquire(exposure: Exposure, seed: int, name: str) -> Volume:
     """Return the volume of an exposure; the same seed and name give the same bytes."""
     return render(exposure.scene, exposure.scanner, stream(seed, "twin", "ct", name, "rays and noise"))
 
@@ -116,7 +119,7 @@ def _field(points: Floats, direction: Floats) -> Grid:
 def _scanner(grid: Grid, rng: np.random.Generator) -> Scanner:
     return Scanner(
         grid,
-        psf_mm=rng.uniform(*PSF),
+        psf_mm=rng.uniform(*PSF_MM),
         noise_hu=rng.uniform(*NOISE_HU),
         bloom=rng.uniform(*BLOOM),
         streaks=rng.uniform(*STREAKS),
