@@ -81,7 +81,7 @@ def test_the_stage_keeps_its_pose_and_takes_the_errors_of_the_registration():
     stage = Stage(np.array([10.0, 0, 0]), axis([1.0, 0, 0]), shift_sd=0.05, angle_sd=0.001)
     alone = from_stage(stage, None, np.zeros(3))
     assert (alone.shift_sd, alone.angle_sd, alone.source) == (0.05, 0.001, "stage")
-    registration = register(MARKERS + [3.0, 2, 1], MARKERS, 0.2)
+    registration = register(MARKERS + np.array([3.0, 2, 1]), MARKERS, 0.2)
     entry = np.array([13.0, 2, 1])  # where the stage's entry lies in the scan
     assert to_world(registration, entry[None])[0] == pytest.approx(stage.entry)
     pose = from_stage(stage, registration, entry)

@@ -122,8 +122,8 @@ def reconstruct(
             ones = [one for one in found if not isinstance(one, Failure)]
             if ones:
                 about = About(out.resolve().name, title)
-                ones, faulty = write_reconstructed(out, ones, record, about, report)
-                failed += faulty
+                kept, faulty = write_reconstructed(out, ones, record, about, report)
+                ones, failed = list(kept), [*failed, *faulty]
     _show(out, ones, failed, json)
     if failed:
         raise typer.Exit(DataError.exit_code)  # what is finished is kept: --resume does the failed ones anew

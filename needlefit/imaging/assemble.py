@@ -52,7 +52,8 @@ def assemble(
     media: dict[str, list[Reconstruction]] = {}
     for one in ones:
         media.setdefault(one.scan.medium, []).append(one)
-    records, surfaces = {}, {}
+    records: dict[str, DatasetMediumRecord] = {}
+    surfaces: dict[str, Surface] = {}
     for name, group in media.items():
         records[name], files = _medium(name, group, (about.media or {}).get(name, ""))
         surfaces |= files

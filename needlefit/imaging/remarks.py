@@ -62,12 +62,12 @@ def _plane(one: Reconstruction) -> list[str]:
     error = float(np.hypot(one.sd[-1], np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth)))
     if one.plane == "shape" and np.degrees(error) > UNSURE_PLANE * abs(deflection):
         notes.append(
-            f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: a needle so straight "
-            "tells no bending plane, and its deflection is biased upward; state the bevel's direction"
+            f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
+            "it tells no bending plane, and its deflection is biased upward; state the bevel's direction"
         )
     elif one.plane != "shape" and aside > BEYOND * error and aside > abs(deflection) / 3:
         notes.append(
-            f"the needle leaves the bending plane by {aside:.2f} mm and bends {abs(deflection):.2f} mm in it: "
+            f"the needle leaves the bending plane by {aside:.2f} mm, and bends {abs(deflection):.2f} in it: "
             "check the bevel's direction"
         )
     seen = one.patient.rotation @ one.traced.bevel

@@ -78,7 +78,8 @@ def scans_of(
         if path is not None and not path.is_file():
             found.append(Fault(str(path), "there is no such file", expected, "check the path"))
     if len(volumes) > 1 and (fiducials or mask):
-        found.append(Fault(str(fiducials or mask), f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
+        given_once = str(fiducials or mask)
+        found.append(Fault(given_once, f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
     sources = [layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
     ids = [id_of(volume) for volume in volumes]

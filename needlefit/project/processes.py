@@ -45,14 +45,12 @@ def in_processes(
         return
     # a fork would copy threads that hold locks
     with ProcessPoolExecutor(jobs, get_context("spawn"), _leave_signals_to_the_parent) as pool:
-        waiting = iter(enumerate(items))
+        waiting = list(range(len(items)))[::-1]
         running: dict[Future[Result], int] = {}
         while True:
-            while len(running) < jobs and not stop():
-                n, item = next(waiting, (-1, None))
-                if item is None:
-                    break
-                running[pool.submit(work, item)] = n
+            while waiting and len(running) < jobs and not stop():
+                n = waiting.pop()
+                running[pool.submit(work, items[n])] = n
             if not running:
                 return
             for future in wait(running, return_when=FIRST_COMPLETED).done:
