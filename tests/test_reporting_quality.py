@@ -28,7 +28,7 @@ from needlefit.reporting.reconstructions import (
 from needlefit.reporting.slicer_scan import write_scan
 
 ENTRY, TIP = np.array([11.0, 11.0, 12.0]), np.array([11.0, 14.0, 40.0])  # LPS of the rendered needle
-LONG = tuple(f"remark {n}: the surface and the scan disagree by more than they should" for n in range(12))
+LONG = tuple(f"remark {n}: the surface and the scan disagree by more than they should" for n in range(40))
 
 
 def pages(path):

@@ -17,6 +17,9 @@ Floats = NDArray[np.float64]
 RING = (3.5, 6.0)
 """Radii between which the surroundings are read, mm: beyond bloom, within the nearest marker as a rule."""
 
+METAL = 1000.0
+"""Brighter points of a ring are a marker's, HU."""
+
 CORE = 0.45
 """Radius within which the needle itself is read, mm."""
 
@@ -42,9 +45,9 @@ SYSTEMATIC = 0.03
 def profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Profile:
     """Return how bright the needle and its surroundings are at each station.
 
-    The surroundings are the median of a ring: markers and rays, which fill a part of it, do not count. Points
-    of the ring count only if the one opposite lies in the volume too; so a slanting face, which some of them
-    meet early and others late, turns the median exactly where the needle itself passes through.
+    The surroundings are the median of a ring: rays, which fill a part of it, do not count. Points outside the
+    volume and on markers are left out, with those opposite; so a slanting face, which some points meet early
+    and others late, turns the median where the needle itself passes through.
 
     Parameters
     ----------
@@ -63,6 +66,7 @@ def profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Profile:
     plane = disc(RING[1])
     radius = np.hypot(*plane.T)
     ring = sample(volume, where, plane[radius >= RING[0]])
+    ring = np.where(ring < METAL, ring, np.nan)
     ring = np.where(np.isfinite(ring[:, ::-1]), ring, np.nan)  # the same disc, turned round
     core = sample(volume, where, plane[radius <= CORE])
     return Profile(np.asarray(s, dtype=np.float64), _median(core, 1.0), _median(ring, LEAST_SEEN))

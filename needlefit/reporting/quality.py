@@ -15,6 +15,9 @@ from needlefit.reporting.numbers import fixed
 
 Fact = tuple[str, str]
 
+MOST_REMARKS = 10
+"""Remarks on a page; the table of the batch has all."""
+
 _ALONG = (
     "Above, the scan along the needle, in slabs that follow it; below, brightness, deflection and how far "
     "the cross-sections lie off the axis. Lines: entry, boundaries of layers, tip. Bands: 95 %."
@@ -60,11 +63,18 @@ def _payload(reconstruction: Reconstruction) -> document.Block:
         "mark": "SYNTHETIC DATA",
         "version": document.version_text(),
         "groups": facts(reconstruction),
-        "remarks": [remark.replace("+-", "±") for remark in reconstruction.remarks],
+        "remarks": _remarks(reconstruction.remarks),
         "caption": _ALONG,
         "along": _ALONG,
         "across": _ACROSS,
     }
+
+
+def _remarks(remarks: tuple[str, ...]) -> list[str]:
+    """Return as many remarks as a page holds, and how many more there are."""
+    left = len(remarks) - MOST_REMARKS
+    shown = [remark.replace("+-", "±") for remark in remarks[:MOST_REMARKS]]
+    return [*shown, f"and {left} more, in reconstruction.csv"] if left > 0 else shown
 
 
 def _scan(reconstruction: Reconstruction) -> list[Fact]:

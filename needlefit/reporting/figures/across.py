@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.views import BEFORE_TIP
@@ -51,10 +52,11 @@ def _point_bevel(axes: Axes, reconstruction: Reconstruction) -> None:
     if not np.isfinite(bevel).all():
         return
     tip, side = reconstruction.local[-1, 1:], bevel[1:]
-    (y, z), (far_y, far_z), (text_y, text_z) = tip, tip + 4.0 * side, tip + 6.0 * side
+    (y, z), (far_y, far_z), (text_y, text_z) = tip, tip + 4.0 * side, tip + 4.4 * side
+    at = "left" if side[0] >= 0 else "right"
     style = {"arrowstyle": "-|>", "color": TIP, "lw": 0.9, "mutation_scale": 6, "shrinkA": 2, "shrinkB": 0}
     axes.annotate("", (far_y, far_z), (y, z), arrowprops=style, zorder=6)
-    axes.annotate("bevel", (text_y, text_z), color=TIP, fontsize=7, ha="center", va="center")
+    axes.annotate("bevel", (text_y, text_z), color=TIP, fontsize=7, ha=at, va="center")
 
 
 def _paint_markers(axes: Axes, reconstruction: Reconstruction) -> None:
@@ -73,6 +75,7 @@ def _paint_markers(axes: Axes, reconstruction: Reconstruction) -> None:
     axes.set_yticks(rows, [f"{known}" for _, known in registration.pairs])
     axes.set(ylim=(len(rows) - 0.5, -0.5), ylabel="marker", xlabel="distance from its known place (mm)")
     axes.set_xlim(left=0.0)
+    axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
     axes.legend(
         loc="lower left", bbox_to_anchor=(0.0, 1.0), ncols=3, handletextpad=0.1, columnspacing=1.0,
         fontsize=7, borderaxespad=0.1,

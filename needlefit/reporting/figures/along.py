@@ -114,6 +114,7 @@ def _paint_residuals(axes: Axes, reconstruction: Reconstruction) -> None:
     for side, colour, mark, words in ((2, OUT_OF_PLANE, "D", "in z"), (1, NEEDLE, "o", "in y")):
         axes.plot(at, beside[:, side], mark, color=colour, ms=1.3, mew=0, label=words)
     axes.set_ylabel("sections off\naxis (mm)")
+    axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
     axes.legend(
         loc="center right", handletextpad=0.1, fontsize=7, markerscale=2, borderaxespad=0.1, reverse=True,
     )  # fmt: skip
