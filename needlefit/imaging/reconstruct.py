@@ -35,6 +35,9 @@ from needlefit.project.records.reconstruction import ReconstructionRecord
 Floats = NDArray[np.float64]
 Plane = Literal["stated", "bevel", "shape"]
 
+BEYOND_TIP = 8.0
+"""How far beyond the tip the brightness is followed, mm, so that a page shows where the needle ends."""
+
 
 @dataclass(frozen=True)
 class Seen:
@@ -122,8 +125,16 @@ def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:
     if markers is not None and scan.markers is not None:
         known = read_markers(scan.markers)
         registration = register(markers.centers, known, markers.sd, recipe.markers.known_sd_mm)
-    along = profile(volume, traced.points, arc_length(traced.points))
-    return Seen(traced, markers, registration, along)
+    return Seen(traced, markers, registration, _along(volume, traced.points))
+
+
+def _along(volume: Volume, needle: Floats) -> Profile:
+    """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
+    ahead = needle[-1] - needle[-5]
+    ahead /= np.linalg.norm(ahead)
+    beyond = needle[-1] + np.outer(np.arange(0.5, BEYOND_TIP + 0.5, 0.5), ahead)
+    points = np.vstack([needle, beyond])
+    return profile(volume, points, arc_length(points))
 
 
 def _needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
