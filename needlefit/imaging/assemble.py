@@ -153,7 +153,8 @@ def _medium(
                 mend="give these scans media of different names, or the same layers",
             )
     shared = all(_same(one.layers.surfaces, first) for one in group)
-    names = [f"layers/{stem}.stl" for stem in _stems(name if shared else "{id}", first)]
+    numbered = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
+    names = [f"layers/{stem}.stl" for stem in (_stems(name, first) if shared else numbered)]
     records = tuple(
         SurfaceRecord(file=file, kind=surface.kind, into=surface.into)
         for file, surface in zip(names, first, strict=True)
@@ -166,11 +167,11 @@ def _medium(
     return DatasetMediumRecord(surfaces=records, note=note), files
 
 
-def _stems(before: str, surfaces: Sequence[Surface]) -> list[str]:
-    """Return a file name for each surface: its own after `before`, numbered where two have the same."""
-    own = [surface.name.removeprefix(f"{before}_") for surface in surfaces]
+def _stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
+    """Return a file name for each surface: its own after the medium's, numbered where two have the same."""
+    own = [surface.name.removeprefix(f"{medium}_") for surface in surfaces]
     return [
-        f"{before}_{name}" + (f"_{n}" if own.count(name) > 1 else "") for n, name in enumerate(own, start=1)
+        f"{medium}_{name}" + (f"_{n}" if own.count(name) > 1 else "") for n, name in enumerate(own, start=1)
     ]
 
 

@@ -14,12 +14,13 @@ from needlefit.geometry.patient import IN_PATIENT
 from needlefit.geometry.plane import bending_plane
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
+from needlefit.imaging.layer_doubts import doubts
 from needlefit.imaging.layers import layer_errors, met, read_layers
 from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
 from needlefit.imaging.needle.centerline import Centerline, trace
 from needlefit.imaging.needle.segmentation import Component, from_mask, segment
 from needlefit.imaging.profile import profile, tissue_edge
-from needlefit.imaging.reconstruction import EntryPose, Layers, Markers, Profile, Reconstruction
+from needlefit.imaging.reconstruction import EntryPose, Markers, Profile, Reconstruction
 from needlefit.imaging.registration.register import (
     Registration,
     frame_of,
@@ -85,13 +86,13 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     """
     volume = read(scan.volume, scan.series)
     seen = see(volume, scan, recipe)
-    surfaces = read_layers(scan, seen.patient)
+    surfaces = read_layers(scan, seen.patient, volume.grid)
     pose = _pose(seen, scan, surfaces, recipe)
     begin = entry.start(seen.world, pose)
     points, sd = _inserted(seen, begin, recipe.centerline.station_mm)
     frame, plane = _bending(seen, scan, pose, points, recipe)
     layers = met(points, frame, surfaces, layer_errors(scan, recipe, sd, seen.registration))
-    _require_layers(layers, scan)
+    said = doubts(scan, layers, points, seen.patient)
     depth = float(arc_length(points)[-1])
     found = Reconstruction(
         scan=scan,
@@ -113,7 +114,7 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
         views=views(volume, seen.patient, frame, seen.traced.points),
         remarks=(),
     )
-    return replace(found, remarks=remarks(found))
+    return replace(found, remarks=(*remarks(found), *said))
 
 
 def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:
@@ -220,19 +221,3 @@ def _bending(
     else:
         toward, plane = bending_plane(points, pose.direction), "shape"
     return entry_frame(pose.origin, pose.direction, toward), plane
-
-
-def _require_layers(layers: Layers, scan: Scan) -> None:
-    """Refuse a needle that meets other layers than somebody counted."""
-    counted = [n for n in (scan.layers, scan.layers_alternative) if n is not None]
-    if not counted or len(layers.sequence) in counted:
-        return
-    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries) or "none"
-    raise DataError(
-        f"the needle meets {len(layers.sequence)} layers ({' > '.join(map(str, layers.sequence))}; "
-        f"interfaces at {depths} mm), but {' or '.join(map(str, counted))} are listed",
-        where=f"layers of {scan.id}",
-        expected=f"{' or '.join(map(str, counted))} layers",
-        mend="look at the quality of registration and surfaces (same frame?), or correct layers, "
-        "layers_alternative",
-    )

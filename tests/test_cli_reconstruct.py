@@ -1,0 +1,279 @@
+"""`needlefit reconstruct` as its users meet it: the sample scan, whole and spoiled in every way."""
+
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import trimesh
+
+from needlefit.cli import main
+from needlefit.datasets.check import check
+from needlefit.datasets.read import read as read_dataset
+from needlefit.imaging.volume import Volume, read, write
+from needlefit.project.places import shipped
+
+SAMPLE = shipped() / "data" / "sample_scan"
+VOLUME, MARKERS = SAMPLE / "volumes" / "sample.nrrd", SAMPLE / "markers" / "sample.csv"
+LAYERS = [SAMPLE / "layers" / f"phantom2_{name}.stl" for name in ("interface1", "interface2", "cylinder")]
+
+
+def run(*words) -> int:
+    with pytest.raises(SystemExit) as leaving:
+        main([str(word) for word in words])
+    return int(leaving.value.code or 0)
+
+
+def files(folder):
+    return {
+        path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*") if path.is_file()
+    }
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory):
+    """The sample, reconstructed by its table."""
+    folder = tmp_path_factory.mktemp("done") / "mydata"
+    assert run("reconstruct", SAMPLE / "scans.csv", "--out", folder, "-q") == 0
+    return folder
+
+
+def test_a_scan_becomes_a_checked_dataset(done):
+    assert check(done) == []
+    dataset = read_dataset(done)
+    (insertion,) = dataset.insertions
+    assert dataset.origin == "synthetic"  # as the table of scans says
+    assert insertion.depth == pytest.approx(25.0, abs=0.3)
+    assert insertion.boundaries == pytest.approx([19.0], abs=0.3)
+    assert insertion.sd is not None and (insertion.sd > 0).all() and insertion.sd.max() < 0.1
+    assert insertion.pose_source == "stage"
+    on_scan = insertion.patient.to_local(insertion.centerline)
+    volume = read(VOLUME)
+    low, high = (
+        volume.origin,
+        volume.origin + volume.direction @ (volume.spacing * (volume.values.shape[::-1])),
+    )
+    assert (on_scan > np.minimum(low, high) - 1).all() and (on_scan < np.maximum(low, high) + 1).all()
+
+
+def test_everything_that_a_person_needs_is_beside_it(done):
+    found = set(files(done))
+    assert {
+        *("reconstruction.csv", "markers.csv", "crossings.csv", "reconstruction.json"),
+        *("quality/sample.pdf", "slicer/sample.mrk.json", "slicer/sample.needle.ply"),
+    } <= found
+    row = pd.read_csv(done / "reconstruction.csv").iloc[0]
+    assert (row["markers_paired"], row["markers_known"]) == (5, 5)
+    assert row["fre_mm"] < 3 * row["expected_fre_mm"]
+    text = (done / "reconstruction.json").read_text()
+    assert str(shipped()) not in text and "/tmp" not in text  # no path of a machine
+
+
+def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
+    again = tmp_path / "mydata"
+    for _ in range(2):
+        assert run("reconstruct", SAMPLE / "scans.csv", "--out", again, "-q", "--jobs", "1") == 0
+    assert files(again) == files(done)
+    (again / "dataset.toml").write_text((again / "dataset.toml").read_text() + "# mine\n")
+    assert run("reconstruct", SAMPLE / "scans.csv", "--out", again, "-q") == 3
+    assert "# mine" in (again / "dataset.toml").read_text()
+
+
+def test_layers_take_all_words_up_to_the_next_option_and_dicom_holds_the_same(tmp_path, capsys):
+    series = tmp_path / "series"
+    write(read(VOLUME), series)
+    out = tmp_path / "out"
+    words = ("reconstruct", series, "--markers", MARKERS, "--layers", *LAYERS, "--out", out, "-q", "--json")
+    assert run(*words) == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["failed"] == [] and said["scans"][0]["layers"] == "1 2"
+    assert said["scans"][0]["entry_pose_from"] == "shaft"
+    assert said["scans"][0]["depth_mm"] == pytest.approx(25.0, abs=0.4)
+
+
+def test_a_scan_without_markers_is_its_own_world(tmp_path, capsys):
+    assert run("reconstruct", VOLUME, "--out", tmp_path / "out", "-q") == 0
+    (insertion,) = read_dataset(tmp_path / "out").insertions
+    assert np.array_equal(insertion.patient.rotation, np.eye(3))
+    assert "drawn through the shaft" in (tmp_path / "out" / "reconstruction.csv").read_text()
+
+
+def test_one_failure_loses_nothing_and_resume_mends_it(tmp_path, capsys):
+    torn = tmp_path / "torn.nrrd"
+    torn.write_bytes(VOLUME.read_bytes()[:40_000])
+    shutil.copy(VOLUME, tmp_path / "whole.nrrd")
+    words = ("reconstruct", torn, tmp_path / "whole.nrrd", "--markers", MARKERS, "--out", tmp_path / "out")
+    assert run(*words, "-q") == 3
+    told = capsys.readouterr()
+    assert "torn" in told.err and "mend" in told.err and "1 of 2 scans failed" in told.err
+    assert [one.id for one in read_dataset(tmp_path / "out").insertions] == ["whole"]
+    shutil.copy(VOLUME, torn)
+    assert run(*words, "-q", "--resume") == 0
+    assert [one.id for one in read_dataset(tmp_path / "out").insertions] == ["torn", "whole"]
+    assert not (tmp_path / "out.partial").exists()
+
+
+# What may be wrong, one thing at a time: a function that makes the words of the command in a folder.
+
+
+def spoiled(folder, change) -> Path:
+    """Write the sample volume with its values changed."""
+    volume = read(VOLUME)
+    path = folder / "spoiled.nrrd"
+    write(Volume(change(volume.values.copy()), volume.origin, volume.spacing, volume.direction), path)
+    return path
+
+
+def no_metal(folder):
+    return [spoiled(folder, lambda values: np.minimum(values, 200)), "--markers", MARKERS]
+
+
+def two_needles(folder):
+    def change(values):
+        return np.maximum(values, np.roll(values, 18, axis=int(np.argmin(values.shape))))
+
+    return [spoiled(folder, change)]
+
+
+def tip_outside(folder):
+    volume = read(VOLUME)
+    needle_end = np.argwhere(volume.values > 2500)
+    main_axis = int(np.argmax(np.ptp(needle_end, axis=0)))
+    keep = [slice(None)] * 3
+    middle = int(np.median(needle_end[:, main_axis]))
+    keep[main_axis] = slice(middle - 45, middle + 10)
+    start = [0.0 if part.start is None else part.start for part in keep][::-1]
+    origin = volume.origin + volume.direction @ (volume.spacing * start)
+    write(Volume(volume.values[tuple(keep)], origin, volume.spacing, volume.direction), folder / "cut.nrrd")
+    return [folder / "cut.nrrd"]
+
+
+def known(folder, change):
+    points = pd.read_csv(MARKERS)[["x_mm", "y_mm", "z_mm"]].to_numpy()
+    path = folder / "known.csv"
+    pd.DataFrame(change(points), columns=["x_mm", "y_mm", "z_mm"]).to_csv(path, index=False)
+    return path
+
+
+def two_markers(folder):
+    return [VOLUME, "--markers", known(folder, lambda points: points[:2])]
+
+
+def mirrored_markers(folder):
+    return [VOLUME, "--markers", known(folder, lambda points: points * [1, -1, 1])]
+
+
+def wrong_markers(folder):
+    rng = np.random.default_rng(1)
+    return [VOLUME, "--markers", known(folder, lambda points: rng.uniform(-20, 20, points.shape))]
+
+
+def fiducials_as(folder, system):
+    """The markers in the scan, written as LPS coordinates in a file that says `system`."""
+    from needlefit.datasets.formats.markups import Markups
+    from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
+
+    out = folder / "found"
+    assert run("reconstruct", VOLUME, "--markers", MARKERS, "--out", out, "-q") == 0
+    table = pd.read_csv(out / "markers.csv")
+    points = table[["found_x_mm", "found_y_mm", "found_z_mm"]].to_numpy()
+    path = folder / "fiducials.mrk.json"
+    names = tuple(f"m{n}" for n in range(len(points)))
+    write_mrk_json(path, [(Markups(path, "markers", "Fiducial", names, points), Look((1.0, 0, 0), 1.0))])
+    text = path.read_text()
+    assert text.count('"LPS"') >= 1
+    path.write_text(text.replace('"LPS"', f'"{system}"'))
+    return [VOLUME, "--markers", MARKERS, "--fiducials", path]
+
+
+def ras_as_lps(folder):
+    return fiducials_as(folder, "RAS")
+
+
+def holes(folder):
+    mesh = trimesh.load_mesh(LAYERS[2])
+    keep = np.ones(len(mesh.faces), dtype=bool)
+    keep[10:14] = False
+    mesh.update_faces(keep)
+    mesh.export(folder / "holes.stl")
+    return [VOLUME, "--markers", MARKERS, "--layers", f"{folder / 'holes.stl'}=solid:2"]
+
+
+def truncated(folder):
+    (folder / "cut.nrrd").write_bytes(VOLUME.read_bytes()[:100_000])
+    return [folder / "cut.nrrd"]
+
+
+def no_decoder(folder):
+    from pydicom import dcmread
+    from pydicom.uid import UID
+
+    write(read(VOLUME), folder / "series")
+    for path in sorted((folder / "series").iterdir()):
+        data = dcmread(path)
+        data.file_meta.TransferSyntaxUID = UID("1.2.840.10008.1.2.4.103")  # MPEG-4: video
+        data.save_as(path)
+    return [folder / "series"]
+
+
+def bomb(folder):
+    header = VOLUME.read_bytes().split(b"\n\n", 1)[0].decode()
+    lines = [
+        line if not line.startswith("sizes:") else "sizes: 90000 90000 90000" for line in header.split("\n")
+    ]
+    (folder / "bomb.nrrd").write_bytes("\n".join(lines).encode() + b"\n\n" + b"\x1f\x8b" + bytes(100))
+    return [folder / "bomb.nrrd"]
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (no_metal, "metal"),
+        (two_needles, "two"),
+        (tip_outside, "leaves the volume"),
+        (two_markers, "2 markers are too few"),
+        (mirrored_markers, "mirror"),
+        (wrong_markers, "pairing"),
+        (ras_as_lps, "RAS"),
+        (holes, "hole"),
+        (truncated, "cut short|shorter|ends"),
+        (no_decoder, "decod|transfer syntax|compress"),
+        (bomb, "claims"),
+    ],
+)
+def test_what_is_wrong_is_said_with_what_mends_it_and_nothing_is_written(spoil, words, tmp_path, capsys):
+    arguments = spoil(tmp_path)
+    before = files(tmp_path)
+    capsys.readouterr()
+    assert run("reconstruct", *arguments, "--out", tmp_path / "out", "-q") == 3
+    told = capsys.readouterr().err
+
+    assert re.search(words, told), told
+    assert "mend:" in told and "unexpected" not in told
+    assert not (tmp_path / "out").exists()
+    assert files(tmp_path) == before
+
+
+def test_voxels_need_not_be_cubes(tmp_path):
+    volume = read(VOLUME)
+    slices = volume.values[: 2 * (len(volume.values) // 2)]
+    merged = (slices[::2] + slices[1::2]) / 2
+    spacing = volume.spacing * [1, 1, 2]
+    origin = volume.origin + volume.direction[:, 2] * volume.spacing[2] / 2
+    write(
+        Volume(np.rint(merged).astype(np.float32), origin, spacing, volume.direction), tmp_path / "thick.nrrd"
+    )
+    assert (
+        run("reconstruct", tmp_path / "thick.nrrd", "--markers", MARKERS, "--out", tmp_path / "out", "-q")
+        == 0
+    )
+    (thick,) = read_dataset(tmp_path / "out").insertions
+    assert thick.depth == pytest.approx(25.0, abs=0.6)
+
+
+def test_a_table_of_scans_stands_alone(tmp_path, capsys):
+    assert run("reconstruct", SAMPLE / "scans.csv", "--markers", MARKERS, "--out", tmp_path / "out") == 2
+    assert "stands alone" in capsys.readouterr().err
