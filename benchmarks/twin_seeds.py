@@ -36,7 +36,7 @@ def one_seed(seed: int, recipe: str, jobs: int) -> pd.DataFrame:
     """Return the validation rows of all five studies on the twin of one seed."""
     parts = []
     with tempfile.TemporaryDirectory() as folder:
-        dataset = build(Path(folder) / "twin", seed)
+        dataset = build(Path(folder) / "twin", seed, jobs=jobs)
         for name in STUDIES:
             record = load(find("study", name), StudyRecord)
             record = record.model_copy(update={"dataset": str(dataset), "recipe": recipe})

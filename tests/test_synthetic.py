@@ -6,8 +6,6 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from needlefit.errors import ModelError
 from needlefit.geometry.crossings import crossings
@@ -22,16 +20,6 @@ from needlefit.synthetic import insert as insert_module
 from needlefit.synthetic.design import insertions
 from needlefit.synthetic.field import Field
 from needlefit.synthetic.insert import RULES, insert, stated_frame
-from needlefit.synthetic.measure import (
-    CENTRE,
-    NOISE,
-    TURN_PER_SHIFT,
-    Registration,
-    correlated,
-    draw_registration,
-    mean_error,
-    measure,
-)
 from needlefit.synthetic.phantoms import PHANTOMS, displaced, surfaces
 from needlefit.synthetic.truth import (
     MEDIA,
@@ -246,60 +234,3 @@ def test_a_needle_that_does_not_settle_is_an_error(monkeypatch):
     monkeypatch.setattr(insert_module, "ROUNDS", 1)
     with pytest.raises(ModelError, match="phantom2-08 does not settle"):
         truly_inserted("phantom2-08")
-
-
-# ---- what is measured
-
-
-@given(
-    turn=st.tuples(*[st.floats(-0.1, 0.1)] * 3),
-    shift=st.tuples(*[st.floats(-1, 1)] * 3),
-)
-@settings(max_examples=50, deadline=None)
-def test_registration_is_rigid(turn, shift):
-    points = np.array([[0.0, 1, 2], [50, 3, -4], [20, -9, 8]])
-    moved = Registration(np.array(shift), np.array(turn)).move(points)
-    for i, j in ((0, 1), (1, 2), (2, 0)):
-        assert np.linalg.norm(moved[i] - moved[j]) == pytest.approx(np.linalg.norm(points[i] - points[j]))
-
-
-def test_registration_turns_about_the_box_centre():
-    quarter = Registration(np.zeros(3), np.array([0, 0, math.pi / 2]))
-    assert quarter.move(CENTRE) == pytest.approx(CENTRE)
-    assert quarter.move(CENTRE + np.array([1, 0, 0])) == pytest.approx(CENTRE + np.array([0, 1, 0]))
-
-
-def test_expected_registration_error_in_closed_form():
-    assert mean_error(CENTRE[None]) == pytest.approx(math.sqrt(8 / math.pi))  # no lever: a pure shift
-    rng = np.random.default_rng(3)
-    far = CENTRE + np.array([300.0, 0, 0])  # a lever long enough to matter
-    q = TURN_PER_SHIFT * 300
-    draws = rng.normal(size=(200_000, 3)) * [1, math.hypot(1, q), math.hypot(1, q)]
-    assert mean_error(far[None]) == pytest.approx(np.linalg.norm(draws, axis=1).mean(), rel=0.01)
-
-
-def test_mean_registration_error_is_the_papers():
-    needle = np.column_stack([np.linspace(0, 55, 56), np.linspace(0, 4, 56) ** 2 / 4, np.zeros(56)])
-    rng = np.random.default_rng(5)
-    errors = [
-        np.linalg.norm(draw_registration(needle, rng).move(needle) - needle, axis=1).mean()
-        for _ in range(4000)
-    ]
-    standard_error = np.std(errors) / math.sqrt(len(errors))
-    assert abs(np.mean(errors) - 0.19) < 4 * standard_error < 0.006
-
-
-def test_correlated_noise_has_its_covariance():
-    arc = np.array([0.0, 0.5, 1.5, 11.5])
-    rng = np.random.default_rng(7)
-    draws = np.concatenate([correlated(arc, rng).T for _ in range(20_000)])  # (3 * 20000, 4)
-    expected = NOISE.correlated_sd**2 * np.exp(-np.abs(arc[:, None] - arc) / NOISE.correlation_length)
-    assert np.cov(draws.T) == pytest.approx(expected, abs=0.02 * NOISE.correlated_sd**2)
-
-
-def test_measured_points_scatter_as_stated():
-    line = np.column_stack([np.linspace(0, 50, 101), np.zeros(101), np.zeros(101)])
-    still = Registration(np.zeros(3), np.zeros(3))
-    rng = np.random.default_rng(11)
-    noise = np.array([measure(line, still, rng) - line for _ in range(1000)])
-    assert noise.std() == pytest.approx(math.hypot(NOISE.point_sd, NOISE.correlated_sd), rel=0.03)

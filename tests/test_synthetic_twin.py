@@ -1,6 +1,5 @@
 """The twin as a whole: the same bytes again, the shipped copy, its truth apart."""
 
-import csv
 import re
 import tomllib
 from pathlib import Path
@@ -12,12 +11,15 @@ import needlefit
 from needlefit.datasets.check import check
 from needlefit.datasets.read import read
 from needlefit.project.places import shipped
-from needlefit.synthetic.build import SEED, build
-from needlefit.synthetic.design import insertions
-from needlefit.synthetic.twin import synthesize
+from needlefit.synthetic.build import build
+from needlefit.synthetic.design import named
+from needlefit.synthetic.twin import SEED
 
 TWIN = shipped() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent
+
+FEW = ("phantom2-16", "chicken-04")
+"""The shortest needles."""
 
 TARGETS = {  # tip deflection, mm, that the paper's tables imply
     "phantom1_layers3": 1.1,
@@ -40,8 +42,11 @@ def contents(folder):
 
 @pytest.fixture(scope="module")
 def rebuilt(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("rebuilt")
-    build(folder, SEED)
+    """A few insertions of the shipped twin, made again from the seed, through their scans."""
+    folder, steps = tmp_path_factory.mktemp("rebuilt"), []
+    build(folder, SEED, named(FEW), jobs=2, progress=lambda *step: steps.append(step))
+    assert steps[0] == ("reconstructing", 0, len(FEW))
+    assert steps[-1] == (f"reconstructed {FEW[-1]}", len(FEW), len(FEW))
     return folder
 
 
@@ -50,42 +55,45 @@ def truth():
     return tomllib.loads((TWIN / "truth.toml").read_text(encoding="utf-8"))
 
 
-def test_the_same_seed_gives_the_same_bytes(rebuilt, tmp_path):
-    steps = []
-    build(tmp_path, SEED, lambda what, done, of: steps.append((what, done, of)))
-    assert contents(tmp_path) == contents(rebuilt)
-    assert steps[0] == ("phantom1-01", 0, 47) and steps[-1] == ("writing", 47, 47)
-
-
-def test_another_seed_gives_another_twin(rebuilt, tmp_path):
-    build(tmp_path, SEED + 1)
-    same = [name for name, data in contents(tmp_path).items() if (rebuilt / name).read_bytes() == data]
-    assert all(name.parts[0] == "layers" or name.name == "insertions.csv" for name in same)
-
-
 def test_the_shipped_twin_is_a_rebuild(rebuilt):
     """On the machine that built it to the last byte; elsewhere rounding may turn a last digit."""
-    assert files(TWIN) == files(rebuilt)
-    for name in files(TWIN):
-        if name.suffix == ".csv":
-            ours, theirs = ((folder / name).read_text().splitlines() for folder in (TWIN, rebuilt))
-            assert len(ours) == len(theirs) and ours[0] == theirs[0]
-            for a, b in zip(ours[1:], theirs[1:], strict=True):
-                assert _equal(a, b), f"{name}: {a} | {b}"
+    for name in FEW:
+        ours, theirs = ((f / "centerlines" / f"{name}.csv").read_text() for f in (TWIN, rebuilt))
+        assert _equal(ours, theirs), name
+        ours, theirs = (_row(folder / "insertions.csv", name) for folder in (TWIN, rebuilt))
+        assert _equal(ours, theirs), name
+    for file in sorted((rebuilt / "layers").iterdir()):
+        assert file.read_bytes() == (TWIN / "layers" / file.name).read_bytes()
 
 
-def _equal(line, other):
-    for a, b in zip(line.split(","), other.split(","), strict=True):
-        if a != b and not abs(float(a) - float(b)) < 1.5e-4:
-            return False
-    return True
+def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processes(rebuilt, tmp_path):
+    build(tmp_path, SEED, named(FEW[-1:]))
+    alone = (tmp_path / "centerlines" / f"{FEW[-1]}.csv").read_bytes()
+    assert alone == (rebuilt / "centerlines" / f"{FEW[-1]}.csv").read_bytes()
 
 
-def test_an_insertion_does_not_depend_on_the_others():
-    planned = insertions()[30]
-    with (TWIN / "centerlines" / f"{planned.id}.csv").open(newline="") as file:
-        written = np.array([[float(cell) for cell in row] for row in list(csv.reader(file))[1:]])
-    assert synthesize(planned, SEED).measured == pytest.approx(written, abs=1e-4)
+def _row(table, name):
+    return next(line for line in table.read_text().splitlines() if line.startswith(f"{name},"))
+
+
+def _equal(text, other):
+    """Whether two tables are the same but for the last digits of numbers."""
+    cells, others = (re.split(r"[,\n]", one) for one in (text, other))
+    return len(cells) == len(others) and all(map(_same, cells, others))
+
+
+def _same(cell, other):
+    return cell == other or abs(float(cell) - float(other)) < 1.5e-4
+
+
+def test_the_truth_of_an_insertion_is_that_of_the_shipped_one(rebuilt, truth):
+    again = tomllib.loads((rebuilt / "truth.toml").read_text(encoding="utf-8"))
+    shipped_rows = {row["id"]: row for row in truth["insertions"]}
+    for row in again["insertions"]:
+        theirs = shipped_rows[row["id"]]
+        assert row.keys() == theirs.keys()
+        for key in ("tip_mm", "deflection_mm", "noise_hu", "registration_error_mm"):
+            assert row[key] == pytest.approx(theirs[key], rel=1e-3), key
 
 
 def test_the_shipped_twin_has_no_fault_and_is_small():
@@ -97,7 +105,7 @@ def test_what_the_dataset_states():
     dataset = read(TWIN)
     assert (dataset.origin, dataset.pose, len(dataset.insertions)) == ("synthetic", "known", 47)
     assert dataset.needle.flexural_rigidity == pytest.approx(1.0216e4, rel=1e-4)
-    assert dataset.noise.registration_mean == 0.19
+    assert 0 < dataset.noise.registration_mean < 0.2
     for insertion in dataset.insertions:
         assert len(insertion.sequence) in {insertion.layers, insertion.layers_alternative}
         assert insertion.pose_source == "stage" and insertion.pose_shift_sd > 0
@@ -137,7 +145,8 @@ def test_the_truth_is_not_the_model_that_is_fitted(truth):
     rows = truth["insertions"]
     assert np.std([row["bevel_plane_deg"] for row in rows]) == pytest.approx(3, rel=0.3)
     assert np.mean([abs(row["out_of_plane_mm"]) for row in rows]) > 0.05
-    assert np.mean([row["registration_error_mm"] for row in rows]) == pytest.approx(0.19, rel=0.2)
+    assert 0.14 < np.mean([row["registration_error_mm"] for row in rows]) < 0.2
+    assert max(row["centerline_error_mm"] for row in rows) < 0.6
     assert any(len(row["mu_pa"]) > 10 for row in rows)
 
 

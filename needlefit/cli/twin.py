@@ -16,12 +16,14 @@ def twin_build(
     context: typer.Context,
     seed: Annotated[int | None, typer.Option(min=0, help="Seed (default: the shipped twin's).")] = None,
     out: Annotated[Path, typer.Option(metavar="DIR", help="Folder of the dataset.")] = Path("data/twin"),
+    jobs: Jobs = None,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
     """Build the synthetic dataset.
 
-    Its insertions have the numbers and depths of the paper's 47.
+    Its insertions have the numbers and depths of the paper's 47; each is rendered as a CT volume and
+    reconstructed from it.
 
     The same seed gives the same bytes. DIR is replaced only if it holds a twin, and
     nothing else.
@@ -34,7 +36,7 @@ def twin_build(
     if not quiet:
         screen.note_compiling()
     with replacing_twin(out) as fresh, progress(context.find_root().obj.quiet) as report:
-        build(fresh, seed, report)
+        build(fresh, seed, jobs=jobs or cores(), progress=report)
     screen.say(f"{out}: synthetic dataset, seed {seed}")
 
 

@@ -1,20 +1,22 @@
-"""The whole twin: every planned insertion simulated and measured; the dataset, and apart the truth."""
+"""The whole twin: every planned insertion simulated, scanned and reconstructed; and apart the truth."""
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
-import numpy as np
-
-from needlefit.datasets.schema import InsertionRow
-from needlefit.datasets.write import write_dataset
-from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.assemble import write
+from needlefit.imaging.reconstruct import reconstruct
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.synthetic.built import Built
+from needlefit.synthetic.ct.setup import WHOLE
 from needlefit.synthetic.design import Planned, insertions
-from needlefit.synthetic.measure import TURN_SD
-from needlefit.synthetic.phantoms import PHANTOMS, surface_file, surfaces
-from needlefit.synthetic.statement import BOUNDARY_SD, statement
-from needlefit.synthetic.truth import POSE_ANGLE_SD, POSE_SHIFT_SD
+from needlefit.synthetic.processes import each
+from needlefit.synthetic.scans import recipe_of, render_insertion, write_layers
+from needlefit.synthetic.statement import statement
 from needlefit.synthetic.truth_file import write_truth
-from needlefit.synthetic.twin import SEED, Twin, synthesize
+from needlefit.synthetic.twin import SEED
 
 Progress = Callable[[str, int, int], None]
 
@@ -23,54 +25,45 @@ def _quiet(_what: str, _done: int, _of: int) -> None:
     """Report nothing."""
 
 
-def build(folder: Path, seed: int = SEED, progress: Progress = _quiet) -> Path:
+def build(
+    folder: Path,
+    seed: int = SEED,
+    plan: Sequence[Planned] = insertions(),
+    jobs: int = 1,
+    progress: Progress = _quiet,
+) -> Path:
     """Write the twin of `seed` into `folder`; return its `dataset.toml`. The same seed gives the same bytes.
 
     Parameters
     ----------
+    plan : sequence of Planned
+        The insertions; each comes out the same whatever the others are.
+    jobs : int
+        Processes; changes no byte.
     progress : callable
         Told what is being done, how many insertions are done, and of how many.
     """
-    plan = insertions()
-    twins = []
-    for done, planned in enumerate(plan):
-        progress(planned.id, done, len(plan))
-        twins.append(synthesize(planned, seed))
-    progress("writing", len(plan), len(plan))
-    write_truth(folder / "truth.toml", seed, twins)
-    return _write(folder, seed, twins)
+    recipe, built = recipe_of([WHOLE]), list[Built]()
+    with TemporaryDirectory() as scratch:
+        write_layers(Path(scratch), plan)
+        progress("reconstructing", 0, len(plan))
+        for one in each(partial(_built, Path(scratch), seed, recipe), plan, jobs):
+            built.append(one)
+            progress(f"reconstructed {one.twin.planned.id}", len(built), len(plan))
+        write_truth(folder / "truth.toml", seed, built)
+        return _assembled(folder, [one.reconstruction for one in built], recipe, seed)
 
 
-def _write(folder: Path, seed: int, twins: Sequence[Twin]) -> Path:
-    rows = [_row(twin.planned) for twin in twins]
-    centerlines = {twin.planned.id: twin.measured for twin in twins}
-    return write_dataset(folder, statement(seed), rows, centerlines, _stated_surfaces())
+def _built(scratch: Path, seed: int, recipe: ReconstructionRecord, planned: Planned) -> Built:
+    """Render an insertion, reconstruct it from what was written, and keep no volume."""
+    scanned = render_insertion(scratch, planned, seed)
+    reconstruction = reconstruct(scanned.scan, recipe)
+    scanned.scan.volume.unlink()
+    return Built(scanned.twin, scanned.exposure, reconstruction)
 
 
-def _row(planned: Planned) -> InsertionRow:
-    """Return what the dataset states of an insertion: the plan; y of C points to +y of the phantom."""
-    return InsertionRow(
-        id=planned.id,
-        medium=planned.medium,
-        specimen=planned.specimen,
-        layers=planned.layers,
-        layers_alternative=planned.layers_alternative,
-        depth=planned.depth,
-        side=planned.side,
-        entry=planned.origin,
-        direction=planned.direction,
-        bevel=planned.side * planned.toward,
-        pose_source="stage",
-        pose_shift_sd=POSE_SHIFT_SD,
-        # what turns the centreline against the stage: the stage itself, and the registration
-        pose_angle_sd=float(np.hypot(np.radians(POSE_ANGLE_SD), TURN_SD)),
-        boundary_sd=BOUNDARY_SD if planned.medium != "chicken" else 0.0,
-    )
-
-
-def _stated_surfaces() -> dict[str, Surface]:
-    return {
-        surface_file(medium, surface): surface
-        for medium, phantom in PHANTOMS.items()
-        for surface in surfaces(phantom)
-    }
+def _assembled(
+    folder: Path, reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord, seed: int
+) -> Path:
+    """Write the dataset; of what is stated, surfaces, noise and checksums follow from the reconstructions."""
+    return write(folder, reconstructions, recipe, statement(seed))

@@ -10,11 +10,12 @@ from numpy.typing import ArrayLike
 from needlefit.datasets.formats.toml import dumps
 from needlefit.mechanics.needle import Needle
 from needlefit.synthetic import truth
+from needlefit.synthetic.built import Built, centerline_errors, registration_errors, tip_error
+from needlefit.synthetic.ct.scene import Scanner, Scene3D
+from needlefit.synthetic.ct.setup import WHOLE
 from needlefit.synthetic.design import Planned
 from needlefit.synthetic.insert import RULES, SUBLAYER
-from needlefit.synthetic.measure import CENTRE, NOISE, TURN_PER_SHIFT
 from needlefit.synthetic.truth import MEDIA, MU_SD, NOMINAL, MediumTruth, Specimen
-from needlefit.synthetic.twin import Twin
 
 DIGITS = 6
 """Significant digits of every number."""
@@ -22,24 +23,28 @@ DIGITS = 6
 NOTE = (
     "What the synthetic twin was generated from. Nothing that fits, validates or reads datasets opens this "
     "file. mu_pa of an insertion are the moduli along the needle, of the layers met or of 2 mm slices of a "
-    "heterogeneous piece; deflection_mm is that of the tip from the entry, tip_y_mm from the entry axis."
+    "heterogeneous piece; deflection_mm is that of the tip from the entry, tip_y_mm from the entry axis. "
+    "registration_error_mm is the mean over the true needle of how far its markers misplace it, "
+    "centerline_error_mm the mean distance of the reconstructed points from the true needle, tip_error_mm "
+    "that of the two tips; both with the registration's error."
 )
 
 
-def write_truth(path: Path, seed: int, twins: Sequence[Twin]) -> None:
-    """Write what is true of `twins` to the TOML file `path`."""
+def write_truth(path: Path, seed: int, built: Sequence[Built]) -> None:
+    """Write what is true of the insertions `built` to the TOML file `path`."""
     tables = {
         "schema": 1,
         "origin": "synthetic",
         "seed": seed,
         "note": NOTE,
-        "specimens": _specimens(seed, [twin.planned for twin in twins]),
-        "insertions": [_insertion(twin) for twin in twins],
+        "specimens": _specimens(seed, [one.twin.planned for one in built]),
+        "insertions": [_insertion(one) for one in built],
         "needle": _needle(truth.true_needle(seed)),
         "model": {"constraint_spacing_mm": RULES.spacing, "element_mm": RULES.element, "slice_mm": SUBLAYER},
         "media": {name: _medium(name, medium) for name, medium in MEDIA.items()},
         "deviations": _deviations(),
-        "groups": _groups(twins),
+        "markers": {"places_mm": WHOLE.markers.tolist(), "stated_sd_mm": WHOLE.known_sd},
+        "groups": _groups(built),
     }
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(dumps(tables).encode("utf-8"))
@@ -59,6 +64,7 @@ def _medium(name: str, medium: MediumTruth) -> dict[str, Any]:
         "alpha": medium.alpha,
         "bevel_mm": medium.bevel,
         "friction": medium.friction,
+        "hu": medium.hu,
         "specimen_sd_of_ln_mu": MU_SD[name],
     }
 
@@ -73,12 +79,6 @@ def _deviations() -> dict[str, Any]:
         "bevel_plane_sd_deg": truth.ROLL_SD,
         "pose_shift_sd_mm": truth.POSE_SHIFT_SD,
         "pose_angle_sd_deg": truth.POSE_ANGLE_SD,
-        "registration_mean_error_mm": NOISE.registration_mean,
-        "registration_turn_per_shift_rad_per_mm": TURN_PER_SHIFT,
-        "registration_centre_mm": CENTRE.tolist(),
-        "point_sd_mm": NOISE.point_sd,
-        "correlated_sd_mm": NOISE.correlated_sd,
-        "correlation_length_mm": NOISE.correlation_length,
     }
 
 
@@ -98,9 +98,8 @@ def _specimen(specimen: Specimen) -> dict[str, Any]:
     }
 
 
-def _insertion(twin: Twin) -> dict[str, Any]:
-    inserted, deviations, registration = twin.inserted, twin.deviations, twin.registration
-    moved = registration.move(inserted.centerline) - inserted.centerline
+def _insertion(built: Built) -> dict[str, Any]:
+    twin, inserted, deviations = built.twin, built.twin.inserted, built.twin.deviations
     return {
         "id": twin.planned.id,
         "deflection_mm": _round(inserted.deflection),
@@ -114,16 +113,31 @@ def _insertion(twin: Twin) -> dict[str, Any]:
         "bevel_plane_deg": _round(np.degrees(deviations.roll)),
         "pose_shift_mm": _rounded(deviations.shift),
         "pose_angle_deg": _rounded(np.degrees(deviations.tilt)),
-        "registration_shift_mm": _rounded(registration.shift),
-        "registration_turn_deg": _rounded(np.degrees(registration.turn)),
-        "registration_error_mm": _round(float(np.linalg.norm(moved, axis=1).mean())),
+        "registration_error_mm": _round(float(registration_errors(built).mean())),
+        "centerline_error_mm": _round(float(centerline_errors(built).mean())),
+        "tip_error_mm": _round(tip_error(built)),
+        **_scan(built.exposure.scene, built.exposure.scanner),
     }
 
 
-def _groups(twins: Sequence[Twin]) -> dict[str, float]:
+def _scan(scene: Scene3D, scanner: Scanner) -> dict[str, Any]:
+    """Return how an insertion was scanned."""
+    needle = scene.needles[0]
+    return {
+        "bevel_deg": _round(needle.bevel_deg),
+        "needle_hu": _round(needle.hu),
+        "psf_mm": _round(scanner.psf_mm),
+        "noise_hu": _round(scanner.noise_hu),
+        "bloom": _round(scanner.bloom),
+        "streaks": _round(scanner.streaks),
+        "cupping_hu": _round(scanner.cupping_hu),
+    }
+
+
+def _groups(built: Sequence[Built]) -> dict[str, float]:
     """Return the mean deflection (mm) of each medium and number of layers."""
     members: dict[str, list[float]] = {}
-    for twin in twins:
+    for twin in (one.twin for one in built):
         key = f"{twin.planned.medium}_layers{twin.planned.layers}_mean_deflection_mm"
         members.setdefault(key, []).append(twin.inserted.deflection)
     return {key: _round(float(np.mean(values))) for key, values in members.items()}
