@@ -19,12 +19,12 @@ from needlefit.imaging.registration.symmetry import symmetries
 from needlefit.imaging.volume import read, to_index, to_patient
 from needlefit.project.load import load
 from needlefit.project.places import shipped
+from needlefit.project.processes import in_order
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
 from needlefit.synthetic.ct.insertion import acquire, expose, whole_needle
 from needlefit.synthetic.ct.setup import SAMPLE, WHOLE, stated_markers
 from needlefit.synthetic.design import insertions, named
-from needlefit.synthetic.processes import each
 from needlefit.synthetic.replace import replacing_scans
 from needlefit.synthetic.scans import render_insertion, write_scans
 from needlefit.synthetic.twin import SEED, synthesize
@@ -326,14 +326,14 @@ def test_scans_of_others_are_never_replaced(tmp_path, content):
 
 def test_tasks_are_answered_in_their_order_by_any_number_of_processes():
     tasks = [-3, 1, -2]
-    assert list(each(abs, tasks, 1)) == list(each(abs, tasks, 2)) == [3, 1, 2]
+    assert list(in_order(abs, tasks, 1)) == list(in_order(abs, tasks, 2)) == [3, 1, 2]
 
 
 def test_the_error_of_a_task_reaches_the_caller():
     with pytest.raises(TypeError, match="bad operand"):
-        list(each(abs, [1, "one", 2], 2))
+        list(in_order(abs, [1, "one", 2], 2))
 
 
 def test_a_process_that_is_killed_is_said_so():
     with pytest.raises(ConfigError, match="ended from outside"):
-        list(each(os._exit, [1, 1], 2))
+        list(in_order(os._exit, [1, 1], 2))

@@ -38,7 +38,7 @@ def read_layers(scan: Scan, patient: Frame, grid: Grid | None = None) -> tuple[S
     patient : Frame
         The scan's LPS axes and origin in the world.
     grid : Grid, optional
-        Where the scan's voxels stand: surfaces must not lie elsewhere.
+        Where the scan's voxels stand: surfaces of its own must not lie elsewhere.
 
     Raises
     ------
@@ -55,7 +55,7 @@ def read_layers(scan: Scan, patient: Frame, grid: Grid | None = None) -> tuple[S
         surfaces = [surface for surface in read if surface is not None]
         found += _skipped(numbers, scan)
     world = tuple(moved(one, patient) if in_scan(scan) else one for one in surfaces)
-    if grid is not None:
+    if grid is not None and in_scan(scan):  # those of the world may be larger than what was scanned
         found += _elsewhere(world, patient, grid, scan)
     if found:
         raise as_error(found, scan.volume)

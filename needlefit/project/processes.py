@@ -1,5 +1,9 @@
-"""Work on several items at once, each in a process of its own, which can be stopped between items."""
+"""Work on several items at once, each in a process of its own, which can be stopped between items.
 
+This module imports nothing heavy, so that a new process can be told of its one thread before numpy comes in.
+"""
+
+import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -7,7 +11,7 @@ from concurrent.futures.process import BrokenProcessPool
 from multiprocessing import get_context
 from typing import TypeVar
 
-from needlefit.errors import NeedlefitError
+from needlefit.errors import ConfigError
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -26,7 +30,8 @@ def in_processes(
     Parameters
     ----------
     work : callable
-        A function of a module: it, the items and what it returns travel between processes.
+        A function of a module: it, the items and what it returns travel between processes. Where it raises,
+        nothing more is begun.
     jobs : int
         Processes at once; with 1 everything is done in this one.
     stop : callable
@@ -34,17 +39,17 @@ def in_processes(
 
     Raises
     ------
-    NeedlefitError
+    ConfigError
         If the system ended a process, as it does when memory runs out.
     """
-    if jobs == 1 or len(items) < 2:
+    if min(jobs, len(items)) <= 1:
         for n, item in enumerate(items):
             if stop():
                 return
             yield n, work(item)
         return
     # a fork would copy threads that hold locks
-    with ProcessPoolExecutor(jobs, get_context("spawn"), _leave_signals_to_the_parent) as pool:
+    with ProcessPoolExecutor(min(jobs, len(items)), get_context("spawn"), initializer=_alone) as pool:
         waiting = list(range(len(items)))[::-1]
         running: dict[Future[Result], int] = {}
         while True:
@@ -57,17 +62,30 @@ def in_processes(
                 yield running.pop(future), _result(future)
 
 
+def in_order(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+    """Yield what `work` makes of each item, in their order; else as `in_processes`."""
+    finished: dict[int, Result] = {}
+    due = 0
+    for n, result in in_processes(work, items, jobs):
+        finished[n] = result
+        while due in finished:
+            yield finished.pop(due)
+            due += 1
+
+
 def _result(future: "Future[Result]") -> Result:
     try:
         return future.result()
     except BrokenProcessPool:
-        raise NeedlefitError(
-            "the system ended a process at work",
+        raise ConfigError(
+            "one of the processes was ended from outside, or could not begin",
             expected="memory for as many at once as --jobs says",
-            mend="run again with --jobs 1, and with --resume where the command has it",
+            mend="use fewer with --jobs",
         ) from None
 
 
-def _leave_signals_to_the_parent() -> None:
-    """Ignore Ctrl-C, which the terminal sends to every process: the parent decides when to stop."""
+def _alone() -> None:
+    """Keep this process to one thread, and leave Ctrl-C to the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
+        os.environ[name] = "1"

@@ -5,14 +5,13 @@ from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from needlefit.imaging.assemble import write
+from needlefit.imaging.assemble import assemble
 from needlefit.imaging.reconstruct import reconstruct
-from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.project.processes import in_order
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.synthetic.built import Built
 from needlefit.synthetic.ct.setup import WHOLE
 from needlefit.synthetic.design import Planned, insertions
-from needlefit.synthetic.processes import each
 from needlefit.synthetic.scans import recipe_of, render_insertion, write_layers
 from needlefit.synthetic.statement import statement
 from needlefit.synthetic.truth_file import write_truth
@@ -47,11 +46,11 @@ def build(
     with TemporaryDirectory() as scratch:
         write_layers(Path(scratch), plan)
         progress("reconstructing", 0, len(plan))
-        for one in each(partial(_built, Path(scratch), seed, recipe), plan, jobs):
+        for one in in_order(partial(_built, Path(scratch), seed, recipe), plan, jobs):
             built.append(one)
             progress(f"reconstructed {one.twin.planned.id}", len(built), len(plan))
         write_truth(folder / "truth.toml", seed, built)
-        return _assembled(folder, [one.reconstruction for one in built], recipe, seed)
+        return assemble(folder, [one.reconstruction for one in built], recipe, statement(seed))
 
 
 def _built(scratch: Path, seed: int, recipe: ReconstructionRecord, planned: Planned) -> Built:
@@ -60,10 +59,3 @@ def _built(scratch: Path, seed: int, recipe: ReconstructionRecord, planned: Plan
     reconstruction = reconstruct(scanned.scan, recipe)
     scanned.scan.volume.unlink()
     return Built(scanned.twin, scanned.exposure, reconstruction)
-
-
-def _assembled(
-    folder: Path, reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord, seed: int
-) -> Path:
-    """Write the dataset; of what is stated, surfaces, noise and checksums follow from the reconstructions."""
-    return write(folder, reconstructions, recipe, statement(seed))

@@ -12,12 +12,12 @@ from needlefit.datasets.formats.toml import dumps
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scan import LayerSource, Scan, Stage
 from needlefit.imaging.volume import write
-from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord
+from needlefit.project.processes import in_order
+from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
 from needlefit.synthetic.ct.insertion import Exposure, acquire, expose
 from needlefit.synthetic.ct.setup import Setup, setup_of
 from needlefit.synthetic.design import Planned
 from needlefit.synthetic.phantoms import PHANTOMS, surface_file, surfaces
-from needlefit.synthetic.processes import each
 from needlefit.synthetic.scans_table import markers_text, scans_text
 from needlefit.synthetic.truth import POSE_ANGLE_SD, POSE_SHIFT_SD
 from needlefit.synthetic.twin import Twin, synthesize
@@ -48,7 +48,7 @@ def write_scans(
     write_layers(folder, plan)
     scans = []
     progress("rendering", 0, len(plan))
-    for done in each(partial(_rendered, folder, seed, form), plan, jobs):
+    for done in in_order(partial(_rendered, folder, seed, form), plan, jobs):
         scans.append(done)
         progress(f"rendered {done.id}", len(scans), len(plan))
     recipe = recipe_of([setup_of(planned) for planned in plan])
@@ -86,7 +86,12 @@ def recipe_of(setups: Sequence[Setup]) -> ReconstructionRecord:
     known_sd = max(setup.known_sd for setup in setups)
     if known_sd == plain.markers.known_sd_mm:
         return plain
-    return ReconstructionRecord(schema_=1, title="Twin", markers=MarkersRecord(known_sd_mm=known_sd))
+    return ReconstructionRecord(
+        schema_=1,
+        title="Twin",
+        needle=ScannedNeedleRecord(name="18 gauge, 150 mm", note="Nominal; solid, its stylet in place."),
+        markers=MarkersRecord(known_sd_mm=known_sd),
+    )
 
 
 def _rendered(folder: Path, seed: int, form: Form, planned: Planned) -> Scan:

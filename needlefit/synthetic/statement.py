@@ -1,12 +1,6 @@
-"""What the twin's `dataset.toml` states: origin, needle, media. Nothing of the truth."""
+"""What the twin's `dataset.toml` states: where it comes from, and its media. Nothing of the truth."""
 
-from needlefit.project.records.dataset import (
-    CenterlinesRecord,
-    DatasetMediumRecord,
-    DatasetRecord,
-    InsertionsRecord,
-)
-from needlefit.project.records.scene import NeedleRecord
+from needlefit.imaging.assemble import About
 
 NOTES = (
     "Synthetic: no needle was ever inserted. Counts of insertions, layers traversed and ends of the depth "
@@ -29,24 +23,13 @@ _LAYERS = {
 }
 
 
-def statement(seed: int) -> DatasetRecord:
-    """Return what the twin built with `seed` states; what follows from its scans is still empty."""
-    return DatasetRecord(
-        schema_=1,
+def statement(seed: int) -> About:
+    """Return what the twin built with `seed` states of itself."""
+    return About(
         name="twin",
         title="Synthetic twin of the paper's 47 insertions",
-        origin="synthetic",
         license="CC0-1.0",
         source=f"needlefit twin build --seed {seed}",
         notes=NOTES,
-        needle=NeedleRecord(
-            name="18 gauge, 150 mm",
-            length_mm=150.0,
-            outer_diameter_mm=1.27,
-            youngs_modulus_gpa=80.0,
-            note="Nominal; solid, its stylet in place.",
-        ),
-        insertions=InsertionsRecord(file="insertions.csv"),
-        centerlines=CenterlinesRecord(pattern="centerlines/{id}.csv"),
-        media={name: DatasetMediumRecord(note=note) for name, note in _LAYERS.items()},
+        media=_LAYERS,
     )
