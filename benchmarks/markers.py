@@ -2,12 +2,13 @@
 
     python benchmarks/markers.py [--volumes 180] [--seed 5001] [--jobs 2] [--large] [--json]
 
-The random scans of `reconstruction.py`, `clean`, with `artefacts` or with `streaks` too, and in each six balls of
-3 mm anywhere in view, on the phantom's face in three of ten draws, at least 0.9 mm of free space from the needle:
-glass to tungsten, one material a scan. Every second scan has voxels of 0.46 mm, the others edges of 0.3 to 1 mm
-along each axis. Errors in each direction against the centres rendered, mm, of the fit and of the
-intensity-weighted centre of the same voxels; `covered` is the part of the fit's within one stated standard
-deviation. The needle's voxels come from its own segmentation. `--large` times one volume of 512 x 512 x 400.
+The random scans of `reconstruction.py`, `clean`, with `artefacts` or with `streaks` too, and in each six
+balls of 3 mm anywhere in view, on the phantom's face in three of ten draws, at least 0.9 mm of free space
+from the needle: glass to tungsten, one material a scan. Every second scan has voxels of 0.46 mm, the others
+edges of 0.3 to 1 mm along each axis. Errors in each direction against the centres rendered, mm, of the fit
+and of the intensity-weighted centre of the same voxels; `covered` is the part of the fit's within one stated
+standard deviation. The needle's voxels come from its own segmentation. `--large` times one volume of
+512 x 512 x 400.
 """
 
 import argparse
@@ -39,6 +40,7 @@ GLASS, TUNGSTEN = 1500.0, 12000.0
 FROM_FACE, FROM_NEEDLE, FROM_TABLE, APART = 2.5, 3.0, 4.0, 6.0
 ON_FACE = 0.3
 MATCHED = 1.0
+SCAN = ["seed", "kind", "voxels"]
 
 
 def draw(kind: str, odd: bool, rng: np.random.Generator, shape: tuple[int, int, int] | None = None) -> Case:
@@ -139,7 +141,7 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
         kind, voxels = names
         counts = group["was"].value_counts()
         lines.append(
-            {"kind": kind, "voxels": voxels, "scans": len(group.drop_duplicates(["seed", "kind", "voxels"]))}
+            {"kind": kind, "voxels": voxels, "scans": len(rows.loc[group.index].drop_duplicates(SCAN))}
             | {what: int(counts.get(what, 0)) for what in ("found", "missed", "false")}
             | {"rms_mm": np.sqrt(group["square"].mean()), "worst_mm": group["worst"].max()}
             | {"centroid_rms_mm": np.sqrt(group["rough"].mean()), "sd_mm": group["sd"].mean()}

@@ -83,8 +83,8 @@ def test_ball_on_the_face_of_the_phantom_is_not_pulled_by_it():
 
 
 def test_ball_that_touches_the_needle_is_left_out_or_right():
-    touching = ENTRY + [0.635 + 1.5, 0, 10.0]
-    near = ENTRY + [0.635 + 1.5 + 1.0, 0, 22.0]
+    touching = ENTRY + np.array([0.635 + 1.5, 0, 10.0])
+    near = ENTRY + np.array([0.635 + 1.5 + 1.0, 0, 22.0])
     places = np.array([PLACES[0], PLACES[2], touching, near])
     volume = with_balls(places)
     needle = needle_of(volume)

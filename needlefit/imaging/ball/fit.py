@@ -101,7 +101,7 @@ def voxels_near(volume: Volume, blob: Blob, radius: float) -> Near:
 
 
 def _first(near: Near, radius: float) -> Floats:
-    """Return where the fit begins: the blob's middle, the brightness there, and a face across the slope around."""
+    """Return where the fit begins: the blob's middle, the brightness there, and a face across the slope."""
     r = np.linalg.norm(near.places, axis=1)
     peak = float(near.values[r <= max(radius, float(r.min()))].max())
     rim = r >= min(radius + 0.4 * AROUND, float(np.quantile(r, 0.7)))
