@@ -109,7 +109,7 @@ def thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float
     given = recipe.segmentation
     if given.threshold_low_hu is not None and given.threshold_high_hu is not None:
         return [(given.threshold_low_hu, given.threshold_high_hu)]
-    tissue = _tissue(volume)
+    tissue = tissue_hu(volume)
     metal = _metal(volume, tissue, recipe)
     pairs = []
     for level in LEVELS:
@@ -187,7 +187,7 @@ def _measured(volume: Volume, voxels: Ints) -> Component:
     return Component(voxels, length, width, bend, on_face)
 
 
-def _tissue(volume: Volume) -> float:
+def tissue_hu(volume: Volume) -> float:
     """Return the median of what is not air (HU), from every third voxel each way."""
     some = volume.values[::3, ::3, ::3]
     dense = some[some > AIR_BELOW]

@@ -1,0 +1,1 @@
+"""Radiopaque balls in a scan: `blobs` finds what has their size, `fit` places them."""

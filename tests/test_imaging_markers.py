@@ -1,0 +1,270 @@
+"""Balls at known places in small synthetic scans, and the files that say where markers are."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from ct_cases import ENTRY, RECIPE, SHAPE, SPACING, axis, grid, recipe, scan
+from scipy.spatial.distance import cdist
+
+from needlefit.errors import DataError
+from needlefit.geometry.frames import Frame
+from needlefit.imaging.ball.model import Near, look, profile
+from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
+from needlefit.imaging.needle.segmentation import segment
+from needlefit.imaging.registration.register import register
+from needlefit.imaging.volume import Volume
+from needlefit.synthetic.ct.scene import Markers, Table
+
+PLACES = np.array([[4.13, 4.71, 20.05], [17.32, 5.28, 31.77], [5.55, 16.92, 40.4], [16.4, 17.2, 24.81]])
+
+
+def with_balls(places=PLACES, radius=1.5, hu=5000.0, table=None, seed=1, **scanner):
+    """A scan of a needle and of balls."""
+    balls = Markers(np.asarray(places), radius, hu)
+    return scan(axis(), seed, {"markers": balls, "table": table}, **scanner)
+
+
+def needle_of(volume):
+    return segment(volume, RECIPE).voxels
+
+
+def off(found, places=PLACES):
+    """Distance of every true place from the nearest ball found, mm; also that none is found elsewhere."""
+    apart = cdist(places, found.centers)
+    assert found.centers.shape == (len(found.sd), 3)
+    assert (apart.min(axis=0) < 0.5).all()
+    return apart.min(axis=1)
+
+
+@pytest.fixture(scope="module")
+def plain():
+    return with_balls()
+
+
+def test_balls_are_found_where_they_are(plain):
+    found = find_markers(plain, RECIPE, needle_of(plain))
+    assert found.source == "volume"
+    assert off(found).max() < 0.03
+    assert (found.sd > 0.002).all()
+    assert (found.sd < 0.05).all()
+
+
+def test_needle_is_no_marker_though_nobody_says_where_it_is(plain):
+    assert off(find_markers(plain, RECIPE)).max() < 0.03
+
+
+@pytest.mark.parametrize("hu", [1600.0, 12000.0])
+def test_glass_and_tungsten_with_bloom_and_streaks(hu):
+    volume = with_balls(hu=hu, bloom=0.12, streaks=1.0, views=90)
+    assert off(find_markers(volume, RECIPE, needle_of(volume))).max() < 0.1
+
+
+def test_anisotropic_voxels_on_turned_axes():
+    turned = np.array([[0.0, -1, 0], [0.8, 0, -0.6], [0.6, 0, 0.8]])
+    spacing = np.array([0.35, 0.5, 1.0])
+    middle = PLACES.mean(axis=0)
+    voxels = grid(
+        shape=(110, 80, 50),
+        spacing=spacing,
+        direction=turned,
+        origin=middle - turned @ (np.array([110, 80, 50]) * spacing / 2),
+    )
+    volume = with_balls(grid=voxels)
+    assert off(find_markers(volume, RECIPE)).max() < 0.05
+
+
+def test_ball_on_the_face_of_the_phantom_is_not_pulled_by_it():
+    # the box begins at S = 12 mm: half of each ball lies in air
+    places = PLACES * [1, 1, 0] + [0, 0, 12.0]
+    volume = with_balls(places)
+    assert off(find_markers(volume, RECIPE, needle_of(volume)), places).max() < 0.05
+
+
+def test_ball_that_touches_the_needle_is_left_out_or_right():
+    touching = ENTRY + np.array([0.635 + 1.5, 0, 10.0])
+    near = ENTRY + np.array([0.635 + 1.5 + 1.0, 0, 22.0])
+    places = np.array([PLACES[0], PLACES[2], touching, near])
+    volume = with_balls(places)
+    needle = needle_of(volume)
+    found = find_markers(volume, RECIPE, needle)
+    gaps = cdist(places, found.centers).min(axis=1)
+    assert gaps[:2].max() < 0.03
+    assert (cdist(found.centers, places).min(axis=1) < 0.15).all()
+
+
+def test_ball_cut_by_the_volume_is_left_out():
+    end = (SHAPE[2] - 1) * SPACING
+    places = np.vstack([PLACES, [[6.0, 9.0, end - 0.8], [0.5, 11.0, 15.0]]])
+    assert off(find_markers(with_balls(places), RECIPE)).shape == (4,)
+
+
+def test_rails_of_the_table_are_no_markers():
+    slab = Frame(np.array([19.5, 11.0, 25.0]), np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]))
+    places = PLACES * [0.8, 1, 1]
+    volume = with_balls(places, table=Table(slab, width=18.0))
+    assert off(find_markers(volume, RECIPE), places).max() < 0.05
+
+
+def test_bubbles_and_lumps_of_metal_are_no_markers(plain):
+    values = plain.values.copy()
+    values[60:66, 20:26, 20:26] = -1000.0  # a bubble
+    values[96:100, 10:30, 30:40] = 3071.0  # a plate
+    values[8:10, 8:10, 8:10] = 3071.0  # a grain
+    lumps = replace(plain, values=values)
+    places = PLACES[[0, 1, 3]]
+    apart = cdist(places, find_markers(lumps, RECIPE).centers)
+    assert apart.min(axis=1).max() < 0.1
+    assert apart.shape[1] <= 4
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_fewer_than_three_are_returned_and_refused_by_the_registration(count):
+    found = find_markers(with_balls(PLACES[:count]), RECIPE)
+    assert off(found, PLACES[:count]).max() < 0.03
+    with pytest.raises(DataError, match="markers"):
+        register(found.centers, PLACES, found.sd)
+
+
+def test_needle_alone_holds_no_marker():
+    volume = scan(axis())
+    assert len(find_markers(volume, RECIPE, needle_of(volume)).centers) == 0
+
+
+def test_balls_of_another_size_are_none(plain):
+    assert len(find_markers(plain, recipe(markers={"diameter_mm": 6.0})).centers) == 0
+    assert len(find_markers(with_balls(radius=0.8), RECIPE).centers) == 0
+
+
+def test_threshold_of_the_recipe(plain):
+    assert off(find_markers(plain, recipe(markers={"threshold_hu": 1500.0}))).max() < 0.03
+    with pytest.raises(DataError, match="exceed 5000 HU") as caught:
+        find_markers(plain, recipe(markers={"threshold_hu": 5000.0}))
+    assert "threshold_hu" in caught.value.mend
+
+
+def test_nothing_bright_enough_is_an_error():
+    rng = np.random.default_rng(1)
+    dull = Volume(
+        rng.normal(40, 30, (40, 40, 40)).astype(np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3)
+    )
+    with pytest.raises(DataError) as caught:
+        find_markers(dull, RECIPE)
+    assert caught.value.expected
+    assert caught.value.mend
+
+
+def test_profile_of_the_blurred_ball():
+    # by hand: an unblurred ball is 1 inside and 0 outside; a flat face would be half way up
+    r = np.array([0.5, 1.4, 1.6, 3.0])
+    np.testing.assert_allclose(profile(r, 1.5, 1e-3), [1, 1, 0, 0], atol=1e-12)
+    assert profile(np.array([50.0]), 50.0, 0.5)[0] == pytest.approx(0.5, abs=0.01)
+    # the blur keeps the volume: 4/3 pi 1.5^3
+    fine = np.arange(0.005, 8, 0.01)
+    volume = np.sum(4 * np.pi * fine**2 * profile(fine, 1.5, 0.6)) * 0.01
+    assert volume == pytest.approx(4 / 3 * np.pi * 1.5**3, rel=1e-4)
+
+
+def test_derivatives_of_the_model_are_those_of_the_model():
+    rng = np.random.default_rng(2)
+    near = Near(rng.uniform(-3, 3, (200, 3)), np.zeros(200), np.array([0.4, 0.5, 0.9]), np.inf)
+    theta = np.array([0.1, -0.2, 0.15, 8.0, -0.8, -900.0, 950.0, 0.5, -0.4, 0.9, 0.3])
+    for n in range(len(theta)):
+        h = 1e-4 * max(1.0, abs(theta[n]))
+        step = np.eye(len(theta))[n] * h
+        difference = (look(near, 1.5, theta + step)[0] - look(near, 1.5, theta - step)[0]) / (2 * h)
+        mine = look(near, 1.5, theta)[1][:, n]
+        assert np.abs(difference - mine).max() <= 0.01 * np.abs(mine).max()
+
+
+# files
+
+
+def slicer_list(path, points, system):
+    listed = [{"position": p, "positionStatus": "defined"} for p in np.asarray(points).tolist()]
+    one = {"type": "Fiducial", "coordinateSystem": system, "coordinateUnits": "mm", "controlPoints": listed}
+    schema = "https://example.org/markups-schema-v1.0.3.json#"
+    path.write_text(json.dumps({"@schema": schema, "markups": [one]}))
+    return path
+
+
+def table(path, points):
+    rows = [f"m{n},{x},{y},{z}" for n, (x, y, z) in enumerate(np.asarray(points).tolist())]
+    path.write_text("\n".join(["name,x_mm,y_mm,z_mm", *rows]) + "\n")
+    return path
+
+
+RAS = np.array([-1.0, -1.0, 1.0])
+
+
+def test_places_from_every_kind_of_file_are_lps(tmp_path):
+    np.testing.assert_allclose(read_markers(table(tmp_path / "a.csv", PLACES)), PLACES)
+    np.testing.assert_allclose(read_markers(slicer_list(tmp_path / "a.mrk.json", PLACES, "LPS")), PLACES)
+    np.testing.assert_allclose(
+        read_markers(slicer_list(tmp_path / "b.mrk.json", PLACES * RAS, "RAS")), PLACES
+    )
+    lines = [f"m{n},{x},{y},{z}" for n, (x, y, z) in enumerate((PLACES * RAS).tolist())]
+    old = tmp_path / "a.fcsv"
+    old.write_text("\n".join(["# CoordinateSystem = RAS", "# columns = label,x,y,z", *lines]) + "\n")
+    np.testing.assert_allclose(read_markers(old), PLACES)
+
+
+def test_files_that_hold_no_places_say_what_is_wrong(tmp_path):
+    short = tmp_path / "b.csv"
+    short.write_text("x_mm,y_mm\n1,2\n")
+    with pytest.raises(DataError, match="z_mm"):
+        read_markers(short)
+    bad = tmp_path / "c.csv"
+    bad.write_text("x_mm,y_mm,z_mm\n1,2,three\n")
+    with pytest.raises(DataError, match="three"):
+        read_markers(bad)
+    with pytest.raises(DataError, match=r"\.txt"):
+        read_markers(tmp_path / "c.txt")
+    with pytest.raises(DataError):
+        read_markers(tmp_path / "missing.csv")
+
+
+def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
+    clicked = PLACES + np.array([[0.5, 0.2, -0.3], [-1.2, 0, 0.9], [0, 0, 0], [0.3, 0.3, 0.3]])
+    landmark = np.array([[10.0, 20.0, 45.0]])  # no ball there
+    given = given_markers(table(tmp_path / "clicked.csv", np.vstack([clicked, landmark])), RECIPE)
+    assert given.source == "fiducials"
+    np.testing.assert_array_equal(given.sd, 0.3)
+    moved = check_fiducials(given, plain, RECIPE)
+    assert moved.source == "fiducials"
+    assert np.linalg.norm(moved.centers[:4] - PLACES, axis=1).max() < 0.03
+    assert (moved.sd[:4] < 0.05).all()
+    np.testing.assert_allclose(moved.centers[4:], landmark)
+    assert moved.sd[4] == 0.3
+
+
+def test_two_fiducials_do_not_share_a_ball(plain, tmp_path):
+    pair = np.array([PLACES[0] + [0.2, 0, 0], PLACES[0] - [0.6, 0, 0]])
+    moved = check_fiducials(given_markers(table(tmp_path / "pair.csv", pair), RECIPE), plain, RECIPE)
+    assert np.linalg.norm(moved.centers[0] - PLACES[0]) < 0.03
+    np.testing.assert_allclose(moved.centers[1], pair[1])
+
+
+def test_ras_read_as_lps_is_noticed(tmp_path):
+    # a scan about the patient's middle, so that changed signs stay in the volume
+    around = with_balls(grid=grid(origin=np.zeros(3)))
+    middle = (np.array(SHAPE) - 1) / 2 * SPACING * [1, 1, 0]
+    volume = replace(around, origin=around.origin - middle)
+    given = given_markers(table(tmp_path / "ras.csv", (PLACES - middle) * RAS), RECIPE)
+    with pytest.raises(DataError, match="RAS was read as LPS"):
+        check_fiducials(given, volume, RECIPE)
+
+
+def test_fiducials_outside_the_volume_are_refused(plain, tmp_path):
+    given = given_markers(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
+    with pytest.raises(DataError, match="1 of 2 fiducials lie outside the volume"):
+        check_fiducials(given, plain, RECIPE)
+
+
+def test_fiducials_in_a_scan_without_metal_stay(tmp_path):
+    dull = Volume(np.zeros((40, 40, 40), dtype=np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
+    given = given_markers(table(tmp_path / "f.csv", [[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
+    same = check_fiducials(given, dull, RECIPE)
+    np.testing.assert_array_equal(same.centers, given.centers)
+    np.testing.assert_array_equal(same.sd, given.sd)
