@@ -15,6 +15,7 @@ from needlefit.imaging.ball.blobs import blobs
 from needlefit.imaging.ball.fit import MOST_BLUR, Ball, lay
 from needlefit.imaging.reconstruction import Markers
 from needlefit.imaging.registration.suspicion import check_frame
+from needlefit.imaging.threads import one_thread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord
 
@@ -30,6 +31,7 @@ SURE = 2.0
 READS = "a CSV with the columns x_mm, y_mm, z_mm, or a .fcsv or .mrk.json of 3D Slicer"
 
 
+@one_thread
 def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> Markers:
     """Return the balls of `recipe.markers.diameter_mm` in a scan.
 

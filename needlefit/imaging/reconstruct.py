@@ -29,6 +29,7 @@ from needlefit.imaging.registration.register import (
 )
 from needlefit.imaging.remarks import remarks
 from needlefit.imaging.scan import Scan
+from needlefit.imaging.threads import one_thread
 from needlefit.imaging.views import views
 from needlefit.imaging.volume import Volume, read
 from needlefit.project.records.reconstruction import ReconstructionRecord
@@ -70,6 +71,7 @@ class Seen:
         return self.patient.to_world(self.traced.points)
 
 
+@one_thread
 def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     """Return what a scan tells of its needle.
 
