@@ -209,12 +209,14 @@ def truncated(folder):
 
 def no_decoder(folder):
     from pydicom import dcmread
+    from pydicom.encaps import encapsulate
     from pydicom.uid import UID
 
     write(read(VOLUME), folder / "series")
     for path in sorted((folder / "series").iterdir()):
         data = dcmread(path)
         data.file_meta.TransferSyntaxUID = UID("1.2.840.10008.1.2.4.103")  # MPEG-4: video
+        data.PixelData = encapsulate([data.PixelData])
         data.save_as(path)
     return [folder / "series"]
 

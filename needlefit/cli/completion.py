@@ -23,6 +23,11 @@ def datasets(incomplete: str) -> list[str]:
     return _beginning(names("dataset"), incomplete)
 
 
+def scans(incomplete: str) -> list[str]:
+    """Return the tables of scans whose names begin so."""
+    return _beginning(names("scans"), incomplete)
+
+
 def reconstructions(incomplete: str) -> list[str]:
     """Return the recipes of reconstruction whose names begin so."""
     return _beginning(names("reconstruction"), incomplete)

@@ -10,6 +10,7 @@ from typer.core import TyperCommand
 
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import reconstructions
+from needlefit.cli.completion import scans as complete_scans
 from needlefit.cli.execution import cores
 from needlefit.cli.interruption import stopping
 from needlefit.cli.progress import progress
@@ -45,7 +46,8 @@ def reconstruct(
         list[Path],
         typer.Argument(
             metavar="SCAN...",
-            help="DICOM folders, NRRD, NIfTI; or one scans.csv: a row a scan, with stage, bevel, layers.",
+            autocompletion=complete_scans,
+            help="DICOM folders, NRRD, NIfTI; or a table, a row a scan: scans.csv, or its bare name.",
         ),
     ],
     out: Annotated[Path, typer.Option("--out", metavar="DATASET", help="Folder of the dataset.")],
@@ -133,7 +135,10 @@ def reconstruct(
 def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan, ...]":
     """Return the scans that the arguments mean: the rows of a table, or volumes that share what is named."""
     from needlefit.imaging.scans import read_scans, scans_of
+    from needlefit.project.places import find, names
 
+    if len(scans) == 1 and not scans[0].exists() and str(scans[0]) in names("scans"):
+        scans = [find("scans", str(scans[0]))]
     if not any(path.suffix.lower() == ".csv" for path in scans):
         return scans_of(scans, medium=medium, **named)
     if len(scans) > 1 or named:

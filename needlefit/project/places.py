@@ -7,7 +7,7 @@ from typing import Literal
 
 from needlefit.errors import ConfigError
 
-Kind = Literal["scene", "recipe", "study", "fit", "medium", "dataset", "reconstruction"]
+Kind = Literal["scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction"]
 
 _PATTERNS: dict[Kind, str] = {
     "scene": "configs/scenes/{name}.toml",
@@ -16,6 +16,7 @@ _PATTERNS: dict[Kind, str] = {
     "fit": "configs/fits/{name}.toml",
     "study": "studies/{name}.toml",
     "dataset": "data/{name}/dataset.toml",
+    "scans": "data/{name}/scans.csv",
     "reconstruction": "configs/reconstruction/{name}.toml",
 }
 PARTS = ("data", "configs", "studies")
