@@ -1,0 +1,132 @@
+"""Reconstructions become a dataset: what is shared, what each has for itself, what is left out and remarked."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from reconstruction_cases import small
+
+from needlefit.datasets.check import check
+from needlefit.datasets.read import read
+from needlefit.errors import DataError
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.surfaces import moved
+from needlefit.imaging.assemble import About, assemble
+from needlefit.imaging.remarks import remarks
+from needlefit.imaging.sound import assemble_sound
+from needlefit.project.records.reconstruction import ReconstructionRecord
+
+RECIPE = ReconstructionRecord(schema=1)
+ABOUT = About("mine", "Mine", notes="As scanned.", media={"phantom1": "A box."})
+
+
+def named(name, **changes):
+    one = small()
+    return replace(one, scan=replace(one.scan, id=name), **changes)
+
+
+def shifted(one, shift):
+    """The same insertion, its layers 0.5 mm deeper: drawn in its own scan."""
+    away = Frame(np.asarray(shift, dtype=float), np.eye(3))
+    surfaces = tuple(moved(surface, away) for surface in one.layers.surfaces)
+    return replace(one, layers=replace(one.layers, surfaces=surfaces))
+
+
+def test_the_dataset_says_what_was_reconstructed(tmp_path):
+    assemble(tmp_path, [named("a"), named("b")], RECIPE, ABOUT)
+    assert check(tmp_path) == []
+    dataset = read(tmp_path)
+    first, _ = dataset.insertions
+    one = small()
+    assert (dataset.origin, dataset.title) == ("synthetic", "Mine")
+    assert first.centerline == pytest.approx(one.points, abs=1e-4)
+    assert first.sd == pytest.approx(one.sd, abs=1e-4)
+    assert first.patient.rotation == pytest.approx(one.patient.rotation, abs=1e-7)
+    assert first.boundaries == pytest.approx(one.layers.boundaries, abs=2e-3)
+    assert first.boundary_sd == pytest.approx(0.12)
+    assert (first.pose_shift_sd, first.pose_source) == (0.04, "shaft")
+    assert dataset.noise.registration_mean == pytest.approx(one.target_error.mean(), abs=1e-4)
+    assert dataset.noise.correlated_sd == pytest.approx(np.sqrt(np.mean(one.sd**2)), abs=1e-4)
+
+
+def test_surfaces_that_all_share_are_written_once_others_for_each(tmp_path):
+    assemble(tmp_path / "shared", [named("a"), named("b")], RECIPE, ABOUT)
+    assert [file.name for file in (tmp_path / "shared" / "layers").iterdir()] == ["phantom1_interface1.stl"]
+    into = small().frame.rotation[:, 0]
+    assemble(tmp_path / "own", [named("a"), shifted(named("b"), 0.5 * into)], RECIPE, ABOUT)
+    assert sorted(file.name for file in (tmp_path / "own" / "layers").iterdir()) == ["a_1.stl", "b_1.stl"]
+    assert check(tmp_path / "own") == []
+    a, b = read(tmp_path / "own").insertions
+    assert b.boundaries - a.boundaries == pytest.approx([0.5], abs=0.02)
+
+
+def test_scans_of_one_medium_have_the_same_layers(tmp_path):
+    without = replace(small(layers=False), scan=replace(small().scan, id="b"))
+    with pytest.raises(DataError, match="not those of a") as error:
+        assemble(tmp_path, [named("a"), without], RECIPE, ABOUT)
+    assert "media of different names" in error.value.mend
+
+
+def test_an_insertion_with_a_fault_is_left_out_and_told(tmp_path):
+    backwards = named("b", points=small().points[::-1])
+    kept, failed = assemble_sound(tmp_path / "out", [named("a"), backwards, named("c")], RECIPE, ABOUT)
+    assert [one.scan.id for one in kept] == ["a", "c"]
+    assert {one.scan.id for one in failed} == {"b"}
+    assert check(tmp_path / "out") == []
+    assert not (tmp_path / "out" / "centerlines" / "b.csv").exists()
+
+
+def test_nothing_but_faults_is_no_dataset(tmp_path):
+    with pytest.raises(DataError):
+        assemble_sound(tmp_path / "out", [named("b", points=small().points[::-1])], RECIPE, ABOUT)
+
+
+def test_a_plain_reconstruction_says_only_whence_its_pose_is():
+    (said,) = (one for one in remarks(small()) if "known markers" not in one)
+    assert "drawn through the shaft" in said
+
+
+def changed_pose(**changes):
+    return replace(small(), pose=replace(small().pose, source="stage", **changes))
+
+
+@pytest.mark.parametrize(
+    ("one", "words"),
+    [
+        (
+            lambda: replace(small(), registration=replace(small().registration, chance=1e-4)),
+            "miss their places",
+        ),
+        (lambda: changed_pose(angle_sd=0.2), "tells no bending plane"),
+        (
+            lambda: replace(
+                changed_pose(),
+                profile=replace(small().profile, s=small().profile.s + 4.0),
+            ),
+            r"begins [34]\.\d\d \+- .* mm after the stage's entry",
+        ),
+        (
+            lambda: replace(
+                changed_pose(),
+                plane="stated",
+                frame=Frame(small().frame.origin, small().frame.rotation[:, [0, 2, 1]] * [1, 1, -1]),
+            ),
+            "leaves the bending plane",
+        ),
+        (
+            lambda: replace(small(), layers=replace(small().layers, sd=np.array([0.8]))),
+            r"poorly known: .* \+- 0\.80",
+        ),
+    ],
+)
+def test_what_a_person_should_know_is_said(one, words):
+
+    assert any(re.search(words, said) for said in remarks(one())), remarks(one())
+
+
+def test_a_bevel_that_points_elsewhere_is_noticed():
+    one = replace(changed_pose(), plane="stated")
+    away = -(one.patient.rotation.T @ one.frame.rotation[:, 1])
+    said = remarks(replace(one, traced=replace(one.traced, bevel=away)))
+    assert any("180 degrees away" in text for text in said)
