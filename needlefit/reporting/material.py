@@ -1,0 +1,197 @@
+"""What a compression test says of a material: for the screen, as files, and as the prior of a layer."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from needlefit.datasets.compression import CompressionTest
+from needlefit.datasets.formats.toml import dumps
+from needlefit.inference.material import ALPHA_RANGE, SpecimenFit
+from needlefit.inference.material_prior import Foundation, prior_of_material
+from needlefit.inference.population import Material
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.figures.material import draw_material
+from needlefit.reporting.material_said import prior_note, summary, verdict
+from needlefit.reporting.numbers import number
+from needlefit.reporting.write import whole, write_csv, write_json
+from needlefit.validation.provenance import versions
+
+_PACKAGES = ("numpy", "scipy")
+_NOTES = (
+    "μ is the material's shear modulus, not the model's foundation modulus. “r” is the correlation of "
+    "neighbouring residuals, “worth” the independent points that are left of n for it.",
+)
+
+
+@dataclass(frozen=True)
+class Report:
+    """One test and what came out of it; `foundation` is what the user states of the model's mu."""
+
+    name: str
+    test: CompressionTest
+    material: Material
+    foundation: Foundation | None = None
+
+
+def layout(report: Report) -> Display:
+    """Return the table of specimens."""
+    columns = (
+        *(text("Specimen"), Column("n"), Column("Stretch to"), Column("μ", "kPa"), Column("α")),
+        *(text("95 % of α"), Column("Residual", "%"), Column("r"), Column("Worth"), text("α is")),
+    )
+    rows = tuple(_cells(fit) for fit in report.material.fits)
+    measure = report.test.measure
+    caption = f"One-term Ogden solid fitted to {measure} stress in uniaxial compression."
+    return Display("material", caption, columns, rows, (), (), _NOTES)
+
+
+def table(material: Material) -> list[dict[str, Any]]:
+    """Return one row per specimen for machines, and one for a further specimen if alpha is known."""
+    rows = [_row(fit) for fit in material.fits]
+    if material.alpha_identified:
+        sd_log_mu, sd_alpha = material.sds
+        log_mu, alpha = material.mean.tolist()
+        rows.append(
+            {
+                "specimen": "(a further one)",
+                "mu_pa": float(np.exp(log_mu)) * 1e6,
+                "sd_ln_mu": sd_log_mu,
+                "alpha": alpha,
+                "sd_alpha": sd_alpha,
+                "correlation": float(material.covariance[0, 1]) / (sd_log_mu * sd_alpha),
+                "between_sd_ln_mu": float(np.sqrt(material.between[0, 0])),
+                "between_sd_alpha": float(np.sqrt(material.between[1, 1])),
+                "alpha_identified": True,
+            }
+        )
+    return rows
+
+
+def write_material(report: Report, folder: Path) -> list[Path]:
+    """Write table, curves, profiles, figure and prior to `folder`, replacing an earlier result there.
+
+    Returns the files. `prior.toml` is written only if some specimen identifies alpha.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` exists and holds something that is no result.
+    """
+    material = report.material
+    with whole(folder) as new:
+        write_csv(pd.DataFrame(table(material)), new / "material.csv")
+        write_csv(pd.concat([_curve(fit) for fit in material.fits]), new / "curves.csv")
+        write_csv(pd.concat([_profile(fit) for fit in material.fits]), new / "profiles.csv")
+        draw_material(report.test.measure, material, new / "fit.pdf")
+        if material.alpha_identified:
+            (new / "prior.toml").write_text(prior_file(report), encoding="utf-8")
+        write_json(new / "material.json", as_json(report))
+        write_json(new / "run.json", provenance(report))
+    return sorted(folder.iterdir())
+
+
+def as_json(report: Report) -> dict[str, Any]:
+    """Return the result for machines."""
+    said = [*summary(report.material), *report.test.remarks]
+    prior = _prior_tables(report) if report.material.alpha_identified else None
+    return {"name": report.name, "summary": said, "specimens": table(report.material), "prior": prior}
+
+
+def provenance(report: Report) -> dict[str, Any]:
+    """Return what a reader needs to repeat the fit; no time and no path."""
+    return {
+        "name": report.name,
+        "versions": versions(_PACKAGES),
+        "file": report.test.path.name,
+        "sha256": report.test.digest,
+        "columns": list(report.test.columns),
+        "measure": report.test.measure,
+        "law": "ogden, one term, incompressible: energy 2 mu / alpha^2 (sum lambda^alpha - 3)",
+        "alpha_range": list(ALPHA_RANGE),
+        "foundation": None if report.foundation is None else asdict(report.foundation),
+        "remarks": list(report.test.remarks),
+    }
+
+
+def prior_file(report: Report) -> str:
+    """Return the text of `prior.toml`."""
+    head = [
+        "# What a compression test says of one layer. A fit or study takes it, here for layer 1, by",
+        '#     priors = { 1 = "the/path/of/this/file/prior.toml" }',
+    ]
+    tables = {"schema": 1, "title": report.test.path.name, "note": prior_note(report.material)}
+    tables |= {"sha256": report.test.digest, **_prior_tables(report)}
+    return "\n".join(head) + "\n" + dumps(tables)
+
+
+def _prior_tables(report: Report) -> dict[str, Mapping[str, Any]]:
+    alpha, mu = prior_of_material(report.material, report.foundation)
+    stated = {"alpha": alpha} if mu is None else {"alpha": alpha, "mu_pa": mu}
+    return {name: one.model_dump(exclude_defaults=True) for name, one in stated.items()}
+
+
+def _cells(fit: SpecimenFit) -> tuple[str, ...]:
+    size = float(np.max(np.abs(fit.specimen.stress)))
+    ranges = " or ".join(f"{low:.2f} to {high:.2f}" for low, high in fit.profile.regions)
+    return (
+        *(fit.specimen.name, str(len(fit.residuals)), f"{fit.specimen.stretch.min():.3f}"),
+        number(1e3 * fit.mu) if fit.identified else "–",
+        f"{fit.alpha:.2f}".replace("-", "−") if fit.identified else "–",
+        ranges.replace("-", "−"),
+        f"{100 * fit.noise / size:.2g}",
+        f"{fit.neighbours:.2f}",
+        f"{fit.independent:.0f}",
+        verdict(fit),
+    )
+
+
+def _row(fit: SpecimenFit) -> dict[str, Any]:
+    sd_log_mu, sd_alpha = fit.sds
+    return {
+        "specimen": fit.specimen.name,
+        "measure": fit.measure,
+        "points": len(fit.residuals),
+        "stretch_min": float(fit.specimen.stretch.min()),
+        "stretch_max": float(fit.specimen.stretch.max()),
+        "mu_pa": 1e6 * fit.mu,
+        "sd_ln_mu": sd_log_mu,
+        "alpha": fit.alpha,
+        "sd_alpha": sd_alpha,
+        "correlation": float(fit.covariance[0, 1]) / (sd_log_mu * sd_alpha),
+        "alpha_regions_95": " or ".join(f"{low:.4g} to {high:.4g}" for low, high in fit.profile.regions),
+        "alpha_identified": fit.identified,
+        "other_alphas": " ".join(f"{other:.4g}" for other in fit.others),
+        "residual_sd_pa": 1e6 * fit.noise,
+        "neighbours_correlation": fit.neighbours,
+        "independent_points": fit.independent,
+    }
+
+
+def _curve(fit: SpecimenFit) -> pd.DataFrame:
+    measured = 1e6 * fit.specimen.stress
+    return pd.DataFrame(
+        {
+            "specimen": fit.specimen.name,
+            "stretch": fit.specimen.stretch,
+            "measured_pa": measured,
+            "fitted_pa": measured + 1e6 * fit.residuals,
+            "residual_pa": 1e6 * fit.residuals,
+        }
+    )
+
+
+def _profile(fit: SpecimenFit) -> pd.DataFrame:
+    ratio = fit.profile.ratio
+    return pd.DataFrame(
+        {
+            "specimen": fit.specimen.name,
+            "alpha": fit.profile.alpha,
+            "mu_pa": 1e6 * fit.profile.mu,
+            "log_likelihood": -0.5 * fit.independent * np.log(ratio),
+            "in_95_region": ratio <= fit.profile.limit,
+        }
+    ).replace({np.inf: np.nan, -np.inf: np.nan})
