@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.compression import Specimen
+from needlefit.datasets.compression_loading import Specimen
 from needlefit.mechanics.compression import stress
 
 MU = 0.012  # MPa

@@ -13,7 +13,7 @@ from needlefit.cli.failure import report
 from needlefit.cli.invocation import Invocation
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 
-COMMANDS = ("simulate", "check", "tune", "validate", "verify", "paper", "init", "twin", "new")
+COMMANDS = ("simulate", "check", "tune", "validate", "verify", "material", "paper", "init", "twin", "new")
 
 
 def run(*words: str) -> int:
@@ -33,7 +33,7 @@ def test_help_names_every_command(capsys):
     assert all(f"\n  {command} " in out for command in COMMANDS)
 
 
-@pytest.mark.parametrize("command", [*COMMANDS[:7], "twin build", "new dataset"])
+@pytest.mark.parametrize("command", [*COMMANDS[:8], "twin build", "new dataset"])
 def test_every_command_has_help(command, capsys):
     assert run(*command.split(), "--help") == 0
     assert f"Usage: needlefit {command}" in capsys.readouterr().out

@@ -69,6 +69,16 @@ def test_a_table_from_deep_to_shallow_is_read_and_said(tmp_path):
     assert "smallest stretch up" in test.remarks[1]
 
 
+def test_a_preload_is_said(tmp_path):
+    assert not [said for said in read_compression(_loaded(tmp_path, 0.0)).remarks if "at stretch 1" in said]
+    remarks = read_compression(_loaded(tmp_path, 0.1)).remarks
+    assert "bears 9 % of its largest stress at stretch 1" in remarks[1]  # 0.1 / 1.1
+
+
+def _loaded(tmp_path, part):
+    return table(tmp_path, stretch=STRETCH, nominal_stress_kpa=[y + part * KPA[-1] for y in KPA])
+
+
 def test_noise_in_the_stretch_is_no_turn(tmp_path):
     shaken = np.array(STRETCH) + 0.002 * np.random.default_rng(1).normal(size=60)
     test = read_compression(table(tmp_path, stretch=np.minimum(shaken, 1), nominal_stress_kpa=KPA))
@@ -82,6 +92,10 @@ def test_noise_in_the_stretch_is_no_turn(tmp_path):
         ({"stretch": [1 - x for x in STRETCH], "nominal_stress_kpa": KPA}, "looks like strain"),
         ({"stretch": [x - 1 for x in STRETCH], "nominal_stress_kpa": KPA}, "looks like strain"),
         ({"stretch": [2 - x for x in STRETCH], "nominal_stress_kpa": KPA}, "this is tension"),
+        (
+            {"stretch": [0.99 + 0.01 * x for x in [*[1.0] * 54, *STRETCH[:6]]], "nominal_stress_kpa": KPA},
+            "hardly",
+        ),
         ({"stretch": [x + 0.1 for x in STRETCH], "nominal_stress_kpa": KPA}, "tension and compression"),
         ({"stretch": STRETCH, "nominal_stress_kpa": [y - KPA[30] for y in KPA]}, "through zero"),
         ({"stretch": STRETCH, "nominal_stress_kpa": [0] * 60}, "0 throughout"),

@@ -13,10 +13,13 @@ FEWEST = 6
 """Different stretches of a loading, at least: two are spent on mu and alpha."""
 
 ABOVE_ONE = 2e-3
-"""Stretches may lie this far above 1: the zero of a machine is not exact."""
+"""Stretches may lie this far from 1 unloaded: the zero of a machine is not exact."""
 
 A_TURN = 0.05
 """A way back longer than this part of the whole range is a turn of the machine, not noise."""
+
+PRELOAD = 0.03
+"""A stress at stretch 1 above this part of the largest is told: mu and alpha have to bend to it."""
 
 OTHER_SIGN = 0.05
 """Stresses of the other sign larger than this part of the largest are no noise about zero."""
@@ -36,6 +39,10 @@ def stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) -> It
         )
     elif low <= 0:
         yield Fault(where, here, expected, "a height cannot reach 0: check height_mm, or the unit")
+    elif low >= 1 - ABOVE_ONE and high <= 1 + ABOVE_ONE:
+        yield Fault(
+            where, f"{here}: it is hardly compressed", expected, "compress it further, or check the unit"
+        )
     elif low >= 1 - ABOVE_ONE:
         mend = "measure in compression: the model's tissue is compressed only (stretch at most 1)"
         yield Fault(where, f"{here}: this is tension", expected, mend)
@@ -84,6 +91,18 @@ def lost_work(stretch: Floats, stress: Floats, turn: int) -> float:
         for part in (slice(0, turn + 1), back)
     )
     return float(1 - unloading / loading)
+
+
+def preload(stretch: Floats, stress: Floats) -> float:
+    """Return the stress that a loading, sorted (N,), has at stretch 1 already, as a part of its largest.
+
+    A line through its first tenth says it; what begins far from 1 has none that could be told.
+    """
+    first = max(FEWEST, len(stretch) // 10)
+    if abs(1 - stretch[0]) > ABOVE_ONE:
+        return 0.0
+    _, at_one = np.polyfit(stretch[:first] - 1, stress[:first], 1)
+    return float(at_one / np.max(np.abs(stress)))
 
 
 def _sorted(stretch: Floats, stress: Floats) -> tuple[Floats, Floats]:

@@ -14,8 +14,9 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from needlefit.datasets.compression import Specimen
+from needlefit.datasets.compression_loading import Specimen
 from needlefit.errors import FitError
+from needlefit.inference.profile import Profile
 from needlefit.mechanics.compression import Measure, growth, stress
 
 Floats = NDArray[np.float64]
@@ -35,6 +36,9 @@ WIDE = 10.0
 FEWEST_INDEPENDENT = 4.0
 """No curve counts as fewer points: two are fitted, and two are left to tell the noise."""
 
+SAME = 1e-3
+"""Minima nearer than this in alpha are one."""
+
 ROUNDING = 1e-7
 """Part of the largest stress that counts as noise at least: a file has so many digits."""
 
@@ -43,50 +47,6 @@ TWO_SIDED = 0.975
 
 NORMAL = 1.959964
 """That quantile of the normal distribution."""
-
-
-@dataclass(frozen=True)
-class Profile:
-    """Sum of squares over alpha, mu being the best for each.
-
-    Attributes
-    ----------
-    alpha : (G,) array
-    mu : (G,) array
-        MPa.
-    ratio : (G,) array
-        Sum of squares over the smallest one.
-    limit : float
-        Ratio up to which an alpha belongs to the 95 % region.
-    """
-
-    alpha: Floats
-    mu: Floats
-    ratio: Floats
-    limit: float
-
-    @property
-    def regions(self) -> tuple[tuple[float, float], ...]:
-        """The 95 % region of alpha as intervals; one that ends where the range does is open there."""
-        return self.within(self.limit)
-
-    def within(self, limit: float) -> tuple[tuple[float, float], ...]:
-        """Return the intervals of alpha with a ratio of at most `limit`."""
-        inside = np.concatenate(([False], self.ratio <= limit, [False]))
-        begins, ends = (
-            np.flatnonzero(np.diff(inside.astype(int)) == 1),
-            np.flatnonzero(~inside[1:] & inside[:-1]),
-        )
-        pairs = zip(begins.tolist(), ends.tolist(), strict=True)
-        return tuple((self._edge(a - 1, a, limit), self._edge(b, b - 1, limit)) for a, b in pairs)
-
-    def _edge(self, out: int, within: int, limit: float) -> float:
-        """Return where the ratio passes the limit between two neighbours of the grid."""
-        if not 0 <= out < len(self.alpha):
-            return float(self.alpha[within])
-        high, low = self.ratio[out], self.ratio[within]
-        part = 1.0 if high == low else (limit - low) / (high - low)
-        return float(self.alpha[within] + part * (self.alpha[out] - self.alpha[within]))
 
 
 @dataclass(frozen=True)
@@ -161,14 +121,14 @@ def fit_specimen(specimen: Specimen, measure: Measure) -> SpecimenFit:
             mend="check the signs and the zero of its stresses",
         )
     (log_mu, alpha), residuals = minima[0]
-    count, neighbours = len(residuals), _neighbours(residuals)
-    independent = min(count, max(count * (1 - neighbours) / (1 + neighbours), FEWEST_INDEPENDENT))
-    floor = count * (ROUNDING * float(np.max(np.abs(specimen.stress)))) ** 2
+    neighbours, independent = _worth(residuals)
+    floor = len(residuals) * (ROUNDING * float(np.max(np.abs(specimen.stress)))) ** 2
     squares = max(_cost(minima[0]), floor)
-    noise = math.sqrt(squares / count * independent / (independent - 2))
-    linear = [noise**2 * count / independent * _inverse(theta, specimen, measure) for theta, _ in minima]
+    noise = math.sqrt(squares / len(residuals) * independent / (independent - 2))
+    shared = noise**2 * len(residuals) / independent
+    linear = [shared * _inverse(theta, specimen, measure) for theta, _ in minima]
     profile = _profile(specimen, measure, (squares, independent), _grid(minima, linear))
-    kept = [theta[1] for theta, r in minima[1:] if max(float(r @ r), floor) <= profile.limit * squares]
+    as_good = [theta[1] for theta, r in minima[1:] if max(float(r @ r), floor) <= profile.limit * squares]
     return SpecimenFit(
         specimen=specimen,
         measure=measure,
@@ -180,7 +140,7 @@ def fit_specimen(specimen: Specimen, measure: Measure) -> SpecimenFit:
         neighbours=neighbours,
         independent=independent,
         profile=profile,
-        others=tuple(other for other in kept if abs(other - alpha) > 1e-3),
+        others=tuple(other for other in as_good if abs(other - alpha) > SAME),
     )
 
 
@@ -275,11 +235,13 @@ def _inverse(theta: tuple[float, float], specimen: Specimen, measure: Measure) -
     return inverse
 
 
-def _neighbours(residuals: Floats) -> float:
-    """Return the correlation of neighbouring residuals, 0 to 1.
+def _worth(residuals: Floats) -> tuple[float, float]:
+    """Return the correlation of neighbouring residuals, 0 to 1, and the independent points they are worth.
 
-    Two fitted parameters lower the estimate by about (2 + 4 r) / n, as a line does: that is given back.
+    Two fitted parameters lower the correlation by about (2 + 4 r) / n, as a line does: that is given back.
     """
-    squares = float(residuals @ residuals)
+    count, squares = len(residuals), float(residuals @ residuals)
     raw = max(0.0, float(residuals[1:] @ residuals[:-1]) / squares) if squares > 0 else 0.0
-    return min(1.0, raw + (2 + 4 * raw) / len(residuals)) if raw > 0 else 0.0
+    neighbours = min(1.0, raw + (2 + 4 * raw) / count) if raw > 0 else 0.0
+    independent = max(count * (1 - neighbours) / (1 + neighbours), FEWEST_INDEPENDENT)
+    return neighbours, min(count, independent)

@@ -70,8 +70,10 @@ class Prior:
             return ""
         mean, sd = self.mean[self.names.index(name)], self.sd(name)
         if dimension(name) == "exponent":
-            return f"; stated before: {mean:.3g} +- {sd:.2g}"
-        return f"; stated before: {math.exp(mean):.3g}, within a factor of {math.exp(sd):.2g}"
+            known = f"{mean:.3g} +- {sd:.2g}"
+        else:
+            known = f"{math.exp(mean):.3g}, within a factor of {math.exp(sd):.2g}"
+        return f"; stated before: {known} (counts in the posterior, not in the errors minimised)"
 
 
 def prior_of(table: Mapping[str, ParameterRecord]) -> Prior:

@@ -16,6 +16,7 @@ from needlefit.inference.population import Material
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.material import draw_material
 from needlefit.reporting.material_said import prior_note, summary, verdict
+from needlefit.reporting.material_tables import curve, profile, table
 from needlefit.reporting.numbers import number
 from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.provenance import versions
@@ -49,28 +50,6 @@ def layout(report: Report) -> Display:
     return Display("material", caption, columns, rows, (), (), _NOTES)
 
 
-def table(material: Material) -> list[dict[str, Any]]:
-    """Return one row per specimen for machines, and one for a further specimen if alpha is known."""
-    rows = [_row(fit) for fit in material.fits]
-    if material.alpha_identified:
-        sd_log_mu, sd_alpha = material.sds
-        log_mu, alpha = material.mean.tolist()
-        rows.append(
-            {
-                "specimen": "(a further one)",
-                "mu_pa": float(np.exp(log_mu)) * 1e6,
-                "sd_ln_mu": sd_log_mu,
-                "alpha": alpha,
-                "sd_alpha": sd_alpha,
-                "correlation": float(material.covariance[0, 1]) / (sd_log_mu * sd_alpha),
-                "between_sd_ln_mu": float(np.sqrt(material.between[0, 0])),
-                "between_sd_alpha": float(np.sqrt(material.between[1, 1])),
-                "alpha_identified": True,
-            }
-        )
-    return rows
-
-
 def write_material(report: Report, folder: Path) -> list[Path]:
     """Write table, curves, profiles, figure and prior to `folder`, replacing an earlier result there.
 
@@ -84,8 +63,8 @@ def write_material(report: Report, folder: Path) -> list[Path]:
     material = report.material
     with whole(folder) as new:
         write_csv(pd.DataFrame(table(material)), new / "material.csv")
-        write_csv(pd.concat([_curve(fit) for fit in material.fits]), new / "curves.csv")
-        write_csv(pd.concat([_profile(fit) for fit in material.fits]), new / "profiles.csv")
+        write_csv(pd.concat([curve(fit) for fit in material.fits]), new / "curves.csv")
+        write_csv(pd.concat([profile(fit) for fit in material.fits]), new / "profiles.csv")
         draw_material(report.test.measure, material, new / "fit.pdf")
         if material.alpha_identified:
             (new / "prior.toml").write_text(prior_file(report), encoding="utf-8")
@@ -147,51 +126,3 @@ def _cells(fit: SpecimenFit) -> tuple[str, ...]:
         f"{fit.independent:.0f}",
         verdict(fit),
     )
-
-
-def _row(fit: SpecimenFit) -> dict[str, Any]:
-    sd_log_mu, sd_alpha = fit.sds
-    return {
-        "specimen": fit.specimen.name,
-        "measure": fit.measure,
-        "points": len(fit.residuals),
-        "stretch_min": float(fit.specimen.stretch.min()),
-        "stretch_max": float(fit.specimen.stretch.max()),
-        "mu_pa": 1e6 * fit.mu,
-        "sd_ln_mu": sd_log_mu,
-        "alpha": fit.alpha,
-        "sd_alpha": sd_alpha,
-        "correlation": float(fit.covariance[0, 1]) / (sd_log_mu * sd_alpha),
-        "alpha_regions_95": " or ".join(f"{low:.4g} to {high:.4g}" for low, high in fit.profile.regions),
-        "alpha_identified": fit.identified,
-        "other_alphas": " ".join(f"{other:.4g}" for other in fit.others),
-        "residual_sd_pa": 1e6 * fit.noise,
-        "neighbours_correlation": fit.neighbours,
-        "independent_points": fit.independent,
-    }
-
-
-def _curve(fit: SpecimenFit) -> pd.DataFrame:
-    measured = 1e6 * fit.specimen.stress
-    return pd.DataFrame(
-        {
-            "specimen": fit.specimen.name,
-            "stretch": fit.specimen.stretch,
-            "measured_pa": measured,
-            "fitted_pa": measured + 1e6 * fit.residuals,
-            "residual_pa": 1e6 * fit.residuals,
-        }
-    )
-
-
-def _profile(fit: SpecimenFit) -> pd.DataFrame:
-    ratio = fit.profile.ratio
-    return pd.DataFrame(
-        {
-            "specimen": fit.specimen.name,
-            "alpha": fit.profile.alpha,
-            "mu_pa": 1e6 * fit.profile.mu,
-            "log_likelihood": -0.5 * fit.independent * np.log(ratio),
-            "in_95_region": ratio <= fit.profile.limit,
-        }
-    ).replace({np.inf: np.nan, -np.inf: np.nan})
