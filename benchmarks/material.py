@@ -3,7 +3,7 @@
     python benchmarks/material.py [--curves N]
 
 Curves of 60 points (200 where errors are correlated by 0.98) to a stretch of 0.75, alpha 2, with errors of
-1 % of the largest stress, correlated from point to point. Then tests of 3 and 5 specimens to a stretch of 0.8,
+1 % of the largest stress, correlated from point to point. Then tests of 3 and 5 specimens to 0.8,
 their alphas scattered by 0.6 about -5, errors of 0.5 % correlated by 0.9; those that identify fewer than two
 alphas are left out.
 """

@@ -11,11 +11,18 @@ from needlefit.mechanics.compression import stress
 MU = 0.012  # MPa
 
 
-def specimen(alpha: float, low: float = 0.75, noise: float = 0.0, seed: int = 1, measure: str = "nominal"):
+def specimen(
+    alpha: float,
+    low: float = 0.75,
+    noise: float = 0.0,
+    seed: int = 1,
+    measure: str = "nominal",
+    count: int = 60,
+):
     """A loading to the stretch `low`; `noise` is independent, a part of the largest stress."""
-    stretch = np.linspace(1.0, low, 60)
+    stretch = np.linspace(1.0, low, count)
     exact = stress(MU, alpha, stretch, measure)
-    error = noise * np.abs(exact).max() * np.random.default_rng(seed).normal(size=60)
+    error = noise * np.abs(exact).max() * np.random.default_rng(seed).normal(size=count)
     return Specimen("gel", stretch, exact + error)
 
 

@@ -69,6 +69,16 @@ def test_a_table_from_deep_to_shallow_is_read_and_said(tmp_path):
     assert "smallest stretch up" in test.remarks[1]
 
 
+def test_a_long_record_is_averaged_over_neighbours(tmp_path):
+    many = np.linspace(1, 0.8, 1000)
+    path = table(tmp_path, stretch=many, nominal_stress_kpa=10 * (1 - many))
+    test = read_compression(path)
+    one = test.specimens[0]
+    assert len(one.stretch) == 200 and one.stretch[0] == pytest.approx(np.mean(many[:5]))
+    assert one.stress == pytest.approx(-0.01 * (1 - one.stretch))
+    assert "averaged to 200 points" in test.remarks[1]
+
+
 def test_a_preload_is_said(tmp_path):
     assert not [said for said in read_compression(_loaded(tmp_path, 0.0)).remarks if "at stretch 1" in said]
     remarks = read_compression(_loaded(tmp_path, 0.1)).remarks

@@ -8,6 +8,7 @@ from compression_cases import MU, specimen
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from test_inference_identify import FINE, fit_at
 
+from needlefit.datasets.compression_loading import Record, loading
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identify import identify
 from needlefit.inference.material import fit_specimen
@@ -47,6 +48,16 @@ def test_errors_shared_by_neighbours_count_as_few_points():
     rough = fit_specimen(specimen(-5.0, 0.85, 0.01 / math.sqrt(2)), "nominal")
     assert smooth.independent < 5 < rough.independent
     assert smooth.sds[1] > 2 * rough.sds[1]
+
+
+def test_a_slow_error_is_not_hidden_by_noise_from_reading_to_reading():
+    """20000 readings to the model's liking are worth no more than the waves of its misfit."""
+    exact = specimen(-5.0, 0.7, count=20000)
+    largest = np.abs(exact.stress).max()
+    error = 0.005 * np.sin(np.linspace(0, 14, 20000)) + 0.005 * np.random.default_rng(1).normal(size=20000)
+    record = Record("gel", [], exact.stretch, exact.stress + largest * error)
+    fit = fit_specimen(loading(record), "nominal")
+    assert fit.independent < 6 and fit.profile.regions[0][0] < -5 < fit.profile.regions[0][1]
 
 
 def test_a_shallow_test_is_flat_in_alpha():

@@ -19,6 +19,9 @@ from needlefit.datasets.faults import Fault
 
 Floats = NDArray[np.float64]
 
+MOST_POINTS = 200
+"""A longer loading is averaged over neighbours: noise from reading to reading must not hide slower errors."""
+
 
 @dataclass(frozen=True)
 class Specimen:
@@ -73,19 +76,23 @@ def record_faults(record: Record) -> list[Fault]:
 
 
 def loading(record: Record) -> Specimen:
-    """Return the loading alone, sorted, its stresses negative."""
+    """Return the loading alone, sorted, averaged to at most `MOST_POINTS`, its stresses negative."""
     kept = slice(0, record.end + 1) if record.end else slice(None)
     stretch, stress = record.stretch[kept], record.stress[kept]
     order = np.argsort(-stretch, kind="stable")
     sign = -1.0 if stress.sum() > 0 else 1.0
-    return Specimen(record.name, stretch[order], sign * stress[order])
+    pieces = np.array_split(order, min(len(order), MOST_POINTS))
+    means = np.array([(np.mean(stretch[piece]), sign * np.mean(stress[piece])) for piece in pieces])  # (N, 2)
+    return Specimen(record.name, means[:, 0], means[:, 1])
 
 
 def remarks(records: Sequence[Record]) -> list[str]:
     """Return in sentences what was turned or left out, and what bends the fit."""
     turned = [said for record in records for said in _turn_said(record)]
     preloaded = [said for record in records for said in _preload_said(loading(record))]
-    return [*_sign_said(records), *turned, *preloaded]
+    long = [f"specimen {r.name}" for r in records if len(r.stretch) > MOST_POINTS]
+    averaged = [f"{', '.join(long)}: neighbouring rows averaged to {MOST_POINTS} points"] if long else []
+    return [*_sign_said(records), *turned, *averaged, *preloaded]
 
 
 def _sign_said(records: Sequence[Record]) -> list[str]:

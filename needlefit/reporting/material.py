@@ -75,7 +75,7 @@ def write_material(report: Report, folder: Path) -> list[Path]:
 
 def as_json(report: Report) -> dict[str, Any]:
     """Return the result for machines."""
-    said = [*summary(report.material), *report.test.remarks]
+    said = [*summary(report.material, report.foundation), *report.test.remarks]
     prior = _prior_tables(report) if report.material.alpha_identified else None
     return {"name": report.name, "summary": said, "specimens": table(report.material), "prior": prior}
 

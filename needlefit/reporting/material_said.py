@@ -3,22 +3,26 @@
 from math import exp
 
 from needlefit.inference.material import ALPHA_RANGE, SpecimenFit
+from needlefit.inference.material_prior import Foundation
 from needlefit.inference.population import Material
 from needlefit.reporting.numbers import number
 
 OTHER_MU = (
     "This mu is the shear modulus of the material. The model's is a foundation modulus: between the two lies "
-    "how the needle moves the tissue around it, which no compression test holds, so a prior of it is written "
-    "only with --foundation FACTOR SPREAD."
+    "how the needle moves the tissue around it, which no compression test holds"
 )
+OPTION = "--foundation FACTOR SPREAD"
 
 
-def summary(material: Material) -> list[str]:
+def summary(material: Material, foundation: Foundation | None) -> list[str]:
     """Return what is known, and what is not, a sentence each."""
     open_ones = [not_identified(fit) for fit in material.fits if not fit.identified]
     if not material.alpha_identified:
         return [*open_ones, "No specimen identifies alpha: no prior is written."]
-    return [*open_ones, _known(material), OTHER_MU]
+    if foundation is None:
+        return [*open_ones, _known(material), f"{OTHER_MU}, so a prior of it is written only with {OPTION}."]
+    stated = f"{OTHER_MU}: its prior rests on the stated factor of {foundation.factor:g}"
+    return [*open_ones, _known(material), f"{stated}, known within a factor of {foundation.spread:g}."]
 
 
 def verdict(fit: SpecimenFit) -> str:

@@ -78,7 +78,9 @@ def _dress_profile(axes: Axes, material: Material) -> None:
     axes.set_title("profile log likelihood of α; bars: 95 % region", loc="left")
     axes.set_ylim(_FLOOR - _BAR * (len(material.fits) + 0.5), 0.6)
     ends = [end for fit in material.fits for region in fit.profile.regions for end in region]
-    margin = 0.6 * (max(ends) - min(ends)) + 0.1
+    if material.alpha_identified:
+        ends += [float(material.mean[1]) + side * material.sds[1] for side in (-1.0, 1.0)]
+    margin = 0.5 * (max(ends) - min(ends)) + 0.1
     axes.set_xlim(min(ends) - margin, max(ends) + margin)
     axes.set_xlabel("α")
     if material.alpha_identified:
