@@ -1,4 +1,4 @@
-"""Reconstructions become a dataset: what is shared, what each has for itself, what is left out and remarked."""
+"""Reconstructions become a dataset: what they share, what each has for itself, what is left out."""
 
 import re
 from dataclasses import replace

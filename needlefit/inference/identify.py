@@ -1,14 +1,15 @@
 """Which parameters the data determine, and in which combinations only.
 
 A parameter is called determined if the shapes could tell it (its Cramer-Rao standard deviation is
-below `SD_LOG` in the logarithm, `SD_ALPHA` for alpha), if the starts that ended practically as well as
+below `SD_LOG` in the logarithm, `SD_ALPHA` for alpha; where a prior is stated, below the part `NARROWED` of
+the prior's too), if the starts that ended practically as well as
 the best agree on it (their range is below `SPREAD` such deviations), and if it does not lie at a bound.
 
-The information is J^T J of the whitened residuals plus that of the bounds, 12 / width^2 (the precision
-of a uniform distribution): without it, an alpha free to be 300 would take mu with it. Where the
-residuals are larger than the noise explains (reduced chi-square above 1), J^T J is divided by that
-ratio; and where there are needles enough, no deviation is smaller than their scatter implies. Even so
-they hold only as far as the model does.
+The information is J^T J of the whitened residuals plus that of the stated prior or, without one, of the
+bounds, 12 / width^2 (the precision of a uniform distribution): without it, an alpha free to be 300 would
+take mu with it. Where the residuals are larger than the noise explains (reduced chi-square above 1),
+J^T J is divided by that ratio; and where there are needles enough, no deviation is smaller than their
+scatter implies. Even so they hold only as far as the model does.
 """
 
 import math
@@ -35,6 +36,9 @@ Floats = NDArray[np.float64]
 
 SD_LOG, SD_ALPHA = 0.3, 0.5
 """Largest standard deviations, of a logarithm and of alpha, of a parameter called determined."""
+
+NARROWED = 0.5
+"""Largest part of its prior's standard deviation of a parameter that the shapes, not the prior, tell."""
 
 SPREAD = 4.0
 """Largest range among equal starts, in these standard deviations, of a parameter called determined."""
@@ -94,16 +98,18 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
     slope = np.nan_to_num(jacobian(weighed.residuals, theta, steps(names)))  # (R, P)
     residuals = np.nan_to_num(weighed.residuals(theta))
     chi_square = float(residuals @ residuals) / max(1, len(residuals) - len(names))
-    bounds_know = np.diag(12.0 / (problem.upper - problem.lower) ** 2)
-    information = slope.T @ slope / max(1.0, chi_square) + bounds_know
-    between = between_needles(weighed, slope, residuals, slope.T @ slope + bounds_know)
+    known_before = _known_before(problem)
+    information = slope.T @ slope / max(1.0, chi_square) + known_before
+    between = between_needles(weighed, slope, residuals, slope.T @ slope + known_before)
     sds = dict(zip(names, np.maximum(cramer_rao(information), between).tolist(), strict=True))
     found = directions(information, names)
     ends = [s.theta for s in practically_equal(fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
     bounds = dict(zip(names, _at_bounds(problem, theta), strict=True))
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
-    determined = {n: not bounds[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
+    prior = problem.parameters.prior
+    told = {n: not bounds[n] and sds[n] < NARROWED * prior.sd(n) for n in names}
+    determined = {n: told[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
     low, high = (problem.values(end(equal, axis=0)) for end in (np.min, np.max))
     notes = {n: _note(problem, theta, n, sds[n]) for n in names}
     for k, n in enumerate(names):
@@ -113,6 +119,7 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
             notes[n] = f"determined {precision_words(sds[n], in_logarithm(n))}"
         else:
             notes[n] += _only_as(k, found)
+        notes[n] += prior.said(n)
     return Verdict(
         sds=sds,
         determined=determined,
@@ -182,6 +189,14 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
         tips.append([s.deflection if s.converged else math.nan for s in problem.shapes(moved)])
     low, high = np.array(tips)
     return float(np.max(np.abs(high - low)))
+
+
+def _known_before(problem: Problem) -> Floats:
+    """Return the information (P, P) of the stated prior, and of the bounds of what has none."""
+    stated = problem.parameters.prior
+    flat = np.array([name not in stated.names for name in problem.names])
+    bounds: Floats = np.diag(np.where(flat, 12.0 / (problem.upper - problem.lower) ** 2, 0.0))
+    return bounds + stated.information(problem.names)
 
 
 def _is_determined(name: str, sd: float, spread: float) -> bool:

@@ -6,13 +6,14 @@ magnitude at most; alpha is searched as it is.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
+from needlefit.inference.prior import Prior, prior_of
 from needlefit.inference.ties import dimension, parse, resolve
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord, ParameterRecord
@@ -41,12 +42,15 @@ class Parameters:
         Value of each fixed parameter.
     ties : mapping
         Factor and source of each tied one; a source is free.
+    prior : Prior
+        What the medium states of some of them; flat within the bounds otherwise.
     """
 
     names: tuple[str, ...]
     bounds: Mapping[str, tuple[float, float]]
     fixed: Mapping[str, float]
     ties: Mapping[str, tuple[float, str]]
+    prior: Prior = field(default=Prior())
 
     @classmethod
     def from_record(cls, record: MediumRecord) -> Self:
@@ -55,7 +59,7 @@ class Parameters:
         Raises
         ------
         ConfigError
-            If a name is unknown or missing, a tie leads nowhere, or a bound or value cannot be.
+            If a name is unknown or missing, a tie leads nowhere, or a bound, value or prior cannot be.
         """
         table = record.parameters
         names = _ordered_names(record)
@@ -70,6 +74,7 @@ class Parameters:
             # what is tied to a fixed parameter is fixed too
             fixed=fixed | {name: factor * fixed[at] for name, (factor, at) in ends.items() if at in fixed},
             ties={name: tie for name, tie in ends.items() if tie[1] not in fixed},
+            prior=prior_of({name: table[name] for name in names}),
         )
 
     @property

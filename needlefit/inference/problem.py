@@ -117,13 +117,14 @@ class Problem:
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density in theta.
 
-        The prior is flat in theta within the bounds: moduli and lengths are log-uniform. -inf outside, NaN
-        where a solve fails: the density is not known there.
+        The prior is flat in theta within the bounds (moduli and lengths are log-uniform), times what the
+        medium states. -inf outside, NaN where a solve fails: the density is not known there.
         """
         inside = np.all(np.asarray(theta) >= self.lower) and np.all(np.asarray(theta) <= self.upper)
         if not inside:
             return float("-inf")
-        values, total = self.values(theta), 0.0
+        values = self.values(theta)
+        total = self.parameters.prior.log_density(values)
         for insertion, known in zip(self.insertions, self.evidence, strict=True):
             shape = predict(values, self.medium, self.dataset.needle, insertion)
             if not shape.converged:
@@ -139,7 +140,7 @@ class Problem:
             return density
         sets = [self.values(thetas[w]) for w in inside]
         batches = [predict_each(sets, self.medium, self.dataset.needle, i) for i in self.insertions]
-        density[inside] = 0.0
+        density[inside] = [self.parameters.prior.log_density(values) for values in sets]
         for known, shapes in zip(self.evidence, follow_batches(batches, jobs), strict=True):
             good = shapes.converged
             density[inside[~good]] = np.nan

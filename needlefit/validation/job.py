@@ -7,12 +7,14 @@ from pathlib import Path
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
+from needlefit.inference.material_prior import with_material
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.prior import MaterialRecord
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.validation import paper
@@ -99,7 +101,7 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
         If anything it names is missing or wrong.
     """
     dataset = read(find("dataset", record.dataset))
-    medium = load(find("medium", record.medium), MediumRecord)
+    medium = _medium(record)
     recipe = load(find("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
@@ -109,6 +111,15 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
     _check_layers(job)
     _check_reach(job)
     return job
+
+
+def _medium(record: FitRecord | StudyRecord) -> MediumRecord:
+    """Return the medium, its layers with the priors that the fit names."""
+    medium = load(find("medium", record.medium), MediumRecord)
+    for layer, path in record.priors.items():
+        material = load(Path(path), MaterialRecord)
+        medium = with_material(medium, layer, material, f"priors.{layer} ({path})")
+    return medium
 
 
 def _check_layers(job: Job) -> None:

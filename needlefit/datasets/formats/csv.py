@@ -76,11 +76,16 @@ def read_table(path: Path) -> Table:
     return Table(path, cells, np.array([line for line, _ in body], dtype=np.int64))
 
 
-def numbers(table: Table, column: str, found: list[Fault], *, optional: bool = False) -> Floats:
-    """Return a column as numbers (N,); NaN where the cell is faulty, or empty and `optional`."""
+def numbers(
+    table: Table, column: str, found: list[Fault], *, optional: bool = False, largest: float = LARGEST
+) -> Floats:
+    """Return a column as numbers (N,); NaN where the cell is faulty, or empty and `optional`.
+
+    What exceeds `largest` is faulty.
+    """
     text = table.cells[column]
     values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
-    values = np.where(np.abs(values) <= LARGEST, values, np.nan)
+    values = np.where(np.abs(values) <= largest, values, np.nan)
     empty = (text == "").to_numpy()
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
     for row in bad[:SHOWN]:
@@ -89,7 +94,7 @@ def numbers(table: Table, column: str, found: list[Fault], *, optional: bool = F
             Fault(
                 table.where(row),
                 f"{column} {problem}",
-                f"a finite number, at most {LARGEST:g}",
+                f"a finite number, at most {largest:g}",
                 "mend the cell",
             )
         )

@@ -24,6 +24,8 @@ class FitRecord(FileRecord):
     """`configs/fits/<name>.toml`.
 
     `reading` decides an insertion that ends at a boundary: as its row lists it, or the other way.
+    `priors` gives layers, by number, what a compression test says of them: a file that `needlefit material`
+    wrote, as in `{ 1 = "reports/material-gel/prior.toml" }`.
     `hand_tuned` names a row of the paper's parameter table to stand beside the fit (never a start).
     """
 
@@ -34,4 +36,5 @@ class FitRecord(FileRecord):
     recipe: str = "default"
     reading: Reading = "listed"
     hand_tuned: str | None = None
+    priors: dict[str, str] = {}
     tune: SelectionRecord = Field(default=SelectionRecord())

@@ -4,15 +4,20 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.records.prior import PriorRecord
 from needlefit.project.records.record import FileRecord, Record
 
 
 class ParameterRecord(Record):
-    """One parameter: free within `bounds`, `fixed`, or tied to another one (`"mu1_pa"`, `"10 * mu1_pa"`)."""
+    """One parameter: free within `bounds`, `fixed`, or tied to another one (`"mu1_pa"`, `"10 * mu1_pa"`).
+
+    A free one may have a `prior`; without, it is flat within the bounds (of the logarithm, but for alpha).
+    """
 
     bounds: tuple[float, float] | None = None
     fixed: float | None = None
     tie: str | None = None
+    prior: PriorRecord | None = None
 
     @model_validator(mode="after")
     def _exactly_one(self) -> Self:
@@ -21,6 +26,8 @@ class ParameterRecord(Record):
             raise ValueError(f"give exactly one of bounds, fixed, tie; got {', '.join(given) or 'none'}")
         if self.bounds is not None and not self.bounds[0] < self.bounds[1]:
             raise ValueError(f"bounds must be [low, high] with low < high, got {list(self.bounds)}")
+        if self.prior is not None and self.bounds is None:
+            raise ValueError(f"a prior is for a free parameter, this one is {given[0]}: give bounds instead")
         return self
 
 

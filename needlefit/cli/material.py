@@ -1,0 +1,58 @@
+"""`needlefit material`: what a compression test says of alpha and mu."""
+
+from pathlib import Path
+from typing import Annotated, Literal
+
+import typer
+
+from needlefit.cli import options, screen
+
+
+def material(
+    context: typer.Context,
+    file: Annotated[
+        Path, typer.Argument(metavar="FILE.csv", help="Stretch and stress; data/README.md lists the columns.")
+    ],
+    stress: Annotated[
+        Literal["nominal", "true"] | None,
+        typer.Option(help="What a column `stress_kpa` holds whose name does not say it."),
+    ] = None,
+    foundation: Annotated[
+        tuple[float, float] | None,
+        typer.Option(
+            metavar="FACTOR SPREAD",
+            help="Write a prior of the model's mu too: FACTOR times the material's shear modulus, known "
+            "within a factor of SPREAD. docs/model.md says between which bounds FACTOR lies.",
+        ),
+    ] = None,
+    out: options.Out = Path("reports"),
+    json: options.Json = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Fit mu and alpha of the Ogden law to a compression test.
+
+    Shapes of needles cannot tell alpha; a test can. Says over which alphas it cannot either, and writes the
+    prior that fits use, with tables and figure, to OUT/material-<file>/.
+    """
+    from needlefit.datasets.compression import read_compression
+    from needlefit.inference.material_prior import Foundation
+    from needlefit.inference.population import fit_material
+    from needlefit.reporting.material import Report, as_json, layout, write_material
+    from needlefit.reporting.material_said import summary
+    from needlefit.reporting.write import require_result
+
+    name = f"material-{file.stem}"
+    require_result(out / name)
+    stated = None if foundation is None else Foundation(*foundation)
+    test = read_compression(file, stress)
+    report = Report(name, test, fit_material(test), stated)
+    write_material(report, out / name)
+    if json:
+        screen.show_json(as_json(report))
+        return
+    screen.show_display(layout(report))
+    for sentence in (*test.remarks, *summary(report.material, stated)):
+        screen.say(f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}.")
+    if report.material.alpha_identified:
+        screen.say(f'For layer 1 of a fit: priors = {{ 1 = "{out / name}/prior.toml" }}')
+    screen.say(f"written: {out / name}/")

@@ -1,0 +1,68 @@
+"""Stress of the one-term, incompressible Ogden solid in unconfined uniaxial compression.
+
+What a testing machine sees of the law whose tangent modulus is the foundation's k. With the energy
+
+    W = 2 mu / alpha^2 (lambda_1^alpha + lambda_2^alpha + lambda_3^alpha - 3)
+
+in which lambda_1 = lambda and the other two are lambda^(-1/2),
+
+mu is the shear modulus, the nominal stress (force over the area before) is P = dW / d lambda, and the true
+one (force over the area now, which incompressibility makes 1 / lambda times as large) is
+
+    sigma = lambda P = 2 mu / alpha (lambda^alpha - lambda^(-alpha / 2)),        k = d sigma / d lambda
+
+so the paper's Eq. 4 differentiates the *true* stress. Stresses are negative in compression, as in the paper,
+whose k is positive. Written with h = ln lambda,
+
+    sigma = 3 mu h exp(alpha h / 4) sinh(x) / x,        x = 3/4 alpha h
+
+nothing is divided by alpha: at alpha = 0 this is 3 mu h, Hencky's solid.
+"""
+
+from typing import Literal, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+Measure = Literal["nominal", "true"]
+"""Force over the area before compression (engineering stress), or over the area now (Cauchy's)."""
+
+MEASURES: tuple[Measure, ...] = get_args(Measure)
+
+SERIES = 1e-2
+"""|x| below which two terms of a series are more exact than the closed form."""
+
+
+def stress(mu: float, alpha: float, stretch: Floats, measure: Measure) -> Floats:
+    """Return the stress (N,) at `stretch` (N,), in the unit of the shear modulus `mu`."""
+    h = np.log(stretch)
+    true = 3 * mu * h * np.exp(alpha * h / 4) * _sinh_over(0.75 * alpha * h)
+    found: Floats = true / stretch if measure == "nominal" else true
+    return found
+
+
+def growth(alpha: float, stretch: Floats) -> Floats:
+    """Return d ln(stress) / d alpha (N,), the same for both measures.
+
+    It is h / 4 (1 + 3 (coth x - 1 / x)): in small strain alpha tilts the curve by h / 4, no more.
+    """
+    h = np.log(stretch)
+    found: Floats = h / 4 * (1 + 3 * _langevin(0.75 * alpha * h))
+    return found
+
+
+def _sinh_over(x: Floats) -> Floats:
+    small = np.abs(x) < SERIES
+    safe = np.where(small, 1.0, x)
+    found: Floats = np.where(small, 1 + x**2 / 6 * (1 + x**2 / 20), np.sinh(safe) / safe)
+    return found
+
+
+def _langevin(x: Floats) -> Floats:
+    """Return coth x - 1 / x."""
+    small = np.abs(x) < SERIES
+    safe = np.where(small, 1.0, x)
+    found: Floats = np.where(small, x / 3 * (1 - x**2 / 15), 1 / np.tanh(safe) - 1 / safe)
+    return found

@@ -1,0 +1,91 @@
+"""`needlefit material`: what it prints and writes, and how a fit takes its prior."""
+
+import hashlib
+import json
+import tomllib
+from pathlib import Path
+
+import pytest
+from compression_cases import gel_file
+from test_cli import run
+
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.prior import MaterialRecord
+from needlefit.validation import provenance
+from needlefit.validation.job import Settings, prepare
+
+FILES = {
+    "curves.csv", "fit.pdf", "material.csv", "material.json", "prior.toml", "profiles.csv", "run.json",
+}  # fmt: skip
+
+
+@pytest.fixture
+def gel(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return gel_file(tmp_path / "gel.csv")
+
+
+def test_it_prints_and_writes_what_the_specimens_say(gel, tmp_path, capsys):
+    assert run("material", "gel.csv") == 0
+    out = capsys.readouterr().out
+    assert "identified" in out and "A further specimen: alpha = -4." in out and "kPa within" in out
+    assert 'priors = { 1 = "reports/material-gel/prior.toml" }' in out
+    folder = tmp_path / "reports" / "material-gel"
+    assert {path.name for path in folder.iterdir()} == FILES
+    tested = load(folder / "prior.toml", MaterialRecord)
+    assert tested.alpha.mean == pytest.approx(-4.5, abs=0.2) and tested.mu_pa is None
+    assert "these 3" in tested.note
+    about = json.loads((folder / "run.json").read_text())
+    assert about["measure"] == "nominal" and about["sha256"] == tested.sha256
+    assert str(tmp_path) not in (folder / "run.json").read_text()
+
+
+def test_the_prior_of_the_foundation_modulus_is_written_on_request_alone(gel, capsys):
+    assert run("material", "gel.csv", "--foundation", "0.2", "5", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    mu = found["prior"]["mu_pa"]
+    assert mu["median"] == pytest.approx(0.2 * 12e3, rel=0.05) and mu["factor"] > 5
+    assert found["specimens"][-1]["specimen"] == "(a further one)"
+
+
+def test_the_same_file_gives_the_same_bytes(gel, tmp_path, capsys):
+    sums = []
+    for name in ("a", "b"):
+        assert run("material", "gel.csv", "--out", name) == 0
+        folder = tmp_path / name / "material-gel"
+        sums.append({p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in folder.iterdir()})
+    assert sums[0] == sums[1]
+
+
+def test_what_identifies_nothing_writes_no_prior_and_says_the_flat_range(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    gel_file(tmp_path / "shallow.csv", alphas=(3.0,), low=0.997)
+    assert run("material", "shallow.csv") == 0
+    out = capsys.readouterr().out
+    assert "does not identify alpha at its stretches of 0.997 to 1" in out and "flat from" in out
+    assert "no prior is written" in out
+    assert not (tmp_path / "reports" / "material-shallow" / "prior.toml").exists()
+
+
+def test_a_faulty_file_ends_in_exit_code_3(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "bad.csv").write_text("strain,stress\n0,0\n")
+    assert run("material", "bad.csv") == 3
+    err = capsys.readouterr().err
+    assert "no columns give the stretch" in err and "no columns give the stress" in err
+    assert run("material", "none.csv") == 3
+    assert run("material", "bad.csv", "--foundation", "0.2", "0.5") == 3
+
+
+def test_a_fit_takes_the_prior_and_its_run_holds_it(gel, capsys):
+    assert run("material", "gel.csv", "--foundation", "0.2", "5") == 0
+    record = load(find("fit", "chicken"), FitRecord)
+    with_prior = record.model_copy(update={"priors": {"1": "reports/material-gel/prior.toml"}})
+    job = prepare("chicken", with_prior, Settings())
+    assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
+    stated = tomllib.loads(Path("reports/material-gel/prior.toml").read_text())
+    work = provenance.work(job)
+    assert work["medium"]["parameters"]["alpha1"]["prior"]["mean"] == stated["alpha"]["mean"]
+    assert work["study"]["priors"] == {"1": "reports/material-gel/prior.toml"}

@@ -1,0 +1,195 @@
+"""mu and alpha from compression tests, what a test cannot tell, and the prior that fits take from it."""
+
+import math
+
+import numpy as np
+import pytest
+from compression_cases import MU, specimen
+from inference_cases import TRUTH, insertion, measure, medium, problem
+from test_inference_identify import FINE, fit_at
+
+from needlefit.datasets.compression_loading import Record, loading
+from needlefit.errors import ConfigError, FitError
+from needlefit.inference.identify import identify
+from needlefit.inference.material import fit_specimen
+from needlefit.inference.material_prior import Foundation, prior_of_material, with_material
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.population import Material, pool
+from needlefit.project.load import check
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.prior import MaterialRecord, PriorRecord
+
+T_2, NORMAL = 4.302653, 1.959964  # Student's and the normal quantile of 97.5 %, two degrees of freedom
+
+
+@pytest.mark.parametrize("alpha", [-20.0, -4.7, -1.0, 0.0, 1.0, 9.0, 25.0])
+@pytest.mark.parametrize("kind", ["nominal", "true"])
+def test_exact_curves_give_back_their_mu_and_alpha(alpha, kind):
+    fit = fit_specimen(specimen(alpha, measure=kind), kind)
+    assert fit.alpha == pytest.approx(alpha, abs=1e-6) and fit.mu == pytest.approx(MU, rel=1e-6)
+    assert fit.identified and fit.sds[1] < 1e-3
+
+
+def test_the_95_percent_region_covers_the_truth_about_as_often():
+    fits = [fit_specimen(specimen(-5.0, 0.85, 0.01, seed), "nominal") for seed in range(60)]
+    inside = [any(low <= -5 <= high for low, high in fit.profile.regions) for fit in fits]
+    assert 52 <= sum(inside) <= 60  # 57 expected, sd 1.7
+    scatter = np.std([fit.alpha for fit in fits])
+    assert np.median([fit.sds[1] for fit in fits]) == pytest.approx(scatter, rel=0.35)
+    assert np.median([fit.noise for fit in fits]) == pytest.approx(
+        0.01 * np.abs(specimen(-5.0, 0.85).stress).max(), rel=0.1
+    )
+
+
+def test_errors_shared_by_neighbours_count_as_few_points():
+    one = specimen(-5.0, 0.85)
+    wave = 0.01 * np.abs(one.stress).max() * np.sin(np.linspace(0, 18, 60))
+    smooth = fit_specimen(type(one)("gel", one.stretch, one.stress + wave), "nominal")
+    rough = fit_specimen(specimen(-5.0, 0.85, 0.01 / math.sqrt(2)), "nominal")
+    assert smooth.independent < 5 < rough.independent
+    assert smooth.sds[1] > 2 * rough.sds[1]
+
+
+def test_a_slow_error_is_not_hidden_by_noise_from_reading_to_reading():
+    """20000 readings to the model's liking are worth no more than the waves of its misfit."""
+    exact = specimen(-5.0, 0.7, count=20000)
+    largest = np.abs(exact.stress).max()
+    error = 0.005 * np.sin(np.linspace(0, 14, 20000)) + 0.005 * np.random.default_rng(1).normal(size=20000)
+    record = Record("gel", [], exact.stretch, exact.stress + largest * error)
+    fit = fit_specimen(loading(record), "nominal")
+    assert fit.independent < 6 and fit.profile.regions[0][0] < -5 < fit.profile.regions[0][1]
+
+
+def test_a_shallow_test_is_flat_in_alpha():
+    fit = fit_specimen(specimen(3.0, 0.995, 0.02), "nominal")
+    assert not fit.identified
+    ((low, high),) = fit.profile.regions
+    assert low < -10 and high > 15
+
+
+def test_a_mirror_image_is_found_and_not_chosen_from():
+    fit = fit_specimen(specimen(-20.0, 0.7, 0.01), "nominal")
+    assert not fit.identified and len(fit.profile.regions) == 2
+    (low, high), (low_too, high_too) = fit.profile.regions
+    assert low < -20 < high < low_too < 40 < high_too
+    assert sorted([fit.alpha, *fit.others]) == pytest.approx([-20, 40], abs=0.5)
+
+
+def test_stresses_of_the_wrong_sign_fit_no_mu():
+    wrong = specimen(1.0)
+    with pytest.raises(FitError, match="no positive mu"):
+        fit_specimen(type(wrong)("gel", wrong.stretch, -wrong.stress), "nominal")
+
+
+def test_three_specimens_say_what_a_fourth_may_be():
+    estimates = [np.array([0.0, 1.0]), np.array([0.0, 2.0]), np.array([0.3, 3.0])]
+    within = np.diag([0.01, 0.25])
+    mean, between, covariance = pool(estimates, [within] * 3)
+    assert mean == pytest.approx([0.1, 2.0])
+    few = T_2 / NORMAL
+    assert covariance == pytest.approx(few**2 * 4 / 3 * np.array([[0.03, 0.15], [0.15, 1.0]]), rel=1e-5)
+    spread = np.array([[0.02, 0.15], [0.15, 0.75]])  # its determinant is below 0: cut at 0
+    assert np.linalg.eigvalsh(between)[0] == pytest.approx(0.0, abs=1e-12)
+    assert np.linalg.eigvalsh(between)[1] == pytest.approx(np.linalg.eigvalsh(spread)[1])
+
+
+def test_of_one_specimen_nothing_is_known_between():
+    mean, between, covariance = pool([np.array([0.0, 1.0])], [np.eye(2)])
+    assert mean.tolist() == [0, 1] and np.isnan(between).all() and covariance.tolist() == np.eye(2).tolist()
+
+
+def material() -> Material:
+    covariance = np.array([[0.04, -0.05], [-0.05, 0.25]])
+    return Material((), ("a", "b"), np.array([math.log(0.02), 3.0]), np.zeros((2, 2)), covariance)
+
+
+def test_alpha_carries_over_and_mu_only_with_a_stated_factor():
+    alpha, mu = prior_of_material(material(), None)
+    assert (alpha.mean, alpha.sd) == (3.0, 0.5) and mu is None
+    _, mu = prior_of_material(material(), Foundation(0.2, 5.0))
+    sd = math.hypot(0.2, math.log(5))
+    assert mu.median == pytest.approx(4000.0) and mu.factor == pytest.approx(math.exp(sd), rel=1e-5)
+    assert mu.correlation == pytest.approx(-0.05 / (sd * 0.5), rel=1e-5)
+    with pytest.raises(ConfigError, match="cannot be"):
+        Foundation(0.2, 1.0)
+
+
+ALPHA = {"mean": 3.0, "sd": 0.5}
+MODULUS = {"median": 1e5, "factor": math.e, "correlation": 0.5}
+BOUNDED = {"alpha1": {"bounds": [-3, 9], "prior": ALPHA}, "mu1_pa": {"bounds": [1e3, 1e9], "prior": MODULUS}}
+
+
+def test_a_priors_density_is_gaussian_in_ln_mu_and_alpha():
+    prior = Parameters.from_record(medium(1, alpha1=BOUNDED["alpha1"])).prior
+    assert prior.log_density({"alpha1": 4.0}) == pytest.approx(-2.0)  # two deviations
+    joint = Parameters.from_record(medium(1, **BOUNDED)).prior
+    assert joint.log_density({"mu1_pa": 1e5, "alpha1": 3.0}) == 0.0
+    off = joint.log_density({"mu1_pa": 1e5 * math.e, "alpha1": 3.5})
+    assert off == pytest.approx(-0.5 / 0.75)  # (1 - 2 r + 1) / (1 - r^2), r = 1/2
+    precision = joint.information(("mu1_pa", "bevel_mm", "alpha1"))
+    assert precision == pytest.approx(np.array([[1, 0, -1], [0, 0, 0], [-1, 0, 4]]) / 0.75)
+    assert joint.sd("alpha1") == pytest.approx(0.5) and joint.sd("bevel_mm") == math.inf
+
+
+def test_the_log_posterior_is_the_likelihood_and_the_prior():
+    plain = medium(1, alpha1={"bounds": [-3, 9]})
+    made = [measure(TRUTH, plain, insertion(30.0))]
+    flat, stated = problem(plain, made), problem(medium(1, **BOUNDED), made)
+    thetas = np.array([flat.parameters.theta({**TRUTH, "alpha1": a}) for a in (3.0, 4.0)])
+    for theta in thetas:
+        gained = stated.log_posterior(theta) - flat.log_posterior(theta)
+        assert gained == pytest.approx(stated.parameters.prior.log_density(stated.values(theta)), abs=1e-9)
+    many = stated.log_posteriors(thetas) - flat.log_posteriors(thetas)
+    assert many == pytest.approx([stated.parameters.prior.log_density(stated.values(t)) for t in thetas])
+
+
+def test_a_parameter_known_from_its_prior_alone_is_not_said_to_be_determined():
+    record = medium(1, alpha1={"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.2}})
+    p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
+    verdict = identify(p, fit_at(p, TRUTH))
+    assert verdict.sds["alpha1"] == pytest.approx(0.2, rel=0.01)
+    assert not verdict.determined["alpha1"] and verdict.determined["bevel_mm"]
+    assert "not determined" in verdict.notes["alpha1"]
+    assert "stated before: 1 +- 0.2" in verdict.notes["alpha1"]
+
+
+@pytest.mark.parametrize(
+    ("changed", "said"),
+    [
+        ({"alpha1": {"bounds": [-3, 9], "prior": {"median": 2, "factor": 2}}}, "wrong kind"),
+        ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": ALPHA}}, "wrong kind"),
+        ({"alpha1": {"bounds": [-3, 2], "prior": ALPHA}}, "outside the bounds"),
+        ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": MODULUS}}, "no partner"),
+        ({"alpha1": {"bounds": [-3, 9], "prior": {**ALPHA, "correlation": 0.5}}}, "no partner"),
+    ],
+)
+def test_a_prior_that_cannot_be_is_refused(changed, said):
+    with pytest.raises(ConfigError, match=said):
+        Parameters.from_record(medium(1, **changed))
+
+
+@pytest.mark.parametrize(
+    ("parameter", "said"),
+    [
+        ({"fixed": 1.0, "prior": ALPHA}, "for a free parameter"),
+        ({"bounds": [-3, 9], "prior": {"mean": 1.0}}, "mean and sd"),
+        ({"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}, "sd"),
+    ],
+)
+def test_a_prior_is_checked_in_its_file(parameter, said):
+    table = {"schema": 1, "layers": 1, "parameters": {"alpha1": parameter}}
+    with pytest.raises(ConfigError, match=said):
+        check(table, MediumRecord, "medium.toml")
+
+
+def test_a_test_of_the_material_frees_the_alpha_of_its_layer():
+    tested = MaterialRecord(schema=1, alpha=PriorRecord(**ALPHA), mu_pa=PriorRecord(**MODULUS))
+    parameters = Parameters.from_record(with_material(medium(2), "2", tested, "priors.2"))
+    assert parameters.bounds["alpha2"] == (1.0, 5.0)  # four deviations
+    assert parameters.prior.names == ("mu2_pa", "alpha2") and "alpha1" in parameters.fixed
+    with pytest.raises(ConfigError, match="no layer `3`"):
+        with_material(medium(2), "3", tested, "priors.3")
+    with pytest.raises(ConfigError, match="alpha2, which is tied"):
+        with_material(medium(2, alpha2={"tie": "alpha1"}), "2", tested, "priors.2")
+    with pytest.raises(ConfigError, match="law is `linear`"):
+        with_material(medium(2).model_copy(update={"law": "linear"}), "2", tested, "priors.2")
