@@ -12,6 +12,7 @@ from scipy.spatial.transform import Rotation
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.needle.centerline import trace
+from needlefit.imaging.needle.sections import BENT, Sections, unseen
 from needlefit.imaging.needle.segmentation import components, from_mask, segment, thresholds
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.load import load
@@ -184,6 +185,39 @@ def test_the_stated_deviations_grow_with_the_noise():
     quiet, loud = (found(cases.scan(cases.axis(), noise_hu=hu)) for hu in (10.0, 200.0))
     assert loud.sd.mean() > 2 * quiet.sd.mean()
     assert loud.tip_sd[0] > 1.5 * quiet.tip_sd[0]
+
+
+def test_a_ray_beside_the_needle_pulls_no_further_than_stated():
+    """A ridge of 400 HU runs along the needle, 1 mm beside it: every section is pulled alike."""
+    truth = cases.axis(tip=(1.0, 2.0, 28.0))
+    volume = cases.scan(truth)
+    still = found(volume)
+    k, _, i = np.indices(volume.values.shape) * cases.SPACING
+    beside = i - np.interp(k, truth[:, 2], truth[:, 0]) - 1.0
+    ridge = 400 * np.exp(-0.5 * (beside / 0.5) ** 2) * (k > cases.ENTRY[2])
+    volume.values[:] = np.minimum(volume.values + ridge, volume.values.max())
+    pulled = found(volume)
+    errors = cases.off(pulled.points, truth)
+    assert pulled.sd.mean() > 3 * still.sd.mean()
+    assert np.sqrt(np.mean(errors**2) / 2) < 2 * pulled.sd.mean()
+
+
+def sections(shifts, tilt=0.0):
+    """Forty sections of 1000 HU with `shifts` along u; the background slopes by `tilt` (HU/mm) along v."""
+    flat = np.zeros(40)
+    across = np.column_stack([shifts + flat, flat])
+    return Sections(across, flat + 1000.0, flat + 10.0, np.column_stack([flat, flat + tilt]))
+
+
+def test_what_sections_share_is_stated():
+    none = sections(0.0)
+    assert unseen(none, none, 0.5) == 0.0
+    apart = sections(0.02)  # 0.02 mm along one of two directions
+    assert_allclose(unseen(apart, none, 0.5), 0.02 / np.sqrt(2))
+    sloping = sections(0.0, tilt=3.0)  # 3 / 1000 of the needle's brightness per mm
+    assert_allclose(unseen(sloping, sloping, 0.5), BENT * 3e-3 / np.sqrt(2))
+    assert_allclose(unseen(apart, sloping, 0.5), np.hypot(0.02, BENT * 3e-3) / np.sqrt(2))
+    assert unseen(sections(0.02 * (-1.0) ** np.arange(40)), none, 0.5) < 0.001  # neighbours make up for it
 
 
 def test_the_shipped_recipe_states_the_defaults():

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.needle.sections import Sections, centroids, disc, fit, in_volume, sample, unseen
+from needlefit.imaging.needle.sections import Sections, centroids, disc, fit, in_volume, sample, taken, unseen
 from needlefit.imaging.needle.segmentation import AIR_BELOW, Component, main_axes
 from needlefit.imaging.needle.spine import Frames, Spine, deviation, draw, extended, frames, reversed_spine
 from needlefit.imaging.needle.tip import End, bevel_length, find_end
@@ -30,10 +30,6 @@ ROUNDS = 3
 
 LEAST_SECTIONS = 8
 """Fewer do not make an axis."""
-
-SWING = 0.3
-"""By which part the deviation across is larger at the tip, where the rod alone holds the axis. Set as
-`tip.OPTIMISM` is."""
 
 AT_EDGE = 3.0
 """An end this near to the volume's face (mm) has left it."""
@@ -116,7 +112,8 @@ def refined(volume: Volume, spine: Spine, recipe: ReconstructionRecord, stop: fl
             found = fit(values, plane, fit(values, plane, rough))
         spine = _through(where, found, recipe)
         stop = spine.length + 1e-6
-    return replace(spine, unseen=unseen(rough, found, rules.station_mm))
+    good = _shown(found, recipe)
+    return replace(spine, unseen=unseen(taken(rough, good), taken(found, good), rules.station_mm))
 
 
 def with_tip(spine: Spine, end: End, recipe: ReconstructionRecord) -> Spine:
@@ -157,8 +154,7 @@ def tip_last(volume: Volume, spine: Spine, recipe: ReconstructionRecord) -> Spin
 
 def _through(where: Frames, found: Sections, recipe: ReconstructionRecord) -> Spine:
     """Return the spline through the sections that show the needle."""
-    good = found.amplitude > FAINT * np.median(found.amplitude)
-    good &= np.linalg.norm(found.shifts, axis=1) < recipe.needle.diameter_mm
+    good = _shown(found, recipe)
     if good.sum() < LEAST_SECTIONS:
         raise _too_few(int(good.sum()))
     points = where.origins + found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
@@ -169,13 +165,18 @@ def _through(where: Frames, found: Sections, recipe: ReconstructionRecord) -> Sp
     return draw(s, points, weights / weights.mean(), recipe.centerline.knot_mm)
 
 
+def _shown(found: Sections, recipe: ReconstructionRecord) -> NDArray[np.bool_]:
+    """Whether each section is bright enough, and near enough to where it was looked for, to be the needle."""
+    near = np.linalg.norm(found.shifts, axis=1) < recipe.needle.diameter_mm
+    bright: NDArray[np.bool_] = found.amplitude > FAINT * np.median(found.amplitude)
+    return bright & near
+
+
 def _centerline(spine: Spine, end: End, recipe: ReconstructionRecord) -> Centerline:
     """Return the points every station from the first cross-section to the tip."""
     count = int(np.ceil(end.at / recipe.centerline.station_mm)) + 1
     s = np.linspace(0.0, end.at, count)
-    heel = bevel_length(recipe.needle) + BLUNT
-    beyond = np.clip((s - end.at + heel) / heel, 0, 1)
-    sd = np.hypot(deviation(spine, s), SYSTEMATIC) * (1 + SWING * beyond)
+    sd = np.hypot(deviation(spine, s), SYSTEMATIC)
     points = spine.spline(s)
     return Centerline(points, sd, points[-1], np.array([end.sd[0], sd[-1]]), end.bevel)
 

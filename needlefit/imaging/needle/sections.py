@@ -24,10 +24,10 @@ HUBER = 2.0
 STRETCH = 15.0
 """Length over which what the cross-sections have in common is looked for, mm."""
 
-AGREED, UNSEEN = 3e-3, 7e-3
-"""Where centroids and fits disagree by the first (mm, root mean square over stretches), the error that the
-scatter does not show is the second; it grows with the square. Set on other scans than those of
-`benchmarks/reconstruction.py`."""
+BENT = 4.0
+"""Shift of a section (mm) for each 1/mm by which the background slopes, as part of the needle's brightness: a
+ray that tilts what lies around the needle also bends it, and a bend is taken for a shift. Set on other scans
+than those of `benchmarks/reconstruction.py`."""
 
 SEEN = 0.7
 """Part of a plane's points that must lie in the volume."""
@@ -45,11 +45,14 @@ class Sections:
         Brightness over the background, HU.
     noise : (S,) array
         Deviation of a plane's points from the fit, HU.
+    tilt : (S, 2) array
+        Slope of the background along u and v, HU/mm.
     """
 
     shifts: Floats
     amplitude: Floats
     noise: Floats
+    tilt: Floats
 
 
 def disc(radius: float) -> Floats:
@@ -87,7 +90,9 @@ def centroids(values: Floats, plane: Floats, reach: float) -> Sections:
     over = np.where((radius <= reach) & np.isfinite(values), values - rim[:, None], 0.0)
     over = np.clip(over - 0.3 * over.max(axis=1, keepdims=True), 0, None)
     mass = np.maximum(over.sum(axis=1), 1e-9)
-    return Sections(over @ plane / mass[:, None], over.max(axis=1), np.ones(len(values)))
+    return Sections(
+        over @ plane / mass[:, None], over.max(axis=1), np.ones(len(values)), np.zeros((len(values), 2))
+    )
 
 
 def fit(values: Floats, plane: Floats, rough: Sections) -> Sections:
@@ -115,20 +120,29 @@ def fit(values: Floats, plane: Floats, rough: Sections) -> Sections:
         noise = np.maximum(1.48 * np.median(np.abs(residual), axis=1), 1e-6)
         weights = seen * np.minimum(1.0, HUBER * noise[:, None] / np.maximum(np.abs(residual), 1e-9))
     moved = solved[:, 4:] / np.where(np.abs(solved[:, :1]) > 1e-6, solved[:, :1], 1.0)
-    return Sections(rough.shifts + np.clip(moved, -0.5, 0.5), solved[:, 0], noise)
+    return Sections(rough.shifts + np.clip(moved, -0.5, 0.5), solved[:, 0], noise, solved[:, 2:4])
+
+
+def taken(sections: Sections, which: NDArray[np.bool_]) -> Sections:
+    """Return some of the sections."""
+    return Sections(
+        sections.shifts[which], sections.amplitude[which], sections.noise[which], sections.tilt[which]
+    )
 
 
 def unseen(rough: Sections, found: Sections, station: float) -> float:
-    """Return the deviation (mm) that the sections of a stretch share, from how two ways to place them differ.
+    """Return the deviation (mm) that the sections of a stretch share, so that their scatter hides it.
 
-    Rays and neighbours pull at centroids more than at fits; what both have in common stays hidden, hence
-    the calibrated law.
+    It shows in how two ways to place them differ, centroids and fits, and in how far the background slopes:
+    rays that run along a needle pull at many sections alike, and both stay when they are averaged over
+    `STRETCH`.
     """
-    apart = np.clip(rough.shifts - found.shifts, -0.3, 0.3)
-    window = np.ones(max(1, min(len(apart), round(STRETCH / station))))
-    count = np.convolve(np.ones(len(apart)), window, "same")
-    smooth = np.stack([np.convolve(side, window, "same") / count for side in apart.T])
-    return float(UNSEEN * np.mean(smooth**2) / AGREED**2)
+    window = np.ones(max(1, min(len(found.shifts), round(STRETCH / station))))
+    count = np.convolve(np.ones(len(found.shifts)), window, "same")
+    bent = BENT * found.tilt / np.median(found.amplitude)
+    both = np.hstack([rough.shifts - found.shifts, bent])  # (S, 4)
+    shared = np.stack([np.convolve(side, window, "same") / count for side in both.T])
+    return float(np.sqrt(np.sum(np.mean(shared**2, axis=1)) / 2))  # in one direction of two
 
 
 def _profile(values: Floats, plane: Floats, rough: Sections) -> tuple[PchipInterpolator, PchipInterpolator]:
