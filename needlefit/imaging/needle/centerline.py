@@ -167,9 +167,9 @@ def _through(where: Frames, found: Sections, recipe: ReconstructionRecord) -> Sp
 
 def _shown(found: Sections, recipe: ReconstructionRecord) -> NDArray[np.bool_]:
     """Whether each section is bright enough, and near enough to where it was looked for, to be the needle."""
-    near = np.linalg.norm(found.shifts, axis=1) < recipe.needle.diameter_mm
-    bright: NDArray[np.bool_] = found.amplitude > FAINT * np.median(found.amplitude)
-    return bright & near
+    shown: NDArray[np.bool_] = found.amplitude > FAINT * np.median(found.amplitude)
+    shown &= np.linalg.norm(found.shifts, axis=1) < recipe.needle.diameter_mm
+    return shown
 
 
 def _centerline(spine: Spine, end: End, recipe: ReconstructionRecord) -> Centerline:

@@ -24,10 +24,10 @@ HUBER = 2.0
 STRETCH = 15.0
 """Length over which what the cross-sections have in common is looked for, mm."""
 
-BENT = 4.0
-"""Shift of a section (mm) for each 1/mm by which the background slopes, as part of the needle's brightness: a
-ray that tilts what lies around the needle also bends it, and a bend is taken for a shift. Set on other scans
-than those of `benchmarks/reconstruction.py`."""
+BENT = 5.0
+"""Shift of a section for a background that slopes by the needle's brightness in 1 mm, mm: a ray that tilts
+what lies around the needle also bends it, and a bend is taken for a shift. Set on the scans of
+`benchmarks/reconstruction.py --seed 100000`, others than its own."""
 
 SEEN = 0.7
 """Part of a plane's points that must lie in the volume."""

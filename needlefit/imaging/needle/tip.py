@@ -42,7 +42,8 @@ BLOCK = 2.0
 
 OPTIMISM = 2.1
 """By what the blocks' deviations still are too small: the axis and the shaft's look are taken as known, and
-errors reach beyond a block. Set on other scans than those of `benchmarks/reconstruction.py`."""
+errors reach beyond a block. Set on the scans of `benchmarks/reconstruction.py --seed 100000`, others than its
+own."""
 
 EDGE = 0.03
 """What no voxel tells of the place along, mm: a scanner's edge is not the model's. Set as `OPTIMISM` is."""
@@ -193,7 +194,8 @@ def _blocks(near: Near) -> NDArray[np.int64]:
     """Return each voxel's block (N,): a quadrant round the axis, its inner or outer half, `BLOCK` mm long."""
     piece = np.floor((near.s - near.s.min()) / BLOCK).astype(np.int64)
     quadrant = 2 * (near.u > 0) + (near.v > 0)
-    return 8 * piece + 2 * quadrant + (np.hypot(near.u, near.v) > REACH / 2)
+    block: NDArray[np.int64] = 8 * piece + 2 * quadrant + (np.hypot(near.u, near.v) > REACH / 2)
+    return block
 
 
 def shaft_of(volume: Volume, spine: Spine, needle: ScannedNeedleRecord, end: float) -> Shaft:
