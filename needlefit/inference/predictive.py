@@ -1,4 +1,4 @@
-"""What is predicted of a needle that was not seen: a mixture of Gaussians, one for each draw of the parameters.
+"""What is predicted of a needle not seen: a mixture of Gaussians, one for each draw of the parameters.
 
 Every draw gives one curve; about it lies what the draw does not know, the errors of pose and measurement.
 Quantities of a mixture have closed forms: with weights 1 / B, means m_b and one deviation s,
@@ -62,7 +62,8 @@ def quantile(mixture: Mixture, p: float) -> Floats:
         middle = (low + high) / 2
         below = cdf(mixture, middle) < p
         low, high = np.where(below, middle, low), np.where(below, high, middle)
-    return (low + high) / 2
+    ends: Floats = (low + high) / 2
+    return ends
 
 
 def interval(mixture: Mixture, level: float) -> tuple[Floats, Floats]:
