@@ -1,9 +1,9 @@
 """Whether several independent ensembles tell the same, and how many independent draws they are worth.
 
 A chain is one ensemble: its draws are pooled over walkers step by step, and split in time. R-hat compares
-these halves; the autocorrelation time says how many steps of an ensemble count for one, so that S steps of W
-walkers are worth S W / tau draws. Both are of normal scores of the ranks, so that heavy tails and the scale do
-not matter, and are asked of every parameter, of the principal directions of the draws' covariance (the
+these halves; the autocorrelation time says how many steps of an ensemble count for one, so that S steps of
+W walkers are worth S W / tau draws. Both are of normal scores of the ranks, so that heavy tails and the scale
+do not matter, and are asked of every parameter, of the principal directions of the draws' covariance (the
 inverse of the posterior's information: stiff and sloppy ones), and of the log posterior.
 """
 
@@ -68,15 +68,14 @@ class Convergence:
         longest = self.tau.max(axis=0)
         if not self.steps > LENGTH_IN_TAU * longest.max():
             at = int(np.argmax(longest))
-            times = (
-                f"{LENGTH_IN_TAU} autocorrelation times of {self.quantities[at]} ({longest[at]:.3g} steps)"
-            )
-            yield f"{self.steps} steps are not more than {times}"
+            times = f"{LENGTH_IN_TAU} autocorrelation times of {longest[at]:.3g}"
+            yield f"{self.steps} steps are not more than {times} ({self.quantities[at]})"
         for name, draws in (("independent draws", self.bulk), ("independent draws in a tail", self.tail)):
             fewest = draws.min(axis=0)
             if not fewest.min() > DRAWS:
                 at = int(np.argmin(fewest))
-                yield f"{fewest[at]:.0f} {name} of {self.quantities[at]} in one ensemble, not more than {DRAWS}"
+                has = f"an ensemble has {fewest[at]:.0f} {name} of {self.quantities[at]}"
+                yield f"{has}, not more than {DRAWS}"
 
 
 def convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Convergence:
@@ -108,21 +107,22 @@ def convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Co
 def r_hat(chains: Floats) -> float:
     """Return R-hat of one quantity over chains (E, N); NaN with fewer than two chains or four draws.
 
-    Every chain is cut in halves, all draws are replaced by normal scores of their ranks (so heavy tails
-    and the scale do not matter), and with B the variance between and W the mean variance within halves
-    of length n
+    All draws are replaced by normal scores of their ranks, every chain is cut in halves, and with B the
+    variance between and W the mean variance within halves of length n
 
         R-hat = sqrt( ((n - 1) W / n + B) / W ),    B = var(means of the halves).
 
     The larger of two values counts: of the draws, and of their distances from the median (which sees
     chains that differ in width alone). Vehtari et al., Bayesian Analysis 16 (2021) 667.
     """
-    if chains.ndim != 2 or chains.shape[0] < 2 or chains.shape[1] < 4:
+    return _r_hat(_scores(chains), _folded(chains))
+
+
+def _r_hat(scores: Floats, folded: Floats) -> float:
+    """Return the larger R-hat of two kinds of scores (E, N)."""
+    if len(scores) < 2 or scores.shape[1] < 4:
         return float("nan")
-    half = chains.shape[1] // 2
-    halves = np.concatenate([chains[:, :half], chains[:, -half:]])  # (2 E, n)
-    folded = np.abs(halves - np.median(halves))
-    return max(_split(_scores(halves)), _split(_scores(folded)))
+    return max(_split(scores), _split(folded))
 
 
 def autocorrelation_times(series: Floats) -> Floats:
@@ -152,9 +152,11 @@ def _autocorrelation_time(series: Floats) -> float:
 
 def _quantity(values: Floats) -> tuple[float, Floats, Floats]:
     """Return R-hat, tau (E,) and tau of the slower tail (E,) of one quantity (E, S, W)."""
-    pooled = values.reshape(len(values), -1)
+    scores, folded = _scores(values), _folded(values)
+    pooled = (values.shape[0], -1)  # step by step
     tails = [autocorrelation_times((values <= q).astype(np.float64)) for q in np.quantile(values, TAILS)]
-    return r_hat(pooled), autocorrelation_times(_scores(values)), np.maximum(*tails)
+    found = _r_hat(scores.reshape(pooled), folded.reshape(pooled))
+    return found, autocorrelation_times(scores), np.maximum(*tails)
 
 
 def _along_directions(thetas: Floats) -> Floats:
@@ -171,8 +173,14 @@ def _scores(draws: Floats) -> Floats:
     return scores
 
 
-def _split(halves: Floats) -> float:
-    n = halves.shape[1]
+def _folded(draws: Floats) -> Floats:
+    return _scores(np.abs(draws - np.median(draws)))
+
+
+def _split(chains: Floats) -> float:
+    """Return R-hat of the halves of chains (E, N), as they are."""
+    n = chains.shape[1] // 2
+    halves = np.concatenate([chains[:, :n], chains[:, -n:]])  # (2 E, n)
     within = float(np.mean(np.var(halves, axis=1, ddof=1)))
     between = float(np.var(np.mean(halves, axis=1), ddof=1))
     if within == 0.0:

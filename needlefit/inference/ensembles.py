@@ -17,7 +17,7 @@ from needlefit.errors import ConfigError
 Floats = NDArray[np.float64]
 Random = np.random.RandomState
 Proposal = Callable[[Floats, Sequence[Floats], Random], tuple[Floats, Floats]]
-"""What walkers (N, P) propose by looking at the others, M of (.., P), and the logarithm of what corrects it."""
+"""What walkers (N, P) propose by looking at parts of the others, and the logarithm (N,) of its correction."""
 
 SHARES = {"stretch": 1.0, "de": 0.8, "snooker": 0.2}
 """Parts of the steps that a move gets without a factor, in relation: of differential evolution what emcee's
@@ -89,9 +89,10 @@ class Step:
 
 
 def steps(log_density: Callable[[Floats], Floats], state: State, moves: str, count: int) -> Iterator[Step]:
-    """Yield `count` steps from `state`; `log_density` is asked for (E * n, P) coordinates, ensemble by ensemble.
+    """Yield `count` steps from `state`; `log_density` is asked for (E * n, P) coordinates at once.
 
-    The same state gives the same steps, however they are divided among calls.
+    These are ensemble by ensemble, n of each. The same state gives the same steps, however they are divided
+    among calls.
     """
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
@@ -176,7 +177,8 @@ def _snooker(own: Floats, others: Sequence[Floats], random: Random) -> tuple[Flo
     dimensions it finds 0.7 of the variances.
     """
     pool = np.concatenate(list(others))
-    at = np.array([pool[random.choice(len(pool), 3, replace=False)] for _ in own])  # (N, 3, P)
+    three = np.argsort(random.uniform(size=(len(own), len(pool))), axis=1)[:, :3]
+    at = pool[three]  # (N, 3, P)
     away = own - at[:, 0]
     distance = np.linalg.norm(away, axis=1)  # (N,)
     unit = away / distance[:, None]

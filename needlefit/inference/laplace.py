@@ -1,4 +1,4 @@
-"""The Gaussian that touches a density at its peak: in its coordinates ridges are round, and walkers begin in it.
+"""The Gaussian that touches a density at its peak: in its coordinates ridges are round.
 
 Curvatures are differences of the log density over steps that it answers itself: in each parameter the longest
 of a ladder over which it falls by no more than `FALL`. What it does not tell, the bounds do.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.convergence import LENGTH_IN_TAU, autocorrelation_times, convergence
+from needlefit.inference.convergence import LENGTH_IN_TAU, Convergence, autocorrelation_times, convergence
 from needlefit.inference.density import Density, Evaluator
 from needlefit.inference.ensembles import State, shares, steps
 from needlefit.inference.laplace import Laplace, laplace
@@ -63,13 +63,14 @@ def sample(
     state = blocks[-1].last if blocks else begin(evaluator, about, points, settings, rng)
     while True:
         chain = _chain(task, blocks)
-        met = _meets_the_rule(chain, problem.names)
+        found = _asked(chain, problem.names)
         length = min(settings.every, settings.steps - chain.steps)
-        if met or length <= 0:
-            return _posterior(task, chain, interrupted=False)
+        if length <= 0 or (found is not None and not found.faults):
+            return _posterior(task, chain, found, interrupted=False)
         block = None if watch.stop() else _walk(task, state, chain.steps, length)
         if block is None or block.steps < length:
-            return _posterior(task, _chain(task, [*blocks, *([block] if block else [])]), interrupted=True)
+            whole = _chain(task, [*blocks, block] if block else blocks)
+            return _posterior(task, whole, None, interrupted=True)
         snapshots.keep(len(blocks), block)
         blocks.append(block)
         state = block.last
@@ -160,15 +161,16 @@ def _burn_in(chain: _Chain, slowest: float) -> int:
     return half if BURN_IN_TAU * slowest >= half else math.ceil(BURN_IN_TAU * slowest)
 
 
-def _meets_the_rule(chain: _Chain, names: Sequence[str]) -> bool:
+def _asked(chain: _Chain, names: Sequence[str]) -> Convergence | None:
+    """Return what the rule looks at; None while the steps are too few for it, which is quickly seen."""
     slowest = _slowest(chain)
     first = _burn_in(chain, slowest)
     if not chain.steps - first > LENGTH_IN_TAU * slowest:
-        return False  # before anything costly is asked
-    return not convergence(chain.thetas[:, first:], chain.log_density[:, first:], names).faults
+        return None
+    return convergence(chain.thetas[:, first:], chain.log_density[:, first:], names)
 
 
-def _posterior(task: _Task, chain: _Chain, interrupted: bool) -> Posterior:
+def _posterior(task: _Task, chain: _Chain, found: Convergence | None, interrupted: bool) -> Posterior:
     if chain.steps < 2:
         raise FitError(f"the sampler was stopped after {chain.steps} steps: nothing to keep")
     first, names = _burn_in(chain, _slowest(chain)), task.problem.names
@@ -183,7 +185,7 @@ def _posterior(task: _Task, chain: _Chain, interrupted: bool) -> Posterior:
         walkers=task.settings.walkers,
         moves=task.settings.moves,
         acceptance=np.mean(chain.accepted, axis=1) / chain.steps,
-        convergence=convergence(thetas, density, names),
+        convergence=found or convergence(thetas, density, names),
         burn_in=first,
         failures=chain.failures,
         interrupted=interrupted,

@@ -12,8 +12,8 @@ from needlefit.project.records.recipe import SampleRecord
 Floats = NDArray[np.float64]
 
 APART, WIDE = 2.0, 1.0
-"""Standard deviations of the Laplace approximation by which ensembles are scattered about their point, and the
-walkers of each about its middle."""
+"""Standard deviations of the Laplace approximation by which ensembles are scattered about their point, and
+the walkers of each about its middle."""
 
 PLAUSIBLE = 10.0
 """No ensemble begins about a point whose log density is this much below the best point's."""
@@ -39,7 +39,7 @@ def begin(
         for e in range(settings.ensembles)
     ]
     coordinates, density = (np.stack(part) for part in zip(*found, strict=True))
-    return State(coordinates, density, legacy.get_state(legacy=True))
+    return State(coordinates, density, tuple(legacy.get_state()))
 
 
 def _plausible(evaluator: Evaluator, ends: Floats) -> Floats:
@@ -47,7 +47,8 @@ def _plausible(evaluator: Evaluator, ends: Floats) -> Floats:
     found = evaluator(ends)
     good = found >= found[0] - PLAUSIBLE
     good[0] = True
-    return ends[good]
+    chosen: Floats = ends[good]
+    return chosen
 
 
 def _walkers(
