@@ -61,8 +61,9 @@ def laplace(log_density: LogDensity, centre: Floats, lower: Floats, upper: Float
     def at(points: Floats) -> Floats:
         return log_density(lower + points * width)
 
-    steps = _steps(at, inner)
-    information = _information(at, inner, steps) / np.outer(steps, steps)
+    with np.errstate(invalid="ignore"):  # -inf less -inf: nothing is told there
+        steps = _steps(at, inner)
+        information = _information(at, inner, steps) / np.outer(steps, steps)
     precisions, directions = np.linalg.eigh(information)
     sds = 1.0 / np.sqrt(np.maximum(precisions, 0.0) + UNIFORM)
     return Laplace(lower + inner * width, width[:, None] * directions * sds)
