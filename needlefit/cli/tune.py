@@ -23,9 +23,7 @@ def tune(
             metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
         ),
     ],
-    sample: Annotated[
-        bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")
-    ] = False,
+    sample: options.Sample = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
