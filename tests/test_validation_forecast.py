@@ -9,6 +9,7 @@ from test_cli import run
 
 import needlefit
 from needlefit.errors import ConfigError
+from needlefit.inference.convergence import Convergence
 from needlefit.inference.draws import Draws, about_fit, from_posterior
 from needlefit.inference.identify import identify
 from needlefit.inference.optimize import minimize
@@ -95,10 +96,11 @@ def test_draws_of_a_posterior_are_spread_over_it(job):
     names = job.parameters.free
     values = np.exp(np.linspace(np.log(1e4), np.log(1e6), 80)).reshape(4, 20, 1) * np.ones(len(names))
     values[:, :, names.index("bevel_mm")] = 0.05
-    posterior = Posterior(
-        names, values, np.zeros((4, 20)), 5, np.ones(4), np.ones((4, 3)), np.ones(3), 0, 0, False
-    )
+    many = np.full((4, 3), 500.0)
+    found = Convergence(names, np.ones(3), np.ones((4, 3)), many, many, 4)
+    posterior = Posterior(names, values, np.zeros((4, 20)), 5, "de", np.ones(4), found, 0, 0, False)
     thetas = from_posterior(posterior, job.parameters, 10).thetas
+    assert from_posterior(posterior, job.parameters, 10).faults == posterior.faults != ()
     assert thetas[[0, -1], 0] == pytest.approx(np.log([1e4, 1e6]))
     assert np.exp(thetas[:, names.index("bevel_mm")]) == pytest.approx(0.05)
 

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from needlefit.cli import options, screen
+from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import scenes, targets
 from needlefit.cli.execution import cores
 from needlefit.cli.interruption import stopping
@@ -57,7 +57,7 @@ def predict(
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.cli.tune import fit_of
         from needlefit.mechanics.scene import Scene
-        from needlefit.reporting.forecast import forecast_layout, tip, write_forecast
+        from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
         from needlefit.reporting.write import require_result
         from needlefit.validation.forecast import forecast
         from needlefit.validation.job import Settings, prepare
@@ -80,9 +80,12 @@ def predict(
         write_forecast(found, folder, title, said, synthetic)
     if json:
         screen.show_json({"target": name, "scene": scene, **tip(found), "written": str(folder)})
-        return
-    screen.show_display(forecast_layout(found, title, synthetic))
-    screen.say(f"written: {folder}/")
+    else:
+        screen.show_display(forecast_layout(found, title, synthetic))
+        screen.say(f"written: {folder}/")
+    if found.faults:
+        screen.note(f"needlefit: {name}: the posterior has {unconverged(found)}")
+        raise typer.Exit(failure.NOT_CONVERGED)
 
 
 def _draws(job: "Job", run: Path, settings: "Settings") -> "Draws":
@@ -98,10 +101,7 @@ def _draws(job: "Job", run: Path, settings: "Settings") -> "Draws":
     sampled = run / "posterior.nc"
     if sampled.is_file():
         require_same(job, run)
-        posterior = load(sampled)
-        if not posterior.converged:
-            screen.note(f"needlefit: {sampled}: NOT CONVERGED: {'; '.join(posterior.faults)}")
-        return from_posterior(posterior, job.parameters, DRAWS)
+        return from_posterior(load(sampled), job.parameters, DRAWS)
     (fold,) = job.folds
     problem = job.problem(fold)
     rng = stream(job.recipe.seed, job.name, fold.name, "fitted", "starts")

@@ -20,10 +20,14 @@ TRIES = 50
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of theta (B, P), and where they come from; `laplace` is Gaussian about the fit."""
+    """Draws of theta (B, P), and where they come from; `laplace` is Gaussian about the fit.
+
+    `faults` says why the posterior that they come from has not converged; it is empty if it has.
+    """
 
     thetas: Floats
     source: Source
+    faults: tuple[str, ...] = ()
 
 
 def from_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:
@@ -37,7 +41,8 @@ def from_posterior(posterior: Posterior, parameters: Parameters, count: int) -> 
     flat = posterior.draws.reshape(-1, len(posterior.names))
     chosen = flat[np.linspace(0, len(flat) - 1, min(count, len(flat))).astype(np.int64)]
     sets = (dict(zip(posterior.names, values.tolist(), strict=True)) for values in chosen)
-    return Draws(np.array([parameters.theta(values) for values in sets]), "posterior")
+    thetas = np.array([parameters.theta(values) for values in sets])
+    return Draws(thetas, "posterior", posterior.faults)
 
 
 def about_fit(

@@ -33,7 +33,13 @@ def tip(forecast: Forecast) -> dict[str, Any]:
     """Return the last station's row, and what the forecast rests on, for machines."""
     row = {name: float(value) for name, value in forecast_table(forecast).iloc[-1].items()}
     draws = len(forecast.needle.means)
-    return {"tip": row, "from": forecast.source, "draws": draws, "failed_solves": forecast.failed}
+    about = {"from": forecast.source, "draws": draws, "failed_solves": forecast.failed}
+    return {"tip": row, **about, "not_converged": list(forecast.faults)}
+
+
+def unconverged(forecast: Forecast) -> str:
+    """Return why the posterior behind a forecast has not converged, or nothing."""
+    return f"NOT CONVERGED: {'; '.join(forecast.faults)}" if forecast.faults else ""
 
 
 def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
@@ -54,8 +60,9 @@ def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
     notes = (
         f"From {len(forecast.needle.means)} {source}{left}. What the model misses is not in it.",
         *(("The fitted data are synthetic.",) if synthetic else ()),
+        *((f"The posterior has {unconverged(forecast)}: the bands are not final.",) if forecast.faults else ()),
     )
-    caption = f"{title}, {forecast.s[-1]:g} mm deep, across the entry axis"
+    caption = f"{_marked(title, forecast)}, {forecast.s[-1]:g} mm deep, across the entry axis"
     return Display("forecast", caption, tuple(columns), tuple(cells), notes=notes)
 
 
@@ -65,6 +72,11 @@ def write_forecast(
     """Write `forecast.csv`, `forecast.pdf` and `run.json` to `folder`, whole or not at all."""
     with whole(folder) as new:
         table = forecast_table(forecast)
-        write_csv(table.assign(origin="synthetic" if synthetic else "measured"), new / "forecast.csv")
-        draw_forecast(table, title, np.max(forecast.s), new / "forecast.pdf", synthetic)
+        marks = {"origin": "synthetic" if synthetic else "measured", "converged": not forecast.faults}
+        write_csv(table.assign(**marks), new / "forecast.csv")
+        draw_forecast(table, _marked(title, forecast), np.max(forecast.s), new / "forecast.pdf", synthetic)
         write_json(new / "run.json", run | tip(forecast))
+
+
+def _marked(title: str, forecast: Forecast) -> str:
+    return f"{title} (NOT CONVERGED)" if forecast.faults else title

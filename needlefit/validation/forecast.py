@@ -53,6 +53,8 @@ class Forecast:
     source : "posterior" or "laplace"
     failed : int
         Draws of which the solve failed; they are left out.
+    faults : tuple of str
+        Why the posterior of the draws has not converged; empty if it has, or none was sampled.
     """
 
     s: Floats
@@ -61,6 +63,7 @@ class Forecast:
     measured: Mixture
     source: Source
     failed: int
+    faults: tuple[str, ...] = ()
 
 
 def forecast(
@@ -99,6 +102,7 @@ def forecast(
         measured=Mixture(y, sd),
         source=draws.source,
         failed=int((~good).sum()),
+        faults=draws.faults,
     )
 
 
