@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.convergence import LENGTH_IN_TAU, Convergence, autocorrelation_times, convergence
-from needlefit.inference.density import Density, Evaluator
+from needlefit.inference.evaluator import Density, Evaluator
 from needlefit.inference.ensembles import State, shares, steps
 from needlefit.inference.laplace import Laplace, laplace
 from needlefit.inference.ledger import KEPT

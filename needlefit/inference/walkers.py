@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import FitError
-from needlefit.inference.density import Evaluator
+from needlefit.inference.evaluator import Evaluator
 from needlefit.inference.ensembles import State
 from needlefit.inference.laplace import Laplace
 from needlefit.project.records.recipe import SampleRecord
