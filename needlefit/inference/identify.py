@@ -189,7 +189,7 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
 
 
 def _told(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
-    """Return what the insertions tell: residuals (R,), their derivatives (R, P), and the reduced chi-square."""
+    """Return what the insertions tell: residuals (R,), derivatives (R, P), reduced chi-square."""
     count = sum(problem.density.told)  # what follows normalises, or is the prior's, counted for itself
     residuals, slope = (np.nan_to_num(part[:count]) for part in problem.jacobian(theta))
     # what a scale of the noise does to residuals says nothing of the other parameters, on average
