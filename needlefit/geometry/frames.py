@@ -69,15 +69,30 @@ def entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> F
 
 
 def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
-    """Return `moving` (N, 2) after the motion of SE(2) that brings it closest to `fixed` (N, 2).
+    """Return `moving` (..., N, 2) after the motions of SE(2) that bring it closest to `fixed` (N, 2).
 
     Least squares over all points; rotation and shift only, never scale or reflection. In the plane the
     best angle has a closed form: the phase of sum conj(m_j) f_j, with centred points as complex numbers.
     """
     m, f = np.asarray(moving, dtype=np.float64), np.asarray(fixed, dtype=np.float64)
-    centre_m, centre_f = m.mean(axis=0), f.mean(axis=0)
+    centre_m, centre_f = m.mean(axis=-2, keepdims=True), f.mean(axis=0)
     a, b = m - centre_m, f - centre_f
-    angle = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    across = np.sum(a[..., 0] * b[:, 1] - a[..., 1] * b[:, 0], axis=-1)
+    angle = np.arctan2(across, np.sum(a * b, axis=(-2, -1)))
     c, s = np.cos(angle), np.sin(angle)
-    aligned: Floats = a @ np.array([[c, s], [-s, c]]) + centre_f
+    aligned: Floats = a @ np.moveaxis(np.array([[c, s], [-s, c]]), (0, 1), (-2, -1)) + centre_f
     return aligned
+
+
+def align_rigid_slopes(moving: ArrayLike, fixed: ArrayLike, slopes: Floats) -> Floats:
+    """Return the derivatives (N, 2, P) of `align_rigid(moving, fixed)`, given those of `moving`."""
+    m, f = np.asarray(moving, dtype=np.float64), np.asarray(fixed, dtype=np.float64)
+    a, b, da = m - m.mean(axis=0), f - f.mean(axis=0), slopes - slopes.mean(axis=0)
+    across, along = np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)
+    turned = np.einsum("np,n->p", da[:, 0], b[:, 1]) - np.einsum("np,n->p", da[:, 1], b[:, 0])
+    size = np.hypot(across, along)
+    turn = (along * turned - across * np.einsum("nip,ni->p", da, b)) / size**2  # (P,), of the angle
+    c, s = along / size, across / size
+    rotation, quarter = np.array([[c, s], [-s, c]]), np.array([[-s, c], [-c, -s]])
+    moved: Floats = np.einsum("nip,ij->njp", da, rotation) + (a @ quarter)[:, :, None] * turn
+    return moved

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Dataset
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.draws import Draws, Source
-from needlefit.inference.likelihood import pose_sds
+from needlefit.inference.likelihood.pose import pose_sds
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import rules
 from needlefit.inference.predictive import Mixture
@@ -129,8 +129,8 @@ def _batch(scene: Scene, sets: Sequence[Mapping[str, float]], medium: MediumReco
 def _measurement(s: Floats, dataset: Dataset) -> Floats:
     """Return the deviation (K,) of a measured y about the needle's, mm; of a typical insertion."""
     noise = dataset.noise
-    pose = np.array([pose_sds("known", one, noise) for one in dataset.insertions])  # (N, 2)
-    shift, angle = np.sqrt(np.mean(pose**2, axis=0))
+    pose = np.array([pose_sds(one, noise) for one in dataset.insertions])  # (N, 3)
+    shift, angle, _ = np.sqrt(np.mean(pose**2, axis=0))  # a shift along hardly moves y
     total: Floats = np.sqrt(noise.point_sd**2 + noise.correlated_sd**2 + shift**2 + (angle * s) ** 2)
     return total
 
