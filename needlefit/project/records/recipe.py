@@ -1,10 +1,13 @@
 """A recipe: how to search (algorithm, starts, budget), what to minimise, how to sample."""
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from needlefit.project.records.record import FileRecord, Record
+
+
+Minimized = Literal["posterior", "metric"]
 
 
 class WeightsRecord(Record):
@@ -32,10 +35,18 @@ class SampleRecord(Record):
 
 
 class RecipeRecord(FileRecord):
-    """`configs/recipes/<name>.toml`."""
+    """`configs/recipes/<name>.toml`.
+
+    `minimize` says what the fit is: the negative log posterior, or the metric objective of `weights`. `metric`
+    adds to the first a second fit, of the metric objective, reported beside it, by `metric_algorithm`.
+    `evaluations` limits each start; one with derivatives counts as one, as does one without.
+    """
 
     title: str = ""
-    algorithm: str = "bobyqa+neldermead"
+    minimize: Minimized = "posterior"
+    algorithm: str = "leastsquares"
+    metric: bool = False
+    metric_algorithm: str = "bobyqa+neldermead"
     starts: int = Field(default=16, ge=1)
     seed: int = Field(default=1, ge=0)
     evaluations: int = Field(default=600, ge=1)

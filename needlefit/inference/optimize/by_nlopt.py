@@ -1,0 +1,100 @@
+"""One stage of a search by one of nlopt's algorithms.
+
+nlopt reports success on a NaN, forgets the best point when it is stopped, and breaks or crashes on values
+that are not finite. So nothing that it returns is used: every evaluation goes through a `Ledger`, which
+keeps the best point, counts, and ends the search; nlopt is only ever shown finite numbers. It works in the
+unit cube, where one step size and one tolerance suit all parameters.
+"""
+
+import math
+from contextlib import suppress
+
+import nlopt
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.inference.ledger import Ended, Ledger
+
+Floats = NDArray[np.float64]
+
+FIRST_STEP = 0.25
+"""Initial step of a local search without gradients, as a part of each parameter's range."""
+
+PENALTY = 1e3
+"""Shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is."""
+
+VALUE_TOLERANCE = 0.1
+"""Relative change of the value under which a search ends, as a part of the recipe's tolerance."""
+
+
+def stage(books: Ledger, code: int, tolerance: float, start: Floats) -> str:
+    """Let nlopt's algorithm `code` search from theta `start` (P,); return why it ended."""
+    if len(start) == 0:
+        with suppress(Ended):
+            books.value(start)
+        return books.reason or "tolerance"
+    lower, span = books.goal.lower, books.goal.upper - books.goal.lower
+    optimizer = _optimizer(code, tolerance, books)
+    bugs: list[BaseException] = []
+
+    def function(cube: Floats, slope: Floats) -> float:
+        try:
+            value = _evaluate(books, lower + cube * span, slope, span)
+        except Ended:
+            value = math.inf
+            optimizer.force_stop()
+        except BaseException as error:
+            value = math.inf
+            bugs.append(error)
+            optimizer.force_stop()
+        worst = 2 * abs(books.worst) + 1 if math.isfinite(books.worst) else PENALTY
+        return value if math.isfinite(value) else worst
+
+    # Nothing is raised inside: some algorithms call on after an exception, which Python does not survive.
+    optimizer.set_min_objective(function)
+    reason = _run(optimizer, np.clip((start - lower) / span, 0.0, 1.0))
+    if bugs:
+        raise bugs[0]
+    return books.reason or reason
+
+
+def seed(number: int) -> None:
+    """Seed nlopt's generator; where it has no thread-local one, that of all threads."""
+    nlopt.srand(number)
+
+
+def _evaluate(books: Ledger, theta: Floats, slope: Floats, span: Floats) -> float:
+    """Return the value; with its slope along the cube written into `slope` (P,), if that is asked for."""
+    if slope.size == 0:
+        return books.value(theta)
+    slope[:] = 0.0
+    value, gradient = books.gradient(theta)
+    slope[:] = gradient * span
+    return value
+
+
+def _optimizer(code: int, tolerance: float, books: Ledger) -> "nlopt.opt":
+    dimensions, negligible = len(books.goal.lower), books.goal.negligible
+    optimizer = nlopt.opt(code, dimensions)
+    optimizer.set_lower_bounds(np.zeros(dimensions))
+    optimizer.set_upper_bounds(np.ones(dimensions))
+    optimizer.set_initial_step(np.full(dimensions, FIRST_STEP))
+    optimizer.set_xtol_abs(np.full(dimensions, tolerance))
+    if negligible:
+        optimizer.set_ftol_abs(negligible)
+    else:
+        optimizer.set_ftol_rel(tolerance * VALUE_TOLERANCE)
+    return optimizer
+
+
+def _run(optimizer: "nlopt.opt", start: Floats) -> str:
+    """Return why nlopt ended; its answer is not looked at."""
+    try:
+        optimizer.optimize(start)
+    except nlopt.ForcedStop:
+        return "stopped"
+    except nlopt.RoundoffLimited:
+        return "roundoff"
+    except (RuntimeError, ValueError, MemoryError) as error:
+        return f"nlopt failed: {error}"
+    return "tolerance"

@@ -1,0 +1,65 @@
+"""One stage of a search by nonlinear least squares, with the exact Jacobian, in theta itself.
+
+SciPy's trust region method within the bounds. As with nlopt, the best point is the ledger's own.
+"""
+
+from contextlib import suppress
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import least_squares
+
+from needlefit.inference.ledger import Ended, Ledger
+
+Floats = NDArray[np.float64]
+
+ROUNDING = 1e-14
+"""Relative change of the sum of squares, and of theta, under which it ends."""
+
+SAME = 1e-6
+"""Difference between value and sum of squares, in both units, from which on they are not the same function."""
+
+
+def stage(books: Ledger, start: Floats) -> str:
+    """Search from theta `start` (P,); return why it ended."""
+    reason = ""
+    with suppress(Ended):
+        reason = _squares(books, start)
+    return books.reason or reason
+
+
+def _squares(books: Ledger, start: Floats) -> str:
+    if not books.calibrate(start):
+        return "failed at its start"
+    if len(start) == 0:
+        return "tolerance"
+    found = least_squares(
+        books.residuals,
+        np.clip(start, books.goal.lower, books.goal.upper),
+        jac=lambda theta: _slopes(books, theta),
+        bounds=(books.goal.lower, books.goal.upper),
+        x_scale="jac",
+        ftol=ROUNDING,
+        xtol=ROUNDING,
+        gtol=None,  # absolute: it would depend on the units of theta
+        max_nfev=books.budget,  # the ledger ends it, which counts the Jacobians too
+    )
+    return _checked(books, "tolerance" if found.status > 0 else "budget")
+
+
+def _slopes(books: Ledger, theta: Floats) -> Floats:
+    """Return the Jacobian (R, P); where it cannot be computed the search ends, its best point kept."""
+    found = books.jacobian(theta)
+    if found is None:
+        books.reason = "no Jacobian"
+        raise Ended
+    return found[1]
+
+
+def _checked(books: Ledger, reason: str) -> str:
+    """Compare the best sum of squares with the value that it stands for."""
+    assert books.theta is not None
+    claimed, books.objective = books.objective, np.inf
+    if abs(books.value(books.theta) - claimed) > SAME * (1 + abs(claimed)):
+        return "no sum of squares"
+    return reason
