@@ -43,7 +43,7 @@ def test_the_density_is_that_of_the_stated_covariance():
     curve = along(shift=(0.02, -0.1), angle=0.003, bump=0.07)
     residual = (curve(known.s) - known.measured)[:, 1]
     assert log_likelihood(known, curve) == pytest.approx(multivariate_normal(cov=cov).logpdf(residual))
-    assert known.factor @ whitened(known, curve) == pytest.approx(residual, abs=1e-12)
+    assert known.factor @ whitened(known, curve(known.s)) == pytest.approx(residual, abs=1e-12)
 
 
 def test_the_covariance_of_two_points_by_hand():

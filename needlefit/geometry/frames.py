@@ -81,3 +81,17 @@ def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
     c, s = np.cos(angle), np.sin(angle)
     aligned: Floats = a @ np.array([[c, s], [-s, c]]) + centre_f
     return aligned
+
+
+def align_rigid_slopes(moving: ArrayLike, fixed: ArrayLike, slopes: Floats) -> Floats:
+    """Return the derivatives (N, 2, P) of `align_rigid(moving, fixed)`, given those of `moving`."""
+    m, f = np.asarray(moving, dtype=np.float64), np.asarray(fixed, dtype=np.float64)
+    a, b, da = m - m.mean(axis=0), f - f.mean(axis=0), slopes - slopes.mean(axis=0)
+    across, along = np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)
+    turned = np.einsum("np,n->p", da[:, 0], b[:, 1]) - np.einsum("np,n->p", da[:, 1], b[:, 0])
+    size = np.hypot(across, along)
+    turn = (along * turned - across * np.einsum("nip,ni->p", da, b)) / size**2  # (P,), of the angle
+    c, s = along / size, across / size
+    rotation, quarter = np.array([[c, s], [-s, c]]), np.array([[-s, c], [-c, -s]])
+    moved: Floats = np.einsum("nip,ij->njp", da, rotation) + (a @ quarter)[:, :, None] * turn
+    return moved

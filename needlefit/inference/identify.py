@@ -24,9 +24,7 @@ from needlefit.inference.information import (
     Direction,
     cramer_rao,
     directions,
-    jacobian,
     precision_words,
-    steps,
 )
 from needlefit.inference.parameters import in_logarithm
 from needlefit.inference.problem import Problem
@@ -95,8 +93,8 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
     """Return what the data determine at the best point of a fit."""
     theta, names = np.array(fit.theta), problem.names
     weighed = with_noise(problem, theta)
-    slope = np.nan_to_num(jacobian(weighed.residuals, theta, steps(names)))  # (R, P)
-    residuals = np.nan_to_num(weighed.residuals(theta))
+    count = sum(len(e.s) for e in weighed.evidence)  # what follows is the prior's, counted for itself
+    residuals, slope = (np.nan_to_num(part[:count]) for part in weighed.jacobian(theta))  # (R,), (R, P)
     chi_square = float(residuals @ residuals) / max(1, len(residuals) - len(names))
     known_before = _known_before(problem)
     information = slope.T @ slope / max(1.0, chi_square) + known_before

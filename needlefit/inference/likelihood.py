@@ -27,7 +27,7 @@ from needlefit.datasets.noise import MEAN_OF_NORM
 from needlefit.datasets.reach import reach_from_tip
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length, at_arc
-from needlefit.geometry.frames import align_rigid
+from needlefit.geometry.frames import align_rigid, align_rigid_slopes
 from needlefit.inference.comparison import Curve, Pose, in_entry_axes
 
 Floats = NDArray[np.float64]
@@ -93,19 +93,25 @@ def evidence(dataset: Dataset, insertion: Insertion, noise: Noise | None = None)
     return Evidence(s, measured, factor, log_norm, dataset.pose)
 
 
-def whitened(evidence: Evidence, curve: Curve) -> Floats:
-    """Return the residuals (K,), uncorrelated and of unit variance where model and noise are right."""
-    simulated = curve(evidence.s)
+def whitened(evidence: Evidence, simulated: Floats) -> Floats:
+    """Return the residuals (K,) of points (K, 2): uncorrelated and of unit variance if all is right."""
     if evidence.pose == "free":
         simulated = align_rigid(simulated, evidence.measured)
-    residual = simulated[:, 1] - evidence.measured[:, 1]  # (K,)
-    white: Floats = solve_triangular(evidence.factor, residual, lower=True, check_finite=False)
+    white: Floats = evidence.whitening @ (simulated[:, 1] - evidence.measured[:, 1])
+    return white
+
+
+def whitened_slopes(evidence: Evidence, simulated: Floats, slopes: Floats) -> Floats:
+    """Return the derivatives (K, P) of `whitened`, given those of the simulated points, (K, 2, P)."""
+    if evidence.pose == "free":
+        slopes = align_rigid_slopes(simulated, evidence.measured, slopes)
+    white: Floats = evidence.whitening @ slopes[:, 1]
     return white
 
 
 def log_likelihood(evidence: Evidence, curve: Curve) -> float:
     """Return the logarithm of the density of the measured points, given the simulated curve."""
-    white = whitened(evidence, curve)
+    white = whitened(evidence, curve(evidence.s))
     return evidence.log_norm - 0.5 * float(white @ white)
 
 

@@ -111,6 +111,14 @@ class Parameters:
             known[name] = factor * known[source]
         return {name: known[name] for name in self.names}
 
+    def slopes(self, values: Mapping[str, float]) -> dict[str, Floats]:
+        """Return d value / d theta (P,) of every parameter, through logarithms and ties; 0 where fixed."""
+        unit = dict(zip(self.free, np.eye(len(self.bounds)), strict=True))
+        known = {n: (values[n] if in_logarithm(n) else 1.0) * row for n, row in unit.items()}
+        tied = {name: factor * known[source] for name, (factor, source) in self.ties.items()}
+        held = {name: np.zeros(len(self.bounds)) for name in self.fixed}
+        return held | known | tied
+
     def theta(self, values: Mapping[str, float]) -> Floats:
         """Return theta (P,) of the free parameters among `values` (Pa, mm)."""
         return np.array([_forward(name, values[name]) for name in self.free])

@@ -13,6 +13,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord
 
 Floats = NDArray[np.float64]
@@ -48,9 +49,21 @@ def predict(
     ModelError
         If the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
+    return simulate(*conditions(values, medium, needle, insertion, boundaries, sequence))
+
+
+def conditions(
+    values: Mapping[str, float],
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+    boundaries: Floats | None = None,
+    sequence: Sequence[int] | None = None,
+) -> tuple[Needle, Tissue, Bevel, float, Controls, Rules]:
+    """Return what `predict` simulates, as `simulate` and `linearize` take it."""
     met = insertion.sequence if sequence is None else sequence
     depths = insertion.boundaries if boundaries is None else boundaries
-    return simulate(
+    return (
         needle,
         tissue(values, met, depths, medium),
         Bevel(values["bevel_mm"], insertion.side),

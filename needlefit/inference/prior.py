@@ -48,12 +48,17 @@ class Prior:
         white = self.residuals(values)
         return -0.5 * float(white @ white)
 
-    def information(self, names: Sequence[str]) -> Floats:
-        """Return the precision (P, P) of theta of the free parameters `names`; 0 where nothing is stated."""
+    def slopes(self, names: Sequence[str]) -> Floats:
+        """Return the derivatives (Q, P) of `residuals` by theta of the free parameters `names`."""
         chosen = np.array([[float(name == own) for name in names] for own in self.names])  # (Q, P)
         if not self.names:
-            return np.zeros((len(names), len(names)))
-        slopes = np.array(self.whitening) @ chosen
+            return np.zeros((0, len(names)))
+        slopes: Floats = np.array(self.whitening) @ chosen
+        return slopes
+
+    def information(self, names: Sequence[str]) -> Floats:
+        """Return the precision (P, P) of theta of the free parameters `names`; 0 where nothing is stated."""
+        slopes = self.slopes(names)
         precision: Floats = slopes.T @ slopes
         return precision
 

@@ -11,9 +11,17 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.errors import ConfigError
 from needlefit.geometry.compare import CurveErrors, compare
 from needlefit.inference.comparison import Target, curve_of, scored, target
-from needlefit.inference.likelihood import Evidence, evidence, log_likelihood, log_likelihoods, whitened
+from needlefit.inference.likelihood import (
+    Evidence,
+    evidence,
+    log_likelihood,
+    log_likelihoods,
+    whitened,
+    whitened_slopes,
+)
 from needlefit.inference.parameters import Parameters, Theta
 from needlefit.inference.predict import predict, predict_each
+from needlefit.inference.slopes import predict_with_slopes
 from needlefit.mechanics.batch import positions_each
 from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.shape import NeedleShape
@@ -106,13 +114,37 @@ class Problem:
         return w.ipe * errors.mean + w.te * errors.te + w.edp * relative
 
     def residuals(self, theta: Theta) -> Floats:
-        """Return the whitened residuals of all insertions, one after the other; NaN if a solve fails."""
+        """Return the whitened residuals (R,) of all insertions one after the other, then of the prior.
+
+        NaN where a solve fails. log_posterior = constant - |residuals|^2 / 2 within the bounds.
+        """
         pairs = zip(self.evidence, self.shapes(theta), strict=True)
         parts = [
-            whitened(e, curve_of(shape)) if shape.converged else np.full(len(e.s), np.nan)
+            whitened(e, curve_of(shape)(e.s)) if shape.converged else np.full(len(e.s), np.nan)
             for e, shape in pairs
         ]
-        return np.concatenate(parts)
+        return np.concatenate([*parts, self.parameters.prior.residuals(self.values(theta))])
+
+    def jacobian(self, theta: Theta) -> tuple[Floats, Floats]:
+        """Return the residuals (R,) and their exact derivatives (R, P) by theta; NaN where a solve fails."""
+        values, prior = self.values(theta), self.parameters.prior
+        parts = []
+        for insertion, known in zip(self.insertions, self.evidence, strict=True):
+            points, slopes = predict_with_slopes(
+                values, self.parameters, self.medium, self.dataset.needle, insertion, known.s
+            )
+            parts.append((whitened(known, points), whitened_slopes(known, points, slopes)))
+        parts.append((prior.residuals(values), prior.slopes(self.names)))
+        residuals, jacobians = zip(*parts, strict=True)
+        return np.concatenate(residuals), np.concatenate(jacobians)
+
+    def gradient(self, theta: Theta) -> tuple[float, Floats]:
+        """Return `log_posterior` and its exact gradient (P,); NaN where a solve fails or theta is outside."""
+        if not self._inside(theta):
+            return float("-inf"), np.full(len(self.names), np.nan)
+        residuals, jacobian = self.jacobian(theta)
+        constant = sum(known.log_norm for known in self.evidence)
+        return constant - 0.5 * float(residuals @ residuals), -(residuals @ jacobian)
 
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density in theta.
@@ -120,8 +152,7 @@ class Problem:
         The prior is flat in theta within the bounds (moduli and lengths are log-uniform), times what the
         medium states. -inf outside, NaN where a solve fails: the density is not known there.
         """
-        inside = np.all(np.asarray(theta) >= self.lower) and np.all(np.asarray(theta) <= self.upper)
-        if not inside:
+        if not self._inside(theta):
             return float("-inf")
         values = self.values(theta)
         total = self.parameters.prior.log_density(values)
@@ -146,6 +177,10 @@ class Problem:
             density[inside[~good]] = np.nan
             density[inside[good]] += log_likelihoods(known, positions_each(shapes, known.s)[good])
         return density
+
+    def _inside(self, theta: Theta) -> bool:
+        at = np.asarray(theta)
+        return bool(np.all(at >= self.lower) and np.all(at <= self.upper))
 
     def with_parameters(self, parameters: Parameters) -> "Problem":
         """Return the same problem searched over other parameters, e.g. the bevel alone."""
