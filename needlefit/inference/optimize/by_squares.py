@@ -17,7 +17,7 @@ ROUNDING = 1e-14
 """Relative change of the sum of squares, and of theta, under which it ends."""
 
 SAME = 1e-6
-"""Difference between value and sum of squares, in both units, from which on they are not the same function."""
+"""Relative difference between value and sum of squares from which on one does not stand for the other."""
 
 
 def stage(books: Ledger, start: Floats) -> str:
@@ -33,10 +33,14 @@ def _squares(books: Ledger, start: Floats) -> str:
         return "failed at its start"
     if len(start) == 0:
         return "tolerance"
+
+    def slopes(theta: Floats) -> Floats:
+        return _slopes(books, theta)
+
     found = least_squares(
         books.residuals,
         np.clip(start, books.goal.lower, books.goal.upper),
-        jac=lambda theta: _slopes(books, theta),
+        jac=slopes,
         bounds=(books.goal.lower, books.goal.upper),
         x_scale="jac",
         ftol=ROUNDING,

@@ -6,7 +6,6 @@ from pydantic import Field, model_validator
 
 from needlefit.project.records.record import FileRecord, Record
 
-
 Minimized = Literal["posterior", "metric"]
 
 
@@ -37,8 +36,8 @@ class SampleRecord(Record):
 class RecipeRecord(FileRecord):
     """`configs/recipes/<name>.toml`.
 
-    `minimize` says what the fit is: the negative log posterior, or the metric objective of `weights`. `metric`
-    adds to the first a second fit, of the metric objective, reported beside it, by `metric_algorithm`.
+    `minimize` says what the fit is: the negative log posterior, or the metric objective of `weights`.
+    `metric` adds a second fit, of the metric objective by `metric_algorithm`, reported beside the first.
     `evaluations` limits each start; one with derivatives counts as one, as does one without.
     """
 
