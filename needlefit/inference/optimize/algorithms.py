@@ -43,16 +43,16 @@ def _squares(books: Ledger, start: Floats, tolerance: float) -> str:
     return by_squares.stage(books, start)  # its end is rounding, whatever the recipe's tolerance
 
 
-def _of_nlopt(code: int, books: Ledger, start: Floats, tolerance: float) -> str:
-    return by_nlopt.stage(books, code, tolerance, start)
+def _of_nlopt(code: int, sloped: bool, books: Ledger, start: Floats, tolerance: float) -> str:
+    return by_nlopt.stage(books, code, sloped, tolerance, start)
 
 
 def _valued(code: int, stochastic: bool = False, dimensions: int = 1) -> Algorithm:
-    return Algorithm(partial(_of_nlopt, code), "value", stochastic, dimensions)
+    return Algorithm(partial(_of_nlopt, code, False), "value", stochastic, dimensions)
 
 
 def _sloped(code: int) -> Algorithm:
-    return Algorithm(partial(_of_nlopt, code), "gradient")
+    return Algorithm(partial(_of_nlopt, code, True), "gradient")
 
 
 ALGORITHMS = {

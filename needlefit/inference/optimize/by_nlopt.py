@@ -20,6 +20,12 @@ Floats = NDArray[np.float64]
 FIRST_STEP = 0.25
 """Initial step of a local search without gradients, as a part of each parameter's range."""
 
+FIRST_SLOPE = 0.1
+"""First step of a search by gradients, likewise."""
+
+ROUNDING = 1e-12
+"""Step, likewise, under which a search by gradients for the peak of a posterior ends."""
+
 PENALTY = 1e3
 """Shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is."""
 
@@ -27,19 +33,24 @@ VALUE_TOLERANCE = 0.1
 """Relative change of the value under which a search ends, as a part of the recipe's tolerance."""
 
 
-def stage(books: Ledger, code: int, tolerance: float, start: Floats) -> str:
-    """Let nlopt's algorithm `code` search from theta `start` (P,); return why it ended."""
+def stage(books: Ledger, code: int, sloped: bool, tolerance: float, start: Floats) -> str:
+    """Let nlopt's algorithm `code` search from theta `start` (P,), by slopes or not; return why it ended."""
     if len(start) == 0:
         with suppress(Ended):
             books.value(start)
         return books.reason or "tolerance"
     lower, span = books.goal.lower, books.goal.upper - books.goal.lower
-    optimizer = _optimizer(code, tolerance, books)
+    optimizer = nlopt.opt(code, len(start))
+    try:
+        scale = _scale(books, start, span) if sloped else 1.0
+    except Ended:
+        return books.reason
+    _prepare(optimizer, tolerance, books.goal.negligible * scale, sloped)
     bugs: list[BaseException] = []
 
     def function(cube: Floats, slope: Floats) -> float:
         try:
-            value = _evaluate(books, lower + cube * span, slope, span)
+            value = scale * _evaluate(books, lower + cube * span, slope, scale * span)
         except Ended:
             value = math.inf
             optimizer.force_stop()
@@ -47,7 +58,7 @@ def stage(books: Ledger, code: int, tolerance: float, start: Floats) -> str:
             value = math.inf
             bugs.append(error)
             optimizer.force_stop()
-        worst = 2 * abs(books.worst) + 1 if math.isfinite(books.worst) else PENALTY
+        worst = scale * (2 * abs(books.worst) + 1) if math.isfinite(books.worst) else PENALTY
         return value if math.isfinite(value) else worst
 
     # Nothing is raised inside: some algorithms call on after an exception, which Python does not survive.
@@ -63,6 +74,16 @@ def seed(number: int) -> None:
     nlopt.srand(number)
 
 
+def _scale(books: Ledger, start: Floats, span: Floats) -> float:
+    """Return what the value is multiplied by, so that the first step along its slope is `FIRST_SLOPE` long.
+
+    Methods that know no curvature at first take the slope for the step: from a bad start, where a log
+    posterior falls by 1e5 over the box, that leads into a corner, from which line searches fail.
+    """
+    steepness = float(np.linalg.norm(books.gradient(start)[1] * span))
+    return FIRST_SLOPE / steepness if steepness > 0 else 1.0
+
+
 def _evaluate(books: Ledger, theta: Floats, slope: Floats, span: Floats) -> float:
     """Return the value; with its slope along the cube written into `slope` (P,), if that is asked for."""
     if slope.size == 0:
@@ -73,18 +94,17 @@ def _evaluate(books: Ledger, theta: Floats, slope: Floats, span: Floats) -> floa
     return value
 
 
-def _optimizer(code: int, tolerance: float, books: Ledger) -> "nlopt.opt":
-    dimensions, negligible = len(books.goal.lower), books.goal.negligible
-    optimizer = nlopt.opt(code, dimensions)
+def _prepare(optimizer: "nlopt.opt", tolerance: float, negligible: float, sloped: bool) -> None:
+    """Set bounds, first step, and when to end: gradients reach a minimum to rounding, values do not."""
+    dimensions = optimizer.get_dimension()
     optimizer.set_lower_bounds(np.zeros(dimensions))
     optimizer.set_upper_bounds(np.ones(dimensions))
     optimizer.set_initial_step(np.full(dimensions, FIRST_STEP))
-    optimizer.set_xtol_abs(np.full(dimensions, tolerance))
+    optimizer.set_xtol_abs(np.full(dimensions, ROUNDING if sloped and negligible else tolerance))
     if negligible:
         optimizer.set_ftol_abs(negligible)
     else:
         optimizer.set_ftol_rel(tolerance * VALUE_TOLERANCE)
-    return optimizer
 
 
 def _run(optimizer: "nlopt.opt", start: Floats) -> str:
@@ -95,6 +115,6 @@ def _run(optimizer: "nlopt.opt", start: Floats) -> str:
         return "stopped"
     except nlopt.RoundoffLimited:
         return "roundoff"
-    except (RuntimeError, ValueError, MemoryError) as error:
+    except (nlopt.exception, RuntimeError, ValueError, MemoryError) as error:
         return f"nlopt failed: {error}"
     return "tolerance"

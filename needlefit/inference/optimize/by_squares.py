@@ -13,7 +13,7 @@ from needlefit.inference.ledger import Ended, Ledger
 
 Floats = NDArray[np.float64]
 
-ROUNDING = 1e-14
+ROUNDING = 1e-12
 """Relative change of the sum of squares, and of theta, under which it ends."""
 
 SAME = 1e-6
