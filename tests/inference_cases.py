@@ -8,13 +8,13 @@ import numpy as np
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
-from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import predict
 from needlefit.inference.problem import Problem
+from needlefit.inference.problem import problem as build_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import inserted_points
 from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import RecipeRecord, WeightsRecord
+from needlefit.project.records.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 NOISE = Noise(registration_mean=0.19, point_sd=0.05, correlated_sd=0.1, correlation_length=5.0)
@@ -77,10 +77,11 @@ def two_layers(record: MediumRecord | None = None, count: int = 3, **options: ob
     return problem(record, made)
 
 
-def problem(record: MediumRecord, made: Sequence[Insertion], **options: object) -> Problem:
-    return Problem(
-        dataset(made, **options), tuple(made), record, Parameters.from_record(record), WeightsRecord()
-    )
+def problem(
+    record: MediumRecord, made: Sequence[Insertion], how: LikelihoodRecord | None = None, **options: object
+) -> Problem:
+    how = LikelihoodRecord() if how is None else how
+    return build_problem(dataset(made, **options), made, record, WeightsRecord(), how)
 
 
 def recipe(**changed: object) -> RecipeRecord:
@@ -133,6 +134,7 @@ class Squares:
     lower: np.ndarray
     upper: np.ndarray
     constant: float = 7.0
+    squares: bool = True
 
     def residuals(self, theta: np.ndarray) -> np.ndarray:
         return self.slopes(theta)[0]

@@ -4,11 +4,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium, problem
-from scipy.stats import multivariate_normal
+from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
-from needlefit.inference.likelihood import covariance, evidence, log_likelihood, pose_sds, whitened
+from needlefit.inference.likelihood.covariance import points_covariance
+from needlefit.inference.likelihood.evidence import evidence, whiten, whitened
+from needlefit.inference.likelihood.pose import modes, pose_sds
+from needlefit.project.records.recipe import LikelihoodRecord
 
 STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
 
@@ -28,6 +31,11 @@ def along(shift=(0.0, 0.0), angle=0.0, bump=0.0):
     return curve
 
 
+def log_likelihood(known, curve):
+    white = whitened(known, curve(known.nodes.s[0]))
+    return known.log_norm - 0.5 * white @ white
+
+
 def test_independent_noise_gives_the_textbook_density():
     known = evidence(dataset([], Noise(point_sd=0.2)), straight())
     got = log_likelihood(known, along(shift=(0.0, 0.1)))
@@ -39,20 +47,78 @@ def test_independent_noise_gives_the_textbook_density():
 def test_the_density_is_that_of_the_stated_covariance():
     noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
     known = evidence(dataset([], noise), measured)
-    cov = covariance(known.s, known.measured, noise, pose_sds("known", measured, noise))
+    spread = modes(STRAIGHT) * pose_sds(measured, noise)
+    cov = points_covariance(STRAIGHT[:, 0], noise) + spread @ spread.T
     curve = along(shift=(0.02, -0.1), angle=0.003, bump=0.07)
-    residual = (curve(known.s) - known.measured)[:, 1]
+    residual = curve(STRAIGHT[:, 0])[:, 1]
     assert log_likelihood(known, curve) == pytest.approx(multivariate_normal(cov=cov).logpdf(residual))
-    assert known.factor @ whitened(known, curve(known.s)) == pytest.approx(residual, abs=1e-12)
+    assert np.linalg.inv(known.whitening) @ whitened(known, curve(STRAIGHT[:, 0])) == pytest.approx(residual)
 
 
 def test_the_covariance_of_two_points_by_hand():
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=10.0)
-    points = np.array([[0.0, 0.0], [10.0, 2.0]])
-    cov = covariance(np.array([0.0, 10.0]), points, noise, (0.5, 0.1))
+    cov = points_covariance(np.array([0.0, 10.0]), noise)
     shared = 0.16 * math.exp(-1)
-    # 0.09 + 0.16 + 0.25 each; a turn by d lifts the second point by 10 d
-    assert cov == pytest.approx(np.array([[0.5, 0.25 + shared], [0.25 + shared, 0.5 + 1.0]]))
+    assert cov == pytest.approx(np.array([[0.25, shared], [shared, 0.25]]))
+    own = points_covariance(np.array([0.0, 10.0]), noise, np.array([0.1, 0.5]))
+    assert own == pytest.approx(np.array([[0.1, 0.05 / math.e], [0.05 / math.e, 0.34]]))
+
+
+def test_the_deviations_of_points_replace_the_datasets():
+    noise, sd = Noise(point_sd=0.01, correlated_sd=0.3), np.linspace(0.1, 0.2, 41)
+    known = evidence(dataset([], noise), replace(straight(), sd=sd))
+    inverse = np.linalg.inv(points_covariance(STRAIGHT[:, 0], noise, sd))
+    assert known.whitening.T @ known.whitening == pytest.approx(inverse)
+
+
+def test_a_pose_moves_a_parabola_as_its_modes_say():
+    x = np.linspace(0.0, 40.0, 81)
+    parabola = np.column_stack([x, 1e-3 * x**2])
+    across, turn, along_axis = modes(parabola).T
+    assert across == pytest.approx(1.0) and turn == pytest.approx(x)
+    assert along_axis == pytest.approx(-2e-3 * x, abs=1e-9)  # y(x - d) = y(x) - d y'(x)
+
+
+def test_pose_deviations_are_the_larger_of_two_tellings_of_one_error():
+    noise = Noise(registration_mean=0.2 * math.sqrt(8 / math.pi))
+    assert pose_sds(straight(angle_sd=0.01), noise) == pytest.approx([0.2, 0.01, 0.2])
+    assert pose_sds(replace(straight(), pose_shift_sd=0.5), noise) == pytest.approx([0.5, 0.0, 0.5])
+
+
+def test_a_very_wide_pose_prior_tends_to_the_projected_pose_up_to_its_constant():
+    """N(r; 0, C + M S^2 M^T) (2 pi)^(f / 2) det S tends to the density of what M leaves of r."""
+    rng, s = np.random.default_rng(7), STRAIGHT[:, 0]
+    cov = points_covariance(s, Noise(point_sd=0.05, correlated_sd=0.1))
+    free = modes(np.column_stack([s, 1e-3 * s**2]))[:, :2]
+    whitening, log_norm = whiten(cov, free)
+    assert whitening.shape == (39, 41)
+    for residual in rng.normal(0, 0.2, (3, 41)):
+        white = whitening @ residual
+        wide = np.diag([100.0, 3.0])  # mm, rad
+        proper = multivariate_normal(cov=cov + free @ wide**2 @ free.T).logpdf(residual)
+        constant = math.log(2 * math.pi) + math.log(100.0 * 3.0)
+        assert log_norm - 0.5 * white @ white == pytest.approx(proper + constant, abs=1e-4)
+        moved = whitening @ (residual + free @ [5.0, -0.1])
+        assert moved == pytest.approx(white, abs=1e-9)
+
+
+def test_the_projected_density_is_the_integral_over_all_poses():
+    """By hand: two points that share a shift of any size leave their difference, of deviation sd sqrt 2.
+
+    The integral over d of N(r1 - d) N(r2 - d) is N(r1 - r2; 0, 2 sd^2).
+    """
+    whitening, log_norm = whiten(0.3**2 * np.eye(2), np.ones((2, 1)))
+    for residual in ([0.1, 0.5], [2.0, 2.4]):
+        white = whitening @ residual
+        assert log_norm - 0.5 * white @ white == pytest.approx(norm(scale=0.3 * math.sqrt(2)).logpdf(0.4))
+
+
+def test_independent_noise_keeps_each_points_whole_deviation():
+    noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
+    known = evidence(dataset([], noise), measured, how=LikelihoodRecord(noise="independent"))
+    shift = 0.19 / math.sqrt(8 / math.pi)
+    sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
+    assert known.whitening == pytest.approx(np.diag(1 / sd))
 
 
 def test_a_wrong_pose_within_its_prior_costs_little_and_a_wrong_shape_much():
@@ -87,8 +153,10 @@ def test_a_free_pose_costs_nothing():
 def test_a_centreline_of_many_points_is_thinned_and_keeps_its_tip():
     dense = measure(TRUTH, medium(1), insertion(50.0), 2001)
     known = evidence(dataset([], Noise(point_sd=0.1)), dense)
-    assert 100 < len(known.s) <= 200
-    assert known.measured[-1] == pytest.approx(dense.planar[-1]) and known.s[-1] == pytest.approx(50.0)
+    assert 100 < len(known.measured) <= 200
+    assert known.measured[-1] == pytest.approx(dense.planar[-1]) and known.nodes.s[0, -1] == pytest.approx(
+        50.0
+    )
 
 
 def test_no_stated_noise_is_an_error_that_says_what_is_missing():

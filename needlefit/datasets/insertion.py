@@ -72,6 +72,8 @@ class Insertion:
         Layer number (from 1) met in each of the n intervals between boundaries.
     boundary_sd : float
         Standard deviation of the boundaries, mm.
+    depth_sd : float
+        Standard deviation of `depth`, mm; 0 where none is stated.
     guide_distance : float or None
         Distance from a clamping guide to the entry, mm, where it is known.
     sd : (N,) array or None
@@ -103,6 +105,7 @@ class Insertion:
     sd: Floats | None = None
     surfaces: tuple[Surface, ...] = ()
     patient: Frame = IN_PATIENT
+    depth_sd: float = 0.0
 
     @property
     def deflection(self) -> float:

@@ -45,6 +45,7 @@ def reduce(row: InsertionRow, points: Points, medium: Medium, patient: Frame) ->
         boundaries=boundaries,
         sequence=sequence,
         boundary_sd=row.boundary_sd,
+        depth_sd=row.depth_sd,
         guide_distance=row.guide_distance,
         sd=points.sd,
         surfaces=medium.surfaces,

@@ -83,7 +83,8 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
     bevel = vector(BEVEL)
     turn, shift = (np.column_stack([column(c, math.nan) for c in names]) for names in (SCAN_TURN, SCAN_SHIFT))
     entry, direction = (vector(ENTRY), vector(DIRECTION)) if known else (None, None)
-    sds = [column(name, 0.0) for name in ("pose_shift_sd_mm", "pose_angle_sd_deg", "boundary_sd_mm")]
+    shift_sd, angle_sd = column("pose_shift_sd_mm", 0.0), column("pose_angle_sd_deg", 0.0)
+    boundary_sd, depth_sd = column("boundary_sd_mm", 0.0), column("depth_sd_mm", 0.0)
     depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
     sources = text.get("pose_source", blank) if known else ["none"] * len(blank)
     return [
@@ -99,9 +100,10 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
             direction=None if direction is None else direction[n],
             bevel=None if np.isnan(bevel[n]).all() else bevel[n],
             pose_source=sources[n],  # type: ignore[arg-type]  # checked with the row
-            pose_shift_sd=float(sds[0][n]),
-            pose_angle_sd=math.radians(sds[1][n]),
-            boundary_sd=float(sds[2][n]),
+            pose_shift_sd=float(shift_sd[n]),
+            pose_angle_sd=math.radians(angle_sd[n]),
+            boundary_sd=float(boundary_sd[n]),
+            depth_sd=float(depth_sd[n]),
             guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
             patient=_patient(turn[n], shift[n]),
             line=int(table.lines[n]),
@@ -165,6 +167,7 @@ def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterato
         ("pose_shift_sd_mm", row.pose_shift_sd),
         ("pose_angle_sd_deg", row.pose_angle_sd),
         ("boundary_sd_mm", row.boundary_sd),
+        ("depth_sd_mm", row.depth_sd),
     ):
         if value < 0:
             yield Fault(

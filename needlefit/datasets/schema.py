@@ -32,7 +32,7 @@ REQUIRED = ("id", "medium", "layers", "depth_mm")
 COLUMNS = (
     *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
     *(*ENTRY, *DIRECTION, *BEVEL, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
-    *("boundary_sd_mm", "guide_distance_mm"),
+    *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
 """The columns of `insertions.csv` in the order in which they are written; those of `SCAN` follow where any
 insertion has a motion of its own."""
@@ -75,6 +75,7 @@ class InsertionRow:
     pose_shift_sd: float = 0.0
     pose_angle_sd: float = 0.0
     boundary_sd: float = 0.0
+    depth_sd: float = 0.0
     guide_distance: float | None = None
     patient: Frame | None = None
     line: int = 0

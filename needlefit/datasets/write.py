@@ -124,7 +124,8 @@ def _cells(row: InsertionRow) -> tuple[str, ...]:
         *_vector(row.direction, 6),
         *_vector(row.bevel, 6),
         *(row.pose_source, _number(row.pose_shift_sd), _number(math.degrees(row.pose_angle_sd))),
-        *(_number(row.boundary_sd), "" if row.guide_distance is None else _number(row.guide_distance)),
+        *(_number(row.boundary_sd), _number(row.depth_sd)),
+        "" if row.guide_distance is None else _number(row.guide_distance),
     )
 
 

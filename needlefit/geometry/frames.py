@@ -69,17 +69,18 @@ def entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> F
 
 
 def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
-    """Return `moving` (N, 2) after the motion of SE(2) that brings it closest to `fixed` (N, 2).
+    """Return `moving` (..., N, 2) after the motions of SE(2) that bring it closest to `fixed` (N, 2).
 
     Least squares over all points; rotation and shift only, never scale or reflection. In the plane the
     best angle has a closed form: the phase of sum conj(m_j) f_j, with centred points as complex numbers.
     """
     m, f = np.asarray(moving, dtype=np.float64), np.asarray(fixed, dtype=np.float64)
-    centre_m, centre_f = m.mean(axis=0), f.mean(axis=0)
+    centre_m, centre_f = m.mean(axis=-2, keepdims=True), f.mean(axis=0)
     a, b = m - centre_m, f - centre_f
-    angle = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
+    across = np.sum(a[..., 0] * b[:, 1] - a[..., 1] * b[:, 0], axis=-1)
+    angle = np.arctan2(across, np.sum(a * b, axis=(-2, -1)))
     c, s = np.cos(angle), np.sin(angle)
-    aligned: Floats = a @ np.array([[c, s], [-s, c]]) + centre_f
+    aligned: Floats = a @ np.moveaxis(np.array([[c, s], [-s, c]]), (0, 1), (-2, -1)) + centre_f
     return aligned
 
 

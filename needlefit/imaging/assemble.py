@@ -134,6 +134,7 @@ def _row(one: Reconstruction) -> InsertionRow:
         pose_shift_sd=one.pose.shift_sd,
         pose_angle_sd=one.pose.angle_sd,
         boundary_sd=float(np.sqrt(np.mean(sd**2))) if len(sd) else 0.0,
+        depth_sd=one.depth_sd,
         guide_distance=scan.guide_distance,
         patient=one.patient,
     )

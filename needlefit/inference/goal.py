@@ -5,7 +5,7 @@ sum of squares but for a constant, the residuals and their exact Jacobian.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -39,6 +39,10 @@ class Weighed(Bounded, Protocol):
 
     def gradient(self, theta: Floats) -> tuple[float, Floats]:
         """Return the log posterior and its gradient (P,)."""
+
+    @property
+    def squares(self) -> bool:
+        """Whether the log posterior is a constant minus half the residuals' squares."""
 
     def residuals(self, theta: Floats) -> Floats:
         """Return the whitened residuals (R,)."""
@@ -109,9 +113,8 @@ def posterior(problem: Weighed) -> Goal:
         density, slope = problem.gradient(theta)
         return -density, -slope
 
-    return Goal(
-        problem.lower, problem.upper, value, gradient, problem.residuals, problem.jacobian, NEGLIGIBLE
-    )
+    goal = Goal(problem.lower, problem.upper, value, gradient, negligible=NEGLIGIBLE)
+    return replace(goal, residuals=problem.residuals, jacobian=problem.jacobian) if problem.squares else goal
 
 
 def metric(problem: Measured) -> Goal:

@@ -96,9 +96,10 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
     """Return what the data determine at the best point of a fit."""
     theta, names = np.array(fit.theta), problem.names
     weighed = with_noise(problem, theta)
-    count = sum(len(e.s) for e in weighed.evidence)  # what follows is the prior's, counted for itself
+    count = sum(weighed.density.told)  # what follows normalises, or is the prior's, counted for itself
     residuals, slope = (np.nan_to_num(part[:count]) for part in weighed.jacobian(theta))  # (R,), (R, P)
-    chi_square = float(residuals @ residuals) / max(1, len(residuals) - len(names))
+    rows = sum(known.rows for known in weighed.density.evidence)
+    chi_square = float(residuals @ residuals) / max(1, rows - len(names))
     known_before = _known_before(problem)
     information = slope.T @ slope / max(1.0, chi_square) + known_before
     between = between_needles(weighed, slope, residuals, slope.T @ slope + known_before)
@@ -143,7 +144,7 @@ def between_needles(problem: Problem, slope: Floats, residuals: Floats, informat
     varies from needle to needle, this is larger than what the noise within needles says. 0 where there are
     too few groups for it.
     """
-    ends = np.cumsum([len(e.s) for e in problem.evidence])[:-1]
+    ends = np.cumsum(problem.density.told)[:-1]
     parts = zip(np.split(slope, ends), np.split(residuals, ends), strict=True)
     ids, specimens = zip(*((i.id, i.specimen) for i in problem.insertions), strict=True)
     pulls: dict[str, Floats] = {}

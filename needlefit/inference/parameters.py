@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
 from needlefit.inference.prior import Prior, prior_of
-from needlefit.inference.ties import dimension, parse, resolve
+from needlefit.inference.ties import NOISE_SCALE, dimension, parse, resolve
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord, ParameterRecord
 
@@ -26,6 +26,10 @@ Status = Literal["free", "fixed", "tied"]
 def in_logarithm(name: str) -> bool:
     """Return whether theta holds the natural logarithm of this parameter."""
     return dimension(name) != "exponent"
+
+
+SCALES = (0.1, 10.0)
+"""Bounds of a noise scale that is estimated; its prior is flat in the logarithm."""
 
 
 @dataclass(frozen=True)
@@ -146,6 +150,12 @@ class Parameters:
             fixed={name: float(known[name]) for name in held},
             ties=ties,
         )
+
+
+def with_noise_scale(parameters: Parameters) -> Parameters:
+    """Return the parameters with a free noise scale as the last of them."""
+    names, bounds = (*parameters.names, NOISE_SCALE), {**parameters.bounds, NOISE_SCALE: SCALES}
+    return replace(parameters, names=names, bounds=bounds)
 
 
 def tissue(

@@ -12,25 +12,19 @@ from needlefit.errors import ConfigError
 from needlefit.geometry.compare import CurveErrors, compare
 from needlefit.geometry.frames import align_rigid, align_rigid_slopes
 from needlefit.inference.comparison import Target, curve_of, scored, target
-from needlefit.inference.likelihood import (
-    Evidence,
-    evidence,
-    log_likelihood,
-    log_likelihoods,
-    whitened,
-    whitened_slopes,
-)
+from needlefit.inference.density import Density
+from needlefit.inference.likelihood.evidence import evidence
 from needlefit.inference.metric import misfit, misfit_slopes
-from needlefit.inference.parameters import Parameters, Theta
-from needlefit.inference.predict import predict, predict_each
+from needlefit.inference.parameters import Parameters, Theta, with_noise_scale
+from needlefit.inference.predict import predict
 from needlefit.inference.slopes import predict_with_slopes
-from needlefit.mechanics.batch import positions_each
-from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import WeightsRecord
+from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
 
 Floats = NDArray[np.float64]
+
+_DEFAULT = LikelihoodRecord()
 
 
 @dataclass(frozen=True)
@@ -49,6 +43,8 @@ class Problem:
         Of the objective.
     noise : Noise or None
         Replaces what the dataset states, where it states none.
+    likelihood : LikelihoodRecord
+        What is made of noise and uncertain depths.
     """
 
     dataset: Dataset
@@ -57,6 +53,7 @@ class Problem:
     parameters: Parameters
     weights: WeightsRecord
     noise: Noise | None = None
+    likelihood: LikelihoodRecord = _DEFAULT
 
     def __post_init__(self) -> None:
         if not self.insertions:
@@ -71,6 +68,11 @@ class Problem:
     def upper(self) -> Floats:
         """Upper bounds of theta: (P,)."""
         return self.parameters.upper
+
+    @property
+    def squares(self) -> bool:
+        """Whether the log posterior is a constant minus half the residuals' squares."""
+        return self.likelihood.depths != "quadrature"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -120,37 +122,23 @@ class Problem:
         return total / len(self.insertions), slope / len(self.insertions)
 
     def residuals(self, theta: Theta) -> Floats:
-        """Return the whitened residuals (R,) of all insertions one after the other, then of the prior.
+        """Return the whitened residuals (R,) of all insertions one after the other; NaN where a solve fails.
 
-        NaN where a solve fails. log_posterior = constant - |residuals|^2 / 2 within the bounds.
+        Behind them stand what normalises the density, where that depends on theta, and the prior's residuals.
+        log_posterior = constant - |residuals|^2 / 2 within the bounds; where depths are integrated by
+        quadrature the density is no Gaussian, and the residuals are those of their linear effect.
         """
-        pairs = zip(self.evidence, self.shapes(theta), strict=True)
-        parts = [
-            whitened(e, curve_of(shape)(e.s)) if shape.converged else np.full(len(e.s), np.nan)
-            for e, shape in pairs
-        ]
-        return np.concatenate([*parts, self.parameters.prior.residuals(self.values(theta))])
+        return self.density.residuals(self.values(theta))
 
     def jacobian(self, theta: Theta) -> tuple[Floats, Floats]:
         """Return the residuals (R,) and their exact derivatives (R, P) by theta; NaN where a solve fails."""
-        values, prior = self.values(theta), self.parameters.prior
-        parts = []
-        for insertion, known in zip(self.insertions, self.evidence, strict=True):
-            points, slopes = predict_with_slopes(
-                values, self.parameters, self.medium, self.dataset.needle, insertion, known.s
-            )
-            parts.append((whitened(known, points), whitened_slopes(known, points, slopes)))
-        parts.append((prior.residuals(values), prior.slopes(self.names)))
-        residuals, jacobians = zip(*parts, strict=True)
-        return np.concatenate(residuals), np.concatenate(jacobians)
+        return self.density.jacobian(self.values(theta))
 
     def gradient(self, theta: Theta) -> tuple[float, Floats]:
         """Return `log_posterior` and its exact gradient (P,); NaN where a solve fails or theta is outside."""
         if not self._inside(theta):
             return float("-inf"), np.full(len(self.names), np.nan)
-        residuals, jacobian = self.jacobian(theta)
-        constant = sum(known.log_norm for known in self.evidence)
-        return constant - 0.5 * float(residuals @ residuals), -(residuals @ jacobian)
+        return self.density.gradient(self.values(theta))
 
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density in theta.
@@ -158,30 +146,14 @@ class Problem:
         The prior is flat in theta within the bounds (moduli and lengths are log-uniform), times what the
         medium states. -inf outside, NaN where a solve fails: the density is not known there.
         """
-        if not self._inside(theta):
-            return float("-inf")
-        values = self.values(theta)
-        total = self.parameters.prior.log_density(values)
-        for insertion, known in zip(self.insertions, self.evidence, strict=True):
-            shape = predict(values, self.medium, self.dataset.needle, insertion)
-            if not shape.converged:
-                return float("nan")
-            total += log_likelihood(known, curve_of(shape))
-        return total
+        return self.density.log(self.values(theta)) if self._inside(theta) else float("-inf")
 
     def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
         """Return `log_posterior` (W,) of many thetas (W, P) at once, on `jobs` threads."""
         density = np.full(len(thetas), -np.inf)
         inside = np.flatnonzero(np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1))
-        if not len(inside):
-            return density
-        sets = [self.values(thetas[w]) for w in inside]
-        batches = [predict_each(sets, self.medium, self.dataset.needle, i) for i in self.insertions]
-        density[inside] = [self.parameters.prior.log_density(values) for values in sets]
-        for known, shapes in zip(self.evidence, follow_batches(batches, jobs), strict=True):
-            good = shapes.converged
-            density[inside[~good]] = np.nan
-            density[inside[good]] += log_likelihoods(known, positions_each(shapes, known.s)[good])
+        if len(inside):
+            density[inside] = self.density.logs([self.values(thetas[w]) for w in inside], jobs)
         return density
 
     def _inside(self, theta: Theta) -> bool:
@@ -199,13 +171,23 @@ class Problem:
         return tuple(target(pose, drop, insertion) for insertion in self.insertions)
 
     @cached_property
-    def evidence(self) -> tuple[Evidence, ...]:
-        """Measured points and their covariance factors, one of each insertion; computed once."""
-        return tuple(evidence(self.dataset, insertion, self.noise) for insertion in self.insertions)
+    def density(self) -> Density:
+        """The posterior density of all values; computed once."""
+        how = self.likelihood
+        known = tuple(evidence(self.dataset, insertion, self.noise, how) for insertion in self.insertions)
+        scale = 1.0 if how.noise_scale == "estimated" else how.noise_scale
+        return Density(self.parameters, self.medium, self.dataset.needle, known, scale)
 
 
 def problem(
-    dataset: Dataset, insertions: Sequence[Insertion], medium: MediumRecord, weights: WeightsRecord
+    dataset: Dataset,
+    insertions: Sequence[Insertion],
+    medium: MediumRecord,
+    weights: WeightsRecord,
+    likelihood: LikelihoodRecord = _DEFAULT,
 ) -> Problem:
     """Return the problem of fitting `medium` to `insertions`, everything free that the medium frees."""
-    return Problem(dataset, tuple(insertions), medium, Parameters.from_record(medium), weights)
+    parameters = Parameters.from_record(medium)
+    if likelihood.noise_scale == "estimated":
+        parameters = with_noise_scale(parameters)
+    return Problem(dataset, tuple(insertions), medium, parameters, weights, likelihood=likelihood)

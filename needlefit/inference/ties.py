@@ -6,12 +6,15 @@ from collections.abc import Mapping
 
 from needlefit.errors import ConfigError
 
-_NAME = re.compile(r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm")
+NOISE_SCALE = "noise_scale"
+"""What the deviations of noise and pose are multiplied by, where it is estimated: of no medium."""
+
+_NAME = re.compile(r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm|noise_scale")
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
 
 
 def dimension(name: str) -> str:
-    """Return what `name` measures: "modulus", "exponent" or "length".
+    """Return what `name` measures: "modulus", "exponent", "length" or "factor".
 
     Raises
     ------
@@ -24,6 +27,8 @@ def dimension(name: str) -> str:
             f"there is no parameter called `{name}`",
             expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm, guide_distance_mm",
         )
+    if name == NOISE_SCALE:
+        return "factor"
     return {"mu": "modulus", "alpha": "exponent"}.get(match[1] or "", "length")
 
 

@@ -8,8 +8,9 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.material_prior import with_material
-from needlefit.inference.parameters import Parameters
+from needlefit.inference.parameters import Parameters, with_noise_scale
 from needlefit.inference.problem import Problem
+from needlefit.inference.ties import NOISE_SCALE
 from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
@@ -95,9 +96,19 @@ class Job:
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return what one search of a fold minimises: everything free, or the bevel about the paper's set."""
-        everything = Problem(self.dataset, fold.tune, self.medium, self.parameters, self.recipe.weights)
+        everything = Problem(
+            self.dataset,
+            fold.tune,
+            self.medium,
+            self.parameters,
+            self.recipe.weights,
+            likelihood=self.recipe.likelihood,
+        )
         if search == "hand_tuned_b" and self.hand_tuned is not None:
             return everything.with_parameters(self.parameters.with_only(("bevel_mm",), self.hand_tuned))
+        if NOISE_SCALE in everything.names and self.recipe_of(search).minimize == "metric":
+            others = [name for name in everything.names if name != NOISE_SCALE]  # no error depends on it
+            return everything.with_parameters(self.parameters.with_only(others, {NOISE_SCALE: 1.0}))
         return everything
 
 
@@ -123,6 +134,9 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
         recipe = by_metric(recipe)  # without noise a posterior has no width, and no peak
     parameters = Parameters.from_record(medium)
     hand = None if record.hand_tuned is None else _hand_tuned(record.hand_tuned, parameters, record.medium)
+    if recipe.likelihood.noise_scale == "estimated":
+        parameters = with_noise_scale(parameters)
+        hand = None if hand is None else {**hand, NOISE_SCALE: 1.0}
     job = Job(name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset))
     _check_layers(job)
     _check_reach(job)

@@ -1,6 +1,6 @@
 """A recipe: how to search (algorithm, starts, budget), what to minimise, how to sample."""
 
-from typing import Literal, Self
+from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
@@ -22,6 +22,20 @@ class WeightsRecord(Record):
         if self.ipe == self.te == self.edp == 0:
             raise ValueError("ipe, te and edp are all 0: there is nothing to minimise")
         return self
+
+
+class LikelihoodRecord(Record):
+    """What the likelihood makes of the stated errors; docs/inference.md says how.
+
+    `noise`: errors of neighbouring points and of the pose are shared by points ("correlated"), or every point
+    errs by itself, as much in all ("independent").
+    `depths`: errors of layer and insertion depths are ignored ("fixed"), act linearly, or as they do.
+    `noise_scale` multiplies the deviations of noise and pose: a number, or "estimated" beside the parameters.
+    """
+
+    noise: Literal["correlated", "independent"] = "correlated"
+    depths: Literal["fixed", "linear", "quadrature"] = "linear"
+    noise_scale: Annotated[float, Field(gt=0)] | Literal["estimated"] = 1.0
 
 
 class SampleRecord(Record):
@@ -51,4 +65,5 @@ class RecipeRecord(FileRecord):
     evaluations: int = Field(default=600, ge=1)
     tolerance: float = Field(default=1e-4, gt=0)
     weights: WeightsRecord = WeightsRecord()
+    likelihood: LikelihoodRecord = LikelihoodRecord()
     sample: SampleRecord = SampleRecord()
