@@ -21,6 +21,12 @@ KEPT = 20
 """Failed points that one start, or one ensemble of the sampler, keeps; the others are only counted."""
 
 
+def half_square(residuals: Floats) -> float:
+    """Return half the sum of squares; infinite where it overflows."""
+    with np.errstate(over="ignore"):
+        return 0.5 * float(residuals @ residuals)
+
+
 class Ended(Exception):  # noqa: N818  (no error: the way out of a search)
     """The search is over: its budget is spent, or a stop was asked for."""
 
@@ -85,7 +91,7 @@ class Ledger:
         assert self.goal.residuals is not None
         place = self._within(theta)
         found = self._ask(self.goal.residuals, place)
-        value = self._book(place, None if found is None else self.constant + 0.5 * float(found @ found))
+        value = self._book(place, None if found is None else self.constant + half_square(found))
         return found if found is not None and math.isfinite(value) else np.array([math.inf])
 
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats] | None:
@@ -97,7 +103,7 @@ class Ledger:
         if found is None or not np.all(np.isfinite(found[1])):
             self._book(place, None)
             return None
-        value = self._book(place, self.constant + 0.5 * float(found[0] @ found[0]))
+        value = self._book(place, self.constant + half_square(found[0]))
         return found if math.isfinite(value) else None
 
     def calibrate(self, theta: Floats) -> bool:
@@ -108,7 +114,7 @@ class Ledger:
         if found is None or not math.isfinite(value) or not np.all(np.isfinite(found)):
             self._book(place, None)
             return False
-        self.constant = value - 0.5 * float(found @ found)
+        self.constant = value - half_square(found)
         return True
 
     def _within(self, theta: Floats) -> Floats:

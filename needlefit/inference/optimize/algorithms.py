@@ -97,7 +97,7 @@ def stages(name: str, goal: Goal) -> tuple[Algorithm, ...]:
             raise ConfigError(
                 f"`{part}` needs a {ALGORITHMS[part].asks}, which what is minimised has not",
                 where="recipe, key `algorithm`",
-                expected="slsqp, lbfgs or bobyqa+neldermead: a metric, and depths by quadrature, are no squares",
+                expected="slsqp or bobyqa+neldermead: a metric, or depths by quadrature, are no squares",
             )
     named = (ALGORITHMS[part] for part in parts)
     return tuple(a if len(goal.lower) >= a.dimensions else ALGORITHMS["neldermead"] for a in named)

@@ -13,11 +13,15 @@ from needlefit.inference.ledger import Ended, Ledger
 
 Floats = NDArray[np.float64]
 
-ROUNDING = 1e-12
-"""Relative change of the sum of squares, and of theta, under which it ends."""
+ROUNDING = 1e-15
+"""Relative change of the sum of squares, and of theta, under which it ends, unless more is negligible."""
 
-SAME = 1e-6
-"""Relative difference between value and sum of squares from which on one does not stand for the other."""
+RESIDUALS = 1e3
+"""About as many as there are: half their squares, of which a negligible change is taken."""
+
+SAME, LOST = 1e-6, 1e-12
+"""Differences between value and sum of squares from which on one does not stand for the other: of the best
+value, and of the first one, next to which the constant between them was found."""
 
 
 def stage(books: Ledger, start: Floats) -> str:
@@ -31,6 +35,8 @@ def stage(books: Ledger, start: Floats) -> str:
 def _squares(books: Ledger, start: Floats) -> str:
     if not books.calibrate(start):
         return "failed at its start"
+    first = abs(books.objective)
+    small = max(ROUNDING, books.goal.negligible / RESIDUALS)
     if len(start) == 0:
         return "tolerance"
 
@@ -43,12 +49,12 @@ def _squares(books: Ledger, start: Floats) -> str:
         jac=slopes,
         bounds=(books.goal.lower, books.goal.upper),
         x_scale="jac",
-        ftol=ROUNDING,
-        xtol=ROUNDING,
+        ftol=small,
+        xtol=small,
         gtol=None,  # absolute: it would depend on the units of theta
         max_nfev=books.budget,  # the ledger ends it, which counts the Jacobians too
     )
-    return _checked(books, "tolerance" if found.status > 0 else "budget")
+    return _checked(books, LOST * first, "tolerance" if found.status > 0 else "budget")
 
 
 def _slopes(books: Ledger, theta: Floats) -> Floats:
@@ -60,10 +66,10 @@ def _slopes(books: Ledger, theta: Floats) -> Floats:
     return found[1]
 
 
-def _checked(books: Ledger, reason: str) -> str:
+def _checked(books: Ledger, lost: float, reason: str) -> str:
     """Compare the best sum of squares with the value that it stands for."""
     assert books.theta is not None
     claimed, books.objective = books.objective, np.inf
-    if abs(books.value(books.theta) - claimed) > SAME * (1 + abs(claimed)):
+    if abs(books.value(books.theta) - claimed) > SAME * (1 + abs(claimed)) + lost:
         return "no sum of squares"
     return reason

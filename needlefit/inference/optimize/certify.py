@@ -22,14 +22,15 @@ ROUNDING = 1e-8
 """A further step that changes no parameter by more than this part of it promises nothing."""
 
 FLAT = 1e-8
-"""A parameter whose whole scale moves the residuals by less than this part of them has no say."""
+"""A parameter whose whole scale moves the residuals by less than this part of them has no say; neither has a
+combination of parameters whose effects cancel to this part of each."""
 
 
 def certified(books: Ledger, reason: str) -> str:
     """Return why a search ended, once its best point was looked at: "tolerance" only at a minimum.
 
-    "stalled" is no minimum, "flat" one that some parameter has no say in. A goal that is no sum of squares
-    keeps the reason that the algorithm gave.
+    "stalled" is no minimum, "flat" one in which some parameter or combination has no say. A goal that is no
+    sum of squares keeps the reason that the algorithm gave.
     """
     settled = reason in ("tolerance", "roundoff") or reason.startswith("nlopt failed")
     if not settled or books.theta is None or books.goal.jacobian is None or not len(books.theta):
@@ -49,13 +50,16 @@ def _judged(books: Ledger, residuals: Floats, jacobian: Floats) -> str:
     columns = jacobian * scales  # (R, P) per whole scale of each parameter
     lengths = np.linalg.norm(columns, axis=0)
     free = _free(books, residuals @ jacobian)
-    if np.any(lengths[free] <= FLAT * np.linalg.norm(residuals)):
-        return "flat"
     if not np.any(free):
         return "tolerance"
+    if np.any(lengths[free] <= FLAT * np.linalg.norm(residuals)):
+        return "flat"
+    directions = columns[:, free] / lengths[free]
+    if np.linalg.svd(directions, compute_uv=False)[-1] <= FLAT:
+        return "flat"
     unit = scales[free] / lengths[free]
     low, high = (goal.lower - theta)[free] / unit, (goal.upper - theta)[free] / unit
-    best = lsq_linear(columns[:, free] / lengths[free], -residuals, (np.minimum(low, 0), np.maximum(high, 0)))
+    best = lsq_linear(directions, -residuals, (np.minimum(low, 0), np.maximum(high, 0)))
     gain = 0.5 * float(residuals @ residuals) - best.cost
     small = np.all(np.abs(best.x * unit) <= ROUNDING * np.abs(theta[free]))
     chi_square = float(residuals @ residuals) / max(1, len(residuals) - len(theta))
