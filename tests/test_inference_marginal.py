@@ -10,14 +10,13 @@ from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
 from needlefit.inference.information import jacobian
-from needlefit.inference.likelihood.depths import Nodes, nodes
+from needlefit.inference.likelihood.depths import PLACES, Nodes, nodes
 from needlefit.inference.likelihood.marginal import log_marginals, mixing, residual_slopes, residuals
 from needlefit.inference.likelihood.quadrature import log_means, rule
 from needlefit.project.records.recipe import LikelihoodRecord
 
 LINE = np.linspace(0.0, 40.0, 41)
 LAYERED = replace(insertion(40.0, (12.0, 20.0), (1, 2, 1)), boundary_sd=0.15, depth_sd=0.1)
-PLACES = {"linear": (-1, 1), "quadrature": (-1, 1, -2, 2)}
 
 
 def white_of(curve, depths, axes=3):

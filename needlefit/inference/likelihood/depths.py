@@ -70,7 +70,7 @@ def nodes(insertion: Insertion, s: Floats, depths: Depths) -> Nodes:
     linear[0, 0] = 1.0
     for j in range(len(moves)):
         first = 1 + j * len(places)
-        linear[1 + j, first : first + 2] = -0.5, 0.5
+        linear[1 + j, first : first + 2] = np.array([-0.5, 0.5]) / places[1]
     integration = rule(len(moves)) if depths == "quadrature" and moves else None
     return Nodes(insertions, np.array(at), linear, integration)
 

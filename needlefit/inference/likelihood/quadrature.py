@@ -15,8 +15,11 @@ from scipy.special import logsumexp
 
 Floats = NDArray[np.float64]
 
-NODES = (-1.0, 1.0, -2.0, 2.0)
-"""Where each axis is simulated besides its centre, in standard deviations."""
+NODES = (-0.7, 0.7, -1.6, 1.6)
+"""Where each axis is simulated besides its centre, in standard deviations.
+
+Of several spacings tried on the twin's insertions these came closest to brute force.
+"""
 
 REACH = 3.2
 """Standard deviations up to which each axis is integrated: 0.14 % of its prior lies beyond."""

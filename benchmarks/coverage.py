@@ -1,0 +1,147 @@
+"""How often the 95 % interval of each likelihood holds the truth, where the fitted model is the true one.
+
+    python benchmarks/coverage.py [--json] [--problems 40] [--insertions 5] [--seed 1] [--jobs 2]
+
+Every problem draws mu1, mu2 and b, simulates needles through the four layers of phantom 2 with the model
+itself at depths that err as stated (boundaries as the twin states them, insertion depth by 0.1 mm), moves
+them by a pose drawn from its prior and adds the noise of their points. Each likelihood is then climbed from
+the truth, and its interval taken from the curvature there (Laplace). What is counted is the combination of
+mu1, mu2 and b that such a design tells best (the first direction of its Fisher information), and b alone.
+"""
+
+import argparse
+import json
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import replace
+from functools import partial
+from multiprocessing import get_context
+
+import numpy as np
+from scipy.optimize import minimize
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.read import read
+from needlefit.geometry.curves import arc_length
+from needlefit.inference.likelihood.covariance import points_covariance
+from needlefit.inference.likelihood.pose import modes, pose_sds
+from needlefit.inference.predict import predict
+from needlefit.inference.problem import Problem, problem
+from needlefit.mechanics.shape import positions
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
+
+HOW = {
+    "independent, depths fixed": LikelihoodRecord(noise="independent", depths="fixed"),
+    "independent, depths linear": LikelihoodRecord(noise="independent", depths="linear"),
+    "correlated, depths fixed": LikelihoodRecord(noise="correlated", depths="fixed"),
+    "correlated, depths linear": LikelihoodRecord(noise="correlated", depths="linear"),
+    "correlated, depths by quadrature": LikelihoodRecord(noise="correlated", depths="quadrature"),
+}
+RANGES = {"mu1_pa": (1e5, 1e6), "mu2_pa": (3e6, 5e7), "bevel_mm": (0.05, 0.15)}
+DEPTH_SD = 0.1  # mm
+NORMAL = 1.96
+
+
+def measured(
+    dataset: Dataset,
+    planned: Insertion,
+    values: dict[str, float],
+    medium: MediumRecord,
+    rng: np.random.Generator,
+) -> Insertion:
+    """Return a needle simulated at depths that err, misplaced and measured with noise."""
+    noise, along = dataset.noise, arc_length(planned.planar)
+    s = along * (planned.depth / along[-1])
+    deep = DEPTH_SD * rng.normal()
+    wrong = planned.boundary_sd * rng.normal(size=len(planned.boundaries))
+    true = replace(planned, depth=planned.depth + deep, boundaries=planned.boundaries + deep + wrong)
+    points = positions(predict(values, medium, dataset.needle, true), s + deep)
+    cov = points_covariance(s, noise, planned.sd)
+    off = rng.multivariate_normal(np.zeros(len(s)), cov)
+    off += modes(points) @ (pose_sds(planned, noise) * rng.normal(size=3))
+    return replace(planned, planar=points + np.column_stack([np.zeros(len(s)), off]), depth_sd=DEPTH_SD)
+
+
+def laplace(task: Problem, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the mode (P,) climbed to from the truth, and the curvature (P, P) of the log posterior there."""
+
+    def down(theta: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = task.gradient(theta)
+        return (-value, -slope) if np.isfinite(value) else (1e12, np.zeros(len(theta)))
+
+    bounds = list(zip(task.lower, task.upper, strict=True))
+    mode = minimize(down, truth, jac=True, method="L-BFGS-B", bounds=bounds, options={"ftol": 1e-12}).x
+    step = 2e-3
+    rows = [(down(mode + step * e)[1] - down(mode - step * e)[1]) / (2 * step) for e in np.eye(len(mode))]
+    return mode, 0.5 * (np.array(rows) + np.array(rows).T)
+
+
+def one(number: int, insertions: int, seed: int) -> list[dict[str, object]]:
+    """Return one row per likelihood of one problem."""
+    rng = np.random.default_rng([seed, number])
+    dataset = read(find("dataset", "twin"))
+    medium = load(find("medium", "phantom2"), MediumRecord)
+    values = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in RANGES.items()}
+    planned = [i for i in dataset.insertions if i.medium == "phantom2"][:insertions]
+    start = problem(dataset, planned, medium, WeightsRecord())
+    truth = start.parameters.theta(values)
+    everything = start.values(truth)
+    made = [measured(dataset, i, everything, medium, rng) for i in planned]
+    tasks = {name: problem(dataset, made, medium, WeightsRecord(), how) for name, how in HOW.items()}
+    slope = tasks["correlated, depths linear"].jacobian(truth)[1]
+    stiff = np.linalg.eigh(slope.T @ slope)[1][:, -1]
+    bevel = np.eye(len(truth))[-1]
+    rows = []
+    for name, task in tasks.items():
+        mode, curvature = laplace(task, truth)
+        found = bool(np.all(np.linalg.eigvalsh(curvature) > 0))
+        for of, direction in (("stiffest", stiff), ("b", bevel)):
+            variance = max(0.0, float(direction @ np.linalg.solve(curvature, direction)))
+            row = {"error": float(direction @ (mode - truth)), "sd": variance**0.5, "found": found}
+            rows.append({"likelihood": name, "of": of, **row})
+    return rows
+
+
+def summary(rows: list[dict[str, object]]) -> dict[str, object]:
+    """Return how often the intervals held the truth, and how wide they were."""
+    errors, sds = (np.array([row[key] for row in rows], dtype=float) for key in ("error", "sd"))
+    return {
+        "likelihood": rows[0]["likelihood"],
+        "of": rows[0]["of"],
+        "held": int(np.sum(np.abs(errors) <= NORMAL * sds)),
+        "problems": len(rows),
+        "error_rms": float(np.sqrt(np.mean(errors**2))),
+        "sd_median": float(np.median(sds)),
+        "no_mode": sum(not row["found"] for row in rows),
+    }
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--problems", type=int, default=40)
+    parser.add_argument("--insertions", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--jobs", type=int, default=2)
+    options = parser.parse_args()
+    work = partial(one, insertions=options.insertions, seed=options.seed)
+    with ProcessPoolExecutor(options.jobs, mp_context=get_context("spawn")) as pool:
+        rows = [row for some in pool.map(work, range(options.problems)) for row in some]
+    kinds = dict.fromkeys((row["likelihood"], row["of"]) for row in rows)
+    found = [summary([row for row in rows if (row["likelihood"], row["of"]) == kind]) for kind in kinds]
+    if options.json:
+        print(json.dumps(found, indent=2))
+        return
+    for row in found:
+        print(
+            f"{row['likelihood']:34s} {row['of']:9s} held {row['held']:3d} of {row['problems']}   "
+            f"rms error {row['error_rms']:.4f}   median deviation {row['sd_median']:.4f}   "
+            f"no mode {row['no_mode']}"
+        )
+
+
+if __name__ == "__main__":
+    main()
