@@ -86,13 +86,19 @@ def problem(
 
 def recipe(**changed: object) -> RecipeRecord:
     return RecipeRecord.model_validate(
-        {"schema": 1, "algorithm": "neldermead", "starts": 4, "evaluations": 200, **changed}
+        {"schema": 1, "minimize": "metric", "algorithm": "neldermead", "starts": 4, "evaluations": 200}
+        | changed
     )
+
+
+def squares_recipe(**changed: object) -> RecipeRecord:
+    """The same budget, spent on the posterior."""
+    return recipe(**{"minimize": "posterior", "algorithm": "leastsquares", **changed})
 
 
 @dataclass(frozen=True)
 class Analytic:
-    """A function on a box, in the form that `minimize` and `sample` ask for."""
+    """A function on a box, in the form that `minimize` and `sample` ask for; its slope by differences."""
 
     function: Callable[[np.ndarray], float]
     lower: np.ndarray
@@ -105,6 +111,11 @@ class Analytic:
     def objective(self, theta: np.ndarray) -> float:
         return self.function(theta)
 
+    def slope(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        moves = 1e-6 * np.eye(len(theta))
+        slopes = [(self.function(theta + m) - self.function(theta - m)) / 2e-6 for m in moves]
+        return self.function(theta), np.array(slopes)
+
     def log_posteriors(self, thetas: np.ndarray, jobs: int) -> np.ndarray:
         return np.array([self.log_posterior(theta) for theta in thetas])
 
@@ -113,6 +124,34 @@ class Analytic:
 
     def values(self, theta: np.ndarray) -> dict[str, float]:
         return {name: float(x) for name, x in zip(self.names, theta, strict=True)}
+
+
+@dataclass(frozen=True)
+class Squares:
+    """Residuals with their Jacobian on a box, as a posterior: a constant minus half their squares."""
+
+    slopes: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+    lower: np.ndarray
+    upper: np.ndarray
+    constant: float = 7.0
+    squares: bool = True
+
+    def residuals(self, theta: np.ndarray) -> np.ndarray:
+        return self.slopes(theta)[0]
+
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return self.slopes(theta)
+
+    def log_posterior(self, theta: np.ndarray) -> float:
+        inside = np.all((theta >= self.lower) & (theta <= self.upper))
+        return self.constant - 0.5 * float(np.sum(self.residuals(theta) ** 2)) if inside else -np.inf
+
+    def gradient(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+        residuals, slopes = self.slopes(theta)
+        return self.log_posterior(theta), -slopes.T @ residuals
+
+    def values(self, theta: np.ndarray) -> dict[str, float]:
+        return {f"x{k}": float(x) for k, x in enumerate(theta)}
 
 
 def box(function: Callable[[np.ndarray], float], dimensions: int = 2, half: float = 2.0) -> Analytic:

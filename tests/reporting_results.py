@@ -152,10 +152,11 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
     for fit in fits:
         for start in range(8):
             best = 0.25 if fit == "fitted" else 0.31
-            row = {"fold": fold, "fit": fit, "start": start}
+            row = {"fold": fold, "fit": fit, "start": start, "minimized": "metric"}
             row["objective"] = best + max(0.0, rng.exponential(0.1) - 0.08) if start else np.inf
-            row |= {"as_good": bool(row["objective"] < best + 0.01)}
-            row |= {"evaluations": 600, "failed_solves": int(start == 0) * 600, "stopped": "evaluations"}
+            row["excess"] = (row["objective"] - best) / 0.01
+            row |= {"as_good": bool(row["objective"] < best + 0.01), "evaluations": 600, "gradients": 0}
+            row |= {"failed_solves": int(start == 0) * 600, "stopped": "evaluations"}
             for i in range(1, layers + 1):
                 row[f"mu{i}_pa"] = 10 ** rng.uniform(4, 7)
                 row[f"alpha{i}"] = rng.uniform(-3, 5)
@@ -165,7 +166,8 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
 
 def failed(begun: list[dict]) -> pd.DataFrame:
     """The first 20 failures of every start that has any."""
-    about = ("objective", "as_good", "evaluations", "failed_solves", "stopped")
+    about = ("minimized", "objective", "excess", "as_good", "evaluations")
+    about += ("gradients", "failed_solves", "stopped")
     rows = [
         {"fold": row["fold"], "fit": row["fit"], "start": row["start"]}
         | {"insertion": "phantom2-4-01t", "reason": ("over-compressed", "not converged")[n % 4 == 3]}

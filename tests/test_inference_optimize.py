@@ -10,7 +10,7 @@ from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
 from needlefit.inference.starts import Start, Watch, from_dict, to_dict
 
-SINGLE = sorted(ALGORITHMS)
+SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.asks != "jacobian")
 
 
 def bowl(theta):

@@ -88,7 +88,9 @@ def as_json(results: "Results") -> dict[str, Any]:
 def waterfall(starts: "pd.DataFrame") -> str:
     """Say how many starts of one search end practically as well as the best."""
     best, agree = starts["objective"].min(), int(starts["as_good"].sum())
-    share = f"{agree} of {len(starts)} starts end practically as well as the best, {best:.4g} mm"
+    posterior = (starts["minimized"] == "posterior").all()
+    at = f"-log posterior {best:.6g}, within 0.1 of it" if posterior else f"{best:.4g} mm"
+    share = f"{agree} of {len(starts)} starts end practically as well as the best ({at})"
     ended = int((starts["stopped"] == "budget").sum())
     spent = f"; {ended} ended because their budget was spent: raise the recipe's evaluations" if ended else ""
     return f"Waterfall: {share} (all of them in starts.csv){spent}."

@@ -34,6 +34,11 @@ class Noise:
     correlated_sd: float = 0.0
     correlation_length: float = 5.0
 
+    @property
+    def stated(self) -> bool:
+        """Whether the points of a centreline have any noise of their own."""
+        return self.point_sd > 0 or self.correlated_sd > 0
+
 
 @dataclass(frozen=True)
 class Insertion:

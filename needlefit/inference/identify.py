@@ -42,8 +42,11 @@ NARROWED = 0.5
 SPREAD = 4.0
 """Largest range among equal starts, in these standard deviations, of a parameter called determined."""
 
+EQUAL_LOG = 0.1
+"""A start is practically as good as the best if its log posterior is within this of the best one's."""
+
 EQUAL_RELATIVE, EQUAL_MM = 0.01, 0.002
-"""A start is practically as good as the best if it is within 1 % or 0.002 mm of it."""
+"""Where the metric objective was minimised: if it is within 1 % or 0.002 mm of the best."""
 
 AT_BOUND = 1e-3
 """A parameter closer to a bound than this part of its range lies at it."""
@@ -163,13 +166,25 @@ def practically_equal(fit: Fit) -> tuple[Start, ...]:
 
 def as_good(start: Start, fit: Fit) -> bool:
     """Return whether a start ended practically as well as the best one of its fit."""
-    return start.objective <= fit.objective + max(EQUAL_RELATIVE * abs(fit.objective), EQUAL_MM)
+    return excess(start, fit) <= 1.0
+
+
+def excess(start: Start, fit: Fit) -> float:
+    """Return how far a start ended above the best one, in units of what still counts as practically equal."""
+    return (start.objective - fit.objective) / equal_within(fit) if math.isfinite(fit.objective) else math.inf
+
+
+def equal_within(fit: Fit) -> float:
+    """Return by how much an equally good start may lie above the best: of the log posterior, or mm."""
+    if fit.minimized == "posterior":
+        return EQUAL_LOG
+    return max(EQUAL_RELATIVE * abs(fit.objective), EQUAL_MM)
 
 
 def with_noise(problem: Problem, theta: Floats) -> Problem:
     """Return the problem with a noise: the stated one, or the rms residual at `theta` where none is."""
     stated = problem.dataset.noise if problem.noise is None else problem.noise
-    if stated.point_sd > 0 or stated.correlated_sd > 0:
+    if stated.stated:
         return problem
     squares = [np.mean((sim - measured)[:, 1] ** 2) for sim, measured in problem.points(theta)]
     rms = max(math.sqrt(float(np.mean(squares))), 1e-6)

@@ -10,11 +10,14 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.errors import ConfigError
 from needlefit.geometry.compare import CurveErrors, compare
+from needlefit.geometry.frames import align_rigid, align_rigid_slopes
 from needlefit.inference.comparison import Target, curve_of, scored, target
 from needlefit.inference.density import Density
 from needlefit.inference.likelihood.evidence import evidence
+from needlefit.inference.metric import misfit, misfit_slopes
 from needlefit.inference.parameters import Parameters, Theta, with_noise_scale
 from needlefit.inference.predict import predict
+from needlefit.inference.slopes import predict_with_slopes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
@@ -67,6 +70,11 @@ class Problem:
         return self.parameters.upper
 
     @property
+    def squares(self) -> bool:
+        """Whether the log posterior is a constant minus half the residuals' squares."""
+        return self.likelihood.depths != "quadrature"
+
+    @property
     def names(self) -> tuple[str, ...]:
         """Names of the free parameters, in the order of theta."""
         return self.parameters.free
@@ -90,24 +98,28 @@ class Problem:
         return tuple(compare(*pair) for pair in self.points(theta))
 
     def objective(self, theta: Theta) -> float:
-        """Return the misfit, mm; infinite if any insertion's solve fails.
-
-        The mean over insertions of  ipe * mean_j IPE_j + te * TE + edp * EDP / 100  with the recipe's
-        weights, where EDP / 100 = TE / max(|measured deflection|, edp_floor_mm).
-        """
+        """Return the mean over insertions of `metric.misfit`, mm; infinite if any solve fails."""
         values, total = self.values(theta), 0.0
         for insertion, goal in zip(self.insertions, self.targets, strict=True):
             shape = predict(values, self.medium, self.dataset.needle, insertion)
             if not shape.converged:
                 return float("inf")
-            total += self.misfit(compare(*scored(goal, curve_of(shape))))
+            total += misfit(*scored(goal, curve_of(shape)), self.weights)
         return total / len(self.insertions)
 
-    def misfit(self, errors: CurveErrors) -> float:
-        """Return what one insertion contributes to the objective, mm."""
-        w = self.weights
-        relative = errors.te / max(abs(errors.deflection), w.edp_floor_mm)
-        return w.ipe * errors.mean + w.te * errors.te + w.edp * relative
+    def slope(self, theta: Theta) -> tuple[float, Floats]:
+        """Return `objective` and its exact gradient (P,); NaN where a solve fails."""
+        values, total, slope = self.values(theta), 0.0, np.zeros(len(self.names))
+        for insertion, goal in zip(self.insertions, self.targets, strict=True):
+            points, slopes = predict_with_slopes(
+                values, self.parameters, self.medium, self.dataset.needle, insertion, goal.s
+            )
+            if goal.pose == "free":
+                slopes = align_rigid_slopes(points, goal.measured, slopes)
+                points = align_rigid(points, goal.measured)
+            total += misfit(points, goal.measured, self.weights)
+            slope += misfit_slopes(points, goal.measured, self.weights, slopes)
+        return total / len(self.insertions), slope / len(self.insertions)
 
     def residuals(self, theta: Theta) -> Floats:
         """Return the whitened residuals (R,) of all insertions one after the other; NaN where a solve fails.

@@ -7,8 +7,18 @@ from types import MappingProxyType
 from typing import Any
 
 from needlefit.errors import FitError
+from needlefit.project.records.recipe import Minimized
 
 INTERRUPTED = "interrupted"
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where one search begins: its number, theta, and the seed of what it draws."""
+
+    index: int
+    theta: tuple[float, ...]
+    seed: int = 1
 
 
 @dataclass(frozen=True)
@@ -22,13 +32,17 @@ class Start:
     theta0, theta : tuple of float
         Where it began and the best point that it saw.
     objective : float
-        At `theta`, mm; infinite if no evaluation succeeded.
+        At `theta`: the negative log posterior, or mm of the metric objective; infinite if no evaluation
+        succeeded.
     evaluations, failures : int
-        Objective evaluations, and those among them in which a solve failed.
+        What was evaluated, and what of it failed.
     stopped : str
-        Why it ended: "tolerance", "budget", "roundoff", "interrupted", "no finite value".
+        Why it ended: "tolerance" at a minimum, and nothing else is a success: "stalled" (a further step would
+        gain), "flat" (a parameter has no say), "budget", "roundoff", "interrupted", "no finite value", ...
     failed : tuple of theta
         The first evaluations that failed, to be simulated again; not all where there are many.
+    gradients : int
+        Evaluations with derivatives among all; one costs about two without.
     """
 
     index: int
@@ -39,6 +53,12 @@ class Start:
     failures: int
     stopped: str
     failed: tuple[tuple[float, ...], ...] = ()
+    gradients: int = 0
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether it ended at a minimum, as far as can be told."""
+        return self.stopped == "tolerance" and math.isfinite(self.objective)
 
 
 @dataclass(frozen=True)
@@ -51,12 +71,16 @@ class Fit:
     values : mapping
         Every parameter at `theta` (Pa, mm).
     objective : float
+        The negative log posterior, or mm of the metric objective, at `theta`.
     starts : tuple of Start
         In the order of their index; one that was interrupted says so.
     evaluations, failures : int
         Over all starts.
     interrupted : bool
         Whether the search was stopped before all starts had ended.
+    minimized : "posterior" or "metric"
+    gradients : int
+        Over all starts.
     """
 
     theta: tuple[float, ...]
@@ -66,6 +90,8 @@ class Fit:
     evaluations: int
     failures: int
     interrupted: bool
+    minimized: Minimized = "posterior"
+    gradients: int = 0
 
 
 def _never() -> bool:
@@ -114,6 +140,7 @@ def to_dict(start: Start) -> dict[str, Any]:
         "theta": list(start.theta),
         "objective": start.objective if math.isfinite(start.objective) else None,
         "evaluations": start.evaluations,
+        "gradients": start.gradients,
         "failures": start.failures,
         "stopped": start.stopped,
         "failed": [list(theta) for theta in start.failed],
@@ -130,6 +157,7 @@ def from_dict(table: Mapping[str, Any]) -> Start:
             theta=tuple(float(x) for x in table["theta"]),
             objective=math.inf if objective is None else float(objective),
             evaluations=int(table["evaluations"]),
+            gradients=int(table["gradients"]),
             failures=int(table["failures"]),
             stopped=str(table["stopped"]),
             failed=tuple(tuple(float(x) for x in theta) for theta in table["failed"]),

@@ -16,9 +16,10 @@ RESIDUALS = (
     "positive to the left of its course. The straight line is left out, its residuals would hide the others."
 )
 WATERFALL = (
-    "Left: the objective at which each start of the search ended, best first. Right: where the starts left "
-    "each free parameter between its bounds (written at the ends; μ and b in logarithms). Filled dots "
-    "spread along the axis mean that the data do not determine this parameter."
+    "Left: how far each start of a search ended above its best, best first, in units of what still counts as "
+    "practically as good (dashed): 0.1 of the log posterior, or 1 % of the metric objective and at least "
+    "0.002 mm. Right: where the starts left each free parameter between its bounds (written at the ends; μ "
+    "and b in logarithms). Filled dots spread along the axis mean that the data do not determine it."
 )
 RIVALS = (
     "Mean in-plane error of the fitted model and of what it has to beat, on the same held-out points. The "

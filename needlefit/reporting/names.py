@@ -6,6 +6,7 @@ INK, GREY, PAPER, SYNTHETIC = "#1a1a1a", "#8a8a8a", "#D55E00", "#B23A00"
 
 RIVAL_NAMES = {
     "fitted": "needlefit, fitted",
+    "fitted_metric": "fitted to IPE, TE, EDP",
     "hand_tuned": "paper's hand-tuned set",
     "hand_tuned_b": "hand-tuned set, b re-tuned",
     "straight": "straight line",
@@ -14,6 +15,7 @@ RIVAL_NAMES = {
 }
 RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "fitted": "#0072B2",
+    "fitted_metric": "#0A2F4A",
     "hand_tuned": "#E69F00",
     "hand_tuned_b": "#CC79A7",
     "straight": "#8a8a8a",

@@ -76,8 +76,17 @@ class Job:
 
     @property
     def searches(self) -> tuple[str, ...]:
-        """The searches of one fold."""
-        return ("fitted",) if self.hand_tuned is None else ("fitted", "hand_tuned_b")
+        """The searches of one fold; the first is the fit that everything else is about."""
+        metric = self.recipe.metric and self.recipe.minimize == "posterior"
+        return (
+            "fitted",
+            *(("fitted_metric",) if metric else ()),
+            *(() if self.hand_tuned is None else ("hand_tuned_b",)),
+        )
+
+    def recipe_of(self, search: str) -> RecipeRecord:
+        """Return the recipe of one search: all minimise the same, but the one named after the metric."""
+        return by_metric(self.recipe) if search == "fitted_metric" else self.recipe
 
     @property
     def insertions(self) -> tuple[Insertion, ...]:
@@ -97,7 +106,15 @@ class Job:
         )
         if search == "hand_tuned_b" and self.hand_tuned is not None:
             return everything.with_parameters(self.parameters.with_only(("bevel_mm",), self.hand_tuned))
+        if NOISE_SCALE in everything.names and self.recipe_of(search).minimize == "metric":
+            others = [name for name in everything.names if name != NOISE_SCALE]  # no error depends on it
+            return everything.with_parameters(self.parameters.with_only(others, {NOISE_SCALE: 1.0}))
         return everything
+
+
+def by_metric(recipe: RecipeRecord) -> RecipeRecord:
+    """Return the recipe that minimises the metric objective instead of the posterior."""
+    return recipe.model_copy(update={"minimize": "metric", "algorithm": recipe.metric_algorithm})
 
 
 def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Job:
@@ -113,6 +130,8 @@ def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> J
     recipe = load(find("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
+    if recipe.minimize == "posterior" and not dataset.noise.stated:
+        recipe = by_metric(recipe)  # without noise a posterior has no width, and no peak
     parameters = Parameters.from_record(medium)
     hand = None if record.hand_tuned is None else _hand_tuned(record.hand_tuned, parameters, record.medium)
     if recipe.likelihood.noise_scale == "estimated":

@@ -15,7 +15,7 @@ from needlefit.validation.placed import PlacedNeedle
 METRICS = ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent")
 FLOORS = ("floor_median_err_mm", "floor_ipe_mean_mm", "floor_ipe_max_mm", "floor_te_mm")
 BASELINES = ("straight", "constant_curvature", "linear_curvature")
-RIVALS = ("fitted", "hand_tuned", "hand_tuned_b", *BASELINES)
+RIVALS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b", *BASELINES)
 SCORED = ("fold", "role", "insertion", "rival", "boundaries")
 
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -31,8 +31,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         "shapes": (*SCORED, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
         "starts": (
-            *("fold", "fit", "start", "objective", "as_good"),
-            *("evaluations", "failed_solves", "stopped"),
+            *("fold", "fit", "start", "minimized", "objective", "excess", "as_good"),
+            *("evaluations", "gradients", "failed_solves", "stopped"),
         ),
         "failures": ("fold", "fit", "start", "insertion", "reason"),
         "parameters": (
@@ -67,8 +67,10 @@ class Results:
     shapes : DataFrame
         The curves that `errors` compares, j = 0 the entry (or the first scored point), as compared.
     starts : DataFrame
-        Every start of every search, then one column per parameter; `as_good` marks those that ended
-        practically as well as the best.
+        Every start of every search, then one column per parameter. `objective` is what was `minimized`: the
+        negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best of its
+        search, in units of what still counts as practically as good (0.1; 1 % or 0.002 mm), `as_good` whether
+        that is at most 1; `gradients` are the evaluations with derivatives among all.
     failures : DataFrame
         The first evaluations that failed, of every start and of every ensemble of the sampler (`fit` is
         then "posterior"): the insertion without a solution, why it has none, then one column per

@@ -78,7 +78,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
 
 
 def _search(job: Job, fold: Fold, number: int, settings: Settings, checkpoint: Checkpoint) -> dict[str, Fit]:
-    """Return the fit of everything free, and of the bevel alone about the hand-tuned set."""
+    """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
     fits = {}
     total = len(job.folds) * len(job.searches) * job.recipe.starts
     for order, search in enumerate(job.searches):
@@ -91,7 +91,7 @@ def _search(job: Job, fold: Fold, number: int, settings: Settings, checkpoint: C
         counter = _Counter(settings, label, done + len(kept), total, key, checkpoint)
         watch = Watch(kept, counter.report, settings.stop, jobs=settings.jobs)
         rng = stream(job.recipe.seed, job.name, fold.name, search, "starts")
-        fits[search] = minimize(job.problem(fold, search), job.recipe, rng, watch)
+        fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, watch)
     return fits
 
 

@@ -12,7 +12,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
 from needlefit.inference.failure import failure
-from needlefit.inference.identify import Verdict, as_good, identify
+from needlefit.inference.identify import Verdict, as_good, excess, identify, practically_equal
 from needlefit.inference.parameters import Theta
 from needlefit.inference.posterior import Posterior
 from needlefit.inference.problem import Problem
@@ -60,6 +60,8 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
         tables.verdicts[fold.name] = verdict
         tables.directions += [{"fold": fold.name, "sd": d.sd, "words": d.words} for d in verdict.directions]
         tables.parameters += _fitted_rows(job, fold, usable["fitted"], verdict)
+    if "fitted_metric" in usable:
+        tables.parameters += _metric_rows(job, fold, usable["fitted_metric"])
     tables.parameters += _published_rows(job, fold, usable.get("hand_tuned_b"))
     for rival, curves in _rivals(job, fold, usable).items():
         for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
@@ -83,6 +85,8 @@ def _rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
     values: dict[str, Mapping[str, float]] = {}
     if "fitted" in fits:
         values["fitted"] = fits["fitted"].values
+    if "fitted_metric" in fits:
+        values["fitted_metric"] = fits["fitted_metric"].values
     if job.hand_tuned is not None:
         values["hand_tuned"] = job.hand_tuned
     if "hand_tuned_b" in fits:
@@ -99,9 +103,12 @@ def _curve(baseline: Baseline) -> Callable[[Insertion], Curve]:
 def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
     return {
         "start": start.index,
+        "minimized": fit.minimized,
         "objective": start.objective,
+        "excess": excess(start, fit),
         "as_good": as_good(start, fit),
         "evaluations": start.evaluations,
+        "gradients": start.gradients,
         "failed_solves": start.failures,
         "stopped": start.stopped,
         **problem.values(np.array(start.theta)),
@@ -114,12 +121,17 @@ def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list
     return [{**place, "insertion": f.insertion, "reason": f.reason, **values} for f, values in found]
 
 
+_UNITS = {"posterior": "negative_log_posterior", "metric": "objective_mm"}
+
+
 def _search_row(fit: Fit) -> Row:
     return {
-        "objective_mm": fit.objective if math.isfinite(fit.objective) else None,
+        _UNITS[fit.minimized]: fit.objective if math.isfinite(fit.objective) else None,
         "values": dict(fit.values),
         "starts": len(fit.starts),
+        "equal_starts": len(practically_equal(fit)),
         "evaluations": fit.evaluations,
+        "gradients": fit.gradients,
         "failed_solves": fit.failures,
     }
 
@@ -149,6 +161,28 @@ def _fitted_rows(job: Job, fold: Fold, fit: Fit, verdict: Verdict) -> list[Row]:
             }
         )
     return rows
+
+
+def _metric_rows(job: Job, fold: Fold, fit: Fit) -> list[Row]:
+    """Return the values that the metric objective prefers; what they are worth is said of the posterior's."""
+    unknown = dict.fromkeys(("bound_low", "bound_high", "sd"), math.nan)
+    ends = np.array([s.theta for s in practically_equal(fit)] or [fit.theta]).reshape(-1, len(fit.theta))
+    low, high = (job.parameters.values(end(ends, axis=0)) for end in (np.min, np.max))
+    return [
+        {
+            "fold": fold.name,
+            "rival": "fitted_metric",
+            "parameter": name,
+            "value": value,
+            "status": job.parameters.status[name],
+            **unknown,
+            "spread_low": low[name],
+            "spread_high": high[name],
+            "determined": False,
+            "note": "minimises the metric objective",
+        }
+        for name, value in fit.values.items()
+    ]
 
 
 def _why(name: str, status: str, factor: float, source: str) -> str:

@@ -6,6 +6,8 @@ from pydantic import Field, model_validator
 
 from needlefit.project.records.record import FileRecord, Record
 
+Minimized = Literal["posterior", "metric"]
+
 
 class WeightsRecord(Record):
     """The metric objective: a weighted mean over insertions of IPE, TE (both mm) and EDP (mm per 100 %)."""
@@ -51,10 +53,18 @@ class SampleRecord(Record):
 
 
 class RecipeRecord(FileRecord):
-    """`configs/recipes/<name>.toml`."""
+    """`configs/recipes/<name>.toml`.
+
+    `minimize` says what the fit is: the negative log posterior, or the metric objective of `weights`.
+    `metric` adds a second fit, of the metric objective by `metric_algorithm`, reported beside the first.
+    `evaluations` limits each start; one with derivatives counts as one, as does one without.
+    """
 
     title: str = ""
-    algorithm: str = "bobyqa+neldermead"
+    minimize: Minimized = "posterior"
+    algorithm: str = "leastsquares"
+    metric: bool = False
+    metric_algorithm: str = "bobyqa+neldermead"
     starts: int = Field(default=16, ge=1)
     seed: int = Field(default=1, ge=0)
     evaluations: int = Field(default=600, ge=1)

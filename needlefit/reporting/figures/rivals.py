@@ -11,7 +11,7 @@ from needlefit.reporting.names import INK, PAPER, RIVAL_COLOURS, layers_name, me
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import RIVALS, Results
 
-_MARKERS = dict(zip(RIVALS, ("o", "s", "s", "v", "^", "D"), strict=True))
+_MARKERS = dict(zip(RIVALS, ("o", "o", "s", "s", "v", "^", "D"), strict=True))
 
 
 def rivals(results: Sequence[Results], path: Path) -> Path:

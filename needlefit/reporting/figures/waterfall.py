@@ -18,9 +18,9 @@ from needlefit.validation.results import Results
 
 
 def waterfall(results: Results, path: Path) -> Path:
-    """Draw the objective of all starts in order, and where in its bounds each start left each parameter.
+    """Draw how far all starts ended above the best, and where in its bounds each left each parameter.
 
-    A parameter whose dots spread along its axis although their objective is practically the best one is not
+    A parameter whose dots spread along its axis although their ends are practically the best one is not
     determined by the data.
     """
     return draw(path, lambda: _paint(results))
@@ -37,9 +37,9 @@ def _paint(results: Results) -> Figure:
 
 
 def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
-    """Draw each search's objectives from best to worst; failed starts stand nowhere but in the count."""
+    """Draw the excess of each search's starts, best first; failed starts stand nowhere but in the count."""
     for (fit, _), group in starts.groupby(["fit", "fold"], sort=False):
-        values = np.sort(group["objective"].to_numpy(dtype=np.float64))
+        values = np.sort(group["excess"].to_numpy(dtype=np.float64))
         values = values[np.isfinite(values)]
         axes.plot(np.arange(1, len(values) + 1), values, "o-", color=RIVAL_COLOURS[str(fit)], ms=3, lw=0.8)
     failed = int((~np.isfinite(starts["objective"].astype(float))).sum())
@@ -52,7 +52,9 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
     axes.legend(handles=handles, loc="best", handlelength=1.5)
     axes.set_title(f"{counted(starts)}, {failed} without a result", loc="left")
     axes.set_xlabel("start, best first")
-    axes.set_ylabel("objective (mm)")
+    axes.axhline(1, color=GREY, lw=0.6, ls=(0, (2, 1.5)))
+    axes.set_ylabel("above the best, in what counts as equal")
+    axes.set_yscale("symlog", linthresh=1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)
     light_grid(axes, "y")

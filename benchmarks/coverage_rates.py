@@ -1,6 +1,6 @@
 """How often the 95 % interval of each likelihood holds the truth, where the fitted model is the true one.
 
-    python benchmarks/coverage.py [--json] [--problems 40] [--insertions 5] [--seed 1] [--jobs 2]
+    python benchmarks/coverage_rates.py [--json] [--problems 40] [--insertions 5] [--seed 1] [--jobs 2]
 
 Every problem draws mu1, mu2 and b, simulates needles through the four layers of phantom 2 with the model
 itself at depths that err as stated (boundaries as the twin states them, insertion depth by 0.1 mm), moves

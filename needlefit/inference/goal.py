@@ -1,0 +1,122 @@
+"""What a search makes small: the negative log posterior, or the metric objective.
+
+Both are asked in the same words: a value, a value with its exact gradient, and, where the value is half a
+sum of squares but for a constant, the residuals and their exact Jacobian.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.project.records.recipe import Minimized
+
+Floats = NDArray[np.float64]
+
+
+class Bounded(Protocol):
+    """What has a theta."""
+
+    @property
+    def lower(self) -> Floats:
+        """Lower bounds of theta: (P,)."""
+
+    @property
+    def upper(self) -> Floats:
+        """Upper bounds of theta: (P,)."""
+
+    def values(self, theta: Floats) -> dict[str, float]:
+        """Return what theta means."""
+
+
+class Weighed(Bounded, Protocol):
+    """What has a posterior; `Problem` is one."""
+
+    def log_posterior(self, theta: Floats) -> float:
+        """Return the log posterior; not finite where it cannot be computed."""
+
+    def gradient(self, theta: Floats) -> tuple[float, Floats]:
+        """Return the log posterior and its gradient (P,)."""
+
+    @property
+    def squares(self) -> bool:
+        """Whether the log posterior is a constant minus half the residuals' squares."""
+
+    def residuals(self, theta: Floats) -> Floats:
+        """Return the whitened residuals (R,)."""
+
+    def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return the whitened residuals (R,) and their Jacobian (R, P)."""
+
+
+class Measured(Bounded, Protocol):
+    """What has a metric objective; `Problem` is one."""
+
+    def objective(self, theta: Floats) -> float:
+        """Return the metric objective, mm; not finite where it cannot be computed."""
+
+    def slope(self, theta: Floats) -> tuple[float, Floats]:
+        """Return the metric objective and its gradient (P,)."""
+
+
+class Target(Weighed, Measured, Protocol):
+    """What can be fitted either way."""
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A function on a box, to be made small; any of its functions may fail or not be finite.
+
+    Attributes
+    ----------
+    lower, upper : (P,) array
+        Of theta; infinite bounds are for searches that need no box (gradients, least squares).
+    value : callable
+        theta (P,) -> what is made small.
+    gradient : callable or None
+        theta -> the value and its exact gradient (P,).
+    residuals : callable or None
+        theta -> (R,); the value is half their sum of squares but for a constant.
+    jacobian : callable or None
+        theta -> the residuals and their exact Jacobian (R, P).
+    negligible : float
+        Absolute change of the value under which a search may end; 0 leaves it to relative changes.
+    """
+
+    lower: Floats
+    upper: Floats
+    value: Callable[[Floats], float]
+    gradient: Callable[[Floats], tuple[float, Floats]] | None = None
+    residuals: Callable[[Floats], Floats] | None = None
+    jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
+    negligible: float = 0.0
+
+
+NEGLIGIBLE = 1e-9
+"""Change of the log posterior under which a search for its peak ends."""
+
+
+def goal_of(problem: Target, minimized: Minimized) -> Goal:
+    """Return what a recipe's `minimize` names, of one problem."""
+    return posterior(problem) if minimized == "posterior" else metric(problem)
+
+
+def posterior(problem: Weighed) -> Goal:
+    """Return the negative log posterior density in theta."""
+
+    def value(theta: Floats) -> float:
+        return -problem.log_posterior(theta)
+
+    def gradient(theta: Floats) -> tuple[float, Floats]:
+        density, slope = problem.gradient(theta)
+        return -density, -slope
+
+    goal = Goal(problem.lower, problem.upper, value, gradient, negligible=NEGLIGIBLE)
+    return replace(goal, residuals=problem.residuals, jacobian=problem.jacobian) if problem.squares else goal
+
+
+def metric(problem: Measured) -> Goal:
+    """Return the metric objective: a weighted mean of IPE, TE and EDP, mm."""
+    return Goal(problem.lower, problem.upper, problem.objective, problem.slope)

@@ -1,0 +1,123 @@
+"""Many starts spread over the box, in threads, resumable; the best of them is the fit."""
+
+import math
+import threading
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor, as_completed
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from needlefit.errors import FitError
+from needlefit.inference.goal import Target, goal_of
+from needlefit.inference.optimize.algorithms import stages
+from needlefit.inference.optimize.search import search
+from needlefit.inference.starts import INTERRUPTED, Fit, Place, Start, Watch
+from needlefit.project.records.recipe import Minimized, RecipeRecord
+
+Floats = NDArray[np.float64]
+
+
+def minimize(
+    problem: Target, recipe: RecipeRecord, rng: np.random.Generator, watch: Watch | None = None
+) -> Fit:
+    """Minimise what the recipe says from every one of its starts and return the best point of all.
+
+    The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
+    on whether some starts were computed by an earlier, interrupted run.
+
+    Raises
+    ------
+    ConfigError
+        If the recipe asks for an unknown algorithm.
+    FitError
+        If no evaluation of any start succeeded, or finished starts belong to another fit.
+    """
+    watch = Watch() if watch is None else watch
+    goal = goal_of(problem, recipe.minimize)
+    stages(recipe.algorithm, goal)  # an unknown algorithm is told before anything is computed
+    design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
+    seeds = rng.integers(1, 2**31, size=len(design))
+    done = _resumed(watch, design)
+
+    def run(index: int, stop: Callable[[], bool]) -> Start:
+        return search(goal, recipe, Place(index, tuple(design[index].tolist()), int(seeds[index])), stop)
+
+    for start in _in_threads(run, [i for i in range(len(design)) if i not in done], watch):
+        if start.stopped != INTERRUPTED:
+            watch.report(start)
+        if start.evaluations:
+            done[start.index] = start
+    return _best(problem, recipe.minimize, tuple(done[index] for index in sorted(done)), design)
+
+
+def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:
+    """Return `count` starts (n, P) spread over the box: a scrambled Halton sequence.
+
+    More starts extend fewer ones. Where nothing is free there is one start, without coordinates.
+    """
+    if len(lower) == 0:
+        return np.empty((1, 0))
+    cube = qmc.Halton(len(lower), scramble=True, rng=rng).random(count)
+    spread: Floats = lower + cube * (upper - lower)
+    return spread
+
+
+def _resumed(watch: Watch, design: Floats) -> dict[int, Start]:
+    """Return the starts that need no repetition; FitError if they are another fit's."""
+    kept = {index: start for index, start in watch.finished.items() if index < len(design)}
+    for index, start in kept.items():
+        if start.theta0 != tuple(design[index].tolist()):
+            raise FitError(
+                f"start {index} of the checkpoint began elsewhere than this fit's",
+                mend="run again without --resume; seed, bounds or recipe have changed",
+            )
+    return kept
+
+
+def _in_threads(
+    run: Callable[[int, Callable[[], bool]], Start], indices: list[int], watch: Watch
+) -> Iterator[Start]:
+    """Yield each start as it ends, in the calling thread."""
+    if watch.jobs <= 1:
+        for index in indices:
+            if watch.stop():
+                return
+            yield run(index, watch.stop)
+        return
+    leave = threading.Event()  # ends the other threads when one of them finds a bug
+
+    def stop() -> bool:
+        return leave.is_set() or watch.stop()
+
+    with ThreadPoolExecutor(watch.jobs, thread_name_prefix="start") as pool:
+        futures = [pool.submit(run, index, stop) for index in indices]
+        try:
+            for future in as_completed(futures):
+                yield future.result()
+        finally:
+            leave.set()
+
+
+def _best(problem: Target, minimized: Minimized, starts: tuple[Start, ...], design: Floats) -> Fit:
+    interrupted = len(starts) < len(design) or any(s.stopped == INTERRUPTED for s in starts)
+    evaluations = sum(s.evaluations for s in starts)
+    best = min(starts, key=lambda s: (s.objective, s.index), default=None)
+    if not interrupted and (best is None or not math.isfinite(best.objective)):
+        raise FitError(
+            f"none of {evaluations} evaluations from {len(starts)} starts could be solved",
+            mend="narrow the bounds of the medium, or check depths and layers of the insertions",
+        )
+    theta = tuple(design[0].tolist()) if best is None else best.theta
+    return Fit(
+        theta=theta,
+        values=problem.values(np.array(theta)),
+        minimized=minimized,
+        objective=math.inf if best is None else best.objective,
+        starts=starts,
+        evaluations=evaluations,
+        gradients=sum(s.gradients for s in starts),
+        failures=sum(s.failures for s in starts),
+        interrupted=interrupted,
+    )
