@@ -14,7 +14,18 @@ from needlefit.cli.invocation import Invocation
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 
 COMMANDS = (
-    *("simulate", "check", "tune", "predict", "validate", "verify", "material", "paper", "init", "reconstruct"),
+    *(
+        "simulate",
+        "check",
+        "tune",
+        "predict",
+        "validate",
+        "verify",
+        "material",
+        "paper",
+        "init",
+        "reconstruct",
+    ),
     *("twin", "new"),
 )
 

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.convergence import LENGTH_IN_TAU, Convergence, autocorrelation_times, convergence
-from needlefit.inference.evaluator import Density, Evaluator
 from needlefit.inference.ensembles import State, shares, steps
+from needlefit.inference.evaluator import Density, Evaluator
 from needlefit.inference.laplace import Laplace, laplace
 from needlefit.inference.ledger import KEPT
 from needlefit.inference.posterior import Posterior

@@ -4,8 +4,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import FitError
-from needlefit.inference.evaluator import Evaluator
 from needlefit.inference.ensembles import State
+from needlefit.inference.evaluator import Evaluator
 from needlefit.inference.laplace import Laplace
 from needlefit.project.records.recipe import SampleRecord
 

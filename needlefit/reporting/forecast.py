@@ -60,7 +60,11 @@ def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
     notes = (
         f"From {len(forecast.needle.means)} {source}{left}. What the model misses is not in it.",
         *(("The fitted data are synthetic.",) if synthetic else ()),
-        *((f"The posterior has {unconverged(forecast)}: the bands are not final.",) if forecast.faults else ()),
+        *(
+            (f"The posterior has {unconverged(forecast)}: the bands are not final.",)
+            if forecast.faults
+            else ()
+        ),
     )
     caption = f"{_marked(title, forecast)}, {forecast.s[-1]:g} mm deep, across the entry axis"
     return Display("forecast", caption, tuple(columns), tuple(cells), notes=notes)
