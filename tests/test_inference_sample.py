@@ -200,7 +200,7 @@ def test_the_file_is_inference_data_and_reads_back_equal(tmp_path):
     assert np.array_equal(back.draws, posterior.draws)
     assert np.array_equal(back.log_posterior, posterior.log_posterior)
     assert np.array_equal(back.r_hat, posterior.r_hat) and back.names == posterior.names
-    assert (back.walkers, back.moves, back.faults) == (8, "de+snooker", posterior.faults)
+    assert (back.walkers, back.moves, back.faults) == (8, posterior.moves, posterior.faults)
     length = posterior.steps * 8
     with xarray.open_dataset(tmp_path / "posterior.nc", group="posterior", engine="h5netcdf") as group:
         assert group["x0"].dims == ("chain", "draw") and group["x0"].shape == (4, length)

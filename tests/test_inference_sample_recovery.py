@@ -10,7 +10,7 @@ from scipy.stats import norm
 from needlefit.inference.convergence import autocorrelation_times
 from needlefit.inference.sample import sample
 
-MOVES = ["stretch", "de", "snooker", "de+snooker"]
+MOVES = ["stretch", "de", "snooker", "de+snooker+stretch"]
 
 
 @pytest.mark.parametrize("moves", MOVES)

@@ -20,8 +20,7 @@ Proposal = Callable[[Floats, Sequence[Floats], Random], tuple[Floats, Floats]]
 """What walkers (N, P) propose by looking at parts of the others, and the logarithm (N,) of its correction."""
 
 SHARES = {"stretch": 1.0, "de": 0.8, "snooker": 0.2}
-"""Parts of the steps that a move gets without a factor, in relation: of differential evolution what emcee's
-authors recommend."""
+"""Parts of the steps that moves get without a factor, in relation: emcee's authors advise 0.8 and 0.2."""
 
 SNOOKER = 1.7
 """Length of a snooker step in differences of two others; ter Braak & Vrugt, Stat. Comput. 18 (2008) 435."""

@@ -47,7 +47,7 @@ class SampleRecord(Record):
 
     ensembles: int = Field(default=4, ge=1)
     walkers: int = Field(default=16, ge=8)
-    moves: str = "de+snooker"
+    moves: str = "0.6*de + 0.2*snooker + 0.2*stretch"
     steps: int = Field(default=20000, ge=2)
     every: int = Field(default=100, ge=2)
 
