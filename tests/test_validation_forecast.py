@@ -19,7 +19,7 @@ from needlefit.mechanics.shape import positions
 from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
-from needlefit.reporting.forecast import forecast_table
+from needlefit.reporting.forecast import forecast_layout, forecast_table, tip
 from needlefit.validation.forecast import forecast, require_same
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.provenance import work
@@ -103,6 +103,14 @@ def test_draws_of_a_posterior_are_spread_over_it(job):
     assert from_posterior(posterior, job.parameters, 10).faults == posterior.faults != ()
     assert thetas[[0, -1], 0] == pytest.approx(np.log([1e4, 1e6]))
     assert np.exp(thetas[:, names.index("bevel_mm")]) == pytest.approx(0.05)
+
+
+def test_a_forecast_from_a_posterior_that_has_not_converged_says_so(job):
+    draws = Draws(np.array([theta(job)] * 3), "posterior", ("R-hat of mu1_pa is 1.2",))
+    found = forecast(SCENE, draws, job.parameters, job.medium, job.dataset)
+    layout = forecast_layout(found, "gel", False)
+    assert "NOT CONVERGED" in layout.caption and "R-hat of mu1_pa is 1.2" in " ".join(layout.notes)
+    assert tip(found)["not_converged"] == ["R-hat of mu1_pa is 1.2"]
 
 
 def test_a_posterior_of_other_data_is_refused(job, tmp_path):
