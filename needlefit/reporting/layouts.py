@@ -18,8 +18,8 @@ _SCORES = (
 _WAYS = {  # what a row means, said under the table where the row stands in it
     "needlefit": "Each cell is the mean over insertions of each one’s value; IPE is mean ± standard "
     "deviation.",
-    "by IPE, TE, EDP": "“Needlefit” is the fit of greatest posterior density; “by IPE, TE, EDP” minimises these "
-    "errors on the tuning insertions instead, as tuning by hand does.",
+    "by IPE, TE, EDP": "“Needlefit” is the fit of greatest posterior density; “by IPE, TE, EDP” minimises "
+    "these errors on the tuning insertions instead, as tuning by hand does.",
     "planned boundaries": "“Planned boundaries” scores the same model with layer depths from the planned "
     "straight path: the measured crossings of a held-out insertion leak its outcome.",
     "noise floor": "“Noise floor” is what perfect parameters would still show.",
