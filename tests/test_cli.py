@@ -14,7 +14,18 @@ from needlefit.cli.invocation import Invocation
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 
 COMMANDS = (
-    *("simulate", "check", "tune", "validate", "verify", "material", "paper", "init", "reconstruct"),
+    *(
+        "simulate",
+        "check",
+        "tune",
+        "predict",
+        "validate",
+        "verify",
+        "material",
+        "paper",
+        "init",
+        "reconstruct",
+    ),
     *("twin", "new"),
 )
 
@@ -36,7 +47,7 @@ def test_help_names_every_command(capsys):
     assert all(f"\n  {command} " in out for command in COMMANDS)
 
 
-@pytest.mark.parametrize("command", [*COMMANDS[:9], "twin build", "twin ct", "new dataset"])
+@pytest.mark.parametrize("command", [*COMMANDS[:10], "twin build", "twin ct", "new dataset"])
 def test_every_command_has_help(command, capsys):
     assert run(*command.split(), "--help") == 0
     assert f"Usage: needlefit {command}" in capsys.readouterr().out

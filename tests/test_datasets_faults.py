@@ -78,6 +78,7 @@ def place(fault, folder):
         ("pose_source", "guess", "pose_source is 'guess'"),
         ("pose_source", "none", "pose_source is 'none'"),
         ("pose_shift_sd_mm", "-1", "pose_shift_sd_mm is negative"),
+        ("depth_sd_mm", "-0.1", "depth_sd_mm is negative"),
         ("guide_distance_mm", "110", "guide_distance_mm is 110"),
         ("id", "../a", "id is '../a'"),
     ],

@@ -45,6 +45,7 @@ def test_the_dataset_says_what_was_reconstructed(tmp_path):
     assert first.patient.rotation == pytest.approx(one.patient.rotation, abs=1e-7)
     assert first.boundaries == pytest.approx(one.layers.boundaries, abs=2e-3)
     assert first.boundary_sd == pytest.approx(0.12)
+    assert first.depth_sd == pytest.approx(one.depth_sd, abs=1e-4)
     assert (first.pose_shift_sd, first.pose_source) == (0.04, "shaft")
     assert dataset.noise.registration_mean == pytest.approx(one.target_error.mean(), abs=1e-4)
     assert dataset.noise.correlated_sd == pytest.approx(np.sqrt(np.mean(one.sd**2)), abs=1e-4)

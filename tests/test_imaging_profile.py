@@ -108,7 +108,7 @@ def test_a_slanting_face_at_the_side_of_the_volume_stays_where_it_is():
     """Of the ring a third lies outside; the points opposite do not count either."""
     box = entry_frame(cases.ENTRY, (0.4, 0, 1), (0, 1, 0))
     scene = Scene3D((), Phantom(()), (40.0,), box)
-    cut = cases.grid(shape=(31, 48, 60))  # ends 2.8 mm beside the needle
+    cut = cases.grid(size=(31, 48, 60))  # ends 2.8 mm beside the needle
     volume = render(scene, Scanner(cut, streaks=0, cupping_hu=0, noise_hu=20), np.random.default_rng(1))
     s = np.arange(-11.0, 14.0, 0.5)
     place, _ = tissue_edge(profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s))

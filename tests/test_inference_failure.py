@@ -94,7 +94,7 @@ def test_where_every_needle_is_solved_no_simulation_is_to_blame():
 
 def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(tmp_path):
     p = violent()
-    settings = SampleRecord(ensembles=2, walkers=8, steps=30, burn_in=10)
+    settings = SampleRecord(ensembles=2, walkers=8, steps=30)
     got = sample(p, np.log([2e7, 30.0]), settings, rng())
     assert got.failures >= sum(len(thetas) for thetas in got.failed) > 0
     assert len(got.failed) == 2 and max(len(thetas) for thetas in got.failed) <= KEPT
@@ -109,7 +109,7 @@ def test_a_density_of_zero_is_no_failure():
     got = sample(
         box(lambda theta: -math.inf if theta[0] < 0 else 0.0),
         (0.1, 0.1),
-        SampleRecord(ensembles=1, walkers=8, steps=30, burn_in=10),
+        SampleRecord(ensembles=1, walkers=8, steps=30),
         rng(),
     )
     assert (got.failures, got.failed) == (0, ((),))

@@ -10,6 +10,7 @@ from needlefit.datasets.insertion import Noise
 from needlefit.inference.identify import identify, tip_range
 from needlefit.inference.information import combination, cramer_rao, directions, jacobian, steps
 from needlefit.inference.starts import Fit, Start
+from needlefit.project.records.recipe import LikelihoodRecord
 
 FINE = Noise(point_sd=0.02)
 
@@ -168,3 +169,15 @@ def test_where_nothing_is_free_there_is_nothing_to_say():
     p = problem(record, [measure(TRUTH, record, insertion(30.0))])
     verdict = identify(p, fit_at(p, TRUTH))
     assert verdict.sds == {} and verdict.directions == () and verdict.notes == {}
+
+
+def test_a_scale_of_the_noise_is_known_from_the_number_of_points_and_takes_nothing_from_the_rest():
+    """The logarithm of a Gaussian's deviation is known to 1 / sqrt(2 n) from n residuals."""
+    record = medium(1)
+    made = [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)]
+    estimated = problem(record, made, how=LikelihoodRecord(noise_scale="estimated"), noise=FINE)
+    fixed = problem(record, made, noise=FINE)
+    truth = {**TRUTH, "noise_scale": 1.0}
+    with_scale, without = (identify(p, fit_at(p, truth)) for p in (estimated, fixed))
+    assert with_scale.sds["noise_scale"] == pytest.approx(1 / math.sqrt(2 * 2 * 101), rel=0.02)
+    assert with_scale.sds["bevel_mm"] == pytest.approx(without.sds["bevel_mm"], rel=0.01)

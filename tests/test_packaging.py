@@ -75,8 +75,8 @@ def test_it_finds_everything_that_ships(installed, tmp_path):
         "from needlefit.project.places import find, find_studies, names\n"
         "assert [name for name, _ in find_studies('all')] == [f'study{n}' for n in (1, 2, 3, 4, 5)]\n"
         "assert find('dataset', 'twin').is_file()\n"
-        "print(*(f'{kind}/{name}' for kind in ('scene', 'recipe', 'study', 'fit', 'medium', 'dataset')"
-        " for name in names(kind)))"
+        "from needlefit.project.places import _PATTERNS\n"
+        "print(*(f'{kind}/{name}' for kind in _PATTERNS for name in names(kind)))"
     )
     from needlefit.project import places
 

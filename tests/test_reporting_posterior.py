@@ -6,24 +6,32 @@ import numpy as np
 import pytest
 from reporting_results import study
 
+from needlefit.inference.convergence import Convergence
 from needlefit.inference.posterior import Posterior
-from needlefit.reporting.posterior import outside_said, percentiles_table, posterior_layout
+from needlefit.reporting.posterior import (
+    outside_said,
+    percentiles_table,
+    posterior_layout,
+    unconverged_said,
+)
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import records
 from needlefit.validation.results import Results
 
 
-def sampled(low: float, high: float) -> Results:
+def sampled(low: float, high: float, r_hat: float = 1.0) -> Results:
     """Study 5 with b drawn evenly between two bounds; the fit ended at 0.0847 mm."""
     draws = np.tile(np.linspace(low, high, 400), 2).reshape(2, 400, 1)
+    many = np.full((2, 1), 500.0)
+    convergence = Convergence(("bevel_mm",), np.array([r_hat]), np.ones((2, 1)), many, many, 100)
     posterior = Posterior(
         names=("bevel_mm",),
         draws=draws,
         log_posterior=np.zeros((2, 400)),
         walkers=4,
+        moves="stretch",
         acceptance=np.array([0.3, 0.4]),
-        autocorrelation_time=np.ones((2, 1)),
-        r_hat=np.array([1.0]),
+        convergence=convergence,
         burn_in=10,
         failures=0,
         interrupted=False,
@@ -56,6 +64,18 @@ def test_a_fit_outside_the_central_95_percent_is_said_to_be():
     blocks = story(outside, {}).blocks
     assert outside_said(outside) in [block.get("text") for block in blocks]
     assert "posterior" in [block.get("name") for block in blocks]
+
+
+def test_a_posterior_that_has_not_converged_says_so_wherever_it_stands():
+    loose = sampled(0.05, 0.15, r_hat=1.2)
+    said = unconverged_said(loose)
+    assert said.startswith("NOT CONVERGED: R-hat of bevel_mm is 1.2, not below 1.01.")
+    layout = posterior_layout(loose)
+    assert "NOT CONVERGED" in layout.caption and "NOT CONVERGED" in layout.rows[0]
+    assert records(percentiles_table(loose))[0]["converged"] is False
+    assert said in [block.get("text") for block in story(loose, {}).blocks]
+    fine = sampled(0.05, 0.15)
+    assert unconverged_said(fine) == "" and "NOT CONVERGED" not in posterior_layout(fine).caption
 
 
 def test_without_a_posterior_nothing_is_said_of_one():

@@ -19,6 +19,7 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.tubes import FACETS, tube, write_ply
+from needlefit.inference.convergence import Convergence
 from needlefit.inference.identify import identify
 from needlefit.inference.optimize import minimize
 from needlefit.inference.posterior import Posterior
@@ -93,7 +94,8 @@ def posterior(job, rows):
     nothing = np.zeros((1, len(rows)))
     names = job.parameters.free
     tau = np.ones((1, len(names)))
-    return Posterior(names, draws, nothing, 2, nothing[0, :1], tau, np.ones(len(names)), 0, 0, False)
+    found = Convergence(names, np.ones(len(names)), tau, tau, tau, 1)
+    return Posterior(names, draws, nothing, 2, "stretch", nothing[0, :1], found, 0, 0, False)
 
 
 def test_every_needle_stands_in_the_world_of_its_dataset(fitted):

@@ -42,6 +42,10 @@ RECIPE = """schema = 1
 starts = 4
 evaluations = 250
 tolerance = 1e-6
+[sample]
+walkers = 8
+steps = 30
+every = 10
 """
 
 
@@ -126,6 +130,26 @@ def test_an_interrupted_run_resumes_to_the_same_frames(project: Path) -> None:
     assert not part.errors.empty  # the best so far is scored
     again = run("again", study(), Settings(checkpoint=kept, resume=True))
     assert_same(again, whole)
+
+
+def test_an_interrupted_sampler_resumes_to_the_same_draws(project: Path) -> None:
+    """Stopped within its second block of steps, after the searches."""
+    whole = run("draws", study(), Settings(sample=True))
+    walked: list[int] = []
+
+    def progress(label: str, done: int, total: int) -> None:
+        if "posterior" in label:
+            walked.append(done)
+
+    kept = project / "draws.partial"
+    stop = Settings(checkpoint=kept, sample=True, progress=progress, stop=lambda: len(walked) >= 15)
+    part = run("draws", study(), stop)
+    assert part.interrupted and part.posteriors["all"].interrupted
+    again = run("draws", study(), Settings(checkpoint=kept, resume=True, sample=True, progress=progress))
+    assert walked[15] == 11  # the first block is not walked again
+    for one in ("draws", "log_posterior", "acceptance"):
+        assert np.array_equal(getattr(again.posteriors["all"], one), getattr(whole.posteriors["all"], one))
+    assert again.run["not_converged"] == {"all": list(whole.posteriors["all"].faults)} != {}
 
 
 def test_a_checkpoint_of_other_work_is_refused(project: Path) -> None:

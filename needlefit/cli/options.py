@@ -24,4 +24,5 @@ Json = Annotated[bool, typer.Option("--json", help="Results as JSON on stdout.")
 Seed = Annotated[int | None, typer.Option(min=0, help="Seed of all randomness (default: the recipe's).")]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Threads (default: all cores); changes no result.")]
 Out = Annotated[Path, typer.Option(help="Folder that takes the folders of results.")]
+Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")]

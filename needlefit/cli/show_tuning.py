@@ -49,9 +49,10 @@ def show_tuning(results: "Results") -> None:
     screen.say()
     _show_errors(results)
     if results.posteriors:
-        from needlefit.reporting.posterior import outside_said, percentiles_table
+        from needlefit.reporting.posterior import outside_said, percentiles_table, unconverged_said
 
-        screen.show_frame(percentiles_table(results), "Posterior: percentiles in Pa and mm.")
+        state = " NOT CONVERGED: they are not final." if unconverged_said(results) else ""
+        screen.show_frame(percentiles_table(results), f"Posterior: percentiles in Pa and mm.{state}")
         screen.say(outside_said(results))
     if results.origin == "synthetic" and "hand_tuned" in set(results.errors["rival"]):
         screen.say("The paper's set was not tuned on this data; the fair rival is the one with b re-tuned.")

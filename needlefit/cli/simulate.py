@@ -10,6 +10,7 @@ import typer
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import scenes
 from needlefit.cli.plausibility import doubts
+from needlefit.cli.scene_options import Depth, Set, scene_record
 
 if TYPE_CHECKING:
     from needlefit.mechanics.scene import Entry, Scene
@@ -22,19 +23,8 @@ def simulate(
         str,
         typer.Argument(metavar="SCENE", autocompletion=scenes, help="configs/scenes/<name>.toml or a path."),
     ],
-    depth: Annotated[
-        float | None,
-        typer.Option(metavar="MM", help="Inserted arc length, of a scene without steps; else the scene's."),
-    ] = None,
-    set_: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            metavar="KEY=VALUE",
-            help="Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered "
-            "from 1: layers.1.mu_pa=3e5 is the first one. May be given again.",
-        ),
-    ] = None,
+    depth: Depth = None,
+    set_: Set = None,
     json: options.Json = False,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the needle: .png, .pdf or .svg.")
@@ -53,7 +43,7 @@ def simulate(
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
-    where, record = _record(scene, depth, set_ or [])
+    where, record = scene_record(scene, depth, set_ or [])
     for doubt in doubts(record):
         screen.note(f"needlefit: warning: {doubt}")
     title = record.title or scene
@@ -127,37 +117,6 @@ def _insert(record: "SceneRecord", where: str) -> tuple["Scene", "tuple[NeedleSh
     screen.note_compiling()
     scene = Scene.from_record(record, where)
     return scene, insert(scene)
-
-
-def _record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:
-    """Return where the scene stands and what it says, with what the options change."""
-    pairs = [_pair(text) for text in assignments]
-    from needlefit.project.load import check, load, read_toml
-    from needlefit.project.overrides import override
-    from needlefit.project.places import find, label
-    from needlefit.project.records.scene import SceneRecord
-
-    path = find("scene", name)
-    record = load(path, SceneRecord)
-    if depth is not None:
-        if record.steps:
-            raise typer.BadParameter(
-                "the scene has steps, each with its own depth: "
-                f"--set steps.{len(record.steps)}.depth_mm={depth:g}",
-                param_hint="--depth",
-            )
-        pairs.append(("depth_mm", repr(depth)))
-    if not pairs:
-        return label(path), record
-    where = f"{label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
-    return where, check(override(read_toml(path), pairs, SceneRecord, label(path)), SceneRecord, where)
-
-
-def _pair(text: str) -> tuple[str, str]:
-    key, equals, value = text.partition("=")
-    if not (key.strip() and equals and value.strip()):
-        raise typer.BadParameter(f"`{text}` is not KEY=VALUE, e.g. bevel.offset_mm=0.1", param_hint="--set")
-    return key.strip(), value.strip()
 
 
 def _print(title: str, answer: dict[str, Any]) -> None:

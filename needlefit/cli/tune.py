@@ -23,9 +23,7 @@ def tune(
             metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
         ),
     ],
-    sample: Annotated[
-        bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")
-    ] = False,
+    sample: options.Sample = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
@@ -43,7 +41,7 @@ def tune(
     the line that goes on; twice leaves at once.
     """
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        name, record = _target(target)
+        name, record = fit_of(target)
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
         execution.prepare([name])
         results = execution.run(name, record)
@@ -61,7 +59,7 @@ def tune(
     require_converged(results)
 
 
-def _target(target: str) -> "tuple[str, FitRecord]":
+def fit_of(target: str) -> "tuple[str, FitRecord]":
     """Return the name of the results and the fit that the argument means."""
     from needlefit.project.load import load
     from needlefit.project.places import find_target

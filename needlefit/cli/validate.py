@@ -27,6 +27,7 @@ def validate(
             help="study1 ... study5, all (those five), another, or a path.",
         ),
     ],
+    sample: options.Sample = False,
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
@@ -49,7 +50,7 @@ def validate(
     """
     folder = out / "reference" if reference else out
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        execution = Execution(context.find_root().obj, folder, seed, jobs, resume, stop)
+        execution = Execution(context.find_root().obj, folder, seed, jobs, resume, stop, sample)
         done = _run(execution, study, json)
         for results in done:  # not before all are done: `all` is resumed as a whole
             execution.forget(results.name)

@@ -1,30 +1,170 @@
-"""Whether several independent chains tell the same: rank-normalised split R-hat."""
+"""Whether several independent ensembles tell the same, and how many independent draws they are worth.
+
+A chain is one ensemble: its draws are pooled over walkers step by step, and split in time. R-hat compares
+these halves; the autocorrelation time says how many steps of an ensemble count for one, so that S steps of
+W walkers are worth S W / tau draws. Both are of normal scores of the ranks, so that heavy tails and the scale
+do not matter, and are asked of every parameter, of the principal directions of the draws' covariance (the
+inverse of the posterior's information: stiff and sloppy ones), and of the log posterior.
+"""
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.fft import irfft, next_fast_len, rfft
 from scipy.stats import norm, rankdata
 
 Floats = NDArray[np.float64]
+
+R_HAT, LENGTH_IN_TAU, DRAWS = 1.01, 50, 400
+"""The rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this
+in the bulk and in the tails of every ensemble."""
+
+TAILS = (0.05, 0.95)
+"""Quantiles whose indicators tell how well the tails are known."""
+
+WINDOW = 5.0
+"""Autocorrelations are summed up to this many autocorrelation times (Sokal): beyond is noise."""
+
+
+@dataclass(frozen=True)
+class Convergence:
+    """What the rule looks at, for Q quantities and E ensembles of S steps.
+
+    Attributes
+    ----------
+    quantities : tuple of str
+        Parameters, "direction 1" (the stiffest) and on, "log posterior".
+    r_hat : (Q,) array
+        NaN with fewer than two ensembles.
+    tau : (E, Q) array
+        Autocorrelation time in steps; infinite where all walkers stand still.
+    bulk, tail : (E, Q) arrays
+        Independent draws, of the value and of the worse of the two tails.
+    steps : int
+        Of each ensemble.
+    """
+
+    quantities: tuple[str, ...]
+    r_hat: Floats
+    tau: Floats
+    bulk: Floats
+    tail: Floats
+    steps: int
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """In what the rule is not met; empty if it is."""
+        return tuple(self._faults())
+
+    def _faults(self) -> Iterator[str]:
+        if len(self.tau) < 2:
+            yield "a single ensemble cannot show that it has converged"
+        elif not np.all(self.r_hat < R_HAT):
+            at = int(np.argmax(np.nan_to_num(self.r_hat, nan=np.inf)))
+            yield f"R-hat of {self.quantities[at]} is {self.r_hat[at]:.3g}, not below {R_HAT}"
+        longest = self.tau.max(axis=0)
+        if not self.steps > LENGTH_IN_TAU * longest.max():
+            at = int(np.argmax(longest))
+            times = f"{LENGTH_IN_TAU} autocorrelation times of {longest[at]:.3g}"
+            yield f"{self.steps} steps are not more than {times} ({self.quantities[at]})"
+        for name, draws in (("independent draws", self.bulk), ("independent draws in a tail", self.tail)):
+            fewest = draws.min(axis=0)
+            if not fewest.min() > DRAWS:
+                at = int(np.argmin(fewest))
+                has = f"an ensemble has {fewest[at]:.0f} {name} of {self.quantities[at]}"
+                yield f"{has}, not more than {DRAWS}"
+
+
+def convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Convergence:
+    """Return what the rule looks at.
+
+    Parameters
+    ----------
+    thetas : (E, S, W, P) array
+    log_density : (E, S, W) array
+    names : sequence of str
+        P of them.
+    """
+    along = _along_directions(thetas)
+    directions = [f"direction {k + 1}" for k in range(along.shape[-1])]
+    columns = np.concatenate([thetas, along, log_density[..., None]], axis=3)  # (E, S, W, Q)
+    found = [_quantity(columns[..., q]) for q in range(columns.shape[3])]
+    r_hats, taus, tails = zip(*found, strict=True)
+    size, tau = thetas.shape[1] * thetas.shape[2], np.stack(taus, axis=1)
+    return Convergence(
+        quantities=(*names, *directions, "log posterior"),
+        r_hat=np.array(r_hats),
+        tau=tau,
+        bulk=size / tau,
+        tail=size / np.stack(tails, axis=1),
+        steps=int(thetas.shape[1]),
+    )
 
 
 def r_hat(chains: Floats) -> float:
     """Return R-hat of one quantity over chains (E, N); NaN with fewer than two chains or four draws.
 
-    Every chain is cut in halves, all draws are replaced by normal scores of their ranks (so heavy tails
-    and the scale do not matter), and with B the variance between and W the mean variance within halves
-    of length n
+    All draws are replaced by normal scores of their ranks, every chain is cut in halves, and with B the
+    variance between and W the mean variance within halves of length n
 
         R-hat = sqrt( ((n - 1) W / n + B) / W ),    B = var(means of the halves).
 
     The larger of two values counts: of the draws, and of their distances from the median (which sees
     chains that differ in width alone). Vehtari et al., Bayesian Analysis 16 (2021) 667.
     """
-    if chains.ndim != 2 or chains.shape[0] < 2 or chains.shape[1] < 4:
+    return _r_hat(_scores(chains), _folded(chains))
+
+
+def _r_hat(scores: Floats, folded: Floats) -> float:
+    """Return the larger R-hat of two kinds of scores (E, N)."""
+    if len(scores) < 2 or scores.shape[1] < 4:
         return float("nan")
-    half = chains.shape[1] // 2
-    halves = np.concatenate([chains[:, :half], chains[:, -half:]])  # (2 E, n)
-    folded = np.abs(halves - np.median(halves))
-    return max(_split(_scores(halves)), _split(_scores(folded)))
+    return max(_split(scores), _split(folded))
+
+
+def autocorrelation_times(series: Floats) -> Floats:
+    """Return the integrated autocorrelation time (E,), in steps, of series (E, S, W) of E ensembles.
+
+    tau = 1 + 2 sum_t rho(t), summed up to the first t >= 5 tau(t). rho is the mean over an ensemble's
+    walkers of each one's autocorrelation (Goodman & Weare, Comm. App. Math. Comp. Sci. 5 (2010) 65, take that
+    of the walkers' mean, which is the same where walkers are independent, and noisier). Unlike emcee's, it is
+    taken about the mean of the whole ensemble: a walker that stays apart from the others counts as slow.
+    """
+    return np.array([_autocorrelation_time(one) for one in series])
+
+
+def _autocorrelation_time(series: Floats) -> float:
+    steps = len(series)
+    centred = series - series.mean()
+    size = next_fast_len(2 * steps, real=True)
+    spectrum = rfft(centred, n=size, axis=0)
+    covariance = irfft(np.mean(np.abs(spectrum) ** 2, axis=1), n=size)[:steps]  # (S,)
+    if not covariance[0] > 0.0:
+        return math.inf
+    times = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
+    ends = np.flatnonzero(np.arange(steps) >= WINDOW * times)
+    # what anticorrelates is not called better than independent: the estimate may be noise
+    return max(1.0, float(times[ends[0] if len(ends) else -1]))
+
+
+def _quantity(values: Floats) -> tuple[float, Floats, Floats]:
+    """Return R-hat, tau (E,) and tau of the slower tail (E,) of one quantity (E, S, W)."""
+    scores, folded = _scores(values), _folded(values)
+    pooled = (values.shape[0], -1)  # step by step
+    tails = [autocorrelation_times((values <= q).astype(np.float64)) for q in np.quantile(values, TAILS)]
+    found = _r_hat(scores.reshape(pooled), folded.reshape(pooled))
+    return found, autocorrelation_times(scores), np.maximum(*tails)
+
+
+def _along_directions(thetas: Floats) -> Floats:
+    """Return the draws (E, S, W, P) in principal coordinates of their covariance, stiffest first."""
+    flat = thetas.reshape(-1, thetas.shape[-1])
+    _, axes = np.linalg.eigh(np.atleast_2d(np.cov(flat.T)))  # (P, P), ascending variance
+    along: Floats = thetas @ axes
+    return along
 
 
 def _scores(draws: Floats) -> Floats:
@@ -33,8 +173,14 @@ def _scores(draws: Floats) -> Floats:
     return scores
 
 
-def _split(halves: Floats) -> float:
-    n = halves.shape[1]
+def _folded(draws: Floats) -> Floats:
+    return _scores(np.abs(draws - np.median(draws)))
+
+
+def _split(chains: Floats) -> float:
+    """Return R-hat of the halves of chains (E, N), as they are."""
+    n = chains.shape[1] // 2
+    halves = np.concatenate([chains[:, :n], chains[:, -n:]])  # (2 E, n)
     within = float(np.mean(np.var(halves, axis=1, ddof=1)))
     between = float(np.var(np.mean(halves, axis=1), ddof=1))
     if within == 0.0:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.inference.likelihood.depths import Nodes
 from needlefit.inference.likelihood.evidence import Evidence, whitened, whitened_slopes
 from needlefit.inference.likelihood.marginal import (
     log_marginals,
@@ -53,7 +54,7 @@ class Density:
         scale = np.array([self._scale(values)])
         total = self.parameters.prior.log_density(values)
         for known in self.evidence:
-            white = self._white(known, values)
+            white = self._white(known, known.nodes, values)
             total += known.log_norm + float(log_marginals(white[None], known.nodes, scale)[0])
         return total
 
@@ -79,7 +80,7 @@ class Density:
         stated, names = prior.residuals(values), self.parameters.free
         total, slope = -0.5 * float(stated @ stated), -(stated @ prior.slopes(names))
         for known in self.evidence:
-            white, by = self._white_and_slopes(known, values)
+            white, by = self._white_and_slopes(known, known.nodes, values)
             mixed = mixing(white, known.nodes, scale)
             total += known.log_norm
             total += float(log_marginals(white[None], known.nodes, np.array([scale]))[0])
@@ -90,7 +91,8 @@ class Density:
     def residuals(self, values: Mapping[str, float]) -> Floats:
         """Return residuals (R,): of the insertions, of what normalises their density, and of the prior."""
         scale = self._scale(values)
-        pairs = [residuals(self._white(known, values), known.nodes, scale) for known in self.evidence]
+        straight = [(known, known.nodes.straight) for known in self.evidence]
+        pairs = [residuals(self._white(known, nodes, values), nodes, scale) for known, nodes in straight]
         normal = self._normal(scale, sum(log_det for _, log_det in pairs))
         return np.concatenate([*(r for r, _ in pairs), normal, self.parameters.prior.residuals(values)])
 
@@ -99,11 +101,12 @@ class Density:
         scale, parts, slopes = self._scale(values), [], []
         log_det, by_det = 0.0, np.zeros(len(self.parameters.free))
         for known in self.evidence:
-            white, by = self._white_and_slopes(known, values)
+            nodes = known.nodes.straight
+            white, by = self._white_and_slopes(known, nodes, values)
             # a larger scale shrinks residuals as a whole
             by = by - white[..., None] * self._by_scale
-            part, more = residuals(white, known.nodes, scale)
-            part_slopes, more_slopes = residual_slopes(white, by, known.nodes, scale)
+            part, more = residuals(white, nodes, scale)
+            part_slopes, more_slopes = residual_slopes(white, by, nodes, scale)
             log_det, by_det = log_det + more, by_det + more_slopes
             parts.append(part)
             slopes.append(part_slopes)
@@ -139,18 +142,20 @@ class Density:
         grown = 2 * self._rows * np.log(scale / SCALES[0]) if moving else 0.0
         return np.array([np.sqrt(1.0 + grown + log_det)])
 
-    def _white(self, known: Evidence, values: Mapping[str, float]) -> Floats:
-        """Return the whitened residuals (m, R) at the nodes of one insertion."""
+    def _white(self, known: Evidence, nodes: Nodes, values: Mapping[str, float]) -> Floats:
+        """Return the whitened residuals (m, R) at some nodes of one insertion."""
         points = []
-        for insertion, s in zip(known.nodes.insertions, known.nodes.s, strict=True):
+        for insertion, s in zip(nodes.insertions, nodes.s, strict=True):
             shape = predict(values, self.medium, self.needle, insertion)
             points.append(positions(shape, s) if shape.converged else np.full((len(s), 2), np.nan))
         return whitened(known, np.array(points))
 
-    def _white_and_slopes(self, known: Evidence, values: Mapping[str, float]) -> tuple[Floats, Floats]:
+    def _white_and_slopes(
+        self, known: Evidence, nodes: Nodes, values: Mapping[str, float]
+    ) -> tuple[Floats, Floats]:
         """Return the same and the derivatives (m, R, P) by theta."""
         white, by = [], []
-        for insertion, s in zip(known.nodes.insertions, known.nodes.s, strict=True):
+        for insertion, s in zip(nodes.insertions, nodes.s, strict=True):
             points, slopes = predict_with_slopes(
                 values, self.parameters, self.medium, self.needle, insertion, s
             )

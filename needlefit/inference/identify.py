@@ -29,6 +29,7 @@ from needlefit.inference.information import (
 from needlefit.inference.parameters import in_logarithm
 from needlefit.inference.problem import Problem
 from needlefit.inference.starts import Fit, Start
+from needlefit.inference.ties import NOISE_SCALE
 
 Floats = NDArray[np.float64]
 
@@ -96,13 +97,10 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
     """Return what the data determine at the best point of a fit."""
     theta, names = np.array(fit.theta), problem.names
     weighed = with_noise(problem, theta)
-    count = sum(weighed.density.told)  # what follows normalises, or is the prior's, counted for itself
-    residuals, slope = (np.nan_to_num(part[:count]) for part in weighed.jacobian(theta))  # (R,), (R, P)
-    rows = sum(known.rows for known in weighed.density.evidence)
-    chi_square = float(residuals @ residuals) / max(1, rows - len(names))
-    known_before = _known_before(problem)
-    information = slope.T @ slope / max(1.0, chi_square) + known_before
-    between = between_needles(weighed, slope, residuals, slope.T @ slope + known_before)
+    residuals, slope, chi_square = _told(weighed, theta)
+    known_besides = _known_besides(weighed)
+    information = slope.T @ slope / max(1.0, chi_square) + known_besides
+    between = between_needles(weighed, slope, residuals, slope.T @ slope + known_besides)
     sds = dict(zip(names, np.maximum(cramer_rao(information), between).tolist(), strict=True))
     found = directions(information, names)
     ends = [s.theta for s in practically_equal(fit)] or [fit.theta]
@@ -205,12 +203,25 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
     return float(np.max(np.abs(high - low)))
 
 
-def _known_before(problem: Problem) -> Floats:
-    """Return the information (P, P) of the stated prior, and of the bounds of what has none."""
+def _told(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
+    """Return what the insertions tell: residuals (R,), derivatives (R, P), reduced chi-square."""
+    count = sum(problem.density.told)  # what follows normalises, or is the prior's, counted for itself
+    residuals, slope = (np.nan_to_num(part[:count]) for part in problem.jacobian(theta))
+    # what a scale of the noise does to residuals says nothing of the other parameters, on average
+    slope = slope * (np.array(problem.names, dtype=object) != NOISE_SCALE)
+    rows = sum(known.rows for known in problem.density.evidence)
+    return residuals, slope, float(residuals @ residuals) / max(1, rows - len(problem.names))
+
+
+def _known_besides(problem: Problem) -> Floats:
+    """Return the information (P, P) of the stated prior, of bounds without one, and of the noise's scale."""
     stated = problem.parameters.prior
     flat = np.array([name not in stated.names for name in problem.names])
     bounds: Floats = np.diag(np.where(flat, 12.0 / (problem.upper - problem.lower) ** 2, 0.0))
-    return bounds + stated.information(problem.names)
+    rows = sum(known.rows for known in problem.density.evidence)  # Fisher: 2 of each, of the logarithm
+    scale = np.diag([2.0 * rows * (name == NOISE_SCALE) for name in problem.names])
+    known: Floats = bounds + scale + stated.information(problem.names)
+    return known
 
 
 def _is_determined(name: str, sd: float, spread: float) -> bool:

@@ -1,7 +1,7 @@
 """The posterior: draws, what they say, and their file (netCDF in the InferenceData layout)."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
+from needlefit.inference.convergence import Convergence
 
 if TYPE_CHECKING:
     import xarray
@@ -17,9 +18,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
-R_HAT, LENGTH_IN_TAU = 1.01, 50
-"""A chain has converged if R-hat is at most this, and it is at least this many autocorrelation times long."""
-
 ENGINE: Literal["h5netcdf"] = "h5netcdf"
 
 
@@ -37,12 +35,12 @@ class Posterior:
         Log density in theta of each draw, not normalised.
     walkers : int
         Per ensemble; N = steps kept * walkers.
+    moves : str
+        As the recipe names them.
     acceptance : (E,) array
-        Accepted part of each ensemble's proposals.
-    autocorrelation_time : (E, P) array
-        Estimate, in steps; NaN where the chain is too short or stands still.
-    r_hat : (P,) array
-        Rank-normalised, split, over the ensembles; NaN with fewer than two.
+        Accepted part of each ensemble's proposals, burn-in included.
+    convergence : Convergence
+        R-hat, autocorrelation times and independent draws, of the parameters and more.
     burn_in : int
         Steps thrown away before.
     failures : int
@@ -56,9 +54,9 @@ class Posterior:
     draws: Floats
     log_posterior: Floats
     walkers: int
+    moves: str
     acceptance: Floats
-    autocorrelation_time: Floats
-    r_hat: Floats
+    convergence: Convergence
     burn_in: int
     failures: int
     interrupted: bool
@@ -70,25 +68,19 @@ class Posterior:
         return int(self.draws.shape[1]) // self.walkers
 
     @property
+    def r_hat(self) -> Floats:
+        """Of the parameters, (P,)."""
+        return self.convergence.r_hat[: len(self.names)]
+
+    @property
     def faults(self) -> tuple[str, ...]:
         """Why the chains have not converged; empty if they have."""
-        found = []
-        if self.interrupted:
-            found.append("the sampler was interrupted")
-        if len(self.draws) < 2:
-            found.append("a single ensemble cannot show that it has converged")
-        elif not np.all(self.r_hat <= R_HAT):
-            found.append(f"R-hat is {np.max(self.r_hat):.3g}, above {R_HAT}")
-        longest = np.max(self.autocorrelation_time, initial=0.0)
-        if not self.steps >= LENGTH_IN_TAU * longest:
-            found.append(
-                f"{self.steps} steps are less than {LENGTH_IN_TAU} autocorrelation times of {longest:.3g}"
-            )
-        return tuple(found)
+        interrupted = ("the sampler was interrupted",) if self.interrupted else ()
+        return interrupted + self.convergence.faults
 
     @property
     def converged(self) -> bool:
-        """Whether R-hat and length say so."""
+        """Whether the rule is met."""
         return not self.faults
 
     def percentiles(self, at: Sequence[float] = PERCENTILES) -> dict[str, tuple[float, ...]]:
@@ -99,24 +91,16 @@ class Posterior:
 
 
 def save(posterior: Posterior, path: Path) -> None:
-    """Write the posterior as netCDF: groups `posterior` and `sample_stats`, dimensions chain and draw.
+    """Write the posterior as netCDF: groups `posterior`, `sample_stats` and `convergence`.
 
-    Equal posteriors give equal bytes: the file holds no time.
+    The first two are InferenceData's, with dimensions chain and draw; the third has what the rule of
+    convergence looks at, by chain and quantity. Each says in its attributes whether it was met. Equal
+    posteriors give equal bytes: the file holds no time.
     """
     temporary = path.with_name(path.name + ".part")
-    frame = ("chain", "draw")
-    draws = {name: (frame, posterior.draws[:, :, k]) for k, name in enumerate(posterior.names)}
-    stats = {
-        "lp": (frame, posterior.log_posterior),
-        "acceptance_rate": (("chain",), posterior.acceptance),
-        **{
-            f"autocorrelation_time_{name}": (("chain",), posterior.autocorrelation_time[:, k])
-            for k, name in enumerate(posterior.names)
-        },
-    }
     temporary.unlink(missing_ok=True)
-    _write(temporary, "posterior", draws, posterior)
-    _write(temporary, "sample_stats", stats, posterior)
+    for group, dataset in _datasets(posterior).items():
+        dataset.to_netcdf(temporary, group=group, engine=ENGINE, mode="a")
     temporary.replace(path)
 
 
@@ -128,8 +112,9 @@ def load(path: Path) -> Posterior:
         with (
             xarray.open_dataset(path, group="posterior", engine=ENGINE) as draws,
             xarray.open_dataset(path, group="sample_stats", engine=ENGINE) as stats,
+            xarray.open_dataset(path, group="convergence", engine=ENGINE) as found,
         ):
-            return _read(draws, stats)
+            return _read(draws, stats, found)
     except (OSError, KeyError, ValueError) as error:
         raise DataError(
             f"is no posterior of needlefit: {error}",
@@ -138,44 +123,58 @@ def load(path: Path) -> Posterior:
         ) from None
 
 
-def _write(
-    path: Path, group: str, variables: Mapping[str, tuple[tuple[str, ...], Floats]], of: Posterior
-) -> None:
+def _datasets(of: Posterior) -> "dict[str, xarray.Dataset]":
     import xarray  # late: a study without sampling does not wait for it
 
     chains, length = of.log_posterior.shape
-    dataset = xarray.Dataset(
-        variables, coords={"chain": np.arange(chains), "draw": np.arange(length)}, attrs=_attributes(of)
-    )
-    dataset.to_netcdf(path, group=group, engine=ENGINE, mode="a")
+    frame = {"chain": np.arange(chains), "draw": np.arange(length)}
+    by = {"chain": np.arange(chains), "quantity": list(of.convergence.quantities)}
+    draws = {name: (tuple(frame), of.draws[:, :, k]) for k, name in enumerate(of.names)}
+    stats = {"lp": (tuple(frame), of.log_posterior), "acceptance_rate": (("chain",), of.acceptance)}
+    found = {name: (tuple(by), getattr(of.convergence, field)) for name, field in _PER_CHAIN.items()}
+    found["r_hat"] = (("quantity",), of.convergence.r_hat)
+    about = _attributes(of)
+    return {
+        "posterior": xarray.Dataset(draws, coords=frame, attrs=about),
+        "sample_stats": xarray.Dataset(stats, coords=frame, attrs=about),
+        "convergence": xarray.Dataset(found, coords=by, attrs={**about, "steps": of.convergence.steps}),
+    }
 
 
-def _attributes(of: Posterior) -> dict[str, str | int | Floats]:
+_PER_CHAIN = {"autocorrelation_time": "tau", "ess_bulk": "bulk", "ess_tail": "tail"}
+"""Variables of the group `convergence` by what holds them."""
+
+
+def _attributes(of: Posterior) -> dict[str, str | int]:
     return {
         "inference_library": "emcee",
+        "state": "converged" if of.converged else f"NOT CONVERGED: {'; '.join(of.faults)}",
         "parameters": ",".join(of.names),
         "walkers": of.walkers,
+        "moves": of.moves,
         "burn_in": of.burn_in,
         "failures": of.failures,
         "failed_theta": json.dumps(of.failed),
         "interrupted": int(of.interrupted),
         "converged": int(of.converged),
-        "r_hat": of.r_hat,
     }
 
 
-def _read(draws: "xarray.Dataset", stats: "xarray.Dataset") -> Posterior:
+def _read(draws: "xarray.Dataset", stats: "xarray.Dataset", found: "xarray.Dataset") -> Posterior:
     names = tuple(str(draws.attrs["parameters"]).split(","))
     return Posterior(
         names=names,
         draws=np.stack([draws[name].to_numpy() for name in names], axis=2),
         log_posterior=stats["lp"].to_numpy(),
         walkers=int(draws.attrs["walkers"]),
+        moves=str(draws.attrs["moves"]),
         acceptance=stats["acceptance_rate"].to_numpy(),
-        autocorrelation_time=np.stack(
-            [stats[f"autocorrelation_time_{name}"].to_numpy() for name in names], axis=1
+        convergence=Convergence(
+            quantities=tuple(str(name) for name in found["quantity"].to_numpy()),
+            r_hat=found["r_hat"].to_numpy(),
+            **{field: found[name].to_numpy() for name, field in _PER_CHAIN.items()},
+            steps=int(found.attrs["steps"]),
         ),
-        r_hat=np.atleast_1d(draws.attrs["r_hat"]),
         burn_in=int(draws.attrs["burn_in"]),
         failures=int(draws.attrs["failures"]),
         interrupted=bool(draws.attrs["interrupted"]),

@@ -1,127 +1,108 @@
-"""The adapter around emcee: several independent ensembles, none of which ever sees a NaN.
+"""Draw from the posterior with several independent ensembles until they agree, or the budget ends.
 
-Ensembles take their steps in turn, so a stop leaves them equally long. Each has its own stream: emcee's
-legacy generator is seeded from the passed one.
+Walkers are laid out and moved in the coordinates of the Laplace approximation, in which the ridges of the
+posterior are round. After every block of steps the run is kept, and the rule of `convergence` asked: what
+ends a run is counted in steps, never in time. Not counted is the burn-in, the first ten autocorrelation
+times of the second half of the steps, but never more than the first half.
 """
 
-import logging
 import math
-from collections.abc import Iterator
-from dataclasses import dataclass, field
-from typing import Any, Protocol
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.convergence import r_hat
-from needlefit.inference.ledger import FAILURES, KEPT
+from needlefit.inference.convergence import LENGTH_IN_TAU, Convergence, autocorrelation_times, convergence
+from needlefit.inference.ensembles import State, shares, steps
+from needlefit.inference.evaluator import Density, Evaluator
+from needlefit.inference.laplace import Laplace, laplace
+from needlefit.inference.ledger import KEPT
 from needlefit.inference.posterior import Posterior
+from needlefit.inference.snapshots import Block, Failed, Snapshots
 from needlefit.inference.starts import Watch
+from needlefit.inference.walkers import begin
 from needlefit.project.records.recipe import SampleRecord
 
 Floats = NDArray[np.float64]
 
-SCATTER = 0.05
-"""Walkers begin scattered about the best point, and ensembles about each other, by this part of the range."""
-
-ATTEMPTS = 100
-"""Redraws of a walker that begins where the density is 0, each time at half the scatter after ten."""
-
-
-class Density(Protocol):
-    """What can be sampled; `Problem` is one."""
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the coordinates of theta."""
-
-    @property
-    def lower(self) -> Floats:
-        """Lower bounds of theta: (P,)."""
-
-    @property
-    def upper(self) -> Floats:
-        """Upper bounds of theta: (P,)."""
-
-    def log_posteriors(self, thetas: Floats, jobs: int) -> Floats:
-        """Return the log densities (W,) of `thetas` (W, P), not normalised.
-
-        -inf where the density is 0, NaN where it cannot be computed. `jobs` threads may be used; the
-        densities do not depend on it.
-        """
-
-    def values(self, theta: Floats) -> dict[str, float]:
-        """Return what theta means, by name."""
+BURN_IN_TAU = 10.0
+"""Autocorrelation times that are thrown away."""
 
 
 def sample(
     problem: Density,
-    best: Floats | tuple[float, ...],
+    ends: Floats | Sequence[float],
     settings: SampleRecord,
     rng: np.random.Generator,
     watch: Watch | None = None,
+    snapshots: Snapshots | None = None,
 ) -> Posterior:
-    """Draw from the posterior with `settings.ensembles` independent ensembles begun around `best` (P,).
+    """Draw from the posterior with `settings.ensembles` independent ensembles.
 
-    The result does not depend on `watch.jobs`. A stop ends after the step at hand and keeps what is there.
+    `ends` (P,) or (M, P) are points that a search ended at, the best first: the ensembles begin about them in
+    turn, so that a second hill that the search has seen is not overlooked. The result does not depend on
+    `watch.jobs`, nor on where a run was cut off that goes on from its `snapshots`. A stop ends it after the
+    step at hand.
 
     Raises
     ------
     ConfigError
-        If nothing is free, or the walkers are fewer than twice the free parameters.
+        If nothing is free, a move is not known, or the walkers are fewer than twice the free parameters.
     FitError
-        If no starting point of positive density is found, or the stop came before the first kept step.
+        If no starting point of positive density is found, or the stop came before the second step.
     """
-    watch = Watch() if watch is None else watch
     _check(problem, settings)
-    begin, count = np.asarray(best), settings.ensembles
-    ensembles = [_begin(_Evaluator(problem, watch.jobs), begin, settings, rng) for _ in range(count)]
-    done = _advance(ensembles, settings, watch)
-    kept = done - settings.burn_in
-    if kept < 1:
-        raise FitError(
-            f"the sampler was stopped after {done} of {settings.burn_in} steps of burn-in: nothing to keep"
-        )
-    return _collected(problem, ensembles, settings, kept)
+    watch, snapshots = watch or Watch(), snapshots or Snapshots()
+    points = np.atleast_2d(np.asarray(ends, dtype=np.float64))
+    evaluator = Evaluator(problem, watch.jobs)
+    about = laplace(evaluator, points[0], problem.lower, problem.upper)
+    task = _Task(problem, about, settings, watch)
+    blocks = list(snapshots.blocks())
+    state = blocks[-1].last if blocks else begin(evaluator, about, points, settings, rng)
+    while True:
+        chain = _chain(task, blocks)
+        found = _asked(chain, problem.names)
+        length = min(settings.every, settings.steps - chain.steps)
+        if length <= 0 or (found is not None and not found.faults):
+            return _posterior(task, chain, found, interrupted=False)
+        block = None if watch.stop() else _walk(task, state, chain.steps, length)
+        if block is None or block.steps < length:
+            whole = _chain(task, [*blocks, block] if block else blocks)
+            return _posterior(task, whole, None, interrupted=True)
+        snapshots.keep(len(blocks), block)
+        blocks.append(block)
+        state = block.last
 
 
-@dataclass
-class _Evaluator:
-    """The density of many thetas at once; whatever is no number or fails is counted and has density 0."""
-
+@dataclass(frozen=True)
+class _Task:
     problem: Density
-    jobs: int
-    failures: int = 0
-    failed: list[tuple[float, ...]] = field(default_factory=list)
+    about: Laplace
+    settings: SampleRecord
+    watch: Watch
 
-    def __call__(self, thetas: Floats) -> Floats:
-        """Return the log densities (W,) of `thetas` (W, P)."""
-        lower, upper = self.problem.lower, self.problem.upper
-        inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
-        density = np.full(len(thetas), -math.inf)
-        if np.any(inside):
-            found = self._guarded(thetas[inside])
-            lost = np.isnan(found) | (found == math.inf)
-            self.failures += int(np.sum(lost))
-            self.failed += [tuple(theta) for theta in thetas[inside][lost].tolist()]
-            del self.failed[KEPT:]
-            density[inside] = np.where(lost, -math.inf, found)
-        return density
 
-    def _guarded(self, thetas: Floats) -> Floats:
-        """Return the densities, NaN for a theta that raises: it is looked for one by one."""
-        try:
-            return self.problem.log_posteriors(thetas, self.jobs)
-        except FAILURES:
-            if len(thetas) == 1:
-                return np.array([math.nan])
-            return np.concatenate([self._guarded(theta[None]) for theta in thetas])
+@dataclass(frozen=True)
+class _Chain:
+    """All steps so far: thetas (E, S, W, P), log densities (E, S, W), and what the blocks counted."""
+
+    thetas: Floats
+    log_density: Floats
+    accepted: NDArray[np.int64]  # (E, W)
+    failures: int
+    failed: Failed
+
+    @property
+    def steps(self) -> int:
+        return int(self.log_density.shape[1])
 
 
 def _check(problem: Density, settings: SampleRecord) -> None:
     if not problem.names:
         raise ConfigError("nothing is free: there is no posterior to sample")
+    shares(settings.moves)
     if settings.walkers < 2 * len(problem.names):
         raise ConfigError(
             f"{settings.walkers} walkers cannot explore {len(problem.names)} free parameters",
@@ -130,97 +111,83 @@ def _check(problem: Density, settings: SampleRecord) -> None:
         )
 
 
-@dataclass(frozen=True)
-class _Ensemble:
-    evaluator: _Evaluator
-    sampler: Any  # emcee.EnsembleSampler
-    steps: Iterator[object]
+def _walk(task: _Task, state: State, done: int, length: int) -> Block:
+    """Return the next `length` steps, fewer if a stop comes."""
+    evaluator = Evaluator(task.problem, task.watch.jobs, task.settings.ensembles)
 
+    def log_density(z: Floats) -> Floats:
+        return evaluator(task.about.thetas(z))
 
-def _begin(
-    evaluator: _Evaluator, best: Floats, settings: SampleRecord, rng: np.random.Generator
-) -> _Ensemble:
-    """Return an ensemble whose walkers stand scattered about a point scattered about the best."""
-    import emcee  # takes 0.7 s, which only a sampling run should pay
-
-    start = _walkers(evaluator, best, settings.walkers, rng)
-    sampler = emcee.EnsembleSampler(settings.walkers, len(best), evaluator, vectorize=True)
-    legacy = np.random.RandomState(int(rng.integers(2**32)))  # all that emcee takes
-    state = emcee.State(start, random_state=legacy.get_state())
-    steps = sampler.sample(state, iterations=settings.burn_in + settings.steps)
-    return _Ensemble(evaluator, sampler, iter(steps))
-
-
-def _walkers(evaluator: _Evaluator, best: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Return starting points (W, P) of positive density."""
-    lower, span = evaluator.problem.lower, evaluator.problem.upper - evaluator.problem.lower
-    inside = np.clip((best - lower) / span, 0.0, 1.0)
-    centre = inside + SCATTER * rng.normal(size=len(best))
-    found = np.empty((0, len(best)))
-    for attempt in range(ATTEMPTS):
-        shrink = 0.5 ** (attempt // 10)
-        about = inside + shrink * (centre - inside)
-        cube = about + shrink * SCATTER * rng.normal(size=(count, len(best)))
-        folded = 1 - np.abs(1 - np.abs(cube) % 2)  # reflects at both ends of [0, 1]
-        thetas = lower + folded * span
-        found = np.concatenate([found, thetas[np.isfinite(evaluator(thetas))]])
-        if len(found) >= count:
-            return found[:count]
-    raise FitError(
-        "no starting points of positive density were found around the best fit",
-        mend="tune with more evaluations, or widen the bounds",
+    walked = []
+    for step in steps(log_density, state, task.settings.moves, length):
+        walked.append(step)
+        task.watch.step(done + len(walked), task.settings.steps)
+        if task.watch.stop():
+            break
+    return Block(
+        coordinates=np.stack([step.state.coordinates for step in walked], axis=1),
+        log_density=np.stack([step.state.log_density for step in walked], axis=1),
+        accepted=np.sum([step.accepted for step in walked], axis=0),
+        random=walked[-1].state.random,
+        failures=evaluator.failures,
+        failed=tuple(tuple(thetas) for thetas in evaluator.failed),
     )
 
 
-def _advance(ensembles: list[_Ensemble], settings: SampleRecord, watch: Watch) -> int:
-    """Let the ensembles step in turn until done or stopped; return the steps each has done."""
-    total = settings.burn_in + settings.steps
-    for done in range(total):
-        if watch.stop():
-            return done
-        for ensemble in ensembles:
-            next(ensemble.steps)
-        watch.step(done + 1, total)
-    return total
+def _chain(task: _Task, blocks: Sequence[Block]) -> _Chain:
+    ensembles, walkers = task.settings.ensembles, task.settings.walkers
+    nothing = np.empty((ensembles, 0, walkers, len(task.problem.names)))
+    z = np.concatenate([nothing, *(block.coordinates for block in blocks)], axis=1)
+    failed = [[theta for block in blocks for theta in block.failed[e]][:KEPT] for e in range(ensembles)]
+    return _Chain(
+        thetas=task.about.thetas(z),
+        log_density=np.concatenate([nothing[..., 0], *(block.log_density for block in blocks)], axis=1),
+        accepted=sum((block.accepted for block in blocks), np.zeros((ensembles, walkers), dtype=np.int64)),
+        failures=sum(block.failures for block in blocks),
+        failed=tuple(tuple(thetas) for thetas in failed),
+    )
 
 
-def _collected(problem: Density, ensembles: list[_Ensemble], settings: SampleRecord, kept: int) -> Posterior:
-    first, last = settings.burn_in, settings.burn_in + kept
-    chains = np.stack([e.sampler.get_chain()[first:last] for e in ensembles])  # (E, S, W, P)
-    density = np.stack([e.sampler.get_log_prob()[first:last] for e in ensembles])  # (E, S, W)
-    count, dimensions = len(ensembles), len(problem.names)
-    pooled = chains.reshape(count, -1, dimensions)
-    rows = [problem.values(theta) for theta in pooled.reshape(-1, dimensions)]
-    values = np.array([[row[name] for name in problem.names] for row in rows])
-    accepted = [e.sampler.backend.accepted / last for e in ensembles]  # burn-in included
+def _slowest(chain: _Chain) -> float:
+    """Return the longest autocorrelation time of the second half of the steps; infinite if there is none."""
+    late = chain.thetas[:, chain.steps // 2 :]
+    if late.shape[1] < 2:
+        return math.inf
+    return max(float(autocorrelation_times(late[..., k]).max()) for k in range(late.shape[3]))
+
+
+def _burn_in(chain: _Chain, slowest: float) -> int:
+    half = chain.steps // 2
+    return half if BURN_IN_TAU * slowest >= half else math.ceil(BURN_IN_TAU * slowest)
+
+
+def _asked(chain: _Chain, names: Sequence[str]) -> Convergence | None:
+    """Return what the rule looks at; None while the steps are too few for it, which is quickly seen."""
+    slowest = _slowest(chain)
+    first = _burn_in(chain, slowest)
+    if not chain.steps - first > LENGTH_IN_TAU * slowest:
+        return None
+    return convergence(chain.thetas[:, first:], chain.log_density[:, first:], names)
+
+
+def _posterior(task: _Task, chain: _Chain, found: Convergence | None, interrupted: bool) -> Posterior:
+    if chain.steps < 2:
+        raise FitError(f"the sampler was stopped after {chain.steps} steps: nothing to keep")
+    first, names = _burn_in(chain, _slowest(chain)), task.problem.names
+    thetas, density = chain.thetas[:, first:], chain.log_density[:, first:]
+    rows = [task.problem.values(theta) for theta in thetas.reshape(-1, len(names))]
+    values = np.array([[row[name] for name in names] for row in rows])
+    ensembles = len(thetas)
     return Posterior(
-        names=problem.names,
-        draws=values.reshape(pooled.shape),
-        log_posterior=density.reshape(count, -1),
-        walkers=settings.walkers,
-        acceptance=np.array([float(np.mean(a)) for a in accepted]),
-        autocorrelation_time=np.stack([_times(chain) for chain in chains]),
-        r_hat=np.array([r_hat(pooled[:, :, k]) for k in range(dimensions)]),
-        burn_in=settings.burn_in,
-        failures=sum(e.evaluator.failures for e in ensembles),
-        interrupted=kept < settings.steps,
-        failed=tuple(tuple(e.evaluator.failed) for e in ensembles),
+        names=names,
+        draws=values.reshape(ensembles, -1, len(names)),
+        log_posterior=density.reshape(ensembles, -1),
+        walkers=task.settings.walkers,
+        moves=task.settings.moves,
+        acceptance=np.mean(chain.accepted, axis=1) / chain.steps,
+        convergence=found or convergence(thetas, density, names),
+        burn_in=first,
+        failures=chain.failures,
+        interrupted=interrupted,
+        failed=chain.failed,
     )
-
-
-def _times(chain: Floats) -> Floats:
-    """Return the autocorrelation time (P,) of a chain (S, W, P), in steps."""
-    from emcee.autocorr import integrated_time
-
-    logger = logging.getLogger("emcee.autocorr")
-    logger.addFilter(_silent)  # that the chain is short is said by Posterior.faults
-    try:
-        with np.errstate(invalid="ignore", divide="ignore"):
-            times: Floats = integrated_time(chain, quiet=True)
-    finally:
-        logger.removeFilter(_silent)
-    return times
-
-
-def _silent(record: logging.LogRecord) -> bool:
-    return False

@@ -161,7 +161,7 @@ def _is_study(path: Path) -> bool:
 
 
 def _name(kind: Kind, path: Path) -> str:
-    return path.parent.name if kind == "dataset" else path.stem
+    return path.parent.name if kind in ("dataset", "scans") else path.stem
 
 
 def _no_study(fit: str) -> ConfigError:

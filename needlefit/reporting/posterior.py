@@ -20,13 +20,30 @@ def percentiles_table(results: Results) -> pd.DataFrame:
     `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
     that lies outside the central 95 % of the draws: the fit minimises the recipe's error metrics, the
     posterior weighs residuals by the stated noise, so the two need not agree. `acceptance` is the fold's;
-    `converged` is false where R-hat or the length of the chains says that the percentiles are not final.
+    `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
+    where the rule, which asks more than the parameters, is not met: the percentiles are then not final.
     """
     fits = {(str(r["fold"]), r["parameter"]): r["value"] for r in _fitted(results)}
     rows = [row for fold, posterior in results.posteriors.items() for row in _rows(fold, posterior, fits)]
     heads = ("fold", "parameter", *map(_head, PERCENTILES), "fit_value_used", "fit_in_central_95")
-    heads += ("r_hat", "acceptance", "converged", "origin")
+    heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
     return pd.DataFrame([{**row, "origin": results.origin} for row in rows], columns=heads)
+
+
+def unconverged_said(results: Results) -> str:
+    """Return in what the rule of convergence is not met, by fold where there are several, or nothing."""
+    several = len(results.posteriors) > 1
+    said = [
+        (f"{fold}: " if several else "") + "; ".join(posterior.faults)
+        for fold, posterior in results.posteriors.items()
+        if posterior.faults
+    ]
+    if not said:
+        return ""
+    return (
+        f"NOT CONVERGED: {'. '.join(said)}. Percentiles and bands drawn from this posterior are not final; "
+        "raise the recipe’s sample.steps."
+    )
 
 
 def outside_said(results: Results) -> str:
@@ -52,7 +69,7 @@ def posterior_layout(results: Results) -> Display:
             *(str(row["fold"]) if len(results.posteriors) > 1 else "", symbol(row["parameter"])),
             *(typeset(number(row[_head(p)])) for p in PERCENTILES),
             typeset(number(row["fit_value_used"])) + (" ‡" if row["fit_in_central_95"] is False else ""),
-            *(fixed(row["r_hat"], 3), "" if row["converged"] else "not converged"),
+            *(fixed(row["r_hat"], 3), "" if row["converged"] else "NOT CONVERGED"),
         )
         for row in table
     )
@@ -61,6 +78,7 @@ def posterior_layout(results: Results) -> Display:
     marked = any(row["fit_in_central_95"] is False for row in table)
     notes = ("‡ outside the central 95 % of the draws.",) if marked else ()
     caption = "Posterior: percentiles of the draws, and the value that the fit ended with."
+    caption += " NOT CONVERGED: they are not final." if unconverged_said(results) else ""
     return without_empty(Display("posterior", caption, columns, rows, (), (), notes))
 
 
@@ -85,13 +103,16 @@ def _rows(
     fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], float | None]
 ) -> list[dict[str, object]]:
     about = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
+    found = posterior.convergence
     return [
         {
             "fold": fold,
             "parameter": name,
             **dict(zip(map(_head, PERCENTILES), values, strict=True)),
             **_beside(fits.get((str(fold), name)), values),
-            "r_hat": float(posterior.r_hat[number]),
+            "r_hat": float(found.r_hat[number]),
+            "ess_bulk": float(found.bulk[:, number].min()),
+            "ess_tail": float(found.tail[:, number].min()),
             **about,
         }
         for number, (name, values) in enumerate(posterior.percentiles().items())

@@ -40,7 +40,8 @@ def write_needles(results: Results, folder: Path) -> None:
     for needle in results.needles.values():
         write_mrk_json(folder / f"{needle.insertion}.mrk.json", _curves(needle, said))
         for name, points, widths in _bodies(needle):
-            comments = (f"needlefit: {needle.insertion}, {name}{said}, mm",)
+            doubt = ", NOT CONVERGED" if name == "band" and _unconverged(needle) else ""
+            comments = (f"needlefit: {needle.insertion}, {name}{said}{doubt}, mm",)
             body = tube(points, widths, needle.toward)
             write_ply(body, folder / f"{needle.insertion}.{name}.ply", comments)
 
@@ -75,6 +76,11 @@ def write_scene(
     return True
 
 
+def _unconverged(needle: PlacedNeedle) -> bool:
+    """Whether the band is drawn from a posterior that has not converged."""
+    return needle.band is not None and not needle.band.converged
+
+
 def _curves(needle: PlacedNeedle, said: str) -> Iterator[tuple[Markups, Look]]:
     found = "predicted" if needle.role == "validate" else "fitted"
     lines = [("measured", needle.measured, _MEASURED, THICK)]
@@ -90,10 +96,11 @@ def _curves(needle: PlacedNeedle, said: str) -> Iterator[tuple[Markups, Look]]:
 
 
 def _edges(band: Band) -> Iterable[tuple[str, Floats, str, float]]:
+    source = band.source if band.converged else f"{band.source}, NOT CONVERGED"
     if band.source == "posterior":
-        yield "posterior median", band.middle, _BAND, THICK
-    yield f"95 % band, low, {band.source}", band.low, _BAND, THIN
-    yield f"95 % band, high, {band.source}", band.high, _BAND, THIN
+        yield source.replace("posterior", "posterior median", 1), band.middle, _BAND, THICK
+    yield f"95 % band, low, {source}", band.low, _BAND, THIN
+    yield f"95 % band, high, {source}", band.high, _BAND, THIN
 
 
 def _bodies(needle: PlacedNeedle) -> Iterator[tuple[str, Floats, Floats]]:

@@ -7,7 +7,7 @@ from needlefit.reporting import captions, contest, details, document, layouts, s
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
-from needlefit.reporting.posterior import outside_said, posterior_layout
+from needlefit.reporting.posterior import outside_said, posterior_layout, unconverged_said
 from needlefit.reporting.tables import records, tuning_table
 from needlefit.validation.results import Results
 
@@ -112,9 +112,8 @@ def _parameters(results: Results, figures: Figures, synthetic: bool) -> list[Blo
 def _posterior(results: Results, synthetic: bool) -> list[Block]:
     if not results.posteriors:
         return []
-    said = outside_said(results)
-    table = document.table(posterior_layout(results), synthetic)
-    return [*([document.text(said)] if said else []), table]
+    said = [s for s in (unconverged_said(results), outside_said(results)) if s]
+    return [*map(document.text, said), document.table(posterior_layout(results), synthetic)]
 
 
 def _errors(results: Results, figures: Figures, synthetic: bool) -> list[Block]:

@@ -1,4 +1,4 @@
-"""Finished starts of an interrupted run, so that it resumes to the same result."""
+"""What an interrupted run has finished, so that it resumes to the same result."""
 
 import hashlib
 import json
@@ -9,12 +9,17 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.errors import ConfigError
+from needlefit.inference.snapshots import Snapshots
 from needlefit.inference.starts import Start, from_dict, to_dict
+from needlefit.project.replace import replacing_file
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """A folder of finished starts, one file per search; None keeps nothing."""
+    """A folder: finished starts, one file per search, and a folder of the sampler's snapshots per fold.
+
+    None keeps nothing.
+    """
 
     folder: Path | None
 
@@ -38,10 +43,18 @@ class Checkpoint:
         with self._file(search).open("a", encoding="utf-8") as file:
             file.write("\n" + json.dumps(to_dict(start)) + "\n")  # the line before may be torn
 
+    def snapshots(self, fold: str) -> Snapshots:
+        """Return where the sampler of one fold keeps its steps."""
+        return Snapshots(None if self.folder is None else self.folder / f"{_key(fold)}.posterior")
+
     def _file(self, search: str) -> Path:
         assert self.folder is not None
-        name = hashlib.sha256(search.encode()).hexdigest()[:16]  # a fold may be named anything
-        return self.folder / f"{name}.jsonl"
+        return self.folder / f"{_key(search)}.jsonl"
+
+
+def _key(name: str) -> str:
+    """Return a name for files: a fold may be named anything."""
+    return hashlib.sha256(name.encode()).hexdigest()[:16]
 
 
 def open_checkpoint(folder: Path | None, resume: bool, work: Mapping[str, Any]) -> Checkpoint:
@@ -74,5 +87,6 @@ def open_checkpoint(folder: Path | None, resume: bool, work: Mapping[str, Any]) 
         return Checkpoint(folder)
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
-    stamp.write_text(digest, encoding="ascii")
+    with replacing_file(stamp) as path:  # half a stamp would be taken for that of other work
+        path.write_text(digest, encoding="ascii")
     return Checkpoint(folder)

@@ -45,12 +45,16 @@ DIAMETER = 1.27
 
 @dataclass(frozen=True)
 class Band:
-    """The central 95 % of a fitted needle across itself, in its bending plane; (K, 3) each, LPS, mm."""
+    """The central 95 % of a fitted needle across itself, in its bending plane; (K, 3) each, LPS, mm.
+
+    `converged` is false where the posterior that it is drawn from has not.
+    """
 
     low: Floats
     middle: Floats
     high: Floats
     source: Literal["posterior", "linear"]
+    converged: bool = True
 
 
 @dataclass(frozen=True)
@@ -117,11 +121,12 @@ def _place(stations: "_Stations", fold: str, role: str, known: Known, jobs: int)
     fitted, band = None, None
     if np.isfinite(points).all():
         fitted = in_scan(points)
-        drawn = known.posterior is not None
-        heights = _drawn(stations, known.posterior, jobs) if known.posterior else _linear(stations, known)
+        draws = known.posterior
+        heights = _drawn(stations, draws, jobs) if draws else _linear(stations, known)
         if heights is not None:
             low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
-            band = Band(low, middle, high, "posterior" if drawn else "linear")
+            converged = draws is None or draws.converged
+            band = Band(low, middle, high, "posterior" if draws else "linear", converged)
     across = insertion.frame.rotation[:, 1] @ patient.rotation
     diameter = DIAMETER if stated is None else stated
     measured = patient.to_local(insertion.centerline)

@@ -63,7 +63,10 @@ def rules(job: Job) -> dict[str, Any]:
 def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:
     """Return what the searches came to, by fold, then by fit, and what failed in them and in the sampler."""
     every = [search for fold in tables.searches.values() for search in fold.values()]
-    sampled = {"failed_solves_of_sampler": sum(p.failures for p in tables.posteriors.values())}
+    sampled = {
+        "failed_solves_of_sampler": sum(p.failures for p in tables.posteriors.values()),
+        "not_converged": {fold: list(p.faults) for fold, p in tables.posteriors.items() if p.faults},
+    }
     return {
         "searches": tables.searches,
         "evaluations": sum(search["evaluations"] for search in every),

@@ -3,12 +3,14 @@
 import time
 from dataclasses import dataclass
 
+import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor, noise_floor
 from needlefit.datasets.select import layers_of
 from needlefit.errors import FitError
+from needlefit.inference.identify import practically_equal
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sample import sample
 from needlefit.inference.starts import Fit, Start, Watch
@@ -52,7 +54,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
         tabulate(job, fold, fits, scorer, tables)
         if settings.sample and not interrupted:
-            interrupted = _sample(job, fold, fits["fitted"], settings, tables)
+            interrupted = _sample(job, fold, fits["fitted"], settings, checkpoint, tables)
         if fold.name in tables.verdicts:
             known = Known(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
             needles |= place(job, fold, known, settings.jobs)
@@ -110,7 +112,9 @@ class _Counter:
         self.settings.progress(self.label, self.done, self.total)
 
 
-def _sample(job: Job, fold: Fold, fit: Fit, settings: Settings, tables: Tables) -> bool:
+def _sample(
+    job: Job, fold: Fold, fit: Fit, settings: Settings, checkpoint: Checkpoint, tables: Tables
+) -> bool:
     """Sample the posterior of one fold; return whether it was interrupted."""
 
     def step(done: int, total: int) -> None:
@@ -118,10 +122,13 @@ def _sample(job: Job, fold: Fold, fit: Fit, settings: Settings, tables: Tables) 
 
     rng = stream(job.recipe.seed, job.name, fold.name, "posterior")
     watch = Watch(stop=settings.stop, step=step, jobs=settings.jobs)
+    others = [start.theta for start in practically_equal(fit) if start.theta != fit.theta]
+    ends = np.array([fit.theta, *others])
+    snapshots = checkpoint.snapshots(fold.name)
     try:
-        posterior = sample(job.problem(fold), fit.theta, job.recipe.sample, rng, watch)
+        posterior = sample(job.problem(fold), ends, job.recipe.sample, rng, watch, snapshots)
     except FitError:
-        if settings.stop():  # before the first draw that is kept: there is no posterior to write
+        if settings.stop():  # before there is anything to keep: there is no posterior to write
             return True
         raise
     tabulate_posterior(job, fold, posterior, tables)

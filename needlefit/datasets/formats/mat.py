@@ -86,7 +86,7 @@ def _classic(path: Path) -> dict[str, Any]:
 
 
 def _is_hdf(path: Path) -> bool:
-    import h5py  # type: ignore[import-untyped]
+    import h5py
 
     return bool(h5py.is_hdf5(path))
 

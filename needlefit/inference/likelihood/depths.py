@@ -9,6 +9,7 @@ and each term is a line or a spline through a few simulated nodes: r(t) = sum_k 
 """
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -56,6 +57,13 @@ class Nodes:
     def axes(self) -> int:
         """d: how many depths are uncertain."""
         return len(self.linear) - 1
+
+    @cached_property
+    def straight(self) -> "Nodes":
+        """The nodes of the linear dependence alone."""
+        used = np.flatnonzero(self.linear.any(axis=0))
+        kept = tuple(self.insertions[k] for k in used)
+        return Nodes(kept, self.s[used], self.linear[:, used], None)
 
 
 def nodes(insertion: Insertion, s: Floats, depths: Depths) -> Nodes:

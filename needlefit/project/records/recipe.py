@@ -39,12 +39,17 @@ class LikelihoodRecord(Record):
 
 
 class SampleRecord(Record):
-    """emcee: walkers and steps of each of several independent ensembles."""
+    """How to sample: several independent ensembles of walkers, moved until they agree.
+
+    `steps` is the most that each ensemble takes; after every `every` steps the run is kept, and the rule of
+    convergence is asked. `moves` are stretch, de, snooker, or several: "de+snooker", "0.9*de + 0.1*snooker".
+    """
 
     ensembles: int = Field(default=4, ge=1)
-    walkers: int = Field(default=16, ge=4)
-    steps: int = Field(default=8000, ge=2)
-    burn_in: int = Field(default=1000, ge=0)
+    walkers: int = Field(default=16, ge=8)
+    moves: str = "de+snooker"
+    steps: int = Field(default=20000, ge=2)
+    every: int = Field(default=100, ge=2)
 
 
 class RecipeRecord(FileRecord):

@@ -1,0 +1,67 @@
+"""What one evaluation of the log posterior costs, by what is made of uncertain depths.
+
+    python benchmarks/density.py [--json] [--insertions 9] [--rounds 10]
+
+The deep insertions of the twin into phantom 2, of four layers, with depths that err by 0.1 mm beside the
+stated errors of their boundaries. Milliseconds of one core: medians of the process's own time.
+"""
+
+import argparse
+import json
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from needlefit.datasets.read import read
+from needlefit.inference.problem import problem
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
+
+VALUES = {"mu1_pa": 3.5e5, "mu2_pa": 2.85e7, "bevel_mm": 0.109}
+SETS = 64
+
+
+def milliseconds(work: Callable[[], object], rounds: int) -> float:
+    """Return the median time of one call."""
+    work()
+    times = []
+    for _ in range(rounds):
+        begin = time.process_time()
+        work()
+        times.append(1e3 * (time.process_time() - begin))
+    return float(np.median(times))
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--json", action="store_true")
+    parser.add_argument("--insertions", type=int, default=9)
+    parser.add_argument("--rounds", type=int, default=10)
+    options = parser.parse_args()
+    dataset = read(find("dataset", "twin"))
+    chosen = [i for i in dataset.insertions if i.medium == "phantom2"][: options.insertions]
+    insertions = [replace(i, depth_sd=0.1) for i in chosen]
+    medium = load(find("medium", "phantom2"), MediumRecord)
+    rows = []
+    for depths in ("fixed", "linear", "quadrature"):
+        task = problem(dataset, insertions, medium, WeightsRecord(), LikelihoodRecord(depths=depths))
+        theta = task.parameters.theta(VALUES)
+        many = theta + 0.01 * np.random.default_rng(1).normal(size=(SETS, len(theta)))
+        alone = milliseconds(lambda: task.log_posterior(theta), options.rounds)  # noqa: B023
+        slope = milliseconds(lambda: task.gradient(theta), options.rounds)  # noqa: B023
+        together = milliseconds(lambda: task.log_posteriors(many), options.rounds) / SETS  # noqa: B023
+        rows.append({"depths": depths, "log_posterior": alone, "gradient": slope, f"one_of_{SETS}": together})
+    if options.json:
+        print(json.dumps(rows, indent=2))
+        return
+    for row in rows:
+        print("   ".join(f"{k} {v}" if isinstance(v, str) else f"{k} {v:.2f} ms" for k, v in row.items()))
+
+
+if __name__ == "__main__":
+    main()

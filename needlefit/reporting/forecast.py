@@ -1,0 +1,86 @@
+"""A predicted insertion: its table, its files, its picture."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.figures.forecast import draw_forecast
+from needlefit.reporting.numbers import fixed
+from needlefit.reporting.write import whole, write_csv, write_json
+from needlefit.validation.forecast import Forecast
+
+_BANDS = {"needle": "where the needle is", "measured": "where it would be measured"}
+
+
+def forecast_table(forecast: Forecast) -> pd.DataFrame:
+    """Return one row per station: s and x, then median and ends of the bands of y, all mm."""
+    columns = {"s_mm": forecast.s, "x_mm": forecast.x}
+    for name in _BANDS:
+        mixture: Mixture = getattr(forecast, name)
+        columns[f"{name}_median_mm"] = quantile(mixture, 0.5)
+        for level in LEVELS:
+            low, high = interval(mixture, level)
+            columns[f"{name}_{100 * level:.0f}_low_mm"] = low
+            columns[f"{name}_{100 * level:.0f}_high_mm"] = high
+    return pd.DataFrame(columns)
+
+
+def tip(forecast: Forecast) -> dict[str, Any]:
+    """Return the last station's row, and what the forecast rests on, for machines."""
+    row = {name: float(value) for name, value in forecast_table(forecast).iloc[-1].items()}
+    draws = len(forecast.needle.means)
+    about = {"from": forecast.source, "draws": draws, "failed_solves": forecast.failed}
+    return {"tip": row, **about, "not_converged": list(forecast.faults)}
+
+
+def unconverged(forecast: Forecast) -> str:
+    """Return why the posterior behind a forecast has not converged, or nothing."""
+    return f"NOT CONVERGED: {'; '.join(forecast.faults)}" if forecast.faults else ""
+
+
+def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
+    """Return the tip's table for the screen."""
+    row = forecast_table(forecast).iloc[-1]
+    columns = [text("Tip's y"), Column("Median", "mm")]
+    columns += [Column(f"{100 * level:.0f} %", "mm") for level in LEVELS]
+    cells = []
+    for name, said in _BANDS.items():
+        ends = [(row[f"{name}_{100 * p:.0f}_low_mm"], row[f"{name}_{100 * p:.0f}_high_mm"]) for p in LEVELS]
+        shown = [f"{fixed(low)} to {fixed(high)}" for low, high in ends]
+        cells.append((said, fixed(row[f"{name}_median_mm"]), *shown))
+    source = {
+        "posterior": "draws of the sampled posterior",
+        "laplace": "draws of a Gaussian about the fit: no posterior was sampled",
+    }[forecast.source]
+    left = f", {forecast.failed} draws without a solution left out" if forecast.failed else ""
+    notes = (
+        f"From {len(forecast.needle.means)} {source}{left}. What the model misses is not in it.",
+        *(("The fitted data are synthetic.",) if synthetic else ()),
+        *(
+            (f"The posterior has {unconverged(forecast)}: the bands are not final.",)
+            if forecast.faults
+            else ()
+        ),
+    )
+    caption = f"{_marked(title, forecast)}, {forecast.s[-1]:g} mm deep, across the entry axis"
+    return Display("forecast", caption, tuple(columns), tuple(cells), notes=notes)
+
+
+def write_forecast(
+    forecast: Forecast, folder: Path, title: str, run: dict[str, Any], synthetic: bool
+) -> None:
+    """Write `forecast.csv`, `forecast.pdf` and `run.json` to `folder`, whole or not at all."""
+    with whole(folder) as new:
+        table = forecast_table(forecast)
+        marks = {"origin": "synthetic" if synthetic else "measured", "converged": not forecast.faults}
+        write_csv(table.assign(**marks), new / "forecast.csv")
+        draw_forecast(table, _marked(title, forecast), np.max(forecast.s), new / "forecast.pdf", synthetic)
+        write_json(new / "run.json", run | tip(forecast))
+
+
+def _marked(title: str, forecast: Forecast) -> str:
+    return f"{title} (NOT CONVERGED)" if forecast.faults else title

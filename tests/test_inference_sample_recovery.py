@@ -1,0 +1,87 @@
+"""Posteriors known in closed form come back within Monte Carlo error; another sampler agrees."""
+
+import dynesty
+import numpy as np
+import pytest
+from inference_cases import TRUTH, insertion, measure, medium, problem
+from sampling_cases import Known, banana, draw, flat, gaussian, settings, standard_errors, two_hills
+from scipy.stats import norm
+
+from needlefit.inference.convergence import autocorrelation_times
+from needlefit.inference.sample import sample
+
+MOVES = ["stretch", "de", "snooker", "de+snooker"]
+
+
+@pytest.mark.parametrize("moves", MOVES)
+def test_a_gaussian_of_five_dimensions_by_every_move(moves):
+    """emcee's own snooker move finds 0.7 of these variances."""
+    got = draw(Known(gaussian(np.eye(5)), 5), moves=moves, steps=2000)
+    assert flat(got).mean(axis=0) == pytest.approx(np.zeros(5), abs=4 * standard_errors(got).max())
+    squares = np.sqrt(2 / got.convergence.bulk.sum(axis=0)[:5])
+    assert np.all(np.abs(flat(got).var(axis=0) - 1) < 5 * squares)
+
+
+def test_a_correlated_gaussian_of_twenty_dimensions():
+    rng = np.random.default_rng(4)
+    factor = rng.normal(size=(20, 20))
+    covariance = factor @ factor.T / 20 + 0.05 * np.eye(20)
+    got = draw(Known(gaussian(covariance), 20), walkers=40, steps=1200, every=400)
+    assert not got.converged  # the budget is too short to prove it, not to be right
+    errors = standard_errors(got)
+    assert np.all(np.abs(flat(got).mean(axis=0)) < 5 * errors)
+    assert np.cov(flat(got).T) == pytest.approx(covariance, abs=6 * errors.max())
+
+
+def test_a_banana():
+    """E x1 = 1, var x1 = 2 + 0.25; quantiles of x0 are the normal's, and x1 - x0^2 is independent of x0."""
+    got = draw(Known(banana, half=40.0), every=500)  # no bound cuts its horns off
+    x = flat(got)
+    errors = standard_errors(got)
+    assert np.all(np.abs(x.mean(axis=0) - [0.0, 1.0]) < 4 * errors)
+    assert x[:, 1].var() == pytest.approx(2.25, rel=0.15)
+    assert np.quantile(x[:, 0], [0.05, 0.5, 0.95]) == pytest.approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.1)
+    across = x[:, 1] - x[:, 0] ** 2
+    assert across.std() == pytest.approx(0.5, rel=0.03)
+    assert got.converged
+
+
+def test_two_hills_that_nothing_walks_between_are_reported():
+    got = draw(Known(two_hills), ends=[[5.0, 0.0], [-5.0, 0.0]], steps=1000)
+    assert not got.converged
+    assert got.convergence.r_hat[0] > 1.5
+    assert any(fault.startswith("R-hat of") for fault in got.faults)
+    assert set(np.sign(got.draws[:, :, 0].mean(axis=1))) == {-1.0, 1.0}
+
+
+def test_an_ensemble_with_walkers_on_both_hills_is_slow_not_quick():
+    """Each walker alone looks independent: about the mean of all of them it is not."""
+    rng = np.random.default_rng(2)
+    parted = rng.normal(size=(1, 500, 16)) + np.where(np.arange(16) < 8, -20.0, 20.0)
+    assert autocorrelation_times(parted)[0] > 100
+
+
+def test_another_sampler_finds_the_same_posterior_of_a_needle():
+    """Nested sampling shares neither moves nor convergence with ours."""
+    record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
+    made = [measure(TRUTH, record, insertion(depth)) for depth in (14.0, 18.0)]
+    needle = problem(record, made)
+    ours = sample(needle, needle.parameters.theta(TRUTH), settings(), np.random.default_rng(3))
+    assert ours.converged
+    width = needle.upper - needle.lower
+    nested = dynesty.NestedSampler(
+        needle.log_posterior,
+        lambda cube: needle.lower + cube * width,
+        2,
+        nlive=150,
+        rstate=np.random.default_rng(5),
+    )
+    nested.run_nested(print_progress=False, dlogz=0.1)
+    theirs = nested.results.samples_equal(rstate=np.random.default_rng(6))
+    mine = np.log(flat(ours))
+    assert mine.mean(axis=0) == pytest.approx(theirs.mean(axis=0), abs=0.15 * mine.std(axis=0).max())
+    assert mine.std(axis=0) == pytest.approx(theirs.std(axis=0), rel=0.15)
+    for q in (0.05, 0.95):
+        spread = mine.std(axis=0)
+        apart = np.abs(np.quantile(mine, q, axis=0) - np.quantile(theirs, q, axis=0))
+        assert np.all(apart < 0.25 * spread)

@@ -1,0 +1,132 @@
+"""Predictions of planned insertions: what draws and measurement make of them, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_cli import run
+
+import needlefit
+from needlefit.errors import ConfigError
+from needlefit.inference.convergence import Convergence
+from needlefit.inference.draws import Draws, about_fit, from_posterior
+from needlefit.inference.identify import identify
+from needlefit.inference.optimize import minimize
+from needlefit.inference.posterior import Posterior
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import positions
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.fit import FitRecord
+from needlefit.reporting.forecast import forecast_table
+from needlefit.validation.forecast import forecast, require_same
+from needlefit.validation.job import Settings, prepare
+from needlefit.validation.provenance import work
+
+SCENE = needlefit.open_scene("study2")
+
+
+@pytest.fixture(scope="module")
+def job():
+    record = load(find("fit", "phantom2"), FitRecord).model_copy(update={"recipe": "quick"})
+    small = record.tune.model_copy(update={"insertions": ("phantom2-15", "phantom2-16")})
+    return prepare("small", record.model_copy(update={"tune": small}), Settings())
+
+
+def planned(job, thetas, scene=SCENE):
+    return forecast(scene, Draws(np.array(thetas), "laplace"), job.parameters, job.medium, job.dataset)
+
+
+def theta(job, **changes):
+    values = {"mu1_pa": 2e5, "mu2_pa": 3e7, "bevel_mm": 0.08, **changes}
+    return job.parameters.theta(values)
+
+
+def test_one_draw_is_the_scene_with_its_parameters(job):
+    found = planned(job, [theta(job)] * 3)
+    tissue = replace(SCENE.tissue, mu=np.array([0.2, 30.0, 0.2, 30.0]), alpha=np.array([1.0, -1, 1, -1]))
+    (step,) = SCENE.steps
+    step = replace(step, bevel=replace(step.bevel, offset=0.08))
+    shape = needlefit.follow(SCENE.needle, tissue, (step,), SCENE.rules)
+    expected = positions(shape, found.s)
+    assert found.needle.means[0] == pytest.approx(expected[:, 1], abs=1e-6)
+    table = forecast_table(found)
+    assert table["needle_95_low_mm"].iloc[-1] == pytest.approx(expected[-1, 1], abs=1e-6)
+    half = table["measured_95_high_mm"].iloc[-1] - table["measured_median_mm"].iloc[-1]
+    assert half == pytest.approx(1.959964 * found.measured.sd[-1], rel=1e-3)
+    assert found.measured.sd[-1] > found.measured.sd[0] > 0  # the pose's angle tells on the tip
+
+
+def test_bands_are_quantiles_of_draws(job):
+    found = planned(job, [theta(job, bevel_mm=b) for b in np.linspace(0.06, 0.10, 101)])
+    tips = np.sort(found.needle.means[:, -1])
+    low, high = forecast_table(found).iloc[-1][["needle_50_low_mm", "needle_50_high_mm"]]
+    assert tips[24] <= low <= tips[26] and tips[74] <= high <= tips[76]
+
+
+def test_what_cannot_be_predicted_is_refused(job):
+    other = replace(SCENE, needle=Needle(150.0, 2e4))
+    with pytest.raises(ConfigError, match="flexural rigidity"):
+        planned(job, [theta(job)], other)
+    deep = replace(
+        SCENE.tissue,
+        mu=np.full(5, 1.0),
+        alpha=np.ones(5),
+        boundaries=np.array([5.0, 10, 15, 20]),
+        thickness=np.full(5, 40.0),
+        friction=np.zeros(5),
+    )
+    with pytest.raises(ConfigError, match="5 layers"):
+        planned(job, [theta(job)], replace(SCENE, tissue=deep))
+
+
+def test_draws_about_a_fit_have_its_deviations_and_stay_within_bounds(job):
+    problem = job.problem(job.folds[0])
+    fit = minimize(problem, job.recipe, np.random.default_rng(1))
+    verdict = identify(problem, fit)
+    wide = about_fit(fit, verdict, job.parameters, 500, np.random.default_rng(2)).thetas
+    assert (wide >= job.parameters.lower).all() and (wide <= job.parameters.upper).all()
+    stiff = verdict.directions[0]
+    along = (wide - np.array(fit.theta)) @ np.array(stiff.weights)
+    assert np.std(along) == pytest.approx(stiff.sd, rel=0.25)
+
+
+def test_draws_of_a_posterior_are_spread_over_it(job):
+    names = job.parameters.free
+    values = np.exp(np.linspace(np.log(1e4), np.log(1e6), 80)).reshape(4, 20, 1) * np.ones(len(names))
+    values[:, :, names.index("bevel_mm")] = 0.05
+    many = np.full((4, 3), 500.0)
+    found = Convergence(names, np.ones(3), np.ones((4, 3)), many, many, 4)
+    posterior = Posterior(names, values, np.zeros((4, 20)), 5, "de", np.ones(4), found, 0, 0, False)
+    thetas = from_posterior(posterior, job.parameters, 10).thetas
+    assert from_posterior(posterior, job.parameters, 10).faults == posterior.faults != ()
+    assert thetas[[0, -1], 0] == pytest.approx(np.log([1e4, 1e6]))
+    assert np.exp(thetas[:, names.index("bevel_mm")]) == pytest.approx(0.05)
+
+
+def test_a_posterior_of_other_data_is_refused(job, tmp_path):
+    said = json.loads(json.dumps({key: work(job)[key] for key in ("medium", "folds")} | {"dataset": {}}))
+    (tmp_path / "run.json").write_text(json.dumps(said))
+    with pytest.raises(ConfigError, match="another dataset"):
+        require_same(job, tmp_path)
+
+
+def test_the_command(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    fit = find("fit", "phantom2").read_text(encoding="utf-8").replace('"default"', '"quick"')
+    (tmp_path / "gel.toml").write_text(fit + 'insertions = ["phantom2-15", "phantom2-16"]\n')
+    words = ("predict", "./gel.toml", "--scene", "study2", "--depth", "30", "-q")
+    assert run(*words, "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["from"] == "laplace" and said["draws"] + said["failed_solves"] == 400
+    tip = said["tip"]
+    assert tip["s_mm"] == 30
+    assert tip["needle_95_low_mm"] < tip["needle_median_mm"] < tip["needle_95_high_mm"]
+    assert tip["measured_95_low_mm"] < tip["needle_95_low_mm"]
+    folder = tmp_path / "reports" / "predict-gel-study2"
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert set(first) == {"forecast.csv", "forecast.pdf", "run.json"}
+    assert run(*words, "--jobs", "1") == 0
+    assert "synthetic" in capsys.readouterr().out
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
