@@ -78,6 +78,7 @@ def reconstruct(scan, volume, markers, surfaces, seed=5):
         registration=registration,
         patient=patient,
         pose=EntryPose(points[0], direction, "shaft", 0.04, 0.004, entry_sd),
+        shaft=EntryPose(points[0], direction, "shaft", 0.04, 0.004, entry_sd),
         frame=frame,
         plane="shape",
         points=points,

@@ -259,6 +259,37 @@ def test_what_is_wrong_is_said_with_what_mends_it_and_nothing_is_written(spoil, 
     assert files(tmp_path) == before
 
 
+def table(folder, **changes):
+    """The sample's table with some cells changed, its files named from where they are."""
+    row = pd.read_csv(SAMPLE / "scans.csv", dtype=str).iloc[0].to_dict()
+    row |= {"scan": str(VOLUME), "markers": str(MARKERS)}
+    row["surfaces"] = ";".join(f"{SAMPLE / one}" for one in row["surfaces"].split(";"))
+    path = folder / "scans.csv"
+    pd.DataFrame([row | changes]).to_csv(path, index=False)
+    return path
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"entry_y_mm": "-2.5"}, "outside the tissue stands"),  # the sign of RAS
+        ({"entry_dx": "-1.0"}, "does not pass the entry"),
+        ({"bevel_side": "-1", "bevel_x": "", "bevel_y": "", "bevel_z": ""}, "no bevel direction"),
+        ({"layers": "3", "layers_alternative": "3"}, "3 layers|3 were counted"),
+    ],
+)
+def test_what_was_stated_wrongly_is_refused(changes, words, tmp_path, capsys):
+    assert run("reconstruct", table(tmp_path, **changes), "--out", tmp_path / "out", "-q") == 3
+    told = capsys.readouterr().err
+    assert re.search(words, told) and "mend:" in told, told
+    assert not (tmp_path / "out").exists()
+
+
+def test_a_stage_that_is_off_by_little_is_told(tmp_path):
+    assert run("reconstruct", table(tmp_path, entry_y_mm="4.0"), "--out", tmp_path / "out", "-q") == 0
+    assert "outside the tissue stands" in (tmp_path / "out" / "reconstruction.csv").read_text()
+
+
 def test_voxels_need_not_be_cubes(tmp_path):
     volume = read(VOLUME)
     slices = volume.values[: 2 * (len(volume.values) // 2)]

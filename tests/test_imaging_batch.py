@@ -9,6 +9,7 @@ import pytest
 from needlefit.imaging import batch
 from needlefit.imaging.batch import Batch, Failure, reconstruct_all
 from needlefit.imaging.scans import read_scans
+from needlefit.imaging.volume import read, write
 from needlefit.project.places import shipped
 from needlefit.project.records.reconstruction import ReconstructionRecord
 
@@ -85,4 +86,18 @@ def test_what_was_kept_of_other_work_is_done_again(change, sample, tmp_path, mon
     done = []
     monkeypatch.setattr(batch, "reconstruct", lambda scan, recipe: done.append(scan.id) or one)
     reconstruct_all([scan], recipe, Batch(keep=keep, resume=change != "not resumed"))
+    assert done == ["sample"]
+
+
+def test_one_slice_stands_for_its_series(sample, tmp_path, monkeypatch):
+    """A series is named by any of its files; a change of another one is a change of the scan."""
+    write(read(sample.volume), tmp_path / "series")
+    first, *_, last = sorted((tmp_path / "series").iterdir())
+    scan, keep = replace(sample, volume=first), tmp_path / "kept"
+    (one,) = reconstruct_all([scan], RECIPE, Batch(keep=keep))
+    with last.open("ab") as file:
+        file.write(b" ")
+    done = []
+    monkeypatch.setattr(batch, "reconstruct", lambda scan, recipe: done.append(scan.id) or one)
+    reconstruct_all([scan], RECIPE, Batch(keep=keep, resume=True))
     assert done == ["sample"]

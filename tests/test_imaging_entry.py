@@ -5,7 +5,15 @@ import pytest
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import sheet
-from needlefit.imaging.entry import Shaft, from_shaft, from_stage, on_surface, start
+from needlefit.imaging.entry import (
+    Shaft,
+    disagreement,
+    from_shaft,
+    from_stage,
+    on_surface,
+    require_agreement,
+    start,
+)
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register, to_world
 from needlefit.imaging.scan import Stage
@@ -119,3 +127,25 @@ def test_a_stage_in_another_frame_is_noticed(origin, direction, match):
     with pytest.raises(DataError, match=match) as error:
         start(needle, pose)
     assert "frame" in error.value.mend
+
+
+def pose(origin=(0.0, 0, 0), direction=(1.0, 0, 0), shift_sd=0.3, angle_sd=0.02):
+    return EntryPose(np.array(origin), axis(direction), "stage", shift_sd, angle_sd, 0.1)
+
+
+def test_stage_and_shaft_are_compared_across_the_axis():
+    stage, shaft = pose(shift_sd=0.4), pose((7.0, 0.6, 0.8), (1.0, 0.0, 0.1))
+    found = disagreement(stage, shaft)
+    assert found.beside == pytest.approx(1.0)  # 7 mm along the axis do not count
+    assert found.beside_sd == pytest.approx(0.5)
+    assert found.turn == pytest.approx(np.arctan(0.1))
+    require_agreement(stage, shaft)
+
+
+@pytest.mark.parametrize(
+    "shaft", [pose((0.0, 5.0, 0)), pose(direction=(1.0, 0.4, 0)), pose(direction=(1.0, 0, -0.4))]
+)
+def test_a_stage_that_is_not_the_needle_s_is_refused(shaft):
+    with pytest.raises(DataError, match="outside the tissue stands") as error:
+        require_agreement(pose(), shaft)
+    assert "LPS or RAS" in error.value.mend

@@ -33,8 +33,9 @@ from needlefit.geometry.frames import Frame, entry_frame
 from needlefit.geometry.surfaces import read_surface, sheet, write_surface
 from needlefit.imaging.layer_doubts import doubts
 from needlefit.imaging.layers import LayerErrors, layer_errors, met, read_layers
+from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.scan import LayerSource
+from needlefit.imaging.scan import LayerSource, Stage
 from needlefit.imaging.volume import Volume
 from needlefit.project.records.reconstruction import ReconstructionRecord
 
@@ -332,28 +333,39 @@ def test_a_needle_in_the_surface_hardly_knows_its_crossing():
 
 @pytest.fixture(scope="module")
 def shifted():
-    """A registration whose only error is a shift along x, of 0.3 mm."""
+    """A registration whose only errors are shifts of 0.9 mm along x, the needle, and of 0.3 mm along y."""
     markers = np.array([[0.0, 0, 0], [50, 0, 0], [0, 30, 0], [10, 20, 40]])
     found = register(PATIENT.to_local(markers), markers, 0.1)
-    return dataclasses.replace(found, covariance=np.diag([0, 0, 0, 0.09, 0, 0]))
+    return dataclasses.replace(found, covariance=np.diag([0, 0, 0, 0.81, 0.09, 0]))
 
 
-def test_the_registration_s_error_counts_along_the_normal(shifted):
-    errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), shifted)
+def test_the_registration_s_error_counts_across_the_needle_and_not_along_it(shifted):
+    errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), registration=shifted)
+    assert met(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.4)
+    tilt = math.radians(60)
+    expected = math.hypot(0.4, 0.3 * math.sin(tilt)) / math.cos(tilt)
+    assert met(NEEDLE, HOME, (tilted(60),), errors).sd[0] == pytest.approx(expected)
+
+
+def test_the_entry_s_own_error_counts_along_the_needle():
+    errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), along=0.3)
     assert met(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.5)
-    half = math.hypot(0.4, 0.3 * 0.5) / 0.5
-    assert met(NEEDLE, HOME, (tilted(60),), errors).sd[0] == pytest.approx(half)
 
 
 def test_surfaces_of_the_scan_move_with_its_needle(shifted, slabs_file, tmp_path):
     recipe, sd = ReconstructionRecord(schema=1), np.zeros(3)
     mesh = save_mesh(tmp_path / "core.stl", CORE)
-    for one, with_registration in (
-        (scan(mesh), True), (scan(mesh, surfaces_in="scan"), False), (scan(slabs_file), False)
-    ):  # fmt: skip
-        errors = layer_errors(one, recipe, sd, shifted)
+    pose = EntryPose(np.zeros(3), np.array([1.0, 0, 0]), "shaft", 0.1, 0.01, 0.2)
+    for one, with_registration, along in (
+        (scan(mesh), True, math.hypot(0.2, 0.9)),
+        (scan(mesh, surfaces_in="scan"), False, 0.2),
+        (scan(slabs_file), False, 0.2),
+        (scan(mesh, stage=Stage(pose.origin, pose.direction, 0.05, 0.001)), True, 0.05),
+    ):
+        errors = layer_errors(one, recipe, sd, pose, shifted)
         assert (errors.registration is not None) == with_registration
         assert errors.surface == 0.1
+        assert errors.along == pytest.approx(along)
 
 
 def test_without_surfaces_there_is_one_layer():

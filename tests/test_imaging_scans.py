@@ -174,3 +174,8 @@ def test_what_is_missing_on_the_command_line_is_told_at_once(folder):
         scans_of([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
     for words in ("none: there is no such file or folder", "none.csv: there is no such file", "none.stl"):
         assert words in str(error.value)
+
+
+def test_scans_of_one_table_lie_in_one_world(folder):
+    said = refused(folder, "scan,markers", "one.nrrd,markers.csv", "two.nii.gz,")
+    assert "scans.csv:3" in said and "one world" in said

@@ -18,6 +18,9 @@ from needlefit.project.replace import replacing_file
 
 Progress = Callable[[str, int, int], None]
 
+WHOLE = (".nrrd", ".nii", ".nii.gz", ".mha")
+"""Endings of volumes that are one file."""
+
 PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
 
@@ -113,15 +116,19 @@ def _file(scan: Scan, keep: Path) -> Path:
 def _stamp(scan: Scan, recipe: ReconstructionRecord) -> str:
     """Return a digest of all that decides a reconstruction; of files their size and time."""
     parts = [repr(scan), recipe.model_dump_json(), *(version(name) for name in ("needlefit", *PACKAGES))]
-    for path in sorted(_files(scan)):
+    for path in sorted(set(_files(scan))):
         status = path.stat()
         parts.append(f"{path} {status.st_size} {status.st_mtime_ns}")
     return hashlib.sha256("\n".join(parts).encode()).hexdigest()
 
 
 def _files(scan: Scan) -> Iterator[Path]:
-    """Yield every file that a reconstruction reads."""
-    given = (scan.volume, scan.mask, scan.markers, scan.fiducials, *(one.path for one in scan.surfaces))
-    for path in given:
-        if path is not None:
-            yield from (one for one in path.rglob("*") if one.is_file()) if path.is_dir() else [path]
+    """Yield every file that a reconstruction may read.
+
+    One slice stands for its series, and a header for the file of its voxels: all files of the folder count.
+    """
+    given = (scan.mask, scan.markers, scan.fiducials, *(one.path for one in scan.surfaces))
+    yield from (path for path in given if path is not None)
+    alone = scan.volume.name.lower().endswith(WHOLE)
+    folder = scan.volume if scan.volume.is_dir() else scan.volume.parent
+    yield from [scan.volume] if alone else (path for path in folder.iterdir() if path.is_file())

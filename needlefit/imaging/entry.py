@@ -39,6 +39,9 @@ CORRELATED = 7.5
 REACH = 80.0
 """How far from the place where the needle enters the axis is followed to the tissue's surface, mm."""
 
+GROSS = 10.0
+"""Deviations from which on the stage's axis and the shaft's are not one needle's."""
+
 FARTHEST = 5.0
 """Greatest distance of a centreline's first point from the entry, mm; as datasets demand it."""
 
@@ -69,6 +72,30 @@ class Shaft:
     turn: float
 
 
+@dataclass(frozen=True)
+class Disagreement:
+    """Two axes at first contact: distance across (mm) and angle (rad), with the deviation of each."""
+
+    beside: float
+    beside_sd: float
+    turn: float
+    turn_sd: float
+
+    @property
+    def worst(self) -> float:
+        """The larger of both in deviations."""
+        return max(self.beside / self.beside_sd, self.turn / self.turn_sd)
+
+    @property
+    def said(self) -> str:
+        """The same in words."""
+        turn, turn_sd = np.degrees([self.turn, self.turn_sd])
+        return (
+            f"the shaft outside the tissue stands {self.beside:.2f} +- {self.beside_sd:.2f} mm beside the "
+            f"stage's axis and is turned by {turn:.2f} +- {turn_sd:.2f} degrees against it"
+        )
+
+
 def from_stage(stage: Stage, registration: Registration | None, patient_entry: Floats) -> EntryPose:
     """Return the pose that the stage states, with deviations against the centreline.
 
@@ -90,6 +117,12 @@ def from_stage(stage: Stage, registration: Registration | None, patient_entry: F
     )
 
 
+def shown(shaft: Shaft) -> float:
+    """Return the length of the shaft that can be used, mm."""
+    use = shaft.s[shaft.s < -CLEAR]
+    return float(np.ptp(use)) if len(use) else 0.0
+
+
 def from_shaft(shaft: Shaft, along_sd: float) -> EntryPose:
     """Return the pose of the axis on which the shaft was pushed; its origin is where that axis enters.
 
@@ -99,10 +132,9 @@ def from_shaft(shaft: Shaft, along_sd: float) -> EntryPose:
         If too little of the shaft shows.
     """
     use = shaft.s < -CLEAR
-    shown = float(np.ptp(shaft.s[use])) if use.any() else 0.0
-    if shown < SHORTEST_SHAFT:
+    if shown(shaft) < SHORTEST_SHAFT:
         raise DataError(
-            f"{shown:.1f} mm of the shaft show outside the tissue, too few to draw its axis",
+            f"{shown(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
             where="entry pose",
             expected=f"at least {SHORTEST_SHAFT:g} mm, or the pose of the stage",
             mend="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
@@ -123,6 +155,33 @@ def from_shaft(shaft: Shaft, along_sd: float) -> EntryPose:
     shift_sd, angle_sd = np.sqrt(np.diag(covariance)[:2])
     return EntryPose(
         origin, direction / np.linalg.norm(direction), "shaft", float(shift_sd), float(angle_sd), along_sd
+    )
+
+
+def disagreement(stage: EntryPose, shaft: EntryPose) -> Disagreement:
+    """Return by how much the shaft outside the tissue stands beside the stage's axis, at first contact."""
+    apart = shaft.origin - stage.origin
+    beside = apart - (apart @ stage.direction) * stage.direction
+    turn = float(np.arccos(np.clip(stage.direction @ shaft.direction, -1, 1)))
+    return Disagreement(
+        beside=float(np.linalg.norm(beside)),
+        beside_sd=float(np.hypot(stage.shift_sd, shaft.shift_sd)),
+        turn=turn,
+        turn_sd=float(np.hypot(stage.angle_sd, shaft.angle_sd)),
+    )
+
+
+def require_agreement(stage: EntryPose, shaft: EntryPose) -> None:
+    """Raise DataError if the stage's axis and the shaft cannot be the same needle's."""
+    found = disagreement(stage, shaft)
+    if found.worst <= GROSS:
+        return
+    raise DataError(
+        found.said,
+        where="entry pose",
+        expected="the axis on which the needle was pushed",
+        mend="check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS), and "
+        "the deviations stated; or leave the stage out, and the shaft is taken",
     )
 
 

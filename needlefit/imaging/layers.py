@@ -13,7 +13,7 @@ from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import Floats, Frame
 from needlefit.geometry.surfaces import Surface, moved, nearest
 from needlefit.imaging.grid import Grid
-from needlefit.imaging.reconstruction import Layers
+from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.registration.register import Registration, frame_of, target_covariance
 from needlefit.imaging.scan import LayerSource, Scan
 from needlefit.imaging.surface_files import read_mesh
@@ -131,20 +131,37 @@ class LayerErrors:
         Standard deviation of a surface along its normal, mm.
     centerline : (N,) array
         Of the needle's points in any one direction across it, mm.
+    along : float
+        Of the place from which depths count, against the surfaces, along the needle, mm.
     registration : Registration or None
         What lays the needle among the surfaces; None where these lie in the same scan.
     """
 
     surface: float
     centerline: Floats
+    along: float = 0.0
     registration: Registration | None = None
 
 
 def layer_errors(
-    scan: Scan, recipe: ReconstructionRecord, centerline: Floats, registration: Registration | None
+    scan: Scan,
+    recipe: ReconstructionRecord,
+    centerline: Floats,
+    pose: EntryPose,
+    registration: Registration | None,
 ) -> LayerErrors:
-    """Return what makes the layers' depths in a scan uncertain; `centerline`: deviations (N,), mm."""
-    return LayerErrors(recipe.layers.surface_sd_mm, centerline, None if in_scan(scan) else registration)
+    """Return what makes the layers' depths in a scan uncertain; `centerline`: deviations (N,), mm.
+
+    The stage's entry stands in the world as the surfaces do. One found in the scan errs against surfaces of
+    the world by the registration, too, unless it is where the tissue's own surface is.
+    """
+    between = None if in_scan(scan) else registration
+    along = pose.along_sd if scan.stage is None else scan.stage.shift_sd
+    if scan.stage is None and between is not None and not any(s.into == 1 for s in scan.surfaces):
+        here = frame_of(between).to_local(pose.origin[None])
+        covariance = target_covariance(between, here)[0]
+        along = float(np.sqrt(along**2 + pose.direction @ covariance @ pose.direction))
+    return LayerErrors(recipe.layers.surface_sd_mm, centerline, along, between)
 
 
 def met(points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors) -> Layers:
@@ -160,8 +177,9 @@ def met(points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: Lay
     Notes
     -----
     An error e of needle against surface moves the crossing along the needle by n . e / n . t, with n the
-    normal and t the needle's direction; a crossing under a small angle is hardly known. The registration's
-    error counts in full, also along the needle, with which C may move.
+    normal and t the needle's direction; a crossing under a small angle is hardly known. The needle's own
+    errors count across it only, for along itself it passes the same place; along it counts the error of the
+    place from which depths are measured.
     """
     if not surfaces:
         return Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
@@ -186,7 +204,8 @@ def _deviations(
     if errors.registration is not None:
         in_patient = frame_of(errors.registration).to_local(places)
         covariances = target_covariance(errors.registration, in_patient)
-        variances += np.einsum("ni,nij,nj->n", normals, covariances, normals)
+        sideways = normals - np.sum(normals * tangents, axis=1)[:, None] * tangents
+        variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
     along = np.abs(tangents @ frame.rotation[:, 0])
-    deviations: Floats = along * np.sqrt(variances) / np.maximum(cosines, GRAZING)
+    deviations: Floats = np.hypot(along * np.sqrt(variances) / np.maximum(cosines, GRAZING), errors.along)
     return deviations

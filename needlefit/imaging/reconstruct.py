@@ -89,11 +89,11 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     volume = read(scan.volume, scan.series)
     seen = see(volume, scan, recipe)
     surfaces = read_layers(scan, seen.patient, volume.grid)
-    pose = _pose(seen, scan, surfaces, recipe)
+    pose, shaft = _pose(seen, scan, surfaces, recipe)
     begin = entry.start(seen.world, pose)
     points, sd = _inserted(seen, begin, recipe.centerline.station_mm)
     frame, plane = _bending(seen, scan, pose, points, recipe)
-    layers = met(points, frame, surfaces, layer_errors(scan, recipe, sd, seen.registration))
+    layers = met(points, frame, surfaces, layer_errors(scan, recipe, sd, pose, seen.registration))
     said = doubts(scan, layers, points, seen.patient)
     depth = float(arc_length(points)[-1])
     found = Reconstruction(
@@ -104,6 +104,7 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
         registration=seen.registration,
         patient=seen.patient,
         pose=pose,
+        shaft=shaft,
         frame=frame,
         plane=plane,
         points=points,
@@ -153,15 +154,30 @@ def _markers(volume: Volume, needle: Component, scan: Scan, recipe: Reconstructi
     return None if scan.markers is None else find_markers(volume, recipe, needle.voxels)
 
 
-def _pose(seen: Seen, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord) -> EntryPose:
-    if scan.stage is not None:
-        (at,) = seen.patient.to_local(scan.stage.entry[None])
-        return entry.from_stage(scan.stage, seen.registration, at)
+def _pose(
+    seen: Seen, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+) -> tuple[EntryPose, EntryPose | None]:
+    """Return the entry pose, and the one of the shaft outside the tissue where it shows."""
+    if scan.stage is None:
+        at, at_sd = _tissue(seen, scan, surfaces, recipe)
+        shaft = entry.on_surface(entry.from_shaft(_shaft(seen, scan, recipe, at), at_sd), surfaces)
+        return shaft, shaft
+    (here,) = seen.patient.to_local(scan.stage.entry[None])
+    stage = entry.from_stage(scan.stage, seen.registration, here)
+    outside = _shaft(seen, scan, recipe, entry.start(seen.world, stage))
+    if entry.shown(outside) < entry.SHORTEST_SHAFT:
+        return stage, None
+    other = entry.from_shaft(outside, stage.along_sd)
+    entry.require_agreement(stage, other)
+    return stage, other
+
+
+def _shaft(seen: Seen, scan: Scan, recipe: ReconstructionRecord, at: float) -> entry.Shaft:
+    """Return the needle before `at` (mm along it), where it enters the tissue."""
     world = seen.world
     s = arc_length(world)
-    at, at_sd = _tissue(seen, scan, surfaces, recipe)
     base = recipe.needle.length_mm - (s[-1] - at)
-    shaft = entry.Shaft(
+    return entry.Shaft(
         points=world[s < at],
         sd=seen.traced.sd[s < at],
         s=s[s < at] - at,
@@ -169,7 +185,6 @@ def _pose(seen: Seen, scan: Scan, surfaces: tuple[Surface, ...], recipe: Reconst
         bend=recipe.entry.bend_mm,
         turn=np.radians(recipe.entry.bend_deg),
     )
-    return entry.on_surface(entry.from_shaft(shaft, at_sd), surfaces)
 
 
 def _tissue(
@@ -215,6 +230,13 @@ def _bending(
 ) -> tuple[Frame, Plane]:
     """Return the constraint frame, and what fixes its plane."""
     plane: Plane
+    if scan.bevel is None and scan.side < 0:
+        raise DataError(
+            "bevel_side is -1, but no bevel direction is stated",
+            where=f"scan {scan.id}",
+            expected="bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went",
+            mend="state the bevel's direction, or leave bevel_side empty",
+        )
     bevel = seen.patient.rotation @ seen.traced.bevel
     if scan.bevel is not None:
         toward, plane = scan.bevel, "stated"

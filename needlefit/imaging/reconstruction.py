@@ -137,6 +137,8 @@ class Reconstruction:
     patient : Frame
         The scan's LPS axes and origin in the world.
     pose : EntryPose
+    shaft : EntryPose or None
+        The pose by the shaft outside the tissue; None where too little of it shows.
     frame : Frame
         The constraint frame C in the world.
     plane : str
@@ -163,6 +165,7 @@ class Reconstruction:
     registration: Registration | None
     patient: Frame
     pose: EntryPose
+    shaft: EntryPose | None
     frame: Frame
     plane: Literal["stated", "bevel", "shape"]
     points: Floats

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from needlefit.imaging.entry import disagreement
 from needlefit.imaging.profile import tissue_edge
 from needlefit.imaging.reconstruction import Reconstruction
 
@@ -46,7 +47,11 @@ def _entry(one: Reconstruction) -> list[str]:
             "depth; the stage's axis, where it is known, is surer"
         )
     edge = tissue_edge(one.profile)
-    if edge is None or one.pose.source != "stage":
+    if one.pose.source != "stage":
+        return notes
+    if one.shaft is not None and disagreement(one.pose, one.shaft).worst > BEYOND:
+        notes.append(disagreement(one.pose, one.shaft).said)
+    if edge is None:
         return notes
     off, sd = edge[0], float(np.hypot(edge[1], one.pose.along_sd))
     if abs(off) > BEYOND * sd:

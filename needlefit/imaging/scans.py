@@ -37,6 +37,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     unread = {fault.where for fault in found}
     for row in rows:
         found += row_faults(row, numbers_read=row.where not in unread)
+    found += _mixed(rows)
     ids = [row.text["id"] or id_of(Path(row.text["scan"])) for row in rows]
     found += _repeated(ids, [row.where for row in rows])
     if found:
@@ -124,6 +125,19 @@ def _column_faults(table: Table) -> Iterator[Fault]:
             near = difflib.get_close_matches(str(name), COLUMNS, n=1, cutoff=0.5)
             mend = f"did you mean `{near[0]}`?" if near else "remove the column, or correct its name"
             yield Fault(where, f"column `{name}` is unknown", f"one of {', '.join(COLUMNS)}", mend)
+
+
+def _mixed(rows: Sequence[ScanRow]) -> Iterator[Fault]:
+    """Yield the rows without markers of a table that has some: their worlds would be others."""
+    if any(row.text["markers"] for row in rows):
+        for row in rows:
+            if not row.text["markers"]:
+                yield Fault(
+                    row.where,
+                    "`markers` is empty, but other scans have some",
+                    "one world for all: markers for every scan, or for none",
+                    "add the markers' places, or put this scan into a table of its own",
+                )
 
 
 def _rows(table: Table, found: list[Fault]) -> list[ScanRow]:
