@@ -2,10 +2,10 @@
 
     python benchmarks/search.py [--json] [--fits phantom1 phantom2 chicken] [--starts 12] [--jobs 2]
 
-Every algorithm searches from the same starts with the same budget and tolerance (those of the default
-recipe). A start has succeeded if it ends within 0.003 mm of the best objective that any algorithm found.
-What counts is evaluations per success: what one must pay, on average, for the best fit. Evaluations do not
-depend on the machine.
+Every algorithm searches for the peak of the posterior from the same starts with the same budget and tolerance
+(those of the default recipe). A start has succeeded if it ends within 0.1 of the best log posterior that any
+algorithm found. What counts is what a success costs on average: evaluations, one with derivatives counted as
+`--slope` of those without (2.4: 87 against 36 ms for nine insertions). Counts do not depend on the machine.
 """
 
 import argparse
@@ -24,24 +24,25 @@ from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.streams import stream
 
 SEARCHES = (
-    "sbplx",
-    "bobyqa",
-    "neldermead",
-    "praxis",
-    "neldermead+neldermead",
+    "leastsquares",
+    "slsqp",
+    "lbfgs",
+    "var2",
     "bobyqa+neldermead",
-    "crs2+neldermead",
+    "crs2+leastsquares",
 )
-SUCCESS = 0.003  # mm
+SUCCESS = 0.1
 
 
-def search(fit: str, starts: int, jobs: int) -> list[dict[str, object]]:
+def search(fit: str, starts: int, slope: float, jobs: int) -> list[dict[str, object]]:
     """Return one row per algorithm."""
     record = load(find("fit", fit), FitRecord)
     recipe = load(find("recipe", "default"), RecipeRecord)
     dataset = read(find("dataset", record.dataset))
     chosen = select(dataset, record.tune, record.reading)
-    task = problem(dataset, chosen, load(find("medium", record.medium), MediumRecord), recipe.weights)
+    task = problem(
+        dataset, chosen, load(find("medium", record.medium), MediumRecord), recipe.weights, recipe.likelihood
+    )
     found = {
         name: minimize(
             task,
@@ -54,16 +55,18 @@ def search(fit: str, starts: int, jobs: int) -> list[dict[str, object]]:
     best = min(result.objective for result in found.values())
     rows = []
     for name, result in found.items():
+        cost = result.evaluations + (slope - 1) * result.gradients
         successes = sum(start.objective < best + SUCCESS for start in result.starts)
         rows.append(
             {
                 "fit": fit,
                 "algorithm": name,
-                "above_best_mm": result.objective - best,
+                "above_best": result.objective - best,
                 "successes": successes,
                 "starts": starts,
                 "evaluations": result.evaluations,
-                "evaluations_per_success": result.evaluations / successes if successes else None,
+                "gradients": result.gradients,
+                "cost_per_success": cost / successes if successes else None,
             }
         )
     return rows
@@ -75,17 +78,18 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--fits", nargs="+", default=["phantom1", "phantom2", "chicken"])
     parser.add_argument("--starts", type=int, default=12)
+    parser.add_argument("--slope", type=float, default=2.4)
     parser.add_argument("--jobs", type=int, default=2)
     options = parser.parse_args()
-    rows = [row for fit in options.fits for row in search(fit, options.starts, options.jobs)]
+    rows = [row for fit in options.fits for row in search(fit, options.starts, options.slope, options.jobs)]
     if options.json:
         print(json.dumps(rows, indent=2))
         return
-    print(f"{'fit':10s} {'algorithm':24s} {'above best mm':>13s} {'successes':>9s} {'per success':>11s}")
+    print(f"{'fit':10s} {'algorithm':24s} {'above best':>13s} {'successes':>9s} {'per success':>11s}")
     for row in rows:
-        each = row["evaluations_per_success"]
+        each = row["cost_per_success"]
         print(
-            f"{row['fit']:10s} {row['algorithm']:24s} {row['above_best_mm']:13.5f} "
+            f"{row['fit']:10s} {row['algorithm']:24s} {row['above_best']:13.5f} "
             f"{row['successes']:4d} / {row['starts']:2d} {'none' if each is None else f'{each:.0f}':>11s}"
         )
 

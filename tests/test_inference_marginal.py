@@ -172,3 +172,11 @@ def test_a_nodes_failure_is_the_densitys():
     white = np.ones((3, 4))
     white[2] = np.nan
     assert math.isnan(one(white, made))
+
+
+def test_many_sets_are_integrated_as_each_alone():
+    rng = np.random.default_rng(6)
+    many = rng.normal(size=(90, 1 + 4 * 4, 3))
+    products = many @ many.transpose(0, 2, 1)
+    alone = [log_means(one[None], rule(4))[0] for one in products]
+    assert log_means(products, rule(4)).tolist() == alone

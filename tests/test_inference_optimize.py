@@ -4,7 +4,7 @@ import threading
 
 import numpy as np
 import pytest
-from inference_cases import Analytic, box, recipe
+from inference_cases import Analytic, Squares, box, recipe, squares_recipe
 
 from needlefit.errors import ConfigError, FitError, ModelError
 from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
@@ -157,3 +157,93 @@ def test_an_unknown_algorithm_is_named():
 def test_with_nothing_free_the_one_point_is_evaluated():
     fit = minimize(Analytic(lambda theta: 0.25, np.empty(0), np.empty(0)), recipe(), rng())
     assert fit.objective == 0.25 and fit.theta == () and fit.evaluations == 1 and not fit.interrupted
+
+
+# ---- the posterior: a sum of squares with exact derivatives
+
+BOTH = ("leastsquares", "slsqp", "lbfgs", "var2", "tnewton", "mma", "ccsaq", "bobyqa+neldermead", "sbplx")
+
+
+def valley(theta):
+    """Rosenbrock's valley as residuals, with its Jacobian."""
+    residuals = np.array([10 * (theta[1] - theta[0] ** 2), 1 - theta[0]])
+    return residuals, np.array([[-20 * theta[0], 10.0], [-1.0, 0.0]])
+
+
+def squares(function, half=2.0, **changed):
+    return Squares(function, np.full(2, -half), np.full(2, half), **changed)
+
+
+@pytest.mark.parametrize("algorithm", BOTH)
+def test_every_way_ends_at_the_same_log_posterior(algorithm):
+    fit = minimize(
+        squares(valley), squares_recipe(algorithm=algorithm, evaluations=20_000, tolerance=1e-10), rng()
+    )
+    assert fit.objective == pytest.approx(-7.0, abs=1e-6)
+    assert fit.minimized == "posterior"
+    assert sum(start.succeeded for start in fit.starts) >= 1
+
+
+@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "lbfgs"])
+def test_a_minimum_at_a_bound_is_found_and_counts_as_one(algorithm):
+    fit = minimize(squares(valley, half=0.5), squares_recipe(algorithm=algorithm), rng())
+    # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
+    assert fit.objective == pytest.approx(0.125 - 7.0, abs=1e-6)
+    assert any(start.succeeded for start in fit.starts)
+
+
+def test_a_plateau_is_no_success():
+    fit = minimize(
+        squares(lambda t: (np.array([1.0, t[0]]), np.array([[0, 0], [1.0, 0]]))), squares_recipe(), rng()
+    )
+    assert fit.objective == pytest.approx(0.5 - 7.0)
+    assert {start.stopped for start in fit.starts} == {"flat"}
+
+
+def test_a_search_that_ends_too_early_says_so():
+    loose = squares_recipe(algorithm="neldermead", tolerance=0.2)
+    starts = minimize(squares(valley), loose, rng()).starts
+    assert {start.stopped for start in starts if start.objective > -7 + 1e-4} == {"stalled"}
+
+
+def test_residuals_that_are_not_the_value_are_found_out():
+    class Wrong(Squares):
+        def log_posterior(self, theta):
+            return super().log_posterior(theta) - float(theta[0])
+
+    fit = minimize(Wrong(valley, np.full(2, -2.0), np.full(2, 2.0)), squares_recipe(), rng())
+    assert {start.stopped for start in fit.starts} == {"no sum of squares"}
+
+
+def test_what_is_no_sum_of_squares_refuses_least_squares():
+    with pytest.raises(ConfigError, match="leastsquares"):
+        minimize(squares(valley, squares=False), squares_recipe(), rng())
+    with pytest.raises(ConfigError, match="leastsquares"):
+        minimize(box(bowl), recipe(algorithm="leastsquares"), rng())
+
+
+def test_least_squares_walks_around_what_cannot_be_solved():
+    def half(theta):
+        residuals, slopes = valley(theta)
+        return (residuals, slopes) if theta[0] > -1 else (residuals * np.nan, slopes)
+
+    fit = minimize(squares(half), squares_recipe(starts=8), rng())
+    assert fit.objective == pytest.approx(-7.0, abs=1e-6)
+    assert {s.stopped for s in fit.starts if s.theta0[0] < -1} == {"no finite value"}
+
+
+@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp"])
+def test_evaluations_with_derivatives_are_counted_among_all_and_within_the_budget(algorithm):
+    fit = minimize(squares(valley), squares_recipe(algorithm=algorithm, evaluations=15, starts=3), rng())
+    assert {start.stopped for start in fit.starts} == {"budget"}
+    assert all(0 < start.gradients < start.evaluations == 15 for start in fit.starts)
+    assert fit.gradients == sum(start.gradients for start in fit.starts)
+
+
+@pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "crs2+leastsquares"])
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_fit_by_derivatives_resumes_to_the_very_same_one(algorithm, jobs):
+    search = squares_recipe(algorithm=algorithm, starts=6)
+    whole = minimize(squares(valley), search, rng())
+    finished = {s.index: from_dict(json.loads(json.dumps(to_dict(s)))) for s in whole.starts[1:4]}
+    assert minimize(squares(valley), search, rng(), Watch(finished=finished, jobs=jobs)) == whole

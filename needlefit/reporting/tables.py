@@ -71,7 +71,7 @@ def _validation_rows(results: Results) -> list[Row]:
 def _validation_columns() -> list[str]:
     columns = [*_KEYS, *METRICS, *_COUNTS, *FLOORS]
     columns += [f"{way}_{m}" for way in ("planned", "pooled") for m in METRICS]
-    columns += [f"{rival}_{m}" for rival in RIVALS[1:] for m in ("ipe_mean_mm", "te_mm")]
+    columns += [f"{rival}_{m}" for rival in RIVALS[1:] for m in _compared(rival)]
     columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions"]
     return [*columns, "comparable", "comparison", "origin"]
 
@@ -79,8 +79,13 @@ def _validation_columns() -> list[str]:
 def _rivals(macro: list[Row], same: Row) -> Row:
     found: Row = {}
     for rival in RIVALS[1:]:
-        found |= _prefixed(rival, _pick(macro, rival, "measured", **same), ("ipe_mean_mm", "te_mm"))
+        found |= _prefixed(rival, _pick(macro, rival, "measured", **same), _compared(rival))
     return found
+
+
+def _compared(rival: str) -> tuple[str, ...]:
+    """Return the metrics given of a rival: all of the model's other fit, which has a row of its own."""
+    return METRICS if rival == "fitted_metric" else ("ipe_mean_mm", "te_mm")
 
 
 def _paper_row(results: Results, ours: Row) -> Row:

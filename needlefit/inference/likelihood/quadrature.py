@@ -28,6 +28,10 @@ FINEST, LARGEST = 17, 30_000
 """Most points of one axis, and of the whole table: with more than four axes they become fewer on each."""
 
 
+TOGETHER = 1_000_000
+"""Entries of tables that are held at once: thousands of parameter sets must not take gigabytes."""
+
+
 @dataclass(frozen=True)
 class Rule:
     """A product rule over d axes of n points.
@@ -73,9 +77,13 @@ def log_means(products: Floats, rule: Rule) -> Floats:
     products : (B, m, m) array
         Products of the curves at the nodes.
     """
-    table = _table(products, rule).reshape(len(products), -1)
-    highest = table.max(axis=1)
-    found: Floats = highest + np.log(np.sum(np.exp(table - highest[:, None]), axis=1))
+    size = len(rule.log_weights) ** rule.axes
+    found = np.empty(len(products))
+    for start in range(0, len(products), max(1, TOGETHER // size)):
+        some = slice(start, start + max(1, TOGETHER // size))
+        table = _table(products[some], rule).reshape(-1, size)
+        highest = table.max(axis=1)
+        found[some] = highest + np.log(np.sum(np.exp(table - highest[:, None]), axis=1))
     return found
 
 

@@ -26,6 +26,9 @@ FIRST_SLOPE = 0.1
 ROUNDING = 1e-12
 """Step, likewise, under which a search by gradients for the peak of a posterior ends."""
 
+GAIN = 1e-6
+"""Relative gain of a search by gradients begun anew that is none, where nothing is said to be negligible."""
+
 PENALTY = 1e3
 """Shown to nlopt for a value that is not finite, until finite ones are known; then 2 * worst + 1 is."""
 
@@ -34,11 +37,24 @@ VALUE_TOLERANCE = 0.1
 
 
 def stage(books: Ledger, code: int, sloped: bool, tolerance: float, start: Floats) -> str:
-    """Let nlopt's algorithm `code` search from theta `start` (P,), by slopes or not; return why it ended."""
+    """Let nlopt's algorithm `code` search from theta `start` (P,), by slopes or not; return why it ended.
+
+    A search by slopes is begun anew where it ended until that gains nothing: some end in a narrow valley.
+    """
     if len(start) == 0:
         with suppress(Ended):
             books.value(start)
         return books.reason or "tolerance"
+    reason = _once(books, code, sloped, tolerance, start)
+    while sloped and not books.reason and books.theta is not None:
+        before = books.objective
+        reason = _once(books, code, sloped, tolerance, books.theta)
+        if before - books.objective <= (books.goal.negligible or GAIN * abs(before)):
+            break
+    return reason
+
+
+def _once(books: Ledger, code: int, sloped: bool, tolerance: float, start: Floats) -> str:
     lower, span = books.goal.lower, books.goal.upper - books.goal.lower
     optimizer = nlopt.opt(code, len(start))
     try:

@@ -16,7 +16,8 @@ from needlefit.inference.ledger import Ended, Ledger
 Floats = NDArray[np.float64]
 
 ATTAINED = 1e-6
-"""Largest gain of the value that a further step may promise; per reduced chi-square where that is below 1."""
+"""Largest gain of the value that a further step may promise; in units of the mean square where nothing says
+what is negligible, so that the unit of the sum of squares means nothing."""
 
 ROUNDING = 1e-8
 """A further step that changes no parameter by more than this part of it promises nothing."""
@@ -62,8 +63,8 @@ def _judged(books: Ledger, residuals: Floats, jacobian: Floats) -> str:
     best = lsq_linear(directions, -residuals, (np.minimum(low, 0), np.maximum(high, 0)))
     gain = 0.5 * float(residuals @ residuals) - best.cost
     small = np.all(np.abs(best.x * unit) <= ROUNDING * np.abs(theta[free]))
-    chi_square = float(residuals @ residuals) / max(1, len(residuals) - len(theta))
-    return "tolerance" if small or gain <= ATTAINED * min(1.0, chi_square) else "stalled"
+    mean = float(residuals @ residuals) / max(1, len(residuals) - len(theta))
+    return "tolerance" if small or gain <= ATTAINED * (1.0 if goal.negligible else mean) else "stalled"
 
 
 def _free(books: Ledger, slope: Floats) -> NDArray[np.bool_]:
