@@ -13,11 +13,11 @@ from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.needle.centerline import trace
 from needlefit.imaging.needle.sections import BENT, Sections, unseen
-from needlefit.imaging.needle.segmentation import components, from_mask, segment, thresholds
+from needlefit.imaging.needle.segmentation import components, segment, thresholds
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.load import load
 from needlefit.project.records.reconstruction import ReconstructionRecord
-from needlefit.synthetic.ct.scene import Markers, Needle3D, Table
+from needlefit.synthetic.ct.scene import Markers, Table
 
 FAR = np.array([200.0, 0.0, 0.0])
 SHAPES = {
@@ -110,31 +110,6 @@ def test_pieces_of_one_needle_are_joined():
     assert line.points[0, 2] < 8.0
     assert np.linalg.norm(line.tip - truth[-1]) < 0.12
     assert cases.off(line.points, truth).max() < 0.1
-
-
-def test_a_given_mask_replaces_the_thresholds():
-    truth = cases.axis(curve=(2.0, 0.0))
-    volume = cases.scan(truth, scene={"needles": (Needle3D(truth + np.array([5.0, 0, 0])),)})
-    with pytest.raises(DataError, match="two needles"):
-        segment(volume, cases.RECIPE)
-    mask = np.zeros(volume.values.shape, dtype=bool)
-    mask[:, :, :29] = volume.values[:, :, :29] > 1500
-    line = trace(volume, from_mask(volume, mask, cases.RECIPE), cases.RECIPE)
-    assert np.linalg.norm(line.tip - truth[-1]) < 0.15
-
-
-@pytest.mark.parametrize(
-    ("mask", "words"),
-    [
-        (np.ones((2, 2, 2), bool), "resample the mask"),
-        (np.zeros(cases.SHAPE[::-1], bool), "holds 0 voxels"),
-        (np.indices(cases.SHAPE[::-1]).max(axis=0) < 4, "mm long"),
-    ],
-)
-def test_masks_that_cannot_be_a_needle(mask, words):
-    volume = Volume(np.zeros(cases.SHAPE[::-1], np.float32), np.zeros(3), np.full(3, 0.46), np.eye(3))
-    with pytest.raises(DataError, match=words):
-        from_mask(volume, mask, cases.RECIPE)
 
 
 def test_a_scan_without_metal():

@@ -18,7 +18,8 @@ from needlefit.imaging.layer_doubts import doubts
 from needlefit.imaging.layers import layer_errors, met, read_layers
 from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
 from needlefit.imaging.needle.centerline import Centerline, trace
-from needlefit.imaging.needle.segmentation import Component, from_mask, segment
+from needlefit.imaging.needle.mask import from_mask
+from needlefit.imaging.needle.segmentation import Component, segment
 from needlefit.imaging.profile import profile, tissue_edge
 from needlefit.imaging.reconstruction import EntryPose, Markers, Profile, Reconstruction
 from needlefit.imaging.registration.register import (
@@ -142,9 +143,7 @@ def _along(volume: Volume, needle: Floats) -> Profile:
 
 
 def _needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
-    if scan.mask is None:
-        return segment(volume, recipe)
-    return from_mask(volume, read(scan.mask).values > 0, recipe)
+    return segment(volume, recipe) if scan.mask is None else from_mask(volume, scan.mask, recipe)
 
 
 def _markers(volume: Volume, needle: Component, scan: Scan, recipe: ReconstructionRecord) -> Markers | None:

@@ -61,7 +61,7 @@ class Scan:
     volume : Path
         A DICOM folder or file, NRRD, NIfTI or MetaImage; `series` names one of several in a folder.
     mask : Path or None
-        The needle's voxels, segmented elsewhere, on the same grid.
+        The needle's voxels, segmented elsewhere; a volume that stands where the scan does.
     markers : Path or None
         Known places of the markers in the world; None: the world is the patient frame (LPS) of the scan.
     fiducials : Path or None

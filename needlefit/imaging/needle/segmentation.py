@@ -79,27 +79,6 @@ def segment(volume: Volume, recipe: ReconstructionRecord) -> Component:
     return needle
 
 
-def from_mask(volume: Volume, mask: NDArray[np.bool_], recipe: ReconstructionRecord) -> Component:
-    """Return the needle's voxels as a given mask (K, J, I) has them; DataError if they cannot be a needle."""
-    if mask.shape != volume.values.shape:
-        raise DataError(
-            f"the mask has {mask.shape} voxels (slice, row, column), the volume {volume.values.shape}",
-            expected="a mask on the volume's own grid",
-            mend="resample the mask onto the scan",
-        )
-    voxels = np.argwhere(mask)[:, ::-1]
-    if len(voxels) < LEAST_VOXELS:
-        raise DataError(f"the mask holds {len(voxels)} voxels", expected="the needle's voxels")
-    part = _measured(volume, voxels)
-    if part.length < recipe.segmentation.min_length_mm:
-        raise DataError(
-            f"the mask is {part.length:.1f} mm long",
-            expected=f"at least segmentation.min_length_mm = {recipe.segmentation.min_length_mm:g}",
-            mend="give the mask of the whole needle, or lower min_length_mm",
-        )
-    return part
-
-
 def thresholds(volume: Volume, recipe: ReconstructionRecord) -> list[tuple[float, float]]:
     """Return the pairs of low and high thresholds (HU) to try, the most demanding first.
 
@@ -137,7 +116,7 @@ def components(volume: Volume, low: float, high: float) -> list[Component]:
         if np.count_nonzero(inside) < LEAST_VOXELS or not np.any(volume.values[box][inside] > high):
             continue
         start = np.array([s.start for s in box])
-        parts.append(_measured(volume, (np.argwhere(inside) + start)[:, ::-1]))
+        parts.append(measured(volume, (np.argwhere(inside) + start)[:, ::-1]))
     if not parts:
         raise DataError(
             f"no voxels exceed {high:.0f} HU",
@@ -172,7 +151,8 @@ def main_axes(points: Floats) -> tuple[Floats, Floats]:
     return center, axes.T[::-1]
 
 
-def _measured(volume: Volume, voxels: Ints) -> Component:
+def measured(volume: Volume, voxels: Ints) -> Component:
+    """Return what `voxels` (N, 3), i, j, k, are as a component."""
     points = to_patient(volume, voxels)
     center, axes = main_axes(points)
     local = (points - center) @ axes.T
@@ -218,7 +198,7 @@ def _joined(
         found = False
         for part in waiting:
             if _continues(volume, needle, part, recipe):
-                needle = _measured(volume, np.concatenate([needle.voxels, part.voxels]))
+                needle = measured(volume, np.concatenate([needle.voxels, part.voxels]))
                 waiting = [p for p in waiting if p is not part]
                 found = True
                 break

@@ -1,0 +1,122 @@
+"""A needle's mask counts where it stands, whatever the order of its voxels."""
+
+import re
+from dataclasses import replace
+
+import ct_cases as cases
+import numpy as np
+import pytest
+
+from needlefit.errors import DataError
+from needlefit.imaging.needle.centerline import trace
+from needlefit.imaging.needle.mask import from_mask
+from needlefit.imaging.needle.segmentation import segment
+from needlefit.imaging.volume import Volume, write
+from needlefit.synthetic.ct.scene import Needle3D
+
+TRUTH = cases.axis(curve=(2.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def volume():
+    """Two needles, 5 mm apart along L."""
+    return cases.scan(TRUTH, scene={"needles": (Needle3D(TRUTH + np.array([5.0, 0, 0])),)})
+
+
+@pytest.fixture(scope="module")
+def mask(volume):
+    """The first of them."""
+    values = np.zeros_like(volume.values)
+    values[:, :, :29] = volume.values[:, :, :29] > 1500
+    return replace(volume, values=values)
+
+
+def saved(folder, mask):
+    write(mask, folder / "mask.nrrd")
+    return folder / "mask.nrrd"
+
+
+def refused(folder, volume, mask, words):
+    path = saved(folder, mask)
+    with pytest.raises(DataError, match=words) as error:
+        from_mask(volume, path, cases.RECIPE)
+    assert str(path) in str(error.value) and error.value.mend
+
+
+def flipped(mask, axis):
+    """The same voxels, counted from the other end of an axis (0: i)."""
+    last = np.zeros(3)
+    last[axis] = mask.grid.size[axis] - 1
+    direction = mask.direction.copy()
+    direction[:, axis] *= -1
+    origin = mask.origin + mask.direction @ (mask.spacing * last)
+    return Volume(np.flip(mask.values, 2 - axis).copy(), origin, mask.spacing, direction)
+
+
+def permuted(mask):
+    """The same voxels, i for k."""
+    turned = [2, 1, 0]
+    values = np.ascontiguousarray(mask.values.transpose(2, 1, 0))
+    return Volume(values, mask.origin, mask.spacing[turned], mask.direction[:, turned])
+
+
+def cropped(mask):
+    origin = mask.origin + mask.direction @ (mask.spacing * [4, 6, 0])
+    return replace(mask, values=mask.values[:, 6:, 4:].copy(), origin=origin)
+
+
+def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
+    with pytest.raises(DataError, match="two needles"):
+        segment(volume, cases.RECIPE)
+    line = trace(volume, from_mask(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE)
+    assert np.linalg.norm(line.tip - TRUTH[-1]) < 0.15
+
+
+@pytest.mark.parametrize(
+    "stored",
+    [
+        lambda mask: flipped(mask, 0),
+        lambda mask: flipped(flipped(mask, 1), 2),
+        permuted,
+        lambda mask: flipped(permuted(mask), 2),
+        cropped,
+    ],
+)
+def test_the_order_in_which_a_mask_is_stored_changes_nothing(stored, volume, mask, tmp_path):
+    plain = from_mask(volume, saved(tmp_path, mask), cases.RECIPE)
+    other = from_mask(volume, saved(tmp_path, stored(mask)), cases.RECIPE)
+    assert np.array_equal(other.voxels, plain.voxels)
+
+
+def test_a_mask_of_other_voxels_is_asked_at_those_of_the_scan(volume, mask, tmp_path):
+    """Half the spacing: eight voxels for each of the scan's, about the same centre."""
+    fine = mask.values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
+    half = mask.spacing / 2
+    origin = mask.origin - mask.direction @ (half / 2)
+    plain = from_mask(volume, saved(tmp_path, mask), cases.RECIPE)
+    other = from_mask(volume, saved(tmp_path, Volume(fine, origin, half, mask.direction)), cases.RECIPE)
+    assert np.array_equal(other.voxels, plain.voxels)
+
+
+@pytest.mark.parametrize(
+    ("shift", "words"),
+    [((0.0, 0, 200.0), "100 % of what it marks lies outside"), ((-4.0, -3.0, 0), "no brighter")],
+)
+def test_a_mask_from_another_place_is_refused(shift, words, volume, mask, tmp_path):
+    refused(tmp_path, volume, replace(mask, origin=mask.origin + shift), words)
+
+
+def test_a_mask_whose_header_was_lost_is_refused(volume, mask, tmp_path):
+    refused(tmp_path, volume, replace(mask, spacing=np.ones(3)), "does not lie on the needle")
+
+
+@pytest.mark.parametrize(
+    ("marks", "words"),
+    [
+        (lambda values: np.zeros_like(values), "marks 0 voxels"),
+        (lambda values: np.ones_like(values), "marks the whole scan"),
+        (lambda values: values * (np.arange(len(values)) < 12)[:, None, None], re.escape("mm long")),
+    ],
+)
+def test_masks_that_cannot_be_a_needle(marks, words, volume, mask, tmp_path):
+    refused(tmp_path, volume, replace(mask, values=marks(mask.values)), words)
