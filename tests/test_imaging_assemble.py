@@ -92,6 +92,14 @@ def changed_pose(**changes):
     return replace(small(), pose=replace(small().pose, source="stage", **changes))
 
 
+def own_surface(profile):
+    """Where the tissue begins is said by its surface."""
+    (surface,) = small().layers.surfaces
+    return replace(
+        small(), layers=replace(small().layers, surfaces=(surface, replace(surface, into=1))), profile=profile
+    )
+
+
 @pytest.mark.parametrize(
     ("one", "words"),
     [
@@ -106,6 +114,10 @@ def changed_pose(**changes):
                 profile=replace(small().profile, s=small().profile.s + 4.0),
             ),
             r"begins [34]\.\d\d \+- .* mm after the stage's entry",
+        ),
+        (
+            lambda: own_surface(replace(small().profile, s=small().profile.s - 2.0)),
+            r"begins [12]\.\d\d \+- .* mm before its own surface",
         ),
         (
             lambda: replace(

@@ -30,8 +30,8 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame, entry_frame
-from needlefit.geometry.surfaces import read_surface, sheet, write_surface
-from needlefit.imaging.layer_doubts import doubts
+from needlefit.geometry.surfaces import Surface, cylinder, moved, read_surface, sheet, write_surface
+from needlefit.imaging.layer_doubts import doubts, refuse_tunnels
 from needlefit.imaging.layers import LayerErrors, layer_errors, met, read_layers
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register
@@ -405,16 +405,38 @@ def test_layers_counted_must_be_met():
         doubts(scan(layers=2), nothing, NEEDLE, HOME)
 
 
-def test_a_needle_left_out_of_its_segmentation_is_told(tmp_path):
-    """Its voxels, 1.5 mm about x, are 0: the layers run around it and are never crossed."""
+def without(left_out):
+    """Two layers, parted at x = 0, in a ball of 12 mm; 0 where `left_out` of LPS points says so."""
 
     def label(points):
-        return (1 + (points[:, 0] > 0)) * (np.hypot(points[:, 1], points[:, 2]) > 1.5)
+        inside = (np.linalg.norm(points, axis=1) < 12) & ~left_out(points)
+        return (1 + (points[:, 0] > 0)) * inside
 
-    surfaces = read_layers(scan(save(tmp_path / "tunnel.nrrd", labelled(label))), HOME)
-    needle = np.column_stack([np.linspace(-8, 8, 60), np.zeros((60, 2))])
-    said = doubts(scan(), met(needle, HOME, surfaces, LayerErrors(0.1, np.zeros(60))), needle, HOME)
-    assert any("label its voxels" in one for one in said)
+    return label
+
+
+AXIS = np.column_stack([np.linspace(-20, 8, 60), np.zeros((60, 2))])
+"""A needle along x, its tip in the second layer."""
+
+
+@pytest.mark.parametrize("end", [8.0, 20.0])
+def test_layers_drawn_around_the_needle_are_refused(end, tmp_path):
+    """Within 1.5 mm of it voxels are 0, up to its tip, where both layers would be crossed, or beyond."""
+    tunnel = without(lambda p: (np.hypot(p[:, 1], p[:, 2]) < 1.5) & (p[:, 0] < end))
+    source = scan(save(tmp_path / "tunnel.nrrd", labelled(tunnel)), layers=2)
+    with pytest.raises(DataError, match=r"around the needle.*layer_1 \(along (19|20) mm\), layer_2") as error:
+        refuse_tunnels(source, read_layers(source, HOME), AXIS)
+    assert "label the needle's voxels" in error.value.mend
+
+
+def test_what_a_needle_passes_through_is_no_tunnel(tmp_path):
+    """Whole layers; a vessel across; a ball of 3 mm; the edge of a box, 1 mm beside the needle."""
+    whole = read_layers(scan(save(tmp_path / "whole.nrrd", labelled(without(lambda p: p[:, 0] > 99)))), HOME)
+    vessel = cylinder("vessel", ((0, -10, 0), (0, 10, 0)), 1.5, into=3)
+    ball = Surface("ball", trimesh.creation.icosphere(3, 3.0), "solid", 3)
+    box = Surface("box", trimesh.creation.box((60, 20, 20), np.eye(4)), "solid", 3)
+    beside = moved(box, Frame(np.array([0.0, 11.0, 11.0]), np.eye(3)))
+    refuse_tunnels(scan(), (*whole, vessel, ball, beside), AXIS)
 
 
 # ---- what becomes of them

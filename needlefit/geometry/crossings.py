@@ -84,6 +84,12 @@ def surface_hits(curve: Floats, surface: Surface) -> Floats:
     return np.array([arc[g[0]] for g in through])
 
 
+def ray_hits(start: Floats, rays: Floats, triangles: Floats) -> int:
+    """Return how many of the segments from `start` (3,) along `rays` (N, 3) meet triangles (M, 3, 3)."""
+    segment, _, _ = _intersect(np.broadcast_to(start, rays.shape), rays, triangles)
+    return len(np.unique(segment))
+
+
 def _triangle_hits(curve: Floats, triangles: Floats) -> tuple[Floats, Floats]:
     """Return arc length and side (+1: along the triangle's normal) of every hit of segment and triangle."""
     low, high = curve.min(axis=0) - SAME, curve.max(axis=0) + SAME

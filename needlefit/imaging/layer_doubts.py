@@ -1,11 +1,12 @@
 """What speaks against the layers that a needle was found to meet."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings, surface_hits
+from needlefit.geometry.enclosure import enclosed_length
 from needlefit.geometry.frames import Floats, Frame
 from needlefit.geometry.patient import SIGNS
 from needlefit.geometry.surfaces import Surface, moved, nearest
@@ -13,7 +14,33 @@ from needlefit.imaging.reconstruction import Layers
 from needlefit.imaging.scan import Scan
 
 TUNNEL = 2.0
-"""A surface that stays nearer than this, mm, along half of a needle was drawn around it."""
+"""Nearer than this, mm, nothing in the tissue runs around a needle but what was drawn around it."""
+
+LONG = 2 * TUNNEL
+"""A surface runs along a needle from this length on, mm: no ball of that radius is passed through so long."""
+
+
+def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> None:
+    """Refuse layers drawn around a needle (N, 3), world, from base to tip.
+
+    Where metal was left out of a segmentation, the needle lies in a tunnel of each layer, and crosses their
+    surfaces where the tunnels end: anywhere.
+
+    Raises
+    ------
+    DataError
+        If a surface, the tissue's own or another, runs around the needle.
+    """
+    lengths = [(surface.name, enclosed_length(needle, surface, TUNNEL)) for surface in surfaces]
+    around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= LONG]
+    if around:
+        raise DataError(
+            f"the layers run around the needle, so that it does not cross them: {', '.join(around)}",
+            where=str(scan.volume),
+            expected="surfaces that the needle passes through",
+            mend="label the needle's voxels as the tissue around them, e.g. in 3D Slicer's Segment "
+            "Editor by Smoothing, Closing (fill holes), with a kernel wider than the needle, for each layer",
+        )
 
 
 def doubts(scan: Scan, layers: Layers, points: Floats, patient: Frame) -> tuple[str, ...]:
@@ -61,8 +88,6 @@ def _doubts(layers: Layers, points: Floats, patient: Frame) -> Iterator[str]:
         yield f"the needle crosses no layer; the nearest surface stays {away.min():.1f} mm away"
         if _crossed_in_ras(layers, points, patient):
             yield "the needle would cross layers if their files were in RAS: save them in LPS"
-        if np.median(away) < TUNNEL:
-            yield "the surfaces go along the needle: label its voxels as the tissue around them"
 
 
 def _beside(points: Floats, surface: Surface) -> float | None:

@@ -14,7 +14,7 @@ from needlefit.geometry.patient import IN_PATIENT
 from needlefit.geometry.plane import bending_plane
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
-from needlefit.imaging.layer_doubts import doubts
+from needlefit.imaging.layer_doubts import doubts, refuse_tunnels
 from needlefit.imaging.layers import layer_errors, met, read_layers
 from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
 from needlefit.imaging.needle.centerline import Centerline, trace
@@ -28,7 +28,7 @@ from needlefit.imaging.registration.register import (
     predicted_mean_target_error,
     register,
 )
-from needlefit.imaging.remarks import remarks
+from needlefit.imaging.remarks import BEYOND, remarks
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.threads import one_thread
 from needlefit.imaging.views import views
@@ -90,6 +90,7 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     volume = read(scan.volume, scan.series)
     seen = see(volume, scan, recipe)
     surfaces = read_layers(scan, seen.patient, volume.grid)
+    refuse_tunnels(scan, surfaces, seen.world)
     pose, shaft = _pose(seen, scan, surfaces, recipe)
     begin = entry.start(seen.world, pose)
     points, sd = _inserted(seen, begin, recipe.centerline.station_mm)
@@ -195,9 +196,11 @@ def _tissue(
     """
     outer = [surface for surface in surfaces if surface.into == 1]
     hits = np.concatenate([surface_hits(seen.world, surface) for surface in outer]) if outer else np.empty(0)
-    if len(hits):
-        return float(hits.min()), recipe.layers.surface_sd_mm
     edge = tissue_edge(seen.profile)
+    if len(hits):
+        at = float(hits.min())
+        _refuse_elsewhere(at, edge, scan)
+        return at, recipe.layers.surface_sd_mm
     if edge is None:
         raise DataError(
             "the scan does not show where the needle enters the tissue",
@@ -207,6 +210,21 @@ def _tissue(
             "layers, as FILE=sheet:1 or FILE=solid:1",
         )
     return edge
+
+
+def _refuse_elsewhere(at: float, edge: tuple[float, float] | None, scan: Scan) -> None:
+    """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
+    if edge is None or abs(at - edge[0]) <= entry.FARTHEST + BEYOND * edge[1]:
+        return
+    side = "behind" if at > edge[0] else "before"
+    raise DataError(
+        f"the needle crosses the tissue's own surface {abs(at - edge[0]):.1f} mm {side} the place where the "
+        "scan shows tissue to begin",
+        where=str(scan.volume),
+        expected=f"within {entry.FARTHEST:g} mm of it",
+        mend="see both in 3D Slicer: label the needle's voxels as the tissue around them, check the frame of "
+        "the surfaces; if they are right, state the stage (entry_x_mm ... pose_angle_sd_deg)",
+    )
 
 
 def _inserted(seen: Seen, begin: float, station: float) -> tuple[Floats, Floats]:

@@ -46,18 +46,25 @@ def _entry(one: Reconstruction) -> list[str]:
             f"the entry axis is drawn through the shaft outside the tissue: +- {at_tip:.2f} mm at the tip's "
             "depth; the stage's axis, where it is known, is surer"
         )
-    edge = tissue_edge(one.profile)
-    if one.pose.source != "stage":
-        return notes
-    if one.shaft is not None and disagreement(one.pose, one.shaft).worst > BEYOND:
-        notes.append(disagreement(one.pose, one.shaft).said)
-    if edge is None:
+    if one.pose.source == "stage" and one.shaft is not None:
+        apart = disagreement(one.pose, one.shaft)
+        notes += [apart.said] if apart.worst > BEYOND else []
+    edge, told = tissue_edge(one.profile), _entry_from(one)
+    if edge is None or told is None:
         return notes
     off, sd = edge[0], float(np.hypot(edge[1], one.pose.along_sd))
     if abs(off) > BEYOND * sd:
         side = "after" if off > 0 else "before"
-        notes.append(f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} the stage's entry")
+        notes.append(f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {told}")
     return notes
+
+
+def _entry_from(one: Reconstruction) -> str | None:
+    """Return what says where the tissue begins; None if that is the brightness of the scan itself."""
+    if one.pose.source == "stage":
+        return "the stage's entry"
+    own = any(surface.into == 1 for surface in one.layers.surfaces)
+    return "its own surface (into = 1)" if own else None
 
 
 def _plane(one: Reconstruction) -> list[str]:

@@ -20,7 +20,7 @@ BESIDE = 2
 """Width in voxels of the gap between a mask and its surroundings, and of these."""
 
 STANDS_OUT = 2.0
-"""Metal is brighter than the median of its surroundings by so many times what their brightest twentieth is."""
+"""Metal stands out from the median of its surroundings so many times as far as their 95th percentile does."""
 
 NO_MASK = "segment the needle in this scan, and save the segmentation as NRRD or NIfTI"
 

@@ -1,0 +1,45 @@
+"""Where the tissue begins: by its own surface, unless the scan itself shows another place."""
+
+import ct_cases as cases
+import numpy as np
+import pytest
+from layer_cases import save_mesh
+from reconstruction_cases import small_scan
+
+from needlefit.errors import DataError
+from needlefit.geometry.surfaces import cylinder, sheet
+from needlefit.imaging.reconstruct import reconstruct
+from needlefit.imaging.scan import LayerSource, Scan
+from needlefit.imaging.volume import write
+
+FACE = cases.ENTRY[2]
+"""Where the scan's tissue begins, along S, mm."""
+
+
+def scan(folder, mesh):
+    write(small_scan(), folder / "small.nrrd")
+    own = LayerSource(save_mesh(folder / "own.stl", mesh), into=1)
+    return Scan("small", folder / "small.nrrd", "box", surfaces=(own,), surfaces_in="scan")
+
+
+def face(at):
+    return sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).mesh
+
+
+def test_the_tissue_s_own_surface_says_where_it_begins(tmp_path):
+    one = reconstruct(scan(tmp_path, face(FACE + 2.0)), cases.RECIPE)
+    assert one.points[0, 2] == pytest.approx(FACE + 2.0, abs=0.05)
+    assert any("before its own surface" in said for said in one.remarks)
+
+
+def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
+    with pytest.raises(DataError, match=r"own surface 8\.[01] mm behind the place") as error:
+        reconstruct(scan(tmp_path, face(FACE + 8.0)), cases.RECIPE)
+    assert "state the stage" in error.value.mend
+
+
+def test_a_surface_drawn_along_the_needle_is_refused(tmp_path):
+    """A tube of 1.8 mm radius about it, of which only the ends are crossed."""
+    around = cylinder("own", (np.array([11.0, 11, FACE]), np.array([11.0, 12, FACE + 24])), 1.8, into=1)
+    with pytest.raises(DataError, match="run around the needle"):
+        reconstruct(scan(tmp_path, around.mesh), cases.RECIPE)
