@@ -307,6 +307,11 @@ def test_voxels_need_not_be_cubes(tmp_path):
     assert thick.depth == pytest.approx(25.0, abs=0.6)
 
 
+def test_a_frame_that_is_none_is_refused(tmp_path, capsys):
+    assert run("reconstruct", VOLUME, "--layers-in", "scn", "--out", tmp_path / "out") == 2
+    assert "'world', 'scan'" in capsys.readouterr().err
+
+
 def test_a_table_of_scans_stands_alone(tmp_path, capsys):
     assert run("reconstruct", SAMPLE / "scans.csv", "--markers", MARKERS, "--out", tmp_path / "out") == 2
     assert "stands alone" in capsys.readouterr().err

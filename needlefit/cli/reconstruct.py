@@ -3,7 +3,7 @@
 import shutil
 from collections.abc import Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
 from typer.core import TyperCommand
@@ -66,7 +66,7 @@ def reconstruct(
         typer.Option(metavar="FILES...", help="STL, PLY or OBJ, from the entry inwards; or a segmentation."),
     ] = None,
     layers_in: Annotated[
-        str | None, typer.Option(metavar="world|scan", help="Frame of the surfaces (default: world).")
+        Literal["world", "scan"] | None, typer.Option(help="Frame of the surfaces (default: world).")
     ] = None,
     mask: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The needle's voxels, segmented elsewhere.")
