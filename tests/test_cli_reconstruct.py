@@ -3,6 +3,7 @@
 import json
 import re
 import shutil
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import trimesh
 
 from needlefit.cli import main
+from needlefit.cli.several_layers import repeated
 from needlefit.datasets.check import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.imaging.volume import Volume, read, write
@@ -305,6 +307,43 @@ def test_voxels_need_not_be_cubes(tmp_path):
     )
     (thick,) = read_dataset(tmp_path / "out").insertions
     assert thick.depth == pytest.approx(25.0, abs=0.6)
+
+
+@pytest.mark.parametrize(
+    ("words", "taken"),
+    [
+        (["s", "--layers", "a", "b=sheet:2", "--out", "o"], ["a", "b=sheet:2"]),
+        (["s", "--layers=a", "b", "--out", "o"], ["a", "b"]),
+        (["s", "--layers=a", "--layers", "b", "c", "--out", "o"], ["a", "b", "c"]),
+        (["--layers", "a", "b", "--out", "o", "s"], ["a", "b"]),
+        (["--layers", "a", "--", "s", "--out"], ["a"]),
+    ],
+)
+def test_layers_are_all_words_up_to_the_next_option(words, taken):
+    said = repeated(words)
+    layers = [word for before, word in pairwise(said) if before == "--layers"]
+    layers += [word.removeprefix("--layers=") for word in said if word.startswith("--layers=")]
+    assert sorted(layers) == taken
+    rest = [word for word in words if word not in taken and not word.startswith("--layers")]
+    assert [word for word in said if word not in taken and not word.startswith("--layers")] == rest
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ([VOLUME, "--layers"], "names no file"),
+        ([VOLUME, "--layers", "--quiet"], "names no file"),
+        (["--layers", *LAYERS, VOLUME], "put SCAN first"),
+        ([f"--layers={LAYERS[0]}", VOLUME], "put SCAN first"),
+        (["--markers", MARKERS], "Missing argument"),
+    ],
+)
+def test_layers_and_scans_are_told_apart(words, told, tmp_path, capsys):
+    assert run("reconstruct", *words, "--out", tmp_path / "out") == 2
+    said = " ".join(capsys.readouterr().err.split())
+    assert told in said
+    assert run("reconstruct", "--out", tmp_path / "out", *words) == 2
+    assert not (tmp_path / "out").exists()
 
 
 def test_a_frame_that_is_none_is_refused(tmp_path, capsys):

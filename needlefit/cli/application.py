@@ -11,7 +11,8 @@ from needlefit.cli.check import check
 from needlefit.cli.material import material
 from needlefit.cli.paper import paper
 from needlefit.cli.predict import predict
-from needlefit.cli.reconstruct import SeveralLayers, reconstruct
+from needlefit.cli.reconstruct import reconstruct
+from needlefit.cli.several_layers import SeveralLayers
 from needlefit.cli.simulate import simulate
 from needlefit.cli.start import init, new_dataset
 from needlefit.cli.tune import tune

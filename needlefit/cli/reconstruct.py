@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
-from typer.core import TyperCommand
 
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import reconstructions
@@ -23,21 +22,6 @@ if TYPE_CHECKING:
 
 MOST_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
-
-
-class SeveralLayers(TyperCommand):
-    """A command whose `--layers` takes all words up to the next option."""
-
-    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
-        """Repeat `--layers` before each of its files, as typer wants it."""
-        words, repeated = [], False
-        for word in args:
-            if word.startswith("-") and word != "-":
-                repeated = word == "--layers"
-                if repeated:
-                    continue
-            words += ["--layers", word] if repeated else [word]
-        return super().parse_args(ctx, words)
 
 
 def reconstruct(
