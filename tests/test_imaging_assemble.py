@@ -62,6 +62,43 @@ def test_surfaces_that_all_share_are_written_once_others_for_each(tmp_path):
     assert b.boundaries - a.boundaries == pytest.approx([0.5], abs=0.02)
 
 
+def with_surfaces(name, medium, *names):
+    """An insertion whose layers have these names, each 1 mm behind the one before."""
+    one = named(name)
+    (surface,) = one.layers.surfaces
+    into = one.frame.rotation[:, 0]
+    surfaces = tuple(
+        replace(moved(surface, Frame(n * into, np.eye(3))), name=called, into=n + 2)
+        for n, called in enumerate(names)
+    )
+    layers = replace(one.layers, surfaces=surfaces, sequence=tuple(range(1, len(names) + 2)))
+    return replace(one, scan=replace(one.scan, medium=medium), layers=layers)
+
+
+def test_what_surfaces_are_called_never_spoils_a_file(tmp_path):
+    one = with_surfaces("a", "gel", "skin {id}/2", "Fett (außen)", "fett au en", "x_1")
+    assemble(tmp_path, [one], RECIPE, ABOUT)
+    found = sorted(file.name for file in (tmp_path / "layers").iterdir())
+    assert found == ["gel_Fett_au_en_.stl", "gel_fett_au_en.stl", "gel_skin_id_2.stl", "gel_x_1.stl"]
+    assert check(tmp_path) == []
+
+
+@pytest.mark.parametrize("names", [("x", "x", "x_1"), ("x", "X", "x_1"), ("é", "e", "e_1")])
+def test_surfaces_of_one_name_are_numbered(names, tmp_path):
+    assemble(tmp_path, [with_surfaces("a", "gel", *names)], RECIPE, ABOUT)
+    found = {file.name.lower() for file in (tmp_path / "layers").iterdir()}
+    assert len(found) == 3 and all(name.endswith(("_1.stl", "_2.stl", "_3.stl")) for name in found)
+    assert check(tmp_path) == []
+
+
+def test_two_media_never_share_a_file(tmp_path):
+    with pytest.raises(DataError, match=r"two media would write layers/gel_b_c\.stl") as error:
+        assemble(
+            tmp_path, [with_surfaces("a", "gel", "b_c"), with_surfaces("b", "gel_b", "c")], RECIPE, ABOUT
+        )
+    assert error.value.mend
+
+
 def test_scans_of_one_medium_have_the_same_layers(tmp_path):
     without = replace(small(layers=False), scan=replace(small().scan, id="b"))
     with pytest.raises(DataError, match="not those of a") as error:

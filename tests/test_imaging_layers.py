@@ -125,7 +125,7 @@ def test_segments_of_slicer_are_layers_in_its_order_by_name(tmp_path):
     path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(7, "fat"), (3, "Müskel & Haut")])
     fat, muscle = read_layers(scan(path), HOME)
     assert (fat.name, fat.into) == ("layer_1_fat", 1)
-    assert (muscle.name, muscle.into) == ("layer_2_M_skel_Haut", 2)
+    assert (muscle.name, muscle.into) == ("layer_2_Muskel_Haut", 2)
     assert muscle.mesh.bounds[0, 0] == pytest.approx(0, abs=0.3)
     assert fat.mesh.bounds[0, 0] < -10
 

@@ -81,6 +81,8 @@ def test_empty_cells_are_defaults(folder):
     [
         ("id,scan", "../a,one.nrrd", "id is '../a'"),
         ("scan", "none.nrrd", "there is no scan"),
+        ("scan,medium", "one.nrrd,gel/2", "medium is 'gel/2'"),
+        ("scan,medium", "one.nrrd,gel{id}", "medium is 'gel{id}'"),
         ("id,scan", "a,", "scan is empty"),
         ("scan,mask", "one.nrrd,none.nrrd", "there is no file"),
         ("scan,markers", "one.nrrd,none.csv", "the markers of this scan"),
@@ -144,11 +146,32 @@ def test_all_faults_are_told_at_once(folder):
     ("path", "id_"),
     [
         ("scans/a b (2).nii.gz", "a_b_2_"), ("layers.seg.nrrd", "layers"), ("x/../series7", "series7"),
-        ("IM0001.DCM", "IM0001"), ("ü.nrrd", "scan"), ("v1.2", "v1.2"),
+        ("IM0001.DCM", "IM0001"), ("Müller.nrrd", "Muller"), ("Mu\u0308ller.nrrd", "Muller"),
+        ("患者 7.nrrd", "7"), ("患者.nrrd", "scan"), ("v1.2", "v1.2"),
     ],
 )  # fmt: skip
 def test_the_id_of_a_volume_is_its_name(path, id_):
     assert id_of(Path(path)) == id_
+
+
+def test_a_link_has_its_own_name(tmp_path):
+    (tmp_path / "store").mkdir()
+    (tmp_path / "needle7").symlink_to(tmp_path / "store")
+    assert id_of(tmp_path / "needle7") == "needle7"
+    assert id_of(tmp_path / "store" / "..") == tmp_path.name
+
+
+def test_a_medium_that_names_no_file_is_refused(folder):
+    for medium in ("../gel", "gel{id}", "pork loin"):
+        with pytest.raises(DataError, match="medium is") as error:
+            scans_of([folder / "one.nrrd"], medium=medium)
+        assert error.value.mend
+
+
+def test_fiducials_need_markers(folder):
+    with pytest.raises(DataError, match="no markers: they would be laid on nothing") as error:
+        scans_of([folder / "one.nrrd"], fiducials=folder / "placed.mrk.json")
+    assert "--markers" in error.value.mend
 
 
 def test_volumes_named_one_by_one_share_what_is_known(folder):

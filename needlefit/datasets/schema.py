@@ -1,6 +1,7 @@
 """The columns of `insertions.csv` and of a centreline, and a row of the former."""
 
 import re
+import unicodedata
 from dataclasses import dataclass
 from typing import Literal, get_args
 
@@ -41,6 +42,15 @@ POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
 ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 """An id names a file: letters, digits, point, underline, hyphen."""
+
+
+def as_id(text: str, otherwise: str) -> str:
+    """Return `text` with only what `ID` allows, `otherwise` where nothing is left.
+
+    Letters lose their accents, so that a name is the same id however its file system writes them.
+    """
+    plain = "".join(one for one in unicodedata.normalize("NFKD", text) if not unicodedata.combining(one))
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", plain).lstrip("._-") or otherwise
 
 
 @dataclass(frozen=True)

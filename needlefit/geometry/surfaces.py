@@ -63,7 +63,7 @@ def write_surface(surface: Surface, path: Path) -> None:
     mesh = trimesh.Trimesh(vertices, mesh.faces, face_normals=normals, process=False)
     mesh.metadata["name"] = surface.name
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_bytes(trimesh.exchange.stl.export_stl_ascii(mesh).encode("ascii"))
+    path.write_bytes(trimesh.exchange.stl.export_stl_ascii(mesh).encode("ascii", "replace"))
 
 
 def moved(surface: Surface, frame: Frame) -> Surface:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.schema import InsertionRow
+from needlefit.datasets.schema import InsertionRow, as_id
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
@@ -47,7 +47,8 @@ def assemble(
     Raises
     ------
     DataError
-        If the scans of one medium have layers of different kinds or numbers.
+        If the scans of one medium have layers of different kinds or numbers, or the surfaces of two media
+        would have one name.
     """
     media: dict[str, list[Reconstruction]] = {}
     for one in ones:
@@ -56,6 +57,7 @@ def assemble(
     surfaces: dict[str, Surface] = {}
     for name, group in media.items():
         records[name], files = _medium(name, group, (about.media or {}).get(name, ""))
+        _require_new(files, surfaces, name)
         surfaces |= files
     return write_dataset(
         folder,
@@ -168,12 +170,24 @@ def _medium(
     return DatasetMediumRecord(surfaces=records, note=note), files
 
 
+def _require_new(files: Mapping[str, Surface], written: Mapping[str, Surface], medium: str) -> None:
+    """Refuse names that a medium shares with another: `a` with `b_c` and `a_b` with `c` both make `a_b_c`."""
+    both = sorted(files.keys() & written.keys())
+    if both:
+        raise DataError(
+            f"two media would write {both[0]}",
+            where=f"medium {medium}",
+            expected="names of media and surfaces that make different files",
+            mend="rename the medium, or the file of the surface",
+        )
+
+
 def _stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
-    """Return a file name for each surface: its own after the medium's, numbered where two have the same."""
-    own = [surface.name.removeprefix(f"{medium}_") for surface in surfaces]
-    return [
-        f"{medium}_{name}" + (f"_{n}" if own.count(name) > 1 else "") for n, name in enumerate(own, start=1)
-    ]
+    """Return a file name for each surface: its own after the medium's, numbered where two are alike."""
+    own = [as_id(surface.name.removeprefix(f"{medium}_"), "surface") for surface in surfaces]
+    if len({name.lower() for name in own}) < len(own):  # not every file system tells a from A
+        own = [f"{name}_{n}" for n, name in enumerate(own, start=1)]
+    return [f"{medium}_{name}" for name in own]
 
 
 def _same(one: Sequence[Surface], other: Sequence[Surface]) -> bool:

@@ -11,7 +11,6 @@ s^2 / 2 (1 / R1 + 1 / R2), s about 0.7 mm: 0.03 mm at a cylinder of radius 10 mm
 right-angled edge loses about 0.5 mm along its bisector, the corner of a box about 1 mm.
 """
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +20,7 @@ from scipy.special import ndtri
 from skimage.measure import block_reduce, marching_cubes
 
 from needlefit.datasets.layers import mesh_faults
+from needlefit.datasets.schema import as_id
 from needlefit.errors import DataError
 from needlefit.geometry.solids import closed
 from needlefit.geometry.surfaces import Surface
@@ -77,7 +77,7 @@ def _surface(
     kji, faces = boundary(mask, labels.volume.spacing[::-1])
     points = to_patient(labels.volume, (kji + low)[:, ::-1])
     name = labels.segments[layer - 1].name
-    surface, loose = closed(_plain(f"layer {layer} {name}"), points, faces, layer)
+    surface, loose = closed(as_id(f"layer {layer} {name}".strip(), ""), points, faces, layer)
     said = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (
         layer < len(labels.segments)
     )
@@ -117,8 +117,3 @@ def boundary(
     distance = np.where(np.abs(distance) < AT_CORNER, np.copysign(AT_CORNER, distance), distance)
     vertices, faces, _, _ = marching_cubes(distance, 0.0)
     return vertices * block + (block - 1) / 2 - before, faces.astype(np.int64)
-
-
-def _plain(name: str) -> str:
-    """Return a name that any file can hold."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name).strip("_")

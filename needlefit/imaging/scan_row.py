@@ -123,9 +123,8 @@ def _count(value: float) -> int | None:
 
 def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
     """Say what is wrong with a row by itself; with its numbers only if all could be read."""
-    if row.text["id"] and not ID.fullmatch(row.text["id"]):
-        what, expected = f"id is {row.text['id']!r}", "letters, digits, `.`, `_`, `-`: it names a file"
-        yield Fault(row.where, what, expected, "rename it")
+    for name in ("id", "medium"):
+        yield from name_faults(name, row.text[name], row.where)
     for name, words in CHOICES.items():
         if row.text[name] and row.text[name] not in words:
             expected = f"{' or '.join(words)}, or an empty cell: {words[0]}"
@@ -134,6 +133,19 @@ def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
     if numbers_read:
         yield from _stage_faults(row)
         yield from _number_faults(row)
+
+
+def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
+    """Say that an id or a medium cannot name files; an empty one is a default."""
+    if given and not ID.fullmatch(given):
+        expected = "A-Z, a-z, digits, `.`, `_`, `-`, the first a letter or digit: it names files"
+        yield Fault(where, f"{name} is {given!r}", expected, "rename it")
+
+
+def unlaid(where: str, mend: str) -> Fault:
+    """Return the fault of fiducials without markers."""
+    what = "fiducials are given, but no markers: they would be laid on nothing"
+    return Fault(where, what, "the known places of the markers, too", mend)
 
 
 def _file_faults(row: ScanRow) -> Iterator[Fault]:
@@ -147,8 +159,7 @@ def _file_faults(row: ScanRow) -> Iterator[Fault]:
         if path is not None and not path.is_file():
             yield Fault(row.where, f"there is no file {path}", f"the {name} of this scan", _relative(row))
     if row.text["fiducials"] and not row.text["markers"]:
-        what = "fiducials are given, but no markers: they would be laid on nothing"
-        yield Fault(row.where, what, "the known places of the markers, too", "fill the cell under markers")
+        yield unlaid(row.where, "fill the cell under markers")
     yield from (layer for layer in row.layers() if isinstance(layer, Fault))
 
 

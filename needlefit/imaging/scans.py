@@ -1,7 +1,6 @@
 """Which scans to reconstruct: a table of them, or volumes named one by one."""
 
 import difflib
-import re
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -11,8 +10,18 @@ import numpy as np
 
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import Table, numbers, read_table
+from needlefit.datasets.schema import as_id
 from needlefit.imaging.scan import Scan
-from needlefit.imaging.scan_row import COLUMNS, NUMBERS, ScanRow, layer_source, row_faults, scan_of
+from needlefit.imaging.scan_row import (
+    COLUMNS,
+    NUMBERS,
+    ScanRow,
+    layer_source,
+    name_faults,
+    row_faults,
+    scan_of,
+    unlaid,
+)
 from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
 
 NO_VOLUME = Fault("", "there is no such file or folder", READABLE, "check the path")
@@ -67,7 +76,8 @@ def scans_of(
     Raises
     ------
     DataError
-        Listing every file that is missing, every layer that is not understood, and names that are alike.
+        Listing every file that is missing, every layer that is not understood, names that are alike or name
+        no file, and fiducials without markers.
     """
     found = [replace(NO_VOLUME, where=str(volume)) for volume in volumes if not volume.exists()]
     given = {
@@ -78,11 +88,14 @@ def scans_of(
     for expected, path in given.items():
         if path is not None and not path.is_file():
             found.append(Fault(str(path), "there is no such file", expected, "check the path"))
+    if fiducials and not markers:
+        found.append(unlaid(str(fiducials), "name the file of their known places, too: --markers"))
     if len(volumes) > 1 and (fiducials or mask):
         given_once = str(fiducials or mask)
         found.append(Fault(given_once, f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
     sources = [layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
+    found += name_faults("medium", medium, "medium")
     ids = [id_of(volume) for volume in volumes]
     found += _repeated(ids, [str(volume) for volume in volumes])
     if found:
@@ -104,10 +117,10 @@ def scans_of(
 
 
 def id_of(volume: Path) -> str:
-    """Return the id that a volume has by its name: no ending, and only what the name of a file may hold."""
-    name = volume.resolve().name
+    """Return the id that a volume has by its name as given: no ending, and only what an id may hold."""
+    name = volume.resolve().name if volume.name in ("", "..") else volume.name
     ending = next((end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm") if name.lower().endswith(end)), "")
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", name[: len(name) - len(ending)]).lstrip("._-") or "scan"
+    return as_id(name[: len(name) - len(ending)], "scan")
 
 
 def _column_faults(table: Table) -> Iterator[Fault]:
