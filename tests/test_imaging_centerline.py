@@ -206,6 +206,10 @@ def test_the_shipped_recipe_states_the_defaults():
         {"segmentation": {"threshold_low_hu": 2000.0, "threshold_high_hu": 1000.0}},
         {"centerline": {"entry_direction": [0.0, 0.0, 0.0]}},
         {"needle": {"diameter_mm": 0.0}},
+        {"centerline": {"station_mm": 1e-4}},
+        {"centerline": {"patch_mm": 1e3}},
+        {"centerline": {"knot_mm": 0.1}},
+        {"centerline": {"knot_mm": 1e4}},
     ],
 )
 def test_recipes_that_contradict_themselves(table):

@@ -41,9 +41,9 @@ class SegmentationRecord(Record):
 class CenterlineRecord(Record):
     """How the axis is drawn, and which end is the tip."""
 
-    station_mm: float = Field(default=0.5, gt=0)
-    patch_mm: float = Field(default=2.4, gt=0)
-    knot_mm: float = Field(default=15.0, gt=0)
+    station_mm: float = Field(default=0.5, ge=0.05, le=5)
+    patch_mm: float = Field(default=2.4, ge=0.5, le=20)
+    knot_mm: float = Field(default=15.0, ge=2, le=200)
     entry_direction: tuple[float, float, float] | None = None
 
     @model_validator(mode="after")
