@@ -268,6 +268,22 @@ def holed(faces):
     return mesh
 
 
+def without_lid():
+    """A box of 20 x 30 x 40 mm without the face of 20 x 30: 13 % of what is left of it."""
+    mesh = BOX.copy()
+    mesh.update_faces(mesh.face_normals[:, 2] < 0.5)
+    return mesh
+
+
+def test_a_sheet_may_be_as_bent_as_half_a_ball(tmp_path):
+    mesh = trimesh.creation.icosphere(subdivisions=3, radius=15)
+    mesh.update_faces(mesh.triangles_center[:, 2] > 0)
+    [skin] = read_layers(scan(save_mesh(tmp_path / "skin.stl", mesh)), HOME)
+    assert skin.kind == "sheet"
+    [lid] = read_layers(scan(LayerSource(save_mesh(tmp_path / "lid.stl", without_lid()), "sheet", 2)), HOME)
+    assert lid.kind == "sheet"  # as somebody said
+
+
 def turned():
     faces = BOX.faces.copy()
     faces[0] = faces[0][::-1]
@@ -278,11 +294,13 @@ def turned():
     ("mesh", "kind", "words"),
     [
         (holed(1), "solid", "does not close: 1 hole, 3 open edges"),
-        (holed(1), None, "a solid with a hole?"),
+        (holed(1), None, "a solid with a hole"),
         (pieces(), "solid", "falls apart into 2 pieces"),
         (turned(), "solid", "face opposite ways"),
         (BOX, "sheet", "is closed, but listed as a sheet"),
         (BOX.copy().apply_scale(1e-3), "solid", "looks like metres"),
+        (BOX.copy().apply_scale(1e3), "solid", "looks like micrometres"),
+        (without_lid(), None, "it looks like a solid with a hole"),
     ],
 )
 def test_a_mesh_that_is_no_boundary_says_why(tmp_path, mesh, kind, words):

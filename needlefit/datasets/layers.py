@@ -14,8 +14,8 @@ from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import Surface, read_surface, surface_faults
 from needlefit.project.records.dataset import DatasetRecord, SurfaceRecord
 
-SMALLEST_SURFACE = 1.0
-"""A surface whose greatest extent is less than this, mm, was written in metres."""
+SMALLEST_SURFACE, LARGEST_SURFACE = 1.0, 2000.0
+"""A surface whose greatest extent is less or more than this, mm, was written in metres or micrometres."""
 
 RESTORE = "check its name, or restore it"
 EXPORT = "export the surface again as triangles, e.g. as STL"
@@ -86,6 +86,13 @@ def mesh_faults(surface: Surface, path: Path) -> Iterator[Fault]:
             f"is {extent:.3g} across: this looks like metres",
             "millimetres",
             "multiply its coordinates by 1000",
+        )
+    if extent > LARGEST_SURFACE:
+        yield Fault(
+            str(path),
+            f"is {extent:.4g} mm across: this looks like micrometres, or like millimetres multiplied by 1000",
+            f"millimetres, at most {LARGEST_SURFACE:g} across",
+            "divide its coordinates by 1000",
         )
 
 

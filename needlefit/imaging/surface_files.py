@@ -16,8 +16,9 @@ from needlefit.imaging.scan import LayerSource
 HEAD = 4096
 """Bytes at the beginning of a file in which its coordinate system is looked for."""
 
-NARROW = 0.5
-"""An open mesh whose rim spans less than this part of it is a solid with a hole rather than a sheet."""
+NARROW = 0.25
+"""An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area:
+a plane has 1, half a ball 1 / 2, a cube without a face 1 / 5."""
 
 _SPACE = re.compile(rb"SPACE=(LPS|RAS)")
 
@@ -60,14 +61,19 @@ def _in_lps(surface: Surface, system: System | None) -> Surface:
 
 
 def _hole(surface: Surface, path: Path) -> list[Fault]:
-    """Return the fault of an open mesh that looks like a solid with a hole."""
+    """Return the fault of an open mesh that looks like a solid with a hole.
+
+    The vectors of its triangles' areas add up to that of its opening, whatever the mesh does between.
+    """
     mesh = surface.mesh
-    edges, counts = np.unique(mesh.edges_sorted, axis=0, return_counts=True)
-    rim = mesh.vertices[np.unique(edges[counts == 1])]
-    wide, whole = (float(np.ptp(points, axis=0).max()) for points in (rim, mesh.vertices))
-    if wide >= NARROW * whole:
+    areas = np.asarray(mesh.area_faces, dtype=np.float64)
+    opening = float(np.linalg.norm(areas @ mesh.face_normals))
+    if opening >= NARROW * areas.sum():
         return []
-    what = f"is open, but its rim is only {wide:.1f} mm wide where it is {whole:.1f} mm: a solid with a hole?"
+    what = (
+        f"is open, but its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2: "
+        "it looks like a solid with a hole"
+    )
     expected = "a closed surface, or a sheet with its rim outside the tissue"
     return [
         Fault(str(path), what, expected, f"close the hole, or list it as {path.name}=sheet:{surface.into}")
