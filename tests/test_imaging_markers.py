@@ -66,7 +66,7 @@ def test_anisotropic_voxels_on_turned_axes():
     spacing = np.array([0.35, 0.5, 1.0])
     middle = PLACES.mean(axis=0)
     voxels = grid(
-        shape=(110, 80, 50),
+        size=(110, 80, 50),
         spacing=spacing,
         direction=turned,
         origin=middle - turned @ (np.array([110, 80, 50]) * spacing / 2),
