@@ -109,6 +109,7 @@ def test_one_failure_loses_nothing_and_resume_mends_it(tmp_path, capsys):
     assert run(*words, "-q") == 3
     told = capsys.readouterr()
     assert "torn" in told.err and "mend" in told.err and "1 of 2 scans failed" in told.err
+    assert f"kept in {tmp_path / 'out.partial'}; to go on: " in told.err
     assert [one.id for one in read_dataset(tmp_path / "out").insertions] == ["whole"]
     shutil.copy(VOLUME, torn)
     assert run(*words, "-q", "--resume") == 0
@@ -230,6 +231,20 @@ def bomb(folder):
     return [folder / "bomb.nrrd"]
 
 
+def two_series(folder):
+    for number, name in enumerate("ab"):
+        write(read(VOLUME), folder / name, description=name)
+        for path in sorted((folder / name).iterdir()):
+            path.rename(folder / f"{number}_{path.name}")
+        (folder / name).rmdir()
+    return [folder]
+
+
+def short_needle(folder):
+    (folder / "short.toml").write_text("schema = 1\n[needle]\nlength_mm = 20.0\n")
+    return [VOLUME, "--recipe", folder / "short.toml"]
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -239,7 +254,9 @@ def bomb(folder):
         (two_markers, "2 markers are too few"),
         (mirrored_markers, "mirror"),
         (wrong_markers, "pairing"),
-        (ras_as_lps, "RAS"),
+        (ras_as_lps, r"placed|fiducials\.mrk\.json: RAS"),
+        (two_series, "--series"),
+        (short_needle, r"sample\.nrrd: gives no insertion.*20 mm long"),
         (holes, "hole"),
         (truncated, "cut short|shorter|ends"),
         (no_decoder, "decod|transfer syntax|compress"),
@@ -255,6 +272,9 @@ def test_what_is_wrong_is_said_with_what_mends_it_and_nothing_is_written(spoil, 
 
     assert re.search(words, told), told
     assert "mend:" in told and "unexpected" not in told
+    assert not re.search(r"needlefit: (\w+): \S*/\1[.:]", told), (
+        told
+    )  # the id, and again the file of its name
     assert not (tmp_path / "out").exists()
     assert files(tmp_path) == before
 

@@ -12,7 +12,15 @@ import numpy as np
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import Table, numbers, read_table
 from needlefit.imaging.scan import Scan
-from needlefit.imaging.scan_row import COLUMNS, NUMBERS, ScanRow, layer_source, row_faults, scan_of
+from needlefit.imaging.scan_row import (
+    COLUMNS,
+    DOCUMENTED,
+    NUMBERS,
+    ScanRow,
+    layer_source,
+    row_faults,
+    scan_of,
+)
 from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
 
 NO_VOLUME = Fault("", "there is no such file or folder", READABLE, "check the path")
@@ -31,7 +39,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     DataError
         Listing every fault of the table, with its line: cells, columns that are unknown, files missing.
     """
-    table = read_table(path)
+    table = read_table(path, DOCUMENTED)
     found = list(_column_faults(table))
     rows = _rows(table, found)
     unread = {fault.where for fault in found}
@@ -54,6 +62,7 @@ def scans_of(
     surfaces_in: Literal["world", "scan"] = "world",
     fiducials: Path | None = None,
     mask: Path | None = None,
+    series: str | None = None,
 ) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; their ids are their names.
 
@@ -61,7 +70,7 @@ def scans_of(
     ----------
     layers : sequence of str
         Files, each as in a table of scans: `file` or `file=kind:into`.
-    fiducials, mask : Path, optional
+    fiducials, mask, series : optional
         Of one scan: no two have them in common.
 
     Raises
@@ -78,9 +87,9 @@ def scans_of(
     for expected, path in given.items():
         if path is not None and not path.is_file():
             found.append(Fault(str(path), "there is no such file", expected, "check the path"))
-    if len(volumes) > 1 and (fiducials or mask):
-        given_once = str(fiducials or mask)
-        found.append(Fault(given_once, f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
+    once = fiducials or mask or series
+    if len(volumes) > 1 and once:
+        found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
     sources = [layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
     ids = [id_of(volume) for volume in volumes]
@@ -93,6 +102,7 @@ def scans_of(
             id_,
             volume,
             medium,
+            series=series,
             mask=mask,
             markers=markers,
             fiducials=fiducials,

@@ -13,7 +13,7 @@ def replacing(folder: Path) -> Iterator[Path]:
     """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was.
-    What may be replaced the caller decides before.
+    What may be replaced the caller decides before. A block that writes nothing replaces nothing.
 
     Raises
     ------
@@ -25,6 +25,8 @@ def replacing(folder: Path) -> Iterator[Path]:
         fresh, old = Path(scratch, "new", folder.name), Path(scratch, "old")
         fresh.mkdir(parents=True)
         yield fresh
+        if not any(fresh.iterdir()):
+            return
         if not folder.exists():
             fresh.rename(folder)
             return
