@@ -29,6 +29,8 @@ DECODED = frozenset(
 ) | {"1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"}
 """Transfer syntaxes that SimpleITK unpacks: none, deflated, RLE, JPEG, JPEG-LS, JPEG 2000."""
 
+STRAIGHT_UP = "every slice straight above the one before"
+
 _EXPORT = "export the series from the scanner or the archive again, as original axial slices"
 
 
@@ -158,7 +160,7 @@ def _step(ordered: Sequence[Slice], positions: Floats, normal: Floats) -> float:
         )
     along = (positions - positions[0]) @ normal  # (K,)
     _check_steps(ordered, np.diff(along))
-    _check_straight(folder, along, positions - positions[0] - along[:, None] * normal)
+    _check_straight(ordered, along, positions - positions[0] - along[:, None] * normal)
     spacing = float(along[-1]) / (len(ordered) - 1)
     astray = np.abs(along - spacing * np.arange(len(ordered)))
     if astray.max() > ASTRAY:
@@ -193,23 +195,33 @@ def _check_steps(ordered: Sequence[Slice], steps: Floats) -> None:
             )
 
 
-def _check_straight(folder: str, along: Floats, across: Floats) -> None:
+def _check_straight(ordered: Sequence[Slice], along: Floats, across: Floats) -> None:
     """See that the stack does not lean; `across` (K, 3) is how far slices shift in their own plane, mm."""
     if np.linalg.norm(across, axis=1).max() <= ASTRAY:
         return
     lean = np.outer(along / along[-1], across[-1])
     angle = np.degrees(np.arctan2(np.linalg.norm(across[-1]), along[-1]))
-    straight = np.linalg.norm(across - lean, axis=1).max() <= ASTRAY
+    if np.linalg.norm(across - lean, axis=1).max() > ASTRAY:
+        raise _shifted(ordered, across)
     raise DataError(
-        f"the stack leans by {angle:.3g} degrees: the gantry was tilted"
-        if straight
-        else "slices are shifted",
-        where=folder,
-        expected="every slice straight above the one before",
+        f"the stack leans by {angle:.3g} degrees: the gantry was tilted",
+        where=str(ordered[0].file.parent),
+        expected=STRAIGHT_UP,
         mend="resample the series onto a straight grid, e.g. with the gantry-tilt correction of dcm2niix or "
-        "3D Slicer, and save it as NRRD"
-        if straight
-        else _EXPORT,
+        "3D Slicer, and save it as NRRD",
+    )
+
+
+def _shifted(ordered: Sequence[Slice], across: Floats) -> DataError:
+    """Return the error for slices that stand beside the others; `across` (K, 3), mm."""
+    beside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
+    worst, count = int(beside.argmax()), int((beside > ASTRAY).sum())
+    more = f", as {count - 1} more of {len(ordered)} slices do to some extent" if count > 1 else ""
+    return DataError(
+        f"stands {beside[worst]:.3g} mm beside most of the other slices{more}",
+        where=str(ordered[worst].file),
+        expected=STRAIGHT_UP,
+        mend=_EXPORT,
     )
 
 
