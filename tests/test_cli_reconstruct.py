@@ -327,6 +327,13 @@ def test_voxels_need_not_be_cubes(tmp_path):
     assert thick.depth == pytest.approx(25.0, abs=0.6)
 
 
+def test_no_library_speaks_beside_what_is_wrong(tmp_path, capfd):
+    for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):
+        run("reconstruct", path, "--out", tmp_path / "out", "-q")
+    told = capfd.readouterr().err
+    assert told.count("mend:") == 2 and "WARNING" not in told and ".cxx" not in told
+
+
 def test_a_table_of_scans_stands_alone(tmp_path, capsys):
     assert run("reconstruct", SAMPLE / "scans.csv", "--markers", MARKERS, "--out", tmp_path / "out") == 2
     assert "stands alone" in capsys.readouterr().err

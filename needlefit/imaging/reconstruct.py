@@ -120,7 +120,7 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
         views=views(volume, seen.patient, frame, seen.traced.points),
         remarks=(),
     )
-    return replace(found, remarks=(*remarks(found), *said))
+    return replace(found, remarks=(*volume.remarks, *remarks(found), *said))
 
 
 def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:

@@ -89,8 +89,8 @@ def _few_fit(sets: MarkerSets) -> DataError | None:
         return None
     return DataError(
         f"only {count} of the {len(sets.found)} found and {len(sets.known)} known markers fit "
-        f"(found -> known, from 0: {said(few[0].pairs)}), too few to believe: among as many unrelated markers "
-        f"{by_chance(sets, count):.1g} such fits would come about by chance",
+        f"(found -> known, from 0: {said(few[0].pairs)}), too few to believe: of as many unrelated markers "
+        f"{by_chance(sets, count):.1g} sets of pairs would fit by chance",
         where="markers",
         expected=f"pairs that chance brings about less than {DOUBT:g} times: more of them, or none left over",
         mend="scan with more of the markers in view; list only those known that the scan can show; place the "
