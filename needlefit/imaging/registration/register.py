@@ -145,11 +145,6 @@ def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     return target_error.target_covariance(arms, registration.covariance)
 
 
-def predicted_target_error(registration: Registration, points: ArrayLike) -> Floats:
-    """Return the root mean square error (N,) to expect at scan `points` (N, 3), mm, from the stated noise."""
-    return target_error.root_mean_square(target_covariance(registration, points))
-
-
 def predicted_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
     """Return the mean length (N,) of the error to expect at scan `points` (N, 3), mm."""
     return target_error.mean_length(target_covariance(registration, points))
