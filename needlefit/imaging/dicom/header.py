@@ -17,16 +17,8 @@ Floats = NDArray[np.float64]
 
 TAGS = (
     *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "FrameOfReferenceUID"),
-    *(
-        "Modality",
-        "GantryDetectorTilt",
-        "ImageType",
-        "Rows",
-        "Columns",
-        "NumberOfFrames",
-        "SamplesPerPixel",
-        "BitsAllocated",
-    ),
+    *("Modality", "GantryDetectorTilt"),
+    *("ImageType", "Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "BitsAllocated"),
     *("PixelRepresentation", "ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"),
     *("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "PixelPaddingValue"),
     *("PixelPaddingRangeLimit",),

@@ -84,8 +84,8 @@ def tilt_remarks(slices: Sequence[Slice]) -> tuple[str, ...]:
     if abs(tilt) < TILTED:
         return ()
     return (
-        f"the scan's headers state a gantry tilted by {abs(tilt):g} degrees (GantryDetectorTilt), its slices "
-        "stand straight: right if the series was straightened after the scan, else everything in it is sheared",
+        f"the scan's headers state a gantry tilted by {abs(tilt):g} degrees (GantryDetectorTilt), but "
+        "its slices stand straight: right if it was straightened after the scan, else all in it is sheared",
     )
 
 
