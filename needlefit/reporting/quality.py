@@ -20,8 +20,8 @@ MOST_REMARKS = 10
 
 _ALONG = (
     "Above, the scan in slabs that follow the needle (crosses: centres of markers nearby); below, "
-    "brightness, deflection, cross-sections off the axis. Lines: entry, layers, tip. Bands: 95 %, of the axis, not of "
-    "single sections."
+    "brightness, deflection, cross-sections off the axis. Lines: entry, layers, tip. Bands: 95 %, "
+    "of the axis, not of single sections."
 )
 _ACROSS = "The scan across the needle near its tip, and the markers' distances from their known places."
 _POSES = {"stage": "the stage", "shaft": "the straight shaft outside"}
