@@ -27,8 +27,8 @@ from needlefit.imaging.registration.marker_sets import marker_sets
 from needlefit.imaging.registration.register import (
     Registration,
     predicted_mean_target_error,
-    predicted_target_error,
     register,
+    target_covariance,
     to_world,
 )
 from needlefit.imaging.registration.symmetry import symmetries
@@ -122,7 +122,7 @@ def accuracy(cases: int, rng: np.random.Generator, sd: Floats) -> dict[str, obje
         local = case.pose.to_local(TARGETS)
         realised.append(np.linalg.norm(to_world(result, local) - TARGETS, axis=1))
         predicted.append(predicted_mean_target_error(result, local))
-        squares.append(predicted_target_error(result, local) ** 2)
+        squares.append(np.trace(target_covariance(result, local), axis1=1, axis2=2))
         turn = result.rotation
         proper.append([np.linalg.det(turn) - 1, np.abs(turn @ turn.T - np.eye(3)).max()])
         inside.append(result.fre / result.expected_fre)

@@ -11,6 +11,8 @@
 A solve that does not converge is no exception: it is a value (`NeedleShape.converged`).
 """
 
+from typing import Self
+
 
 class NeedlefitError(Exception):
     """What went wrong, where, what was expected there, and how to mend it.
@@ -37,6 +39,10 @@ class NeedlefitError(Exception):
         head = f"{self.where}: {self.what}" if self.where else self.what
         tail = [("expected", self.expected), ("mend", self.mend)]
         return "\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)])
+
+    def at(self, where: str) -> Self:
+        """Return the same error at a place that only its catcher knows, such as a file."""
+        return type(self)(self.what, where=where, expected=self.expected, mend=self.mend)
 
 
 class ConfigError(NeedlefitError):

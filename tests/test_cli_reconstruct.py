@@ -111,6 +111,7 @@ def test_one_failure_loses_nothing_and_resume_mends_it(tmp_path, capsys):
     assert run(*words, "-q") == 3
     told = capsys.readouterr()
     assert "torn" in told.err and "mend" in told.err and "1 of 2 scans failed" in told.err
+    assert f"kept in {tmp_path / 'out.partial'}; to go on: " in told.err
     assert [one.id for one in read_dataset(tmp_path / "out").insertions] == ["whole"]
     shutil.copy(VOLUME, torn)
     assert run(*words, "-q", "--resume") == 0
@@ -232,6 +233,20 @@ def bomb(folder):
     return [folder / "bomb.nrrd"]
 
 
+def two_series(folder):
+    for number, name in enumerate("ab"):
+        write(read(VOLUME), folder / name, description=name)
+        for path in sorted((folder / name).iterdir()):
+            path.rename(folder / f"{number}_{path.name}")
+        (folder / name).rmdir()
+    return [folder]
+
+
+def short_needle(folder):
+    (folder / "short.toml").write_text("schema = 1\n[needle]\nlength_mm = 20.0\n")
+    return [VOLUME, "--recipe", folder / "short.toml"]
+
+
 @pytest.mark.parametrize(
     ("spoil", "words"),
     [
@@ -241,7 +256,9 @@ def bomb(folder):
         (two_markers, "2 markers are too few"),
         (mirrored_markers, "mirror"),
         (wrong_markers, "pairing"),
-        (ras_as_lps, "RAS"),
+        (ras_as_lps, r"fiducials\.mrk\.json: .*RAS"),
+        (two_series, "--series"),
+        (short_needle, r"sample\.nrrd: gives no insertion.*20 mm long"),
         (holes, "hole"),
         (truncated, "cut short|shorter|ends"),
         (no_decoder, "decod|transfer syntax|compress"),
@@ -257,6 +274,9 @@ def test_what_is_wrong_is_said_with_what_mends_it_and_nothing_is_written(spoil, 
 
     assert re.search(words, told), told
     assert "mend:" in told and "unexpected" not in told
+    assert not re.search(r"needlefit: (\w+): \S*/\1[.:]", told), (
+        told
+    )  # the id, and again the file of its name
     assert not (tmp_path / "out").exists()
     assert files(tmp_path) == before
 
@@ -349,6 +369,13 @@ def test_layers_and_scans_are_told_apart(words, told, tmp_path, capsys):
 def test_a_frame_that_is_none_is_refused(tmp_path, capsys):
     assert run("reconstruct", VOLUME, "--layers-in", "scn", "--out", tmp_path / "out") == 2
     assert "'world', 'scan'" in capsys.readouterr().err
+
+
+def test_no_library_speaks_beside_what_is_wrong(tmp_path, capfd):
+    for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):
+        run("reconstruct", path, "--out", tmp_path / "out", "-q")
+    told = capfd.readouterr().err
+    assert told.count("mend:") == 2 and "WARNING" not in told and ".cxx" not in told
 
 
 def test_a_table_of_scans_stands_alone(tmp_path, capsys):

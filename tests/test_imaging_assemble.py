@@ -115,9 +115,14 @@ def test_an_insertion_with_a_fault_is_left_out_and_told(tmp_path):
     assert not (tmp_path / "out" / "centerlines" / "b.csv").exists()
 
 
-def test_nothing_but_faults_is_no_dataset(tmp_path):
-    with pytest.raises(DataError):
-        assemble_sound(tmp_path / "out", [named("b", points=small().points[::-1])], RECIPE, ABOUT)
+def test_nothing_but_faults_is_no_dataset_and_each_names_its_scan_and_the_recipe(tmp_path):
+    short = RECIPE.model_copy(update={"needle": RECIPE.needle.model_copy(update={"length_mm": 20.0})})
+    kept, failed = assemble_sound(tmp_path / "out", [named("a"), named("b")], short, ABOUT)
+    assert kept == () and list((tmp_path / "out").iterdir()) == []
+    assert [one.scan.id for one in failed] == ["a", "b"]
+    told = str(failed[0].error)
+    assert told.startswith("scans/phantom1-03.nrrd: ") and "the needle is only 20 mm long" in told
+    assert "needle.length_mm in the recipe" in told and "dataset.toml" not in told
 
 
 def test_a_plain_reconstruction_says_only_whence_its_pose_is():

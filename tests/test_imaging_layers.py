@@ -211,7 +211,7 @@ def test_layers_in_pieces_are_refused_and_specks_are_not(tmp_path):
 
 def test_a_segmentation_of_another_place_is_refused(slabs_file):
     scanned = Volume(np.zeros((20, 20, 20), np.float32), np.array([60.0, 0, 0]), np.ones(3), np.eye(3))
-    with pytest.raises(DataError, match="layer_1 lies outside this scan"):
+    with pytest.raises(DataError, match=rf"(?m)^{slabs_file}: the surface layer_1 lies outside the scan"):
         read_layers(scan(slabs_file), HOME, scanned.grid)
     here = dataclasses.replace(scanned, origin=np.array([-5.0, 0, 0]))
     assert len(read_layers(scan(slabs_file), PATIENT, here.grid)) == 3

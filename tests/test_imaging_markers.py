@@ -213,8 +213,9 @@ def test_places_from_every_kind_of_file_are_lps(tmp_path):
 def test_files_that_hold_no_places_say_what_is_wrong(tmp_path):
     short = tmp_path / "b.csv"
     short.write_text("x_mm,y_mm\n1,2\n")
-    with pytest.raises(DataError, match="z_mm"):
+    with pytest.raises(DataError, match="z_mm") as caught:
         read_markers(short)
+    assert "first line" in caught.value.mend and "dataset.toml" not in caught.value.mend
     bad = tmp_path / "c.csv"
     bad.write_text("x_mm,y_mm,z_mm\n1,2,three\n")
     with pytest.raises(DataError, match="three"):

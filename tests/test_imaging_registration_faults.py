@@ -41,6 +41,7 @@ def refused(*arguments, **keywords):
     [
         (LAYOUT[:2], LAYOUT, 0.1, "2 markers are too few"),
         (LAYOUT, LAYOUT[:2], 0.1, "known markers: 2 markers are too few"),
+        (LAYOUT, LAYOUT[:2], 0.1, "list every marker of the layout"),
         ([], LAYOUT, 0.1, "0 markers are too few"),
         (LAYOUT[:, :2], LAYOUT, 0.1, "no list of finite points"),
         (np.where(LAYOUT == 5, np.nan, LAYOUT), LAYOUT, 0.1, "no list of finite points"),
@@ -61,6 +62,11 @@ def test_markers_on_a_line_are_refused_exactly_and_within_noise():
     bent = np.array([[0, 0, 0], [35, 0, 0], [80, 0.5, 0]], dtype=float)
     assert "degrees" in refused(bent, bent, 0.1)
     assert register(bent * [1, 40, 1], bent * [1, 40, 1], 0.1).fre < 1e-9
+
+
+def test_a_deviation_as_large_as_the_layout_is_not_blamed_on_the_layout():
+    text = refused(FOUND, LAYOUT, 50.0)
+    assert "known to 50 mm" in text and "line" not in text.split("mend")[1] and "known_sd_mm" in text
 
 
 def test_found_markers_on_a_line_are_refused_though_the_layout_is_not():
@@ -139,7 +145,7 @@ def test_noise_that_is_understated_is_said_with_what_would_fit():
 def test_few_that_agree_among_many_may_be_chance_and_are_refused():
     rng = np.random.default_rng(4)
     found = np.concatenate([FOUND[:3], POSE.to_local(rng.uniform(-40, 40, (3, 3)))])
-    assert "no pairing" in refused(found, LAYOUT, 0.2)
+    assert "only 3 of the 6 found and 6 known markers fit" in refused(found, LAYOUT, 0.2)
     sets = marker_sets(found, LAYOUT, 0.2, 0.0)
     assert by_chance(sets, 3) > 1e-3 > by_chance(sets, 5)
 

@@ -105,6 +105,7 @@ def test_empty_cells_are_defaults(folder):
         ("scan,entry_x_mm,entry_y_mm", "one.nrrd,1,2", "entry_z_mm, entry_dx"),
         (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,2,0.1,1", "entry direction has length 2"),
         (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,1,-0.1,1", "pose_shift_sd_mm is negative"),
+        (f"scan,{STAGE},bevel_x,bevel_y,bevel_z", "one.nrrd,1,2,3,0,0,1,0.1,1,0,0,-2", "bevel is parallel"),
         (f"scan,{STAGE}", "one.nrrd,1,2,3,0,0,1,0.1,", "pose_angle_sd_deg are empty"),
     ],
 )
@@ -127,6 +128,10 @@ def test_every_column_is_documented():
 
 def test_a_table_without_volumes_is_refused(folder):
     assert "column `scan` is missing" in refused(folder, "id,medium", "a,gel")
+
+
+def test_an_empty_table_sends_to_the_page_that_explains_it(folder):
+    assert "docs/scans.md lists the columns" in refused(folder, "")
 
 
 def test_ids_are_told_apart(folder):

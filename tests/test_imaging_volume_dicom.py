@@ -264,6 +264,18 @@ def test_a_tilted_gantry(tmp_path, degrees):
     )
 
 
+@pytest.mark.parametrize("modality", ["CT", "XA", None])
+def test_cone_beam_scanners_may_call_themselves_otherwise(tmp_path, modality):
+    assert np.array_equal(read(save(tmp_path, series(Modality=modality))).values, NUMBERS)
+
+
+@pytest.mark.parametrize(("degrees", "said"), [(10.0, 1), (-3.5, 1), (0.0, 0), (None, 0)])
+def test_a_tilt_that_is_stated_but_not_there_is_remarked(tmp_path, degrees, said):
+    volume = read(save(tmp_path, series(GantryDetectorTilt=degrees)))
+    assert len(volume.remarks) == said
+    assert all(f"tilted by {abs(degrees):g} degrees" in remark for remark in volume.remarks)
+
+
 def test_an_oblique_stack_is_not_tilted(tmp_path):
     sine, cosine = np.sin(0.3), np.cos(0.3)
     slices = [
@@ -281,7 +293,7 @@ def test_an_oblique_stack_is_not_tilted(tmp_path):
 
 def test_shifted_slices(tmp_path):
     fault = refused(save(tmp_path, spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8])))
-    assert "slices are shifted" in fault.what
+    assert fault.where.endswith("002.dcm") and "stands 1 mm beside most of the other slices" in fault.what
 
 
 @pytest.mark.parametrize(("off", "fine"), [(0.04, True), (0.3, False)])
@@ -300,7 +312,6 @@ def test_uneven_steps(tmp_path, off, fine):
         ({"ImageOrientationPatient": [1, 0, 0, 0, 0.9998, 0.02]}, "orientation is"),
         ({"PixelSpacing": [0.6, 0.4]}, "pixel spacing is [0.6, 0.4], that of 000.dcm is [0.5, 0.4]"),
         ({"FrameOfReferenceUID": generate_uid()}, "frame of reference"),
-        ({"RescaleSlope": None, "RescaleIntercept": None}, "rescaling is missing, that of 000.dcm is stated"),
         ({"plane": np.zeros((ROWS, 9), np.int16)}, "size is (64, 9)"),
     ],
 )
@@ -320,6 +331,9 @@ def test_a_slice_unlike_the_others(tmp_path, entries, words):
         ({"ImagePositionPatient": [1.0, 2.0]}, "ImagePositionPatient is [[1.0, 2.0]]"),
         ({"RescaleSlope": None}, "RescaleSlope and RescaleIntercept is"),
         ({"RescaleSlope": 0}, "RescaleSlope is 0"),
+        ({"RescaleSlope": None, "RescaleIntercept": None}, "its values are no HU"),
+        ({"Modality": "MR"}, "is no CT: its Modality is MR"),
+        ({"GantryDetectorTilt": [1.0, 2.0]}, "GantryDetectorTilt is"),
         ({"NumberOfFrames": 40}, "holds 40 frames"),
         ({"SamplesPerPixel": 3}, "holds 3 colours"),
         ({"ModalityLUTSequence": []}, "rescales its values by a table"),

@@ -16,6 +16,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.imaging.registration.register import register
 from needlefit.project.streams import stream
 from needlefit.reporting.figures.along import spans
+from needlefit.reporting.figures.labels import LETTER, SPACE, spread
 from needlefit.reporting.figures.pictures import outline
 from needlefit.reporting.quality import facts, write_quality
 from needlefit.reporting.reconstructions import (
@@ -85,6 +86,14 @@ def test_pictures_share_their_room_and_keep_the_needle_amid():
     (low, high), (_, _) = first, second = spans(along, needle, 20.0)
     assert sum(top - bottom for bottom, top in (first, second)) == pytest.approx(20.0)
     assert (low + high) / 2 == pytest.approx(needle[:, 1].min() / 2 + needle[:, 1].max() / 2)
+
+
+def test_names_stand_over_their_places_until_they_would_touch():
+    far = [0.0, 20.0, 40.0]
+    assert spread(far, ["entry", "1 → 2", "tip"], 1.7) == pytest.approx(far)
+    entry, layer, tip = spread([0.0, 49.6, 50.0], ["entry", "3 → 4", "tip"], 1.7)
+    assert entry == 0.0 and (layer + tip) / 2 == pytest.approx(49.8)
+    assert (tip - layer) * 1.7 == pytest.approx(4 * LETTER + SPACE)  # half of five letters and half of three
 
 
 def test_a_layer_is_outlined_where_the_picture_cuts_it():

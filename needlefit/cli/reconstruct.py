@@ -55,6 +55,10 @@ def reconstruct(
     mask: Annotated[
         Path | None, typer.Option(metavar="FILE", help="The needle's voxels, segmented elsewhere.")
     ] = None,
+    series: Annotated[
+        str | None,
+        typer.Option(metavar="NUMBER|UID", help="Which DICOM series, where a folder holds several."),
+    ] = None,
     medium: Annotated[str, typer.Option(help="Name of what was punctured.")] = "medium",
     recipe: Annotated[
         str,
@@ -83,6 +87,7 @@ def reconstruct(
         "layers": layers,
         "surfaces_in": layers_in,
         "mask": mask,
+        "series": series,
     }
     invocation = context.find_root().obj
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
@@ -111,9 +116,12 @@ def reconstruct(
                 kept, faulty = write_reconstructed(out, ones, record, about, report)
                 ones, failed = list(kept), [*failed, *faulty]
     _show(out, ones, failed, json)
+    if failed and ones:
+        screen.note(f"needlefit: what is finished is kept in {keep}; to go on: {invocation.resuming()}")
+    else:
+        shutil.rmtree(keep, ignore_errors=True)
     if failed:
-        raise typer.Exit(DataError.exit_code)  # what is finished is kept: --resume does the failed ones anew
-    shutil.rmtree(keep, ignore_errors=True)
+        raise typer.Exit(DataError.exit_code)
 
 
 def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan, ...]":
@@ -127,7 +135,7 @@ def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan
         return scans_of(scans, medium=medium, **named)
     if len(scans) > 1 or named:
         raise typer.BadParameter(
-            "a table of scans stands alone: markers, fiducials, layers and masks are columns of it"
+            "a table of scans stands alone: markers, fiducials, layers, masks and series are columns of it"
         )
     return read_scans(scans[0])
 
@@ -145,8 +153,17 @@ def _show(out: Path, ones: "Sequence[Reconstruction]", failed: "Sequence[Failure
         screen.show_display(reconstructions_layout(ones))
         screen.say(f"written: {out}/")
     for one in failed:
-        screen.note(f"needlefit: {one.scan.id}: {one.error}")
+        screen.note(f"needlefit: {_told(one)}")
     if failed and len(ones):
         screen.note(
             f"needlefit: {len(failed)} of {len(failed) + len(ones)} scans failed; the others are written"
         )
+
+
+def _told(failure: "Failure") -> str:
+    """Return the error of a scan, behind its id unless the error begins with the volume of that name."""
+    from needlefit.imaging.scans import id_of
+
+    error, scan = failure.error, failure.scan
+    named = error.where == str(scan.volume) and id_of(scan.volume) == scan.id
+    return str(error) if named else f"{scan.id}: {error}"

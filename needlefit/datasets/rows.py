@@ -197,7 +197,7 @@ def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Itera
             where,
             f"depth_mm is {row.depth:g}, but the needle is only {length:g} mm long",
             "a depth smaller than the needle's length",
-            "correct depth_mm, or needle.length_mm in dataset.toml",
+            "correct needle.length_mm in dataset.toml, or depth_mm",
         )
     if guide is not None and not 0 < guide <= length - row.depth:
         yield Fault(

@@ -26,6 +26,8 @@ _BLOCK = 2**20
 _COMPRESSION = 1
 """zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent."""
 
+sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
+
 
 def read_image(path: Path) -> Volume:
     """Return the volume in an NRRD, NIfTI or MetaImage file.

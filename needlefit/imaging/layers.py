@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -114,11 +115,17 @@ def _elsewhere(world: Sequence[Surface], patient: Frame, grid: Grid, scan: Scan)
         steps = (patient.to_local(surface.mesh.vertices) - grid.origin) @ grid.direction / grid.spacing
         if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
             yield Fault(
-                str(scan.volume),
-                f"the surface {surface.name} lies outside this scan",
+                str(_file_of(surface, scan)),
+                f"the surface {surface.name} lies outside the scan {scan.volume}",
                 "surfaces and scan in one place",
                 "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS",
             )
+
+
+def _file_of(surface: Surface, scan: Scan) -> Path:
+    """Return the file that a surface is from: a mesh is called as its file, all others are of the first."""
+    own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
+    return next(own, scan.surfaces[0].path)
 
 
 @dataclass(frozen=True)

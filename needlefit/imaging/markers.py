@@ -15,6 +15,7 @@ from needlefit.imaging.ball.blobs import blobs
 from needlefit.imaging.ball.fit import MOST_BLUR, Ball, lay
 from needlefit.imaging.reconstruction import Markers
 from needlefit.imaging.registration.suspicion import check_frame
+from needlefit.imaging.scan_row import DOCUMENTED
 from needlefit.imaging.threads import one_thread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord
@@ -27,6 +28,9 @@ MISFIT = 0.15
 
 SURE = 2.0
 """A fiducial may be off by so many of its deviations."""
+
+RENAME = "name the columns x_mm, y_mm, z_mm in the file's first line"
+"""What mends a missing column of a file of places."""
 
 READS = "a CSV with the columns x_mm, y_mm, z_mm, or a .fcsv or .mrk.json of 3D Slicer"
 
@@ -84,7 +88,7 @@ def read_markers(path: Path) -> Floats:
     if suffix != ".csv":
         raise DataError(f"has the ending {suffix!r}", where=str(path), expected=READS, mend="save it as that")
     found: list[Fault] = []
-    points = read_points(read_table(path), POINT, {}, found)
+    points = read_points(read_table(path, DOCUMENTED), POINT, {}, found, RENAME)
     if points is None:
         raise as_error(found, path)
     return points.values

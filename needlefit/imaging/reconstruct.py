@@ -1,6 +1,7 @@
 """One scan -> its needle in the world, its entry, its layers: the steps in their order."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -22,6 +23,7 @@ from needlefit.imaging.needle.mask import from_mask
 from needlefit.imaging.needle.segmentation import Component, segment
 from needlefit.imaging.profile import profile, tissue_edge
 from needlefit.imaging.reconstruction import EntryPose, Markers, Profile, Reconstruction
+from needlefit.imaging.registration.marker_sets import KNOWN
 from needlefit.imaging.registration.register import (
     Registration,
     frame_of,
@@ -30,6 +32,7 @@ from needlefit.imaging.registration.register import (
 )
 from needlefit.imaging.remarks import BEYOND, remarks
 from needlefit.imaging.scan import Scan
+from needlefit.imaging.scan_row import ACROSS
 from needlefit.imaging.threads import one_thread
 from needlefit.imaging.views import views
 from needlefit.imaging.volume import Volume, read
@@ -119,7 +122,7 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
         views=views(volume, seen.patient, frame, seen.traced.points),
         remarks=(),
     )
-    return replace(found, remarks=(*remarks(found), *said))
+    return replace(found, remarks=(*volume.remarks, *remarks(found), *said))
 
 
 def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:
@@ -129,9 +132,17 @@ def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:
     markers = _markers(volume, needle, scan, recipe)
     registration = None
     if markers is not None and scan.markers is not None:
-        known = read_markers(scan.markers)
-        registration = register(markers.centers, known, markers.sd, recipe.markers.known_sd_mm)
+        registration = _registered(markers, scan.markers, recipe)
     return Seen(traced, markers, registration, _along(volume, traced.points))
+
+
+def _registered(markers: Markers, known: Path, recipe: ReconstructionRecord) -> Registration:
+    """Return the registration of the markers on those of the file `known`; its faults name it."""
+    places = read_markers(known)
+    try:
+        return register(markers.centers, places, markers.sd, recipe.markers.known_sd_mm)
+    except DataError as error:
+        raise (error.at(str(known)) if error.where == KNOWN else error) from None
 
 
 def _along(volume: Volume, needle: Floats) -> Profile:
@@ -150,7 +161,11 @@ def _needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Compone
 def _markers(volume: Volume, needle: Component, scan: Scan, recipe: ReconstructionRecord) -> Markers | None:
     """Return the markers, placed by hand or found; None where the world needs none."""
     if scan.fiducials is not None:
-        return check_fiducials(given_markers(scan.fiducials, recipe), volume, recipe, needle.voxels)
+        given = given_markers(scan.fiducials, recipe)
+        try:
+            return check_fiducials(given, volume, recipe, needle.voxels)
+        except DataError as error:
+            raise error.at(str(scan.fiducials)) from None
     return None if scan.markers is None else find_markers(volume, recipe, needle.voxels)
 
 
@@ -261,4 +276,7 @@ def _bending(
         toward, plane = bevel, "bevel"
     else:
         toward, plane = bending_plane(points, pose.direction), "shape"
-    return entry_frame(pose.origin, pose.direction, toward), plane
+    try:
+        return entry_frame(pose.origin, pose.direction, toward), plane
+    except DataError as error:
+        raise DataError(error.what, where=str(scan.volume), expected=error.expected, mend=ACROSS) from None

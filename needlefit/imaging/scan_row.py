@@ -11,7 +11,7 @@ import numpy as np
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.rows import UNIT
 from needlefit.datasets.schema import BEVEL, DIRECTION, ENTRY, ID, Floats
-from needlefit.geometry.frames import unit
+from needlefit.geometry.frames import PARALLEL, unit
 from needlefit.imaging.scan import LayerSource, Scan, Stage
 from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
 
@@ -25,6 +25,12 @@ COLUMNS = (
     *("surfaces", "surfaces_in", *NUMBERS, "origin"),
 )
 """Every column of a table of scans; those of `insertions.csv` mean the same here."""
+
+DOCUMENTED = "docs/scans.md"
+"""Where the columns, and the files that they name, are explained."""
+
+ACROSS = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
+"""What mends a bevel that fixes no plane."""
 
 MESH_SUFFIXES = (".stl", ".ply", ".obj")
 
@@ -178,6 +184,10 @@ def _stage_faults(row: ScanRow) -> Iterator[Fault]:
         what = f"entry direction has length {length:.4g}"
         mend = "divide the three numbers by their length" if length else "give the direction of insertion"
         yield Fault(row.where, what, "a unit vector (entry_dx, _dy, _dz)", mend)
+    turned = np.linalg.norm(np.cross(row.vector(DIRECTION), row.vector(BEVEL)))  # empty cells are nan
+    if row.vector(BEVEL).any() and turned < PARALLEL * np.linalg.norm(row.vector(BEVEL)):
+        what = "the bevel is parallel to the entry direction"
+        yield Fault(row.where, what, "a direction across the needle", ACROSS)
     if not row.vector(BEVEL).any():  # three empty cells are nan
         yield Fault(row.where, f"{', '.join(BEVEL)} are all 0", "a direction", "give it, or empty the cells")
 

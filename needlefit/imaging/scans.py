@@ -14,6 +14,7 @@ from needlefit.datasets.schema import as_id
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_row import (
     COLUMNS,
+    DOCUMENTED,
     NUMBERS,
     ScanRow,
     layer_source,
@@ -40,7 +41,7 @@ def read_scans(path: Path) -> tuple[Scan, ...]:
     DataError
         Listing every fault of the table, with its line: cells, columns that are unknown, files missing.
     """
-    table = read_table(path)
+    table = read_table(path, DOCUMENTED)
     found = list(_column_faults(table))
     rows = _rows(table, found)
     unread = {fault.where for fault in found}
@@ -63,6 +64,7 @@ def scans_of(
     surfaces_in: Literal["world", "scan"] = "world",
     fiducials: Path | None = None,
     mask: Path | None = None,
+    series: str | None = None,
 ) -> tuple[Scan, ...]:
     """Return a scan for each of some volumes that share markers and layers; their ids are their names.
 
@@ -70,7 +72,7 @@ def scans_of(
     ----------
     layers : sequence of str
         Files, each as in a table of scans: `file` or `file=kind:into`.
-    fiducials, mask : Path, optional
+    fiducials, mask, series : optional
         Of one scan: no two have them in common.
 
     Raises
@@ -90,9 +92,9 @@ def scans_of(
             found.append(Fault(str(path), "there is no such file", expected, "check the path"))
     if fiducials and not markers:
         found.append(unlaid(str(fiducials), "name the file of their known places, too: --markers"))
-    if len(volumes) > 1 and (fiducials or mask):
-        given_once = str(fiducials or mask)
-        found.append(Fault(given_once, f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
+    once = fiducials or mask or series
+    if len(volumes) > 1 and once:
+        found.append(Fault(str(once), f"is given for {len(volumes)} scans", "one scan", IN_TABLE))
     sources = [layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
     found += name_faults("medium", medium, "medium")
@@ -106,6 +108,7 @@ def scans_of(
             id_,
             volume,
             medium,
+            series=series,
             mask=mask,
             markers=markers,
             fiducials=fiducials,

@@ -3,6 +3,7 @@
 import re
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from needlefit.datasets.check import check
@@ -21,26 +22,29 @@ def assemble_sound(
 ) -> tuple[tuple[Reconstruction, ...], tuple[Failure, ...]]:
     """Write into `folder` the dataset of those of `ones` that have no fault; return them and the others.
 
+    Where all have one, `folder` is left empty, and none is returned as sound.
+
     Raises
     ------
     DataError
-        If a fault belongs to no single insertion, or all have one.
+        If a fault belongs to no single insertion.
     """
     left, failures = list(ones), list[Failure]()
-    while True:
+    while left:
         assemble(folder, left, recipe, about)
         faults = check(folder)
         if not faults:
             return tuple(left), tuple(failures)
         blamed = [_owner(fault, left) for fault in faults]
-        if None in blamed or len({one.scan.id for one in blamed if one}) == len(left):
-            raise as_error(faults, folder)
-        for one, fault in zip(blamed, faults, strict=True):
-            if one in left:
-                left.remove(one)
-                failures.append(Failure(one.scan, _error(fault)))
+        if None in blamed:
+            raise as_error([_of_all(fault, folder) for fault in faults], Path(about.name))
+        told = list(zip(blamed, faults, strict=True))
+        for one in [one for one in left if one in blamed]:
+            left.remove(one)
+            failures.append(Failure(one.scan, _error(one, [fault for owner, fault in told if owner is one])))
         shutil.rmtree(folder)
         folder.mkdir()
+    return (), tuple(failures)
 
 
 def _owner(fault: Fault, ones: Sequence[Reconstruction]) -> Reconstruction | None:
@@ -53,5 +57,23 @@ def _owner(fault: Fault, ones: Sequence[Reconstruction]) -> Reconstruction | Non
     return next((one for one in ones if one.scan.id == place["curve"]), None)
 
 
-def _error(fault: Fault) -> DataError:
-    return DataError(fault.what, where=Path(fault.where).name, expected=fault.expected, mend=fault.mend)
+def _error(one: Reconstruction, faults: Sequence[Fault]) -> DataError:
+    """Return the error of an insertion whose faults the user meets in the scan and the recipe."""
+    what = "; ".join(dict.fromkeys(fault.what for fault in faults))
+    first = faults[0]
+    return DataError(
+        f"gives no insertion that a dataset may hold: {what}",
+        where=str(one.scan.volume),
+        expected=first.expected,
+        mend=_in_recipe(first.mend),
+    )
+
+
+def _of_all(fault: Fault, folder: Path) -> Fault:
+    """Return a fault of the dataset without the temporary folder in which it was found."""
+    return replace(fault, where=fault.where.replace(f"{folder}/", ""), mend=_in_recipe(fault.mend))
+
+
+def _in_recipe(mend: str) -> str:
+    """Return what mends a fault, told where a user of a recipe does it."""
+    return mend.replace("dataset.toml", "the recipe")

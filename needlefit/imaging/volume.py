@@ -33,6 +33,8 @@ class Volume:
         Distance of centres along i, j, k, mm.
     direction : (3, 3) array
         Its columns are the LPS unit vectors of i, j, k; either handedness.
+    remarks : tuple of str
+        What a person should know of its files.
 
     Raises
     ------
@@ -44,6 +46,7 @@ class Volume:
     origin: Floats
     spacing: Floats
     direction: Floats
+    remarks: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what no file could hold."""

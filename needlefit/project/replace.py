@@ -12,7 +12,8 @@ def replacing(folder: Path) -> Iterator[Path]:
     """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was;
-    what a killed process left the next one removes. What may be replaced the caller decides before.
+    what a killed process left the next one removes. What may be replaced the caller decides before. A block
+    that writes nothing replaces nothing.
 
     Raises
     ------
@@ -24,6 +25,8 @@ def replacing(folder: Path) -> Iterator[Path]:
         fresh, old = beside / NEW / folder.name, beside / OLD
         fresh.mkdir()
         yield fresh
+        if not any(fresh.iterdir()):
+            return
         if not folder.exists():
             fresh.rename(folder)
             return

@@ -19,8 +19,9 @@ MOST_REMARKS = 10
 """Remarks on a page; the table of the batch has all."""
 
 _ALONG = (
-    "Above, the scan along the needle, in slabs that follow it; below, brightness, deflection and how far "
-    "the cross-sections lie off the axis. Lines: entry, boundaries of layers, tip. Bands: 95 %."
+    "Above, the scan in slabs that follow the needle (crosses: centres of markers nearby); below, "
+    "brightness, deflection, cross-sections off the axis. Lines: entry, layers, tip. Bands: 95 %, "
+    "of the axis, not of single sections."
 )
 _ACROSS = "The scan across the needle near its tip, and the markers' distances from their known places."
 _POSES = {"stage": "the stage", "shaft": "the straight shaft outside"}

@@ -34,18 +34,22 @@ def write_reconstructed(
 ) -> tuple[tuple[Reconstruction, ...], tuple[Failure, ...]]:
     """Write `folder`, whole or not at all; return what is in it, and what a dataset cannot hold.
 
+    Where none can be held nothing is written, and what was there stays.
+
     The dataset; `reconstruction.csv`, `markers.csv`, `crossings.csv`; `quality/<id>.pdf`; `slicer/`;
     and `reconstruction.json`: versions, recipe, and the SHA-256 of every file.
 
     Raises
     ------
     DataError
-        If no scan makes a dataset without faults.
+        If the dataset has a fault that belongs to no single scan.
     ConfigError
         If `folder` holds what is not its own.
     """
     with replacing_own(folder, MANIFEST) as fresh:
         kept, failures = assemble_sound(fresh, ones, recipe, about)
+        if not kept:
+            return kept, failures
         write_tables(kept, fresh)
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))

@@ -21,6 +21,9 @@ Floats = NDArray[np.float64]
 SHOWN = 5
 """Bad cells of one column that are listed one by one; the rest is counted."""
 
+MAPPED = "add the column, or name the one that holds it under `columns` in dataset.toml"
+"""What mends a missing column of a dataset."""
+
 OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
@@ -37,8 +40,10 @@ class Table:
         return f"{self.path}:{self.lines[row]}"
 
 
-def read_table(path: Path) -> Table:
+def read_table(path: Path, documented: str = "data/README.md") -> Table:
     """Read a CSV file with a header; byte order mark, CRLF and blank lines are fine.
+
+    An error names `documented` as the place where its columns are explained.
 
     Raises
     ------
@@ -52,7 +57,7 @@ def read_table(path: Path) -> Table:
             "is empty",
             where=str(path),
             expected="a header line and rows below it",
-            mend="fill it, or restore it; data/README.md lists the columns",
+            mend=f"fill it, or restore it; {documented} lists the columns",
         )
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
@@ -112,11 +117,11 @@ def numbers(
 
 
 def read_points(
-    table: Table, columns: Sequence[str], names: Mapping[str, str], found: list[Fault]
+    table: Table, columns: Sequence[str], names: Mapping[str, str], found: list[Fault], mend: str = MAPPED
 ) -> Points | None:
     """Return the points under the three `columns` (renamed by `names`), or None after a fault."""
     wanted = [names.get(column, column) for column in columns]
-    if missing_columns(table, wanted, found):
+    if missing_columns(table, wanted, found, mend):
         return None
     before = len(found)
     values = np.column_stack([numbers(table, column, found) for column in wanted])
@@ -150,8 +155,8 @@ def _deviations(table: Table, column: str, found: list[Fault]) -> Floats | None:
     return values
 
 
-def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault]) -> bool:
-    """Note every column of `wanted` that the table lacks; say whether there was one."""
+def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], mend: str = MAPPED) -> bool:
+    """Note every column of `wanted` that the table lacks, and its `mend`; say whether there was one."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
         found.append(
@@ -159,7 +164,7 @@ def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault]) -> 
                 f"{table.path}:1",
                 f"column `{column}` is missing",
                 f"a column of that name; there are {', '.join(map(str, table.cells.columns))}",
-                "add the column, or name the one that holds it under `columns` in dataset.toml",
+                mend,
             )
         )
     return bool(missing)

@@ -17,6 +17,7 @@ Floats = NDArray[np.float64]
 
 TAGS = (
     *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "FrameOfReferenceUID"),
+    *("Modality", "GantryDetectorTilt"),
     *("ImageType", "Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "BitsAllocated"),
     *("PixelRepresentation", "ImagePositionPatient", "ImageOrientationPatient", "PixelSpacing"),
     *("RescaleSlope", "RescaleIntercept", "ModalityLUTSequence", "PixelPaddingValue"),
@@ -34,6 +35,10 @@ class Slice:
     ----------
     series, number, description : str
         UID, number and name of its series; the latter two empty where the file has none.
+    modality : str
+        What kind of machine made it, "CT" for most; empty where the file does not say.
+    tilt : float
+        Stated angle of the gantry, degrees.
     syntax : UID
         How the voxels are packed.
     frame_of_reference : str
@@ -60,6 +65,8 @@ class Slice:
     series: str
     number: str
     description: str
+    modality: str
+    tilt: float
     syntax: UID
     frame_of_reference: str
     kind: tuple[str, ...]
@@ -113,6 +120,8 @@ def _slice(file: Path, data: pydicom.Dataset) -> Slice:
         series=str(data.SeriesInstanceUID),
         number=_text(data.get("SeriesNumber")),
         description=_text(data.get("SeriesDescription")),
+        modality=_text(data.get("Modality")).upper(),
+        tilt=_tilt(file, data),
         syntax=UID(str(data.file_meta.get("TransferSyntaxUID") or ImplicitVRLittleEndian)),
         frame_of_reference=_text(data.get("FrameOfReferenceUID")),
         kind=(kind,) if isinstance(kind, str) else tuple(map(str, kind)),
@@ -128,6 +137,11 @@ def _slice(file: Path, data: pydicom.Dataset) -> Slice:
         padding=_padding(file, data),
         table="ModalityLUTSequence" in data,
     )
+
+
+def _tilt(file: Path, data: pydicom.Dataset) -> float:
+    angle = _numbers(file, data, ("GantryDetectorTilt",), (1,))
+    return 0.0 if angle is None else float(angle[0])
 
 
 def _padding(file: Path, data: pydicom.Dataset) -> Floats | None:

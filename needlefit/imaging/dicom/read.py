@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 from needlefit.errors import DataError
 from needlefit.imaging.dicom.header import Slice
 from needlefit.imaging.dicom.series import find_series
-from needlefit.imaging.dicom.stack import stack
+from needlefit.imaging.dicom.stack import stack, tilt_remarks
 from needlefit.imaging.volume import Volume
+
+sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
 
 
 def read_series(path: Path, series: str | None = None) -> Volume:
@@ -33,7 +35,7 @@ def read_series(path: Path, series: str | None = None) -> Volume:
     for item, plane in zip(slices, values, strict=True):
         plane[...] = _voxels(reader, item)
     _fill_padding(values, slices)
-    return Volume(values, grid.origin, grid.spacing, grid.direction)
+    return Volume(values, grid.origin, grid.spacing, grid.direction, tilt_remarks(slices))
 
 
 def _voxels(reader: sitk.ImageFileReader, item: Slice) -> NDArray[np.float64]:
@@ -52,7 +54,8 @@ def _voxels(reader: sitk.ImageFileReader, item: Slice) -> NDArray[np.float64]:
         ) from error
     voxels = np.array(sitk.GetArrayViewFromImage(image), dtype=np.float64).reshape(item.rows, item.columns)
     if item.padding is not None:
-        slope, intercept = (1.0, 0.0) if item.rescale is None else item.rescale
+        assert item.rescale is not None  # the stack was checked
+        slope, intercept = item.rescale
         kept = (voxels - intercept) / slope
         voxels[(kept > item.padding[0] - 0.5) & (kept < item.padding[1] + 0.5)] = np.nan
     return voxels

@@ -37,7 +37,8 @@ def find_series(path: Path, series: str | None = None) -> list[Slice]:
             f"holds {len(stacks)} series: {_list(stacks)}",
             where=str(path),
             expected="one series, or the name of the one that is meant",
-            mend="give the number or the UID of the series that is meant as `series`",
+            mend="give the number or the UID of the one that is meant with --series, or under `series` in a "
+            "table of scans",
         )
     return next(iter(stacks.values()))
 

@@ -1,4 +1,11 @@
-"""Slices stacked into a volume, and everything that can forbid it: seen in the headers, before any voxel."""
+"""Slices stacked into a volume, and everything that can forbid it: seen in the headers, before any voxel.
+
+Metal, tissue and air are told apart by their attenuation, air by its -1000 HU. Hence only pictures made with
+X-rays are taken (cone-beam scanners and C-arms say CT, some XA), and only with a rescaling: what is stored is
+no HU, often these plus 1024, and an offset that is guessed would move the face of the tissue. A stated tilt
+of the gantry is only remarked on where the slices stand straight above each other: a series that was
+straightened keeps the entry, and the standard says that nothing is to be computed from it.
+"""
 
 from collections.abc import Sequence
 from itertools import pairwise
@@ -23,11 +30,19 @@ SAME = 1e-3
 GAP = 1.5
 """A step longer than this many usual ones lacks slices."""
 
+X_RAYS = frozenset({"", "CT", "XA", "RF", "DX", "PX", "IO", "OT"})
+"""Modalities whose values are attenuations; converters leave the entry out, or write OT (other)."""
+
+TILTED = 0.05
+"""A stated angle of the gantry below this, degrees, is none."""
+
 DECODED = frozenset(
     f"1.2.840.10008.1.2{end}"
     for end in ("", ".1", ".1.99", ".2", ".5", ".4.50", ".4.51", ".4.57", ".4.70", ".4.80", ".4.81")
 ) | {"1.2.840.10008.1.2.4.90", "1.2.840.10008.1.2.4.91"}
 """Transfer syntaxes that SimpleITK unpacks: none, deflated, RLE, JPEG, JPEG-LS, JPEG 2000."""
+
+STRAIGHT_UP = "every slice straight above the one before"
 
 _EXPORT = "export the series from the scanner or the archive again, as original axial slices"
 
@@ -63,6 +78,17 @@ def stack(slices: Sequence[Slice]) -> tuple[list[Slice], Grid]:
     return ordered, grid
 
 
+def tilt_remarks(slices: Sequence[Slice]) -> tuple[str, ...]:
+    """Return what a person should know of a straight stack whose headers speak of a tilt."""
+    tilt = max((item.tilt for item in slices), key=abs)
+    if abs(tilt) < TILTED:
+        return ()
+    return (
+        f"the scan's headers state a gantry tilted by {abs(tilt):g} degrees (GantryDetectorTilt), but "
+        "its slices stand straight: right if it was straightened after the scan, else all in it is sheared",
+    )
+
+
 def _axes(item: Slice) -> Floats:
     """Return the row and column directions (2, 3) of a slice, made perpendicular to the last digit."""
     assert item.axes is not None
@@ -95,13 +121,21 @@ def _kind_fault(item: Slice) -> tuple[str, str, str] | None:
         mend = "move localizers (scouts, topograms) to a folder of their own"
         return "is a localizer among the slices of a volume", "slices of the volume only", mend
     places = ("ImagePositionPatient", item.position), ("ImageOrientationPatient", item.axes)
+    if item.modality not in X_RAYS:
+        mend = "give the CT; if this is one and its header is wrong, save it as NRRD, e.g. with 3D Slicer"
+        return f"is no CT: its Modality is {item.modality}", "attenuation of X-rays, in HU", mend
     missing = [name for name, value in (*places, ("PixelSpacing", item.pixel)) if value is None]
     if missing:
         return f"has no {', '.join(missing)}", "where the slice stands in the patient", _EXPORT
     if item.samples != 1 or item.table:
         what = "rescales its values by a table" if item.table else f"holds {item.samples} colours a voxel"
         return what, "one attenuation a voxel, with a slope and an intercept", _EXPORT
-    if item.rescale is not None and item.rescale[0] == 0.0:
+    if item.rescale is None:
+        mend = (
+            "export it with its rescaling; or turn its values to HU (air -1000) yourself, and save it as NRRD"
+        )
+        return "has no RescaleSlope, RescaleIntercept: its values are no HU", "how values become HU", mend
+    if item.rescale[0] == 0.0:
         return "RescaleSlope is 0", "a slope that keeps the values apart", _EXPORT
     if item.syntax not in DECODED:
         name = UID(item.syntax).name
@@ -134,7 +168,6 @@ def _difference(one: Slice, other: Slice) -> tuple[str, object, object] | None:
     unlike = (
         ("size", (one.rows, one.columns), (other.rows, other.columns)),
         ("frame of reference", one.frame_of_reference, other.frame_of_reference),
-        ("rescaling", *("missing" if item.rescale is None else "stated" for item in (one, other))),
     )
     for name, a, b in unlike:
         if a != b:
@@ -158,7 +191,7 @@ def _step(ordered: Sequence[Slice], positions: Floats, normal: Floats) -> float:
         )
     along = (positions - positions[0]) @ normal  # (K,)
     _check_steps(ordered, np.diff(along))
-    _check_straight(folder, along, positions - positions[0] - along[:, None] * normal)
+    _check_straight(ordered, along, positions - positions[0] - along[:, None] * normal)
     spacing = float(along[-1]) / (len(ordered) - 1)
     astray = np.abs(along - spacing * np.arange(len(ordered)))
     if astray.max() > ASTRAY:
@@ -193,23 +226,33 @@ def _check_steps(ordered: Sequence[Slice], steps: Floats) -> None:
             )
 
 
-def _check_straight(folder: str, along: Floats, across: Floats) -> None:
+def _check_straight(ordered: Sequence[Slice], along: Floats, across: Floats) -> None:
     """See that the stack does not lean; `across` (K, 3) is how far slices shift in their own plane, mm."""
     if np.linalg.norm(across, axis=1).max() <= ASTRAY:
         return
     lean = np.outer(along / along[-1], across[-1])
     angle = np.degrees(np.arctan2(np.linalg.norm(across[-1]), along[-1]))
-    straight = np.linalg.norm(across - lean, axis=1).max() <= ASTRAY
+    if np.linalg.norm(across - lean, axis=1).max() > ASTRAY:
+        raise _shifted(ordered, across)
     raise DataError(
-        f"the stack leans by {angle:.3g} degrees: the gantry was tilted"
-        if straight
-        else "slices are shifted",
-        where=folder,
-        expected="every slice straight above the one before",
+        f"the stack leans by {angle:.3g} degrees: the gantry was tilted",
+        where=str(ordered[0].file.parent),
+        expected=STRAIGHT_UP,
         mend="resample the series onto a straight grid, e.g. with the gantry-tilt correction of dcm2niix or "
-        "3D Slicer, and save it as NRRD"
-        if straight
-        else _EXPORT,
+        "3D Slicer, and save it as NRRD",
+    )
+
+
+def _shifted(ordered: Sequence[Slice], across: Floats) -> DataError:
+    """Return the error for slices that stand beside the others; `across` (K, 3), mm."""
+    beside = np.linalg.norm(across - np.median(across, axis=0), axis=1)
+    worst, count = int(beside.argmax()), int((beside > ASTRAY).sum())
+    more = f", as {count - 1} more of {len(ordered)} slices do to some extent" if count > 1 else ""
+    return DataError(
+        f"stands {beside[worst]:.3g} mm beside most of the other slices{more}",
+        where=str(ordered[worst].file),
+        expected=STRAIGHT_UP,
+        mend=_EXPORT,
     )
 
 

@@ -11,6 +11,15 @@ from needlefit.geometry.frames import Floats
 FEWEST = 3
 """Markers that fix a rigid motion."""
 
+FOUND, KNOWN = "markers found in the scan", "known markers"
+"""Where an error stands that is of one set alone."""
+
+MORE = {
+    FOUND: "lower the markers' threshold, give their places by hand, or scan with all markers in view",
+    KNOWN: "list every marker of the layout; where there are no more, add markers and scan again",
+}
+"""What mends a set of too few."""
+
 
 @dataclass(frozen=True)
 class MarkerSets:
@@ -70,7 +79,7 @@ def marker_sets(found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_s
     DataError
         If a set has fewer than three markers, a number is not finite, or the deviations are not positive.
     """
-    places = _points(found, "markers found in the scan"), _points(known, "known markers")
+    places = _points(found, FOUND), _points(known, KNOWN)
     covariances = [
         _covariances(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
     ]
@@ -129,7 +138,7 @@ def _points(given: ArrayLike, name: str) -> Floats:
             f"{len(points)} markers are too few",
             where=name,
             expected="at least three markers that are not on a line",
-            mend="lower the markers' threshold, give their places by hand, or scan with all markers in view",
+            mend=MORE[name],
         )
     return points
 

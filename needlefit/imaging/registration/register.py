@@ -26,6 +26,10 @@ from needlefit.imaging.registration.suspicion import turned_over
 LARGEST_TURN = 0.1
 """Deviation of a turn, rad, from which on the markers count as lying on a line."""
 
+NARROW = 0.1
+"""Markers no further beside a line than this part of their reach along it are blamed themselves for a turn
+that is not known; where they spread wider, it is their deviation."""
+
 
 @dataclass(frozen=True)
 class Registration:
@@ -113,7 +117,7 @@ def register(
         pairing disproves; RAS read as LPS, if a rough pose shows it.
     """
     sets = marker_sets(found, known, found_sd, known_sd)
-    _refuse_line(sets.known, sets.typical_sd)
+    _refuse_line(sets.known, sets.typical_sd)  # before pairing, which would try them all
     chosen = choose(sets, rough) if pairs is None else accept(sets, np.asarray(pairs, dtype=np.int64))
     alignment, paired = chosen.best.alignment, chosen.best.pairs
     # the residuals of markers on a line say nothing of the turn about it
@@ -139,11 +143,6 @@ def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
     arms = to_world(registration, points) - registration.centre
     return target_error.target_covariance(arms, registration.covariance)
-
-
-def predicted_target_error(registration: Registration, points: ArrayLike) -> Floats:
-    """Return the root mean square error (N,) to expect at scan `points` (N, 3), mm, from the stated noise."""
-    return target_error.root_mean_square(target_covariance(registration, points))
 
 
 def predicted_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
@@ -197,6 +196,16 @@ def _refuse_line(points: Floats, sd: float) -> None:
     if turn <= LARGEST_TURN:
         return
     sure = f"+- {np.degrees(turn):.0f} degrees" if np.isfinite(turn) else "nothing"
+    along, beside = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(points))
+    if beside > NARROW * along:
+        raise DataError(
+            f"{len(points)} markers spread {along:.3g} mm along and {beside:.3g} mm beside a line (root mean "
+            f"square); known to {sd:.3g} mm, they tell {sure} of the turn about it",
+            where="deviations of the markers",
+            expected="a deviation that is small against the layout",
+            mend="correct known_sd_mm and fiducial_sd_mm of the recipe (mm, per direction), or spread the "
+            "markers further",
+        )
     raise DataError(
         f"{len(points)} markers lie on a line: of the turn about it they tell {sure}",
         where="markers",

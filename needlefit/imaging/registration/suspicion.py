@@ -12,7 +12,14 @@ from scipy.spatial import cKDTree
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Floats, Frame
 from needlefit.imaging.registration.marker_sets import FEWEST, MarkerSets, mirrored, noisier
-from needlefit.imaging.registration.pairing import by_chance, fitting, limit, may_be_chance, of_size
+from needlefit.imaging.registration.pairing import (
+    DOUBT,
+    by_chance,
+    fitting,
+    limit,
+    may_be_chance,
+    of_size,
+)
 from needlefit.imaging.registration.scale import better_scaled
 
 SIGNS = {
@@ -60,10 +67,13 @@ def misfit_error(sets: MarkerSets, reached: int) -> DataError | None:
 
 
 def nothing_fits(sets: MarkerSets) -> DataError:
-    """Return the error for sets that no pairing within the stated noise brings together."""
+    """Return the error for sets that no pairing within the stated noise brings together for sure."""
+    few = _few_fit(sets)
+    if few:
+        return few
     return DataError(
         f"no pairing of the {len(sets.found)} found with the {len(sets.known)} known markers fits within "
-        f"{sets.typical_sd:.2f} mm{_nearest_fit(sets)}",
+        f"{sets.typical_sd:.2f} mm{_louder_fit(sets)}",
         where="markers",
         expected="three or more markers at distances as in the world, more if some are missing and others "
         "spurious",
@@ -71,17 +81,25 @@ def nothing_fits(sets: MarkerSets) -> DataError:
     )
 
 
-def _nearest_fit(sets: MarkerSets) -> str:
-    """Return what fits after all, if fewer pairs or more noise are granted."""
-    for count in range(sets.fewer, FEWEST - 1, -1):
-        if may_be_chance(sets, count):
-            few = of_size(sets, count)
-            if few and few[0].alignment.chi2 <= limit(count):
-                return (
-                    f"; {count} fit ({said(few[0].pairs)}), but so might {count} of as many unrelated ones: "
-                    f"{by_chance(sets, count):.1g} such pairings are to be expected"
-                )
-            break
+def _few_fit(sets: MarkerSets) -> DataError | None:
+    """Return the error for pairs that fit, but are so few that unrelated markers might; None without them."""
+    count = next((n for n in range(sets.fewer, FEWEST - 1, -1) if may_be_chance(sets, n)), None)
+    few = [] if count is None else of_size(sets, count)
+    if count is None or not few or few[0].alignment.chi2 > limit(count):
+        return None
+    return DataError(
+        f"only {count} of the {len(sets.found)} found and {len(sets.known)} known markers fit "
+        f"(found -> known, from 0: {said(few[0].pairs)}), too few to believe: of as many unrelated markers "
+        f"{by_chance(sets, count):.1g} sets of pairs would fit by chance",
+        where="markers",
+        expected=f"pairs that chance brings about less than {DOUBT:g} times: more of them, or none left over",
+        mend="scan with more of the markers in view; list only those known that the scan can show; place the "
+        "markers by hand; state smaller deviations if they are",
+    )
+
+
+def _louder_fit(sets: MarkerSets) -> str:
+    """Return what fits after all, if more noise is granted."""
     for factor in LOUDER:
         louder = fitting(noisier(sets, factor))
         if louder and len(louder[0].pairs) == sets.fewer:

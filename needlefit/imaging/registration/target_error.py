@@ -70,12 +70,6 @@ def target_covariance(arms: ArrayLike, pose: Floats) -> Floats:
     return covariance
 
 
-def root_mean_square(covariance: Floats) -> Floats:
-    """Return the root mean square length (N,) of errors of these covariances (N, 3, 3)."""
-    length: Floats = np.sqrt(np.trace(covariance, axis1=-2, axis2=-1))
-    return length
-
-
 def mean_length(covariance: Floats) -> Floats:
     """Return the mean length (N,) of Gaussian errors of these covariances (N, 3, 3).
 

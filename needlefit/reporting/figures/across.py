@@ -62,17 +62,14 @@ def _point_bevel(axes: Axes, reconstruction: Reconstruction) -> None:
 def _paint_markers(axes: Axes, reconstruction: Reconstruction) -> None:
     registration = reconstruction.registration
     assert registration is not None
-    rows = np.arange(len(registration.pairs))
-    size = np.linalg.norm(registration.residuals, axis=1)
-    axes.hlines(rows, 0.0, np.fmax(size, registration.leave_one_out), color=GREY, lw=0.5, zorder=1)
+    rows, order = np.arange(len(registration.pairs)), np.argsort(registration.pairs[:, 1])
+    size = np.linalg.norm(registration.residuals[order], axis=1)
+    left_out, expected = registration.leave_one_out[order], registration.expected_leave_one_out[order]
+    axes.hlines(rows, 0.0, np.fmax(size, left_out), color=GREY, lw=0.5, zorder=1)
     axes.plot(size, rows, "o", color=MARKER, ms=3.2, mew=0, label="in the fit")
-    axes.plot(
-        registration.leave_one_out, rows, "o", mfc="white", mec=MARKER, mew=0.8, ms=3.2, label="left out"
-    )
-    axes.plot(
-        registration.expected_leave_one_out, rows, "|", color=INK, ms=7, mew=0.9, label="left out, expected"
-    )
-    axes.set_yticks(rows, [f"{known}" for _, known in registration.pairs])
+    axes.plot(left_out, rows, "o", mfc="white", mec=MARKER, mew=0.8, ms=3.2, label="left out")
+    axes.plot(expected, rows, "|", color=INK, ms=7, mew=0.9, label="left out, expected")
+    axes.set_yticks(rows, [f"{known}" for known in registration.pairs[order, 1]])
     axes.set(ylim=(len(rows) - 0.5, -0.5), ylabel="marker", xlabel="distance from its known place (mm)")
     axes.set_xlim(left=0.0)
     axes.xaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))

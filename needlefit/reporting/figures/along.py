@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.reconstruction import Reconstruction, View
+from needlefit.reporting.figures.labels import spread
 from needlefit.reporting.figures.panels import panel, sheet
 from needlefit.reporting.figures.pictures import ENTRY, LAYER, NEEDLE, TIP, show, whole_needle
 from needlefit.reporting.figures.style import draw, light_grid
@@ -25,7 +26,7 @@ WIDTH, HEIGHT = 180.0, 175.0
 OUT_OF_PLANE = "#D55E00"
 
 _LEFT, _RIGHT, _TOP, _BOTTOM, _GAP = 17.0, 1.0, 4.0, 8.0, 2.5  # mm around and between the panels
-_PLOTS = {"core": 9.0, "around": 24.0, "deflection": 24.0, "residuals": 17.0}  # heights, mm
+_PLOTS = {"core": 9.0, "around": 24.0, "deflection": 24.0, "residuals": 20.0}  # heights, mm
 _NINETY_FIVE = 1.96
 
 
@@ -99,7 +100,10 @@ def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
         axes.plot(x, side, color=colour, lw=1.1, label=words)
     axes.axhline(0.0, color=GREY, lw=0.5, zorder=1)
     axes.set_ylabel("in C\n(mm)")
-    axes.legend(loc="upper left", handlelength=1.3, fontsize=7, borderaxespad=0.2, reverse=True)
+    axes.legend(
+        loc="upper left", handlelength=1.3, fontsize=7, borderaxespad=0.2, reverse=True,
+        frameon=True, facecolor="white", edgecolor="none", framealpha=1.0, borderpad=0.15,
+    )  # fmt: skip
     light_grid(axes, "y")
 
 
@@ -110,15 +114,30 @@ def _paint_residuals(axes: Axes, reconstruction: Reconstruction) -> None:
     beside = traced.residuals @ turn.T  # (S, 3), C
     at = np.interp(traced.sections_s, arc_length(traced.points), x)
     half = _NINETY_FIVE * traced.sd
-    axes.fill_between(x, -half, half, color=GREY, alpha=0.3, lw=0)
+    axes.fill_between(x, -half, half, color=GREY, alpha=0.3, lw=0, label="the axis, 95 %")
     for side, colour, mark, words in ((2, OUT_OF_PLANE, "D", "in z"), (1, NEEDLE, "o", "in y")):
         axes.plot(at, beside[:, side], mark, color=colour, ms=1.3, mew=0, label=words)
     axes.set_ylabel("sections off\naxis (mm)")
     axes.yaxis.set_major_locator(MaxNLocator(4, steps=[1, 2, 5, 10]))
+    low, high = axes.get_ylim()
+    axes.set_ylim(low - 0.15 * (high - low), high + 0.3 * (high - low))  # room for the words
     axes.legend(
-        loc="center right", handletextpad=0.1, fontsize=7, markerscale=2, borderaxespad=0.1, reverse=True,
+        loc="upper left", ncols=3, handlelength=1.0, handletextpad=0.4, columnspacing=1.2, fontsize=7,
+        markerscale=2, borderaxespad=0.1, reverse=True,
     )  # fmt: skip
+    _mark_tip_model(axes, float(at[-1]), float(x[-1]))
     light_grid(axes, "y")
+
+
+def _mark_tip_model(axes: Axes, last: float, tip: float) -> None:
+    """Say why no cross-section stands near the tip: there a model is fitted whole."""
+    across = axes.get_xaxis_transform()
+    ends = {"arrowstyle": "|-|,widthA=0.15,widthB=0.15", "color": INK, "lw": 0.7, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (tip, 0.1), (last, 0.1), xycoords=across, arrowprops=ends, annotation_clip=False)
+    axes.annotate(
+        "fitted as\na whole", (tip, 0.04), xytext=(3, 0), xycoords=across, textcoords="offset points",
+        fontsize=7, va="bottom", linespacing=0.95,
+    )  # fmt: skip
 
 
 _PAINTERS = {
@@ -148,13 +167,17 @@ def _mark_depths(axes: Axes, reconstruction: Reconstruction) -> None:
 def _name_depths(axes: Axes, reconstruction: Reconstruction) -> None:
     """Write over the first panel what the lines through the others are, and where the base lies."""
     top = axes.get_ylim()[1]
-    for at, _, colour, name in _depths(reconstruction):
+    left, right = axes.get_xlim()
+    depths = _depths(reconstruction)
+    stand = spread(
+        [at for at, *_ in depths], [name for *_, name in depths], (WIDTH - _LEFT - _RIGHT) / (right - left)
+    )
+    for (at, _, colour, name), over in zip(depths, stand, strict=True):
         axes.annotate(
-            name, (at, top), xytext=(0, 2.5), textcoords="offset points", ha="center", va="bottom",
+            name, (over, top), xytext=(0, 2.5), textcoords="offset points", ha="center", va="bottom",
             fontsize=7, color=INK, annotation_clip=False,
         )  # fmt: skip
         axes.plot([at, at], [top, top], "v", color=colour, ms=3.2, mew=0, clip_on=False, zorder=6)
-    left = axes.get_xlim()[0]
     axes.annotate(
         "← base", (left, top), xytext=(0, 2.5), textcoords="offset points", va="bottom", fontsize=7,
     )  # fmt: skip

@@ -88,7 +88,8 @@ def _draw_markers(axes: Axes, view: View, reconstruction: Reconstruction) -> Non
     else:
         middle = np.full(len(centers), needle[-1, 0] - BEFORE_TIP)
     near = np.abs(centers[:, through] - middle) <= _NEAR
-    axes.plot(centers[near, right], centers[near, up], "o", mfc="none", mec=MARKER, mew=0.8, ms=8)
+    # the centre alone: the slab cuts a ball off its middle, where a ring of its size would not be its outline
+    axes.plot(centers[near, right], centers[near, up], "+", color=MARKER, mew=1.0, ms=6)
 
 
 def _draw_layers(axes: Axes, view: View, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
