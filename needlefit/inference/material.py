@@ -16,7 +16,7 @@ from scipy.stats import t as student
 
 from needlefit.datasets.compression_loading import Specimen
 from needlefit.errors import FitError
-from needlefit.inference.profile import Profile
+from needlefit.inference.material_profile import Profile
 from needlefit.mechanics.compression import Measure, growth, stress
 
 Floats = NDArray[np.float64]

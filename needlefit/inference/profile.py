@@ -1,52 +1,191 @@
-"""The profile of a sum of squares over one parameter, all others being the best for each of its values."""
+"""Profile likelihoods: how the best fit worsens as one parameter is held away from it.
 
+The deviance, twice the fall of the log posterior with all other parameters re-optimised, is followed from
+the optimum to both sides until it is well above the 95 % quantile of chi-square with one degree of freedom,
+or a bound ends the way. Its derivative is exact (the others are at their best, so only the held parameter
+moves it): it sets the steps, and between points the curve is the cubic through values and derivatives.
+"""
+
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+from scipy.stats import chi2
+
+from needlefit.inference.settle import Settled, Squares
+from needlefit.inference.track import Track, follow, peak_of
 
 Floats = NDArray[np.float64]
+End = Literal["closed", "bound", "lost"]
+
+THRESHOLD = float(chi2.ppf(0.95, 1))
+"""Deviance at the ends of a 95 % interval, 3.84."""
+
+DEEP = 0.2
+"""Deviance by which the profile must fall away from the optimum to be said to have another minimum."""
+
+FINE = 401
+"""Points on which the curve between the computed ones is searched and drawn."""
 
 
 @dataclass(frozen=True)
 class Profile:
-    """Sum of squares over alpha, mu being the best for each; everything that is asked of its shape.
+    """The profile of one parameter, in its coordinate of theta.
 
     Attributes
     ----------
-    alpha : (G,) array
-    mu : (G,) array
-        MPa.
-    ratio : (G,) array
-        Sum of squares over the smallest one.
-    limit : float
-        Ratio up to which an alpha belongs to the 95 % region.
+    name : str
+    at, deviance, slope : (G,) arrays
+        Where it was computed, in order; the deviance there and its derivative.
+    thetas : (G, P) array
+        All parameters there, re-optimised.
+    best : float
+        Where the deviance is 0.
+    sd : float
+        Standard deviation that the information at the optimum implies; infinite where it knows nothing.
+    low, high : float
+        Ends of the 95 % interval, the outermost if it is in pieces; where one is not closed, the last value
+        that was looked at.
+    ends : tuple of two
+        Of each end: "closed"; "bound" where the bound comes first; "lost" where no solution was found
+        further out.
+    minima : int
+        Local minima of the profile; 1 for one that rises to both sides.
+    evaluations, retries : int
+        Jacobians computed, and points that were tried from elsewhere too.
     """
 
-    alpha: Floats
-    mu: Floats
-    ratio: Floats
-    limit: float
+    name: str
+    at: Floats
+    deviance: Floats
+    slope: Floats
+    thetas: Floats
+    best: float
+    sd: float
+    low: float
+    high: float
+    ends: tuple[End, End]
+    minima: int
+    evaluations: int
+    retries: int
 
     @property
-    def regions(self) -> tuple[tuple[float, float], ...]:
-        """The 95 % region of alpha as intervals; one that ends where the range does is open there."""
-        return self.within(self.limit)
+    def flat(self) -> bool:
+        """Whether every value between the bounds is within the 95 % interval."""
+        return self.ends == ("bound", "bound")
 
-    def within(self, limit: float) -> tuple[tuple[float, float], ...]:
-        """Return the intervals of alpha with a ratio of at most `limit`."""
-        inside = np.concatenate(([False], self.ratio <= limit, [False]))
-        begins, ends = (
-            np.flatnonzero(np.diff(inside.astype(int)) == 1),
-            np.flatnonzero(~inside[1:] & inside[:-1]),
-        )
-        pairs = zip(begins.tolist(), ends.tolist(), strict=True)
-        return tuple((self._edge(a - 1, a, limit), self._edge(b, b - 1, limit)) for a, b in pairs)
+    @property
+    def closed(self) -> bool:
+        """Whether the interval ends on both sides."""
+        return self.ends == ("closed", "closed")
 
-    def _edge(self, out: int, within: int, limit: float) -> float:
-        """Return where the ratio passes the limit between two neighbours of the grid."""
-        if not 0 <= out < len(self.alpha):
-            return float(self.alpha[within])
-        high, low = self.ratio[out], self.ratio[within]
-        part = 1.0 if high == low else (limit - low) / (high - low)
-        return float(self.alpha[within] + part * (self.alpha[out] - self.alpha[within]))
+    @property
+    def rise(self) -> float:
+        """Largest deviance that was found."""
+        return float(np.max(self.deviance))
+
+    def curve(self, at: Floats) -> Floats:
+        """Return the deviance at coordinates within the range that was computed."""
+        return _curve(self.at, self.deviance, self.slope, at)
+
+    def parabola(self, at: Floats) -> Floats:
+        """Return the deviance that the information at the optimum implies."""
+        return ((at - self.best) / self.sd) ** 2
+
+
+def profile(
+    target: Squares, k: int, optimum: Settled, elsewhere: Sequence[Floats] = (), scale: float = 1.0
+) -> Profile:
+    """Return the profile of parameter `k` about an optimum.
+
+    Parameters
+    ----------
+    target : Squares
+    k : int
+    optimum : Settled
+        Of all parameters; should the profile find a better one, that takes its place.
+    elsewhere : sequence of (P,) arrays
+        Further places to begin from where the profile fails or jumps, and at its ends.
+    scale : float
+        What the sum of squares is divided by to give the deviance: above 1 where residuals are larger than
+        the noise explains.
+    """
+    track = follow(target, k, optimum, elsewhere, scale)
+    points = sorted(track.points, key=lambda point: float(point.theta[k]))
+    at = np.array([point.theta[k] for point in points])
+    peak = peak_of(points)
+    deviance = np.array([(point.value - peak.value) / scale for point in points])
+    slope = np.array([point.slope[k] / scale for point in points])
+    slope[deviance == 0] = 0.0
+    (low, below), (high, above) = (_end(track, (at, deviance, slope), side) for side in (-1, 1))
+    return Profile(
+        name=target.names[k],
+        at=at,
+        deviance=deviance,
+        slope=slope,
+        thetas=np.array([point.theta for point in points]),
+        best=float(peak.theta[k]),
+        sd=_sd(peak.information, k, scale),
+        low=low,
+        high=high,
+        ends=(below, above),
+        minima=_minima(deviance),
+        evaluations=track.evaluations,
+        retries=track.retries,
+    )
+
+
+def _end(track: Track, curve: tuple[Floats, Floats, Floats], side: int) -> tuple[float, End]:
+    """Return where the interval ends on one side, and how."""
+    at, deviance, _ = curve
+    outermost = -1 if side > 0 else 0
+    if deviance[outermost] <= THRESHOLD:
+        return float(at[outermost]), "bound" if track.at_bound[side > 0] else "lost"
+    fine = np.unique(np.concatenate([np.linspace(at[0], at[-1], FINE), at]))
+    inside = np.flatnonzero(_curve(*curve, fine) <= THRESHOLD)
+    last = int(inside[outermost])
+    return _crossing(curve, float(fine[last]), float(fine[last + side])), "closed"
+
+
+def _crossing(curve: tuple[Floats, Floats, Floats], inside: float, outside: float) -> float:
+    for _ in range(50):
+        middle = 0.5 * (inside + outside)
+        if _curve(*curve, np.array([middle]))[0] <= THRESHOLD:
+            inside = middle
+        else:
+            outside = middle
+    return inside
+
+
+def _curve(at: Floats, deviance: Floats, slope: Floats, where: Floats) -> Floats:
+    if len(at) == 1:
+        return np.full(len(where), deviance[0])
+    spline: Floats = CubicHermiteSpline(at, deviance, slope)(where)
+    return spline
+
+
+def _sd(information: Floats, k: int, scale: float) -> float:
+    others = np.arange(len(information)) != k
+    cross = information[others, k]
+    rest = np.linalg.lstsq(information[np.ix_(others, others)], cross, rcond=1e-12)[0]
+    left = float(information[k, k] - cross @ rest)
+    return math.sqrt(scale / left) if left > 1e-14 else math.inf
+
+
+def _minima(deviance: Floats) -> int:
+    """Return the number of local minima that are at least `DEEP` below what surrounds them."""
+    count, highest, lowest, falling = 0, deviance[0], deviance[0], True
+    for value in deviance:
+        if falling:
+            lowest = min(lowest, value)
+            if value > lowest + DEEP:
+                count, highest, falling = count + 1, value, False
+        else:
+            highest = max(highest, value)
+            if value < highest - DEEP:
+                lowest, falling = value, True
+    return count + falling

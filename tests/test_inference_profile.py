@@ -1,0 +1,156 @@
+"""Profiles of sums of squares whose profiles are known in closed form."""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+import pytest
+
+from needlefit.inference.profile import THRESHOLD, Profile, profile
+from needlefit.inference.settle import settle
+
+REACH = 20.0
+
+
+@dataclass
+class Known:
+    """Residuals and their Jacobian as functions of two parameters; counts its evaluations."""
+
+    residuals: Callable[[float, float], list[float]]
+    slopes: Callable[[float, float], list[list[float]]]
+    lower: np.ndarray = field(default_factory=lambda: np.full(2, -REACH))
+    upper: np.ndarray = field(default_factory=lambda: np.full(2, REACH))
+    names: tuple[str, ...] = ("x", "y")
+    calls: int = 0
+
+    def jacobian(self, theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        self.calls += 1
+        return np.array(self.residuals(*theta), dtype=float), np.array(self.slopes(*theta), dtype=float)
+
+
+def line(**changed: object) -> Known:
+    """Gaussian and linear: information [[5, 2], [2, 4]]."""
+    return Known(lambda x, y: [x + 2 * y - 1, 2 * x - 3], lambda x, y: [[1, 2], [2, 0]], **changed)
+
+
+def banana() -> Known:
+    """y follows x^2 within 0.1, x is 1 within 0.5."""
+    return Known(
+        lambda x, y: [(x - 1) / 0.5, (y - x**2) / 0.1],
+        lambda x, y: [[2, 0], [-20 * x, 10]],
+    )
+
+
+def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5), elsewhere=()) -> Profile:
+    return profile(target, k, settle(target, np.array(start)), elsewhere)
+
+
+def test_a_linear_gaussian_has_the_parabola_of_its_information():
+    for k, sd in ((0, math.sqrt(4 / 16)), (1, math.sqrt(5 / 16))):
+        p = found(line(), k)
+        assert p.sd == pytest.approx(sd)
+        best = (1.5, -0.25)[k]
+        assert p.best == pytest.approx(best)
+        assert p.deviance == pytest.approx(((p.at - best) / sd) ** 2, abs=1e-6)
+        fine = np.linspace(p.at[0], p.at[-1], 77)
+        assert p.curve(fine) == pytest.approx(p.parabola(fine), abs=1e-6)
+        half = math.sqrt(THRESHOLD) * sd
+        assert (p.low, p.high) == pytest.approx((best - half, best + half))
+        assert p.closed and p.minima == 1 and not p.flat
+        assert p.deviance[0] > THRESHOLD < p.deviance[-1]
+
+
+def test_a_scale_widens_the_interval_by_its_root():
+    target = line()
+    wide = profile(target, 0, settle(target, np.zeros(2)), scale=4.0)
+    assert wide.high - wide.best == pytest.approx(2 * (found(line(), 0).high - 1.5))
+    assert wide.sd == pytest.approx(1.0)
+
+
+def test_a_banana_has_the_known_curves():
+    """x: all of its deviance is its own. y: x is squeezed between 1 and the root of y."""
+    along = found(banana(), 0)
+    assert along.deviance == pytest.approx(((along.at - 1) / 0.5) ** 2, abs=5e-3)
+    up = found(banana(), 1)
+    x = np.linspace(-3, 4, 200_001)
+    for y, deviance in zip(up.at, up.deviance, strict=True):
+        assert deviance == pytest.approx(np.min(((x - 1) / 0.5) ** 2 + ((y - x**2) / 0.1) ** 2), abs=5e-3)
+    # the parabola would end it at 1 - 1.96 * 1.005, where there is no banana
+    assert up.low > -0.3 > up.best - math.sqrt(THRESHOLD) * up.sd
+    assert up.high > up.best + math.sqrt(THRESHOLD) * up.sd
+
+
+def test_a_parameter_without_a_say_is_flat():
+    target = Known(lambda x, y: [y - 1.0], lambda x, y: [[0.0, 1.0]])
+    p = found(target, 0)
+    assert p.flat and p.rise == pytest.approx(0.0, abs=1e-9) and p.sd == math.inf
+    assert (p.low, p.high) == (-REACH, REACH)
+    assert target.calls < 60
+
+
+def test_a_parameter_that_another_one_can_stand_in_for_is_flat():
+    """Only x + y is known; y can follow x as far as the bounds of y allow."""
+    target = Known(lambda x, y: [x + y], lambda x, y: [[1.0, 1.0]])
+    p = found(target, 0)
+    assert p.flat and p.rise < 1e-6
+    narrow = Known(
+        lambda x, y: [x + y], lambda x, y: [[1.0, 1.0]], lower=np.array([-20, -1]), upper=np.array([20, 1])
+    )
+    q = found(narrow, 0)
+    assert q.closed and (q.low, q.high) == pytest.approx((-1 - 1.96, 1 + 1.96), abs=0.01)
+
+
+def test_an_interval_that_a_bound_cuts_is_open_there():
+    p = found(line(lower=np.array([1.2, -20.0])), 0, (2.0, 0.0))
+    assert p.ends == ("bound", "closed") and p.low == 1.2
+    assert not p.closed and not p.flat
+    q = found(line(upper=np.array([1.0, 20.0])), 0, (0.0, 0.0))  # the best point itself lies at the bound
+    assert q.ends == ("closed", "bound") and q.best == q.high == 1.0
+
+
+def wells(x: float, y: float) -> list[float]:
+    return [0.4 * (x - 1.0), (y**2 - 1) * 3.0, 0.5 * (y - 1) * (x > -50), 0.9 * (y + 1) * (x - 1.0)]
+
+
+def test_retries_find_the_lower_branch():
+    """y sits at about +1 or -1; far from x = 1 the branch at -1 is the lower one by far."""
+    target = Known(
+        wells,
+        lambda x, y: [[0.4, 0], [0, 6 * y], [0, 0.5], [0.9 * (y + 1), 0.9 * (x - 1.0)]],
+        lower=np.array([-5.0, -2.0]),
+        upper=np.array([7.0, 2.0]),
+    )
+    alone, helped = found(target, 0, (1.0, 1.0)), found(target, 0, (1.0, 1.0), [np.array([1.0, -1.0])])
+    y = np.linspace(-2, 2, 40_001)
+    true = [min(sum(r**2 for r in np.broadcast_arrays(*wells(x, y)))) for x in helped.at]
+    assert helped.deviance == pytest.approx(np.array(true), abs=2e-2)
+    assert helped.high > alone.high + 0.5 and helped.retries > 0
+
+
+def test_a_better_optimum_met_on_the_way_takes_the_place_of_the_first():
+    """Two wells of x, the deeper one far from where the search ended."""
+    target = Known(
+        lambda x, y: [1.2 * math.sin(x / 2), 0.12 * (x - 2 * math.pi), y],
+        lambda x, y: [[0.6 * math.cos(x / 2), 0], [0.12, 0], [0, 1.0]],
+    )
+    p = found(target, 0, (0.1, 0.0))
+    assert p.best == pytest.approx(2 * math.pi, abs=0.05) and p.minima > 1 and p.deviance.min() == 0.0
+
+
+def test_where_no_solution_is_found_the_end_says_so():
+    def residuals(x: float, y: float) -> list[float]:
+        return [0.1 * x if x < 3 else math.nan, y]
+
+    p = found(Known(residuals, lambda x, y: [[0.1, 0], [0, 1.0]]), 0)
+    assert p.ends[1] == "lost" and 2.5 < p.high < 3.0
+    assert p.ends[0] == "closed" and p.low == pytest.approx(-19.6, abs=0.01)
+
+
+def test_a_descent_stops_at_bounds_and_holds_what_is_held():
+    target = line(lower=np.array([2.0, -20.0]))
+    end = settle(target, np.array([5.0, 5.0]))
+    assert end.converged and end.theta == pytest.approx([2.0, -0.5])
+    held = settle(target, np.array([5.0, 5.0]), held=0)
+    assert held.theta == pytest.approx([5.0, -2.0]) and held.value == pytest.approx(49.0)
+    assert target.calls < 20
