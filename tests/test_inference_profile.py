@@ -11,6 +11,7 @@ from needlefit.inference.profile import THRESHOLD, Profile, profile
 from needlefit.inference.settle import settle
 
 REACH = 20.0
+VAST = np.full(2, 1e4)  # bounds so far away that they say nothing
 
 
 @dataclass
@@ -48,7 +49,7 @@ def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5), elsewh
 
 def test_a_linear_gaussian_has_the_parabola_of_its_information():
     for k, sd in ((0, math.sqrt(4 / 16)), (1, math.sqrt(5 / 16))):
-        p = found(line(), k)
+        p = found(line(lower=-VAST, upper=VAST), k)
         assert p.sd == pytest.approx(sd)
         best = (1.5, -0.25)[k]
         assert p.best == pytest.approx(best)
@@ -65,7 +66,7 @@ def test_a_scale_widens_the_interval_by_its_root():
     target = line()
     wide = profile(target, 0, settle(target, np.zeros(2)), scale=4.0)
     assert wide.high - wide.best == pytest.approx(2 * (found(line(), 0).high - 1.5))
-    assert wide.sd == pytest.approx(1.0)
+    assert wide.sd == pytest.approx(1.0, rel=0.01)
 
 
 def test_a_banana_has_the_known_curves():

@@ -8,6 +8,7 @@ from typer.core import TyperGroup
 
 from needlefit.cli import failure
 from needlefit.cli.check import check
+from needlefit.cli.identify import identify
 from needlefit.cli.material import material
 from needlefit.cli.paper import paper
 from needlefit.cli.predict import predict
@@ -48,7 +49,7 @@ def build() -> typer.Typer:
     plain = {"rich_markup_mode": None, "no_args_is_help": True}
     app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **plain)  # type: ignore[arg-type]
     app.callback()(_needlefit)
-    for command in (simulate, check, tune, predict, validate, verify, material, paper, init):
+    for command in (simulate, check, tune, identify, predict, validate, verify, material, paper, init):
         app.command()(command)
     app.command(cls=SeveralLayers)(reconstruct)
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]

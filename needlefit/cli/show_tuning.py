@@ -46,6 +46,7 @@ def show_tuning(results: "Results") -> None:
         screen.say(f"Fold {fold}. {waterfall(starts)}" if several else waterfall(starts))
     for sentence in open_questions(table, results.directions):
         screen.say(sentence)
+    _show_verdict(results)
     screen.say()
     _show_errors(results)
     if results.posteriors:
@@ -56,6 +57,17 @@ def show_tuning(results: "Results") -> None:
         screen.say(outside_said(results))
     if results.origin == "synthetic" and "hand_tuned" in set(results.errors["rival"]):
         screen.say("The paper's set was not tuned on this data; the fair rival is the one with b re-tuned.")
+
+
+def _show_verdict(results: "Results") -> None:
+    """Print what profiles, information and contraction say of each parameter."""
+    from needlefit.reporting.identification_said import verdict_said
+
+    said = verdict_said(results.identification)
+    if said:
+        screen.say("Profile likelihoods, 95 %, drawn in profiles.pdf:")
+    for sentence in said:
+        screen.say(f"  {sentence}")
 
 
 def _known(sd: float, of: str) -> str:
@@ -79,6 +91,7 @@ def as_json(results: "Results") -> dict[str, Any]:
     about = {"name": results.name, "origin": results.origin, "dataset": results.dataset_title}
     frames = {"parameters": parameters_table(results)}
     frames |= {name: getattr(results, name) for name in ("errors", "starts", "failures", "directions")}
+    frames |= {"identification": results.identification, "profiles": results.profiles}
     if results.posteriors:
         frames["posterior"] = percentiles_table(results)
     rows = {name: frame.to_dict("records") for name, frame in frames.items()}

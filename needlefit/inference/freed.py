@@ -42,5 +42,5 @@ def _freed(parameters: Parameters, name: str, same: tuple[str, ...]) -> Paramete
         parameters,
         bounds={**parameters.bounds, **bounds},
         fixed={other: value for other, value in parameters.fixed.items() if other not in (name, *same)},
-        ties={**parameters.ties, **{other: (1.0, name) for other in same}},
+        ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
     )

@@ -97,10 +97,10 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
     """Return what the data determine at the best point of a fit."""
     theta, names = np.array(fit.theta), problem.names
     weighed = with_noise(problem, theta)
-    residuals, slope, chi_square = _told(weighed, theta)
-    known_besides = _known_besides(weighed)
-    information = slope.T @ slope / max(1.0, chi_square) + known_besides
-    between = between_needles(weighed, slope, residuals, slope.T @ slope + known_besides)
+    residuals, slope, chi_square = told_by(weighed, theta)
+    besides = known_besides(weighed)
+    information = slope.T @ slope / max(1.0, chi_square) + besides
+    between = between_needles(weighed, slope, residuals, slope.T @ slope + besides)
     sds = dict(zip(names, np.maximum(cramer_rao(information), between).tolist(), strict=True))
     found = directions(information, names)
     ends = [s.theta for s in practically_equal(fit)] or [fit.theta]
@@ -203,7 +203,7 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
     return float(np.max(np.abs(high - low)))
 
 
-def _told(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
+def told_by(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
     """Return what the insertions tell: residuals (R,), derivatives (R, P), reduced chi-square."""
     count = sum(problem.density.told)  # what follows normalises, or is the prior's, counted for itself
     residuals, slope = (np.nan_to_num(part[:count]) for part in problem.jacobian(theta))
@@ -213,14 +213,19 @@ def _told(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
     return residuals, slope, float(residuals @ residuals) / max(1, rows - len(problem.names))
 
 
-def _known_besides(problem: Problem) -> Floats:
-    """Return the information (P, P) of the stated prior, of bounds without one, and of the noise's scale."""
+def known_before(problem: Problem) -> Floats:
+    """Return the information (P, P) of the stated prior, and of bounds without one."""
     stated = problem.parameters.prior
     flat = np.array([name not in stated.names for name in problem.names])
     bounds: Floats = np.diag(np.where(flat, 12.0 / (problem.upper - problem.lower) ** 2, 0.0))
+    known: Floats = bounds + stated.information(problem.names)
+    return known
+
+
+def known_besides(problem: Problem) -> Floats:
+    """Return the same, and what the residuals' size says of the noise's scale."""
     rows = sum(known.rows for known in problem.density.evidence)  # Fisher: 2 of each, of the logarithm
-    scale = np.diag([2.0 * rows * (name == NOISE_SCALE) for name in problem.names])
-    known: Floats = bounds + scale + stated.information(problem.names)
+    known: Floats = known_before(problem) + np.diag([2.0 * rows * (n == NOISE_SCALE) for n in problem.names])
     return known
 
 

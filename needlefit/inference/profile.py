@@ -46,7 +46,8 @@ class Profile:
     best : float
         Where the deviance is 0.
     sd : float
-        Standard deviation that the information at the optimum implies; infinite where it knows nothing.
+        Standard deviation that the information at the optimum implies, the others known to lie within their
+        bounds (12 / width^2 each); infinite where it knows nothing.
     low, high : float
         Ends of the 95 % interval, the outermost if it is in pieces; where one is not closed, the last value
         that was looked at.
@@ -100,7 +101,7 @@ class Profile:
 def profile(
     target: Squares, k: int, optimum: Settled, elsewhere: Sequence[Floats] = (), scale: float = 1.0
 ) -> Profile:
-    """Return the profile of parameter `k` about an optimum.
+    """Return the profile of parameter `k` about an optimum, with the bounds of the others as their limits.
 
     Parameters
     ----------
@@ -129,7 +130,7 @@ def profile(
         slope=slope,
         thetas=np.array([point.theta for point in points]),
         best=float(peak.theta[k]),
-        sd=_sd(peak.information, k, scale),
+        sd=_sd(peak.information / scale, k, target.upper - target.lower),
         low=low,
         high=high,
         ends=(below, above),
@@ -168,12 +169,12 @@ def _curve(at: Floats, deviance: Floats, slope: Floats, where: Floats) -> Floats
     return spline
 
 
-def _sd(information: Floats, k: int, scale: float) -> float:
+def _sd(information: Floats, k: int, width: Floats) -> float:
     others = np.arange(len(information)) != k
     cross = information[others, k]
-    rest = np.linalg.lstsq(information[np.ix_(others, others)], cross, rcond=1e-12)[0]
-    left = float(information[k, k] - cross @ rest)
-    return math.sqrt(scale / left) if left > 1e-14 else math.inf
+    bounded = information[np.ix_(others, others)] + np.diag(12.0 / width[others] ** 2)
+    left = float(information[k, k] - cross @ np.linalg.solve(bounded, cross))
+    return 1 / math.sqrt(left) if left > 1e-14 else math.inf
 
 
 def _minima(deviance: Floats) -> int:

@@ -89,7 +89,10 @@ def settle(target: Squares, theta: Floats, held: int | None = None, most: int = 
         trial = _look(target, np.clip(ahead, target.lower, target.upper))
         evaluations += 1
         share = (at.value - trial.value) / gain
-        radius = 2 * radius if share > 0.75 else radius if share > 0.25 else 0.25 * float(np.max(np.abs(step)))
+        if share > 0.75:
+            radius *= 2
+        elif not share > 0.25:
+            radius = 0.25 * float(np.max(np.abs(step)))
         at = trial if share > 0 else at
     return Settled(at.theta, at.value, at.slope, at.information, evaluations, converged)
 
@@ -99,7 +102,10 @@ def _step(at: Settled, moving: NDArray[np.bool_], room: tuple[Floats, Floats]) -
     information = at.information[np.ix_(moving, moving)]
     precision, axes = np.linalg.eigh(information)
     root = np.sqrt(np.maximum(precision, 1e-12 * max(float(precision[-1]), 1e-300)))
-    rows, wanted = root[:, None] * axes.T, -0.5 * (axes.T @ at.slope[moving]) / root  # J^T J, J^T r as squares
+    rows, wanted = (
+        root[:, None] * axes.T,
+        -0.5 * (axes.T @ at.slope[moving]) / root,
+    )
     step: Floats = lsq_linear(rows, wanted, bounds=room, method="bvls").x
     return step
 

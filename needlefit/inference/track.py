@@ -137,7 +137,7 @@ def _next_step(way: _Way, optimum: Settled, point: Settled, last: tuple[int, flo
 
 
 def _point(way: _Way, track: Track, found: Sequence[Settled], place: float) -> Settled:
-    """Return the best with the parameter held at `place`; from elsewhere too if the first try fails or jumps."""
+    """Return the best with the parameter held at `place`; from elsewhere too if that fails or jumps."""
     optimum, last = found[0], found[-1]
     point = _settle(way, track, _ahead(way, last, place), place)
     before, after = _root(way, optimum, last), _root(way, optimum, point)
@@ -151,7 +151,7 @@ def _point(way: _Way, track: Track, found: Sequence[Settled], place: float) -> S
 
 
 def _branches(way: _Way, track: Track, found: list[Settled]) -> None:
-    """From the last point of a side, look elsewhere for a lower branch and follow it back while it is lower."""
+    """At the last point of a side look elsewhere for a lower branch; follow it back while it is lower."""
     if len(found) < 2 or not way.elsewhere:
         return
     place = float(found[-1].theta[way.k])

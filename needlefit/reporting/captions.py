@@ -21,6 +21,12 @@ WATERFALL = (
     "0.002 mm. Right: where the starts left each free parameter between its bounds (written at the ends; μ "
     "and b in logarithms). Filled dots spread along the axis mean that the data do not determine it."
 )
+PROFILES = (
+    "Profile likelihoods: how the best fit worsens as one parameter is held away from it and all others are "
+    "fitted again (solid; dots were computed). The 95 % interval is shaded: where the curve stays under the "
+    "dashed line up to a bound, the data do not end it. Dashed: what the information at the optimum alone "
+    "would say. Panels end at the bounds, or well above the line."
+)
 RIVALS = (
     "Mean in-plane error of the fitted model and of what it has to beat, on the same held-out points. The "
     "further left, the better; left of the dashed noise floor, differences mean nothing."

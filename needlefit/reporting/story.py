@@ -7,6 +7,9 @@ from needlefit.reporting import captions, contest, details, document, layouts, s
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.identification_layout import identification_layout
+from needlefit.reporting.identification_said import verdict_said
+from needlefit.reporting.numbers import in_symbols
 from needlefit.reporting.posterior import outside_said, posterior_layout, unconverged_said
 from needlefit.reporting.tables import records, tuning_table
 from needlefit.validation.results import Results
@@ -22,6 +25,7 @@ def story(results: Results, figures: Figures) -> Document:
         document.bullets(sentences.in_short(results)),
         *_question(results, synthetic),
         *_parameters(results, figures, synthetic),
+        *_identifiability(results, figures, synthetic),
         *_errors(results, figures, synthetic),
         *_rivals(results, figures, synthetic),
         *_insertions(results, figures, synthetic),
@@ -106,6 +110,18 @@ def _parameters(results: Results, figures: Figures, synthetic: bool) -> list[Blo
         *_posterior(results, synthetic),
         *([document.text(failed)] if failed else []),
         *figure_of(figures, "waterfall", captions.WATERFALL, synthetic),
+    ]
+
+
+def _identifiability(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
+    """Return what a fit was found to determine; a study's folds are not examined."""
+    if results.identification.empty:
+        return []
+    return [
+        document.heading("Identifiability"),
+        document.bullets([in_symbols(said) for said in verdict_said(results.identification)]),
+        *figure_of(figures, "profiles", captions.PROFILES, synthetic),
+        document.table(identification_layout(results.identification), synthetic),
     ]
 
 

@@ -15,6 +15,8 @@ from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import compile_pdf
+from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.identification_layout import identification_table
 from needlefit.reporting.latex import latex
 from needlefit.reporting.overview import overview
 from needlefit.reporting.parameters import parameters_table
@@ -75,6 +77,9 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
 def _frames(results: Results, folder: Path) -> None:
     for name in ("design", "errors", "shapes", "starts", "directions"):
         write_csv(getattr(results, name).assign(origin=results.origin), folder / f"{name}.csv")
+    if len(results.identification):
+        write_csv(identification_table(results.identification, results.origin), folder / "identify.csv")
+        write_csv(results.profiles.assign(origin=results.origin), folder / "profiles.csv")
     # With every digit: it is exactly these values that fail again.
     write_csv(results.failures.assign(origin=results.origin), folder / "failures.csv", digits=None)
 
@@ -102,6 +107,10 @@ def _laid_out(
 def _draw(results: Results, folder: Path) -> dict[str, Path]:
     role = scored_role(results)
     drawn = {}
+    if len(results.profiles):
+        drawn["profiles"] = draw_profiles(
+            results.identification, results.profiles, results.origin == "synthetic", folder / "profiles.pdf"
+        )
     if _has(results.errors, role) and _has(results.shapes, role):
         drawn["overlays"] = figures.overlays(results, folder / "overlays.pdf", role)
         if (results.errors["comparison"] == "aligned").any():

@@ -70,6 +70,10 @@ def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:
     return {
         "searches": tables.searches,
         "evaluations": sum(search["evaluations"] for search in every),
+        "not_determined": {
+            fold: [name for name, known in verdict.determined.items() if not known]
+            for fold, verdict in tables.verdicts.items()
+        },
         "failed_solves": sum(search["failed_solves"] for search in every),
         **(sampled if tables.posteriors else {}),
         "recorded_failures": reasons(tables.frame("failures")),

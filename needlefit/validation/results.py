@@ -10,6 +10,7 @@ import pandas as pd
 from needlefit.inference.posterior import Posterior
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.validation.identification import IDENTIFICATION, PROFILES
 from needlefit.validation.placed import PlacedNeedle
 
 METRICS = ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent")
@@ -40,6 +41,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
             *("sd", "spread_low", "spread_high", "determined", "note"),
         ),
         "directions": ("fold", "sd", "words"),
+        "identification": IDENTIFICATION,
+        "profiles": PROFILES,
     }
 )
 
@@ -80,6 +83,13 @@ class Results:
         `spread_low`, `spread_high` is the range among starts practically as good as the best.
     directions : DataFrame
         Combinations of parameters in words, with the standard deviation to which each is known.
+    identification : DataFrame
+        Of a fit: per fold and parameter what information (`sd`), profile likelihood (the 95 % interval, how
+        its ends `end_low`, `end_high` came about, how far the deviance rises at most) and the posterior's
+        contraction against the prior say, and whether they agree; alphas that were fixed are freed for it.
+    profiles : DataFrame
+        Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per
+        parameter: where all others went.
     run : dict
         Versions, seeds, digests, configuration, model rules: no time, no path.
     timing : dict
@@ -115,6 +125,8 @@ class Results:
     interrupted: bool
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)
     needles: Mapping[str, PlacedNeedle] = field(default_factory=dict)
+    identification: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(IDENTIFICATION)))
+    profiles: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PROFILES)))
 
     def __post_init__(self) -> None:
         for frame, columns in COLUMNS.items():

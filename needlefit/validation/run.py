@@ -1,5 +1,6 @@
 """The verb: tune on these insertions, score on those, each fold beside its rivals."""
 
+import math
 import time
 from dataclasses import dataclass
 
@@ -11,6 +12,7 @@ from needlefit.datasets.noise import NoiseFloor, noise_floor
 from needlefit.datasets.select import layers_of
 from needlefit.errors import FitError
 from needlefit.inference.identify import practically_equal
+from needlefit.inference.examine import Examination, examine
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sample import sample
 from needlefit.inference.starts import Fit, Start, Watch
@@ -52,7 +54,9 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
     for number, fold in enumerate(job.folds):
         fits = _search(job, fold, number, settings, checkpoint)
         interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
-        tabulate(job, fold, fits, scorer, tables)
+        examination = None if interrupted else _examine(job, fold, fits, settings)
+        interrupted = interrupted or settings.stop()
+        tabulate(job, fold, fits, scorer, tables, examination)
         if settings.sample and not interrupted:
             interrupted = _sample(job, fold, fits["fitted"], settings, checkpoint, tables)
         if fold.name in tables.verdicts:
@@ -110,6 +114,14 @@ class _Counter:
         self.checkpoint.keep(self.key, start)
         self.done += 1
         self.settings.progress(self.label, self.done, self.total)
+
+
+def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> Examination | None:
+    """Return the profiles of a fit; a study's folds are scored, not examined."""
+    if isinstance(job.record, StudyRecord) or not math.isfinite(fits["fitted"].objective):
+        return None
+    settings.progress(f"{job.name}: profiles", 0, 1)
+    return examine(job.problem(fold), fits["fitted"], settings.jobs, settings.stop)
 
 
 def _sample(

@@ -9,8 +9,10 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
+from needlefit.inference.agreement import Judgement
 from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
+from needlefit.inference.examine import Examination
 from needlefit.inference.failure import failure
 from needlefit.inference.identify import Verdict, as_good, excess, identify, practically_equal
 from needlefit.inference.parameters import Theta
@@ -18,6 +20,7 @@ from needlefit.inference.posterior import Posterior
 from needlefit.inference.problem import Problem
 from needlefit.inference.starts import Fit, Start
 from needlefit.validation.folds import Fold
+from needlefit.validation.identification import confirmed, identified, sampled_contractions
 from needlefit.validation.job import Job
 from needlefit.validation.results import COLUMNS
 from needlefit.validation.score import Rival, Row, Scorer, curve_rival, model_rival
@@ -34,6 +37,8 @@ class Tables:
     failures: list[Row] = field(default_factory=list)
     parameters: list[Row] = field(default_factory=list)
     directions: list[Row] = field(default_factory=list)
+    identification: list[Row] = field(default_factory=list)
+    profiles: list[Row] = field(default_factory=list)
     searches: dict[str, dict[str, Row]] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     verdicts: dict[str, Verdict] = field(default_factory=dict)
@@ -41,12 +46,19 @@ class Tables:
     def frame(self, name: str) -> pd.DataFrame:
         """Return one frame; without rows it still has its columns."""
         rows = getattr(self, name)
-        values = self.names if name in ("starts", "failures") else ()
+        values = self.names if name in ("starts", "failures", "profiles") else ()
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*COLUMNS[name], *values])
 
 
-def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tables: Tables) -> None:
-    """Score every rival of one fold, and say what the searches found."""
+def tabulate(
+    job: Job,
+    fold: Fold,
+    fits: Mapping[str, Fit],
+    scorer: Scorer,
+    tables: Tables,
+    examination: Examination | None = None,
+) -> None:
+    """Score every rival of one fold, and say what the searches found and what profiles make of it."""
     usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
     for name, fit in fits.items():
         problem = job.problem(fold, name)
@@ -57,9 +69,15 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
     if "fitted" in usable:
         verdict = identify(job.problem(fold), usable["fitted"])
+        judgements: Mapping[str, Judgement] = {}
+        if examination is not None:
+            told = identified(job.problem(fold), examination, verdict.sds, verdict)
+            tables.identification += [{"fold": fold.name, **row} for row in told.rows]
+            tables.profiles += [{"fold": fold.name, **row} for row in told.points]
+            judgements, verdict = told.judgements, confirmed(verdict, told.judgements)
         tables.verdicts[fold.name] = verdict
         tables.directions += [{"fold": fold.name, "sd": d.sd, "words": d.words} for d in verdict.directions]
-        tables.parameters += _fitted_rows(job, fold, usable["fitted"], verdict)
+        tables.parameters += _fitted_rows(job, fold, usable["fitted"], verdict, judgements)
     if "fitted_metric" in usable:
         tables.parameters += _metric_rows(job, fold, usable["fitted_metric"])
     tables.parameters += _published_rows(job, fold, usable.get("hand_tuned_b"))
@@ -75,6 +93,7 @@ def tabulate(job: Job, fold: Fold, fits: Mapping[str, Fit], scorer: Scorer, tabl
 def tabulate_posterior(job: Job, fold: Fold, posterior: Posterior, tables: Tables) -> None:
     """Keep the posterior of one fold, and what could not be solved while it was sampled."""
     tables.posteriors[fold.name] = posterior
+    sampled_contractions(posterior, [row for row in tables.identification if row["fold"] == fold.name])
     for ensemble, thetas in enumerate(posterior.failed):
         place = {"fold": fold.name, "fit": "posterior", "start": ensemble}
         tables.failures += _failure_rows(place, job.problem(fold), thetas)
@@ -136,7 +155,9 @@ def _search_row(fit: Fit) -> Row:
     }
 
 
-def _fitted_rows(job: Job, fold: Fold, fit: Fit, verdict: Verdict) -> list[Row]:
+def _fitted_rows(
+    job: Job, fold: Fold, fit: Fit, verdict: Verdict, judgements: Mapping[str, Judgement]
+) -> list[Row]:
     """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
     status = job.parameters.status
     rows = []
@@ -157,7 +178,9 @@ def _fitted_rows(job: Job, fold: Fold, fit: Fit, verdict: Verdict) -> list[Row]:
                 "spread_low": factor * verdict.spread_low[source] if source in verdict.sds else math.nan,
                 "spread_high": factor * verdict.spread_high[source] if source in verdict.sds else math.nan,
                 "determined": bool(verdict.determined.get(source, False)),
-                "note": verdict.notes[name] if free else _why(name, status[name], factor, source),
+                "note": verdict.notes[name]
+                if free
+                else _why(name, status[name], factor, source) + _flat(judgements.get(name)),
             }
         )
     return rows
@@ -191,6 +214,11 @@ def _why(name: str, status: str, factor: float, source: str) -> str:
     )
 
 
+def _flat(judged: Judgement | None) -> str:
+    """Return what to add to the note of a fixed parameter that was freed for its profile."""
+    return "" if judged is None else f"; freed: {judged.says}"
+
+
 def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
     """Return the paper's set, and that set with the bevel alone fitted."""
     if job.hand_tuned is None:
@@ -198,6 +226,7 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
     sets: dict[str, Mapping[str, Any]] = {"hand_tuned": job.hand_tuned}
     if retuned is not None:
         sets["hand_tuned_b"] = retuned.values
+    told = {} if retuned is None else identify(job.problem(fold, "hand_tuned_b"), retuned).determined
     unknown = dict.fromkeys(("bound_low", "bound_high", "sd", "spread_low", "spread_high"), math.nan)
     rows = []
     for rival, values in sets.items():
@@ -211,7 +240,7 @@ def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:
                     "value": value,
                     "status": "free" if free else "published",
                     **unknown,
-                    "determined": free,
+                    "determined": free and told.get(name, False),
                     "note": "re-tuned alone" if free else "tuned by hand",
                 }
             )

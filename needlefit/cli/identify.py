@@ -1,0 +1,88 @@
+"""`needlefit identify`: what measurements can tell of the parameters, before and after the fit."""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from needlefit.cli import options, screen
+from needlefit.cli.completion import targets
+from needlefit.cli.execution import Execution, cores
+from needlefit.cli.interruption import stopping
+from needlefit.cli.tune import fit_of
+
+if TYPE_CHECKING:
+    from needlefit.validation.identify import Identification
+    from needlefit.validation.results import Results
+
+
+def identify(
+    context: typer.Context,
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
+        ),
+    ],
+    fit: Annotated[
+        bool, typer.Option("--fit", help="Also fit, and say what the measured shapes tell.")
+    ] = False,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("reports"),
+    resume: options.Resume = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Say which parameters the insertions of a TARGET can determine.
+
+    From the design alone: depths, layers, sides, poses and noise, at the paper's hand-tuned set, in the
+    middle of the bounds, or with --fit at the fitted values. Fisher information, directions, profile
+    likelihoods and contraction against the prior go to OUT/identify-<target>/.
+    """
+    from needlefit.reporting.identification import as_json, write_identification
+    from needlefit.validation.identify import identify_design
+    from needlefit.validation.run import Settings
+
+    with stopping() as stop:
+        target_name, record = fit_of(target)
+        name = f"identify-{target_name.removesuffix('-tune')}"
+        execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop)
+        execution.prepare([name])
+        fitted = execution.run(name, record) if fit else None
+        if fitted is not None and fitted.interrupted:
+            raise execution.interrupted()
+        settings = Settings(seed=seed, jobs=jobs or cores(), stop=stop)
+        found = identify_design(name, record, settings, _fitted_values(fitted))
+        if stop():
+            raise execution.interrupted()
+        write_identification(found, fitted, execution.folder(name))
+        execution.forget(name)
+    if json:
+        screen.show_json(as_json(found, fitted))
+        return
+    _show(found, fitted)
+    screen.say(f"written: {execution.folder(name)}/")
+
+
+def _show(found: "Identification", fitted: "Results | None") -> None:
+    from needlefit.reporting.identification_layout import directions_expected_layout, identification_layout
+    from needlefit.reporting.identification_said import design_said, verdict_said
+
+    for sentence in design_said(found):
+        screen.say(sentence)
+    screen.say()
+    screen.show_display(identification_layout(found.identification, expected=True))
+    screen.show_display(directions_expected_layout(found.expectation))
+    if fitted is not None:
+        screen.show_display(identification_layout(fitted.identification))
+        for sentence in verdict_said(fitted.identification):
+            screen.say(sentence)
+
+
+def _fitted_values(fitted: "Results | None") -> dict[str, float] | None:
+    if fitted is None:
+        return None
+    rows = fitted.parameters.query("rival == 'fitted'")
+    return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))

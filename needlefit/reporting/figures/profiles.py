@@ -1,0 +1,148 @@
+"""Profile likelihoods: one small panel per parameter, with the parabola of the information beside."""
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from needlefit.inference.parameters import in_logarithm
+from needlefit.reporting.figures.style import WIDTH, draw, label_origin
+from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
+from needlefit.reporting.numbers import number, symbol, typeset
+from needlefit.reporting.tables import Row, records
+
+Floats = NDArray[np.float64]
+
+ACROSS = 4
+"""Most panels in a row."""
+
+TOP = 6.5
+"""Deviance at which the panels end."""
+
+BLUE, ORANGE, WARNING = RIVAL_COLOURS["fitted"], RIVAL_COLOURS["hand_tuned"], PAPER
+
+
+def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, synthetic: bool, path: Path) -> Path:
+    """Draw the deviance over each parameter, its 95 % interval, and what the information alone would say."""
+    return draw(path, lambda: _paint(identification, profiles, synthetic))
+
+
+def _paint(identification: pd.DataFrame, profiles: pd.DataFrame, synthetic: bool) -> Figure:
+    rows = records(identification)
+    across = _across(len(rows))
+    down = math.ceil(len(rows) / across)
+    figure = Figure(figsize=(WIDTH, 0.3 + 1.5 * down))
+    panels = figure.subplots(down, across, squeeze=False, sharey=True)
+    for n, axes in enumerate(panels.flat):
+        if n >= len(rows):
+            axes.axis("off")
+            continue
+        row = rows[n]
+        points = profiles[(profiles["fold"] == row["fold"]) & (profiles["parameter"] == row["parameter"])]
+        _panel(axes, row, points, first=n == 0)
+        if n % across == 0:
+            axes.set_ylabel("deviance")
+    label_origin(figure, synthetic)
+    return figure
+
+
+def _across(count: int) -> int:
+    """Return how many panels stand in a row, so that the last row is as full as can be."""
+    if count <= ACROSS:
+        return max(1, count)
+    return min(range(ACROSS, ACROSS - 2, -1), key=lambda wide: (-count % wide, -wide))
+
+
+def _panel(axes: Axes, row: Row, points: pd.DataFrame, first: bool) -> None:
+    name = str(row["parameter"])
+    forward = np.log if in_logarithm(name) else np.asarray
+    back = np.exp if in_logarithm(name) else np.asarray
+    at = forward(points["value"].to_numpy(dtype=np.float64))
+    deviance = points["deviance"].to_numpy(dtype=np.float64)
+    fine = np.linspace(at[0], at[-1], 400)
+    curve = CubicHermiteSpline(at, deviance, points["slope"])(fine)
+    best = float(at[int(np.argmin(deviance))])
+    threshold = float(points["threshold"].iloc[0])
+    if in_logarithm(name):
+        axes.set_xscale("log")
+    _interval(axes, row, (back(fine), curve), threshold)
+    _parabola(axes, back, (at, best, row["fisher_sd"]))
+    axes.plot(back(fine), curve, color=BLUE, lw=1.3, zorder=3)
+    axes.plot(back(at), deviance, "o", ms=2.6, color=BLUE, mew=0, zorder=4)
+    axes.axhline(threshold, color=GREY, lw=0.6, ls=(0, (3, 2)))
+    _dress(axes, row, back(at[[0, -1]]))
+    if first:
+        across = axes.get_yaxis_transform()
+        axes.text(0.02, threshold + 0.12, "95 %", transform=across, fontsize=6, color=GREY)
+    if first and row["fisher_sd"] is not None:
+        _names(axes)
+
+
+def _interval(axes: Axes, row: Row, curve: tuple[Floats, Floats], threshold: float) -> None:
+    """Shade what is within the threshold; write the ends of the interval under it."""
+    where, deviance = curve
+    axes.fill_between(where, 0, TOP, where=list(deviance <= threshold), color=BLUE, alpha=0.1, lw=0)
+    for side in ("low", "high"):
+        if row[f"end_{side}"] == "closed":
+            axes.plot([row[f"interval_{side}"]] * 2, [0, threshold], color=BLUE, lw=0.6)
+
+
+def _parabola(
+    axes: Axes, back: Callable[[Floats], Floats], known: tuple[Floats, float, float | None]
+) -> None:
+    """Draw what the information at the optimum would have the deviance be."""
+    at, best, sd = known
+    if sd is None:
+        return
+    fine = np.linspace(at[0], at[-1], 400)
+    axes.plot(back(fine), ((fine - best) / sd) ** 2, color=ORANGE, lw=0.9, ls=(0, (4, 1.5)), zorder=2)
+
+
+def _dress(axes: Axes, row: Row, ends: Floats) -> None:
+    name = str(row["parameter"])
+    axes.set_ylim(0, TOP)
+    axes.set_xlim(float(ends[0]), float(ends[1]))
+    if in_logarithm(name):
+        axes.xaxis.set_major_locator(LogLocator(numticks=4))
+        axes.xaxis.set_minor_formatter(NullFormatter())
+        axes.xaxis.set_minor_locator(NullLocator())
+    else:
+        axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+    axes.set_title(_title(row), loc="left", color=INK, pad=13)
+    axes.text(0, 1.035, _state(row), transform=axes.transAxes, va="bottom", fontsize=6.5, color=_shade(row))
+
+
+def _title(row: Row) -> str:
+    return symbol(str(row["parameter"])) + (", freed" if row["status"] == "fixed" else "")
+
+
+def _state(row: Row) -> str:
+    low, high = row["end_low"] == "closed", row["end_high"] == "closed"
+    if low and high:
+        return f"{_print(row['interval_low'])} to {_print(row['interval_high'])}"
+    if not low and not high:
+        return "flat: not identifiable" if (row["rise"] or 0) < 1 else "open: not identifiable"
+    end = f"above {_print(row['interval_low'])}" if low else f"below {_print(row['interval_high'])}"
+    return f"{end}, open"
+
+
+def _shade(row: Row) -> str:
+    """Return the colour of what is said: that of a warning where the interval is open."""
+    return INK if row["end_low"] == row["end_high"] == "closed" else WARNING
+
+
+def _names(axes: Axes) -> None:
+    """Name the two curves, where the first panel has room."""
+    for y, words, colour in ((0.93, "profile", BLUE), (0.82, "information", ORANGE)):
+        axes.text(0.5, y, words, transform=axes.transAxes, ha="center", fontsize=6.5, color=colour)
+
+
+def _print(value: float) -> str:
+    return typeset(number(value))

@@ -1,0 +1,88 @@
+"""The identifiability verdict in sentences."""
+
+import math
+
+import numpy as np
+import pandas as pd
+
+from needlefit.inference.agreement import AGREE, NOTHING, known_words
+from needlefit.inference.expect import Expectation
+from needlefit.inference.identify import SD_LOG, TOLD
+from needlefit.inference.information import NEARLY_FREE, combination, short
+from needlefit.inference.parameters import in_logarithm
+from needlefit.reporting.numbers import number
+from needlefit.reporting.tables import Row, records
+from needlefit.validation.identify import Identification
+
+
+def verdict_said(identification: pd.DataFrame) -> list[str]:
+    """Return a sentence per parameter, as its profile has it, and where the others do not agree."""
+    said = []
+    for row in records(identification):
+        held = f" (fixed at {number(row['value'])})" if row["status"] == "fixed" else ""
+        doubt = "" if row["agreement"] == AGREE else f"; {row['agreement']}"
+        said.append(f"{short(str(row['parameter']))}{held}: {row['says']}{doubt}.")
+    if said and all(row["agreement"] == AGREE for row in records(identification)):
+        said.append(f"{AGREE.capitalize()} on every parameter.")
+    return said
+
+
+def design_said(found: Identification) -> list[str]:
+    """Return what the design can tell: where it was looked at, then a sentence per parameter."""
+    shallow, deep = (f"{depth:.3g}" for depth in found.depths)
+    depth = f"{shallow} mm" if shallow == deep else f"{shallow} to {deep} mm"
+    count = f"{found.insertions} insertion" + ("s" if found.insertions > 1 else "")
+    expectation = found.expectation
+    head = (
+        f"Design alone: {count}, {depth} deep, planned layers, at {found.place} and "
+        f"{len(expectation.sds) - 1} places near it. No measured shape enters."
+    )
+    rows = {str(row["parameter"]): row for row in records(found.identification)}
+    said = [_expected(expectation, name, rows[name]) for name in expectation.names if name in rows]
+    said += [_unseen(row, found.thickness) for row in rows.values() if row["status"] == "fixed"]
+    return [head, *said]
+
+
+def _expected(expectation: Expectation, name: str, row: Row) -> str:
+    """Return what a design says of one free parameter."""
+    column = expectation.sds[:, expectation.names.index(name)]
+    sd, low, high = float(column[0]), float(column.min()), float(column.max())
+    near = "" if high < 1.3 * low else f"; {_between(name, low, high)} near"
+    known = known_words(name, sd)
+    if row["determined"]:
+        return f"{short(name)}: {known}{near}."
+    if row["contraction"] > NOTHING:
+        return f"{short(name)}: not at all, left as its bounds have it ({known}{near})."
+    return f"{short(name)}: not by itself ({known}{near}){_only_as(expectation, name)}."
+
+
+def _only_as(expectation: Expectation, name: str) -> str:
+    """Return the best-known combination that holds the parameter, if it is known at all."""
+    k = expectation.names.index(name)
+    for direction in expectation.directions:
+        if abs(direction.weights[k]) >= TOLD and direction.sd < SD_LOG:
+            words = combination(np.array(direction.weights), expectation.names)
+            return f"; only as {words} ({direction.words.split(' is known ', 1)[-1]})"
+    return ""
+
+
+def _between(name: str, low: float, high: float) -> str:
+    """Return the range of a deviation over places in words."""
+    if not in_logarithm(name):
+        return f"{low:.2g} to {high:.2g}"
+    first, last = (
+        f"{100 * sd:.2g} %" if sd < NEARLY_FREE else f"a factor of {math.exp(sd):.2g}" for sd in (low, high)
+    )
+    return f"{first} to {last.removeprefix('a factor of ') if first.startswith('a') else last}"
+
+
+def _unseen(row: Row, thickness: float) -> str:
+    """Return that an alpha cannot be told, and how little depends on it."""
+    moved, name = row["tip_moves_mm"], short(str(row["parameter"]))
+    way = "" if moved is None else f": the tip moves {millimetres(moved)} mm over its whole range"
+    return f"{name}: not at all{way} at t = {thickness:g} mm; fixed at {number(row['value'])}."
+
+
+def millimetres(value: float) -> str:
+    """Return a length that may be next to nothing."""
+    return "less than 0.001" if value < 1e-3 else f"{value:.2g}"

@@ -1,0 +1,158 @@
+"""What is identifiable, as rows: one per parameter, and the points of its profile."""
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from needlefit.inference.agreement import Judgement, is_small, judge, unlike
+from needlefit.inference.examine import Examination, Examined
+from needlefit.inference.identify import Verdict, known_before
+from needlefit.inference.parameters import Parameters, in_logarithm
+from needlefit.inference.posterior import Posterior
+from needlefit.inference.problem import Problem
+from needlefit.inference.profile import THRESHOLD
+
+Row = dict[str, Any]
+
+IDENTIFICATION = (
+    *("fold", "parameter", "status", "value", "prior_sd", "sd", "sd_low", "sd_high", "fisher_sd"),
+    *("contraction", "contraction_sampled", "interval_low", "interval_high", "end_low", "end_high"),
+    *("rise", "minima", "tip_moves_mm", "determined", "says", "agreement"),
+)
+PROFILES = ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold")
+
+
+@dataclass(frozen=True)
+class Identified:
+    """What was found out about every parameter of one fold, before or after the fit.
+
+    Attributes
+    ----------
+    judgements : mapping
+        By parameter.
+    rows, points : tuple of rows
+        Of the frames "identification" and "profiles".
+    """
+
+    judgements: Mapping[str, Judgement]
+    rows: tuple[Row, ...]
+    points: tuple[Row, ...]
+
+
+def identified(
+    problem: Problem, examination: Examination, sds: Mapping[str, float], verdict: Verdict | None = None
+) -> Identified:
+    """Return what examination and deviations say together.
+
+    Parameters
+    ----------
+    problem : Problem
+    examination : Examination
+    sds : mapping
+        Standard deviations of the posterior as expected from the information, bounds and prior included.
+    verdict : Verdict, optional
+        Of the fit; before one, a parameter counts as determined if its sd and its profile say so.
+    """
+    spread = np.linalg.inv(known_before(problem)) if problem.names else np.zeros((0, 0))
+    before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
+    judgements, rows, points = {}, [], []
+    for one in examination.parameters:
+        prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
+        sd = sds.get(one.name, 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd))
+        judged = judge(one, (sd, prior_sd), _equal(one, verdict))
+        judgements[one.name] = judged
+        if verdict is None:
+            told = is_small(one.name, sd, prior_sd)
+        else:
+            told = verdict.determined.get(one.name, False)
+        known = told and judged.identifiable and one.fixed_at is None
+        rows.append(_row(one, judged, prior_sd, sd) | {"determined": known})
+        points += _points(problem.parameters, one)
+    return Identified(judgements, tuple(rows), tuple(points))
+
+
+def confirmed(verdict: Verdict, judgements: Mapping[str, Judgement]) -> Verdict:
+    """Return the verdict without the parameters whose profiles contradict it, and say so in their notes."""
+    denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.identifiable}
+    return replace(
+        verdict,
+        determined={n: known and n not in denied for n, known in verdict.determined.items()},
+        notes={
+            n: f"not determined (its profile is open): {judgements[n].says}" if n in denied else note
+            for n, note in verdict.notes.items()
+        },
+    )
+
+
+def sampled_contractions(posterior: Posterior, rows: list[Row]) -> None:
+    """Write into `rows`, of one fold, what the draws say of the contraction."""
+    flat = posterior.draws.reshape(-1, len(posterior.names))
+    for row in rows:
+        if row["parameter"] in posterior.names:
+            draws = flat[:, posterior.names.index(row["parameter"])]
+            draws = np.log(draws) if in_logarithm(row["parameter"]) else draws
+            row["contraction_sampled"] = float(np.std(draws)) / row["prior_sd"]
+            row["agreement"] = unlike(row["agreement"], row["contraction"], row["contraction_sampled"])
+
+
+def _equal(one: Examined, verdict: Verdict | None) -> tuple[float, float] | None:
+    """Return between which coordinates equally good starts ended, where there are several."""
+    if verdict is None or verdict.equal_starts < 2 or one.name not in verdict.spread_low:
+        return None
+    ends = verdict.spread_low[one.name], verdict.spread_high[one.name]
+    return (math.log(ends[0]), math.log(ends[1])) if in_logarithm(one.name) else ends
+
+
+def _row(one: Examined, judged: Judgement, prior_sd: float, sd: float) -> Row:
+    profile, nothing = one.profile, math.nan
+    return {
+        "parameter": one.name,
+        "status": "free" if one.fixed_at is None else "fixed",
+        "value": _value(one.name, profile.best) if one.fixed_at is None else one.fixed_at,
+        "prior_sd": prior_sd,
+        "sd": sd,
+        "sd_low": nothing,
+        "sd_high": nothing,
+        "fisher_sd": profile.sd,
+        "contraction": sd / prior_sd,
+        "contraction_sampled": nothing,
+        "interval_low": judged.interval[0],
+        "interval_high": judged.interval[1],
+        "end_low": profile.ends[0],
+        "end_high": profile.ends[1],
+        "rise": profile.rise,
+        "minima": profile.minima,
+        "tip_moves_mm": nothing if one.tip_moves is None else one.tip_moves,
+        "says": judged.says,
+        "agreement": judged.agreement,
+    }
+
+
+def _points(parameters: Parameters, one: Examined) -> list[Row]:
+    """Return the computed points of one profile, with where all other parameters went."""
+    profile = one.profile
+    # a freed alpha is not among the fit's parameters: it stands under its own name, theirs keep theirs
+    names = parameters.free if one.fixed_at is None else _with(parameters, one.name)
+    return [
+        {
+            "parameter": one.name,
+            "value": _value(one.name, float(profile.at[k])),
+            "deviance": float(profile.deviance[k]),
+            "slope": float(profile.slope[k]),
+            "fisher_deviance": float(profile.parabola(profile.at[k : k + 1])[0]),
+            "threshold": THRESHOLD,
+            **{name: _value(name, float(at)) for name, at in zip(names, profile.thetas[k], strict=True)},
+        }
+        for k in range(len(profile.at))
+    ]
+
+
+def _with(parameters: Parameters, name: str) -> tuple[str, ...]:
+    return tuple(n for n in parameters.names if n in parameters.bounds or n == name)
+
+
+def _value(name: str, coordinate: float) -> float:
+    return math.exp(coordinate) if in_logarithm(name) else coordinate

@@ -1,0 +1,132 @@
+"""The verb: what the design of a fit can tell, before any of its shapes is looked at."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from needlefit.errors import FitError
+from needlefit.inference.examine import examine
+from needlefit.inference.expect import Expectation, expect
+from needlefit.inference.starts import Fit
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.streams import stream
+from needlefit.validation import provenance
+from needlefit.validation.design import planned
+from needlefit.validation.identification import IDENTIFICATION, PROFILES, identified
+from needlefit.validation.job import Job, Settings, prepare
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What a design tells.
+
+    Attributes
+    ----------
+    name, title : str
+    origin : str
+        "measured" or "synthetic", of the dataset that the design is of.
+    dataset_title : str
+    place : str
+        At which parameters, in words.
+    insertions : int
+    depths : tuple of two floats
+        Shallowest and deepest, mm.
+    thickness : float
+        Of the tissue compressed, mm.
+    expectation : Expectation
+    identification, profiles : DataFrame
+        As in `Results`, of the planned shapes: a measurement without error.
+    run : dict
+        Versions, data and configuration; no time and no path.
+    """
+
+    name: str
+    title: str
+    origin: str
+    dataset_title: str
+    place: str
+    insertions: int
+    depths: tuple[float, float]
+    thickness: float
+    expectation: Expectation
+    identification: pd.DataFrame
+    profiles: pd.DataFrame
+    run: dict[str, Any]
+
+
+def identify_design(
+    name: str, record: FitRecord, settings: Settings, fitted: Mapping[str, float] | None = None
+) -> Identification:
+    """Return what depths, layers, sides, poses and noise of the insertions tell of the parameters.
+
+    They are taken at the values `fitted`, or at the paper's hand-tuned set, or in the middle of the bounds.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong, or no noise is stated.
+    FitError
+        If the planned insertions have no solution there.
+    """
+    job = prepare(name, record, settings)
+    fold = job.folds[0]
+    values, place = _place(job, fitted)
+    rng = stream(job.recipe.seed, job.name, "design")
+    expectation = expect(lambda at: planned(job, fold, at), values, rng)
+    problem = planned(job, fold, values)
+    if expectation is None or problem is None:
+        raise FitError(
+            f"the planned insertions have no solution at {place}",
+            mend="name a hand-tuned set, or ask at the fitted values with --fit",
+        )
+    theta = problem.parameters.theta(values)
+    here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
+    sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
+    told = identified(problem, examine(problem, here, settings.jobs, settings.stop), sds)
+    rows = [
+        {"fold": fold.name, **row, "value": values[n := row["parameter"]], **_ranges(expectation, n)}
+        for row in told.rows
+    ]
+    depths = [insertion.depth for insertion in fold.tune]
+    return Identification(
+        name=name,
+        title=record.title or name,
+        origin=job.dataset.origin,
+        dataset_title=job.dataset.title or job.dataset.name,
+        place=place,
+        insertions=len(depths),
+        depths=(min(depths), max(depths)),
+        thickness=job.medium.thickness_mm,
+        expectation=expectation,
+        identification=pd.DataFrame(rows, columns=list(IDENTIFICATION)),
+        profiles=pd.DataFrame(
+            [{"fold": fold.name, **row} for row in told.points],
+            columns=[*PROFILES, *(n for n in job.parameters.names if any(n in row for row in told.points))],
+        ),
+        run={**provenance.work(job), "place": place, "values": dict(problem.values(theta))},
+    )
+
+
+def _place(job: Job, fitted: Mapping[str, float] | None) -> tuple[dict[str, float], str]:
+    """Return the values (Pa, mm) at which the design is looked at, within the bounds, and what they are."""
+    parameters = job.parameters
+    middle = parameters.values(0.5 * (parameters.lower + parameters.upper))
+    if fitted is not None:
+        asked, words = dict(fitted), "the fitted values"
+    elif job.hand_tuned is not None:
+        asked, words = dict(job.hand_tuned), f"the paper's hand-tuned set {job.record.hand_tuned}"
+    else:
+        asked, words = middle, "the middle of the bounds"
+    theta = parameters.theta({**middle, **asked})
+    return parameters.values(np.clip(theta, parameters.lower, parameters.upper)), words
+
+
+def _ranges(expectation: Expectation, name: str) -> dict[str, float]:
+    """Return the range of a parameter's expected deviation over all places."""
+    if name not in expectation.names:
+        return {}
+    column = expectation.sds[:, expectation.names.index(name)]
+    return {"sd_low": float(column.min()), "sd_high": float(column.max())}
