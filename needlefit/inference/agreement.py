@@ -31,8 +31,11 @@ class Judgement:
     Attributes
     ----------
     name : str
-    identifiable : bool
-        Whether the 95 % interval of its profile ends within the bounds, on both sides.
+    flat : bool
+        Whether the data say nothing: every value between the bounds is within the interval.
+    determined : bool
+        Whether the 95 % interval of its profile ends on both sides and is as narrow as that of a parameter
+        called determined.
     interval : tuple of two floats
         That interval (Pa, mm); the last values looked at where it does not end.
     says : str
@@ -42,7 +45,8 @@ class Judgement:
     """
 
     name: str
-    identifiable: bool
+    flat: bool
+    determined: bool
     interval: tuple[float, float]
     says: str
     agreement: str
@@ -66,7 +70,8 @@ def judge(
     faults = [*_classes(examined, known), *_bent(examined), *_outside(examined, equal)]
     return Judgement(
         name=name,
-        identifiable=profile.closed,
+        flat=profile.flat,
+        determined=_by_profile(examined, known[1]) == 2,
         interval=(low, high),
         says=_says(examined, low, high),
         agreement="; ".join(faults) if faults else AGREE,
@@ -96,7 +101,7 @@ def _says(examined: Examined, low: float, high: float) -> str:
     if profile.flat:
         said = _flat(examined)
     elif profile.closed:
-        said = f"{low:.3g} to {high:.3g} (95 %)"
+        said = f"{_print(low)} to {_print(high)} (95 %)"
     else:
         said = f"not identifiable: {_open(examined, low, high)}"
     return said + (f"; its profile has {profile.minima} minima" if profile.minima > 1 else "")
@@ -107,7 +112,7 @@ def _flat(examined: Examined) -> str:
     moved = examined.tip_moves
     tip = "" if moved is None else f" and no tip moves by more than {_small(moved)} mm"
     return (
-        f"not identifiable: over its whole range, {low:.3g} to {high:.3g}, the deviance rises by "
+        f"not identifiable: over its whole range, {_print(low)} to {_print(high)}, the deviance rises by "
         f"{_small(examined.profile.rise)}{tip}"
     )
 
@@ -115,23 +120,28 @@ def _flat(examined: Examined) -> str:
 def _open(examined: Examined, low: float, high: float) -> str:
     """Return an interval that does not end on both sides."""
     sides = list(zip(("above", "below"), (low, high), examined.profile.ends, strict=True))
-    parts = [f"{side} {value:.3g} (95 %)" for side, value, end in sides if end == "closed"]
-    parts += [f"open at its bound {value:.3g}" for _, value, end in sides if end == "bound"]
-    parts += [f"no solution was found beyond {value:.3g}" for _, value, end in sides if end == "lost"]
+    parts = [f"{side} {_print(value)} (95 %)" for side, value, end in sides if end == "closed"]
+    parts += [f"open at its bound {_print(value)}" for _, value, end in sides if end == "bound"]
+    parts += [f"no solution was found beyond {_print(value)}" for _, value, end in sides if end == "lost"]
     return ", ".join(parts)
 
 
 def _classes(examined: Examined, known: tuple[float, float]) -> list[str]:
     """Return where information and profile do not come to the same conclusion."""
-    profile, name = examined.profile, examined.name
-    sd, prior_sd = known
-    width = (profile.high - profile.low) / (2 * NORMAL)
-    by_profile = 0 if profile.flat else 2 if profile.closed and is_small(name, width / LIKE, prior_sd) else 1
+    name, (sd, prior_sd) = examined.name, known
+    by_profile = _by_profile(examined, prior_sd)
     by_information = 0 if sd > NOTHING * prior_sd else 2 if is_small(name, sd, prior_sd) else 1
     if by_profile == by_information:
         return []
     words = ("not at all", "in part", "determined")
     return [f"by the information {words[by_information]}, by the profile {words[by_profile]}"]
+
+
+def _by_profile(examined: Examined, prior_sd: float) -> int:
+    """Return what the profile says: 0 nothing, 1 something, 2 that the parameter is determined."""
+    profile = examined.profile
+    sd = (profile.high - profile.low) / (2 * NORMAL * LIKE)
+    return 0 if profile.flat else 2 if profile.closed and is_small(examined.name, sd, prior_sd) else 1
 
 
 def _bent(examined: Examined) -> list[str]:
@@ -152,11 +162,17 @@ def _outside(examined: Examined, equal: tuple[float, float] | None) -> list[str]
     if equal is None or (equal[0] >= profile.low - 1e-6 and equal[1] <= profile.high + 1e-6):
         return []
     low, high = (_value(examined.name, end) for end in equal)
-    return [f"equally good starts end outside its interval, {low:.3g} to {high:.3g}"]
+    return [f"equally good starts end outside its interval, {_print(low)} to {_print(high)}"]
 
 
 def _small(value: float) -> str:
     return "less than 1e-4" if value < 1e-4 else f"{value:.2g}"
+
+
+def _print(value: float) -> str:
+    """Return three digits: 2.13e5, not 2.13e+05."""
+    mantissa, e, exponent = f"{value:.3g}".partition("e")
+    return f"{mantissa}{e}{int(exponent)}" if e else mantissa
 
 
 def _value(name: str, coordinate: float) -> float:

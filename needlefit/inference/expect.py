@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.inference.identify import known_before
+from needlefit.inference.identify import known_before, known_besides, told_by
 from needlefit.inference.information import Direction, cramer_rao, directions
 from needlefit.inference.problem import Problem
 
@@ -61,9 +61,9 @@ def expect(design: Design, values: Mapping[str, float], rng: np.random.Generator
         return None
     centre = np.clip(problem.parameters.theta(values), problem.lower, problem.upper)
     before = known_before(problem)
-    first = information(problem, centre) + before
+    first = information(problem, centre)
     others = [(design(at), at) for at in _places(problem, centre, first, rng)]
-    every = [first, *(information(p, p.parameters.theta(at)) + before for p, at in others if p is not None)]
+    every = [first, *(information(p, p.parameters.theta(at)) for p, at in others if p is not None)]
     every = [one for one in every if np.all(np.isfinite(one))]
     found = directions(first, problem.names)
     axes = np.array([d.weights for d in found]).reshape(-1, len(centre))
@@ -79,9 +79,9 @@ def expect(design: Design, values: Mapping[str, float], rng: np.random.Generator
 
 
 def information(problem: Problem, theta: Floats) -> Floats:
-    """Return J^T J (P, P) of the residuals that insertions have; not of the prior's."""
-    slope = problem.jacobian(theta)[1][: sum(problem.density.told)]
-    found: Floats = slope.T @ slope
+    """Return J^T J (P, P) of what insertions tell, with what is known besides: bounds, or a stated prior."""
+    _, slope, _ = told_by(problem, theta)
+    found: Floats = slope.T @ slope + known_besides(problem)
     return found
 
 

@@ -92,10 +92,20 @@ def peak_of(points: Sequence[Settled]) -> Settled:
 
 
 def _side(way: _Way, track: Track, optimum: Settled, side: int) -> None:
-    """Add the points of one side, then see whether other places lead lower at its end."""
-    k, found = way.k, [optimum]
-    bound = float(way.target.upper[k] if side > 0 else way.target.lower[k])
-    step = _first_step(way, optimum)
+    """Add the points of one side; where another branch is lower at its end, go on along that."""
+    found, step = [optimum], _first_step(way, optimum)
+    for _ in range(AGAIN):
+        step = _outward(way, track, found, (side, step))
+        if not _branches(way, track, found):
+            break
+    track.at_bound[side > 0] = found[-1].theta[way.k] == _bound(way, side)
+    track.points += found[1:]
+
+
+def _outward(way: _Way, track: Track, found: list[Settled], last_step: tuple[int, float]) -> float:
+    """Add points to `found` until the deviance is high, or a bound ends the way; return the next step."""
+    k, optimum, bound = way.k, found[0], _bound(way, last_step[0])
+    side, step = last_step
     while len(found) <= POINTS:
         last = found[-1]
         if last.theta[k] == bound or _root(way, optimum, last) ** 2 > BEYOND:
@@ -103,19 +113,21 @@ def _side(way: _Way, track: Track, optimum: Settled, side: int) -> None:
         place = last.theta[k] + side * step
         place = bound if abs(bound - last.theta[k]) < 1.2 * step else float(place)
         point = _point(way, track, found, place)
-        rise = _root(way, optimum, point) - _root(way, optimum, last)
+        rise, step = _root(way, optimum, point) - _root(way, optimum, last), abs(place - float(last.theta[k]))
         if rise > LONGEST_RISE and step > SHORTEST * way.range:
             if np.isfinite(point.value):
                 track.points.append(point)  # it is a point of the profile all the same
-            step = abs(place - float(last.theta[k])) * float(np.clip(RISE / rise, 0.1, 0.6))
-            continue
-        if not np.isfinite(point.value):
+            step *= float(np.clip(RISE / rise, 0.1, 0.6))
+        elif np.isfinite(point.value):
+            found.append(point)
+            step = _next_step(way, optimum, point, (side, step))
+        else:
             break
-        found.append(point)
-        step = _next_step(way, optimum, point, (side, abs(place - float(last.theta[k]))))
-    track.at_bound[side > 0] = found[-1].theta[k] == bound
-    _branches(way, track, found)
-    track.points += found[1:]
+    return step
+
+
+def _bound(way: _Way, side: int) -> float:
+    return float(way.target.upper[way.k] if side > 0 else way.target.lower[way.k])
 
 
 def _first_step(way: _Way, optimum: Settled) -> float:
@@ -150,19 +162,24 @@ def _point(way: _Way, track: Track, found: Sequence[Settled], place: float) -> S
     return peak_of([point, *tries])
 
 
-def _branches(way: _Way, track: Track, found: list[Settled]) -> None:
-    """At the last point of a side look elsewhere for a lower branch; follow it back while it is lower."""
+def _branches(way: _Way, track: Track, found: list[Settled]) -> bool:
+    """At the last point of a side look elsewhere for a lower branch, and follow it back while it is lower.
+
+    Returns whether there is one.
+    """
     if len(found) < 2 or not way.elsewhere:
-        return
-    place = float(found[-1].theta[way.k])
+        return False
+    last = len(found) - 1
+    place = float(found[last].theta[way.k])
     track.retries += 1
     lower = peak_of([_settle(way, track, start, place) for start in way.elsewhere])
-    n = len(found) - 1
+    n = last
     while n > 0 and lower.value < found[n].value - BETTER * way.scale:
         found[n] = lower
         n -= 1
         place = float(found[n].theta[way.k])
         lower = _settle(way, track, _ahead(way, lower, place), place)
+    return n < last
 
 
 def _settle(way: _Way, track: Track, start: Floats, place: float) -> Settled:

@@ -9,27 +9,34 @@ from needlefit.reporting.display import Column, Display, text, without_empty
 from needlefit.reporting.identification_said import millimetres
 from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset
 from needlefit.reporting.tables import Row, records
+from needlefit.validation.identification import IDENTIFICATION
 
 _NOTE = (
     "“Sd” is what Fisher information and bounds say together, of ln for μ and b, of the value for α; "
-    "“left” is its part of what the bounds, or a stated prior, say alone: 1 where the data add nothing. The interval "
-    "is that of the profile likelihood, open where a bound comes first. A fixed α is freed for this alone."
+    "“left” is its part of what the bounds, or a stated prior, say alone: 1 where the data add nothing. The "
+    "interval is that of the profile likelihood, open where a bound comes first. A fixed α is freed for this "
+    "alone."
 )
 
 
 def identification_layout(identification: pd.DataFrame, expected: bool = False) -> Display:
-    """Return one row per parameter: deviation, interval, contraction, and what it comes to."""
+    """Return one row per parameter; of a design also where information and profile disagree.
+
+    Of a fit `verdict_said` says that beside it.
+    """
     rows, breaks = [], []
     table = records(identification)
     folds = len({row["fold"] for row in table}) > 1
     for n, row in enumerate(table):
         if n and (table[n - 1]["fold"], table[n - 1]["status"]) != (row["fold"], row["status"]):
             breaks.append(n)
-        rows.append((str(row["fold"]) if folds else "", *_cells(row)))
+        rows.append(
+            (str(row["fold"]) if folds else "", *_cells(row), *((str(row["agreement"]),) if expected else ()))
+        )
     columns = (
-        *(text("Fold"), text("Parameter"), text("Identifiable"), Column("Sd"), Column("95 % from")),
+        *(text("Fold"), text("Parameter"), text("Determined"), Column("Sd"), Column("95 % from")),
         *(Column("to"), Column("Left"), Column("Sampled"), Column("Tip moves", "mm")),
-        text("Information, profile, contraction", wide=True),
+        *((text("Information, profile, contraction", wide=True),) if expected else ()),
     )
     what = "What the design can tell" if expected else "What the data tell"
     return without_empty(
@@ -96,13 +103,13 @@ def _cells(row: Row) -> tuple[str, ...]:
         fixed(row["contraction"], 2),
         "" if row["contraction_sampled"] is None else fixed(row["contraction_sampled"], 2),
         "" if row["tip_moves_mm"] is None else millimetres(row["tip_moves_mm"]),
-        str(row["agreement"]),
     )
 
 
 def identification_table(identification: pd.DataFrame, origin: str) -> pd.DataFrame:
     """Return the rows as `identify.csv` has them.
 
-    Values are those that were used: where `determined` is false they are no estimates.
+    `value` is where the profile is lowest, or where a design was looked at; without `determined` it is no
+    estimate.
     """
-    return identification.assign(origin=origin).rename(columns={"value": "value_used"})
+    return identification.assign(origin=origin).reindex(columns=[*IDENTIFICATION, "origin"])

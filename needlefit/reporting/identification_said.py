@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.agreement import AGREE, NOTHING, known_words
+from needlefit.inference.agreement import AGREE, NOTHING, is_small, known_words
 from needlefit.inference.expect import Expectation
 from needlefit.inference.identify import SD_LOG, TOLD
 from needlefit.inference.information import NEARLY_FREE, combination, short
@@ -53,7 +53,10 @@ def _expected(expectation: Expectation, name: str, row: Row) -> str:
         return f"{short(name)}: {known}{near}."
     if row["contraction"] > NOTHING:
         return f"{short(name)}: not at all, left as its bounds have it ({known}{near})."
-    return f"{short(name)}: not by itself ({known}{near}){_only_as(expectation, name)}."
+    only = _only_as(expectation, name)
+    if is_small(name, sd, sd / float(row["contraction"])):
+        return f"{short(name)}: {known} by the information{near}, but its profile is {row['says']}{only}."
+    return f"{short(name)}: not by itself ({known}{near}){only}."
 
 
 def _only_as(expectation: Expectation, name: str) -> str:

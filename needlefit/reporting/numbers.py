@@ -5,6 +5,7 @@ import re
 
 MISSING = "–"
 _NAME = re.compile(r"\b(?:mu\d+(?:_pa)?|alpha\d+|bevel_mm|guide_distance_mm)\b")
+_POWER = re.compile(r"\b\d(?:\.\d+)?e-?\d+\b")
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
@@ -56,12 +57,12 @@ def symbol(parameter: str) -> str:
 
 
 def in_symbols(words: str) -> str:
-    """Return a sentence with the names of parameters as their symbols: `mu1_pa * bevel_mm` is μ₁ · b.
+    """Return a sentence with parameters and powers as print has them: `mu1_pa * bevel_mm` is μ₁ · b.
 
     Exponents stay `^0.28`: what sets the sentence raises them, because Unicode has no raised point.
     """
     named = _NAME.sub(lambda found: symbol(found[0]).split(" (")[0], words)
-    return named.replace(" * ", " · ")
+    return _POWER.sub(lambda found: typeset(found[0]), named).replace(" * ", " · ")
 
 
 def _is_known(value: float | None) -> bool:

@@ -18,9 +18,20 @@ from needlefit.inference.profile import THRESHOLD
 Row = dict[str, Any]
 
 IDENTIFICATION = (
-    *("fold", "parameter", "status", "value", "prior_sd", "sd", "sd_low", "sd_high", "fisher_sd"),
+    *(
+        "fold",
+        "parameter",
+        "status",
+        "determined",
+        "value",
+        "prior_sd",
+        "sd",
+        "sd_low",
+        "sd_high",
+        "fisher_sd",
+    ),
     *("contraction", "contraction_sampled", "interval_low", "interval_high", "end_low", "end_high"),
-    *("rise", "minima", "tip_moves_mm", "determined", "says", "agreement"),
+    *("rise", "minima", "tip_moves_mm", "says", "agreement"),
 )
 PROFILES = ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold")
 
@@ -68,7 +79,7 @@ def identified(
             told = is_small(one.name, sd, prior_sd)
         else:
             told = verdict.determined.get(one.name, False)
-        known = told and judged.identifiable and one.fixed_at is None
+        known = told and judged.determined and one.fixed_at is None
         rows.append(_row(one, judged, prior_sd, sd) | {"determined": known})
         points += _points(problem.parameters, one)
     return Identified(judgements, tuple(rows), tuple(points))
@@ -76,12 +87,12 @@ def identified(
 
 def confirmed(verdict: Verdict, judgements: Mapping[str, Judgement]) -> Verdict:
     """Return the verdict without the parameters whose profiles contradict it, and say so in their notes."""
-    denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.identifiable}
+    denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.determined}
     return replace(
         verdict,
         determined={n: known and n not in denied for n, known in verdict.determined.items()},
         notes={
-            n: f"not determined (its profile is open): {judgements[n].says}" if n in denied else note
+            n: f"not determined: its profile is {judgements[n].says}" if n in denied else note
             for n, note in verdict.notes.items()
         },
     )

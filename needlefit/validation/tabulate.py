@@ -216,7 +216,7 @@ def _why(name: str, status: str, factor: float, source: str) -> str:
 
 def _flat(judged: Judgement | None) -> str:
     """Return what to add to the note of a fixed parameter that was freed for its profile."""
-    return "" if judged is None else f"; freed: {judged.says}"
+    return "" if judged is None else f"; freed, {'its profile is flat' if judged.flat else judged.says}"
 
 
 def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:

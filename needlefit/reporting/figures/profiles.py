@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter, NullLocator
+from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
@@ -22,6 +22,9 @@ Floats = NDArray[np.float64]
 
 ACROSS = 4
 """Most panels in a row."""
+
+MOST_TICKS = 4
+"""Most numbers along a logarithmic axis."""
 
 TOP = 6.5
 """Deviance at which the panels end."""
@@ -46,9 +49,10 @@ def _paint(identification: pd.DataFrame, profiles: pd.DataFrame, synthetic: bool
             continue
         row = rows[n]
         points = profiles[(profiles["fold"] == row["fold"]) & (profiles["parameter"] == row["parameter"])]
-        _panel(axes, row, points, first=n == 0)
+        _panel(axes, row, points)
         if n % across == 0:
             axes.set_ylabel("deviance")
+    _name_lines(figure, panels[0, across - 1], float(profiles["threshold"].iloc[0]))
     label_origin(figure, synthetic)
     return figure
 
@@ -60,7 +64,7 @@ def _across(count: int) -> int:
     return min(range(ACROSS, ACROSS - 2, -1), key=lambda wide: (-count % wide, -wide))
 
 
-def _panel(axes: Axes, row: Row, points: pd.DataFrame, first: bool) -> None:
+def _panel(axes: Axes, row: Row, points: pd.DataFrame) -> None:
     name = str(row["parameter"])
     forward = np.log if in_logarithm(name) else np.asarray
     back = np.exp if in_logarithm(name) else np.asarray
@@ -78,11 +82,6 @@ def _panel(axes: Axes, row: Row, points: pd.DataFrame, first: bool) -> None:
     axes.plot(back(at), deviance, "o", ms=2.6, color=BLUE, mew=0, zorder=4)
     axes.axhline(threshold, color=GREY, lw=0.6, ls=(0, (3, 2)))
     _dress(axes, row, back(at[[0, -1]]))
-    if first:
-        across = axes.get_yaxis_transform()
-        axes.text(0.02, threshold + 0.12, "95 %", transform=across, fontsize=6, color=GREY)
-    if first and row["fisher_sd"] is not None:
-        _names(axes)
 
 
 def _interval(axes: Axes, row: Row, curve: tuple[Floats, Floats], threshold: float) -> None:
@@ -110,9 +109,9 @@ def _dress(axes: Axes, row: Row, ends: Floats) -> None:
     axes.set_ylim(0, TOP)
     axes.set_xlim(float(ends[0]), float(ends[1]))
     if in_logarithm(name):
-        axes.xaxis.set_major_locator(LogLocator(numticks=4))
-        axes.xaxis.set_minor_formatter(NullFormatter())
+        ticks = _log_ticks(float(ends[0]), float(ends[1]))
         axes.xaxis.set_minor_locator(NullLocator())
+        axes.set_xticks(ticks, [_print(tick) for tick in ticks])
     else:
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
     axes.set_title(_title(row), loc="left", color=INK, pad=13)
@@ -127,6 +126,8 @@ def _state(row: Row) -> str:
     low, high = row["end_low"] == "closed", row["end_high"] == "closed"
     if low and high:
         return f"{_print(row['interval_low'])} to {_print(row['interval_high'])}"
+    if "lost" in (row["end_low"], row["end_high"]):
+        return "could not be followed to its end"
     if not low and not high:
         return "flat: not identifiable" if (row["rise"] or 0) < 1 else "open: not identifiable"
     end = f"above {_print(row['interval_low'])}" if low else f"below {_print(row['interval_high'])}"
@@ -138,10 +139,24 @@ def _shade(row: Row) -> str:
     return INK if row["end_low"] == row["end_high"] == "closed" else WARNING
 
 
-def _names(axes: Axes) -> None:
-    """Name the two curves, where the first panel has room."""
-    for y, words, colour in ((0.93, "profile", BLUE), (0.82, "information", ORANGE)):
-        axes.text(0.5, y, words, transform=axes.transAxes, ha="center", fontsize=6.5, color=colour)
+def _log_ticks(low: float, high: float) -> list[float]:
+    """Return two to four round places on a logarithmic axis: powers of ten if there are enough of them."""
+    powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0), tuple(np.arange(1.0, 10.0, 0.5))):
+        ticks = [step * 10.0**power for power in powers for step in steps]
+        ticks = [tick for tick in ticks if low <= tick <= high]
+        if len(ticks) >= 2:
+            break
+    return ticks[:: math.ceil(len(ticks) / MOST_TICKS)]
+
+
+def _name_lines(figure: Figure, last: Axes, threshold: float) -> None:
+    """Name the curves above the panels, and the threshold beside the last panel of the first row."""
+    figure.suptitle(" ", fontsize=7.5)  # keeps the line free
+    for x, words, colour in ((0.01, "profile", BLUE), (0.075, "information at the optimum", ORANGE)):
+        figure.text(x, 0.985, words, va="top", fontsize=7, color=colour)
+    across = last.get_yaxis_transform()
+    last.text(1.02, threshold, "95 %", transform=across, va="center", fontsize=6.5, color=GREY)
 
 
 def _print(value: float) -> str:

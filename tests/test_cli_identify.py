@@ -1,0 +1,80 @@
+"""`needlefit identify`: what it prints and writes, from the design alone and after a fit."""
+
+import json
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from test_cli import run
+
+from needlefit.validation import job
+
+FILES = {"directions.csv", "identify.csv", "profiles.csv", "profiles.pdf", "run.json"}
+
+
+@pytest.fixture
+def folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "reports" / "identify-study2"
+
+
+def test_the_design_alone_says_what_one_short_insertion_can_tell(folder, capsys):
+    assert run("identify", "study2", "--jobs", "1", "-q") == 0
+    out = capsys.readouterr().out
+    assert "Design alone: 1 insertion, 24 mm deep" in out and "hand-tuned set study2" in out
+    assert "alpha1: not at all: the tip moves less than 0.001 mm over its whole range at t = 40 mm" in out
+    assert "only as mu2^0.35 * b (to 11 %)" in out
+    assert {path.name for path in folder.iterdir()} == FILES
+    table = pd.read_csv(folder / "identify.csv").set_index("parameter")
+    assert set(table["stage"]) == {"design"} and not table["determined"].any()
+    assert table.loc["alpha1", "contraction"] == pytest.approx(1.0, abs=1e-3)
+    assert (table.loc["bevel_mm", "end_low"], table.loc["bevel_mm", "end_high"]) == ("closed", "closed")
+    assert (table["sd_low"] <= table["sd"])[:3].all() and (table["sd_high"] >= table["sd"])[:3].all()
+    found = pd.read_csv(folder / "directions.csv")
+    assert (found["sd"].diff().dropna() > 0).all() and (found["contraction"] <= 1).all()
+    assert json.loads((folder / "run.json").read_text())["design"]["values"]["mu1_pa"] == pytest.approx(5e4)
+
+
+def test_the_same_bytes_for_any_number_of_threads(folder):
+    written = []
+    for jobs in ("1", "2"):
+        assert run("identify", "study2", "--jobs", jobs, "-q") == 0
+        written.append({path.name: path.read_bytes() for path in folder.iterdir()})
+    assert written[0] == written[1]
+
+
+def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
+    text = (
+        'schema = 1\ndataset = "twin"\nmedium = "phantom2"\nrecipe = "quick"\n'
+        '[tune]\nmedium = "phantom2"\nlayers = [1]\n'
+    )
+    (folder.parents[1] / "one.toml").write_text(text)
+    assert run("identify", "./one.toml", "--fit", "--json", "-q") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert {"design", "fit", "said", "directions"} <= set(said) and said["place"] == "the fitted values"
+    by_stage = pd.read_csv(folder.parent / "identify-one" / "identify.csv").groupby("stage")["parameter"]
+    assert by_stage.size()["design"] == by_stage.size()["fit"]
+    profiles = pd.read_csv(folder.parent / "identify-one" / "profiles.csv")
+    best = profiles.groupby(["stage", "parameter"])["deviance"].min()
+    assert (best == 0).all() and set(best.index.get_level_values("stage")) == {"design", "fit"}
+
+
+def test_the_design_part_looks_at_no_measured_shape(monkeypatch, folder):
+    """Bent by 5 mm, the measured centreline changes nothing that the design says."""
+    plain = job.read
+
+    def bent(path):
+        found = plain(path)
+        moved = [
+            replace(
+                i, planar=i.planar + [0, 5.0] * (i.planar / i.depth) ** 2, out_of_plane=i.out_of_plane + 1
+            )
+            for i in found.insertions
+        ]
+        return replace(found, insertions=tuple(moved))
+
+    assert run("identify", "study2", "-q") == 0
+    before = (folder / "identify.csv").read_bytes()
+    monkeypatch.setattr(job, "read", bent)
+    assert run("identify", "study2", "-q") == 0
+    assert (folder / "identify.csv").read_bytes() == before

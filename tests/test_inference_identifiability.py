@@ -1,0 +1,133 @@
+"""The verdict's parts on problems whose answer is known: design, freed alpha, words of agreement."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
+
+from needlefit.inference.agreement import AGREE, judge, unlike
+from needlefit.inference.examine import Examined, examine
+from needlefit.inference.expect import DRAWS, expect
+from needlefit.inference.freed import fixed_alphas, freed
+from needlefit.inference.identify import Verdict
+from needlefit.inference.profile import THRESHOLD, Profile
+from needlefit.inference.starts import Fit
+from needlefit.validation.identification import confirmed, identified
+
+MIDDLE = math.log(0.1)
+
+
+def fit_at(p, values):
+    theta = tuple(p.parameters.theta(values).tolist())
+    return Fit(theta, p.values(theta), 0.0, (), 0, 0, False)
+
+
+def parabola(name="bevel_mm", best=MIDDLE, sd=0.1, ends=("closed", "closed"), **changed):
+    """The profile of a Gaussian."""
+    at = best + sd * np.linspace(-2.5, 2.5, 9)
+    half = math.sqrt(THRESHOLD) * sd
+    made = Profile(
+        name, at, ((at - best) / sd) ** 2, 2 * (at - best) / sd**2, at[:, None], best, sd,
+        best - half, best + half, ends, 1, 9, 0,
+    )  # fmt: skip
+    return replace(made, **changed)
+
+
+BOUNDS = (math.log(1e-3), math.log(0.5))
+PRIOR_SD = (BOUNDS[1] - BOUNDS[0]) / math.sqrt(12)
+
+
+def test_three_ways_that_agree_are_said_to():
+    judged = judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD))
+    assert judged.determined and judged.agreement == AGREE
+    assert judged.says == "0.0822 to 0.122 (95 %)"
+
+
+def test_a_bent_ridge_is_said_to_be_wider_than_the_information_says():
+    profile = parabola()
+    wide = replace(profile, low=profile.best - 10 * 0.196)
+    judged = judge(Examined(wide, BOUNDS), (0.1, PRIOR_SD))
+    assert "10 times wider below than the information says" in judged.agreement
+    assert not judged.determined
+    assert "by the information determined, by the profile in part" in judged.agreement
+
+
+def test_an_open_end_leaves_a_parameter_undetermined_whatever_the_information_says():
+    judged = judge(Examined(parabola(ends=("bound", "closed"), low=BOUNDS[0]), BOUNDS), (0.1, PRIOR_SD))
+    assert not judged.determined
+    assert judged.says == "not identifiable: below 0.122 (95 %), open at its bound 0.001"
+
+
+def test_equal_starts_outside_the_interval_and_draws_that_differ_are_said():
+    judged = judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD), (math.log(0.05), math.log(0.1)))
+    assert "equally good starts end outside its interval, 0.05 to 0.1" in judged.agreement
+    assert unlike(AGREE, 0.1, 0.11) == AGREE
+    assert "draws contract to 0.6 of the prior, the information says 0.1" in unlike(AGREE, 0.1, 0.6)
+
+
+def test_layers_of_one_material_share_the_alpha_that_is_freed():
+    record = medium(4, mu3_pa={"tie": "mu1_pa"}, mu4_pa={"tie": "10 * mu2_pa"}, alpha3={"fixed": 1.0})
+    made = [measure({**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0, "mu4_pa": 2e8, "alpha4": 1.0}, record,
+                    insertion(40.0, (12.0, 25.0), (1, 2, 3)))]  # fmt: skip
+    p = problem(record, made)
+    assert fixed_alphas(p) == {"alpha1": ("alpha3",), "alpha2": ()}  # layer 4 is not met
+    opened = freed(p, "alpha1").parameters
+    assert opened.bounds["alpha1"] == (-3.0, 5.0) and opened.ties["alpha3"] == (1.0, "alpha1")
+    theta = opened.theta({**TRUTH, "alpha1": 2.5})
+    assert opened.values(theta)["alpha3"] == 2.5
+
+
+def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
+    p = two_layers()
+    examination = examine(p, fit_at(p, TRUTH))
+    alphas = {one.name: one for one in examination.parameters if one.fixed_at is not None}
+    assert set(alphas) == {"alpha1", "alpha2"} and all(one.profile.flat for one in alphas.values())
+    assert all(one.tip_moves is not None and one.tip_moves < 0.02 for one in alphas.values())
+    b = next(one.profile for one in examination.parameters if one.name == "bevel_mm")
+    assert b.low < math.log(TRUTH["bevel_mm"]) < b.high
+    told = identified(p, examination, {})
+    assert {row["parameter"] for row in told.rows} == {*p.names, "alpha1", "alpha2"}
+    assert all(not row["determined"] for row in told.rows if row["status"] == "fixed")
+    assert min(row["deviance"] for row in told.points) == 0.0
+
+
+def test_threads_change_nothing_and_a_stop_leaves_out_what_has_not_begun():
+    p = two_layers(count=1)
+    one, two = (identified(p, examine(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
+    assert one.points == two.points
+    assert examine(p, fit_at(p, TRUTH), stop=lambda: True).parameters == ()
+
+
+def test_a_profile_overrules_a_verdict_that_the_information_gave():
+    names = {"bevel_mm": True}
+    verdict = Verdict(
+        {"bevel_mm": 0.1}, names, {"bevel_mm": ""}, {}, {}, 1, (), {"bevel_mm": "known"}, 1.0, False
+    )
+    kept = confirmed(verdict, {"bevel_mm": judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD))})
+    assert kept.determined["bevel_mm"] and kept.notes["bevel_mm"] == "known"
+    cut = judge(Examined(parabola(ends=("closed", "bound")), BOUNDS), (0.1, PRIOR_SD))
+    lost = confirmed(verdict, {"bevel_mm": cut})
+    assert not lost.determined["bevel_mm"] and lost.notes["bevel_mm"].startswith(
+        "not determined: its profile"
+    )
+
+
+def test_four_equal_insertions_tell_twice_as_exactly():
+    """Fisher information of a design adds up over its insertions."""
+    record = medium(1)
+
+    def told(count):
+        p = problem(record, [measure(TRUTH, record, insertion(40.0)) for _ in range(count)])
+        return expect(lambda values: p, TRUTH, np.random.default_rng(1))
+
+    one, four = told(1), told(4)
+    assert len(one.sds) == 1 + DRAWS
+    assert four.directions[0].sd == pytest.approx(one.directions[0].sd / 2, rel=0.02)
+    assert one.prior_sds == pytest.approx([math.log(1e6) / math.sqrt(12), math.log(500) / math.sqrt(12)])
+    assert np.all(one.sds <= one.prior_sds * (1 + 1e-9))
+
+
+def test_a_design_without_a_solution_is_none():
+    assert expect(lambda values: None, TRUTH, np.random.default_rng(1)) is None
