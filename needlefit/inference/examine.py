@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.inference.freed import fixed_alphas, freed
-from needlefit.inference.identify import tip_range, with_noise
+from needlefit.inference.identify import tip_range, told_by, with_noise
 from needlefit.inference.problem import Problem
 from needlefit.inference.profile import Profile, profile
 from needlefit.inference.settle import Settled, settle
@@ -83,7 +83,7 @@ def examine(
     settled = [settle(weighed, end) for end in ends]
     optimum = min(settled, key=lambda one: one.value)
     elsewhere = [*ends[1:], 0.5 * (weighed.lower + weighed.upper)]
-    scale = max(1.0, _chi_square(weighed, optimum))
+    scale = max(1.0, told_by(weighed, optimum.theta)[2])
 
     def free(k: int) -> Examined | None:
         return None if stop() else _free(weighed, k, optimum, elsewhere, scale)
@@ -117,13 +117,6 @@ def _fixed(problem: Problem, name: str, optimum: Settled, scale: float) -> Exami
         same=fixed_alphas(problem)[name],
         tip_moves=tip_range(opened, theta, name),
     )
-
-
-def _chi_square(problem: Problem, at: Settled) -> float:
-    told = sum(problem.density.told)  # what normalises the density, and the prior, are no residuals
-    residuals = problem.jacobian(at.theta)[0][:told]
-    rows = sum(known.rows for known in problem.density.evidence)
-    return float(residuals @ residuals) / max(1, rows - len(problem.names))
 
 
 def _apart(problem: Problem, thetas: Sequence[Sequence[float]]) -> list[Floats]:

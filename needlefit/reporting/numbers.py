@@ -53,7 +53,11 @@ def symbol(parameter: str) -> str:
         index = parameter.removeprefix(name).removesuffix("_pa")
         if parameter.startswith(name) and index.isdigit():
             return sign + index.translate(_LOWERED) + unit
-    return {"bevel_mm": "b (mm)", "guide_distance_mm": "guide to entry (mm)"}.get(parameter, parameter)
+    return {
+        "bevel_mm": "b (mm)",
+        "guide_distance_mm": "guide to entry (mm)",
+        "noise_scale": "noise scale",
+    }.get(parameter, parameter)
 
 
 def in_symbols(words: str) -> str:

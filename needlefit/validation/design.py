@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.inference.predict import predict
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.shape import NeedleShape, inserted_points
@@ -14,15 +14,16 @@ from needlefit.validation.job import Job
 from needlefit.validation.planned import Floats, planned_layers
 
 
-def planned(job: Job, fold: Fold, values: Mapping[str, float]) -> Problem | None:
+def planned(job: Job, fold: Fold, values: Mapping[str, float], noise: Noise | None = None) -> Problem | None:
     """Return the fit's problem with every measured shape replaced by the one that `values` (Pa, mm) give.
 
     Layers are those that the simulated needle meets, where the dataset has their surfaces; depths, sides,
-    poses, noise and the number of points stay. None where a needle has no solution, or leaves the medium.
+    poses, noise and the number of points stay; `noise` is for a dataset that states none. None where a needle
+    has no solution, or leaves the medium.
     """
     made = [_planned(job, insertion, values) for insertion in fold.tune]
     known = tuple(insertion for insertion in made if insertion is not None)
-    return replace(job.problem(fold), insertions=known) if len(known) == len(made) else None
+    return replace(job.problem(fold), insertions=known, noise=noise) if len(known) == len(made) else None
 
 
 def _planned(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:

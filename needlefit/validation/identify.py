@@ -10,6 +10,7 @@ import pandas as pd
 from needlefit.errors import FitError
 from needlefit.inference.examine import examine
 from needlefit.inference.expect import Expectation, expect
+from needlefit.inference.identify import with_noise
 from needlefit.inference.starts import Fit
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.streams import stream
@@ -62,7 +63,9 @@ def identify_design(
 ) -> Identification:
     """Return what depths, layers, sides, poses and noise of the insertions tell of the parameters.
 
-    They are taken at the values `fitted`, or at the paper's hand-tuned set, or in the middle of the bounds.
+    Where the dataset states no noise, the residuals of the fit stand for it, and without one there is no
+    answer. They are taken at the values `fitted`, or at the paper's hand-tuned set, or in the middle of the
+    bounds.
 
     Raises
     ------
@@ -75,8 +78,9 @@ def identify_design(
     fold = job.folds[0]
     values, place = _place(job, fitted)
     rng = stream(job.recipe.seed, job.name, "design")
-    expectation = expect(lambda at: planned(job, fold, at), values, rng)
-    problem = planned(job, fold, values)
+    noise = None if fitted is None else with_noise(job.problem(fold), job.parameters.theta(values)).noise
+    expectation = expect(lambda at: planned(job, fold, at, noise), values, rng)
+    problem = planned(job, fold, values, noise)
     if expectation is None or problem is None:
         raise FitError(
             f"the planned insertions have no solution at {place}",
