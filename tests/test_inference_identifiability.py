@@ -131,3 +131,8 @@ def test_four_equal_insertions_tell_twice_as_exactly():
 
 def test_a_design_without_a_solution_is_none():
     assert expect(lambda values: None, TRUTH, np.random.default_rng(1)) is None
+
+
+def test_needles_that_differ_are_said_to():
+    judged = judge(Examined(parabola(), BOUNDS), (0.25, PRIOR_SD), scatter=2.5)
+    assert judged.agreement == "needles differ by 2.5 times what the profile's noise allows"

@@ -53,7 +53,10 @@ class Judgement:
 
 
 def judge(
-    examined: Examined, known: tuple[float, float], equal: tuple[float, float] | None = None
+    examined: Examined,
+    known: tuple[float, float],
+    equal: tuple[float, float] | None = None,
+    scatter: float = 1.0,
 ) -> Judgement:
     """Return what to say of one parameter.
 
@@ -64,10 +67,14 @@ def judge(
         Standard deviation of its coordinate in the posterior, and in the prior.
     equal : tuple of two floats, optional
         Lowest and highest coordinate at which equally good starts ended.
+    scatter : float
+        How many times larger than from the noise the deviation is because needles differ.
     """
     profile, name = examined.profile, examined.name
     low, high = (_value(name, end) for end in (profile.low, profile.high))
     faults = [*_classes(examined, known), *_bent(examined), *_outside(examined, equal)]
+    if scatter > LIKE:
+        faults.append(f"needles differ by {scatter:.2g} times what the profile's noise allows")
     return Judgement(
         name=name,
         flat=profile.flat,

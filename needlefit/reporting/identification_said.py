@@ -34,8 +34,8 @@ def design_said(found: Identification) -> list[str]:
     count = f"{found.insertions} insertion" + ("s" if found.insertions > 1 else "")
     expectation = found.expectation
     head = (
-        f"Design alone: {count}, {depth} deep, planned layers, at {found.place} and "
-        f"{len(expectation.sds) - 1} places near it. No measured shape enters."
+        f"Design alone: {count}, {depth} deep, layers as {found.layers}, at {found.place} and in "
+        f"{len(expectation.sds) - 1} places near. No measured shape enters."
     )
     rows = {str(row["parameter"]): row for row in records(found.identification)}
     said = [_expected(expectation, name, rows[name]) for name in expectation.names if name in rows]

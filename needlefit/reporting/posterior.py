@@ -10,6 +10,7 @@ import pandas as pd
 from needlefit.inference.posterior import PERCENTILES, Posterior, save
 from needlefit.reporting.display import Column, Display, text, without_empty
 from needlefit.reporting.numbers import fixed, number, symbol, typeset
+from needlefit.reporting.parameters import NOT_DETERMINED
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.results import Results
 
@@ -22,10 +23,12 @@ def percentiles_table(results: Results) -> pd.DataFrame:
     posterior weighs residuals by the stated noise, so the two need not agree. `acceptance` is the fold's;
     `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
     where the rule, which asks more than the parameters, is not met: the percentiles are then not final.
+    `determined` is false where the fit's value is no estimate, and the percentiles tell of the bounds too.
     """
-    fits = {(str(r["fold"]), r["parameter"]): r["value"] for r in _fitted(results)}
+    fits = {(str(r["fold"]), r["parameter"]): r for r in _fitted(results)}
     rows = [row for fold, posterior in results.posteriors.items() for row in _rows(fold, posterior, fits)]
-    heads = ("fold", "parameter", *map(_head, PERCENTILES), "fit_value_used", "fit_in_central_95")
+    heads = ("fold", "parameter", *map(_head, PERCENTILES), "fit_value_used", "determined")
+    heads += ("fit_in_central_95",)
     heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
     return pd.DataFrame([{**row, "origin": results.origin} for row in rows], columns=heads)
 
@@ -68,18 +71,24 @@ def posterior_layout(results: Results) -> Display:
         (
             *(str(row["fold"]) if len(results.posteriors) > 1 else "", symbol(row["parameter"])),
             *(typeset(number(row[_head(p)])) for p in PERCENTILES),
-            typeset(number(row["fit_value_used"])) + (" ‡" if row["fit_in_central_95"] is False else ""),
+            _fit_cell(row),
             *(fixed(row["r_hat"], 3), "" if row["converged"] else "NOT CONVERGED"),
         )
         for row in table
     )
     percentiles = (Column(f"{p:g} %") for p in PERCENTILES)
     columns = (text("Fold"), text("Parameter"), *percentiles, Column("Fit"), Column("R-hat"), text("State"))
-    marked = any(row["fit_in_central_95"] is False for row in table)
+    marked = any("‡" in _fit_cell(row) for row in table)
     notes = ("‡ outside the central 95 % of the draws.",) if marked else ()
     caption = "Posterior: percentiles of the draws, and the value that the fit ended with."
     caption += " NOT CONVERGED: they are not final." if unconverged_said(results) else ""
     return without_empty(Display("posterior", caption, columns, rows, (), (), notes))
+
+
+def _fit_cell(row: Row) -> str:
+    if row["determined"] is False:
+        return NOT_DETERMINED
+    return typeset(number(row["fit_value_used"])) + (" ‡" if row["fit_in_central_95"] is False else "")
 
 
 def posterior_files(results: Results) -> Mapping[str, Callable[[Path], object]]:
@@ -99,9 +108,7 @@ def _fitted(results: Results) -> list[Row]:
     return [row for row in records(results.parameters) if row["rival"] == "fitted"]
 
 
-def _rows(
-    fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], float | None]
-) -> list[dict[str, object]]:
+def _rows(fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], Row]) -> list[dict[str, object]]:
     about = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
     found = posterior.convergence
     return [
@@ -119,10 +126,13 @@ def _rows(
     ]
 
 
-def _beside(fit: float | None, percentiles: tuple[float, ...]) -> dict[str, object]:
-    """Return the fit's value, and whether the outermost percentiles hold it."""
-    inside = None if fit is None else percentiles[0] <= fit <= percentiles[-1]
-    return {"fit_value_used": fit, "fit_in_central_95": inside}
+def _beside(fitted: Row | None, percentiles: tuple[float, ...]) -> dict[str, object]:
+    """Return the fit's value, whether the data determine it, and whether the percentiles hold it."""
+    if fitted is None or fitted["value"] is None:
+        return {"fit_value_used": None, "determined": None, "fit_in_central_95": None}
+    inside = percentiles[0] <= fitted["value"] <= percentiles[-1]
+    determined = bool(fitted["determined"])
+    return {"fit_value_used": fitted["value"], "determined": determined, "fit_in_central_95": inside}
 
 
 def _head(percentile: float) -> str:

@@ -33,13 +33,14 @@ def undetermined_said(results: Results) -> str:
     if not (results.parameters["rival"] == "fitted").any():
         return "The search gave no parameters."
     fixed_ones = held_fixed(results)
+    alone = "" if len(results.identification) else " Judged by the information at the optimum alone."
     said = f" Held fixed, not fitted: {_symbols(fixed_ones)}." if fixed_ones else ""
     if not open_ones:
-        return f"The data determine every free parameter, as far as this model and its noise go.{said}"
+        return f"The data determine every free parameter, as far as this model and its noise go.{alone}{said}"
     where = ", in at least one fold" if results.parameters["fold"].nunique() > 1 else ""
     return (
         f"The data do not determine {_symbols(open_ones)}{where}: printed as such, because the prediction "
-        f"used one of many values that fit practically as well, and that value is no estimate.{said}"
+        f"used one of many values that fit practically as well, and that value is no estimate.{alone}{said}"
     )
 
 

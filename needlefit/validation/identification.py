@@ -72,8 +72,10 @@ def identified(
     judgements, rows, points = {}, [], []
     for one in examination.parameters:
         prior_sd = before.get(one.name, (one.bounds[1] - one.bounds[0]) / math.sqrt(12))
-        sd = sds.get(one.name, 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd))
-        judged = judge(one, (sd, prior_sd), _equal(one, verdict))
+        alone = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd)
+        sd = sds.get(one.name, alone)
+        scatter = 1.0 if verdict is None else sd / alone
+        judged = judge(one, (sd, prior_sd), _equal(one, verdict), scatter)
         judgements[one.name] = judged
         if verdict is None:
             told = is_small(one.name, sd, prior_sd)

@@ -2,7 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -35,6 +35,8 @@ class Identification:
     insertions : int
     depths : tuple of two floats
         Shallowest and deepest, mm.
+    layers : "planned" or "stated"
+        Whether they are those that the simulated needles meet, or given as depths.
     thickness : float
         Of the tissue compressed, mm.
     expectation : Expectation
@@ -51,6 +53,7 @@ class Identification:
     place: str
     insertions: int
     depths: tuple[float, float]
+    layers: Literal["planned", "stated"]
     thickness: float
     expectation: Expectation
     identification: pd.DataFrame
@@ -103,6 +106,7 @@ def identify_design(
         place=place,
         insertions=len(depths),
         depths=(min(depths), max(depths)),
+        layers="planned" if all(insertion.surfaces for insertion in fold.tune) else "stated",
         thickness=job.medium.thickness_mm,
         expectation=expectation,
         identification=pd.DataFrame(rows, columns=list(IDENTIFICATION)),
