@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from needlefit.inference.freed import fixed_alphas, freed
 from needlefit.inference.identify import Verdict
 from needlefit.inference.profile import THRESHOLD, Profile
 from needlefit.inference.starts import Fit
-from needlefit.validation.identification import confirmed, identified
+from needlefit.validation.identification import confirmed, identified, sampled_contractions
 
 MIDDLE = math.log(0.1)
 
@@ -136,3 +137,15 @@ def test_a_design_without_a_solution_is_none():
 def test_needles_that_differ_are_said_to():
     judged = judge(Examined(parabola(), BOUNDS), (0.25, PRIOR_SD), scatter=2.5)
     assert judged.agreement == "needles differ by 2.5 times what the profile's noise allows"
+
+
+def test_draws_say_their_own_contraction():
+    """Deviations of logarithms for b, of the value for alpha, over the prior's."""
+    rng = np.random.default_rng(1)
+    drawn = np.stack([np.exp(rng.normal(-2, 0.3, (2, 4000))), rng.normal(1, 2.0, (2, 4000))], axis=2)
+    posterior = SimpleNamespace(names=("bevel_mm", "alpha1"), draws=drawn)
+    about = {"contraction": 0.1, "agreement": AGREE}
+    rows = [{"parameter": n, "prior_sd": 2.0, **about} for n in ("bevel_mm", "alpha1", "mu1_pa")]
+    sampled_contractions(posterior, rows)
+    assert [row.get("contraction_sampled") for row in rows[:2]] == pytest.approx([0.15, 1.0], rel=0.05)
+    assert "draws contract to" in rows[1]["agreement"] and rows[2]["agreement"] == AGREE

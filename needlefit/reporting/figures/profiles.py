@@ -143,7 +143,8 @@ def _log_ticks(low: float, high: float) -> list[float]:
     """Return two to four round places on a logarithmic axis: powers of ten if there are enough of them."""
     if high < 5 * low:
         places = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
-        return [float(place) for place in places if low <= place <= high]
+        inner = [float(place) for place in places if low <= place <= high]
+        return inner[:: 2 if len(inner) > 3 else 1]  # their numbers are long
     powers = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     for steps in ((1.0,), (1.0, 3.0), (1.0, 2.0, 5.0)):
         ticks = [step * 10.0**power for power in powers for step in steps]
