@@ -155,3 +155,15 @@ def test_a_descent_stops_at_bounds_and_holds_what_is_held():
     held = settle(target, np.array([5.0, 5.0]), held=0)
     assert held.theta == pytest.approx([5.0, -2.0]) and held.value == pytest.approx(49.0)
     assert target.calls < 20
+
+
+def test_a_wall_before_the_bound_leaves_each_place_once():
+    """The first long step ends at the bound and is refined; the bound is met again on the way out."""
+    target = Known(
+        lambda x, y: [0.02 * x + max(0.0, x - 18.0) ** 2, y],
+        lambda x, y: [[0.02 + 2 * max(0.0, x - 18.0), 0], [0, 1.0]],
+    )
+    p = found(target, 0)
+    assert np.all(np.diff(p.at) > 1e-6) and p.at[-1] == REACH
+    # where 0.02 x + (x - 18)^2 = 1.96
+    assert p.high == pytest.approx(18 + (-0.02 + math.sqrt(0.0004 + 6.4)) / 2, abs=0.02)

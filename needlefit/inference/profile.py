@@ -28,6 +28,9 @@ THRESHOLD = float(chi2.ppf(0.95, 1))
 DEEP = 0.2
 """Deviance by which the profile must fall away from the optimum to be said to have another minimum."""
 
+SAME = 1e-6
+"""Points closer than this part of the range are one."""
+
 FINE = 401
 """Points on which the curve between the computed ones is searched and drawn."""
 
@@ -116,7 +119,7 @@ def profile(
         the noise explains.
     """
     track = follow(target, k, optimum, elsewhere, scale)
-    points = sorted(track.points, key=lambda point: float(point.theta[k]))
+    points = _in_order(track.points, k, float(target.upper[k] - target.lower[k]))
     at = np.array([point.theta[k] for point in points])
     peak = peak_of(points)
     deviance = np.array([(point.value - peak.value) / scale for point in points])
@@ -138,6 +141,17 @@ def profile(
         evaluations=track.evaluations,
         retries=track.retries,
     )
+
+
+def _in_order(points: Sequence[Settled], k: int, width: float) -> list[Settled]:
+    """Return the points along the parameter, of those that were computed twice the lower one."""
+    kept: list[Settled] = []
+    for point in sorted(points, key=lambda point: float(point.theta[k])):
+        if kept and point.theta[k] - kept[-1].theta[k] < SAME * width:
+            kept[-1] = peak_of([kept[-1], point])
+        else:
+            kept.append(point)
+    return kept
 
 
 def _end(track: Track, curve: tuple[Floats, Floats, Floats], side: int) -> tuple[float, End]:

@@ -70,12 +70,15 @@ def _panel(axes: Axes, row: Row, points: pd.DataFrame) -> None:
     back = np.exp if in_logarithm(name) else np.asarray
     at = forward(points["value"].to_numpy(dtype=np.float64))
     deviance = points["deviance"].to_numpy(dtype=np.float64)
-    fine = np.linspace(at[0], at[-1], 400)
-    curve = CubicHermiteSpline(at, deviance, points["slope"])(fine)
     best = float(at[int(np.argmin(deviance))])
     threshold = float(points["threshold"].iloc[0])
     if in_logarithm(name):
         axes.set_xscale("log")
+    if len(at) < 2:  # nothing but the optimum could be computed
+        axes.set_title(_title(row), loc="left", color=INK)
+        return
+    fine = np.linspace(at[0], at[-1], 400)
+    curve = CubicHermiteSpline(at, deviance, points["slope"])(fine)
     _interval(axes, row, (back(fine), curve), threshold)
     _parabola(axes, back, (at, best, row["fisher_sd"]))
     axes.plot(back(fine), curve, color=BLUE, lw=1.3, zorder=3)
