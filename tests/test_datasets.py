@@ -1,5 +1,6 @@
 """A dataset written and read again is the same; known layers, planes, selections and noise come out."""
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -193,13 +194,15 @@ def test_a_selection_that_cannot_be_met_says_so(tmp_path, keys, words):
         select(dataset, SelectionRecord(**keys))
 
 
-def test_noise_floor_of_a_shift_is_the_mean_of_a_rayleigh(tmp_path):
-    """An isotropic shift of mean length m in 3-D has mean length m pi / 4 in a plane."""
+@pytest.mark.parametrize(("begins", "expected"), [(0.5, math.pi / 4), (0.0, 1 / 2)])
+def test_noise_floor_of_a_shift(begins, expected, tmp_path):
+    """Of an isotropic shift of mean length m a plane shows m pi / 4, a curve cut at its entry m / 2."""
     dataset = read(block(tmp_path))
-    floor = noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
-    expected = 0.19 * math.pi / 4
-    assert floor.te_mm == pytest.approx(expected, rel=0.03)
-    assert [floor.ipe_mean_mm, floor.ipe_max_mm, floor.median_err_mm] == pytest.approx([floor.te_mm] * 3)
+    insertion = dataset.insertions[0]
+    insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
+    floor = noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
+    assert floor.te_mm == pytest.approx(0.19 * expected, rel=0.03)
+    assert floor.ipe_mean_mm == pytest.approx(0.19 * expected, rel=0.03)
 
 
 def test_noise_floor_of_an_angle_grows_from_the_entry(tmp_path):

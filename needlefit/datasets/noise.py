@@ -14,6 +14,9 @@ from needlefit.geometry.frames import align_rigid
 MEAN_OF_NORM = math.sqrt(8 / math.pi)
 """Mean length of a 3-D normal vector of unit standard deviation per axis."""
 
+CUT = 1e-3
+"""A curve that begins this near to the plane of first contact, mm, was cut there."""
+
 
 @dataclass(frozen=True)
 class NoiseFloor:
@@ -32,6 +35,7 @@ def noise_floor(
 
     Every draw adds independent and correlated noise to each point and, with a known pose, moves the
     curve: by an isotropic shift, of which the plane sees two of three components, and by the row's angle.
+    A curve that was cut in the plane of first contact shows no shift along the entry axis.
     The shift is the larger of the stated registration error and the row's pose deviation, which are
     often one error told twice. Curves are compared as in a study: at equal fractions of arc length, or,
     for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
@@ -47,7 +51,7 @@ def noise_floor(
     moved = (
         curve
         + point_noise(curve, noise, rng, draws)
-        + _pose_noise(curve, shift, angle, rng.normal(size=(draws, 3)))
+        + _pose_noise(curve, _shifts(curve, shift), angle, rng.normal(size=(draws, 3)))
     )
     free = reach_from_tip(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
     errors = [_compare(curve, again, free) for again in moved]
@@ -72,10 +76,16 @@ def point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: in
     return drawn
 
 
-def _pose_noise(curve: Floats, shift: float, angle: float, normal: Floats) -> Floats:
+def _shifts(curve: Floats, shift: float) -> Floats:
+    """Return the deviations (2,) of a shift along and across the entry axis that a curve (N, 2) can show."""
+    cut = abs(float(curve[0, 0])) < CUT
+    return np.array([0.0 if cut else shift, shift])
+
+
+def _pose_noise(curve: Floats, shifts: Floats, angle: float, normal: Floats) -> Floats:
     """Return the displacement (draws, N, 2) of small motions about C's origin, from `normal` (draws, 3)."""
     turned = np.column_stack([-curve[:, 1], curve[:, 0]])  # (N, 2)
-    displaced: Floats = shift * normal[:, None, :2] + angle * normal[:, 2, None, None] * turned
+    displaced: Floats = shifts * normal[:, None, :2] + angle * normal[:, 2, None, None] * turned
     return displaced
 
 
