@@ -60,7 +60,7 @@ def marginal(name, depths):
 
 @pytest.mark.parametrize("name", ["phantom2-01", "phantom2-04", "phantom2-08"])
 def test_quadrature_gives_the_integral_over_all_depths(name):
-    assert marginal(name, "quadrature") == pytest.approx(brute_force(name), abs=0.05)
+    assert marginal(name, "quadrature") == pytest.approx(brute_force(name), abs=0.1)
 
 
 def test_a_linear_effect_is_not_enough_where_a_stiff_layer_begins_at_a_constraint():
