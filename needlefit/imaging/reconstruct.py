@@ -1,78 +1,32 @@
 """One scan -> its needle in the world, its entry, its layers: the steps in their order."""
 
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import surface_hits
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import Frame, entry_frame
-from needlefit.geometry.patient import IN_PATIENT
 from needlefit.geometry.plane import bending_plane
-from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
+from needlefit.imaging.contact import first_contact
 from needlefit.imaging.layer_doubts import doubts, refuse_tunnels
 from needlefit.imaging.layers import layer_errors, met, read_layers
-from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
-from needlefit.imaging.needle.centerline import Centerline, trace
-from needlefit.imaging.needle.mask import from_mask
-from needlefit.imaging.needle.segmentation import Component, segment
-from needlefit.imaging.profile import profile, tissue_edge
-from needlefit.imaging.reconstruction import EntryPose, Markers, Profile, Reconstruction
-from needlefit.imaging.registration.marker_sets import KNOWN
-from needlefit.imaging.registration.register import (
-    Registration,
-    frame_of,
-    predicted_mean_target_error,
-    register,
-)
-from needlefit.imaging.remarks import BEYOND, remarks
+from needlefit.imaging.reconstruction import EntryPose, Reconstruction
+from needlefit.imaging.registration.register import predicted_mean_target_error
+from needlefit.imaging.remarks import remarks
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_row import ACROSS
+from needlefit.imaging.seen import Seen, see
 from needlefit.imaging.threads import one_thread
 from needlefit.imaging.views import views
-from needlefit.imaging.volume import Volume, read
+from needlefit.imaging.volume import read
 from needlefit.project.records.reconstruction import ReconstructionRecord
 
 Floats = NDArray[np.float64]
 Plane = Literal["stated", "bevel", "shape"]
-
-BEYOND_TIP = 8.0
-"""How far beyond the tip the brightness is followed, mm, so that a page shows where the needle ends."""
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What the volume shows, before anything is said of entry and layers.
-
-    Attributes
-    ----------
-    traced : Centerline
-        LPS.
-    markers : Markers or None
-    registration : Registration or None
-    profile : Profile
-        Along the whole needle, s from its first point.
-    """
-
-    traced: Centerline
-    markers: Markers | None
-    registration: Registration | None
-    profile: Profile
-
-    @property
-    def patient(self) -> Frame:
-        """The scan's LPS axes and origin in the world."""
-        return IN_PATIENT if self.registration is None else frame_of(self.registration)
-
-    @property
-    def world(self) -> Floats:
-        """The whole needle in the world (N, 3), mm."""
-        return self.patient.to_world(self.traced.points)
 
 
 @one_thread
@@ -94,7 +48,7 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     seen = see(volume, scan, recipe)
     surfaces = read_layers(scan, seen.patient, volume.grid)
     refuse_tunnels(scan, surfaces, seen.world)
-    pose, shaft = _pose(seen, scan, surfaces, recipe)
+    pose, shaft = first_contact(seen, scan, surfaces, recipe)
     begin = entry.start(seen.world, pose)
     points, sd = _inserted(seen, begin, recipe.centerline.station_mm)
     frame, plane = _bending(seen, scan, pose, points, recipe)
@@ -123,123 +77,6 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
         remarks=(),
     )
     return replace(found, remarks=(*volume.remarks, *remarks(found), *said))
-
-
-def see(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Seen:
-    """Return what the volume shows of needle and markers."""
-    needle = _needle(volume, scan, recipe)
-    traced = trace(volume, needle, recipe)
-    markers = _markers(volume, needle, scan, recipe)
-    registration = None
-    if markers is not None and scan.markers is not None:
-        registration = _registered(markers, scan.markers, recipe)
-    return Seen(traced, markers, registration, _along(volume, traced.points))
-
-
-def _registered(markers: Markers, known: Path, recipe: ReconstructionRecord) -> Registration:
-    """Return the registration of the markers on those of the file `known`; its faults name it."""
-    places = read_markers(known)
-    try:
-        return register(markers.centers, places, markers.sd, recipe.markers.known_sd_mm)
-    except DataError as error:
-        raise (error.at(str(known)) if error.where == KNOWN else error) from None
-
-
-def _along(volume: Volume, needle: Floats) -> Profile:
-    """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
-    ahead = needle[-1] - needle[-5]
-    ahead /= np.linalg.norm(ahead)
-    beyond = needle[-1] + np.outer(np.arange(0.5, BEYOND_TIP + 0.5, 0.5), ahead)
-    points = np.vstack([needle, beyond])
-    return profile(volume, points, arc_length(points))
-
-
-def _needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
-    return segment(volume, recipe) if scan.mask is None else from_mask(volume, scan.mask, recipe)
-
-
-def _markers(volume: Volume, needle: Component, scan: Scan, recipe: ReconstructionRecord) -> Markers | None:
-    """Return the markers, placed by hand or found; None where the world needs none."""
-    if scan.fiducials is not None:
-        given = given_markers(scan.fiducials, recipe)
-        try:
-            return check_fiducials(given, volume, recipe, needle.voxels)
-        except DataError as error:
-            raise error.at(str(scan.fiducials)) from None
-    return None if scan.markers is None else find_markers(volume, recipe, needle.voxels)
-
-
-def _pose(
-    seen: Seen, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[EntryPose, EntryPose | None]:
-    """Return the entry pose, and the one of the shaft outside the tissue where it shows."""
-    if scan.stage is None:
-        at, at_sd = _tissue(seen, scan, surfaces, recipe)
-        shaft = entry.on_surface(entry.from_shaft(_shaft(seen, scan, recipe, at), at_sd), surfaces)
-        return shaft, shaft
-    (here,) = seen.patient.to_local(scan.stage.entry[None])
-    stage = entry.from_stage(scan.stage, seen.registration, here)
-    outside = _shaft(seen, scan, recipe, entry.start(seen.world, stage))
-    if entry.shown(outside) < entry.SHORTEST_SHAFT:
-        return stage, None
-    other = entry.from_shaft(outside, stage.along_sd)
-    entry.require_agreement(stage, other)
-    return stage, other
-
-
-def _shaft(seen: Seen, scan: Scan, recipe: ReconstructionRecord, at: float) -> entry.Shaft:
-    """Return the needle before `at` (mm along it), where it enters the tissue."""
-    world = seen.world
-    s = arc_length(world)
-    base = recipe.needle.length_mm - (s[-1] - at)
-    return entry.Shaft(
-        points=world[s < at],
-        sd=seen.traced.sd[s < at],
-        s=s[s < at] - at,
-        free=base if scan.guide_distance is None else scan.guide_distance,
-        bend=recipe.entry.bend_mm,
-        turn=np.radians(recipe.entry.bend_deg),
-    )
-
-
-def _tissue(
-    seen: Seen, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
-) -> tuple[float, float]:
-    """Return where along the whole needle the tissue begins, and how sure that is, mm.
-
-    The tissue's own surface says it where there is one, else the change of brightness around the needle.
-    """
-    outer = [surface for surface in surfaces if surface.into == 1]
-    hits = np.concatenate([surface_hits(seen.world, surface) for surface in outer]) if outer else np.empty(0)
-    edge = tissue_edge(seen.profile)
-    if len(hits):
-        at = float(hits.min())
-        _refuse_elsewhere(at, edge, scan)
-        return at, recipe.layers.surface_sd_mm
-    if edge is None:
-        raise DataError(
-            "the scan does not show where the needle enters the tissue",
-            where=str(scan.volume),
-            expected="air before the tissue along the needle, the tissue's surface (into = 1), or the stage",
-            mend="state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the "
-            "layers, as FILE=sheet:1 or FILE=solid:1",
-        )
-    return edge
-
-
-def _refuse_elsewhere(at: float, edge: tuple[float, float] | None, scan: Scan) -> None:
-    """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
-    if edge is None or abs(at - edge[0]) <= entry.FARTHEST + BEYOND * edge[1]:
-        return
-    side = "behind" if at > edge[0] else "before"
-    raise DataError(
-        f"the needle crosses the tissue's own surface {abs(at - edge[0]):.1f} mm {side} the place where the "
-        "scan shows tissue to begin",
-        where=str(scan.volume),
-        expected=f"within {entry.FARTHEST:g} mm of it",
-        mend="see both in 3D Slicer: label the needle's voxels as the tissue around them, check the frame of "
-        "the surfaces; if they are right, state the stage (entry_x_mm ... pose_angle_sd_deg)",
-    )
 
 
 def _inserted(seen: Seen, begin: float, station: float) -> tuple[Floats, Floats]:
