@@ -24,6 +24,7 @@ def show_validation(results: "Results") -> None:
     A fit scores nothing but its own insertions: of it only its name and the data are printed.
     """
     from needlefit.reporting.contest import rivals_said
+    from needlefit.reporting.foretold import foretold_layout
     from needlefit.reporting.layouts import validation_layout
     from needlefit.reporting.names import rival_name
     from needlefit.validation.summary import paired
@@ -39,6 +40,8 @@ def show_validation(results: "Results") -> None:
         table, "Rivals on the same held-out insertions and points; ΔIPE is the rival's IPE minus the fit's."
     )
     screen.say(rivals_said(results))
+    if len(results.predictive):
+        screen.show_display(foretold_layout(results))
 
 
 def show_head(results: "Results") -> None:

@@ -50,7 +50,9 @@ def about_fit(
 ) -> Draws:
     """Return `count` draws of the Gaussian whose principal directions `identify` found, within the bounds."""
     theta = np.array(fit.theta)
-    axes = np.array([direction.weights for direction in verdict.directions]).reshape(-1, len(theta))
+    axes = np.array([direction.weights for direction in verdict.directions]).reshape(
+        -1 if theta.size else 0, theta.size
+    )
     sds = np.array([direction.sd for direction in verdict.directions])
     drawn = theta + (rng.normal(size=(count, len(sds))) * sds) @ axes
     for _ in range(TRIES):

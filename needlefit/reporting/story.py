@@ -7,6 +7,7 @@ from needlefit.reporting import captions, contest, details, document, layouts, s
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.foretold import foretold_layout
 from needlefit.reporting.identification_layout import identification_layout
 from needlefit.reporting.identification_said import verdict_said
 from needlefit.reporting.numbers import in_symbols
@@ -137,6 +138,8 @@ def _errors(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
     if contest.scored_role(results) == "validate":
         blocks += figure_of(figures, "boxplot", captions.BOXPLOT, synthetic)
         blocks.append(document.table(layouts.validation_layout([results]), synthetic))
+    if len(results.predictive):
+        blocks.append(document.table(foretold_layout(results), synthetic))
     return [*blocks, *tuning_blocks([results], synthetic)]
 
 

@@ -77,6 +77,8 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
 def _frames(results: Results, folder: Path) -> None:
     for name in ("design", "errors", "shapes", "starts", "directions"):
         write_csv(getattr(results, name).assign(origin=results.origin), folder / f"{name}.csv")
+    if len(results.predictive):
+        write_csv(results.predictive.assign(origin=results.origin), folder / "predictive.csv")
     if len(results.identification):
         write_csv(identification_table(results.identification, results.origin), folder / "identify.csv")
         write_csv(results.profiles.assign(origin=results.origin), folder / "profiles.csv")

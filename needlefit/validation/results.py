@@ -10,6 +10,7 @@ import pandas as pd
 from needlefit.inference.posterior import Posterior
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.validation.heldout import PREDICTIVE
 from needlefit.validation.identification import IDENTIFICATION, PROFILES
 from needlefit.validation.placed import PlacedNeedle
 
@@ -43,6 +44,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "directions": ("fold", "sd", "words"),
         "identification": IDENTIFICATION,
         "profiles": PROFILES,
+        "predictive": PREDICTIVE,
     }
 )
 
@@ -87,6 +89,9 @@ class Results:
         Of a fit: per fold and parameter what information (`sd`), profile likelihood (the 95 % interval, how
         its ends `end_low`, `end_high` came about, how far the deviance rises at most) and the posterior's
         contraction against the prior say, and whether they agree; alphas that were fixed are freed for it.
+    predictive : DataFrame
+        The distribution foretold of every insertion held out (`validation/heldout.py`), and how what was
+        measured fell in it.
     profiles : DataFrame
         Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per
         parameter: where all others went.
@@ -127,6 +132,7 @@ class Results:
     needles: Mapping[str, PlacedNeedle] = field(default_factory=dict)
     identification: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(IDENTIFICATION)))
     profiles: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PROFILES)))
+    predictive: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PREDICTIVE)))
 
     def __post_init__(self) -> None:
         for frame, columns in COLUMNS.items():

@@ -39,6 +39,7 @@ class Tables:
     directions: list[Row] = field(default_factory=list)
     identification: list[Row] = field(default_factory=list)
     profiles: list[Row] = field(default_factory=list)
+    predictive: list[Row] = field(default_factory=list)
     searches: dict[str, dict[str, Row]] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     verdicts: dict[str, Verdict] = field(default_factory=dict)

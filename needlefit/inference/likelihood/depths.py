@@ -70,11 +70,11 @@ def nodes(insertion: Insertion, s: Floats, depths: Depths) -> Nodes:
     """Return the nodes of an insertion whose measured points lie at `s` (K,) on the beam."""
     places = PLACES[depths]
     moves = _moves(insertion) if places else []
-    moved = [(insertion, s)]
+    found = [(insertion, s)]
     for boundaries, depth in moves:
-        moved += [_moved(insertion, s, t * boundaries, t * depth) for t in places]
-    insertions, at = zip(*moved, strict=True)
-    linear = np.zeros((1 + len(moves), len(moved)))
+        found += [moved(insertion, s, t * boundaries, t * depth) for t in places]
+    insertions, at = zip(*found, strict=True)
+    linear = np.zeros((1 + len(moves), len(found)))
     linear[0, 0] = 1.0
     for j in range(len(moves)):
         first = 1 + j * len(places)
@@ -94,7 +94,7 @@ def _moves(insertion: Insertion) -> list[tuple[Floats, float]]:
     return found
 
 
-def _moved(insertion: Insertion, s: Floats, boundaries: Floats, depth: float) -> tuple[Insertion, Floats]:
+def moved(insertion: Insertion, s: Floats, boundaries: Floats, depth: float) -> tuple[Insertion, Floats]:
     """Return the insertion with other depths, boundaries in order, and where its points then lie."""
     wanted = insertion.boundaries + boundaries
     least = GAP * np.arange(1, len(wanted) + 1)

@@ -1,0 +1,144 @@
+"""How well held-out needles were foretold: the predictive distribution of each, and what was measured of it.
+
+A draw of the parameters gives one needle, through the layers that its own planned path meets, with depths of
+layers and insertion drawn as the dataset states their errors; about it stand the errors of pose and points.
+The measured shape enters nowhere but as what is compared. What the model misses is not foretold: where
+coverage falls short of its level, that is why, or the stated errors are too small.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.geometry.frames import align_rigid
+from needlefit.inference.draws import Draws, about_fit, from_posterior
+from needlefit.inference.likelihood.covariance import points_covariance
+from needlefit.inference.likelihood.depths import moved
+from needlefit.inference.likelihood.evidence import Evidence, evidence
+from needlefit.inference.predict import predict
+from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile
+from needlefit.mechanics.shape import positions
+from needlefit.project.streams import stream
+from needlefit.validation.folds import Fold
+from needlefit.validation.job import Job
+from needlefit.validation.placed import Known
+from needlefit.validation.planned import planned_layers
+from needlefit.validation.score import Row
+
+Floats = NDArray[np.float64]
+
+DRAWS = 100
+"""Parameter sets of which every held-out needle is foretold."""
+
+LEAST = 10
+"""Fewer solved draws make no distribution."""
+
+MOST_LAYERS = 32
+"""Depth errors drawn for an insertion, so that what a draw is does not depend on the layers it meets."""
+
+PREDICTIVE = (
+    *("fold", "insertion", "medium", "layers", "depth_mm", "from", "draws", "failed_solves"),
+    *(
+        "tip_measured_mm",
+        "tip_median_mm",
+        "tip_50_low_mm",
+        "tip_50_high_mm",
+        "tip_95_low_mm",
+        "tip_95_high_mm",
+    ),
+    *("tip_level", "tip_in_50", "tip_in_95", "tip_crps_mm"),
+    *("shape_in_50", "shape_in_95", "shape_crps_mm"),
+)
+"""Columns: `tip_level` is the probability foretold of a tip up to the measured one; `shape_in_*` the part of
+points within their interval."""
+
+
+def foretold(job: Job, fold: Fold, known: Known) -> Iterator[Row]:
+    """Yield a row for every insertion that a fold holds out, y toward +y of C, mm."""
+    rng = stream(job.recipe.seed, job.name, fold.name, "foretold")
+    if known.posterior is not None:
+        draws = from_posterior(known.posterior, job.parameters, DRAWS)
+    else:
+        draws = about_fit(known.fit, known.verdict, job.parameters, DRAWS, rng)
+    for insertion in fold.validate:
+        chance = stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
+        seen = evidence(job.dataset, insertion, how=job.recipe.likelihood)
+        curves = [_curve(job, theta, insertion, seen, chance) for theta in draws.thetas]
+        solved = np.array([curve for curve in curves if curve is not None])
+        if len(solved) >= LEAST:
+            mixture = Mixture(solved, _deviations(job, insertion, seen))
+            row = {"fold": fold.name, **_about(insertion, draws, len(curves) - len(solved))}
+            row |= _judged(mixture, seen.measured[:, 1])
+            yield {name: row[name] for name in PREDICTIVE}
+
+
+def _curve(
+    job: Job, theta: Floats, insertion: Insertion, seen: Evidence, rng: np.random.Generator
+) -> Floats | None:
+    """Return y (K,) of one draw's needle at the measured points; None where a solve fails."""
+    values = job.parameters.values(theta)
+    deep = insertion.depth_sd * rng.normal()
+    wrong = rng.normal(size=MOST_LAYERS)
+    met = insertion
+    if insertion.surfaces:
+        found = planned_layers(
+            insertion,
+            lambda boundaries, sequence: predict(
+                values, job.medium, job.dataset.needle, insertion, boundaries, sequence
+            ),
+        )
+        if found is None:
+            return None
+        met = replace(insertion, boundaries=found[0], sequence=found[1])
+    count = len(met.boundaries)
+    shifts = deep + insertion.boundary_sd * wrong[:count]
+    drawn, s = moved(met, seen.nodes.s[0], shifts, deep)
+    shape = predict(values, job.medium, job.dataset.needle, drawn)
+    if not shape.converged:
+        return None
+    points = positions(shape, s)
+    if seen.pose == "free":
+        points = align_rigid(points, seen.measured)
+    heights: Floats = points[:, 1]
+    return heights
+
+
+def _deviations(job: Job, insertion: Insertion, seen: Evidence) -> Floats:
+    """Return the deviation (K,) of a measured y about a given needle: of points, and of a known pose."""
+    if seen.pose == "free":
+        alone = points_covariance(seen.nodes.s[0], job.dataset.noise)
+        return np.sqrt(np.diag(alone))
+    covariance = np.linalg.inv(seen.whitening.T @ seen.whitening)
+    deviations: Floats = np.sqrt(np.diag(covariance))
+    return deviations
+
+
+def _about(insertion: Insertion, draws: Draws, failed: int) -> Row:
+    return {
+        "insertion": insertion.id,
+        "medium": insertion.medium,
+        "layers": insertion.layers,
+        "depth_mm": insertion.depth,
+        "from": draws.source,
+        "draws": len(draws.thetas),
+        "failed_solves": failed,
+    }
+
+
+def _judged(mixture: Mixture, measured: Floats) -> Row:
+    """Return what became of the prediction of points (K,), the last of them the tip."""
+    tip = Mixture(mixture.means[:, -1:], mixture.sd[-1:])
+    at, score = float(measured[-1]), crps(mixture, measured)
+    row: Row = {"tip_measured_mm": at, "tip_median_mm": float(quantile(tip, 0.5)[0])}
+    row |= {"tip_level": float(cdf(tip, [at])[0]), "tip_crps_mm": float(score[-1])}
+    row |= {"shape_crps_mm": float(score.mean())}
+    for level in LEVELS:
+        name = f"{100 * level:.0f}"
+        low, high = interval(mixture, level)
+        row |= {f"tip_{name}_low_mm": float(low[-1]), f"tip_{name}_high_mm": float(high[-1])}
+        row |= {f"tip_in_{name}": bool(low[-1] <= at <= high[-1])}
+        row |= {f"shape_in_{name}": float(np.mean((low <= measured) & (measured <= high)))}
+    return row

@@ -1,0 +1,94 @@
+"""Held-out needles foretold: what the width is made of, and that the measured shape is only compared."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needlefit.inference.identify import identify
+from needlefit.inference.likelihood.pose import pose_sds
+from needlefit.inference.optimize import minimize
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.study import StudyRecord
+from needlefit.reporting.foretold import foretold_layout
+from needlefit.validation.heldout import PREDICTIVE, foretold
+from needlefit.validation.job import Settings, prepare
+from needlefit.validation.placed import Known
+
+
+@pytest.fixture(scope="module")
+def job():
+    record = load(find("study", "study2"), StudyRecord).model_copy(update={"recipe": "quick"})
+    return prepare("small", record, Settings())
+
+
+@pytest.fixture(scope="module")
+def known(job):
+    problem = job.problem(job.folds[0])
+    fit = minimize(problem, job.recipe, np.random.default_rng(1))
+    return Known(fit, identify(problem, fit))
+
+
+def sure(known):
+    """The same fit, as if nothing were open about its parameters."""
+    directions = tuple(replace(one, sd=1e-9) for one in known.verdict.directions)
+    return replace(known, verdict=replace(known.verdict, directions=directions))
+
+
+def of(job, *insertions):
+    return replace(job.folds[0], validate=insertions)
+
+
+def exact(insertion):
+    return replace(insertion, depth_sd=0.0, boundary_sd=0.0)
+
+
+def test_with_sure_parameters_and_depths_the_pose_and_the_points_are_left(job, known):
+    insertion = exact(job.folds[0].validate[0])
+    (row,) = foretold(job, of(job, insertion), sure(known))
+    shift, angle, _ = pose_sds(insertion, job.dataset.noise)
+    half = (row["tip_95_high_mm"] - row["tip_95_low_mm"]) / 2
+    least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
+    assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
+    assert tuple(row) == PREDICTIVE and row["from"] == "laplace"
+
+
+def test_open_depths_and_parameters_widen_it(job, known):
+    insertion = job.folds[0].validate[0]
+
+    def width(one, what):
+        (row,) = foretold(job, of(job, one), what)
+        return row["tip_95_high_mm"] - row["tip_95_low_mm"]
+
+    assert width(exact(insertion), sure(known)) < width(insertion, sure(known)) < width(insertion, known)
+
+
+def test_the_measured_shape_is_only_compared(job, known):
+    insertion = job.folds[0].validate[0]
+    bent = replace(insertion, planar=insertion.planar + np.array([0.0, 5.0]))
+    (as_is,), (moved,) = (tuple(foretold(job, of(job, one), sure(known))) for one in (insertion, bent))
+    assert moved["tip_median_mm"] == pytest.approx(as_is["tip_median_mm"], abs=1e-9)
+    assert moved["tip_measured_mm"] == pytest.approx(as_is["tip_measured_mm"] + 5.0)
+    assert moved["tip_level"] > 0.99 and not moved["tip_in_95"] and moved["shape_in_95"] < 0.1
+    assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
+
+
+def test_the_same_study_foretells_the_same(job, known):
+    few = of(job, *job.folds[0].validate[:2])
+    first, again = (list(foretold(job, few, known)) for _ in range(2))
+    assert first == again
+    alone = list(foretold(job, of(job, job.folds[0].validate[1]), known))
+    assert alone == first[1:]  # an insertion does not depend on the others
+
+
+def test_the_table_counts_what_fell_where(job, known):
+    import pandas as pd
+    from reporting_results import study
+
+    rows = list(foretold(job, of(job, *job.folds[0].validate[:2]), known))
+    rows[0] |= {"tip_in_50": True, "tip_in_95": True}
+    rows[1] |= {"tip_in_50": False, "tip_in_95": True}
+    table = foretold_layout(replace(study(2), predictive=pd.DataFrame(rows)))
+    assert table.rows[0][2:4] == ("1 of 2", "2 of 2")
+    assert "Gaussian about the fit" in table.caption
