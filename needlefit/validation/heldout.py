@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.select import layers_of
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.draws import Draws, about_fit, from_posterior
 from needlefit.inference.likelihood.covariance import points_covariance
@@ -70,7 +71,7 @@ def foretold(job: Job, fold: Fold, known: Known) -> Iterator[Row]:
         solved = np.array([curve for curve in curves if curve is not None])
         if len(solved) >= LEAST:
             mixture = Mixture(solved, _deviations(job, insertion, seen))
-            row = {"fold": fold.name, **_about(insertion, draws, len(curves) - len(solved))}
+            row = {"fold": fold.name, **_about(job, insertion, draws, len(curves) - len(solved))}
             row |= _judged(mixture, seen.measured[:, 1])
             yield {name: row[name] for name in PREDICTIVE}
 
@@ -116,11 +117,11 @@ def _deviations(job: Job, insertion: Insertion, seen: Evidence) -> Floats:
     return deviations
 
 
-def _about(insertion: Insertion, draws: Draws, failed: int) -> Row:
+def _about(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
     return {
         "insertion": insertion.id,
         "medium": insertion.medium,
-        "layers": insertion.layers,
+        "layers": layers_of(insertion, job.record.reading),
         "depth_mm": insertion.depth,
         "from": draws.source,
         "draws": len(draws.thetas),
