@@ -1,6 +1,5 @@
 """Compression tests of a material: a table of stretch and stress -> the loading of each specimen."""
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import read_table
 from needlefit.errors import DataError
 from needlefit.mechanics.compression import Measure
+from needlefit.project.files import sha256
 
 Floats = NDArray[np.float64]
 
@@ -82,7 +82,7 @@ def read_compression(path: Path, stated: Measure | None = None) -> CompressionTe
         raise as_error(faults, path)
     return CompressionTest(
         path=path,
-        digest=hashlib.sha256(path.read_bytes()).hexdigest(),
+        digest=sha256(path),
         measure=columns.measure,
         columns=(*([columns.sample] if columns.sample else []), *columns.stretch, *columns.stress),
         specimens=tuple(loading(record) for record in records),

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
+from needlefit.project.files import sha256
 from needlefit.project.records.dataset import DatasetRecord
 
 
@@ -45,11 +46,6 @@ def folders(record: DatasetRecord, path: Path) -> tuple[Path, ...]:
             mend=record.how_to_get or "check the path",
         )
     return found
-
-
-def sha256(path: Path) -> str:
-    """Return the SHA-256 of a file's bytes, in hexadecimal."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def checksum_faults(record: DatasetRecord, folder: Path) -> list[Fault]:

@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.datasets.formats.toml import dumps
 from needlefit.datasets.schema import COLUMNS, POINT, SCAN, SD, Floats, InsertionRow
-from needlefit.datasets.sources import sha256
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface, write_surface
+from needlefit.project.files import sha256
 from needlefit.project.records.dataset import DatasetRecord
 
 

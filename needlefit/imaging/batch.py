@@ -2,7 +2,7 @@
 
 import hashlib
 import pickle
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from importlib.metadata import version
@@ -12,11 +12,10 @@ from needlefit.errors import NeedlefitError
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
-from needlefit.project.processes import in_processes, never
+from needlefit.project.processes import in_processes
 from needlefit.project.records.reconstruction import ReconstructionRecord
 from needlefit.project.replace import replacing_file
-
-Progress = Callable[[str, int, int], None]
+from needlefit.project.watching import Progress, Stop, never, silent
 
 WHOLE = (".nrrd", ".nii", ".nii.gz", ".mha")
 """Endings of volumes that are one file."""
@@ -30,10 +29,6 @@ class Failure:
 
     scan: Scan
     error: NeedlefitError
-
-
-def _quiet(_what: str, _done: int, _of: int) -> None:
-    """Report nothing."""
 
 
 @dataclass(frozen=True)
@@ -57,8 +52,8 @@ class Batch:
     jobs: int = 1
     keep: Path | None = None
     resume: bool = False
-    progress: Progress = _quiet
-    stop: Callable[[], bool] = never
+    progress: Progress = silent
+    stop: Stop = never
 
 
 def reconstruct_all(

@@ -8,6 +8,7 @@ from typing import Any
 
 from needlefit.errors import FitError
 from needlefit.project.records.recipe import Minimized
+from needlefit.project.watching import never
 
 INTERRUPTED = "interrupted"
 
@@ -94,10 +95,6 @@ class Fit:
     gradients: int = 0
 
 
-def _never() -> bool:
-    return False
-
-
 def _ignore(start: Start) -> None:
     return None
 
@@ -127,7 +124,7 @@ class Watch:
 
     finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
     report: Callable[[Start], None] = _ignore
-    stop: Callable[[], bool] = _never
+    stop: Callable[[], bool] = never
     step: Callable[[int, int], None] = _uncounted
     jobs: int = 1
 

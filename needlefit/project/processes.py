@@ -12,18 +12,14 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from needlefit.errors import ConfigError
+from needlefit.project.watching import Stop, never
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def never() -> bool:
-    """Say that nobody wants to stop."""
-    return False
-
-
 def in_processes(
-    work: Callable[[Item], Result], items: Sequence[Item], jobs: int, stop: Callable[[], bool] = never
+    work: Callable[[Item], Result], items: Sequence[Item], jobs: int, stop: Stop = never
 ) -> Iterator[tuple[int, Result]]:
     """Yield the number of each item and what `work` makes of it, as they are finished.
 

@@ -1,9 +1,10 @@
 """Writing a folder, or one file, whole or not at all."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from needlefit.errors import ConfigError
 from needlefit.project.scratch import NEW, OLD, scratch
 
 
@@ -36,6 +37,35 @@ def replacing(folder: Path) -> Iterator[Path]:
         except BaseException:
             old.rename(folder)
             raise
+
+
+@contextmanager
+def replacing_own(folder: Path, why_not: Callable[[Path], str], expected: str) -> Iterator[Path]:
+    """Yield what `replacing` does, for a folder that is empty or of which `why_not` finds nothing to say.
+
+    Raises
+    ------
+    ConfigError
+        As `require_own`, before and after: nothing of anybody's is ever deleted.
+    """
+    require_own(folder, why_not, expected)
+    with replacing(folder) as fresh:
+        yield fresh
+        require_own(folder, why_not, expected)  # it takes a while: somebody may have put a file there
+
+
+def require_own(folder: Path, why_not: Callable[[Path], str], expected: str) -> None:
+    """Raise ConfigError if `folder` must not be replaced: `why_not` says why, `expected` what may be."""
+    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+        return
+    why = why_not(folder) if folder.is_dir() else "it is a file"
+    if why:
+        raise ConfigError(
+            f"is not replaced: {why}",
+            where=str(folder),
+            expected=expected,
+            mend="choose another folder with --out, or move yours away",
+        )
 
 
 @contextmanager

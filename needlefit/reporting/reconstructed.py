@@ -1,6 +1,6 @@
 """A batch of reconstructed scans -> the folder of a dataset, with all that a person needs to judge it."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -10,12 +10,11 @@ from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.sound import assemble_sound
 from needlefit.project.manifest import replacing_own, require_own, write_manifest
 from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.watching import Progress
 from needlefit.reporting.quality import write_quality
 from needlefit.reporting.reconstructions import write_tables
 from needlefit.reporting.slicer_scan import write_scan
 from needlefit.validation.provenance import versions
-
-Progress = Callable[[str, int, int], None]
 
 MANIFEST = "reconstruction.json"
 

@@ -1,6 +1,6 @@
 """The whole twin: every planned insertion simulated, scanned and reconstructed; and apart the truth."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -9,6 +9,7 @@ from needlefit.imaging.assemble import assemble
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.project.processes import in_order
 from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.watching import Progress, silent
 from needlefit.synthetic.built import Built
 from needlefit.synthetic.ct.setup import WHOLE
 from needlefit.synthetic.design import Planned, insertions
@@ -17,19 +18,13 @@ from needlefit.synthetic.statement import statement
 from needlefit.synthetic.truth_file import write_truth
 from needlefit.synthetic.twin import SEED
 
-Progress = Callable[[str, int, int], None]
-
-
-def _quiet(_what: str, _done: int, _of: int) -> None:
-    """Report nothing."""
-
 
 def build(
     folder: Path,
     seed: int = SEED,
     plan: Sequence[Planned] = insertions(),
     jobs: int = 1,
-    progress: Progress = _quiet,
+    progress: Progress = silent,
 ) -> Path:
     """Write the twin of `seed` into `folder`; return its `dataset.toml`. The same seed gives the same bytes.
 

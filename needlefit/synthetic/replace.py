@@ -1,13 +1,14 @@
 """Which folders making a twin may replace: its own output, and nothing that anybody added to it."""
 
 import csv
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from needlefit.errors import ConfigError
+from needlefit.project.files import held
 from needlefit.project.load import read_toml
-from needlefit.project.replace import replacing
+from needlefit.project.replace import replacing_own
 
 EXPECTED = "no such folder, an empty one, or one that `needlefit twin {}` wrote and nobody added to"
 
@@ -21,7 +22,7 @@ def replacing_twin(folder: Path) -> Iterator[Path]:
     ConfigError
         If `folder` holds anything that building a twin does not write: no user's file is ever deleted.
     """
-    with _replacing_own(folder, _no_twin, EXPECTED.format("build")) as fresh:
+    with replacing_own(folder, _no_twin, EXPECTED.format("build")) as fresh:
         yield fresh
 
 
@@ -34,29 +35,8 @@ def replacing_scans(folder: Path) -> Iterator[Path]:
     ConfigError
         If `folder` holds anything else.
     """
-    with _replacing_own(folder, _no_scans, EXPECTED.format("ct")) as fresh:
+    with replacing_own(folder, _no_scans, EXPECTED.format("ct")) as fresh:
         yield fresh
-
-
-@contextmanager
-def _replacing_own(folder: Path, why_not: Callable[[Path], str], expected: str) -> Iterator[Path]:
-    _require(folder, why_not, expected)
-    with replacing(folder) as fresh:
-        yield fresh
-        _require(folder, why_not, expected)  # this takes a while: somebody may have put a file there
-
-
-def _require(folder: Path, why_not: Callable[[Path], str], expected: str) -> None:
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    why = why_not(folder) if folder.is_dir() else "it is a file"
-    if why:
-        raise ConfigError(
-            f"is not replaced: {why}",
-            where=str(folder),
-            expected=expected,
-            mend="choose another folder with --out, or move yours away",
-        )
 
 
 def _no_twin(folder: Path) -> str:
@@ -70,7 +50,7 @@ def _no_twin(folder: Path) -> str:
     if not (folder / "truth.toml").is_file():
         return "it holds no truth.toml"
     written = {"dataset.toml", "truth.toml", *tables.get("checksums", {})}
-    foreign = [name for name in _held(folder) if name not in written]
+    foreign = [name for name in held(folder) if name not in written]
     return f"it holds {foreign[0]}, which a twin does not" if foreign else ""
 
 
@@ -87,14 +67,8 @@ def _no_scans(folder: Path) -> str:
     for row in rows:
         cells = [row.get("scan"), row.get("markers"), *(row.get("surfaces") or "").split(";")]
         written |= {cell.partition("=")[0] for cell in cells if cell}
-    foreign = [name for name in _held(folder) if _series(name) not in written and name not in written]
+    foreign = [name for name in held(folder) if _series(name) not in written and name not in written]
     return f"it holds {foreign[0]}, which scans of the twin do not" if foreign else ""
-
-
-def _held(folder: Path) -> list[str]:
-    """Return the files (and links) in a folder, relative to it."""
-    paths = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
-    return [path.relative_to(folder).as_posix() for path in paths]
 
 
 def _series(name: str) -> str:

@@ -1,6 +1,6 @@
 """The twin as scans: each insertion rendered as a CT volume, in a folder for `needlefit reconstruct`."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -14,6 +14,7 @@ from needlefit.imaging.scan import LayerSource, Scan, Stage
 from needlefit.imaging.volume import write
 from needlefit.project.processes import in_order
 from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
+from needlefit.project.watching import Progress
 from needlefit.synthetic.ct.insertion import Exposure, acquire, expose
 from needlefit.synthetic.ct.setup import Setup, setup_of
 from needlefit.synthetic.design import Planned
@@ -23,7 +24,6 @@ from needlefit.synthetic.truth import POSE_ANGLE_SD, POSE_SHIFT_SD
 from needlefit.synthetic.twin import Twin, synthesize
 
 Form = Literal["nrrd", "dicom"]
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)

@@ -1,6 +1,6 @@
 """A study or fit with everything it names: its dataset, medium, recipe, hand-tuned rival and folds."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -18,16 +18,9 @@ from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.prior import MaterialRecord
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.project.watching import Progress, Stop, never, silent
 from needlefit.validation import paper
 from needlefit.validation.folds import Fold, folds
-
-
-def _silent(label: str, done: int, total: int) -> None:
-    return None
-
-
-def _never() -> bool:
-    return False
 
 
 @dataclass(frozen=True)
@@ -57,8 +50,8 @@ class Settings:
     checkpoint: Path | None = None
     resume: bool = False
     sample: bool = False
-    progress: Callable[[str, int, int], None] = _silent
-    stop: Callable[[], bool] = _never
+    progress: Progress = silent
+    stop: Stop = never
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,6 @@ the needles of its draws. Without one it is linear about the fit: 1.96 standard 
 direction that `identify` found.
 """
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -17,6 +16,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.comparison import curve_of, target
+from needlefit.inference.draws import from_posterior
 from needlefit.inference.identify import Verdict
 from needlefit.inference.information import jacobian, steps
 from needlefit.inference.posterior import Posterior
@@ -185,12 +185,8 @@ def _linear(stations: _Stations, known: Known) -> tuple[Floats, Floats, Floats] 
 def _drawn(stations: _Stations, posterior: Posterior, jobs: int) -> tuple[Floats, Floats, Floats] | None:
     """Return the band (low, middle, high) of y over the needles of draws; None where none can be solved."""
     job, insertion = stations.job, stations.insertion
-    draws = posterior.draws.reshape(-1, len(posterior.names))
-    chosen = draws[np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).astype(np.int64)]
-    sets: list[Mapping[str, float]] = [
-        job.parameters.values(job.parameters.theta(dict(zip(posterior.names, draw.tolist(), strict=True))))
-        for draw in chosen
-    ]
+    draws = from_posterior(posterior, job.parameters, DRAWS)
+    sets = [job.parameters.values(theta) for theta in draws.thetas]
     (shapes,) = follow_batches([predict_each(sets, job.medium, job.dataset.needle, insertion)], jobs)
     needles = positions_each(shapes, stations.s)[shapes.converged]  # (B, K, 2)
     if not len(needles):

@@ -13,17 +13,14 @@ from needlefit.inference.optimize.algorithms import Algorithm, stages
 from needlefit.inference.optimize.certify import certified
 from needlefit.inference.starts import INTERRUPTED, Place, Start
 from needlefit.project.records.recipe import RecipeRecord
+from needlefit.project.watching import never
 
 Floats = NDArray[np.float64]
 
 _RANDOM = threading.Lock()  # a build of nlopt without thread-local storage has one generator for all threads
 
 
-def _never() -> bool:
-    return False
-
-
-def search(goal: Goal, recipe: RecipeRecord, place: Place, stop: Callable[[], bool] = _never) -> Start:
+def search(goal: Goal, recipe: RecipeRecord, place: Place, stop: Callable[[], bool] = never) -> Start:
     """Search from one start with a recipe's algorithm, tolerance and budget.
 
     Returns

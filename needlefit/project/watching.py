@@ -1,0 +1,17 @@
+"""What long work is given to tell how far it is, and to ask whether to stop; and what stands for nobody."""
+
+from collections.abc import Callable
+
+Progress = Callable[[str, int, int], None]
+"""Told what is being done, how much of it is done, and of how much."""
+
+Stop = Callable[[], bool]
+
+
+def silent(_what: str, _done: int, _of: int) -> None:
+    """Tell nobody."""
+
+
+def never() -> bool:
+    """Say that nobody wants to stop."""
+    return False
