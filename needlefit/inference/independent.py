@@ -86,8 +86,8 @@ def unlearned(dimensions: int) -> Picture:
 def learned(seen: Floats) -> Picture:
     """Return the picture of a density from places (N, P) where an ensemble has been.
 
-    Scott's width; the places are drawn towards their mean so that the mixture of narrow ones keeps the
-    covariance (West, J. R. Stat. Soc. B 55 (1993) 409): the more dimensions, the more it is a single one.
+    Scott's width; the places are drawn towards their mean so that the mixture of narrow ones is not wider for
+    it (West, J. R. Stat. Soc. B 55 (1993) 409): the more dimensions, the more it is a single one.
     """
     chosen = seen[np.linspace(0, len(seen) - 1, min(PLACES, len(seen))).round().astype(int)]
     count, dimensions = chosen.shape
