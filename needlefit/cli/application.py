@@ -13,6 +13,7 @@ from needlefit.cli.material import material
 from needlefit.cli.paper import paper
 from needlefit.cli.predict import predict
 from needlefit.cli.reconstruct import reconstruct
+from needlefit.cli.report import report
 from needlefit.cli.several_layers import SeveralLayers
 from needlefit.cli.simulate import simulate
 from needlefit.cli.start import init, new_dataset
@@ -49,7 +50,9 @@ def build() -> typer.Typer:
     plain = {"rich_markup_mode": None, "no_args_is_help": True}
     app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **plain)  # type: ignore[arg-type]
     app.callback()(_needlefit)
-    for command in (simulate, check, tune, identify, predict, validate, verify, material, paper, init):
+    for command in (simulate, check, tune, identify, predict, validate, report):
+        app.command()(command)
+    for command in (verify, material, paper, init):
         app.command()(command)
     app.command(cls=SeveralLayers)(reconstruct)
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]

@@ -24,6 +24,7 @@ from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
+from needlefit.validation.stored import store
 
 Also = Mapping[str, Callable[[Path], object]]
 
@@ -32,8 +33,8 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     """Write one study or fit to `folder`, replacing an earlier result there; return the files.
 
     CSV and LaTeX tables, figures and report as PDF, `slicer/` with every needle in its scan, `run.json`,
-    and `timing.json`, the only file that may differ between two runs of the same inputs. `also` names
-    further files and what writes each.
+    `results.json.gz`, from which all of this can be made again, and `timing.json`, the only file that may
+    differ between two runs of the same inputs. `also` names further files and what writes each.
 
     Raises
     ------
@@ -49,6 +50,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
         for name, save in (also or {}).items():
             save(new / name)
         (new / "report.pdf").write_bytes(compile_pdf(story(results, drawn)))
+        store(results, new)
         write_json(new / "run.json", results.run)
         write_json(new / "timing.json", results.timing)
     return _files(folder)
