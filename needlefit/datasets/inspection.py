@@ -18,6 +18,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load
 from needlefit.project.records.dataset import DatasetRecord, NoiseRecord
+from needlefit.project.records.scene import NeedleRecord
 
 STIFFEST_GPA = 1000.0
 """No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
@@ -43,8 +44,8 @@ def inspect(path: Path) -> Inspection:
         return Inspection(None, (from_error(error),))
     found: list[Fault] = []
     for root in roots:
-        found += checksum_faults(record, root)
-    found += [*_needle_faults(record, file), *numbering_faults(record, file)]
+        found += checksum_faults(record.checksums, root)
+    found += [*needle_faults(record.needle, file), *numbering_faults(record, file)]
     shared = read_shared(record, roots[0], found)
     insertions = [insertion for root in roots for insertion in _insertions(record, root, shared, found)]
     found += _repeated(insertions, file)
@@ -85,8 +86,9 @@ def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[F
         yield insertion
 
 
-def _needle_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
-    modulus = record.needle.youngs_modulus_gpa
+def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
+    """Say whether a needle's modulus was written in another unit."""
+    modulus = needle.youngs_modulus_gpa
     if modulus is None or modulus <= STIFFEST_GPA:
         return
     unit, factor = ("Pa", 1e9) if modulus > STIFFEST_GPA * 1e3 else ("MPa", 1e3)
@@ -162,22 +164,24 @@ def _dataset(
         needle=Needle.from_record(record.needle),
         insertions=tuple(insertions),
         media=tuple(record.media),
-        noise=_noise(record.noise),
+        noise=noise_of(record.noise),
         pose=record.frame.pose,
         drop_proximal=record.frame.drop_proximal_mm,
         path=file,
         digest=digest_,
-        notes=_notes(record),
+        notes=notes_of(record.notes, record.needle.note, record.noise.note),
         outer_diameter=record.needle.outer_diameter_mm,
     )
 
 
-def _notes(record: DatasetRecord) -> tuple[str, ...]:
-    said = (("", record.notes), ("Needle: ", record.needle.note), ("Noise: ", record.noise.note))
+def notes_of(data: str, needle: str, noise: str) -> tuple[str, ...]:
+    """Return what a dataset's makers want known of data, needle and noise, as reports print it."""
+    said = (("", data), ("Needle: ", needle), ("Noise: ", noise))
     return tuple(head + text.strip() for head, text in said if text.strip())
 
 
-def _noise(record: NoiseRecord) -> Noise:
+def noise_of(record: NoiseRecord) -> Noise:
+    """Return the errors that a dataset states."""
     return Noise(
         record.registration_mean_mm, record.point_sd_mm, record.correlated_sd_mm, record.correlation_length_mm
     )

@@ -6,11 +6,12 @@ sum of squares but for a constant, the residuals and their exact Jacobian.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.errors import ConfigError
 from needlefit.project.records.recipe import Minimized
 
 Floats = NDArray[np.float64]
@@ -51,18 +52,15 @@ class Weighed(Bounded, Protocol):
         """Return the whitened residuals (R,) and their Jacobian (R, P)."""
 
 
+@runtime_checkable
 class Measured(Bounded, Protocol):
-    """What has a metric objective; `Problem` is one."""
+    """What has a metric objective; `Problem` is one, a fit to tip tracks is not."""
 
     def objective(self, theta: Floats) -> float:
         """Return the metric objective, mm; not finite where it cannot be computed."""
 
     def slope(self, theta: Floats) -> tuple[float, Floats]:
         """Return the metric objective and its gradient (P,)."""
-
-
-class Target(Weighed, Measured, Protocol):
-    """What can be fitted either way."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +96,19 @@ NEGLIGIBLE = 1e-9
 """Change of the log posterior under which a search for its peak ends."""
 
 
-def goal_of(problem: Target, minimized: Minimized) -> Goal:
-    """Return what a recipe's `minimize` names, of one problem."""
-    return posterior(problem) if minimized == "posterior" else metric(problem)
+def goal_of(problem: Weighed, minimized: Minimized) -> Goal:
+    """Return what a recipe's `minimize` names, of one problem.
+
+    Raises
+    ------
+    ConfigError
+        If the problem has no metric objective.
+    """
+    if minimized == "posterior":
+        return posterior(problem)
+    if not isinstance(problem, Measured):
+        raise ConfigError("there is no metric objective of this fit", expected='minimize = "posterior"')
+    return metric(problem)
 
 
 def posterior(problem: Weighed) -> Goal:

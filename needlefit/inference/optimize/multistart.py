@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from needlefit.errors import FitError
-from needlefit.inference.goal import Target, goal_of
+from needlefit.inference.goal import Weighed, goal_of
 from needlefit.inference.optimize.algorithms import stages
 from needlefit.inference.optimize.search import search
 from needlefit.inference.starts import INTERRUPTED, Fit, Place, Start, Watch
@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 def minimize(
-    problem: Target, recipe: RecipeRecord, rng: np.random.Generator, watch: Watch | None = None
+    problem: Weighed, recipe: RecipeRecord, rng: np.random.Generator, watch: Watch | None = None
 ) -> Fit:
     """Minimise what the recipe says from every one of its starts and return the best point of all.
 
@@ -100,7 +100,7 @@ def _in_threads(
             leave.set()
 
 
-def _best(problem: Target, minimized: Minimized, starts: tuple[Start, ...], design: Floats) -> Fit:
+def _best(problem: Weighed, minimized: Minimized, starts: tuple[Start, ...], design: Floats) -> Fit:
     interrupted = len(starts) < len(design) or any(s.stopped == INTERRUPTED for s in starts)
     evaluations = sum(s.evaluations for s in starts)
     best = min(starts, key=lambda s: (s.objective, s.index), default=None)
