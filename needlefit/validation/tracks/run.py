@@ -119,9 +119,8 @@ def _task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) -> T
     if recipe.likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)
     _check_needle(dataset, (*tuned, *held), parameters)
-    return Task(
-        one.name, TrackProblem(dataset.needle, tuned, medium, parameters, dataset.noise), held, recipe
-    )
+    problem = TrackProblem(dataset.needle, tuned, medium, parameters, dataset.noise)
+    return Task(one.name, problem, held, recipe)
 
 
 def _check_needle(dataset: TrackDataset, tracks: tuple[Track, ...], parameters: Parameters) -> None:
@@ -131,8 +130,8 @@ def _check_needle(dataset: TrackDataset, tracks: tuple[Track, ...], parameters: 
     deepest = max(float(track.depth[-1]) for track in tracks)
     if far + deepest + 1 >= dataset.needle.length:
         raise ConfigError(
-            f"a needle of {dataset.needle.length:g} mm is too short for {deepest:.0f} mm of depth and a guide "
-            f"{far:g} mm before the skin",
+            f"a needle of {dataset.needle.length:g} mm is too short for {deepest:.0f} mm of depth and a "
+            f"guide {far:g} mm before the skin",
             where=f"dataset {dataset.name}, needle.length_mm",
             mend="write its length, or lessen the bound of guide_distance_mm",
         )

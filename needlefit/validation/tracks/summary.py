@@ -32,10 +32,8 @@ def paired_runs(results: TrackResults) -> pd.DataFrame:
             for rival in [name for name in RIVALS if name in wide]:
                 gap = (wide[rival] - wide["fitted"]).to_numpy(dtype=np.float64)
                 half = _half(gap)
-                rows.append(
-                    (medium, rival, measure, len(gap), wide[rival].mean(), gap.mean(), gap.mean() - half)
-                    + (gap.mean() + half, int((gap > 0).sum()))
-                )
+                difference = (gap.mean(), gap.mean() - half, gap.mean() + half, int((gap > 0).sum()))
+                rows.append((medium, rival, measure, len(gap), wide[rival].mean(), *difference))
     return pd.DataFrame(rows, columns=list(PAIRED))
 
 
