@@ -18,8 +18,8 @@ _LEARNED = (
 )
 _SCORES = (
     "“Error”: root mean square over the scored readings of the median foretold, mean over runs. Each run "
-    "lies in the tracker’s frame as its own readings up to {placed:g} mm, and the slopes of the runs fitted to, "
-    "say it does, for all rivals alike.",
+    "lies in the tracker’s frame as its own readings up to {placed:g} mm, and the slopes of the runs fitted "
+    "to, say it does, for all rivals alike.",
     "“Shape”: what remains when the best shift and slope of the scored readings themselves are taken off, "
     "which forgives the frame, and whatever is straight.",
     "Δ is the rival’s minus the fit’s; in brackets its 95 % interval over runs (Student). Runs into one "
