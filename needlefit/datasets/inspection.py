@@ -1,6 +1,6 @@
 """Go through every file of a dataset once: the dataset, or everything that is wrong with it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -48,7 +48,7 @@ def inspect(path: Path) -> Inspection:
     found += [*needle_faults(record.needle, file), *numbering_faults(record, file)]
     shared = read_shared(record, roots[0], found)
     insertions = [insertion for root in roots for insertion in _insertions(record, root, shared, found)]
-    found += _repeated(insertions, file)
+    found += repeated("insertion", (insertion.id for insertion in insertions), file)
     if found:
         return Inspection(None, tuple(dict.fromkeys(found)))
     files = {roots[0] / surface.file for surface in shared}
@@ -127,18 +127,18 @@ def _layer_faults(insertion: Insertion, row: InsertionRow, where: str) -> Iterat
     )
 
 
-def _repeated(insertions: list[Insertion], file: Path) -> Iterator[Fault]:
+def repeated(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:
     """Yield ids that several folders hold; within one table the rows were compared before."""
     seen: set[str] = set()
-    for insertion in insertions:
-        if insertion.id in seen:
+    for id_ in ids:
+        if id_ in seen:
             yield Fault(
                 str(file),
-                f"insertion {insertion.id} is in more than one folder of root",
+                f"{what} {id_} is in more than one folder of root",
                 "one of each id",
                 "rename or remove one of them, or narrow root",
             )
-        seen.add(insertion.id)
+        seen.add(id_)
 
 
 def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:

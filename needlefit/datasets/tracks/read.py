@@ -1,12 +1,11 @@
 """From `dataset.toml` with `[tip_tracks]` to the runs, or everything that is wrong with them."""
 
 from dataclasses import dataclass
-from itertools import groupby
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats.csv import read_table
-from needlefit.datasets.inspection import needle_faults, noise_of, notes_of
+from needlefit.datasets.inspection import needle_faults, noise_of, notes_of, repeated
 from needlefit.datasets.sources import checksum_faults, dataset_file, digest, folders
 from needlefit.datasets.tracks.rows import parse
 from needlefit.datasets.tracks.track import Track, TrackDataset
@@ -64,7 +63,7 @@ def inspect_tracks(path: Path) -> Inspection:
         parsed = parse(table, record, found)
         tracks += parsed.tracks
         remarks += parsed.remarks
-    found += _repeated(tracks, file)
+    found += repeated("run", (track.id for track in tracks), file)
     if not tracks and not found:
         found.append(
             Fault(str(file), "no run is left: every one is marked invalid", "at least one valid run")
@@ -73,20 +72,6 @@ def inspect_tracks(path: Path) -> Inspection:
         return Inspection(None, tuple(dict.fromkeys(found)))
     sum_ = digest(file, roots, [table.path for table in tables])
     return Inspection(_dataset(record, file, tracks, remarks, sum_), ())
-
-
-def _repeated(tracks: list[Track], file: Path) -> list[Fault]:
-    names = sorted(track.id for track in tracks)
-    twice = [name for name, same in groupby(names) if len(list(same)) > 1]
-    return [
-        Fault(
-            str(file),
-            f"run {name} is in more than one folder of root",
-            "one of each id",
-            "rename or remove one of them, or narrow root",
-        )
-        for name in twice
-    ]
 
 
 def _dataset(

@@ -45,7 +45,7 @@ def _story(results: TrackResults, drawn: Path) -> Document:
     synthetic = results.origin == "synthetic"
     blocks = (
         *(document.warning(one) for one in cautions(results)),
-        document.text(results.question),
+        document.text(results.record.question),
         document.bullets(in_short(results)),
         document.heading("Runs foretold"),
         document.table(scores_layout(results), synthetic),
@@ -54,6 +54,6 @@ def _story(results: TrackResults, drawn: Path) -> Document:
         document.heading("What was learned"),
         document.table(parameters_layout(results), synthetic),
         document.heading("What was assumed"),
-        document.bullets([one for one in (results.note, *results.notes) if one]),
+        document.bullets([one for one in (results.record.note, *results.notes) if one]),
     )
     return Document(results.title, f"{results.name} · {results.dataset_title}", synthetic, blocks)

@@ -37,8 +37,10 @@ class TrackResults:
 
     Attributes
     ----------
-    name, title, question, note : str
+    name : str
+        Of the study's file.
     record : TrackStudyRecord
+        What was asked for.
     origin : str
         "measured" or "synthetic".
     dataset_title : str
@@ -55,9 +57,6 @@ class TrackResults:
     """
 
     name: str
-    title: str
-    question: str
-    note: str
     record: TrackStudyRecord
     origin: Literal["measured", "synthetic"]
     dataset_title: str
@@ -70,6 +69,11 @@ class TrackResults:
     timing: dict[str, Any]
     interrupted: bool
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)
+
+    @property
+    def title(self) -> str:
+        """What the study is called."""
+        return self.record.title or self.name
 
     @property
     def faults(self) -> tuple[str, ...]:
