@@ -76,7 +76,7 @@ def test_missing_columns_unknown_names_and_few_readings_are_told(tmp_path, runs)
     with pytest.raises(DataError, match="column `stage` is missing"):
         read_tracks(folder)
     folder = written(tmp_path / "b", runs, TOML.replace("guide_mm =", "template_mm ="))
-    with pytest.raises(DataError, match="`columns` names template_mm"):
+    with pytest.raises(DataError, match="`columns` or `constants` names template_mm"):
         read_tracks(folder)
     folder = written(tmp_path / "c", runs)
     lines = table(folder).read_text().splitlines()

@@ -1,6 +1,6 @@
 """A table of readings: cells -> runs, and what is wrong with a run."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,26 +68,37 @@ def _runs(table: Table, record: TrackDatasetRecord, found: list[Fault]) -> Itera
     absent = {theirs[name]: str(constants[name]) for name in theirs if name in constants}
     table = Table(table.path, table.cells.assign(**absent), table.lines)
     wanted = [theirs[name] for name in REQUIRED] + list(source.columns.values())
-    before = len(found)
-    unknown = sorted(source.columns.keys() - theirs.keys())
+    unknown = sorted((source.columns.keys() | constants.keys()) - theirs.keys())
     found += [
-        Fault(str(table.path), f"`columns` names {name}", f"of {', '.join(theirs)}", "correct [tip_tracks]")
+        Fault(
+            str(table.path),
+            f"`columns` or `constants` names {name}",
+            f"one of {', '.join(theirs)}",
+            "correct [tip_tracks] of dataset.toml",
+        )
         for name in unknown
     ]
     if missing_columns(table, list(dict.fromkeys(wanted)), found, MAPPED) or unknown:
         return
+    values = _values(table, theirs, found)
+    if values is None:
+        return
+    ids, media = (table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium"))
+    for id_ in dict.fromkeys(ids.tolist()):
+        rows = np.flatnonzero(ids == id_)
+        yield _Rows(id_, str(media[rows[0]]), rows, {name: column[rows] for name, column in values.items()})
+
+
+def _values(table: Table, theirs: Mapping[str, str], found: list[Fault]) -> dict[str, Floats] | None:
+    """Return every column of numbers (N,) under our names; None after a fault."""
+    before = len(found)
     values = {name: numbers(table, theirs[name], found) for name in REQUIRED[2:]}
     for name, default in OPTIONAL.items():
         values[name] = np.full(len(table.lines), default)
         if theirs[name] in table.cells:
             given = numbers(table, theirs[name], found, optional=True)
             values[name] = np.where(np.isnan(given), default, given)
-    if len(found) > before:
-        return
-    ids, media = (table.cells[theirs[name]].to_numpy(dtype=str) for name in ("id", "medium"))
-    for id_ in dict.fromkeys(ids.tolist()):
-        rows = np.flatnonzero(ids == id_)
-        yield _Rows(id_, str(media[rows[0]]), rows, {name: column[rows] for name, column in values.items()})
+    return values if len(found) == before else None
 
 
 def _faults(run: _Rows, table: Table, record: TrackDatasetRecord) -> Iterator[Fault]:
