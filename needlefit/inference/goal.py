@@ -32,7 +32,14 @@ class Bounded(Protocol):
         """Return what theta means."""
 
 
-class Weighed(Bounded, Protocol):
+class Led(Bounded, Protocol):
+    """What may know something easier with its best points close by."""
+
+    def approach(self, minimized: Minimized) -> "Weighed | None":
+        """Return what leads to the best points of what is minimised; None if nothing is easier."""
+
+
+class Weighed(Led, Protocol):
     """What has a posterior; `Problem` is one."""
 
     def log_posterior(self, theta: Floats) -> float:
@@ -53,7 +60,7 @@ class Weighed(Bounded, Protocol):
 
 
 @runtime_checkable
-class Measured(Bounded, Protocol):
+class Measured(Led, Protocol):
     """What has a metric objective; `Problem` is one, a fit to tip tracks is not."""
 
     def objective(self, theta: Floats) -> float:
@@ -81,6 +88,8 @@ class Goal:
         theta -> the residuals and their exact Jacobian (R, P).
     negligible : float
         Absolute change of the value under which a search may end; 0 leaves it to relative changes.
+    approach : Goal or None
+        An easier goal with its minima next to this one's; a search goes down that first.
     """
 
     lower: Floats
@@ -90,10 +99,14 @@ class Goal:
     residuals: Callable[[Floats], Floats] | None = None
     jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
     negligible: float = 0.0
+    approach: "Goal | None" = None
 
 
 NEGLIGIBLE = 1e-9
 """Change of the log posterior under which a search for its peak ends."""
+
+APPROACHED = 1e-6
+"""The same on the way to where a search begins; small enough to see which starts met."""
 
 
 def goal_of(problem: Weighed, minimized: Minimized) -> Goal:
@@ -105,13 +118,16 @@ def goal_of(problem: Weighed, minimized: Minimized) -> Goal:
         If the problem has no metric objective.
     """
     if minimized == "posterior":
-        return posterior(problem)
-    if not isinstance(problem, Measured):
+        goal = posterior(problem)
+    elif isinstance(problem, Measured):
+        goal = metric(problem)
+    else:
         raise ConfigError("there is no metric objective of this fit", expected='minimize = "posterior"')
-    return metric(problem)
+    easier = problem.approach(minimized)
+    return goal if easier is None else replace(goal, approach=posterior(easier, APPROACHED))
 
 
-def posterior(problem: Weighed) -> Goal:
+def posterior(problem: Weighed, negligible: float = NEGLIGIBLE) -> Goal:
     """Return the negative log posterior density in theta."""
 
     def value(theta: Floats) -> float:
@@ -121,7 +137,7 @@ def posterior(problem: Weighed) -> Goal:
         density, slope = problem.gradient(theta)
         return -density, -slope
 
-    goal = Goal(problem.lower, problem.upper, value, gradient, negligible=NEGLIGIBLE)
+    goal = Goal(problem.lower, problem.upper, value, gradient, negligible=negligible)
     return replace(goal, residuals=problem.residuals, jacobian=problem.jacobian) if problem.squares else goal
 
 

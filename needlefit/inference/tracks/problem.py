@@ -16,6 +16,7 @@ from needlefit.inference.tracks.course import Values, tips
 from needlefit.inference.tracks.evidence import TrackEvidence, track_evidence
 from needlefit.mechanics.needle import Needle
 from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import Minimized
 
 Floats = NDArray[np.float64]
 
@@ -80,6 +81,9 @@ class TrackProblem:
     def values(self, theta: Theta) -> dict[str, float]:
         """Return every parameter's value (Pa, mm)."""
         return self.parameters.values(theta)
+
+    def approach(self, minimized: Minimized) -> None:  # as goal.Led asks
+        """Nothing is easier than this."""
 
     @cached_property
     def evidence(self) -> tuple[TrackEvidence, ...]:
