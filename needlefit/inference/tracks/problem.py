@@ -82,9 +82,6 @@ class TrackProblem:
         """Return every parameter's value (Pa, mm)."""
         return self.parameters.values(theta)
 
-    def approach(self, minimized: Minimized) -> None:  # as goal.Led asks
-        """Nothing is easier than this."""
-
     @cached_property
     def evidence(self) -> tuple[TrackEvidence, ...]:
         """What each run is compared with; computed once."""
