@@ -5,9 +5,9 @@
 
 Every problem draws a medium of the twin, one to `--insertions` of its insertions, and a truth; the needles
 are the model's own at depths that err, displaced and measured with the stated noise. The best known fit is
-the best of all seeds, of the recipe with `--larger` times as many starts, of another algorithm
-(slsqp, as many starts as the recipe has), and of a search begun at the truth. A multi-start has succeeded
-if it ends within 0.1 of it in the log posterior. Of several starts per seed, it is also said how many starts
+the best of all seeds, of the recipe with `--larger` times as many starts, of another algorithm (slsqp, as
+many starts as the recipe has, without any approach), and of a search begun at the truth. A multi-start has
+succeeded if it ends within 0.1 of it in the log posterior. It is also said how many starts
 would have been enough: the smallest number of which, drawn at random, 99 % succeed in every problem.
 
 `--out` keeps a line per problem as it is finished; a rerun with the same file goes on after the last one.
@@ -65,7 +65,7 @@ def one(number: int, seeds: int, most: int, larger: int, recipe: RecipeRecord) -
     task, truth = drawn(number, most, recipe)
     fits = [minimize(task, recipe, stream(seed, "multi-start", str(number))) for seed in range(seeds)]
     many = recipe.model_copy(update={"starts": larger * recipe.starts})
-    other = recipe.model_copy(update={"algorithm": "slsqp"})
+    other = recipe.model_copy(update={"algorithm": "slsqp", "approach": False})
     rivals = {
         "larger": minimize(task, many, stream(seeds, "larger", str(number))).objective,
         "slsqp": minimize(task, other, stream(seeds, "other", str(number))).objective,

@@ -156,7 +156,7 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
             row["objective"] = best + max(0.0, rng.exponential(0.1) - 0.08) if start else np.inf
             row["excess"] = (row["objective"] - best) / 0.01
             row |= {"as_good": bool(row["objective"] < best + 0.01), "evaluations": 600, "gradients": 0}
-            row |= {"failed_solves": int(start == 0) * 600, "stopped": "evaluations"}
+            row |= {"failed_solves": int(start == 0) * 600, "stopped": "evaluations", "joined": None}
             for i in range(1, layers + 1):
                 row[f"mu{i}_pa"] = 10 ** rng.uniform(4, 7)
                 row[f"alpha{i}"] = rng.uniform(-3, 5)
@@ -167,7 +167,7 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
 def failed(begun: list[dict]) -> pd.DataFrame:
     """The first 20 failures of every start that has any."""
     about = ("minimized", "objective", "excess", "as_good", "evaluations")
-    about += ("gradients", "failed_solves", "stopped")
+    about += ("gradients", "failed_solves", "stopped", "joined")
     rows = [
         {"fold": row["fold"], "fit": row["fit"], "start": row["start"]}
         | {"insertion": "phantom2-4-01t", "reason": ("over-compressed", "not converged")[n % 4 == 3]}

@@ -31,7 +31,14 @@ class Bounded(Protocol):
         """Return what theta means."""
 
 
-class Weighed(Bounded, Protocol):
+class Led(Bounded, Protocol):
+    """What may know something easier with its best points close by."""
+
+    def approach(self, minimized: Minimized) -> "Weighed | None":
+        """Return what leads to the best points of what is minimised; None if nothing is easier."""
+
+
+class Weighed(Led, Protocol):
     """What has a posterior; `Problem` is one."""
 
     def log_posterior(self, theta: Floats) -> float:
@@ -51,7 +58,7 @@ class Weighed(Bounded, Protocol):
         """Return the whitened residuals (R,) and their Jacobian (R, P)."""
 
 
-class Measured(Bounded, Protocol):
+class Measured(Led, Protocol):
     """What has a metric objective; `Problem` is one."""
 
     def objective(self, theta: Floats) -> float:
@@ -83,6 +90,8 @@ class Goal:
         theta -> the residuals and their exact Jacobian (R, P).
     negligible : float
         Absolute change of the value under which a search may end; 0 leaves it to relative changes.
+    approach : Goal or None
+        An easier goal with its minima next to this one's; a search goes down that first.
     """
 
     lower: Floats
@@ -92,18 +101,24 @@ class Goal:
     residuals: Callable[[Floats], Floats] | None = None
     jacobian: Callable[[Floats], tuple[Floats, Floats]] | None = None
     negligible: float = 0.0
+    approach: "Goal | None" = None
 
 
 NEGLIGIBLE = 1e-9
 """Change of the log posterior under which a search for its peak ends."""
 
+APPROACHED = 1e-6
+"""The same on the way to where a search begins; small enough to see which starts met."""
+
 
 def goal_of(problem: Target, minimized: Minimized) -> Goal:
     """Return what a recipe's `minimize` names, of one problem."""
-    return posterior(problem) if minimized == "posterior" else metric(problem)
+    goal = posterior(problem) if minimized == "posterior" else metric(problem)
+    easier = problem.approach(minimized)
+    return goal if easier is None else replace(goal, approach=posterior(easier, APPROACHED))
 
 
-def posterior(problem: Weighed) -> Goal:
+def posterior(problem: Weighed, negligible: float = NEGLIGIBLE) -> Goal:
     """Return the negative log posterior density in theta."""
 
     def value(theta: Floats) -> float:
@@ -113,7 +128,7 @@ def posterior(problem: Weighed) -> Goal:
         density, slope = problem.gradient(theta)
         return -density, -slope
 
-    goal = Goal(problem.lower, problem.upper, value, gradient, negligible=NEGLIGIBLE)
+    goal = Goal(problem.lower, problem.upper, value, gradient, negligible=negligible)
     return replace(goal, residuals=problem.residuals, jacobian=problem.jacobian) if problem.squares else goal
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.inference.parameters import tissue
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.linearize import SHARP
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate
@@ -60,7 +62,10 @@ def conditions(
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
 ) -> tuple[Needle, Tissue, Bevel, float, Controls, Rules]:
-    """Return what `predict` simulates, as `simulate` and `linearize` take it."""
+    """Return what `predict` simulates, as `simulate` and `linearize` take it.
+
+    Both solve to `SHARP`, so that values and derivatives are of one state: searches compare them.
+    """
     met = insertion.sequence if sequence is None else sequence
     depths = insertion.boundaries if boundaries is None else boundaries
     return (
@@ -69,7 +74,7 @@ def conditions(
         Bevel(values["bevel_mm"], insertion.side),
         insertion.depth,
         _clamped(values.get("guide_distance_mm", insertion.guide_distance)),
-        rules(medium),
+        replace(rules(medium), tolerance=SHARP),
     )
 
 

@@ -20,11 +20,14 @@ from needlefit.inference.predict import predict
 from needlefit.inference.slopes import predict_with_slopes
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.project.records.recipe import LikelihoodRecord, Minimized, WeightsRecord
 
 Floats = NDArray[np.float64]
 
 _DEFAULT = LikelihoodRecord()
+
+PLAIN = Noise(point_sd=0.1)
+"""That all points err alike; which deviation stands for it hardly matters."""
 
 
 @dataclass(frozen=True)
@@ -159,6 +162,19 @@ class Problem:
     def _inside(self, theta: Theta) -> bool:
         at = np.asarray(theta)
         return bool(np.all(at >= self.lower) and np.all(at <= self.upper))
+
+    def approach(self, minimized: Minimized) -> "Problem | None":
+        """Return what is cheaper or smoother than what is minimised and has its best points close by.
+
+        For the posterior that is the one with all depths as stated, one needle instead of 2 d + 1 or more;
+        for the metric objective the plain squares of the deflections' errors.
+        """
+        if minimized == "metric":
+            plain = self.likelihood.model_copy(update={"noise": "independent", "depths": "fixed"})
+            return replace(self, likelihood=plain, noise=PLAIN)
+        if not any(known.nodes.axes for known in self.density.evidence):
+            return None
+        return replace(self, likelihood=self.likelihood.model_copy(update={"depths": "fixed"}))
 
     def with_parameters(self, parameters: Parameters) -> "Problem":
         """Return the same problem searched over other parameters, e.g. the bevel alone."""

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
 from needlefit.inference.ledger import FAILURES
+from needlefit.project.records.recipe import Minimized
 
 Floats = NDArray[np.float64]
 
@@ -43,6 +44,9 @@ class Squares(Protocol):
 
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return residuals (R,) and their derivatives (R, P); not finite where they cannot be computed."""
+
+    def approach(self, minimized: Minimized) -> "Squares | None":
+        """Return a cheaper sum of squares with its minima close by; None if there is none."""
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,8 @@ class Start:
         The first evaluations that failed, to be simulated again; not all where there are many.
     gradients : int
         Evaluations with derivatives among all; one costs about two without.
+    joined : int or None
+        The start that it met on the way, whose end is its own.
     """
 
     index: int
@@ -55,6 +57,7 @@ class Start:
     stopped: str
     failed: tuple[tuple[float, ...], ...] = ()
     gradients: int = 0
+    joined: int | None = None
 
     @property
     def succeeded(self) -> bool:
@@ -117,7 +120,8 @@ class Watch:
     stop : callable
         Asked before every evaluation or step, from any thread.
     step : callable
-        Called with the steps a sampler has done and all it will do.
+        Called with the steps a sampler has done and all it will do, or the starts that were led to where
+        their search begins, and all.
     jobs : int
         Threads; the result does not depend on their number.
     """
@@ -141,6 +145,7 @@ def to_dict(start: Start) -> dict[str, Any]:
         "failures": start.failures,
         "stopped": start.stopped,
         "failed": [list(theta) for theta in start.failed],
+        "joined": start.joined,
     }
 
 
@@ -158,6 +163,7 @@ def from_dict(table: Mapping[str, Any]) -> Start:
             failures=int(table["failures"]),
             stopped=str(table["stopped"]),
             failed=tuple(tuple(float(x) for x in theta) for theta in table["failed"]),
+            joined=None if table["joined"] is None else int(table["joined"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise FitError(

@@ -63,6 +63,7 @@ class _Way:
     k: int
     elsewhere: Sequence[Floats]
     scale: float
+    easier: Squares | None
 
     @property
     def range(self) -> float:
@@ -73,7 +74,7 @@ def follow(
     target: Squares, k: int, optimum: Settled, elsewhere: Sequence[Floats] = (), scale: float = 1.0
 ) -> Track:
     """Return the track of parameter `k` to both sides of the optimum, or of a better one met on the way."""
-    way, spent, retries = _Way(target, k, elsewhere, scale), 0, 0
+    way, spent, retries = _Way(target, k, elsewhere, scale, target.approach("posterior")), 0, 0
     for _ in range(AGAIN):
         track = Track([optimum], evaluations=spent, retries=retries)
         for side in (-1, 1):
@@ -172,7 +173,7 @@ def _branches(way: _Way, track: Track, found: list[Settled]) -> bool:
     last = len(found) - 1
     place = float(found[last].theta[way.k])
     track.retries += 1
-    lower = peak_of([_settle(way, track, start, place) for start in way.elsewhere])
+    lower = _from_elsewhere(way, track, place)
     n = last
     while n > 0 and lower.value < found[n].value - BETTER * way.scale:
         found[n] = lower
@@ -182,12 +183,24 @@ def _branches(way: _Way, track: Track, found: list[Settled]) -> bool:
     return n < last
 
 
+def _from_elsewhere(way: _Way, track: Track, place: float) -> Settled:
+    """Return the best to be had from elsewhere, on the way of what is cheaper if anything is."""
+    if way.easier is None:
+        return peak_of([_settle(way, track, start, place) for start in way.elsewhere])
+    led = peak_of([settle(way.easier, _held(way, start, place), way.k) for start in way.elsewhere])
+    return _settle(way, track, led.theta, place)
+
+
 def _settle(way: _Way, track: Track, start: Floats, place: float) -> Settled:
-    theta = start.copy()
-    theta[way.k] = place
-    point = settle(way.target, theta, held=way.k)
+    point = settle(way.target, _held(way, start, place), held=way.k)
     track.evaluations += point.evaluations
     return point
+
+
+def _held(way: _Way, start: Floats, place: float) -> Floats:
+    theta = start.copy()
+    theta[way.k] = place
+    return theta
 
 
 def _ahead(way: _Way, last: Settled, place: float) -> Floats:

@@ -81,9 +81,9 @@ def _refuse(name: str, unit: str, values: Floats, wrong: NDArray[np.bool_], expe
 
 def _vector(name: str, value: ArrayLike, size: int) -> Floats:
     """Return `value` as a (size,) array; one number stands for all layers."""
-    array = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    array = np.array(value, dtype=np.float64, ndmin=1)  # a copy
     if array.ndim != 1 or (len(array) != size and not (len(array) == 1 and size > 0)):
         raise ModelError(f"tissue {name} has shape {array.shape}", expected=f"({size},)")
-    if not np.all(np.isfinite(array)):
+    if not np.isfinite(array).all():
         raise ModelError(f"tissue {name} is not finite: {array.tolist()}")
-    return np.broadcast_to(array, (size,)).copy()  # never read-only: the kernel would be compiled for both
+    return array if len(array) == size else np.full(size, array[0])

@@ -34,7 +34,7 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "shapes": (*SCORED, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
         "starts": (
             *("fold", "fit", "start", "minimized", "objective", "excess", "as_good"),
-            *("evaluations", "gradients", "failed_solves", "stopped"),
+            *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
         ),
         "failures": ("fold", "fit", "start", "insertion", "reason"),
         "parameters": (
@@ -75,7 +75,8 @@ class Results:
         Every start of every search, then one column per parameter. `objective` is what was `minimized`: the
         negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best of its
         search, in units of what still counts as practically as good (0.1; 1 % or 0.002 mm), `as_good` whether
-        that is at most 1; `gradients` are the evaluations with derivatives among all.
+        that is at most 1; `gradients` are the evaluations with derivatives among all;
+        `joined` is the start that it met on its approach and went on with, empty if none.
     failures : DataFrame
         The first evaluations that failed, of every start and of every ensemble of the sampler (`fit` is
         then "posterior"): the insertion without a solution, why it has none, then one column per

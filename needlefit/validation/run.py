@@ -95,7 +95,7 @@ def _search(job: Job, fold: Fold, number: int, settings: Settings, checkpoint: C
         key = f"{fold.name}/{search}"
         kept = checkpoint.finished(key)
         counter = _Counter(settings, label, done + len(kept), total, key, checkpoint)
-        watch = Watch(kept, counter.report, settings.stop, jobs=settings.jobs)
+        watch = Watch(kept, counter.report, settings.stop, counter.approach, settings.jobs)
         rng = stream(job.recipe.seed, job.name, fold.name, search, "starts")
         fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, watch)
     return fits
@@ -111,6 +111,9 @@ class _Counter:
     total: int
     key: str
     checkpoint: Checkpoint
+
+    def approach(self, done: int, total: int) -> None:
+        self.settings.progress(f"{self.label}: approach", done, total)
 
     def report(self, start: Start) -> None:
         self.checkpoint.keep(self.key, start)

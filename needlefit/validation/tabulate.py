@@ -131,6 +131,7 @@ def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
         "gradients": start.gradients,
         "failed_solves": start.failures,
         "stopped": start.stopped,
+        "joined": start.joined,
         **problem.values(np.array(start.theta)),
     }
 

@@ -16,8 +16,8 @@ Floats = NDArray[np.float64]
 ROUNDING = 1e-15
 """Relative change of the sum of squares, and of theta, under which it ends, unless more is negligible."""
 
-RESIDUALS = 1e3
-"""About as many as there are: half their squares, of which a negligible change is taken."""
+RESIDUALS = 1e2
+"""About as large as half the squares are at their least: a part of them is negligible."""
 
 SAME, LOST = 1e-6, 1e-12
 """Differences between value and sum of squares from which on one does not stand for the other: of the best
@@ -40,13 +40,11 @@ def _squares(books: Ledger, start: Floats) -> str:
     if len(start) == 0:
         return "tolerance"
 
-    def slopes(theta: Floats) -> Floats:
-        return _slopes(books, theta)
-
+    known = _Known(books)
     found = least_squares(
-        books.residuals,
+        known.residuals,
         np.clip(start, books.goal.lower, books.goal.upper),
-        jac=slopes,
+        jac=known.slopes,
         bounds=(books.goal.lower, books.goal.upper),
         x_scale="jac",
         ftol=small,
@@ -57,13 +55,34 @@ def _squares(books: Ledger, start: Floats) -> str:
     return _checked(books, LOST * first, "tolerance" if found.status > 0 else "budget")
 
 
-def _slopes(books: Ledger, theta: Floats) -> Floats:
-    """Return the Jacobian (R, P); where it cannot be computed the search ends, its best point kept."""
-    found = books.jacobian(theta)
-    if found is None:
-        books.reason = "no Jacobian"
-        raise Ended
-    return found[1]
+class _Known:
+    """Residuals and Jacobian from one evaluation: most steps are taken, and then ask for both.
+
+    Attributes
+    ----------
+    theta, slopes_there : (P,) and (R, P) arrays
+        Where it was asked last, and the Jacobian there; None if there is none.
+    """
+
+    def __init__(self, books: Ledger) -> None:
+        self._books = books
+        self._theta: Floats | None = None
+        self._slopes: Floats | None = None
+
+    def residuals(self, theta: Floats) -> Floats:
+        """Return (R,); a single infinite one where they failed."""
+        found = self._books.jacobian(theta)
+        self._theta, self._slopes = theta.copy(), None if found is None else found[1]
+        return np.array([np.inf]) if found is None else found[0]
+
+    def slopes(self, theta: Floats) -> Floats:
+        """Return (R, P); where it cannot be computed the search ends, its best point kept."""
+        if self._theta is None or not np.array_equal(theta, self._theta):
+            self.residuals(theta)
+        if self._slopes is None:
+            self._books.reason = "no Jacobian"
+            raise Ended
+        return self._slopes
 
 
 def _checked(books: Ledger, lost: float, reason: str) -> str:

@@ -2,16 +2,19 @@
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor, as_completed
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from needlefit.errors import FitError
-from needlefit.inference.goal import Target, goal_of
+from needlefit.inference.goal import Goal, Target, goal_of
+from needlefit.inference.ledger import FAILURES
 from needlefit.inference.optimize.algorithms import stages
+from needlefit.inference.optimize.approach import broken_off, leaders, went_on
 from needlefit.inference.optimize.search import search
 from needlefit.inference.starts import INTERRUPTED, Fit, Place, Start, Watch
 from needlefit.project.records.recipe import Minimized, RecipeRecord
@@ -40,16 +43,59 @@ def minimize(
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     seeds = rng.integers(1, 2**31, size=len(design))
     done = _resumed(watch, design)
-
-    def run(index: int, stop: Callable[[], bool]) -> Start:
-        return search(goal, recipe, Place(index, tuple(design[index].tolist()), int(seeds[index])), stop)
-
-    for start in _in_threads(run, [i for i in range(len(design)) if i not in done], watch):
-        if start.stopped != INTERRUPTED:
-            watch.report(start)
-        if start.evaluations:
-            done[start.index] = start
+    places = [Place(k, tuple(design[k].tolist()), int(seeds[k])) for k in range(len(design))]
+    if goal.approach is None or not recipe.approach or len(done) == len(places):
+        for start in _in_threads(goal, recipe, [p for p in places if p.index not in done], watch):
+            _keep(start, done, watch)
+    else:
+        _by_approach(goal, goal.approach, recipe, places, done, watch)
     return _best(problem, recipe.minimize, tuple(done[index] for index in sorted(done)), design)
+
+
+def _by_approach(
+    goal: Goal, easier: Goal, recipe: RecipeRecord, places: list[Place], done: dict[int, Start], watch: Watch
+) -> None:
+    """Add to `done` what came of all starts: down the easier goal, then one for all that have met there.
+
+    Approaches are not kept: a resumed search repeats them, and with them who met whom.
+    """
+    half = recipe.model_copy(update={"evaluations": max(1, recipe.evaluations // 2)})
+    way = half if easier.jacobian is None else half.model_copy(update={"algorithm": "leastsquares"})
+    ends: dict[int, Start] = {}
+    for end in _in_threads(easier, way, places, watch):
+        ends[end.index] = end
+        watch.step(len(ends), len(places))
+    if watch.stop():
+        _break_off(goal, list(ends.values()), done)
+        return
+    leader = leaders([ends[place.index] for place in places])
+    begin = [
+        replace(p, theta=ends[p.index].theta)
+        for p in places
+        if leader[p.index] == p.index and any(k not in done for k in leader if leader[k] == p.index)
+    ]
+    for led in _in_threads(goal, half, begin, watch):
+        for index in (k for k in leader if leader[k] == led.index and k not in done):
+            _keep(went_on(ends[index], led), done, watch)
+
+
+def _keep(start: Start, done: dict[int, Start], watch: Watch) -> None:
+    if start.stopped != INTERRUPTED:
+        watch.report(start)
+    if start.evaluations:
+        done[start.index] = start
+
+
+def _break_off(goal: Goal, ends: list[Start], done: dict[int, Start]) -> None:
+    """Add the best of the approaches to `done`, so that what is interrupted still leaves its best point."""
+    best = min(ends, key=lambda s: (s.objective, s.index), default=None)
+    if best is None or not math.isfinite(best.objective) or best.index in done:
+        return
+    try:
+        value = goal.value(np.array(best.theta))
+    except FAILURES:
+        return
+    done[best.index] = broken_off(best, value)
 
 
 def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:
@@ -76,15 +122,13 @@ def _resumed(watch: Watch, design: Floats) -> dict[int, Start]:
     return kept
 
 
-def _in_threads(
-    run: Callable[[int, Callable[[], bool]], Start], indices: list[int], watch: Watch
-) -> Iterator[Start]:
-    """Yield each start as it ends, in the calling thread."""
+def _in_threads(goal: Goal, recipe: RecipeRecord, places: list[Place], watch: Watch) -> Iterator[Start]:
+    """Yield the search from each place as it ends, in the calling thread."""
     if watch.jobs <= 1:
-        for index in indices:
+        for place in places:
             if watch.stop():
                 return
-            yield run(index, watch.stop)
+            yield search(goal, recipe, place, watch.stop)
         return
     leave = threading.Event()  # ends the other threads when one of them finds a bug
 
@@ -92,7 +136,7 @@ def _in_threads(
         return leave.is_set() or watch.stop()
 
     with ThreadPoolExecutor(watch.jobs, thread_name_prefix="start") as pool:
-        futures = [pool.submit(run, index, stop) for index in indices]
+        futures = [pool.submit(search, goal, recipe, place, stop) for place in places]
         try:
             for future in as_completed(futures):
                 yield future.result()

@@ -57,7 +57,9 @@ class RecipeRecord(FileRecord):
 
     `minimize` says what the fit is: the negative log posterior, or the metric objective of `weights`.
     `metric` adds a second fit, of the metric objective by `metric_algorithm`, reported beside the first.
-    `evaluations` limits each start; one with derivatives counts as one, as does one without.
+    With `approach` starts first go down a posterior that is easier, by least squares, and those that meet
+    there go on as one. `evaluations` limits each start; one with derivatives counts as one, as does one
+    without.
     """
 
     title: str = ""
@@ -66,6 +68,7 @@ class RecipeRecord(FileRecord):
     metric: bool = False
     metric_algorithm: str = "bobyqa+neldermead"
     starts: int = Field(default=16, ge=1)
+    approach: bool = True
     seed: int = Field(default=1, ge=0)
     evaluations: int = Field(default=600, ge=1)
     tolerance: float = Field(default=1e-4, gt=0)
