@@ -7,6 +7,7 @@ import typer
 from typer.core import TyperGroup
 
 from needlefit.cli import failure
+from needlefit.cli.calibrate import calibrate
 from needlefit.cli.check import check
 from needlefit.cli.identify import identify
 from needlefit.cli.material import material
@@ -49,7 +50,19 @@ def build() -> typer.Typer:
     plain = {"rich_markup_mode": None, "no_args_is_help": True}
     app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **plain)  # type: ignore[arg-type]
     app.callback()(_needlefit)
-    for command in (simulate, check, tune, identify, predict, validate, verify, material, paper, init):
+    for command in (
+        simulate,
+        check,
+        tune,
+        identify,
+        calibrate,
+        predict,
+        validate,
+        verify,
+        material,
+        paper,
+        init,
+    ):
         app.command()(command)
     app.command(cls=SeveralLayers)(reconstruct)
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]

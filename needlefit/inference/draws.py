@@ -64,7 +64,7 @@ def about_fit(
 
 
 def of_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
-    """Return `count` draws (B, P) of what is known before: flat within the bounds, times what the medium states."""
+    """Return `count` draws (B, P) of the prior: flat within the bounds, times what the medium states."""
     lower, upper = parameters.lower, parameters.upper
     slopes = parameters.prior.slopes(parameters.free)  # (Q, P)
     told = slopes.any(axis=0)

@@ -1,10 +1,10 @@
 """A posterior by importance: draws of a mixture about its modes, each as heavy as it is too rare there.
 
-Rounds of draws fit the mixture better: after each one all draws so far are weighed by what all rounds together
-would have drawn (deterministic mixture weights; E. Veach & L. Guibas 1995, J.-M. Cornuet et al., Scand. J.
-Stat. 39 (2012) 798), and the mixture follows them. While few draws carry all weight, it follows a flatter density,
-so that it grows along a ridge instead of falling on its best draws. What falls outside the bounds has no
-density, and costs nothing. `pareto` says whether the weights can be trusted.
+Rounds of draws fit the mixture better: after each one all draws so far are weighed by what all rounds
+together would have drawn (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert,
+Scand. J. Stat. 39 (2012) 798), and the mixture follows them. While few draws carry all weight, it follows a
+flatter density, so that it grows along a ridge instead of falling on its best draws. What falls outside the
+bounds has no density, and costs nothing. `pareto` says whether the weights can be trusted.
 """
 
 from collections.abc import Callable, Sequence
@@ -81,8 +81,8 @@ class Weighted:
 def resampled(found: Weighted, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
     """Return which of the draws (`count`,) stand for the posterior, without weights.
 
-    None stands twice, as long as there are enough (O. Skare, E. Bolviken, L. Holden, Scand. J. Stat. 30 (2003)
-    719): they are the nearer to independent ones.
+    None stands twice, as long as there are enough: so they are nearer to independent ones (O. Skare,
+    E. Bolviken, L. Holden, Scand. J. Stat. 30 (2003) 719).
     """
     known = np.flatnonzero(np.isfinite(found.log_weights))
     if len(known) < count:

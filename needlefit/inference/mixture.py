@@ -13,7 +13,7 @@ from scipy.special import gammaln, logsumexp
 Floats = NDArray[np.float64]
 
 FREEDOM = 5.0
-"""Degrees of freedom: tails that no posterior within bounds outgrows, at a small loss where it is Gaussian."""
+"""Degrees of freedom: tails that a posterior within bounds hardly outgrows, at a small loss if it is Gaussian."""
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Mixture:
     def refitted(self, at: Floats, weights: Floats, least: Floats) -> "Mixture":
         """Return the mixture one step nearer to points (N, P) of `weights` (N,), which sum to 1.
 
-        `least` (P, P) is added to every scale matrix; components that hardly any point belongs to are left out.
+        `least` (P, P) is added to every scale matrix; components that hardly any point belongs to go.
         """
         squares = self._distances(at)
         joint = self._joint(at, squares)

@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
 import pandas as pd
 
 from needlefit.errors import FitError
@@ -17,7 +16,7 @@ from needlefit.project.streams import stream
 from needlefit.validation import provenance
 from needlefit.validation.design import looked_at, planned
 from needlefit.validation.identification import IDENTIFICATION, PROFILES, identified
-from needlefit.validation.job import Job, Settings, prepare
+from needlefit.validation.job import Settings, prepare
 
 
 @dataclass(frozen=True)

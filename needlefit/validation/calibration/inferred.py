@@ -8,19 +8,25 @@ from numpy.typing import NDArray
 
 from needlefit.inference.draws import from_posterior, of_prior
 from needlefit.inference.evaluator import Evaluator
-from needlefit.inference.importance import Effort, importance, resampled
+from needlefit.inference.importance import Effort, Weighted, importance, resampled
 from needlefit.inference.laplace import laplace
-from needlefit.inference.modes import modes
+from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sample import sample
-from needlefit.inference.starts import Watch
+from needlefit.inference.starts import Fit
 from needlefit.project.records.recipe import RecipeRecord
 
 Floats = NDArray[np.float64]
 By = Literal["importance", "sampler", "prior"]
 
-CANDIDATES = 256
-"""Draws of the prior from the best of which the searches start."""
+STARTS = 4
+"""Of each fit; none looks at the truth."""
+
+PLAUSIBLE = 10.0
+"""A start that ended with a log density this much below the best one's found no mode."""
+
+SAME = 1e-3
+"""Ends nearer to each other than this part of the bounds are one mode."""
 
 EFFORT = Effort()
 
@@ -38,10 +44,8 @@ class Inferred:
     by : "importance", "sampler" or "prior"
     trusted : bool
         Whether the weights were certified, or the sampler converged.
-    k, independent : float
-        Of the weights, whoever drew in the end; NaN where there were none.
-    evaluations : int
-        Log densities asked for by importance.
+    weights : Weighted or None
+        Of importance, whoever drew in the end.
     """
 
     thetas: Floats
@@ -49,9 +53,7 @@ class Inferred:
     mode: Floats
     by: By
     trusted: bool
-    k: float = float("nan")
-    independent: float = float("nan")
-    evaluations: int = 0
+    weights: Weighted | None = None
 
 
 @dataclass(frozen=True)
@@ -75,30 +77,38 @@ class Way:
 
 def inferred(problem: Problem, way: Way, rng: np.random.Generator) -> Inferred:
     """Return the posterior of a problem; nothing of it is known before."""
-    evaluator = Evaluator(problem, 1)
-    candidates = of_prior(problem.parameters, CANDIDATES, rng)
-    ends = modes(problem, way.recipe, candidates)
-    if not len(ends):
-        ends = candidates[[int(np.argmax(evaluator(candidates)))]]
+    recipe = way.recipe.model_copy(update={"starts": STARTS, "minimize": "posterior"})
+    ends = modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
     if way.sampler == "always":
         return _sampled(problem, way, ends, rng)
+    evaluator = Evaluator(problem, 1)
     about = [laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
     found = importance(evaluator, about, (problem.lower, problem.upper), rng, EFFORT)
-    weights = {"k": found.k, "independent": found.independent, "evaluations": len(found.thetas)}
     if way.sampler == "otherwise" and not found.certified:
-        return _sampled(problem, way, ends, rng, **weights)
+        return _sampled(problem, way, ends, rng, found)
     chosen = resampled(found, way.draws, rng)
     thetas, density = found.thetas[chosen], found.log_density[chosen]
-    return Inferred(thetas, density, ends[0], "importance", found.certified, **weights)
+    return Inferred(thetas, density, ends[0], "importance", found.certified, found)
+
+
+def modes(fit: Fit, width: Floats) -> Floats:
+    """Return the modes (M, P) that a fit found, the best first; `width` (P,) is that of the bounds."""
+    found: list[Floats] = []
+    for start in sorted(fit.starts, key=lambda start: (start.objective, start.index)):
+        end = np.array(start.theta)
+        new = all(np.max(np.abs(end - other) / width) > SAME for other in found)
+        if new and start.objective <= fit.objective + PLAUSIBLE:
+            found.append(end)
+    return np.array(found)
 
 
 def _sampled(
-    problem: Problem, way: Way, ends: Floats, rng: np.random.Generator, **weights: float
+    problem: Problem, way: Way, ends: Floats, rng: np.random.Generator, weights: Weighted | None = None
 ) -> Inferred:
-    posterior = sample(problem, ends, way.recipe.sample, rng, Watch())
+    posterior = sample(problem, ends, way.recipe.sample, rng)
     thetas = from_posterior(posterior, problem.parameters, way.draws).thetas
     density = problem.log_posteriors(thetas)
-    return Inferred(thetas, density, ends[0], "sampler", posterior.converged, **weights)
+    return Inferred(thetas, density, ends[0], "sampler", posterior.converged, weights)
 
 
 def of_prior_alone(problem: Problem, way: Way, rng: np.random.Generator) -> Inferred:

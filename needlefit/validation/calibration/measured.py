@@ -31,10 +31,10 @@ def measured(
 ) -> Insertion | None:
     """Return the insertion as it would be measured if `values` (Pa, mm) were true; None where it cannot be.
 
-    The needle is simulated at depths of layers and tip that err as stated about the insertion's. What is
-    measured are its deflections at the arc lengths of `insertion.planar`, moved by a pose drawn from its prior
-    and by the noise of the points, both `scale` times as large as stated. Where poses are free, the shape lies
-    anywhere. There is none where the needle has no solution, or bends so far that no curve of its length does.
+    The needle is simulated at depths of layers and tip that err as stated about the insertion's. Measured
+    are its deflections at the arc lengths of `insertion.planar`, moved by a pose drawn from its prior and by
+    the noise of the points, both `scale` times as large as stated. Where poses are free, the shape lies
+    anywhere. There is none where the needle has no solution, or bends as no curve of its length does.
     """
     along = arc_length(insertion.planar)
     s = along * (insertion.depth / along[-1])

@@ -1,4 +1,4 @@
-"""What is ranked: functions of the parameters, and of the data, whose posterior can be held against the truth."""
+"""What is ranked: functions of parameters and data, whose posterior can be held against the truth."""
 
 from dataclasses import dataclass
 
@@ -56,9 +56,10 @@ class Quantities:
 
 
 def stiffest(problem: Problem, theta: Floats) -> Floats:
-    """Return the combination (P,) of length 1 that the insertions tell best at theta, its largest weight > 0."""
+    """Return the combination (P,), of length 1, that the insertions tell best at theta."""
     if len(theta) == 0:
         return np.zeros(0)
     _, slope, _ = told_by(problem, theta)
     vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
-    return vector * np.sign(vector[np.argmax(np.abs(vector))])
+    upright: Floats = vector * np.sign(vector[np.argmax(np.abs(vector))])
+    return upright

@@ -1,4 +1,4 @@
-"""One replicate: parameters drawn from their prior, needles measured that follow them, and what is inferred."""
+"""One replicate: parameters drawn from their prior, needles that follow them, and what is inferred."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -80,9 +80,9 @@ def replicate(number: int, experiment: Experiment) -> dict[str, Any]:
         "redrawn": made.redrawn,
         "by": found.by,
         "trusted": found.trusted,
-        "pareto_k": found.k,
-        "independent": found.independent,
-        "evaluations": found.evaluations,
+        "pareto_k": None if found.weights is None else found.weights.k,
+        "independent": None if found.weights is None else found.weights.independent,
+        "evaluations": None if found.weights is None else len(found.weights.thetas),
         **{f"rank_{name}": int(rank) for name, rank in zip(quantities.names, placed, strict=True)},
     }
 
