@@ -2,9 +2,10 @@
 
 Rounds of draws fit the mixture better: after each one all draws so far are weighed by what all rounds
 together would have drawn (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert,
-Scand. J. Stat. 39 (2012) 798), and the mixture follows them. While few draws carry all weight, it follows a
-flatter density, so that it grows along a ridge instead of falling on its best draws. What falls outside the
-bounds has no density, and costs nothing. `pareto` says whether the weights can be trusted.
+Scand. J. Stat. 39 (2012) 798), and the mixture follows them. At first, and while few draws carry all weight,
+it follows a flatter density, so that it grows along a ridge instead of falling on its best draws. What falls
+outside the bounds has no density, and costs nothing. `pareto` says whether the weights can be trusted; what no
+draw has come near it cannot see, which is why the first rounds are wide, and never the last.
 """
 
 from collections.abc import Callable, Sequence
@@ -40,8 +41,8 @@ class Effort:
         Of the mixture.
     """
 
-    draws: int = 300
-    rounds: int = 8
+    draws: int = 250
+    rounds: int = 10
     enough: float = 300.0
     components: int = 12
 
@@ -108,9 +109,10 @@ def importance(
     while True:
         rounds.append(_round(log_density, proposal, bounds, rng, effort.draws))
         found = _weighed(rounds, effort.enough)
-        if found.certified or len(rounds) == effort.rounds:
+        early = len(rounds) <= EARLY
+        if (found.certified and not early) or len(rounds) == effort.rounds:
             return found
-        proposal = _follow(found, proposal, rng, effort.components)
+        proposal = _follow(found, FLAT if early else 1.0, rng, effort.components)
 
 
 @dataclass(frozen=True)
@@ -158,34 +160,45 @@ STEPS = 6
 FEWEST = 12.0
 """Independent draws per component that a flatter density is chosen by."""
 
+EARLY, FLAT = 2, 0.5
+"""In the first rounds the mixture follows this power of the density at most, and no weights are good enough."""
+
+WIDER = 1.5
+"""What the scales are multiplied by, so that tails are reached first and weighed down then."""
+
 THIN = 1e-4
 """Part of the draws' whole covariance that every component has at least."""
 
 
-def _follow(found: Weighted, proposal: Mixture, rng: np.random.Generator, components: int) -> Mixture:
-    """Return a mixture fitted to the draws."""
-    flat = _flattened(found.log_weights, FEWEST * components)
-    weights = np.exp(flat - logsumexp(flat))
+def _follow(found: Weighted, power: float, rng: np.random.Generator, components: int) -> Mixture:
+    """Return a mixture fitted to the draws as they stand for a power of the density, at most `power`."""
+    weights = _flattened(found, power, FEWEST * components)
     at = found.thetas
     mean = weights @ at
     whole = (at - mean).T @ ((at - mean) * weights[:, None])
     least = THIN * whole + 1e-12 * np.eye(len(mean))
-    size = components ** (-1 / len(mean))
+    factor = components ** (-1 / len(mean)) * np.linalg.cholesky(whole + least)
     centres = at[rng.choice(len(at), size=components, p=weights)]
-    factor = size * np.linalg.cholesky(whole + least)
     fitted = Mixture(np.full(components, 1 / components), centres, np.repeat(factor[None], components, 0))
     for _ in range(STEPS):
         fitted = fitted.refitted(at, weights, least)
-    return fitted
+    return Mixture(fitted.weights, fitted.centres, WIDER * fitted.factors)
 
 
-def _flattened(log_weights: Floats, fewest: float) -> Floats:
-    """Return a power of the weights, at most the first, that leaves `fewest` independent draws."""
-    known = np.isfinite(log_weights)
-    fewest = min(fewest, 0.5 * np.sum(known))
+def _flattened(found: Weighted, power: float, fewest: float) -> Floats:
+    """Return weights (N,) of the density to the highest power that leaves `fewest` independent draws."""
+    known = np.flatnonzero(np.isfinite(found.log_weights))
+    density = found.log_density[known]
+    drawn = density - found.log_weights[known]  # log density of all rounds together, but for a constant
 
-    def missing(power: float) -> float:
-        return worth(power * log_weights[known]) - fewest
+    def log_weights(at: float) -> Floats:
+        return at * (density - density.max()) - drawn
 
-    power = 1.0 if missing(1.0) >= 0 else float(brentq(missing, 0.0, 1.0, xtol=1e-3))
-    return np.where(known, power * np.where(known, log_weights, 0.0), -np.inf)
+    def missing(at: float) -> float:
+        return worth(log_weights(at)) - min(fewest, 0.5 * len(known))
+
+    if missing(power) < 0:
+        power = float(brentq(missing, 0.0, power, xtol=1e-3)) if missing(0.0) > 0 else 0.0
+    weights = np.zeros(len(found.thetas))
+    weights[known] = np.exp(log_weights(power) - logsumexp(log_weights(power)))
+    return weights

@@ -13,7 +13,7 @@ from scipy.special import gammaln, logsumexp
 Floats = NDArray[np.float64]
 
 FREEDOM = 5.0
-"""Degrees of freedom: tails that a posterior within bounds hardly outgrows, at a small loss if it is Gaussian."""
+"""Degrees of freedom: heavy enough for posteriors within bounds, at a small loss on Gaussian ones."""
 
 
 @dataclass(frozen=True)

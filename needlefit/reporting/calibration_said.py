@@ -50,8 +50,8 @@ def layout(found: Calibration) -> Display:
     columns = (text("Quantity"), *heads, text("ECDF of the ranks"), text("Calibrated"))
     note = (
         f"How often the central interval held the truth, and between which counts chance keeps it; ranks "
-        f"among {DRAWS} draws. Each check may fail with probability {each_error(len(rows)):.1e}, all together with "
-        f"{ERROR:g} at most (Bonferroni)."
+        f"among {DRAWS} draws. Each check may fail with probability {each_error(len(rows)):.1e}, all together "
+        f"with {ERROR:g} at most (Bonferroni)."
     )
     return Display("calibration", caption(found), columns, rows, notes=(note,))
 
@@ -85,7 +85,8 @@ def _design(found: Calibration) -> str:
     few = f" ({', '.join(found.insertions)})" if found.sampled else ""
     return (
         f"{len(found.replicates)} replicates of {count} insertion{'s' if count > 1 else ''}{few}, {depth} "
-        "deep: parameters from their prior, needles simulated anew, errors of depths, pose and points as stated."
+        "deep: parameters from their prior, needles simulated anew, errors of depths, pose and points as "
+        "stated."
     )
 
 
