@@ -21,6 +21,9 @@ from needlefit.validation.calibration.replicate import Experiment, make, replica
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
 
+ENOUGH = {"sigma": 40, "prior": 20, "pose": 15, "shuffled": 10}
+"""Replicates by which each control is noticed."""
+
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
 
@@ -40,7 +43,7 @@ def small_job(count: int = 2, scale: float | str = 1.0, **changed: object) -> Jo
     )
 
 
-def run(job: Job, count: int = 60, **kind: object) -> dict[str, np.ndarray]:
+def run(job: Job, count: int, **kind: object) -> dict[str, np.ndarray]:
     experiment = Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}, **kind)
     rows = [replicate(number, experiment) for number in range(count)]
     names = [name for name in rows[0] if name.startswith("rank_")]
@@ -52,18 +55,18 @@ def failures(found: dict[str, np.ndarray]) -> list[str]:
 
 
 def test_needles_of_the_model_itself_are_calibrated():
-    found = run(small_job())
+    found = run(small_job(), 40)
     assert set(found) == {"mu1_pa", "bevel_mm", "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"}
     assert failures(found) == []
 
 
 @pytest.mark.parametrize("control", CONTROLS)
 def test_every_control_is_noticed(control):
-    assert failures(run(small_job(), 40 if control != "sigma" else 60, control=control))
+    assert failures(run(small_job(), ENOUGH[control], control=control))
 
 
 def test_one_needle_alone_on_the_wrong_side_is_noticed():
-    assert failures(run(small_job(1), 25, control="shuffled"))
+    assert failures(run(small_job(1), 10, control="shuffled"))
 
 
 def test_exact_posteriors_pass_and_narrow_ones_fail():

@@ -42,8 +42,8 @@ class Effort:
     """
 
     draws: int = 250
-    rounds: int = 10
-    enough: float = 300.0
+    rounds: int = 14
+    enough: float = 250.0
     components: int = 12
 
 
@@ -112,7 +112,7 @@ def importance(
         early = len(rounds) <= EARLY
         if (found.certified and not early) or len(rounds) == effort.rounds:
             return found
-        proposal = _follow(found, FLAT if early else 1.0, rng, effort.components)
+        proposal = _follow(found, early, rng, effort.components)
 
 
 @dataclass(frozen=True)
@@ -163,16 +163,16 @@ FEWEST = 12.0
 EARLY, FLAT = 2, 0.5
 """In the first rounds the mixture follows this power of the density at most, and no weights are good enough."""
 
-WIDER = 1.5
-"""What the scales are multiplied by, so that tails are reached first and weighed down then."""
+WIDER, WIDE = 1.5, 1.2
+"""What the scales are multiplied by, in the first rounds and then: tails are reached first, and weighed down."""
 
 THIN = 1e-4
 """Part of the draws' whole covariance that every component has at least."""
 
 
-def _follow(found: Weighted, power: float, rng: np.random.Generator, components: int) -> Mixture:
-    """Return a mixture fitted to the draws as they stand for a power of the density, at most `power`."""
-    weights = _flattened(found, power, FEWEST * components)
+def _follow(found: Weighted, early: bool, rng: np.random.Generator, components: int) -> Mixture:
+    """Return a mixture fitted to the draws as they stand for the density, or a power of it."""
+    weights = _flattened(found, FLAT if early else 1.0, FEWEST * components)
     at = found.thetas
     mean = weights @ at
     whole = (at - mean).T @ ((at - mean) * weights[:, None])
@@ -182,7 +182,7 @@ def _follow(found: Weighted, power: float, rng: np.random.Generator, components:
     fitted = Mixture(np.full(components, 1 / components), centres, np.repeat(factor[None], components, 0))
     for _ in range(STEPS):
         fitted = fitted.refitted(at, weights, least)
-    return Mixture(fitted.weights, fitted.centres, WIDER * fitted.factors)
+    return Mixture(fitted.weights, fitted.centres, (WIDER if early else WIDE) * fitted.factors)
 
 
 def _flattened(found: Weighted, power: float, fewest: float) -> Floats:
