@@ -1,4 +1,4 @@
-"""Simulation-based calibration: right posteriors pass, wrong ones are noticed, bands err as often as they say."""
+"""Calibration: right posteriors pass, wrong ones are noticed, bands err as often as they say."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -109,7 +109,7 @@ def test_ranks_of_equal_values_take_any_place_and_levels_are_whole_parts():
 
 @pytest.mark.parametrize("pose", ["known", "free"])
 def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
-    """Its log density is that of residuals 0: arc lengths and deflections are what the likelihood takes them for."""
+    """Its residuals are 0: arc lengths and deflections are what the likelihood takes them for."""
     job = small_job()
     still = replace(job.dataset, noise=replace(job.dataset.noise, registration_mean=0.0), pose=pose)
     for one in job.folds[0].tune:

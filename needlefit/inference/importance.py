@@ -4,8 +4,8 @@ Rounds of draws fit the mixture better: after each one all draws so far are weig
 together would have drawn (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert,
 Scand. J. Stat. 39 (2012) 798), and the mixture follows them. At first, and while few draws carry all weight,
 it follows a flatter density, so that it grows along a ridge instead of falling on its best draws. What falls
-outside the bounds has no density, and costs nothing. `pareto` says whether the weights can be trusted; what no
-draw has come near it cannot see, which is why the first rounds are wide, and never the last.
+outside the bounds has no density, and costs nothing. `pareto` says whether the weights can be trusted; it
+cannot see what no draw has come near, which is why the first rounds are wide, and never the last.
 """
 
 from collections.abc import Callable, Sequence
@@ -161,10 +161,10 @@ FEWEST = 12.0
 """Independent draws per component that a flatter density is chosen by."""
 
 EARLY, FLAT = 2, 0.5
-"""In the first rounds the mixture follows this power of the density at most, and no weights are good enough."""
+"""In the first rounds the mixture follows this power of the density, and no weights are good enough yet."""
 
 WIDER, WIDE = 1.5, 1.2
-"""What the scales are multiplied by, in the first rounds and then: tails are reached first, and weighed down."""
+"""What the scales are multiplied by, in the first rounds and then: tails are to be reached."""
 
 THIN = 1e-4
 """Part of the draws' whole covariance that every component has at least."""
@@ -192,7 +192,8 @@ def _flattened(found: Weighted, power: float, fewest: float) -> Floats:
     drawn = density - found.log_weights[known]  # log density of all rounds together, but for a constant
 
     def log_weights(at: float) -> Floats:
-        return at * (density - density.max()) - drawn
+        flattened: Floats = at * (density - density.max()) - drawn
+        return flattened
 
     def missing(at: float) -> float:
         return worth(log_weights(at)) - min(fewest, 0.5 * len(known))

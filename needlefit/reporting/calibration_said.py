@@ -50,8 +50,8 @@ def layout(found: Calibration) -> Display:
     columns = (text("Quantity"), *heads, text("ECDF of the ranks"), text("Calibrated"))
     note = (
         f"How often the central interval held the truth, and between which counts chance keeps it; ranks "
-        f"among {DRAWS} draws. Each check may fail with probability {each_error(len(rows)):.1e}, all together "
-        f"with {ERROR:g} at most (Bonferroni)."
+        f"among {DRAWS} draws. Each check may fail with probability {each_error(len(rows)):.1e}, all "
+        f"together with {ERROR:g} at most (Bonferroni)."
     )
     return Display("calibration", caption(found), columns, rows, notes=(note,))
 
