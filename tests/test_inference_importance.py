@@ -65,6 +65,12 @@ def test_a_banana_comes_back():
     assert at == pytest.approx(norm.ppf([0.05, 0.5, 0.95]), abs=0.15)
 
 
+def test_horns_of_a_banana_are_seen_with_the_default_effort_too():
+    """Of weights that looked certified after one round, at the density itself, the mean was 0.5."""
+    found = [weighted(Known(banana, half=40.0), effort=Effort(), seed=seed) for seed in range(10)]
+    assert np.mean([moments(one)[0][1] for one in found if one.certified]) == pytest.approx(1.0, abs=0.2)
+
+
 def test_what_leans_on_a_bound_comes_back():
     """exp(x) on [-10, 10]: 10 - x is exponential, its mean 1."""
     found = weighted(Known(lambda x: x[:, 0], 1), [10.0])
