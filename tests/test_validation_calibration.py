@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from inference_cases import NEEDLE, insertion, measure, medium
+from scipy.stats import norm
 
 from needlefit.datasets.insertion import Dataset, Noise
+from needlefit.inference.draws import of_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.project.records.fit import FitRecord
@@ -139,3 +141,29 @@ def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     )
     assert plain["mu1_pa"] == wrong["mu1_pa"] and plain["bevel_mm"] == wrong["bevel_mm"]
     assert plain == replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}))
+
+
+def test_the_sampler_draws_where_it_is_asked_to_and_says_that_it_has_not_converged():
+    job = small_job(1)
+    hurried = job.recipe.model_copy(update={"sample": job.recipe.sample.model_copy(update={"steps": 30})})
+    row = replicate(
+        1, Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
+    )
+    assert row["by"] == "sampler" and not row["trusted"] and row["pareto_k"] is None
+    assert 0 <= row["rank_bevel_mm"] <= DRAWS
+
+
+def test_the_prior_is_drawn_as_it_is_stated():
+    """alpha is normal about 2 and cut off at 2.5, ln mu normal about ln 1e5 and tied to it, b flat in ln."""
+    record = medium(
+        1,
+        mu1_pa={"bounds": [1e3, 1e9], "prior": {"median": 1e5, "factor": 2.0, "correlation": -0.8}},
+        alpha1={"bounds": [-3.0, 2.5], "prior": {"mean": 2.0, "sd": 0.5}},
+        bevel_mm={"bounds": [0.02, 0.3]},
+    )
+    draws = of_prior(Parameters.from_record(record), 4000, np.random.default_rng(1))
+    mu, alpha, bevel = draws.T
+    assert alpha.max() < 2.5 and np.mean(alpha < 2.0) == pytest.approx(0.5 / norm.cdf(1.0), abs=0.03)
+    slope = np.cov(mu, alpha)[0, 1] / np.var(alpha)
+    assert slope == pytest.approx(-0.8 * np.log(2.0) / 0.5, rel=0.05)  # cutting alpha leaves the regression
+    assert np.mean(bevel < np.log(0.02) + 0.25 * np.log(15)) == pytest.approx(0.25, abs=0.03)

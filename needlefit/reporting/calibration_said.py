@@ -15,9 +15,9 @@ PROVES = (
     "real needles says."
 )
 QUANTITIES = {
-    DESIGN: "stiffest combination, of the design",
-    FIT: "stiffest combination, at the fit",
-    TIP: "tip of the deepest insertion",
+    DESIGN: "stiffest, of the design",
+    FIT: "stiffest, at the fit",
+    TIP: "tip of the deepest",
     LIKELIHOOD: "log likelihood",
 }
 WRONG: dict[Control, str] = {
@@ -51,7 +51,8 @@ def layout(found: Calibration) -> Display:
     note = (
         f"How often the central interval held the truth, and between which counts chance keeps it; ranks "
         f"among {DRAWS} draws. Each check may fail with probability {each_error(len(rows)):.1e}, all "
-        f"together with {ERROR:g} at most (Bonferroni)."
+        f"together with {ERROR:g} at most (Bonferroni). Stiffest: the combination of parameters that the "
+        "design, or the data at their fit, tell best."
     )
     return Display("calibration", caption(found), columns, rows, notes=(note,))
 

@@ -29,7 +29,7 @@ def draw_ranks(found: Calibration, path: Path) -> Path:
 def _paint(found: Calibration) -> Figure:
     groups = list(found.ecdfs.groupby("quantity", sort=False))
     down = math.ceil(len(groups) / ACROSS)
-    figure = Figure(figsize=(WIDTH, 0.35 + 1.5 * down))
+    figure = Figure(figsize=(WIDTH, 0.35 + 1.45 * down))
     panels = figure.subplots(down, ACROSS, sharex=True, sharey=True, squeeze=False)
     for axes, (name, rows) in zip(panels.flat, groups, strict=False):
         _panel(axes, rows, len(found.replicates))
