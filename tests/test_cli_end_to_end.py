@@ -83,6 +83,17 @@ def test_ctrl_c_resume_and_other_jobs_change_no_byte(project, once):
     assert contents(project / "again/small") == once
 
 
+def test_a_report_is_made_again_from_what_was_stored(project, once):
+    again = project / "reports/small-again"
+    done = needlefit("report", "small", "--out", str(again), folder=project)
+    assert done.returncode == 0, done.stderr
+    assert contents(again) == once
+    (again / "errors.csv").unlink()
+    (again / "report.pdf").write_bytes(b"spoilt")
+    assert needlefit("report", str(again), folder=project).returncode == 0
+    assert contents(again) == once
+
+
 def test_tune_stands_beside_the_paper_s_set(project):
     done = needlefit("tune", "small", folder=project)
     assert done.returncode == 0, done.stderr

@@ -70,7 +70,8 @@ def test_the_measured_shape_is_only_compared(job, known):
     (as_is,), (moved,) = (tuple(foretold(job, of(job, one), sure(known))) for one in (insertion, bent))
     assert moved["tip_median_mm"] == pytest.approx(as_is["tip_median_mm"], abs=1e-9)
     assert moved["tip_measured_mm"] == pytest.approx(as_is["tip_measured_mm"] + 5.0)
-    assert moved["tip_level"] > 0.99 and not moved["tip_in_95"] and moved["shape_in_95"] < 0.1
+    assert moved["tip_level"] > 0.99 and not moved["tip_in_95"]
+    assert moved["points_in_95"] < 0.1 and not moved["shape_in_95"] and moved["shape_level"] > 0.99
     assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
 
 
@@ -90,5 +91,5 @@ def test_the_table_counts_what_fell_where(job, known):
     rows[0] |= {"tip_in_50": True, "tip_in_95": True}
     rows[1] |= {"tip_in_50": False, "tip_in_95": True}
     table = foretold_layout(replace(study(2), predictive=pd.DataFrame(rows)))
-    assert table.rows[0][2:4] == ("1 of 2", "2 of 2")
+    assert table.rows[0][2:4] == ("1 of 2 (9–91 %)", "2 of 2 (34–100 %)")
     assert "Gaussian about the fit" in table.caption

@@ -1,6 +1,7 @@
 """The table of commands, and what every command has in common: how it fails."""
 
 import sys
+from collections.abc import Callable
 from typing import Annotated
 
 import typer
@@ -9,11 +10,13 @@ from typer.core import TyperGroup
 from needlefit.cli import failure
 from needlefit.cli.calibrate import calibrate
 from needlefit.cli.check import check
+from needlefit.cli.diff import diff
 from needlefit.cli.identify import identify
 from needlefit.cli.material import material
 from needlefit.cli.paper import paper
 from needlefit.cli.predict import predict
 from needlefit.cli.reconstruct import reconstruct
+from needlefit.cli.report import report
 from needlefit.cli.several_layers import SeveralLayers
 from needlefit.cli.simulate import simulate
 from needlefit.cli.start import init, new_dataset
@@ -21,6 +24,11 @@ from needlefit.cli.tune import tune
 from needlefit.cli.twin import twin_build, twin_ct
 from needlefit.cli.validate import validate
 from needlefit.cli.verify import verify
+
+_COMMANDS: tuple[Callable[..., None], ...] = (
+    *(simulate, check, tune, identify, calibrate, predict, validate, report, diff),
+    *(verify, material, paper, init),
+)
 
 _EPILOG = (
     "A noun is a path (holds / or ends in .toml) or a bare name, looked up in the working folder's project, "
@@ -50,19 +58,7 @@ def build() -> typer.Typer:
     plain = {"rich_markup_mode": None, "no_args_is_help": True}
     app = typer.Typer(cls=_Guarded, pretty_exceptions_enable=False, epilog=_EPILOG, **plain)  # type: ignore[arg-type]
     app.callback()(_needlefit)
-    for command in (
-        simulate,
-        check,
-        tune,
-        identify,
-        calibrate,
-        predict,
-        validate,
-        verify,
-        material,
-        paper,
-        init,
-    ):
+    for command in _COMMANDS:
         app.command()(command)
     app.command(cls=SeveralLayers)(reconstruct)
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]

@@ -1,6 +1,6 @@
 """The names that the shell completes."""
 
-from needlefit.project.places import names
+from needlefit.project.places import names, run_names
 
 
 def scenes(incomplete: str) -> list[str]:
@@ -16,6 +16,11 @@ def studies(incomplete: str) -> list[str]:
 def targets(incomplete: str) -> list[str]:
     """Return the studies and fits whose names begin so."""
     return _beginning([*names("study"), *names("fit")], incomplete)
+
+
+def runs(incomplete: str) -> list[str]:
+    """Return the runs in reports/ whose names begin so."""
+    return [name for name in run_names() if name.startswith(incomplete)]
 
 
 def datasets(incomplete: str) -> list[str]:

@@ -17,7 +17,11 @@ from needlefit.errors import ConfigError
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
     from needlefit.project.records.study import StudyRecord
+    from needlefit.project.records.track_study import TrackStudyRecord
+    from needlefit.project.watching import Progress
+    from needlefit.validation.job import Settings
     from needlefit.validation.results import Results
+    from needlefit.validation.tracks.results import TrackResults
 
 
 @dataclass(frozen=True)
@@ -66,19 +70,30 @@ class Execution:
 
     def run(self, name: str, record: "StudyRecord | FitRecord") -> "Results":
         """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
-        from needlefit.validation.run import Settings, run
+        from needlefit.validation.run import run
 
         with progress(self.invocation.quiet) as report:
-            settings = Settings(
-                seed=self.seed,
-                jobs=self.jobs or cores(),
-                checkpoint=self.checkpoint(name),
-                resume=self.resume,
-                sample=self.sample,
-                progress=report,
-                stop=self.stop,
-            )
-            return run(name, record, settings)
+            return run(name, record, self._settings(name, report))
+
+    def run_tracks(self, name: str, record: "TrackStudyRecord") -> "TrackResults":
+        """Run one study of tip tracks; else as `run`."""
+        from needlefit.validation.tracks.run import run
+
+        with progress(self.invocation.quiet) as report:
+            return run(name, record, self._settings(name, report))
+
+    def _settings(self, name: str, report: "Progress") -> "Settings":
+        from needlefit.validation.job import Settings
+
+        return Settings(
+            seed=self.seed,
+            jobs=self.jobs or cores(),
+            checkpoint=self.checkpoint(name),
+            resume=self.resume,
+            sample=self.sample,
+            progress=report,
+            stop=self.stop,
+        )
 
     def write(self, results: "Results") -> Path:
         """Write the results; return their folder."""

@@ -10,6 +10,8 @@ from needlefit.cli.completion import targets
 from needlefit.cli.execution import Execution, require_converged
 from needlefit.cli.interruption import stopping
 from needlefit.cli.show_tuning import as_json, show_tuning
+from needlefit.cli.validate_tracks import observes_tracks
+from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
@@ -67,6 +69,12 @@ def fit_of(target: str) -> "tuple[str, FitRecord]":
     from needlefit.project.records.study import StudyRecord
 
     kind, path = find_target(target)
+    if observes_tracks(path):
+        raise ConfigError(
+            "is a study of tip tracks, which fits and foretells in one",
+            where=str(path),
+            mend=f"use: needlefit validate {target}",
+        )
     if kind == "study":
         return f"{path.stem}-tune", load(path, StudyRecord).tuning()
     return path.stem, load(path, FitRecord)

@@ -10,6 +10,7 @@ from needlefit.cli.completion import studies
 from needlefit.cli.execution import Execution, require_converged
 from needlefit.cli.interruption import stopping
 from needlefit.cli.show_validation import show_validation
+from needlefit.cli.validate_tracks import observes_tracks, validate_tracks
 
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
@@ -49,8 +50,14 @@ def validate(
     Ctrl-C once saves what is finished and prints the line that goes on; twice leaves at once.
     """
     folder = out / "reference" if reference else out
+    from needlefit.project.places import find_studies
+
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
         execution = Execution(context.find_root().obj, folder, seed, jobs, resume, stop, sample)
+        (name, path), *_ = find_studies(study)
+        if observes_tracks(path):
+            validate_tracks(execution, name, path, json)
+            return
         done = _run(execution, study, json)
         for results in done:  # not before all are done: `all` is resumed as a whole
             execution.forget(results.name)

@@ -1,6 +1,6 @@
 """Go through every file of a dataset once: the dataset, or everything that is wrong with it."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,6 +18,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load
 from needlefit.project.records.dataset import DatasetRecord, NoiseRecord
+from needlefit.project.records.scene import NeedleRecord
 
 STIFFEST_GPA = 1000.0
 """No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
@@ -43,11 +44,11 @@ def inspect(path: Path) -> Inspection:
         return Inspection(None, (from_error(error),))
     found: list[Fault] = []
     for root in roots:
-        found += checksum_faults(record, root)
-    found += [*_needle_faults(record, file), *numbering_faults(record, file)]
+        found += checksum_faults(record.checksums, root)
+    found += [*needle_faults(record.needle, file), *numbering_faults(record, file)]
     shared = read_shared(record, roots[0], found)
     insertions = [insertion for root in roots for insertion in _insertions(record, root, shared, found)]
-    found += _repeated(insertions, file)
+    found += repeated("insertion", (insertion.id for insertion in insertions), file)
     if found:
         return Inspection(None, tuple(dict.fromkeys(found)))
     files = {roots[0] / surface.file for surface in shared}
@@ -85,8 +86,9 @@ def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[F
         yield insertion
 
 
-def _needle_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
-    modulus = record.needle.youngs_modulus_gpa
+def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
+    """Say whether a needle's modulus was written in another unit."""
+    modulus = needle.youngs_modulus_gpa
     if modulus is None or modulus <= STIFFEST_GPA:
         return
     unit, factor = ("Pa", 1e9) if modulus > STIFFEST_GPA * 1e3 else ("MPa", 1e3)
@@ -125,18 +127,18 @@ def _layer_faults(insertion: Insertion, row: InsertionRow, where: str) -> Iterat
     )
 
 
-def _repeated(insertions: list[Insertion], file: Path) -> Iterator[Fault]:
+def repeated(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:
     """Yield ids that several folders hold; within one table the rows were compared before."""
     seen: set[str] = set()
-    for insertion in insertions:
-        if insertion.id in seen:
+    for id_ in ids:
+        if id_ in seen:
             yield Fault(
                 str(file),
-                f"insertion {insertion.id} is in more than one folder of root",
+                f"{what} {id_} is in more than one folder of root",
                 "one of each id",
                 "rename or remove one of them, or narrow root",
             )
-        seen.add(insertion.id)
+        seen.add(id_)
 
 
 def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:
@@ -162,22 +164,24 @@ def _dataset(
         needle=Needle.from_record(record.needle),
         insertions=tuple(insertions),
         media=tuple(record.media),
-        noise=_noise(record.noise),
+        noise=noise_of(record.noise),
         pose=record.frame.pose,
         drop_proximal=record.frame.drop_proximal_mm,
         path=file,
         digest=digest_,
-        notes=_notes(record),
+        notes=notes_of(record.notes, record.needle.note, record.noise.note),
         outer_diameter=record.needle.outer_diameter_mm,
     )
 
 
-def _notes(record: DatasetRecord) -> tuple[str, ...]:
-    said = (("", record.notes), ("Needle: ", record.needle.note), ("Noise: ", record.noise.note))
+def notes_of(data: str, needle: str, noise: str) -> tuple[str, ...]:
+    """Return what a dataset's makers want known of data, needle and noise, as reports print it."""
+    said = (("", data), ("Needle: ", needle), ("Noise: ", noise))
     return tuple(head + text.strip() for head, text in said if text.strip())
 
 
-def _noise(record: NoiseRecord) -> Noise:
+def noise_of(record: NoiseRecord) -> Noise:
+    """Return the errors that a dataset states."""
     return Noise(
         record.registration_mean_mm, record.point_sd_mm, record.correlated_sd_mm, record.correlation_length_mm
     )

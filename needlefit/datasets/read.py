@@ -6,6 +6,8 @@ from needlefit.datasets.faults import as_error
 from needlefit.datasets.insertion import Dataset
 from needlefit.datasets.inspection import inspect
 from needlefit.datasets.sources import dataset_file
+from needlefit.datasets.tracks.read import holds_tracks
+from needlefit.errors import DataError
 
 
 def read(path: Path) -> Dataset:
@@ -14,8 +16,15 @@ def read(path: Path) -> Dataset:
     Raises
     ------
     DataError
-        Listing every fault that `check` finds.
+        Listing every fault that `check` finds, or because it holds tip tracks.
     """
+    if holds_tracks(path):
+        raise DataError(
+            "holds tip tracks, no shapes",
+            where=str(dataset_file(path)),
+            expected="a dataset with [centerlines]",
+            mend='fit it by a study with `observes = "tip tracks"`',
+        )
     found = inspect(path)
     if found.dataset is None:
         raise as_error(found.faults, dataset_file(path))

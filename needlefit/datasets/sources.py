@@ -2,13 +2,13 @@
 
 import hashlib
 import os
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.project.files import sha256
-from needlefit.project.records.dataset import DatasetRecord
+from needlefit.project.records.dataset import SourceRecord
 
 
 def dataset_file(path: Path) -> Path:
@@ -16,7 +16,7 @@ def dataset_file(path: Path) -> Path:
     return path / "dataset.toml" if path.is_dir() else path
 
 
-def folders(record: DatasetRecord, path: Path) -> tuple[Path, ...]:
+def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
     """Return the folders that hold the files: that of `path`, or all that `root` matches, sorted.
 
     Raises
@@ -48,10 +48,10 @@ def folders(record: DatasetRecord, path: Path) -> tuple[Path, ...]:
     return found
 
 
-def checksum_faults(record: DatasetRecord, folder: Path) -> list[Fault]:
-    """Say which files of `folder` are not those whose sums the record lists."""
+def checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
+    """Say which files of `folder` are not those whose sums are listed."""
     faults = []
-    for name, expected in record.checksums.items():
+    for name, expected in checksums.items():
         file = folder / name
         if not file.is_file():
             faults.append(

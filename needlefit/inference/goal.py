@@ -6,11 +6,12 @@ sum of squares but for a constant, the residuals and their exact Jacobian.
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.errors import ConfigError
 from needlefit.project.records.recipe import Minimized
 
 Floats = NDArray[np.float64]
@@ -58,18 +59,15 @@ class Weighed(Led, Protocol):
         """Return the whitened residuals (R,) and their Jacobian (R, P)."""
 
 
+@runtime_checkable
 class Measured(Led, Protocol):
-    """What has a metric objective; `Problem` is one."""
+    """What has a metric objective; `Problem` is one, a fit to tip tracks is not."""
 
     def objective(self, theta: Floats) -> float:
         """Return the metric objective, mm; not finite where it cannot be computed."""
 
     def slope(self, theta: Floats) -> tuple[float, Floats]:
         """Return the metric objective and its gradient (P,)."""
-
-
-class Target(Weighed, Measured, Protocol):
-    """What can be fitted either way."""
 
 
 @dataclass(frozen=True)
@@ -111,11 +109,23 @@ APPROACHED = 1e-6
 """The same on the way to where a search begins; small enough to see which starts met."""
 
 
-def goal_of(problem: Target, minimized: Minimized) -> Goal:
-    """Return what a recipe's `minimize` names, of one problem."""
-    goal = posterior(problem) if minimized == "posterior" else metric(problem)
+def goal_of(problem: Weighed, minimized: Minimized) -> Goal:
+    """Return what a recipe's `minimize` names, of one problem, and what leads to its minima.
+
+    Raises
+    ------
+    ConfigError
+        If the problem has no metric objective.
+    """
     easier = problem.approach(minimized)
+    goal = posterior(problem) if minimized == "posterior" else _metric_of(problem)
     return goal if easier is None else replace(goal, approach=posterior(easier, APPROACHED))
+
+
+def _metric_of(problem: Weighed) -> Goal:
+    if not isinstance(problem, Measured):
+        raise ConfigError("there is no metric objective of this fit", expected='minimize = "posterior"')
+    return metric(problem)
 
 
 def posterior(problem: Weighed, negligible: float = NEGLIGIBLE) -> Goal:

@@ -24,6 +24,9 @@ LEVELS = (0.50, 0.95)
 HALVINGS = 60
 """Of the bracket of a quantile: to rounding."""
 
+REPEATS = 10
+"""Times that the errors about each draw are drawn where the whole curve is asked about."""
+
 WIDE = 9.0
 """Deviations beyond the outermost draws within which every quantile lies."""
 
@@ -86,6 +89,27 @@ def crps(mixture: Mixture, observed: ArrayLike) -> Floats:
     )
     score: Floats = off - between / 2
     return score
+
+
+def worst_level(mixture: Mixture, covariance: Floats, observed: Floats, rng: np.random.Generator) -> float:
+    """Return the probability foretold of curves (K,) nearer, at their worst point, than the observed one.
+
+    Nearness is the distance from the mean in standard deviations. By simulation, since points go together:
+    `covariance` (K, K) is that of the errors about a draw, of which `mixture.sd` is the diagonal's root.
+    """
+    centre = mixture.means.mean(axis=0)
+    spread = np.sqrt(mixture.means.var(axis=0) + mixture.sd**2)
+    sizes, directions = np.linalg.eigh(covariance)
+    root = directions * np.sqrt(np.maximum(sizes, 0.0))  # a motion laid off leaves it singular
+    normal = rng.normal(size=(REPEATS, *mixture.means.shape))
+    curves = (mixture.means + normal @ root.T).reshape(-1, len(centre))
+
+    def worst(curve: Floats) -> Floats:
+        away = np.abs(curve - centre)
+        farthest: Floats = np.max(np.divide(away, spread, out=np.zeros_like(away), where=spread > 0), axis=-1)
+        return farthest
+
+    return float(np.mean(worst(curves) < worst(observed)))
 
 
 def _mean_absolute(mean: Floats, sd: Floats) -> Floats:

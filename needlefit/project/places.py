@@ -146,8 +146,12 @@ def find_run(name: str) -> Path:
     folder = Path(name) if _is_path(name) else Path("reports") / name
     if (folder / "run.json").is_file():
         return folder
-    known = sorted(path.parent.name for path in Path("reports").glob("*/run.json"))
-    raise _unknown("run", name, known)
+    raise _unknown("run", name, run_names())
+
+
+def run_names() -> list[str]:
+    """Return the names of the folders of results in `reports/`, sorted."""
+    return sorted(path.parent.name for path in Path("reports").glob("*/run.json"))
 
 
 def _is_path(name: str) -> bool:

@@ -13,6 +13,7 @@ from needlefit.reporting.numbers import fixed, number, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.results import Results
+from needlefit.validation.stored import posterior_names
 
 
 def percentiles_table(results: Results) -> pd.DataFrame:
@@ -95,11 +96,9 @@ def posterior_files(results: Results) -> Mapping[str, Callable[[Path], object]]:
     """Return what `write` is to write besides: `posterior.csv`, and each fold's draws as netCDF."""
     if not results.posteriors:
         return {}
-    single = len(results.posteriors) == 1
-    draws = {
-        "posterior.nc" if single else f"posterior_{number}.nc": partial(save, posterior)
-        for number, posterior in enumerate(results.posteriors.values(), start=1)
-    }
+    posteriors = results.posteriors.values()
+    names = posterior_names(len(posteriors))
+    draws = {name: partial(save, posterior) for name, posterior in zip(names, posteriors, strict=True)}
     table = percentiles_table(results)
     return {**draws, "posterior.csv": partial(table.to_csv, index=False, float_format="%.8g")}
 

@@ -14,16 +14,20 @@ from needlefit.project.replace import replacing
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
-from needlefit.reporting.document import compile_pdf
+from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.profiles import draw_profiles
 from needlefit.reporting.identification_layout import identification_table
 from needlefit.reporting.latex import latex
+from needlefit.reporting.macros import macros
+from needlefit.reporting.methods import latex_methods, methods, references
 from needlefit.reporting.overview import overview
+from needlefit.reporting.page import compile_html
 from needlefit.reporting.parameters import parameters_table
 from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
+from needlefit.validation.stored import store
 
 Also = Mapping[str, Callable[[Path], object]]
 
@@ -31,9 +35,9 @@ Also = Mapping[str, Callable[[Path], object]]
 def write(results: Results, folder: Path, also: Also | None = None) -> list[Path]:
     """Write one study or fit to `folder`, replacing an earlier result there; return the files.
 
-    CSV and LaTeX tables, figures and report as PDF, `slicer/` with every needle in its scan, `run.json`,
-    and `timing.json`, the only file that may differ between two runs of the same inputs. `also` names
-    further files and what writes each.
+    CSV and LaTeX tables, figures as PDF, the report as PDF and HTML, `slicer/` with every needle in its
+    scan, `run.json`, `results.json.gz`, from which all of this can be made again, and `timing.json`, the only
+    file that may differ between two runs of the same inputs. `also` names further files and what writes each.
 
     Raises
     ------
@@ -48,7 +52,9 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
             write_needles(results, new / "slicer")
         for name, save in (also or {}).items():
             save(new / name)
-        (new / "report.pdf").write_bytes(compile_pdf(story(results, drawn)))
+        _report(story(results, drawn), new)
+        _for_papers([results], new)
+        store(results, new)
         write_json(new / "run.json", results.run)
         write_json(new / "timing.json", results.timing)
     return _files(folder)
@@ -67,11 +73,25 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
     with whole(folder) as new:
         _tables(studies, tunings or studies, new)
         drawn = _draw_scores(studies, new)
-        (new / "report.pdf").write_bytes(compile_pdf(overview(studies, tunings or studies, drawn)))
+        _report(overview(studies, tunings or studies, drawn), new)
         every = [*studies, *tunings]
+        _for_papers(every, new)
         write_json(new / "run.json", {one.name: one.run for one in every})
         write_json(new / "timing.json", {one.name: one.timing for one in every})
     return _files(folder)
+
+
+def _report(document: Document, folder: Path) -> None:
+    (folder / "report.pdf").write_bytes(compile_pdf(document))
+    (folder / "report.html").write_bytes(compile_html(document))
+
+
+def _for_papers(results: Sequence[Results], folder: Path) -> None:
+    """Write every number as a macro, and for a single run its methods paragraph with what that cites."""
+    (folder / "numbers.tex").write_text(macros(results), encoding="utf-8")
+    if len(results) == 1 and methods(results[0]):
+        (folder / "methods.tex").write_text(latex_methods(results[0]), encoding="utf-8")
+        (folder / "references.bib").write_text(references(results[0]), encoding="utf-8")
 
 
 def _frames(results: Results, folder: Path) -> None:

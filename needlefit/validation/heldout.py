@@ -2,8 +2,10 @@
 
 A draw of the parameters gives one needle, through the layers that its own planned path meets, with depths of
 layers and insertion drawn as the dataset states their errors; about it stand the errors of pose and points.
-The measured shape enters nowhere but as what is compared. What the model misses is not foretold: where
-coverage falls short of its level, that is why, or the stated errors are too small.
+The measured shape enters nowhere but as what is compared (and laid on, where its pose is free). What the
+model misses is not foretold: where coverage falls short of its level, that is why, or the stated errors are
+too small. A needle is one trial: its tip, and its shape as a whole, which holds if no point of it leaves a
+band that the foretold probability of such needles stays within all along.
 """
 
 from collections.abc import Iterator
@@ -19,8 +21,9 @@ from needlefit.inference.draws import Draws, about_fit, from_posterior
 from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.likelihood.depths import moved
 from needlefit.inference.likelihood.evidence import Evidence, evidence
+from needlefit.inference.likelihood.pose import modes
 from needlefit.inference.predict import predict
-from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile
+from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile, worst_level
 from needlefit.mechanics.shape import positions
 from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold
@@ -41,7 +44,7 @@ MOST_LAYERS = 32
 """Depth errors drawn for an insertion, so that what a draw is does not depend on the layers it meets."""
 
 PREDICTIVE = (
-    *("fold", "insertion", "medium", "layers", "depth_mm", "from", "draws", "failed_solves"),
+    *("fold", "insertion", "specimen", "medium", "layers", "depth_mm", "from", "draws", "failed_solves"),
     *(
         "tip_measured_mm",
         "tip_median_mm",
@@ -51,10 +54,11 @@ PREDICTIVE = (
         "tip_95_high_mm",
     ),
     *("tip_level", "tip_in_50", "tip_in_95", "tip_crps_mm"),
-    *("shape_in_50", "shape_in_95", "shape_crps_mm"),
+    *("shape_level", "shape_in_50", "shape_in_95", "points_in_50", "points_in_95", "shape_crps_mm"),
 )
-"""Columns: `tip_level` is the probability foretold of a tip up to the measured one; `shape_in_*` the part of
-points within their interval."""
+"""Columns: `tip_level` is the probability foretold of a tip up to the measured one, `shape_level` of a shape
+nearer, at its worst point, than the measured one; `shape_in_*` says whether that is within 50 or 95 %;
+`points_in_*` is the part of points within their own interval, which are no independent trials."""
 
 
 def foretold(job: Job, fold: Fold, known: Known) -> Iterator[Row]:
@@ -70,9 +74,10 @@ def foretold(job: Job, fold: Fold, known: Known) -> Iterator[Row]:
         curves = [_curve(job, theta, insertion, seen, chance) for theta in draws.thetas]
         solved = np.array([curve for curve in curves if curve is not None])
         if len(solved) >= LEAST:
-            mixture = Mixture(solved, _deviations(job, insertion, seen))
+            covariance, measured = _errors(job, seen), seen.measured[:, 1]
+            mixture = Mixture(solved, np.sqrt(np.diag(covariance)))
             row = {"fold": fold.name, **_about(job, insertion, draws, len(curves) - len(solved))}
-            row |= _judged(mixture, seen.measured[:, 1])
+            row |= _judged(mixture, measured, worst_level(mixture, covariance, measured, chance))
             yield {name: row[name] for name in PREDICTIVE}
 
 
@@ -107,19 +112,23 @@ def _curve(
     return heights
 
 
-def _deviations(job: Job, insertion: Insertion, seen: Evidence) -> Floats:
-    """Return the deviation (K,) of a measured y about a given needle: of points, and of a known pose."""
-    if seen.pose == "free":
-        alone = points_covariance(seen.nodes.s[0], job.dataset.noise)
-        return np.sqrt(np.diag(alone))
-    covariance = np.linalg.inv(seen.whitening.T @ seen.whitening)
-    deviations: Floats = np.sqrt(np.diag(covariance))
-    return deviations
+def _errors(job: Job, seen: Evidence) -> Floats:
+    """Return the covariance (K, K) of the measured y about a given needle: of points, and of a known pose.
+
+    A free shape is laid on the measured one, which takes from its errors what a motion can.
+    """
+    if seen.pose == "known":
+        return np.asarray(np.linalg.inv(seen.whitening.T @ seen.whitening), dtype=np.float64)
+    moved_by: Floats = np.linalg.qr(modes(seen.measured)[:, :2])[0]  # (K, 2): across, turn
+    left = np.eye(len(moved_by)) - moved_by @ moved_by.T
+    aligned: Floats = left @ points_covariance(seen.nodes.s[0], job.dataset.noise) @ left
+    return aligned
 
 
 def _about(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
     return {
         "insertion": insertion.id,
+        "specimen": insertion.specimen,
         "medium": insertion.medium,
         "layers": layers_of(insertion, job.record.reading),
         "depth_mm": insertion.depth,
@@ -129,17 +138,18 @@ def _about(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
     }
 
 
-def _judged(mixture: Mixture, measured: Floats) -> Row:
+def _judged(mixture: Mixture, measured: Floats, shape_level: float) -> Row:
     """Return what became of the prediction of points (K,), the last of them the tip."""
     tip = Mixture(mixture.means[:, -1:], mixture.sd[-1:])
     at, score = float(measured[-1]), crps(mixture, measured)
     row: Row = {"tip_measured_mm": at, "tip_median_mm": float(quantile(tip, 0.5)[0])}
     row |= {"tip_level": float(cdf(tip, [at])[0]), "tip_crps_mm": float(score[-1])}
-    row |= {"shape_crps_mm": float(score.mean())}
+    row |= {"shape_crps_mm": float(score.mean()), "shape_level": shape_level}
     for level in LEVELS:
         name = f"{100 * level:.0f}"
         low, high = interval(mixture, level)
         row |= {f"tip_{name}_low_mm": float(low[-1]), f"tip_{name}_high_mm": float(high[-1])}
         row |= {f"tip_in_{name}": bool(low[-1] <= at <= high[-1])}
-        row |= {f"shape_in_{name}": float(np.mean((low <= measured) & (measured <= high)))}
+        row |= {f"shape_in_{name}": shape_level <= level}
+        row |= {f"points_in_{name}": float(np.mean((low <= measured) & (measured <= high)))}
     return row

@@ -7,18 +7,20 @@ from importlib.metadata import version
 from typing import Any
 
 from needlefit.inference.predict import rules as mesh
+from needlefit.project.records.medium import MediumRecord
 from needlefit.validation.job import Job
 from needlefit.validation.summary import reasons
 from needlefit.validation.tabulate import Tables
 
-_PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
+PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
+"""Whose versions decide the result of a study."""
 
 
 def work(job: Job) -> dict[str, Any]:
     """Return all that decides the result of a job, as JSON values."""
     return {
         "name": job.name,
-        "versions": versions(_PACKAGES),
+        "versions": versions(PACKAGES),
         "dataset": {
             "name": job.dataset.name,
             "origin": job.dataset.origin,
@@ -34,7 +36,7 @@ def work(job: Job) -> dict[str, Any]:
             {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
             for f in job.folds
         ],
-        "rules": rules(job),
+        "rules": rules(job.medium),
     }
 
 
@@ -44,14 +46,14 @@ def versions(packages: Sequence[str]) -> dict[str, str]:
     return {"python": platform.python_version(), **each}
 
 
-def rules(job: Job) -> dict[str, Any]:
+def rules(medium: MediumRecord) -> dict[str, Any]:
     """Return the model rules that the fitted numbers depend on; fits under other rules are not comparable."""
     return {
-        "constraint_spacing_mm": job.medium.constraint_spacing_mm,
-        "thickness_mm": job.medium.thickness_mm,
-        "law": job.medium.law,
+        "constraint_spacing_mm": medium.constraint_spacing_mm,
+        "thickness_mm": medium.thickness_mm,
+        "law": medium.law,
         "friction": 0.0,
-        "element_mm": mesh(job.medium).element,
+        "element_mm": mesh(medium).element,
         "tie": "nearest constraint at each quadrature point, quadrature split where it changes",
         "advance": "along the tangent",
         "first_cell": "the depth's remainder over the spacing, or a whole cell",

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from needlefit.errors import FitError
-from needlefit.inference.goal import Goal, Target, goal_of
+from needlefit.inference.goal import Goal, Weighed, goal_of
 from needlefit.inference.ledger import FAILURES
 from needlefit.inference.optimize.algorithms import stages
 from needlefit.inference.optimize.approach import broken_off, leaders, went_on
@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 
 def minimize(
-    problem: Target, recipe: RecipeRecord, rng: np.random.Generator, watch: Watch | None = None
+    problem: Weighed, recipe: RecipeRecord, rng: np.random.Generator, watch: Watch | None = None
 ) -> Fit:
     """Minimise what the recipe says from every one of its starts and return the best point of all.
 
@@ -144,7 +144,7 @@ def _in_threads(goal: Goal, recipe: RecipeRecord, places: list[Place], watch: Wa
             leave.set()
 
 
-def _best(problem: Target, minimized: Minimized, starts: tuple[Start, ...], design: Floats) -> Fit:
+def _best(problem: Weighed, minimized: Minimized, starts: tuple[Start, ...], design: Floats) -> Fit:
     interrupted = len(starts) < len(design) or any(s.stopped == INTERRUPTED for s in starts)
     evaluations = sum(s.evaluations for s in starts)
     best = min(starts, key=lambda s: (s.objective, s.index), default=None)

@@ -122,8 +122,8 @@ class DatasetMediumRecord(Record):
         return self
 
 
-class DatasetRecord(FileRecord):
-    """`data/<name>/dataset.toml`."""
+class SourceRecord(FileRecord):
+    """What was measured, by whom, under what terms, and where it lies: the head of every `dataset.toml`."""
 
     name: str
     title: str = ""
@@ -134,6 +134,11 @@ class DatasetRecord(FileRecord):
     units: Literal["mm"] = "mm"
     root: str | None = None
     notes: str = ""
+
+
+class DatasetRecord(SourceRecord):
+    """`data/<name>/dataset.toml` of needles whose shapes were measured."""
+
     frame: FrameRecord = FrameRecord()
     needle: NeedleRecord
     noise: NoiseRecord = NoiseRecord()

@@ -1,0 +1,59 @@
+"""Whether the model can follow a moved guide at all: fitted to the guided runs, foretelling nothing.
+
+For each medium of `guided_tips` the model, a straight line and a parabola are fitted to the guided runs, each
+run with its own shift and slope; printed is what remains of all readings (root mean square, mm).
+
+    NEEDLEFIT_REAL_DATA=... python benchmarks/guided_ability.py [--starts 8]
+"""
+
+import argparse
+
+import numpy as np
+
+from needlefit.datasets.tracks.read import read_tracks
+from needlefit.datasets.tracks.select import select_runs
+from needlefit.inference.optimize import minimize
+from needlefit.inference.parameters import Parameters, with_noise_scale
+from needlefit.inference.tracks.curves import CURVES, fit_curve
+from needlefit.inference.tracks.foresight import Drawn
+from needlefit.inference.tracks.problem import TrackProblem
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import RecipeRecord
+from needlefit.project.records.track_study import RunsRecord
+from needlefit.validation.tracks.score import tuned_rows
+
+
+def main() -> None:
+    """Print a row per medium."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
+    parser.add_argument("--starts", type=int, default=8)
+    starts = parser.parse_args().starts
+    dataset = read_tracks(find("dataset", "guided_tips"))
+    medium = load(find("medium", "gel_wax"), MediumRecord)
+    recipe = load(find("recipe", "tracks"), RecipeRecord).model_copy(update={"starts": starts})
+    parameters = with_noise_scale(Parameters.from_record(medium))
+    print("medium | runs | straight line | parabola | model | at")
+    for name in dataset.media:
+        runs = select_runs(dataset, RunsRecord(media=(name,), guided=True))
+        problem = TrackProblem(dataset.needle, runs, medium, parameters, dataset.noise)
+        left = [_left(problem, fit_curve(one, problem.evidence, (), 100, _rng())) for one in CURVES]
+        fit = minimize(problem, recipe, _rng())
+        tips = problem.tips([fit.values])
+        left.append(_left(problem, Drawn(tips, (), np.ones(1))))
+        at = ", ".join(f"{key} {fit.values[key]:.3g}" for key in problem.names)
+        print(name, len(runs), *(f"{one:.3f}" for one in left), at, sep=" | ", flush=True)
+
+
+def _left(problem: TrackProblem, drawn: Drawn) -> float:
+    rows = tuned_rows(problem.evidence, drawn)
+    return float(np.sqrt(np.mean([row["aligned_rms_mm"] ** 2 for row in rows])))
+
+
+def _rng() -> np.random.Generator:
+    return np.random.default_rng(1)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,31 @@
+"""`needlefit diff`: what changed from one run to another, and whether it matters."""
+
+from typing import Annotated
+
+import typer
+
+from needlefit.cli import options, screen
+from needlefit.cli.completion import runs
+
+_Run = Annotated[
+    str,
+    typer.Argument(autocompletion=runs, help="A folder of results, or its bare name in reports/."),
+]
+
+
+def diff(run_a: _Run, run_b: _Run, json: options.Json = False, verbose: options.Verbose = False) -> None:
+    """Say what RUN_B changed from RUN_A: inputs, parameters, errors on the same insertions, verdicts.
+
+    And whether it matters: beside each change stands how large it is in its own uncertainty.
+    """
+    from needlefit.project.places import find_run
+    from needlefit.reporting.differences import as_json, differences_layout, said
+    from needlefit.validation.differences import differences
+
+    found = differences(find_run(run_a), find_run(run_b))
+    if json:
+        screen.show_json(as_json(found))
+        return
+    screen.say(said(found))
+    if found:
+        screen.show_display(differences_layout(found))

@@ -1,0 +1,36 @@
+"""`needlefit report`: tables, figures and report of a run again, from what it stored."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from needlefit.cli import options, screen
+from needlefit.cli.completion import runs
+
+
+def report(
+    run: Annotated[
+        str,
+        typer.Argument(
+            metavar="RUN", autocompletion=runs, help="A folder of results, or its bare name in reports/."
+        ),
+    ],
+    out: Annotated[
+        Path | None,
+        typer.Option("--out", metavar="DIR", help="Write to this folder; the run's own by default."),
+    ] = None,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Write tables, figures and report of a RUN again, without fitting anything.
+
+    From the stored results, exact to the last digit: as after an update that draws figures differently, or
+    where files were changed or lost. `all` is made again from the runs beside it.
+    """
+    from needlefit.project.places import find_run
+    from needlefit.reporting.rebuild import rebuild
+
+    folder = find_run(run)
+    written = rebuild(folder, folder if out is None else out)
+    screen.say(f"written: {written}/")

@@ -1,0 +1,1 @@
+"""The second kind of observation: where the tip was at each depth, and where a guide stood meanwhile."""

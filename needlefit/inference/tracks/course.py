@@ -1,0 +1,142 @@
+"""How runs are simulated: one needle led through the guide's places gives the tip at every reading.
+
+Runs into the same layers under a guide at rest are one insertion read at different depths, and are simulated
+once. Constraint points lie at whole multiples of their spacing, whatever the depths of the readings.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.tracks.track import Track
+from needlefit.errors import DataError
+from needlefit.inference.parameters import tissue
+from needlefit.inference.predict import rules
+from needlefit.mechanics.batch import Batch, NeedleShapes
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step
+from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.needle import Needle
+from needlefit.project.records.medium import MediumRecord
+
+Floats = NDArray[np.float64]
+Values = Mapping[str, float]
+
+SAME = 1e-9
+"""mm; depths closer than this are one."""
+
+LEAST = 2
+"""Constraint points that a moved guide must have between two readings: they tell where the tip stood."""
+
+
+@dataclass(frozen=True)
+class Course:
+    """An insertion, and which tracks (by their number) are read off it."""
+
+    like: Track
+    depth: float
+    serves: tuple[int, ...]
+
+
+def courses(tracks: Sequence[Track], spacing: float) -> tuple[Course, ...]:
+    """Return the insertions to simulate for `tracks`, with constraint points `spacing` mm apart.
+
+    Raises
+    ------
+    DataError
+        If a moved guide's readings are too close: the tip is known at constraint points only.
+    """
+    shared: dict[tuple[object, ...], list[int]] = {}
+    for number, track in enumerate(tracks):
+        if track.guided:
+            _check_apart(track, spacing)
+        met = (track.side, track.sequence, tuple(track.boundaries.tolist()))
+        shared.setdefault((number,) if track.guided else met, []).append(number)
+    return tuple(
+        Course(
+            tracks[numbers[0]],
+            spacing * math.ceil(max(tracks[n].depth[-1] for n in numbers) / spacing - SAME),
+            tuple(numbers),
+        )
+        for numbers in shared.values()
+    )
+
+
+def tips(
+    sets: Sequence[Values],
+    medium: MediumRecord,
+    needle: Needle,
+    tracks: Sequence[Track],
+    jobs: int = 1,
+) -> tuple[Floats, ...]:
+    """Return the simulated deflections (B, n) of the tip at the readings of every track, mm.
+
+    Parameters
+    ----------
+    sets : sequence of mappings
+        B sets of every parameter of the medium, `guide_distance_mm` among them (Pa, mm).
+
+    Returns
+    -------
+    tuple of (B, n) arrays
+        In C, whose x is the needle at first contact; NaN where a solve failed.
+    """
+    led = courses(tracks, medium.constraint_spacing_mm)
+    shapes = follow_batches([_batch(sets, medium, needle, course) for course in led], jobs)
+    found: dict[int, Floats] = {}
+    for course, some in zip(led, shapes, strict=True):
+        found |= {n: tip_at(some, tracks[n].depth) for n in course.serves}
+    return tuple(found[n] for n in range(len(tracks)))
+
+
+def tip_at(shapes: NeedleShapes, depth: Floats) -> Floats:
+    """Return where the tips (B, n) stood at depths (n,), mm: on from the two constraint points before each.
+
+    Within 0.002 mm of an insertion that stops there (tests). What stands at a constraint point where a guide
+    was moved is the tip after the move, so that the points before a reading tell, and never the one at it.
+    """
+    passed, tip = shapes.constraints[0, :, 0], shapes.tip_track[:, :, 0]
+    at = np.maximum(np.searchsorted(passed, depth - SAME) - 1, 0)
+    before = np.maximum(at - 1, 0)
+    apart = np.where(at > before, passed[at] - passed[before], 1.0)
+    stood: Floats = tip[:, at] + (tip[:, at] - tip[:, before]) * ((depth - passed[at]) / apart)
+    return np.where(shapes.converged[:, None], stood, np.nan)
+
+
+def _batch(sets: Sequence[Values], medium: MediumRecord, needle: Needle, course: Course) -> Batch:
+    met = course.like.sequence
+    return Batch(
+        needle,
+        tissue(sets[0], met, course.like.boundaries, medium),
+        _steps(course, sets[0]),
+        rules(medium),
+        mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in met] for values in sets]),
+        alpha=np.array([[values[f"alpha{layer}"] for layer in met] for values in sets]),
+        offset=np.array([values["bevel_mm"] for values in sets]),
+        guide_x=np.array([-values["guide_distance_mm"] for values in sets]),
+    )
+
+
+def _steps(course: Course, values: Values) -> tuple[Step, ...]:
+    """Return the way to each reading under the guide's place then, the last one on to a constraint point."""
+    track, bevel = course.like, Bevel(values["bevel_mm"], course.like.side)
+
+    def held(y: float) -> Controls:
+        return Controls(guides=(Guide(-values["guide_distance_mm"], y),))
+
+    if not track.guided:
+        return (Step(course.depth, bevel, held(0.0)),)
+    ends = [*track.depth[1:-1].tolist(), course.depth]
+    return tuple(Step(end, bevel, held(float(y))) for end, y in zip(ends, track.guide[1:], strict=True))
+
+
+def _check_apart(track: Track, spacing: float) -> None:
+    nearest, least = float(np.diff(track.depth).min()), LEAST * spacing
+    if nearest < least:
+        raise DataError(
+            f"run {track.id} has readings {nearest:.3g} mm apart while its guide moves",
+            expected=f"{least:g} mm or more, {LEAST} times the model's constraint spacing",
+            mend="leave readings out, or lessen constraint_spacing_mm of the medium (b is then another)",
+        )

@@ -1,0 +1,156 @@
+"""A fit to tip tracks, asked in the same words as one to shapes: the same searches and samplers do it."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Noise
+from needlefit.datasets.tracks.track import Track
+from needlefit.errors import ConfigError
+from needlefit.inference.parameters import SCALES, Parameters, Theta
+from needlefit.inference.ties import NOISE_SCALE
+from needlefit.inference.tracks.course import Values, tips
+from needlefit.inference.tracks.evidence import TrackEvidence, track_evidence
+from needlefit.mechanics.needle import Needle
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import Minimized
+
+Floats = NDArray[np.float64]
+
+STEP = 1e-3
+"""Of the central differences, in theta: errors of 1e-6 from the step, 1e-4 mm at most from the solver."""
+
+SMALLER = 0.99
+"""Of the least noise scale, from which its residual counts."""
+
+
+@dataclass(frozen=True)
+class TrackProblem:
+    """Some runs with one needle, a medium's model, and which of its parameters are searched.
+
+    Attributes
+    ----------
+    needle : Needle
+    tracks : tuple of Track
+        The ones fitted to.
+    medium : MediumRecord
+    parameters : Parameters
+        With `guide_distance_mm`, and a noise scale if it is estimated.
+    noise : Noise
+    """
+
+    needle: Needle
+    tracks: tuple[Track, ...]
+    medium: MediumRecord
+    parameters: Parameters
+    noise: Noise
+
+    def __post_init__(self) -> None:
+        if not self.tracks:
+            raise ConfigError("no run is selected to fit to", expected="at least one")
+        if "guide_distance_mm" not in self.parameters.names:
+            raise ConfigError(
+                "the medium says nothing of the guide",
+                where="parameters",
+                expected="guide_distance_mm: from the guide to the skin, free or fixed",
+            )
+
+    @property
+    def lower(self) -> Floats:
+        """Lower bounds of theta: (P,)."""
+        return self.parameters.lower
+
+    @property
+    def upper(self) -> Floats:
+        """Upper bounds of theta: (P,)."""
+        return self.parameters.upper
+
+    @property
+    def squares(self) -> bool:
+        """Whether the log posterior is a constant minus half the residuals' squares."""
+        return True
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the free parameters, in the order of theta."""
+        return self.parameters.free
+
+    def values(self, theta: Theta) -> dict[str, float]:
+        """Return every parameter's value (Pa, mm)."""
+        return self.parameters.values(theta)
+
+    @cached_property
+    def evidence(self) -> tuple[TrackEvidence, ...]:
+        """What each run is compared with; computed once."""
+        return tuple(track_evidence(track, self.noise) for track in self.tracks)
+
+    def tips(self, sets: Sequence[Values], jobs: int = 1) -> tuple[Floats, ...]:
+        """Return the simulated tips (B, n) of every run, mm."""
+        return tips(sets, self.medium, self.needle, self.tracks, jobs)
+
+    def log_posterior(self, theta: Theta) -> float:
+        """Return the log of the unnormalised posterior density; -inf outside, NaN where a solve fails."""
+        return float(self.log_posteriors(np.array([theta]))[0])
+
+    def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
+        """Return `log_posterior` (W,) of many thetas (W, P) at once, on `jobs` threads."""
+        density = np.full(len(thetas), -np.inf)
+        inside = np.flatnonzero(np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1))
+        if len(inside):
+            sets = [self.values(thetas[w]) for w in inside]
+            density[inside] = self._log_densities(sets, jobs)
+        return density
+
+    def gradient(self, theta: Theta) -> tuple[float, Floats]:
+        """Return `log_posterior` and its gradient (P,); NaN where a solve fails."""
+        residuals, slopes = self.jacobian(theta)
+        return self.log_posterior(theta), -(residuals @ slopes)
+
+    def residuals(self, theta: Theta) -> Floats:
+        """Return whitened residuals (R,): of the runs, of the noise scale if it is free, of the prior."""
+        found: Floats = self._residuals([self.values(theta)])[0]
+        return found
+
+    def jacobian(self, theta: Theta) -> tuple[Floats, Floats]:
+        """Return the residuals (R,) and their derivatives (R, P), by central differences of one batch."""
+        at = np.asarray(theta, dtype=np.float64)
+        moves = STEP * np.eye(len(at))
+        found = self._residuals([self.values(one) for one in (at, *(at + moves), *(at - moves))])
+        plus, minus = np.split(found[1:], 2)
+        return found[0], (plus - minus).T / (2 * STEP)
+
+    def approach(self, minimized: Minimized) -> None:
+        """Return None: nothing is easier than this posterior, in which no depth errs."""
+
+    def _log_densities(self, sets: Sequence[Values], jobs: int) -> Floats:
+        prior = np.array([self.parameters.prior.log_density(values) for values in sets])
+        scales = np.array([_scale(values) for values in sets])
+        norm = sum(known.log_norm for known in self.evidence) - self._rows * np.log(scales)
+        off = np.sum(self._white(sets, jobs) ** 2, axis=1) / scales**2
+        density: Floats = prior + norm - 0.5 * off
+        return density
+
+    @property
+    def _rows(self) -> int:
+        return sum(len(known.whitening) for known in self.evidence)
+
+    def _white(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
+        """Return the whitened differences (B, R) of all runs, at noise scale 1."""
+        pairs = zip(self.evidence, self.tips(sets, jobs), strict=True)
+        return np.concatenate([(tip - known.track.tip) @ known.whitening.T for known, tip in pairs], axis=1)
+
+    def _residuals(self, sets: Sequence[Values]) -> Floats:
+        scales = np.array([[_scale(values)] for values in sets])
+        parts = [self._white(sets) / scales]
+        if NOISE_SCALE in self.names:
+            # 1 keeps it from 0, where its derivative would be infinite, and differences step over the bound
+            parts.append(np.sqrt(1.0 + 2 * self._rows * np.log(scales / (SMALLER * SCALES[0]))))
+        parts.append(np.array([self.parameters.prior.residuals(values) for values in sets]))
+        return np.concatenate(parts, axis=1)
+
+
+def _scale(values: Values) -> float:
+    return values.get(NOISE_SCALE, 1.0)

@@ -1,0 +1,1 @@
+"""A study of tip tracks as print has it."""

@@ -1,0 +1,121 @@
+"""Tip tracks from tables: what is read, and what is said of what cannot be."""
+
+import os
+
+import numpy as np
+import pytest
+from track_cases import DEPTH, GUIDE, TOML, measured, track, written
+
+from needlefit.datasets.check import check
+from needlefit.datasets.read import read
+from needlefit.datasets.tracks.read import read_tracks
+from needlefit.datasets.tracks.select import select_runs
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.places import shipped
+from needlefit.project.records.track_study import RunsRecord
+
+
+@pytest.fixture(scope="module")
+def runs():
+    return [measured(track("rest", np.zeros(len(DEPTH)))), measured(track("moved", GUIDE))]
+
+
+def table(folder):
+    return folder / "steps.csv"
+
+
+def edit(folder, line, **cells):
+    """Change cells of one line of the table, counted as an editor does."""
+    lines = table(folder).read_text().splitlines()
+    names = lines[0].split(",")
+    values = lines[line - 1].split(",")
+    for name, value in cells.items():
+        values[names.index(name)] = value
+    lines[line - 1] = ",".join(values)
+    table(folder).write_text("\n".join(lines) + "\n")
+
+
+def test_runs_count_depth_and_guide_from_first_contact(tmp_path, runs):
+    dataset = read_tracks(written(tmp_path, runs))
+    assert [one.id for one in dataset.tracks] == ["rest", "moved"]
+    rest, moved = dataset.tracks
+    assert moved.depth == pytest.approx(DEPTH) and moved.guide == pytest.approx(GUIDE)
+    assert (rest.guided, moved.guided, moved.side, moved.sequence) == (False, True, 1, (1,))
+    assert moved.tip == pytest.approx(runs[1].tip, abs=1e-5) and moved.heading is None
+    assert check(tmp_path) == [] and dataset.noise.point_sd == 0.02
+
+
+def test_a_run_with_an_invalid_reading_is_left_out_and_said(tmp_path, runs):
+    folder = written(tmp_path, runs)
+    edit(folder, 20, ok="0")
+    dataset = read_tracks(folder)
+    assert [one.id for one in dataset.tracks] == ["rest"]
+    assert dataset.remarks == (
+        "Run moved is left out: 1 of its 13 readings are marked invalid, from 26 mm on.",
+    )
+
+
+@pytest.mark.parametrize(
+    ("line", "cells", "told"),
+    [
+        (4, {"at_mm": "2.0"}, r"steps.csv:4: run rest goes from 5.7 back to 2 mm"),
+        (4, {"x_mm": "left"}, r"steps.csv:4: tip_mm|steps.csv:4: x_mm is 'left'"),
+        (14, {"at_mm": "60700"}, r"goes 60644\.3 mm deeper between two readings"),
+        (2, {"phantom": "wax"}, r"run rest went into 'wax', which is not described"),
+    ],
+)
+def test_faults_name_line_and_cell(tmp_path, runs, line, cells, told):
+    folder = written(tmp_path, runs)
+    edit(folder, line, **cells)
+    with pytest.raises(DataError, match=told):
+        read_tracks(folder)
+
+
+def test_missing_columns_unknown_names_and_few_readings_are_told(tmp_path, runs):
+    folder = written(tmp_path / "a", runs, TOML.replace('"stage_mm"', '"stage"'))
+    with pytest.raises(DataError, match="column `stage` is missing"):
+        read_tracks(folder)
+    folder = written(tmp_path / "b", runs, TOML.replace("guide_mm =", "template_mm ="))
+    with pytest.raises(DataError, match="`columns` or `constants` names template_mm"):
+        read_tracks(folder)
+    folder = written(tmp_path / "c", runs)
+    lines = table(folder).read_text().splitlines()
+    table(folder).write_text("\n".join(lines[:5]) + "\n")
+    with pytest.raises(DataError, match="run rest has 4 readings"):
+        read_tracks(folder)
+
+
+def test_layers_need_their_boundaries(tmp_path, runs):
+    folder = written(tmp_path, runs, TOML + "layers = [1, 2]\n")
+    with pytest.raises(ConfigError, match="2 layers have 1 boundaries") as error:
+        raise ConfigError(str(check(folder)[0]))
+    assert "boundaries_mm" in str(error.value)
+
+
+def test_tracks_are_no_shapes(tmp_path, runs):
+    with pytest.raises(DataError, match="holds tip tracks, no shapes"):
+        read(written(tmp_path, runs))
+
+
+def test_selections_that_find_nothing_are_told(tmp_path, runs):
+    dataset = read_tracks(written(tmp_path, runs))
+    assert [one.id for one in select_runs(dataset, RunsRecord(guided=True))] == ["moved"]
+    with pytest.raises(ConfigError, match="run lost is not in dataset mine"):
+        select_runs(dataset, RunsRecord(runs=("lost",)))
+    with pytest.raises(ConfigError, match="no run of dataset mine"):
+        select_runs(dataset, RunsRecord(runs=("rest",), guided=True))
+
+
+@pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
+def test_the_public_tip_tracks():
+    dataset = read_tracks(shipped() / "data" / "guided_tips")
+    assert len([one for one in dataset.tracks if not one.guided and one.medium == "phantomB"]) == 5
+    assert any("phantomA_closedloop_03 is left out" in remark for remark in dataset.remarks)
+    for one in dataset.tracks:
+        assert 90 < one.depth[-1] < 105 and np.abs(one.guide).max() < 13 and one.heading is not None
+
+
+def test_the_public_tip_tracks_say_how_to_get_them(monkeypatch):
+    monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
+    [fault] = check(shipped() / "data" / "guided_tips")
+    assert "not set" in fault.what and "steps.csv" in fault.mend

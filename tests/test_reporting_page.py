@@ -1,0 +1,92 @@
+import re
+from html.parser import HTMLParser
+
+import pytest
+from reporting_results import study
+
+from needlefit.reporting import document, figures
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.page import compile_html
+from needlefit.reporting.story import story
+
+
+class Outline(HTMLParser):
+    """What a page is made of; fails where tags do not close."""
+
+    VOID = ("meta", "img", "link", "br", "hr")
+
+    def __init__(self, page: bytes) -> None:
+        super().__init__()
+        self.open, self.tags, self.words = [], [], []
+        self.feed(page.decode())
+        self.close()
+        assert self.open == []
+
+    def handle_starttag(self, tag, attributes):
+        self.tags.append((tag, dict(attributes)))
+        if tag not in self.VOID:
+            self.open.append(tag)
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    def all(self, tag):
+        return [attributes for name, attributes in self.tags if name == tag]
+
+
+@pytest.fixture(scope="module")
+def page(tmp_path_factory):
+    one = study(5)
+    drawn = {"waterfall": figures.waterfall(one, tmp_path_factory.mktemp("page") / "waterfall.pdf")}
+    return compile_html(story(one, drawn)), one
+
+
+def test_the_page_needs_no_network(page):
+    outline = Outline(page[0])
+    assert all(image["src"].startswith("data:image/svg+xml;base64,") for image in outline.all("img"))
+    assert not outline.all("script") and not outline.all("link")
+    assert not re.search(rb'(src|href)="(https?:)?//', page[0]) and b"@import" not in page[0]
+
+
+def test_every_figure_and_table_can_be_reached_and_is_described(page):
+    outline = Outline(page[0])
+    ids = [attributes["id"] for _, attributes in outline.tags if "id" in attributes]
+    assert len(ids) == len(set(ids))
+    assert {link["href"][1:] for link in outline.all("a")} <= set(ids)
+    assert outline.all("html")[0]["lang"] == "en" and len(outline.all("h1")) == 1
+    assert all(image["alt"] and int(image["width"]) > 300 for image in outline.all("img"))
+    assert all(head["scope"] == "col" for head in outline.all("th"))
+
+
+def test_the_page_says_what_the_pdf_says(page):
+    content, one = page
+    words = " ".join("".join(Outline(content).words).split())
+    for block in story(one, {}).blocks:
+        if block["kind"] == "text" and "^" not in block["text"]:
+            assert " ".join(block["text"].split()) in words
+    assert "SYNTHETIC DATA" in words
+
+
+def test_equal_reports_give_equal_bytes(page):
+    one = story(study(5), {})
+    assert compile_html(one) == compile_html(one)
+
+
+def test_what_a_user_wrote_is_text_and_no_markup():
+    display = Display("t", "<b>bold</b>", (text("<i>"), Column("x")), (("mu * b^-1.9", "<script>"),))
+    blocks = (document.heading("a & b"), document.table(display, False))
+    content = compile_html(document.Document("<u>", "", False, blocks))
+    outline = Outline(content)
+    assert not {"b", "i", "u", "script"} & ({tag for tag, _ in outline.tags} - {"b"})
+    assert b"b<sup>\xe2\x88\x921.9</sup>" in content and "a & b" in outline.words
+    assert "<script>" in outline.words and "<b>bold</b>" in "".join(outline.words)
+
+
+def test_a_table_without_rows_is_left_out():
+    display = Display("t", "nothing", (text("a"),), ())
+    assert not Outline(
+        compile_html(document.Document("t", "", False, (document.table(display, False),)))
+    ).all("table")

@@ -1,0 +1,34 @@
+"""Shares of intervals that held: repeats are no trials of their own."""
+
+import numpy as np
+import pytest
+
+from needlefit.inference.predictive import Mixture, worst_level
+from needlefit.validation.coverage import share, wilson
+
+
+def test_wilson_gives_the_textbook_interval():
+    low, high = wilson(0.5, 10)  # scipy.stats.binomtest(5, 10).proportion_ci(method="wilson")
+    assert (low, high) == pytest.approx((0.236593, 0.763407), abs=1e-6)
+    assert wilson(1.0, 6)[1] == 1.0
+
+
+def test_repeats_of_one_specimen_do_not_narrow_the_interval():
+    alone = share([True, True, False], ["1", "2", "3"])
+    repeated = share([True] * 8 + [False] * 4, [n for n in "123" for _ in range(4)])
+    assert (repeated.hits, repeated.trials, repeated.groups) == (8, 12, 3)
+    assert (repeated.low, repeated.high) == pytest.approx((alone.low, alone.high))
+
+
+@pytest.mark.parametrize("length", [0.01, 5.0, 1e6])
+def test_a_whole_curve_leaves_its_band_as_often_as_foretold(length):
+    """Levels of curves drawn from what is foretold are uniform, whether points go together or not."""
+    rng, s = np.random.default_rng(3), np.arange(30.0)
+    covariance = 0.04 * np.exp(-np.abs(s[:, None] - s) / length) + 1e-9 * np.eye(30)
+    root = np.linalg.cholesky(covariance)
+    means = 0.1 * rng.normal(size=(100, 1)) * s
+    mixture = Mixture(means, np.sqrt(np.diag(covariance)))
+    observed = means[rng.integers(100, size=300)] + rng.normal(size=(300, 30)) @ root.T
+    levels = np.array([worst_level(mixture, covariance, one, rng) for one in observed])
+    for level in (0.5, 0.95):  # 300 trials: four standard deviations
+        assert np.mean(levels <= level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))

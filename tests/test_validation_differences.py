@@ -1,0 +1,101 @@
+import json
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_cli import run
+
+from needlefit.reporting.differences import differences_layout, said
+from needlefit.validation.differences import differences
+
+ERRORS = pd.DataFrame(
+    {
+        "fold": "all", "role": "validate", "rival": "fitted", "boundaries": "measured",
+        "insertion": ["a", "b", "c", "d"],
+        "ipe_mean_mm": [0.1, 0.2, 0.3, 0.4], "te_mm": [0.2, 0.4, 0.6, 0.8],
+    }
+)  # fmt: skip
+PARAMETERS = pd.DataFrame(
+    {
+        "fold": "all", "parameter": ["mu1_pa", "mu2_pa", "bevel_mm"], "status": ["free", "tied", "free"],
+        "determined": [True, True, False], "value_used": [1e5, 1e5, 0.1], "sd": [0.1, np.nan, 0.5],
+    }
+)  # fmt: skip
+RUN = {"dataset": {"sha256": "abc"}, "recipe": {"seed": 1, "starts": 8}, "interrupted": False}
+
+
+def write(folder, errors=ERRORS, parameters=PARAMETERS, **run_changes):
+    folder.mkdir()
+    errors.to_csv(folder / "errors.csv", index=False)
+    parameters.to_csv(folder / "parameters.csv", index=False)
+    (folder / "run.json").write_text(json.dumps(RUN | run_changes))
+    return folder
+
+
+@pytest.fixture
+def first(tmp_path):
+    return write(tmp_path / "a")
+
+
+def test_equal_runs_do_not_differ(first, tmp_path):
+    found = differences(first, write(tmp_path / "b"))
+    assert found == [] and said(found) == "The runs do not differ."
+
+
+def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_path):
+    found = differences(first, write(tmp_path / "b", recipe={"seed": 2, "starts": 8}))
+    assert [(one.what, one.where, one.before, one.after, one.matters) for one in found] == [
+        ("input", "recipe.seed", 1, 2, None)
+    ]
+    assert said(found) == "The inputs differ in 1 key, and no result does."
+
+
+@pytest.mark.parametrize(("part", "matters"), [(0.3, False), (0.7, True)])
+def test_a_parameter_matters_by_its_own_deviation_and_what_is_tied_to_it_does_not_count_twice(
+    part, matters, first, tmp_path
+):
+    moved = PARAMETERS.assign(value_used=[1e5 * np.exp(0.1 * part), 1e5 * np.exp(0.1 * part), 0.1])
+    (one,) = differences(first, write(tmp_path / "b", parameters=moved))
+    assert (one.what, one.where, one.matters) == ("parameter", "mu1_pa", matters)
+    assert one.why == f"{part:.2g} of its standard deviation"
+
+
+def test_what_is_not_determined_may_move_and_a_verdict_may_not(first, tmp_path):
+    moved = PARAMETERS.assign(value_used=[1e5, 1e5, 0.3])
+    (one,) = differences(first, write(tmp_path / "b", parameters=moved))
+    assert not one.matters and one.why.endswith("not determined")
+    flipped = PARAMETERS.assign(determined=[True, True, True])
+    (one,) = differences(first, write(tmp_path / "c", parameters=flipped))
+    assert (one.what, one.before, one.after, one.matters) == ("state", "not determined", "determined", True)
+
+
+@pytest.mark.parametrize(
+    ("gap", "matters", "slight"),
+    [
+        ([0.02, 0.02, 0.02, 0.02], True, False),
+        ([0.3, -0.3, 0.3, -0.26], False, False),  # as large, but of either sign
+        ([0.004, 0.004, 0.004, 0.004], False, False),
+        ([1e-6, 1e-6, 0.0, 0.0], False, True),
+    ],
+)
+def test_errors_are_compared_insertion_by_insertion(gap, matters, slight, first, tmp_path):
+    changed = ERRORS.assign(ipe_mean_mm=ERRORS["ipe_mean_mm"] + gap)
+    (one,) = differences(first, write(tmp_path / "b", errors=changed.iloc[::-1]))
+    assert (one.what, one.matters, one.slight) == ("error", matters, slight)
+    assert one.after - one.before == pytest.approx(np.mean(gap))
+    assert len(differences_layout([one]).rows) == (0 if slight else 1)
+
+
+def test_insertions_of_one_run_only_are_told(first, tmp_path):
+    (one,) = differences(first, write(tmp_path / "b", errors=ERRORS.iloc[:3]))
+    assert (one.where, one.before, one.after, one.matters) == ("scored rows", 4, 3, True)
+
+
+def test_the_command_prints_what_matters_first(first, tmp_path, capsys):
+    changed = ERRORS.assign(te_mm=ERRORS["te_mm"] + 0.1)
+    second = write(tmp_path / "b", errors=changed, recipe={"seed": 2, "starts": 8})
+    assert run("diff", str(first), str(second)) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "1 result changed, 1 of which matters. The inputs differ in 1 key."
+    assert run("diff", str(first), str(second), "--json") == 0
+    assert [row["matters"] for row in json.loads(capsys.readouterr().out)] == [None, True]

@@ -1,0 +1,92 @@
+"""Tip tracks for the tests: simulated with the model itself, so their truth is known."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.insertion import Noise
+from needlefit.datasets.tracks.track import Track
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.tracks.course import tips
+from needlefit.inference.tracks.problem import TrackProblem
+from needlefit.mechanics.needle import Needle
+from needlefit.project.records.medium import MediumRecord
+
+NEEDLE = Needle(200.0, 2.5e4)
+NOISE = Noise(point_sd=0.02)
+TRUTH = {"mu1_pa": 3e4, "alpha1": 1.0, "bevel_mm": 0.03, "guide_distance_mm": 20.0}
+DEPTH = np.arange(0.0, 61.0, 5.0)
+GUIDE = np.array([0.0, 0, 1, 3, 4, 4, 2, 0, -1, -2, -2, 0, 1])
+"""Where the guide stood on the way to each reading, mm."""
+
+MEDIUM = MediumRecord.model_validate(
+    {
+        "schema": 1,
+        "layers": 1,
+        "parameters": {
+            "mu1_pa": {"bounds": [1e3, 1e7]},
+            "alpha1": {"fixed": 1.0},
+            "bevel_mm": {"bounds": [1e-4, 0.3]},
+            "guide_distance_mm": {"bounds": [2.0, 100.0]},
+        },
+    }
+)
+
+HEAD = "run,phantom,at_mm,x_mm,stage_mm,ok\n"
+TOML = """
+schema = 1
+name = "mine"
+origin = "synthetic"
+license = "none"
+source = "made up"
+
+[needle]
+length_mm = 200.0
+flexural_rigidity_nmm2 = 2.5e4
+
+[noise]
+point_sd_mm = 0.02
+
+[tip_tracks]
+file = "steps.csv"
+
+[tip_tracks.columns]
+id = "run"
+medium = "phantom"
+depth_mm = "at_mm"
+tip_mm = "x_mm"
+guide_mm = "stage_mm"
+valid = "ok"
+
+[media.gel]
+"""
+
+
+def track(name: str, guide: np.ndarray, depth: np.ndarray = DEPTH, side: int = 1) -> Track:
+    """A run not yet measured: its tip is 0."""
+    return Track(name, "gel", "gel", side, depth, np.zeros(len(depth)), guide, np.empty(0), (1,))
+
+
+def measured(one: Track, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> Track:
+    """The run as the model has it at the truth, in such a frame, with noise if seeded."""
+    (tip,) = tips([TRUTH], MEDIUM, NEEDLE, [one])
+    noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.depth))
+    return replace(one, tip=tip[0] + shift + slope * one.depth + noise)
+
+
+def problem(tracks: list[Track]) -> TrackProblem:
+    return TrackProblem(NEEDLE, tuple(tracks), MEDIUM, Parameters.from_record(MEDIUM), NOISE)
+
+
+def written(folder: Path, tracks: list[Track], toml: str = TOML) -> Path:
+    """A folder with the runs as somebody's table, depths beginning anywhere."""
+    rows = [
+        f"{one.id},{one.medium},{depth + 0.7:.4f},{tip:.5f},{guide - 25.0:.4f},1"
+        for one in tracks
+        for depth, tip, guide in zip(one.depth, one.tip, one.guide, strict=True)
+    ]
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "steps.csv").write_text(HEAD + "\n".join(rows) + "\n")
+    (folder / "dataset.toml").write_text(toml)
+    return folder
