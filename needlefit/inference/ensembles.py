@@ -203,4 +203,5 @@ def _independent(
 ) -> tuple[Floats, Floats]:
     """Propose places of the picture, wherever the walkers stand."""
     moved = picture.draw(len(own), random)
-    return moved, picture.log_density(own) - picture.log_density(moved)
+    before, after = np.split(picture.log_density(np.concatenate([own, moved])), 2)
+    return moved, before - after

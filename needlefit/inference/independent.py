@@ -7,11 +7,11 @@ where the ensemble has been, and a wide one about them all, lest a walker stand 
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky
-from scipy.special import logsumexp
 
 Floats = NDArray[np.float64]
 Random = np.random.RandomState
@@ -68,14 +68,24 @@ class Picture:
 
     def log_density(self, points: Floats) -> Floats:
         """Return the logarithm (N,) of the density at points (N, P), but for a constant."""
-        inverse = np.linalg.inv(self.factor).T
-        wide = _log_t((points - self.mean) @ inverse, WIDE)
-        if not len(self.places):
-            return wide
-        near = logsumexp(_log_t((points - self.places[:, None]) @ inverse, self.width), axis=0)
-        near = near - math.log(len(self.places))
-        found: Floats = np.logaddexp(math.log(PART) + wide, math.log1p(-PART) + near)
+        found = self._density(points, self.mean[None], WIDE)
+        if len(self.places):
+            found = PART * found + (1 - PART) * self._density(points, self.places, self.width)
+        logarithm: Floats = np.log(found)  # tails of powers: never 0
+        return logarithm
+
+    def _density(self, points: Floats, about: Floats, scale: float) -> Floats:
+        """Return the mean (N,) over the Student-t's about some places (K, P), but for a constant."""
+        apart = (points @ self._round - (about @ self._round)[:, None]) / scale  # (K, N, P)
+        squares = np.einsum("knp,knp->kn", apart, apart)
+        powers = (1.0 + squares / FREEDOM) ** (-0.5 * (FREEDOM + self.dimensions))
+        found: Floats = powers.mean(axis=0) / scale**self.dimensions
         return found
+
+    @cached_property
+    def _round(self) -> Floats:
+        """What makes the shape round (P, P), from the right."""
+        return np.asarray(np.linalg.inv(self.factor).T, dtype=np.float64)
 
 
 def unlearned(dimensions: int) -> Picture:
@@ -95,10 +105,3 @@ def learned(seen: Floats) -> Picture:
     covariance: Floats = np.atleast_2d(np.cov(seen.T)) + LEAST * np.eye(dimensions)
     factor = cholesky(covariance, lower=True)
     return Picture(mean, factor, mean + math.sqrt(1 - width**2) * (chosen - mean), width)
-
-
-def _log_t(points: Floats, scale: float) -> Floats:
-    """Return the logarithm (...,) of a round Student-t's density at points (..., P), but for a constant."""
-    dimensions, squares = points.shape[-1], np.sum(points**2, axis=-1) / scale**2
-    found: Floats = -0.5 * (FREEDOM + dimensions) * np.log1p(squares / FREEDOM) - dimensions * math.log(scale)
-    return found
