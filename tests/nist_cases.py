@@ -7,11 +7,15 @@ from functools import cache
 from pathlib import Path
 
 import numpy as np
+from inference_cases import recipe
 
 from needlefit.inference.goal import Goal
+from needlefit.inference.optimize import search
+from needlefit.inference.starts import Place, Start
 
 FOLDER = Path(__file__).parent / "nist"
 LEVELS = ("lower", "average", "higher")
+DIGITS, NEAR = 6, 1e-6
 
 Model = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -21,12 +25,29 @@ def _nelson(t, x):
     return t[0] - t[1] * time * np.exp(-t[2] * degrees)
 
 
+def _attenuation(t, x):
+    return np.exp(-t[0] * x) / (t[1] + t[2] * x)
+
+
 def _exponentials(t, x):
     return t[0] * np.exp(-t[1] * x) + t[2] * np.exp(-t[3] * x) + t[4] * np.exp(-t[5] * x)
 
 
 def _cubics(t, x):
     return (t[0] + t[1] * x + t[2] * x**2 + t[3] * x**3) / (1 + t[4] * x + t[5] * x**2 + t[6] * x**3)
+
+
+def _peaks(t, x):
+    first, second = np.exp(-(((x - t[3]) / t[4]) ** 2)), np.exp(-(((x - t[6]) / t[7]) ** 2))
+    return t[0] * np.exp(-t[1] * x) + t[2] * first + t[5] * second
+
+
+def _cycles(t, x):
+    year, long, short = (2 * np.pi * x / period for period in (12, t[3], t[6]))
+    return (
+        t[0] + t[1] * np.cos(year) + t[2] * np.sin(year)
+        + t[4] * np.cos(long) + t[5] * np.sin(long) + t[7] * np.cos(short) + t[8] * np.sin(short)
+    )  # fmt: skip
 
 
 def _saturation(t, x):
@@ -39,7 +60,13 @@ MODELS: dict[str, Model] = {
     "misra1c": lambda t, x: t[0] * (1 - (1 + 2 * t[1] * x) ** -0.5),
     "misra1d": lambda t, x: t[0] * t[1] * x / (1 + t[1] * x),
     "danwood": lambda t, x: t[0] * x ** t[1],
-    "chwirut2": lambda t, x: np.exp(-t[0] * x) / (t[1] + t[2] * x),
+    "chwirut1": _attenuation,
+    "chwirut2": _attenuation,
+    "gauss1": _peaks,
+    "gauss2": _peaks,
+    "gauss3": _peaks,
+    "kirby2": lambda t, x: (t[0] + t[1] * x + t[2] * x**2) / (1 + t[3] * x + t[4] * x**2),
+    "enso": _cycles,
     "lanczos1": _exponentials,
     "lanczos2": _exponentials,
     "lanczos3": _exponentials,
@@ -103,8 +130,16 @@ class Regression:
         return float(-np.log10(max(float(np.max(off)), 1e-11)))
 
     def _ordered(self, theta: tuple[float, ...]) -> np.ndarray:
-        """Return theta with its exponentials, which may stand in any order, by their rates."""
+        """Return theta with its exponentials by their rates, peaks by their places, cycles by their periods.
+
+        The certified values stand so, but the sum is the same in any order.
+        """
         t = np.array(theta)
+        if self.name.startswith("gauss"):
+            t[[4, 7]] = np.abs(t[[4, 7]])
+            return t if t[3] < t[6] else t[[0, 1, 5, 6, 7, 2, 3, 4]]
+        if self.name == "enso":
+            return t if t[3] > t[6] else t[[0, 1, 2, 6, 7, 8, 3, 4, 5]]
         if self.name.startswith("lanczos"):
             pairs = t.reshape(3, 2)
             return pairs[np.argsort(pairs[:, 1])].ravel()
@@ -122,17 +157,31 @@ def regressions() -> dict[str, Regression]:
             (tuple(map(float, table["start1"])), tuple(map(float, table["start2"]))),
             tuple(table["certified"]),
             table["squares"],
-            np.array(every[table.get("like", name)]["x"], dtype=float),
-            _measured(name, table, every),
+            *_measured(name, table, every),
         )
         for level in LEVELS
         for name, table in tables[level].items()
     }
 
 
-def _measured(name: str, table: dict, every: dict) -> np.ndarray:
-    y = np.array(every[table.get("like", name)]["y"], dtype=float)
+def _measured(name: str, table: dict, every: dict) -> tuple[np.ndarray, np.ndarray]:
+    data = every[table.get("like", name)]
+    y = np.array(data["y"], dtype=float)
+    x = np.array(data.get("x", range(1, len(y) + 1)), dtype=float)
     y = np.log(y) if name == "nelson" else y
     if "digits" in table:
-        return np.array([float(f"{v:.{table['digits'] - 1}e}") for v in y])
-    return np.round(y, table["decimals"]) if "decimals" in table else y
+        return x, np.array([float(f"{v:.{table['digits'] - 1}e}") for v in y])
+    return x, np.round(y, table["decimals"]) if "decimals" in table else y
+
+
+def ended(
+    one: Regression, start: int, algorithm: str, half: float = np.inf, evaluations: int = 50_000
+) -> Start:
+    """What one search came to, by a recipe's algorithm."""
+    how = recipe(algorithm=algorithm, evaluations=evaluations, tolerance=1e-13)
+    return search(one.goal(half), how, Place(0, one.starts[start]))
+
+
+def attained(one: Regression, start: Start) -> bool:
+    """Whether it is the certified minimum: by its sum of squares, or by its parameters."""
+    return start.objective <= 0.5 * one.squares * (1 + NEAR) or one.digits(start.theta) >= DIGITS

@@ -124,3 +124,13 @@ def test_the_metric_ends_where_it_does_without_approach():
     ends = [minimize(task, search.model_copy(update={"approach": a}), rng()) for a in (True, False)]
     assert ends[0].objective <= ends[1].objective + 1e-4
     assert ends[0].evaluations < ends[1].evaluations
+
+
+@pytest.mark.parametrize("approach", [True, False])
+def test_squares_and_gradients_end_at_the_same_posterior_of_needles(approach):
+    made = measure(TRUTH, medium(), insertion(24.0, (9.0,), (1, 2)))
+    task = problem(medium(), [replace(made, boundary_sd=0.1)])
+    ways = ("leastsquares", "slsqp")
+    fits = [minimize(task, squares_recipe(algorithm=way, starts=2, approach=approach), rng()) for way in ways]
+    assert fits[0].objective == pytest.approx(fits[1].objective, abs=1e-6)
+    assert task.log_posterior(np.array(fits[1].theta)) == -fits[1].objective

@@ -2,34 +2,28 @@
 
 import numpy as np
 import pytest
-from inference_cases import recipe
-from nist_cases import Regression, regressions
+from inference_cases import squares_recipe
+from nist_cases import DIGITS, LEVELS, attained, ended, regressions
 
 from needlefit.inference.optimize import search
-from needlefit.inference.starts import Place, Start
+from needlefit.inference.starts import Place
 
 EVERY = list(regressions().values())
 EASIER = [one for one in EVERY if one.level != "higher"]
-DIGITS, NEAR = 6, 1e-6
-
-
-def ended(one: Regression, start: int, algorithm: str, half: float = np.inf) -> Start:
-    return search(
-        one.goal(half),
-        recipe(algorithm=algorithm, evaluations=50_000, tolerance=1e-13),
-        Place(0, one.starts[start]),
-    )
-
-
-def attained(one: Regression, start: Start) -> bool:
-    return start.objective <= 0.5 * one.squares * (1 + NEAR) or one.digits(start.theta) >= DIGITS
+SECOND = {"enso": 478.25015804}
+"""Half the squares at minima that are not the certified ones."""
 
 
 @pytest.mark.parametrize("one", EVERY, ids=lambda one: one.name)
 def test_the_data_and_certified_values_belong_together(one):
     found = float(np.sum(one.residuals(np.array(one.certified)) ** 2))
     # eleven digits of the parameters give a sum of 1e-25 only to the square of what they round
-    assert found == pytest.approx(one.squares, rel=1e-9, abs=1e-20)
+    assert found == pytest.approx(one.squares, rel=1e-10, abs=1e-20)
+
+
+def test_all_sets_are_there():
+    counts = [sum(one.level == level for one in EVERY) for level in LEVELS]
+    assert counts == [8, 11, 8]
 
 
 @pytest.mark.parametrize("start", [0, 1])
@@ -42,13 +36,37 @@ def test_least_squares_finds_every_certified_value_from_either_start(start):
 
 @pytest.mark.parametrize(
     ("algorithm", "hits"),
-    [("slsqp", 25), ("lbfgs", 17), ("praxis", 19), ("neldermead", 20), ("bobyqa+neldermead", 24)],
+    [
+        ("slsqp", 35),
+        ("lbfgs", 30),
+        ("sbplx", 14),
+        ("bobyqa", 24),
+        ("cobyla", 3),
+        ("neldermead", 26),
+        ("praxis", 28),
+        ("crs2", 10),
+        ("bobyqa+neldermead", 27),
+    ],
 )
 def test_other_algorithms_never_call_a_miss_a_success(algorithm, hits):
-    ends = [(one, ended(one, k, algorithm, half=10.0)) for one in EASIER for k in (0, 1)]
+    ends = [(one, ended(one, k, algorithm, half=10.0, evaluations=4_000)) for one in EASIER for k in (0, 1)]
     hit = [attained(one, end) for one, end in ends]
     false = [
         (one.name, end) for (one, end), good in zip(ends, hit, strict=True) if end.succeeded and not good
     ]
-    assert not false
-    assert sum(hit) >= hits  # of 26; the six lost at worst are sums of exponentials that coincide
+    # a second minimum is one, as far as one search can tell: it takes the other start to know better
+    assert not [(name, end) for name, end in false if end.objective != pytest.approx(SECOND.get(name))]
+    assert sum(hit) >= hits  # of 38; more evaluations find more (benchmarks/nist.py)
+
+
+def test_the_second_minimum_is_one_and_the_other_start_finds_the_first():
+    one = regressions()["enso"]
+    ends = [ended(one, k, "neldermead", half=10.0, evaluations=4_000) for k in (0, 1)]
+    assert [attained(one, end) for end in ends] == [False, True]
+    settled = search(one.goal(), squares_recipe(evaluations=100), Place(0, ends[0].theta))
+    assert settled.succeeded and settled.objective == pytest.approx(SECOND["enso"], rel=1e-9)
+
+
+def test_a_minimum_of_the_box_alone_is_no_success():
+    end = ended(regressions()["nelson"], 0, "neldermead+praxis+bobyqa+neldermead", half=10.0)
+    assert (end.stopped, end.theta[1]) == ("bound", -1e-3)

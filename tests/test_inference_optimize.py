@@ -185,11 +185,12 @@ def test_every_way_ends_at_the_same_log_posterior(algorithm):
 
 
 @pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "lbfgs"])
-def test_a_minimum_at_a_bound_is_found_and_counts_as_one(algorithm):
+def test_a_minimum_at_a_bound_is_found_and_said_to_be_the_bounds(algorithm):
     fit = minimize(squares(valley, half=0.5), squares_recipe(algorithm=algorithm), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
     assert fit.objective == pytest.approx(0.125 - 7.0, abs=1e-6)
-    assert any(start.succeeded for start in fit.starts)
+    assert "bound" in {start.stopped for start in fit.starts}
+    assert not any(start.succeeded for start in fit.starts)
 
 
 def test_a_plateau_is_no_success():

@@ -9,8 +9,9 @@ from inference_cases import TRUTH as VALUES
 from inference_cases import Analytic, box, insertion, measure, medium, problem
 
 from needlefit.errors import ConfigError, DataError, FitError
+from needlefit.inference import learning
 from needlefit.inference import sample as sample_module
-from needlefit.inference.ensembles import shares
+from needlefit.inference.ensembles import INDEPENDENT, shares
 from needlefit.inference.posterior import load, save
 from needlefit.inference.sample import sample
 from needlefit.inference.snapshots import Snapshots
@@ -37,16 +38,16 @@ def draw(function=gaussian, watch=None, seed=1, kept=None, **changed):
 
 @pytest.fixture(scope="module")
 def long():
-    return draw(steps=4000, every=100, walkers=12)
+    return draw(steps=4000, every=50, walkers=12)
 
 
 def test_a_run_ends_when_the_rule_is_met_and_not_before(long):
     assert long.converged and long.faults == ()
     found, steps = long.convergence, long.steps + long.burn_in
-    assert steps < 4000 and steps % 100 == 0
+    assert steps < 4000 and steps % 50 == 0
     assert np.all(found.r_hat < 1.01) and long.steps > 50 * found.tau.max()
     assert min(found.bulk.min(), found.tail.min()) > 400
-    shorter = draw(steps=steps - 100, every=100, walkers=12)
+    shorter = draw(steps=steps - 50, every=50, walkers=12)
     assert not shorter.converged  # one block less was not enough
     assert np.all(long.burn_in <= steps / 2)
 
@@ -174,6 +175,21 @@ def test_a_run_goes_on_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
     save(draw(kept=tmp_path / "kept"), tmp_path / "again.nc")
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
     assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [f"{n:05d}.h5" for n in range(3)]
+
+
+@pytest.mark.parametrize("stopped", [5, 11, 40])
+def test_what_ensembles_had_learned_they_know_again(tmp_path, monkeypatch, stopped):
+    monkeypatch.setattr(learning, "LESSONS", (10, 25))
+    save(draw(moves=INDEPENDENT), tmp_path / "whole.nc")
+    draw(moves=INDEPENDENT, watch=Watch(stop=stopping_after(2 * stopped)), kept=tmp_path / "kept")
+    save(draw(moves=INDEPENDENT, watch=Watch(jobs=2), kept=tmp_path / "kept"), tmp_path / "again.nc")
+    assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
+
+
+def test_what_was_learned_from_is_burn_in(monkeypatch):
+    monkeypatch.setattr(learning, "LESSONS", (10, 30))
+    assert draw(moves=INDEPENDENT).burn_in == 30
+    assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
 
 
 def test_what_is_lost_of_the_snapshots_is_walked_again(tmp_path):

@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from sampling_cases import Known, banana, draw, flat, gaussian, settings, standard_errors, two_hills
-from scipy.stats import norm
+from scipy.stats import norm, truncnorm
 
 from needlefit.inference.convergence import autocorrelation_times
+from needlefit.inference.independent import learned, unlearned
 from needlefit.inference.sample import sample
+from needlefit.project.records.recipe import SampleRecord
 
-MOVES = ["stretch", "de", "snooker", "de+snooker+stretch"]
+MOVES = ["stretch", "de", "snooker", "independent", SampleRecord().moves]
 
 
 @pytest.mark.parametrize("moves", MOVES)
@@ -20,6 +22,28 @@ def test_a_gaussian_of_five_dimensions_by_every_move(moves):
     assert flat(got).mean(axis=0) == pytest.approx(np.zeros(5), abs=4 * standard_errors(got).max())
     squares = np.sqrt(2 / got.convergence.bulk.sum(axis=0)[:5])
     assert np.all(np.abs(flat(got).var(axis=0) - 1) < 5 * squares)
+
+
+@pytest.mark.parametrize("moves", ["independent", SampleRecord().moves])
+def test_a_gaussian_that_bounds_cut(moves):
+    """Its peak lies in a corner outside; of each coordinate a tail that falls from the bound is left."""
+    got = draw(Known(gaussian(np.eye(3), 1.5), 3, half=1.0), moves=moves, steps=600, every=300)
+    x, tail = flat(got), truncnorm(-2.5, -0.5, loc=1.5)
+    assert x.mean(axis=0) == pytest.approx(np.full(3, tail.mean()), abs=4 * standard_errors(got).max())
+    assert x.var(axis=0) == pytest.approx(np.full(3, tail.var()), rel=0.1)
+    levels = np.quantile(x, [0.05, 0.5, 0.95], axis=0).T
+    assert levels == pytest.approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.03)
+
+
+def test_independent_proposals_are_drawn_as_their_density_says():
+    """Weighed by a known density over theirs, they have its moments."""
+    random, seen = np.random.RandomState(1), np.random.default_rng(1).exponential(size=(60, 2))
+    for picture in (learned(seen), unlearned(2)):
+        points = picture.draw(20000, random)
+        weights = np.exp(gaussian(0.5 * np.eye(2), 1.0)(points) - picture.log_density(points))
+        mean = weights @ points / weights.sum()
+        assert mean == pytest.approx(np.ones(2), abs=0.03)
+        assert weights @ (points - mean) ** 2 / weights.sum() == pytest.approx(np.full(2, 0.5), rel=0.05)
 
 
 def test_a_correlated_gaussian_of_twenty_dimensions():

@@ -23,7 +23,7 @@ EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
     *(f"{name}.pdf" for name in ("boxplot", "overlays", "rivals", "waterfall", "report")),
-    *("report.html", "results.json.gz", "run.json", "timing.json"),
+    *("numbers.tex", "report.html", "results.json.gz", "run.json", "timing.json"),
 }
 
 

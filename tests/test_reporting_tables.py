@@ -177,6 +177,17 @@ def test_a_parameter_that_the_data_leave_open_is_no_number():
     assert table[table["determined"]]["fitted"].str.match(r"^[\d.e-]+$").all()
 
 
+def test_what_the_data_leave_open_is_no_number_in_the_second_fit_either():
+    one = study(1)
+    second = one.parameters.query("rival == 'fitted'").assign(rival="fitted_metric", determined=False)
+    both = dataclasses.replace(one, parameters=pd.concat([one.parameters, second]))
+    table = parameters_table(both).set_index("parameter")
+    assert table["fitted_metric"].equals(table["fitted"])
+    assert table.loc["alpha1", ["fitted_metric", "fitted_metric_value_used"]].tolist() == [NOT_DETERMINED, 1]
+    assert "By errors" in {column.label for column in parameters_layout([both]).columns}
+    assert "By errors" not in {column.label for column in parameters_layout([one]).columns}
+
+
 def test_a_fixed_parameter_is_given_and_said_to_be_fixed():
     row = records(parameters_table(study(5)))[1]
     assert (row["parameter"], row["status"], row["fitted"]) == ("alpha1", "fixed", "1")

@@ -17,6 +17,8 @@ from needlefit.datasets.read import read
 from needlefit.geometry.surfaces import sheet
 from needlefit.inference.predict import predict
 from needlefit.mechanics.shape import NeedleShape, inserted_points
+from needlefit.reporting.numbers import number
+from needlefit.reporting.parameters import parameters_table
 from needlefit.validation.folds import folds
 from needlefit.validation.run import Settings, run
 from needlefit.validation.score import Scorer, curve_rival, model_rival
@@ -160,6 +162,26 @@ def test_the_papers_set_keeps_everything_but_its_bevel(project: Path) -> None:
     tuned = results.errors.query("role == 'tune' and boundaries == 'measured'")
     ipe = tuned.groupby("rival")["ipe_mean_mm"].mean()
     assert ipe["fitted"] < min(ipe["hand_tuned"], ipe["hand_tuned_b"])
+
+
+@pytest.mark.parametrize("metric", [True, False])
+def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(project: Path, metric: bool) -> None:
+    recipe = f'schema = 1\nstarts = 2\nmetric = {str(metric).lower()}\nmetric_algorithm = "slsqp"\n'
+    (project / "configs" / "recipes" / "gel.toml").write_text(recipe)
+    results = run("both", study(), Settings())
+    both = {"fitted", "fitted_metric"} if metric else {"fitted"}
+    assert set(results.starts["fit"]) == set(results.parameters["rival"]) == both
+    assert set(results.errors["rival"]) & {"fitted", "fitted_metric"} == both
+    printed = parameters_table(results).set_index("parameter")
+    if not metric:
+        assert set(printed["fitted_metric"]) == {""}
+        return
+    minimized = results.starts.groupby("fit")["minimized"].unique()
+    assert (minimized["fitted"], minimized["fitted_metric"]) == (["posterior"], ["metric"])
+    second = results.parameters.query("rival == 'fitted_metric'").set_index("parameter")["value"]
+    assert second["mu2_pa"] == 2e7 and abs(second["bevel_mm"] / fitted(results)["bevel_mm"] - 1) < 0.01
+    assert printed["fitted_metric_value_used"].to_dict() == second.to_dict()
+    assert printed.loc["bevel_mm", "fitted_metric"] == number(second["bevel_mm"])
 
 
 def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -> None:

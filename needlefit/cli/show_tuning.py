@@ -15,6 +15,7 @@ _PARAMETERS = {
     "fold": "fold",
     "parameter": "parameter",
     "fitted": "fitted",
+    "fitted_metric": "by IPE, TE, EDP",
     "hand_tuned": "paper, by hand",
     "hand_tuned_b": "paper, b re-tuned",
     "status": "status",

@@ -7,7 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.inference.likelihood.depths import Nodes
-from needlefit.inference.likelihood.evidence import Evidence, whitened, whitened_slopes
+from needlefit.inference.likelihood.evidence import (
+    Evidence,
+    whitened,
+    whitened_deflections,
+    whitened_slopes,
+)
 from needlefit.inference.likelihood.marginal import (
     log_marginals,
     mixing,
@@ -18,7 +23,7 @@ from needlefit.inference.parameters import SCALES, Parameters
 from needlefit.inference.predict import predict, predict_each
 from needlefit.inference.slopes import predict_with_slopes
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.mechanics.batch import positions_each
+from needlefit.mechanics.batch import NeedleShapes, deflections_each, positions_each
 from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import positions
@@ -69,8 +74,7 @@ class Density:
         shapes = iter(follow_batches(batches, jobs))
         total = np.array([self.parameters.prior.log_density(values) for values in sets])
         for known in self.evidence:
-            points = [positions_each(next(shapes), s) for s in known.nodes.s]  # NaN where a solve failed
-            white = whitened(known, np.stack(points, axis=1))  # (B, m, R)
+            white = _white_each(known, [next(shapes) for _ in known.nodes.s])
             total += known.log_norm + log_marginals(white, known.nodes, scales)
         return total
 
@@ -162,3 +166,11 @@ class Density:
             white.append(whitened(known, points))
             by.append(whitened_slopes(known, points, slopes))
         return np.array(white), np.array(by)
+
+
+def _white_each(known: Evidence, shapes: Sequence[NeedleShapes]) -> Floats:
+    """Return the whitened residuals (B, m, R) of B needles at the m nodes; NaN where a solve failed."""
+    pairs = list(zip(shapes, known.nodes.s, strict=True))
+    if known.pose == "known":  # what is not aligned is compared in its deflection alone
+        return whitened_deflections(known, np.stack([deflections_each(*pair) for pair in pairs], axis=1))
+    return whitened(known, np.stack([positions_each(*pair) for pair in pairs], axis=1))

@@ -7,19 +7,23 @@ the proposals of all are evaluated in one call, which costs no more than those o
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
+from needlefit.inference.independent import Picture
 
 Floats = NDArray[np.float64]
 Random = np.random.RandomState
 Proposal = Callable[[Floats, Sequence[Floats], Random], tuple[Floats, Floats]]
 """What walkers (N, P) propose by looking at parts of the others, and the logarithm (N,) of its correction."""
 
-SHARES = {"stretch": 1.0, "de": 0.8, "snooker": 0.2}
+INDEPENDENT = "independent"
+
+SHARES = {"stretch": 1.0, "de": 0.8, "snooker": 0.2, INDEPENDENT: 1.0}
 """Parts of the steps that moves get without a factor, in relation: emcee's authors advise 0.8 and 0.2."""
 
 SNOOKER = 1.7
@@ -87,18 +91,24 @@ class Step:
     accepted: NDArray[np.bool_]
 
 
-def steps(log_density: Callable[[Floats], Floats], state: State, moves: str, count: int) -> Iterator[Step]:
+def steps(
+    log_density: Callable[[Floats], Floats],
+    state: State,
+    moves: str,
+    pictures: Sequence[Picture],
+    count: int,
+) -> Iterator[Step]:
     """Yield `count` steps from `state`; `log_density` is asked for (E * n, P) coordinates at once.
 
     These are ensemble by ensemble, n of each. The same state gives the same steps, however they are divided
-    among calls.
+    among calls. `pictures` are what independent proposals are drawn from, one of each ensemble.
     """
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
     ensembles, walkers, dimensions = state.coordinates.shape
     books = _Books(np.zeros((ensembles, walkers), dtype=bool))
     mixture = [
-        (_SideBySide(_proposal(name, dimensions), ensembles, books), share)
+        (_SideBySide([_proposal(name, picture) for picture in pictures], ensembles, books), share)
         for name, share in shares(moves).items()
     ]
     sampler = emcee.EnsembleSampler(
@@ -126,7 +136,7 @@ class _Books:
 class _SideBySide:
     """A move in the form that emcee asks for, made in each ensemble by itself."""
 
-    proposal: Proposal
+    proposals: Sequence[Proposal]
     ensembles: int
     books: _Books
 
@@ -141,7 +151,7 @@ class _SideBySide:
             own = order[:, part::PARTS]  # (E, n)
             resting = [np.delete(order[e], np.s_[part::PARTS]) for e in every]
             found = [
-                self.proposal(coordinates[e, own[e]], [coordinates[e, resting[e]]], model.random)
+                self.proposals[e](coordinates[e, own[e]], [coordinates[e, resting[e]]], model.random)
                 for e in every
             ]
             proposed = np.stack([one for one, _ in found])  # (E, n, P)
@@ -157,13 +167,15 @@ class _SideBySide:
         return state, accepted.reshape(-1)
 
 
-def _proposal(name: str, dimensions: int) -> Proposal:
+def _proposal(name: str, picture: Picture) -> Proposal:
     from emcee import moves
 
     if name == "snooker":
         return _snooker
+    if name == INDEPENDENT:
+        return partial(_independent, picture)
     move = {"stretch": moves.StretchMove, "de": moves.DEMove}[name]()
-    move.setup(np.empty((0, dimensions)))  # differential evolution scales with the dimension
+    move.setup(np.empty((0, picture.dimensions)))  # differential evolution scales with the dimension
     proposal: Proposal = move.get_proposal
     return proposal
 
@@ -184,3 +196,12 @@ def _snooker(own: Floats, others: Sequence[Floats], random: Random) -> tuple[Flo
     moved = own + SNOOKER * unit * np.sum(unit * (at[:, 1] - at[:, 2]), axis=1)[:, None]
     stretched = np.linalg.norm(moved - at[:, 0], axis=1) / distance
     return moved, (own.shape[1] - 1) * np.log(stretched)
+
+
+def _independent(
+    picture: Picture, own: Floats, others: Sequence[Floats], random: Random
+) -> tuple[Floats, Floats]:
+    """Propose places of the picture, wherever the walkers stand."""
+    moved = picture.draw(len(own), random)
+    before, after = np.split(picture.log_density(np.concatenate([own, moved])), 2)
+    return moved, before - after

@@ -110,7 +110,7 @@ APPROACHED = 1e-6
 
 
 def goal_of(problem: Weighed, minimized: Minimized) -> Goal:
-    """Return what a recipe's `minimize` names, of one problem.
+    """Return what a recipe's `minimize` names, of one problem, and what leads to its minima.
 
     Raises
     ------

@@ -3,7 +3,8 @@
 Walkers are laid out and moved in the coordinates of the Laplace approximation, in which the ridges of the
 posterior are round. After every block of steps the run is kept, and the rule of `convergence` asked: what
 ends a run is counted in steps, never in time. Not counted is the burn-in, the first ten autocorrelation
-times of the second half of the steps, but never more than the first half.
+times of the second half of the steps, but never more than the first half; nor what the ensembles learned
+from.
 """
 
 import math
@@ -18,6 +19,7 @@ from needlefit.inference.convergence import LENGTH_IN_TAU, Convergence, autocorr
 from needlefit.inference.ensembles import State, shares, steps
 from needlefit.inference.evaluator import Density, Evaluator
 from needlefit.inference.laplace import Laplace, laplace
+from needlefit.inference.learning import block_length, last_lesson, pictures
 from needlefit.inference.ledger import KEPT
 from needlefit.inference.posterior import Posterior
 from needlefit.inference.snapshots import Block, Failed, Snapshots
@@ -63,11 +65,11 @@ def sample(
     state = blocks[-1].last if blocks else begin(evaluator, about, points, settings, rng)
     while True:
         chain = _chain(task, blocks)
-        found = _asked(chain, problem.names)
-        length = min(settings.every, settings.steps - chain.steps)
+        found = _asked(task, chain)
+        length = block_length(settings, chain.steps)
         if length <= 0 or (found is not None and not found.faults):
             return _posterior(task, chain, found, interrupted=False)
-        block = None if watch.stop() else _walk(task, state, chain.steps, length)
+        block = None if watch.stop() else _walk(task, state, chain, length)
         if block is None or block.steps < length:
             whole = _chain(task, [*blocks, block] if block else blocks)
             return _posterior(task, whole, None, interrupted=True)
@@ -86,8 +88,9 @@ class _Task:
 
 @dataclass(frozen=True)
 class _Chain:
-    """All steps so far: thetas (E, S, W, P), log densities (E, S, W), and what the blocks counted."""
+    """All steps so far: where (E, S, W, P), log densities (E, S, W), and what the blocks counted."""
 
+    coordinates: Floats
     thetas: Floats
     log_density: Floats
     accepted: NDArray[np.int64]  # (E, W)
@@ -111,17 +114,17 @@ def _check(problem: Density, settings: SampleRecord) -> None:
         )
 
 
-def _walk(task: _Task, state: State, done: int, length: int) -> Block:
+def _walk(task: _Task, state: State, chain: _Chain, length: int) -> Block:
     """Return the next `length` steps, fewer if a stop comes."""
     evaluator = Evaluator(task.problem, task.watch.jobs, task.settings.ensembles)
 
     def log_density(z: Floats) -> Floats:
         return evaluator(task.about.thetas(z))
 
-    walked = []
-    for step in steps(log_density, state, task.settings.moves, length):
+    walked, known = [], pictures(task.settings, chain.coordinates)
+    for step in steps(log_density, state, task.settings.moves, known, length):
         walked.append(step)
-        task.watch.step(done + len(walked), task.settings.steps)
+        task.watch.step(chain.steps + len(walked), task.settings.steps)
         if task.watch.stop():
             break
     return Block(
@@ -140,6 +143,7 @@ def _chain(task: _Task, blocks: Sequence[Block]) -> _Chain:
     z = np.concatenate([nothing, *(block.coordinates for block in blocks)], axis=1)
     failed = [[theta for block in blocks for theta in block.failed[e]][:KEPT] for e in range(ensembles)]
     return _Chain(
+        coordinates=z,
         thetas=task.about.thetas(z),
         log_density=np.concatenate([nothing[..., 0], *(block.log_density for block in blocks)], axis=1),
         accepted=sum((block.accepted for block in blocks), np.zeros((ensembles, walkers), dtype=np.int64)),
@@ -148,32 +152,30 @@ def _chain(task: _Task, blocks: Sequence[Block]) -> _Chain:
     )
 
 
-def _slowest(chain: _Chain) -> float:
-    """Return the longest autocorrelation time of the second half of the steps; infinite if there is none."""
-    late = chain.thetas[:, chain.steps // 2 :]
+def _first(task: _Task, chain: _Chain) -> tuple[int, float]:
+    """Return how many steps are burn-in, and the longest autocorrelation time of the late steps."""
+    learned, half = last_lesson(task.settings, chain.steps), chain.steps // 2
+    late = chain.thetas[:, max(learned, half) :]
     if late.shape[1] < 2:
-        return math.inf
-    return max(float(autocorrelation_times(late[..., k]).max()) for k in range(late.shape[3]))
+        return max(learned, half), math.inf
+    slowest = max(float(autocorrelation_times(late[..., k]).max()) for k in range(late.shape[3]))
+    return max(learned, half if BURN_IN_TAU * slowest >= half else math.ceil(BURN_IN_TAU * slowest)), slowest
 
 
-def _burn_in(chain: _Chain, slowest: float) -> int:
-    half = chain.steps // 2
-    return half if BURN_IN_TAU * slowest >= half else math.ceil(BURN_IN_TAU * slowest)
-
-
-def _asked(chain: _Chain, names: Sequence[str]) -> Convergence | None:
+def _asked(task: _Task, chain: _Chain) -> Convergence | None:
     """Return what the rule looks at; None while the steps are too few for it, which is quickly seen."""
-    slowest = _slowest(chain)
-    first = _burn_in(chain, slowest)
+    first, slowest = _first(task, chain)
     if not chain.steps - first > LENGTH_IN_TAU * slowest:
         return None
-    return convergence(chain.thetas[:, first:], chain.log_density[:, first:], names)
+    return convergence(chain.thetas[:, first:], chain.log_density[:, first:], task.problem.names)
 
 
 def _posterior(task: _Task, chain: _Chain, found: Convergence | None, interrupted: bool) -> Posterior:
     if chain.steps < 2:
         raise FitError(f"the sampler was stopped after {chain.steps} steps: nothing to keep")
-    first, names = _burn_in(chain, _slowest(chain)), task.problem.names
+    first, names = _first(task, chain)[0], task.problem.names
+    if found is None:  # stopped just after a lesson: what there is
+        first = min(first, chain.steps // 2)
     thetas, density = chain.thetas[:, first:], chain.log_density[:, first:]
     rows = [task.problem.values(theta) for theta in thetas.reshape(-1, len(names))]
     values = np.array([[row[name] for name in names] for row in rows])

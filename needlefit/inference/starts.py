@@ -39,7 +39,8 @@ class Start:
         What was evaluated, and what of it failed.
     stopped : str
         Why it ended: "tolerance" at a minimum, and nothing else is a success: "stalled" (a further step would
-        gain), "flat" (a parameter has no say), "budget", "roundoff", "interrupted", "no finite value", ...
+        gain), "flat" (a parameter has no say), "bound" (a minimum of the box alone), "budget", "roundoff",
+        "interrupted", "no finite value", ...
     failed : tuple of theta
         The first evaluations that failed, to be simulated again; not all where there are many.
     gradients : int

@@ -80,6 +80,16 @@ class Batch:
 
     def one(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:
         """Return set i as the arguments of `simulate.follow`."""
+        needle, steps = self.led(i)
+        tissue = replace(
+            self.tissue,
+            mu=self.tissue.mu if self.mu is None else self.mu[i],
+            alpha=self.tissue.alpha if self.alpha is None else self.alpha[i],
+        )
+        return needle, tissue, steps, self.rules
+
+    def led(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
+        """Return the needle of set i and its steps."""
 
         def pick(name: str, default: float) -> float:
             values = getattr(self, name)
@@ -97,16 +107,8 @@ class Batch:
                 controls = replace(controls, guides=(moved, *step.controls.within))
             return Step(step.depth, Bevel(pick("offset", step.bevel.offset), step.bevel.side), controls)
 
-        return (
-            replace(self.needle, flexural_rigidity=pick("rigidity", self.needle.flexural_rigidity)),
-            replace(
-                self.tissue,
-                mu=self.tissue.mu if self.mu is None else self.mu[i],
-                alpha=self.tissue.alpha if self.alpha is None else self.alpha[i],
-            ),
-            tuple(controlled(step) for step in self.steps),
-            self.rules,
-        )
+        needle = replace(self.needle, flexural_rigidity=pick("rigidity", self.needle.flexural_rigidity))
+        return needle, tuple(controlled(step) for step in self.steps)
 
 
 VARYING = tuple(field.name for field in fields(Batch))[4:]
@@ -171,3 +173,9 @@ class NeedleShapes:
 def positions_each(shapes: NeedleShapes, s: Floats) -> Floats:
     """Return points (B, K, 2) in C of every needle at beam coordinates `s` (K,), mm; else as `positions`."""
     return kernel.positions_each(shapes.x, shapes.u, shapes.slope, np.ascontiguousarray(s, dtype=np.float64))
+
+
+def deflections_each(shapes: NeedleShapes, s: Floats) -> Floats:
+    """Return the deflections (B, K) of every needle at beam coordinates `s` (K,), mm: `positions_each`'s."""
+    at = np.ascontiguousarray(s, dtype=np.float64)
+    return kernel.deflections_each(shapes.x, shapes.u, shapes.slope, at)

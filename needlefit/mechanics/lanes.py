@@ -99,7 +99,7 @@ def _prepare(batch: Batch) -> _Job:
     valid = _valid(batch)
     needle, steps, rules = batch.needle, batch.steps, batch.rules
     if valid.any():  # where one set leads, all valid ones do: any of them stands for all
-        needle, _, steps, rules = batch.one(int(np.argmax(valid)))
+        needle, steps = batch.led(int(np.argmax(valid)))
     lattice = lattice_of(steps, rules)
     moves = moves_of(steps, needle.length)
     stops = stops_of(moves, lattice)

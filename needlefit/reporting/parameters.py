@@ -13,6 +13,7 @@ _SEARCHED = ("free", "tied")
 _COLUMNS = (
     *("study", "medium", "fold", "parameter", "fitted", "determined", "status"),
     *("sd", "sd_of", "spread_low", "spread_high", "bound_low", "bound_high", "value_used"),
+    *("fitted_metric", "fitted_metric_value_used"),
     *("hand_tuned", "hand_tuned_b", "hand_tuned_b_value_used", "note", "origin"),
 )
 
@@ -20,8 +21,9 @@ _COLUMNS = (
 def parameters_table(*results: Results) -> pd.DataFrame:
     """Return one row per study, fold and parameter.
 
-    `fitted`, `hand_tuned` (the paper's set) and `hand_tuned_b` (that set with b alone re-tuned) are as
-    printed: a parameter that the data cannot determine reads "not determined". `value_used` is the number
+    `fitted`, `fitted_metric` (the second fit, to IPE, TE, EDP), `hand_tuned` (the paper's set) and
+    `hand_tuned_b` (that set with b alone re-tuned) are as printed: a parameter that the data cannot
+    determine reads "not determined", in both fits alike. `value_used` is the number
     that the predictions of this run were made with; where `determined` is false it is one of many that do
     as well, and no estimate. `sd` is of ln for moduli and lengths, of the value for alpha (`sd_of`).
     """
@@ -50,12 +52,15 @@ def _rows(results: Results) -> list[Row]:
         if rival != "fitted":
             continue
         retuned = cells.get(("hand_tuned_b", fold, name))
+        metric = cells.get(("fitted_metric", fold, name))
         rows.append(
             {"study": study_label(results), "medium": results.record.medium, "fold": fold}
             | {"parameter": name, "fitted": _printed(ours), "determined": bool(ours["determined"])}
             | {key: ours[key] for key in ("status", "sd", "spread_low", "spread_high")}
             | {"sd_of": "" if ours["sd"] is None else "value" if name.startswith("alpha") else "ln"}
             | {key: ours[key] for key in ("bound_low", "bound_high", "note")}
+            | {"fitted_metric": _printed(metric and {**metric, "determined": ours["determined"]})}
+            | {"fitted_metric_value_used": None if metric is None else metric["value"]}
             | {"value_used": ours["value"], "hand_tuned": _printed(cells.get(("hand_tuned", fold, name)))}
             | {"hand_tuned_b": _printed(retuned)}
             | {"hand_tuned_b_value_used": None if retuned is None else retuned["value"]}

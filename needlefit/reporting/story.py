@@ -10,6 +10,7 @@ from needlefit.reporting.document import Block, Document
 from needlefit.reporting.foretold import foretold_layout
 from needlefit.reporting.identification_layout import identification_layout
 from needlefit.reporting.identification_said import verdict_said
+from needlefit.reporting.methods import plain_methods
 from needlefit.reporting.numbers import in_symbols
 from needlefit.reporting.posterior import outside_said, posterior_layout, unconverged_said
 from needlefit.reporting.tables import records, tuning_table
@@ -76,9 +77,21 @@ def run_blocks(results: Results, synthetic: bool) -> list[Block]:
         "run", f"What {results.name} was computed with.", (text("What"), text("Value", wide=True)), rows
     )
     return [
+        *_methods(results),
         document.heading("Run"),
         document.text("The file run.json holds all of this in full; the same inputs give the same bytes."),
         document.table(table, synthetic),
+    ]
+
+
+def _methods(results: Results) -> list[Block]:
+    said = plain_methods(results)
+    if not said:
+        return []
+    return [
+        document.heading("Methods"),
+        document.text(said),
+        document.text("The same as LaTeX, with citations: methods.tex and references.bib."),
     ]
 
 

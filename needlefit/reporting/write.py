@@ -18,6 +18,8 @@ from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.profiles import draw_profiles
 from needlefit.reporting.identification_layout import identification_table
 from needlefit.reporting.latex import latex
+from needlefit.reporting.macros import macros
+from needlefit.reporting.methods import latex_methods, methods, references
 from needlefit.reporting.overview import overview
 from needlefit.reporting.page import compile_html
 from needlefit.reporting.parameters import parameters_table
@@ -51,6 +53,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
         for name, save in (also or {}).items():
             save(new / name)
         _report(story(results, drawn), new)
+        _for_papers([results], new)
         store(results, new)
         write_json(new / "run.json", results.run)
         write_json(new / "timing.json", results.timing)
@@ -72,6 +75,7 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
         drawn = _draw_scores(studies, new)
         _report(overview(studies, tunings or studies, drawn), new)
         every = [*studies, *tunings]
+        _for_papers(every, new)
         write_json(new / "run.json", {one.name: one.run for one in every})
         write_json(new / "timing.json", {one.name: one.timing for one in every})
     return _files(folder)
@@ -80,6 +84,14 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
 def _report(document: Document, folder: Path) -> None:
     (folder / "report.pdf").write_bytes(compile_pdf(document))
     (folder / "report.html").write_bytes(compile_html(document))
+
+
+def _for_papers(results: Sequence[Results], folder: Path) -> None:
+    """Write every number as a macro, and for a single run its methods paragraph with what that cites."""
+    (folder / "numbers.tex").write_text(macros(results), encoding="utf-8")
+    if len(results) == 1 and methods(results[0]):
+        (folder / "methods.tex").write_text(latex_methods(results[0]), encoding="utf-8")
+        (folder / "references.bib").write_text(references(results[0]), encoding="utf-8")
 
 
 def _frames(results: Results, folder: Path) -> None:

@@ -114,7 +114,12 @@ def whitened(evidence: Evidence, simulated: Floats) -> Floats:
     """Return the residuals (..., R) of points (..., K, 2): independent, of unit variance if all is right."""
     if evidence.pose == "free":
         simulated = align_rigid(simulated, evidence.measured)
-    white: Floats = (simulated[..., 1] - evidence.measured[:, 1]) @ evidence.whitening.T
+    return whitened_deflections(evidence, simulated[..., 1])
+
+
+def whitened_deflections(evidence: Evidence, deflections: Floats) -> Floats:
+    """Return the residuals (..., R) of deflections (..., K) that are compared as they are."""
+    white: Floats = (deflections - evidence.measured[:, 1]) @ evidence.whitening.T
     return white
 
 

@@ -30,8 +30,8 @@ combination of parameters whose effects cancel to this part of each."""
 def certified(books: Ledger, reason: str) -> str:
     """Return why a search ended, once its best point was looked at: "tolerance" only at a minimum.
 
-    "stalled" is no minimum, "flat" one in which some parameter or combination has no say. A goal that is no
-    sum of squares keeps the reason that the algorithm gave.
+    "stalled" is no minimum, "flat" one in which some parameter or combination has no say, "bound" one only
+    because the box ends there. A goal that is no sum of squares keeps the reason that the algorithm gave.
     """
     settled = reason in ("tolerance", "roundoff") or reason.startswith("nlopt failed")
     if not settled or books.theta is None or books.goal.jacobian is None or not len(books.theta):
@@ -52,7 +52,7 @@ def _judged(books: Ledger, residuals: Floats, jacobian: Floats) -> str:
     lengths = np.linalg.norm(columns, axis=0)
     free = _free(books, residuals @ jacobian)
     if not np.any(free):
-        return "tolerance"
+        return "bound"
     if np.any(lengths[free] <= FLAT * np.linalg.norm(residuals)):
         return "flat"
     directions = columns[:, free] / lengths[free]
@@ -64,7 +64,9 @@ def _judged(books: Ledger, residuals: Floats, jacobian: Floats) -> str:
     gain = 0.5 * float(residuals @ residuals) - best.cost
     small = np.all(np.abs(best.x * unit) <= ROUNDING * np.abs(theta[free]))
     mean = float(residuals @ residuals) / max(1, len(residuals) - len(theta))
-    return "tolerance" if small or gain <= ATTAINED * (1.0 if goal.negligible else mean) else "stalled"
+    if not small and gain > ATTAINED * (1.0 if goal.negligible else mean):
+        return "stalled"
+    return "tolerance" if np.all(free) else "bound"
 
 
 def _free(books: Ledger, slope: Floats) -> NDArray[np.bool_]:

@@ -24,7 +24,7 @@ def positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     points = np.empty((len(s), 2))
     row = np.empty(8)
     for i in range(len(s)):
-        e = min(max(np.searchsorted(x, s[i]) - 1, 0), len(x) - 2)
+        e = _element(x, s[i])
         _ends(ends, u, slope, e)
         length = x[e + 1] - x[e]
         points[i, 0] = reached[e] + _advance(ends, length, s[i] - x[e])
@@ -42,6 +42,26 @@ def positions_each(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
         for i in range(len(s)):
             points[b, i, 0], points[b, i, 1] = one[i, 0], one[i, 1]
     return points
+
+
+@njit(cache=True, nogil=True)
+def deflections_each(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
+    """Return what `positions_each` says of deflection alone, (B, K): the way along C takes most time."""
+    found = np.empty((len(x), len(s)))
+    ends, row = np.empty(4), np.empty(8)
+    for b in range(len(x)):
+        for i in range(len(s)):
+            e = _element(x[b], s[i])
+            _ends(ends, u[b], slope[b], e)
+            hermite(row, s[i] - x[b, e], x[b, e + 1] - x[b, e])
+            found[b, i] = row[0] * ends[0] + row[1] * ends[1] + row[2] * ends[2] + row[3] * ends[3]
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _element(x: Floats, s: float) -> int:
+    """Return the element of nodes `x` (N,) in which a beam coordinate lies; the nearest one outside."""
+    return min(max(int(np.searchsorted(x, s)) - 1, 0), len(x) - 2)
 
 
 @njit(cache=True, nogil=True, inline="always")

@@ -42,14 +42,15 @@ class SampleRecord(Record):
     """How to sample: several independent ensembles of walkers, moved until they agree.
 
     `steps` is the most that each ensemble takes; after every `every` steps the run is kept, and the rule of
-    convergence is asked. `moves` are stretch, de, snooker, or several: "de+snooker", "0.9*de + 0.1*snooker".
+    convergence is asked. `moves` are independent, stretch, de, snooker, or several: "de+snooker",
+    "0.9*de + 0.1*snooker".
     """
 
     ensembles: int = Field(default=4, ge=1)
     walkers: int = Field(default=16, ge=8)
-    moves: str = "0.6*de + 0.2*snooker + 0.2*stretch"
+    moves: str = "0.6*independent + 0.3*de + 0.1*stretch"
     steps: int = Field(default=20000, ge=2)
-    every: int = Field(default=100, ge=2)
+    every: int = Field(default=50, ge=2)
 
 
 class RecipeRecord(FileRecord):

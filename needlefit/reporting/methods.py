@@ -1,0 +1,156 @@
+"""The methods paragraph of a paper that uses a run, and the references it cites: all from the run itself."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+from needlefit.project.records.study import StudyRecord
+from needlefit.reporting.latex import escape
+from needlefit.reporting.numbers import number, symbol
+from needlefit.validation.results import Results
+
+
+@dataclass(frozen=True)
+class Sentence:
+    """A sentence, and the keys in `references.bib` of what it rests on."""
+
+    words: str
+    cites: tuple[str, ...] = ()
+
+
+def methods(results: Results) -> tuple[Sentence, ...]:
+    """Return what was done, sentence by sentence."""
+    run = results.run
+    if "recipe" not in run:  # results that were made up
+        return ()
+    return tuple(_said(results, run))
+
+
+def plain_methods(results: Results) -> str:
+    """Return the paragraph without citations."""
+    return " ".join(sentence.words for sentence in methods(results))
+
+
+def latex_methods(results: Results) -> str:
+    """Return the paragraph as LaTeX, with its citations; `references` holds what it cites."""
+    said = [
+        escape(one.words.removesuffix(".")) + (f"~\\cite{{{','.join(one.cites)}}}" if one.cites else "") + "."
+        for one in methods(results)
+    ]
+    return "\n".join(said) + "\n"
+
+
+def references(results: Results) -> str:
+    """Return the BibTeX entries that the paragraph cites, in its order."""
+    known = _entries()
+    wanted = dict.fromkeys(key for sentence in methods(results) for key in sentence.cites)
+    return "\n\n".join(known[key] for key in wanted) + "\n"
+
+
+def _entries() -> dict[str, str]:
+    """Return the entries that ship with needlefit by their keys."""
+    text = (files("needlefit.reporting") / "templates" / "references.bib").read_text(encoding="utf-8")
+    entries = [entry.strip() for entry in text.split("\n\n") if entry.strip()]
+    return {entry.split("{", 1)[1].split(",", 1)[0]: entry for entry in entries}
+
+
+def _said(results: Results, run: Mapping[str, Any]) -> Iterator[Sentence]:
+    recipe, rules, versions = run["recipe"], run["rules"], run["versions"]
+    law = str(rules["law"]).capitalize()
+    yield Sentence(
+        f"Needles were modelled as beams that bend on a layered foundation of the {law} law and are drawn "
+        f"aside by their bevel at constraint points {number(rules['constraint_spacing_mm'])} mm apart "
+        f"(tissue thickness {number(rules['thickness_mm'])} mm, elements of "
+        f"{number(rules['element_mm'])} mm).",
+        ("wang-bevel-tip", "needlefit"),
+    )
+    yield Sentence(_fitted(results, run))
+    yield Sentence(_objective(recipe))
+    yield Sentence(_search(recipe))
+    yield from _posterior(results, recipe)
+    if isinstance(results.record, StudyRecord):
+        yield _held_out(results, run)
+    named = ("python", "numpy", "scipy", "numba", "nlopt")
+    listed = ", ".join(f"{_NAMES[name]} {versions[name]}" for name in named if name in versions)
+    yield Sentence(
+        f"Computed with needlefit {versions['needlefit']} ({listed}).", ("numpy", "scipy", "numba", "nlopt")
+    )
+
+
+_NAMES = {"python": "Python", "numpy": "NumPy", "scipy": "SciPy", "numba": "Numba", "nlopt": "NLopt"}
+
+
+def _fitted(results: Results, run: Mapping[str, Any]) -> str:
+    parameters = run["medium"]["parameters"]
+    free = [symbol(name).split(" (")[0] for name, how in parameters.items() if how["bounds"]]
+    held = [symbol(name).split(" (")[0] for name, how in parameters.items() if how["fixed"] is not None]
+    counts = sorted({len(fold["tune"]) for fold in run["folds"]})
+    count = f"{counts[0]}" if len(counts) == 1 else f"{counts[0]} to {counts[-1]}"
+    folds = f", in each of {len(run['folds'])} folds" if len(run["folds"]) > 1 else ""
+    said = f"{_listed(free)} were estimated from {count} insertion{'' if counts[-1] == 1 else 's'}{folds}"
+    return (
+        f"{said}; {_listed(held)} {'was' if len(held) == 1 else 'were'} held fixed." if held else f"{said}."
+    )
+
+
+def _objective(recipe: Mapping[str, Any]) -> str:
+    if recipe["minimize"] == "metric":
+        return "The fit minimises a weighted mean of in-plane, tip and end-point deflection errors."
+    how = recipe["likelihood"]
+    noise = {
+        "correlated": "errors that neighbouring points share along the needle and a small in-plane pose "
+        "error of each insertion, integrated over",
+        "independent": "errors of each point by itself",
+    }[how["noise"]]
+    depths = {
+        "linear": ", and errors of layer and insertion depths, integrated over as acting linearly",
+        "quadrature": ", and errors of layer and insertion depths, integrated over by quadrature",
+        "fixed": "",
+    }[how["depths"]]
+    return (
+        f"The fit is the peak of the posterior density; the likelihood has {noise}{depths}, and the prior is "
+        "flat in the logarithms of moduli and lengths within their bounds."
+    )
+
+
+def _search(recipe: Mapping[str, Any]) -> str:
+    ways = {"leastsquares": "nonlinear least squares with the exact Jacobian"}
+    algorithm = " and then ".join(ways.get(part, part.upper()) for part in recipe["algorithm"].split("+"))
+    said = f"It was searched by {algorithm} from {recipe['starts']} starts of a Halton sequence"
+    both = recipe["metric"] and recipe["minimize"] == "posterior"
+    return said + ("; a second fit minimises in-plane, tip and deflection errors instead." if both else ".")
+
+
+def _posterior(results: Results, recipe: Mapping[str, Any]) -> Iterator[Sentence]:
+    if not results.posteriors:
+        return
+    how = recipe["sample"]
+    converged = all(posterior.converged for posterior in results.posteriors.values())
+    state = "" if converged else " The chains did not converge by this rule."
+    yield Sentence(
+        f"The posterior was sampled by {how['ensembles']} independent ensembles of {how['walkers']} walkers, "
+        "until the rank-normalised split R-hat of parameters, principal directions and log density was below "
+        "1.01 and each ensemble was worth more than 400 independent draws in bulk and tails, and longer than "
+        f"50 autocorrelation times.{state}",
+        ("emcee", "goodman-weare", "vehtari-rank"),
+    )
+
+
+def _held_out(results: Results, run: Mapping[str, Any]) -> Sentence:
+    held = len({one for fold in run["folds"] for one in fold["validate"]})
+    return Sentence(
+        f"Errors are those of {held} insertion{'' if held == 1 else 's'} held out of every fit: the mean "
+        "in-plane error along the needle (IPE), the error of the tip (TE), and that of its deflection in per "
+        "cent (EDP)."
+    )
+
+
+def _listed(names: list[str]) -> str:
+    return (
+        names[0]
+        if len(names) == 1
+        else f"{', '.join(names[:-1])} and {names[-1]}"
+        if names
+        else "No parameter"
+    )
