@@ -3,7 +3,7 @@
 For each medium of `guided_tips` the model, a straight line and a parabola are fitted to the guided runs, each
 run with its own shift and slope; printed is what remains of all readings (root mean square, mm).
 
-    NEEDLEFIT_REAL_DATA=... python benchmarks/guided_ability.py [--starts 8]
+    NEEDLEFIT_REAL_DATA=... python benchmarks/guided_ability.py [--starts 8] [MEDIUM ...]
 """
 
 import argparse
@@ -29,15 +29,19 @@ def main() -> None:
     """Print a row per medium."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--starts", type=int, default=8)
-    starts = parser.parse_args().starts
+    parser.add_argument("media", nargs="*", help="default: all")
+    arguments = parser.parse_args()
+    starts, names = arguments.starts, arguments.media
     dataset = read_tracks(find("dataset", "guided_tips"))
     medium = load(find("medium", "gel_wax"), MediumRecord)
     recipe = load(find("recipe", "tracks"), RecipeRecord).model_copy(update={"starts": starts})
     parameters = with_noise_scale(Parameters.from_record(medium))
     print("medium | runs | straight line | parabola | model | at")
-    for name in dataset.media:
+    for name in names or dataset.media:
         runs = select_runs(dataset, RunsRecord(media=(name,), guided=True))
-        problem = TrackProblem(dataset.needle, runs, medium, parameters, dataset.noise)
+        met = [n for n in parameters.free if not n.startswith("mu") or int(n[2:-3]) in runs[0].sequence]
+        asked = parameters.with_only(met, dict.fromkeys(parameters.free, 1.0))  # a layer not met has no say
+        problem = TrackProblem(dataset.needle, runs, medium, asked, dataset.noise)
         left = [_left(problem, fit_curve(one, problem.evidence, (), 100, _rng())) for one in CURVES]
         fit = minimize(problem, recipe, _rng())
         tips = problem.tips([fit.values])
