@@ -19,18 +19,13 @@ from multiprocessing import get_context
 import numpy as np
 from scipy.optimize import minimize
 
-from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
-from needlefit.geometry.curves import arc_length
-from needlefit.inference.likelihood.covariance import points_covariance
-from needlefit.inference.likelihood.pose import modes, pose_sds
-from needlefit.inference.predict import predict
 from needlefit.inference.problem import Problem, problem
-from needlefit.mechanics.shape import positions
 from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.validation.calibration.measured import measured
 
 HOW = {
     "independent, depths fixed": LikelihoodRecord(noise="independent", depths="fixed"),
@@ -42,26 +37,6 @@ HOW = {
 RANGES = {"mu1_pa": (1e5, 1e6), "mu2_pa": (3e6, 5e7), "bevel_mm": (0.05, 0.15)}
 DEPTH_SD = 0.1  # mm
 NORMAL = 1.96
-
-
-def measured(
-    dataset: Dataset,
-    planned: Insertion,
-    values: dict[str, float],
-    medium: MediumRecord,
-    rng: np.random.Generator,
-) -> Insertion:
-    """Return a needle simulated at depths that err, misplaced and measured with noise."""
-    noise, along = dataset.noise, arc_length(planned.planar)
-    s = along * (planned.depth / along[-1])
-    deep = DEPTH_SD * rng.normal()
-    wrong = planned.boundary_sd * rng.normal(size=len(planned.boundaries))
-    true = replace(planned, depth=planned.depth + deep, boundaries=planned.boundaries + deep + wrong)
-    points = positions(predict(values, medium, dataset.needle, true), s + deep)
-    cov = points_covariance(s, noise, planned.sd)
-    off = rng.multivariate_normal(np.zeros(len(s)), cov)
-    off += modes(points) @ (pose_sds(planned, noise) * rng.normal(size=3))
-    return replace(planned, planar=points + np.column_stack([np.zeros(len(s)), off]), depth_sd=DEPTH_SD)
 
 
 def laplace(task: Problem, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -84,11 +59,12 @@ def one(number: int, insertions: int, seed: int) -> list[dict[str, object]]:
     dataset = read(find("dataset", "twin"))
     medium = load(find("medium", "phantom2"), MediumRecord)
     values = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in RANGES.items()}
-    planned = [i for i in dataset.insertions if i.medium == "phantom2"][:insertions]
+    into = [i for i in dataset.insertions if i.medium == "phantom2"][:insertions]
+    planned = [replace(i, depth_sd=DEPTH_SD) for i in into]
     start = problem(dataset, planned, medium, WeightsRecord())
     truth = start.parameters.theta(values)
     everything = start.values(truth)
-    made = [measured(dataset, i, everything, medium, rng) for i in planned]
+    made = [i for one in planned if (i := measured(dataset, one, everything, medium, rng)) is not None]
     tasks = {name: problem(dataset, made, medium, WeightsRecord(), how) for name, how in HOW.items()}
     slope = tasks["correlated, depths linear"].jacobian(truth)[1]
     stiff = np.linalg.eigh(slope.T @ slope)[1][:, -1]

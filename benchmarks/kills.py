@@ -87,7 +87,7 @@ def ended(arguments: list[str], within: float) -> bool:
                 process.kill()
                 process.wait()
                 return False
-            time.sleep(0.02)
+            time.sleep(0.05)
         if process.returncode not in (0, NOT_CONVERGED):
             said.seek(0)
             raise SystemExit(f"exit code {process.returncode}: {said.read()}")

@@ -18,6 +18,8 @@ COMMANDS = (
         "simulate",
         "check",
         "tune",
+        "identify",
+        "calibrate",
         "predict",
         "validate",
         "verify",

@@ -60,6 +60,9 @@ def test_a_fit_outside_the_central_95_percent_is_said_to_be():
     outside = sampled(fitted(study(5)) - 0.001, 0.15)  # a draw is lower, but not 2.5 % of them
     assert records(percentiles_table(outside))[0]["fit_in_central_95"] is False
     assert outside_said(outside).startswith("The fit lies outside the central 95 % of the posterior in b:")
+    assert outside_said(outside).endswith("no error bars of the fitted values.")  # it was made by the metric
+    peak = dataclasses.replace(outside, starts=outside.starts.assign(minimized="posterior"))
+    assert outside_said(peak).endswith("what is known, not the peak.")
     assert "‡" in "".join(posterior_layout(outside).rows[0])
     blocks = story(outside, {}).blocks
     assert outside_said(outside) in [block.get("text") for block in blocks]

@@ -8,6 +8,7 @@ import typer
 from typer.core import TyperGroup
 
 from needlefit.cli import failure
+from needlefit.cli.calibrate import calibrate
 from needlefit.cli.check import check
 from needlefit.cli.diff import diff
 from needlefit.cli.identify import identify
@@ -25,7 +26,7 @@ from needlefit.cli.validate import validate
 from needlefit.cli.verify import verify
 
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    *(simulate, check, tune, identify, predict, validate, report, diff),
+    *(simulate, check, tune, identify, calibrate, predict, validate, report, diff),
     *(verify, material, paper, init),
 )
 

@@ -40,7 +40,12 @@ def validate_tracks(execution: Execution, name: str, path: Path, json: bool) -> 
 
 def _show(results: "TrackResults", folder: Path, json: bool) -> None:
     from needlefit.reporting.tables import records
-    from needlefit.reporting.tracks.layouts import coverage_layout, parameters_layout, scores_layout
+    from needlefit.reporting.tracks.layouts import (
+        coverage_layout,
+        depths_layout,
+        parameters_layout,
+        scores_layout,
+    )
     from needlefit.reporting.tracks.said import cautions, in_short
     from needlefit.validation.tracks.summary import paired_runs
 
@@ -51,7 +56,7 @@ def _show(results: "TrackResults", folder: Path, json: bool) -> None:
     kind = "SYNTHETIC" if results.origin == "synthetic" else "measured"
     for sentence in (f"{kind} data: {results.dataset_title}", *cautions(results)):
         screen.say(f"  {sentence}")
-    for layout in (parameters_layout, scores_layout, coverage_layout):
+    for layout in (parameters_layout, scores_layout, depths_layout, coverage_layout):
         screen.show_display(layout(results))
     for sentence in in_short(results):
         screen.say(sentence)

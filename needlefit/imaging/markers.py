@@ -16,9 +16,9 @@ from needlefit.imaging.ball.fit import MOST_BLUR, Ball, lay
 from needlefit.imaging.reconstruction import Markers
 from needlefit.imaging.registration.suspicion import check_frame
 from needlefit.imaging.scan_row import DOCUMENTED
-from needlefit.imaging.threads import one_thread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord
+from needlefit.project.threads import one_thread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

@@ -20,10 +20,10 @@ from needlefit.imaging.remarks import remarks
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_row import ACROSS
 from needlefit.imaging.seen import Seen, see
-from needlefit.imaging.threads import one_thread
 from needlefit.imaging.views import views
 from needlefit.imaging.volume import read
 from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.threads import one_thread
 
 Floats = NDArray[np.float64]
 Plane = Literal["stated", "bevel", "shape"]

@@ -61,3 +61,20 @@ def about_fit(
             break
         drawn[outside] = theta + (rng.normal(size=(int(outside.sum()), len(sds))) * sds) @ axes
     return Draws(np.clip(drawn, parameters.lower, parameters.upper), "laplace")
+
+
+def of_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
+    """Return `count` draws (B, P) of the prior: flat within the bounds, times what the medium states."""
+    lower, upper = parameters.lower, parameters.upper
+    slopes = parameters.prior.slopes(parameters.free)  # (Q, P)
+    told = slopes.any(axis=0)
+    middle = 0.5 * (lower + upper)
+    off = parameters.prior.residuals(parameters.values(middle))
+    spread = np.linalg.pinv(slopes[:, told])
+    drawn = np.empty((0, len(lower)))
+    while len(drawn) < count:
+        thetas = rng.uniform(lower, upper, size=(count, len(lower)))
+        thetas[:, told] = middle[told] + (rng.standard_normal((count, len(off))) - off) @ spread.T
+        inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
+        drawn = np.concatenate([drawn, thetas[inside]])
+    return drawn[:count]

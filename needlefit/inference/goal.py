@@ -117,15 +117,14 @@ def goal_of(problem: Weighed, minimized: Minimized) -> Goal:
     ConfigError
         If the problem has no metric objective.
     """
-    easier = problem.approach(minimized)
-    goal = posterior(problem) if minimized == "posterior" else _metric_of(problem)
-    return goal if easier is None else replace(goal, approach=posterior(easier, APPROACHED))
-
-
-def _metric_of(problem: Weighed) -> Goal:
-    if not isinstance(problem, Measured):
+    if minimized == "posterior":
+        goal = posterior(problem)
+    elif isinstance(problem, Measured):
+        goal = metric(problem)
+    else:
         raise ConfigError("there is no metric objective of this fit", expected='minimize = "posterior"')
-    return metric(problem)
+    easier = problem.approach(minimized)
+    return goal if easier is None else replace(goal, approach=posterior(easier, APPROACHED))
 
 
 def posterior(problem: Weighed, negligible: float = NEGLIGIBLE) -> Goal:

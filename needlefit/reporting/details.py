@@ -60,7 +60,7 @@ def _parameters_display(table: list[Row]) -> Display:
         *(text("Note", wide=True), text("Origin")),
     )
     printed = any(row["hand_tuned"] for row in table)
-    ranged, metric = any(row[5] for row in rows), any(row["fitted_metric"] for row in table)
+    ranged, metric = any(row[4] for row in rows), any(row["fitted_metric"] for row in table)
     said = (_AS_GOOD if ranged else "", _ESTIMATES, _BY_ERRORS if metric else "", _BY_HAND if printed else "")
     notes = (" ".join(sentence for sentence in said if sentence),)
     caption = "Parameters, beside the paper’s." if printed else "Parameters."

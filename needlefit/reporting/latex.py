@@ -1,11 +1,11 @@
-"""Tables as LaTeX, with the rules of the package booktabs."""
+"""Tables as LaTeX, with the rules of the package booktabs, no wider than the page (graphicx)."""
 
 import re
 from importlib.resources import files
 
 from jinja2 import Environment, StrictUndefined
 
-from needlefit.reporting.display import Display
+from needlefit.reporting.display import Column, Display
 
 _SPECIAL = {
     "\\": r"\textbackslash{}",
@@ -46,7 +46,7 @@ def latex(table: Display, synthetic: bool) -> str:
         .render(
             caption=escape(("SYNTHETIC DATA. " if synthetic else "") + table.caption),
             label=table.name.replace("_", "-"),
-            aligns="".join("l" if column.align == "left" else "r" for column in table.columns),
+            aligns="".join(_align(column) for column in table.columns),
             heads=[escape(column.label) for column in table.columns],
             units=[f"({escape(unit)})" if unit else "" for unit in units] if any(units) else [],
             rows=[
@@ -56,6 +56,10 @@ def latex(table: Display, synthetic: bool) -> str:
             notes=[escape(note) for note in table.notes],
         )
     )
+
+
+def _align(column: Column) -> str:
+    return "p{5cm}" if column.wide else "l" if column.align == "left" else "r"
 
 
 def escape(text: str) -> str:

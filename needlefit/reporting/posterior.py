@@ -20,8 +20,8 @@ def percentiles_table(results: Results) -> pd.DataFrame:
     """Return one row per fold and free parameter: percentiles (Pa, mm), the fit's own value, R-hat.
 
     `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
-    that lies outside the central 95 % of the draws: the fit minimises the recipe's error metrics, the
-    posterior weighs residuals by the stated noise, so the two need not agree. `acceptance` is the fold's;
+    that lies outside the central 95 % of the draws: a peak need not lie where most of a density
+    is, and a fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
     `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
     where the rule, which asks more than the parameters, is not met: the percentiles are then not final.
     `determined` is false where the fit's value is no estimate, and the percentiles tell of the bounds too.
@@ -58,11 +58,19 @@ def outside_said(results: Results) -> str:
     several = len(results.posteriors) > 1
     names = [symbol(row["parameter"]).split(" (")[0] for row in rows]
     where = [f"{name} in {row['fold']}" if several else name for name, row in zip(names, rows, strict=True)]
-    return (
-        f"The fit lies outside the central 95 % of the posterior in {', '.join(where)}: the fit minimises "
-        "the recipe’s error metrics (IPE, TE, EDP), the posterior weighs points by the stated noise, so the "
-        "percentiles are no error bars of the fitted values."
-    )
+    by_metric = (results.starts.query("fit == 'fitted'")["minimized"] == "metric").any()
+    why = _BY_METRIC if by_metric else _BY_PEAK
+    return f"The fit lies outside the central 95 % of the posterior in {', '.join(where)}: {why}"
+
+
+_BY_METRIC = (
+    "the fit minimises the recipe’s error metrics (IPE, TE, EDP), the posterior weighs points by the stated "
+    "noise, so the percentiles are no error bars of the fitted values."
+)
+_BY_PEAK = (
+    "the fit is the peak of the density, and where that leans on a bound, or has a narrow hill beside a "
+    "broad one, most of the posterior lies elsewhere. The percentiles say what is known, not the peak."
+)
 
 
 def posterior_layout(results: Results) -> Display:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,30 +19,36 @@ from needlefit.project.replace import replacing_file
 class Checkpoint:
     """A folder: finished starts, one file per search, and a folder of the sampler's snapshots per fold.
 
-    None keeps nothing.
+    Whatever else is finished piece by piece is kept as rows of JSON values. None keeps nothing.
     """
 
     folder: Path | None
 
     def finished(self, search: str) -> dict[int, Start]:
         """Return the starts of one search that are kept; a line torn by a kill is not one."""
-        if self.folder is None or not self._file(search).is_file():
-            return {}
-        starts = {}
-        for line in self._file(search).read_text(encoding="utf-8").splitlines():
-            try:
-                start = from_dict(json.loads(line))
-            except json.JSONDecodeError:
-                continue
-            starts[start.index] = start
-        return starts
+        starts = (from_dict(row) for row in self.rows(search))
+        return {start.index: start for start in starts}
 
     def keep(self, search: str, start: Start) -> None:
         """Add a finished start."""
+        self.keep_row(search, to_dict(start))
+
+    def rows(self, of: str) -> list[dict[str, Any]]:
+        """Return the rows that are kept of some work; a line torn by a kill is none."""
+        if self.folder is None or not self._file(of).is_file():
+            return []
+        found = []
+        for line in self._file(of).read_text(encoding="utf-8").splitlines():
+            with suppress(json.JSONDecodeError):
+                found.append(json.loads(line))
+        return found
+
+    def keep_row(self, of: str, row: Mapping[str, Any]) -> None:
+        """Add a row; every float survives exactly."""
         if self.folder is None:
             return
-        with self._file(search).open("a", encoding="utf-8") as file:
-            file.write("\n" + json.dumps(to_dict(start)) + "\n")  # the line before may be torn
+        with self._file(of).open("a", encoding="utf-8") as file:
+            file.write("\n" + json.dumps(row) + "\n")  # the line before may be torn
 
     def snapshots(self, fold: str) -> Snapshots:
         """Return where the sampler of one fold keeps its steps."""

@@ -26,6 +26,23 @@ def planned(job: Job, fold: Fold, values: Mapping[str, float], noise: Noise | No
     return replace(job.problem(fold), insertions=known, noise=noise) if len(known) == len(made) else None
 
 
+def looked_at(job: Job, fitted: Mapping[str, float] | None = None) -> tuple[dict[str, float], str]:
+    """Return the values (Pa, mm) at which a design is looked at, within the bounds, and what they are.
+
+    They are those fitted, or those of the paper's hand-tuned set, or the middle of the bounds.
+    """
+    parameters = job.parameters
+    middle = parameters.values(0.5 * (parameters.lower + parameters.upper))
+    if fitted is not None:
+        asked, words = dict(fitted), "the fitted values"
+    elif job.hand_tuned is not None:
+        asked, words = dict(job.hand_tuned), f"the paper's hand-tuned set {job.record.hand_tuned}"
+    else:
+        asked, words = middle, "the middle of the bounds"
+    theta = parameters.theta({**middle, **asked})
+    return parameters.values(np.clip(theta, parameters.lower, parameters.upper)), words
+
+
 def _planned(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:
     """Return one insertion as it would go."""
 

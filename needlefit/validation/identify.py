@@ -4,7 +4,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import numpy as np
 import pandas as pd
 
 from needlefit.errors import FitError
@@ -15,9 +14,9 @@ from needlefit.inference.starts import Fit
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.streams import stream
 from needlefit.validation import provenance
-from needlefit.validation.design import planned
+from needlefit.validation.design import looked_at, planned
 from needlefit.validation.identification import IDENTIFICATION, PROFILES, identified
-from needlefit.validation.job import Job, Settings, prepare
+from needlefit.validation.job import Settings, prepare
 
 
 @dataclass(frozen=True)
@@ -79,7 +78,7 @@ def identify_design(
     """
     job = prepare(name, record, settings)
     fold = job.folds[0]
-    values, place = _place(job, fitted)
+    values, place = looked_at(job, fitted)
     rng = stream(job.recipe.seed, job.name, "design")
     noise = None if fitted is None else with_noise(job.problem(fold), job.parameters.theta(values)).noise
     expectation = expect(lambda at: planned(job, fold, at, noise), values, rng)
@@ -116,20 +115,6 @@ def identify_design(
         ),
         run={**provenance.work(job), "place": place, "values": dict(problem.values(theta))},
     )
-
-
-def _place(job: Job, fitted: Mapping[str, float] | None) -> tuple[dict[str, float], str]:
-    """Return the values (Pa, mm) at which the design is looked at, within the bounds, and what they are."""
-    parameters = job.parameters
-    middle = parameters.values(0.5 * (parameters.lower + parameters.upper))
-    if fitted is not None:
-        asked, words = dict(fitted), "the fitted values"
-    elif job.hand_tuned is not None:
-        asked, words = dict(job.hand_tuned), f"the paper's hand-tuned set {job.record.hand_tuned}"
-    else:
-        asked, words = middle, "the middle of the bounds"
-    theta = parameters.theta({**middle, **asked})
-    return parameters.values(np.clip(theta, parameters.lower, parameters.upper)), words
 
 
 def _ranges(expectation: Expectation, name: str) -> dict[str, float]:

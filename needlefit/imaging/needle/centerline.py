@@ -11,9 +11,9 @@ from needlefit.imaging.needle.sections import Sections, centroids, disc, fit, in
 from needlefit.imaging.needle.segmentation import AIR_BELOW, Component, main_axes
 from needlefit.imaging.needle.spine import Frames, Spine, deviation, draw, extended, frames, reversed_spine
 from needlefit.imaging.needle.tip import End, bevel_length, find_end
-from needlefit.imaging.threads import one_thread
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.threads import one_thread
 
 Floats = NDArray[np.float64]
 

@@ -5,7 +5,7 @@ from needlefit.reporting.names import RIVAL_NAMES, medium_name
 from needlefit.reporting.numbers import fixed, number, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.tracks.results import RIVALS, TrackResults
-from needlefit.validation.tracks.summary import coverage, paired_runs
+from needlefit.validation.tracks.summary import by_depth, coverage, paired_runs
 
 NAMES = {**RIVAL_NAMES, "constant_curvature": "parabola"}
 SHOWN = ("rms_mm", "aligned_rms_mm")
@@ -65,6 +65,21 @@ def scores_layout(results: TrackResults) -> Display:
     strong = tuple(range(0, len(rows), len(RIVALS)))
     notes = (_SCORES[0].format(placed=results.record.placed_by_mm), *_SCORES[1:])
     return Display("scores", "Runs foretold.", columns, tuple(rows), strong[1:], strong, notes)
+
+
+def depths_layout(results: TrackResults) -> Display:
+    """Return how the errors of what was foretold grow with depth."""
+    table = by_depth(results)
+    stretches = sorted(set(zip(table["from_mm"], table["to_mm"], strict=True)))
+    rows = []
+    for (medium, rival), group in table.groupby(["medium", "rival"], sort=False):
+        known = dict(zip(group["from_mm"], group["error_mm"], strict=True))
+        cells = (fixed(known.get(low)) for low, _ in stretches)
+        rows.append((medium_name(str(medium)), NAMES[str(rival)], *cells))
+    columns = (text("Foretold"), text("By"), *(Column(f"{low:g}–{high:g}", "mm") for low, high in stretches))
+    strong = tuple(range(0, len(rows), len(RIVALS)))
+    caption = "Mean size of the error of the medians foretold (mm), by depth."
+    return Display("depths", caption, columns, tuple(rows), strong[1:], strong)
 
 
 def coverage_layout(results: TrackResults) -> Display:

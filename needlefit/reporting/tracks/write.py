@@ -6,11 +6,16 @@ from needlefit.inference.posterior import save
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.tracks import draw_tracks
-from needlefit.reporting.tracks.layouts import coverage_layout, parameters_layout, scores_layout
-from needlefit.reporting.tracks.said import cautions, in_short
+from needlefit.reporting.tracks.layouts import (
+    coverage_layout,
+    depths_layout,
+    parameters_layout,
+    scores_layout,
+)
+from needlefit.reporting.tracks.said import in_short
 from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.tracks.results import TrackResults
-from needlefit.validation.tracks.summary import coverage, paired_runs
+from needlefit.validation.tracks.summary import by_depth, coverage, paired_runs
 
 _CAPTION = (
     "Tip readings (points; hollow: they say how the run lies in the tracker’s frame) and what was foretold "
@@ -30,6 +35,7 @@ def write_tracks(results: TrackResults, folder: Path) -> Path:
     with whole(folder) as new:
         frames = {"readings": results.readings, "runs": results.runs, "parameters": results.parameters}
         frames |= {"paired": paired_runs(results), "coverage": coverage(results)}
+        frames["depths"] = by_depth(results)
         for name, frame in frames.items():
             write_csv(frame.assign(origin=results.origin), new / f"{name}.csv")
         for fit, posterior in results.posteriors.items():
@@ -44,13 +50,14 @@ def write_tracks(results: TrackResults, folder: Path) -> Path:
 def _story(results: TrackResults, drawn: Path) -> Document:
     synthetic = results.origin == "synthetic"
     blocks = (
-        *(document.warning(one) for one in cautions(results)),
+        *(document.warning(f"NOT CONVERGED: {fault}.") for fault in results.faults),
         document.text(results.record.question),
-        document.bullets(in_short(results)),
+        document.bullets([*in_short(results), *results.remarks]),
         document.heading("Runs foretold"),
         document.table(scores_layout(results), synthetic),
-        document.figure(drawn, _CAPTION, synthetic),
+        document.table(depths_layout(results), synthetic),
         document.table(coverage_layout(results), synthetic),
+        document.figure(drawn, _CAPTION, synthetic),
         document.heading("What was learned"),
         document.table(parameters_layout(results), synthetic),
         document.heading("What was assumed"),

@@ -20,6 +20,10 @@ PAIRED = (
 COVERAGE = ("medium", "rival", "what", "level", "held", "runs", "phantoms", "low", "high")
 """`low`, `high`: 95 % interval of the share; where `medium` is "all", of phantoms as trials."""
 
+DEPTHS = ("medium", "rival", "from_mm", "to_mm", "readings", "error_mm")
+STRETCH = 20.0
+"""mm of depth that are taken together."""
+
 MEASURES = ("rms_mm", "aligned_rms_mm", "crps_mm")
 
 
@@ -51,6 +55,18 @@ def coverage(results: TrackResults) -> pd.DataFrame:
                     counted = (found.hits, found.trials, pieces, found.low, found.high)
                     rows.append((medium, rival, what, level, *counted))
     return pd.DataFrame(rows, columns=list(COVERAGE))
+
+
+def by_depth(results: TrackResults) -> pd.DataFrame:
+    """Return the mean size of the error of the medians foretold, by stretches of depth: columns `DEPTHS`."""
+    scored = results.readings[results.readings["scored"]]
+    scored = scored.assign(
+        error_mm=(scored["median_mm"] - scored["measured_mm"]).abs(),
+        from_mm=STRETCH * np.floor(scored["depth_mm"] / STRETCH),
+    )
+    grouped = scored.groupby(["medium", "rival", "from_mm"], sort=False)["error_mm"]
+    rows = grouped.agg(readings="size", error_mm="mean").reset_index()
+    return rows.assign(to_mm=rows["from_mm"] + STRETCH)[list(DEPTHS)]
 
 
 def _half(gap: "np.ndarray[tuple[int], np.dtype[np.float64]]") -> float:

@@ -1,7 +1,7 @@
 """One thread for linear algebra: fits of a few unknowns lose more by sharing them out than they gain.
 
 With the threads of OpenBLAS on two busy cores the markers of a scan took sixteen times as long. And the same
-scan gives the same bytes on any number of cores.
+work gives the same bytes on any number of cores.
 """
 
 from collections.abc import Callable

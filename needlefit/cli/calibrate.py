@@ -1,0 +1,147 @@
+"""`needlefit calibrate`: are the uncertainties that needlefit computes the right ones?"""
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from needlefit.cli import failure, options, screen
+from needlefit.cli.completion import targets
+from needlefit.cli.execution import Execution, cores
+from needlefit.cli.interruption import stopping
+from needlefit.cli.progress import progress
+from needlefit.cli.tune import fit_of
+
+if TYPE_CHECKING:
+    from needlefit.project.records.fit import FitRecord
+    from needlefit.validation.calibration.controls import Control
+    from needlefit.validation.calibration.run import Calibration
+
+REPLICATES, SAMPLED = 500, 100
+"""By default: by importance, and by the sampler."""
+
+ALL = "all"
+
+
+def calibrate(
+    context: typer.Context,
+    target: Annotated[
+        str,
+        typer.Argument(
+            metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
+        ),
+    ],
+    replicates: Annotated[
+        int | None, typer.Option(min=1, help="How many truths are drawn (default: 500; with --sample 100).")
+    ] = None,
+    sample: Annotated[
+        bool,
+        typer.Option("--sample", help="Draw every posterior with the sampler, of three insertions at most."),
+    ] = False,
+    control: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME",
+            help="A likelihood wrong on purpose: sigma, prior, pose, shuffled, or all of them.",
+        ),
+    ] = None,
+    seed: options.Seed = None,
+    jobs: options.Jobs = None,
+    out: options.Out = Path("reports"),
+    resume: options.Resume = False,
+    json: options.Json = False,
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Prove the uncertainties of a TARGET: simulation-based calibration on its own design.
+
+    Parameters are drawn from their prior, the design's needles simulated and measured with errors as stated,
+    and inferred as `tune` would; ranks of the truth among draws must be uniform. It proves the
+    computation, not the model. Results go to OUT/calibrate-TARGET/ (or -CONTROL). Exit code 6 where they
+    are not, or where a control is not noticed; 5 where a sampler has not converged.
+    """
+    with stopping() as stop:
+        target_name, record = fit_of(target)
+        name = target_name.removesuffix("-tune")
+        execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample=True)
+        count = replicates or (SAMPLED if sample else REPLICATES)
+        runs = {f"calibrate-{name}{_suffix(one, sample)}": one for one in _controls(control)}
+        execution.prepare(runs)
+        found = {
+            str(execution.folder(folder)): _run(execution, (name, record), (folder, one), count, sample)
+            for folder, one in runs.items()
+        }
+    _end(found, json)
+
+
+def _run(
+    execution: Execution,
+    fit: "tuple[str, FitRecord]",
+    run: "tuple[str, Control | None]",
+    count: int,
+    sample: bool,
+) -> "Calibration":
+    """Carry out and write one calibration."""
+    from needlefit.reporting.calibration import write_calibration
+    from needlefit.validation.calibration.run import calibrate as repeat
+    from needlefit.validation.job import Settings
+
+    folder, control = run
+    with progress(execution.invocation.quiet) as report:
+        settings = Settings(
+            seed=execution.seed,
+            jobs=execution.jobs or cores(),
+            checkpoint=execution.checkpoint(folder),
+            resume=execution.resume,
+            sample=sample,
+            progress=report,
+            stop=execution.stop,
+        )
+        found = repeat(*fit, settings, count, control)
+    if found.interrupted:
+        raise execution.interrupted()
+    write_calibration(found, execution.folder(folder))
+    execution.forget(folder)
+    return found
+
+
+def _controls(named: str | None) -> "list[Control | None]":
+    if named is None:
+        return [None]
+    from needlefit.validation.calibration.controls import CONTROLS
+
+    if named == ALL:
+        return list(CONTROLS)
+    for control in CONTROLS:
+        if control == named:
+            return [control]
+    raise typer.BadParameter(f"'{named}' is none of {', '.join((*CONTROLS, ALL))}.", param_hint="--control")
+
+
+def _suffix(control: "Control | None", sample: bool) -> str:
+    return ("-sample" if sample else "") + (f"-{control}" if control else "")
+
+
+def _end(found: "dict[str, Calibration]", json: bool) -> None:
+    """Show the results; end with an exit code if one is not what it should be."""
+    from needlefit.reporting.calibration import as_json
+    from needlefit.reporting.calibration_said import PROVES, layout, said
+
+    if json:
+        every = [as_json(one) for one in found.values()]
+        screen.show_json(every if len(every) > 1 else every[0])
+    else:
+        for folder, one in found.items():
+            for sentence in said(one):
+                screen.say(sentence)
+            screen.say()
+            screen.show_display(layout(one))
+            screen.say(f"written: {folder}/")
+        screen.say(PROVES)
+    wrong = [folder for folder, one in found.items() if not one.passes]
+    for folder in wrong:
+        screen.note(f"needlefit: {folder}: {said(found[folder])[0]}")
+    if wrong:
+        raise typer.Exit(failure.VERIFICATION_FAILED)
+    if any(one.untrusted for one in found.values() if one.control is None):
+        raise typer.Exit(failure.NOT_CONVERGED)

@@ -1,0 +1,64 @@
+"""Simulation-based calibration: as files, and for machines."""
+
+from pathlib import Path
+from typing import Any
+
+from needlefit.reporting import document
+from needlefit.reporting.calibration_said import PROVES, caption, layout, said
+from needlefit.reporting.document import Document, compile_pdf
+from needlefit.reporting.figures.ranks import draw_ranks
+from needlefit.reporting.tables import records
+from needlefit.reporting.write import whole, write_csv, write_json
+from needlefit.validation.calibration.run import Calibration
+
+
+def write_calibration(found: Calibration, folder: Path) -> list[Path]:
+    """Write a calibration to `folder`, replacing an earlier result there; return the files.
+
+    `replicates.csv` (truth, ranks, who computed them), `coverage.csv` and `ecdf.csv` (what ranks say, beside
+    what chance allows), `ranks.pdf`, `report.pdf`, `run.json`, and `timing.json`, the only one with a time.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` exists and holds something that is no result.
+    """
+    with whole(folder) as new:
+        for name in ("replicates", "coverage", "ecdfs"):
+            table = getattr(found, name).assign(origin=found.origin)
+            write_csv(table, new / f"{name.removesuffix('s') if name == 'ecdfs' else name}.csv")
+        figure = draw_ranks(found, new / "ranks.pdf")
+        (new / "report.pdf").write_bytes(compile_pdf(_page(found, figure)))
+        write_json(new / "run.json", {**found.run, **_outcome(found)})
+        write_json(new / "timing.json", {"seconds": found.seconds})
+    return sorted(folder.iterdir())
+
+
+def as_json(found: Calibration) -> dict[str, Any]:
+    """Return the result for machines."""
+    about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title}
+    return {**about, **_outcome(found), "said": said(found), "coverage": records(found.coverage)}
+
+
+def _outcome(found: Calibration) -> dict[str, Any]:
+    return {
+        "control": found.control,
+        "passes": found.passes,
+        "not_calibrated": found.failing,
+        "by": found.replicates["by"].value_counts().to_dict(),
+        "untrusted": found.untrusted,
+        "redrawn": int(found.replicates["redrawn"].sum()),
+        "interrupted": found.interrupted,
+    }
+
+
+def _page(found: Calibration, figure: Path) -> Document:
+    synthetic = found.origin == "synthetic"
+    blocks = (
+        *([] if found.passes else [document.warning(said(found)[0])]),
+        document.bullets(said(found)),
+        document.table(layout(found), synthetic),
+        document.figure(figure, caption(found), synthetic),
+        document.text(PROVES),
+    )
+    return Document(f"Calibration: {found.title}", found.dataset_title, synthetic, blocks)

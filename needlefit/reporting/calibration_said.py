@@ -1,0 +1,120 @@
+"""Simulation-based calibration in a table, and in sentences."""
+
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.numbers import in_symbols, symbol
+from needlefit.reporting.tables import Row, records
+from needlefit.validation.calibration.controls import TOO_SURE, Control
+from needlefit.validation.calibration.judged import ERROR, each_error
+from needlefit.validation.calibration.quantities import DESIGN, FIT, LIKELIHOOD, TIP
+from needlefit.validation.calibration.ranks import DRAWS, LEVELS
+from needlefit.validation.calibration.run import Calibration
+
+PROVES = (
+    "This proves the computation, not the model: needles, errors and parameters were drawn from what the "
+    "likelihood and the prior say of them. Whether the model holds, held-out coverage on other truths and on "
+    "real needles says."
+)
+QUANTITIES = {
+    DESIGN: "stiffest, of the design",
+    FIT: "stiffest, at the fit",
+    TIP: "tip of the deepest",
+    LIKELIHOOD: "log likelihood",
+}
+WRONG: dict[Control, str] = {
+    "sigma": f"noise and pose taken for {TOO_SURE} of what they were",
+    "prior": "the prior returned as the posterior",
+    "pose": "errors of the pose left out",
+    "shuffled": "one insertion with another's shape, or on the wrong side",
+}
+
+
+def quantity(name: str) -> str:
+    """Return what a ranked quantity is called in print."""
+    return QUANTITIES.get(name, symbol(name).split(" (")[0])
+
+
+def layout(found: Calibration) -> Display:
+    """Return one row per quantity: how many truths each central interval held, and what chance allows."""
+    tables = {name: list(rows) for name, rows in _by_quantity(records(found.coverage)).items()}
+    outside = found.ecdfs[~found.ecdfs["passes"]].groupby("quantity").size()
+    rows = tuple(
+        (
+            quantity(name),
+            *(_cell(row) for row in levels),
+            f"{out} of {DRAWS} outside" if (out := int(outside.get(name, 0))) else "inside",
+            "NO" if name in found.failing else "yes",
+        )
+        for name, levels in tables.items()
+    )
+    heads = (Column(f"{100 * level:.0f} %") for level in LEVELS)
+    columns = (text("Quantity"), *heads, text("ECDF of the ranks"), text("Calibrated"))
+    note = (
+        f"How often the central interval held the truth, and between which counts chance keeps it; ranks "
+        f"among {DRAWS} draws. Each check may fail with probability {each_error(len(rows)):.1e}, all "
+        f"together with {ERROR:g} at most (Bonferroni). Stiffest: the combination of parameters that the "
+        "design, or the data at their fit, tell best."
+    )
+    return Display("calibration", caption(found), columns, rows, notes=(note,))
+
+
+def caption(found: Calibration) -> str:
+    """Return what table and figure show."""
+    wrong = f" A control: {WRONG[found.control]}." if found.control else ""
+    cut = " INTERRUPTED." if found.interrupted else ""
+    return f"Where the truth stood among draws of its posterior, {len(found.replicates)} times.{wrong}{cut}"
+
+
+def said(found: Calibration) -> list[str]:
+    """Return the outcome, what was done, and by whom."""
+    return [_outcome(found), _design(found), *_computed(found), _redrawn(found)]
+
+
+def _outcome(found: Calibration) -> str:
+    names = in_symbols(", ".join(quantity(name) for name in found.failing))
+    if found.control is not None:
+        seen = f"is noticed, by {names}" if found.failing else "is NOT noticed"
+        return f"Control: {WRONG[found.control]}: {seen}."
+    if found.failing:
+        return f"NOT calibrated: {names}."
+    return f"All {found.coverage['quantity'].nunique()} quantities are calibrated."
+
+
+def _design(found: Calibration) -> str:
+    count = len(found.depths)
+    shallow, deep = (f"{depth:.3g}" for depth in (min(found.depths), max(found.depths)))
+    depth = f"{shallow} mm" if shallow == deep else f"{shallow} to {deep} mm"
+    few = f" ({', '.join(found.insertions)})" if found.sampled else ""
+    return (
+        f"{len(found.replicates)} replicates of {count} insertion{'s' if count > 1 else ''}{few}, {depth} "
+        "deep: parameters from their prior, needles simulated anew, errors of depths, pose and points as "
+        "stated."
+    )
+
+
+def _computed(found: Calibration) -> list[str]:
+    """Return who computed the posteriors, and how many nobody certified."""
+    count = len(found.replicates)
+    by = found.replicates["by"].value_counts().to_dict()
+    parts = [f"{one} by {who} ({100 * one / count:.1f} %)" for who, one in by.items()]
+    lines = [f"Posteriors: {', '.join(parts)}; none was left out."]
+    if found.untrusted and found.control is None:
+        lines.append(f"{found.untrusted} of them NOT CONVERGED: they count as they are.")
+    return lines
+
+
+def _redrawn(found: Calibration) -> str:
+    again = int(found.replicates["redrawn"].sum())
+    drawn = again + len(found.replicates)
+    return f"{again} of {drawn} parameter sets drawn from the prior have no solution, and were drawn again."
+
+
+def _cell(row: Row) -> str:
+    mark = "" if row["passes"] else " !"
+    return f"{row['covered']} ({row['least']}–{row['most']}){mark}"
+
+
+def _by_quantity(rows: list[Row]) -> dict[str, list[Row]]:
+    found: dict[str, list[Row]] = {}
+    for row in rows:
+        found.setdefault(str(row["quantity"]), []).append(row)
+    return found

@@ -1,0 +1,65 @@
+"""What is ranked: functions of parameters and data, whose posterior can be held against the truth."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.inference.identify import told_by
+from needlefit.inference.predict import predict_each
+from needlefit.inference.problem import Problem
+from needlefit.mechanics.batch import positions_each
+from needlefit.mechanics.lanes import follow_batches
+
+Floats = NDArray[np.float64]
+
+DESIGN, FIT, TIP, LIKELIHOOD = "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"
+"""Beside the parameters: the combination that the design tells best where it was looked at, the one that the
+data tell best where they are fitted, the tip of the deepest insertion, and the log likelihood, without which
+the prior itself would pass for a posterior."""
+
+
+@dataclass(frozen=True)
+class Quantities:
+    """Functions of theta under one problem.
+
+    Attributes
+    ----------
+    problem : Problem
+    directions : (2, P) array
+        Unit vectors of `DESIGN` and `FIT`.
+    tip : Insertion
+        As planned.
+    """
+
+    problem: Problem
+    directions: Floats
+    tip: Insertion
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Q of them; of one parameter alone, no combination is another quantity."""
+        free = self.problem.names
+        return (*free, *((DESIGN, FIT) if len(free) > 1 else ()), TIP, LIKELIHOOD)
+
+    def __call__(self, thetas: Floats, log_posterior: Floats) -> Floats:
+        """Return the quantities (N, Q) at thetas (N, P)."""
+        combined = thetas @ self.directions.T if thetas.shape[1] > 1 else thetas[:, :0]
+        sets = [self.problem.values(theta) for theta in thetas]
+        prior = self.problem.parameters.prior
+        likelihood = log_posterior - [prior.log_density(values) for values in sets]
+        medium, needle = self.problem.medium, self.problem.dataset.needle
+        (shapes,) = follow_batches([predict_each(sets, medium, needle, self.tip)], 1)
+        tips = positions_each(shapes, np.array([self.tip.depth]))[:, 0, 1]
+        return np.column_stack([thetas, combined, tips, likelihood])
+
+
+def stiffest(problem: Problem, theta: Floats) -> Floats:
+    """Return the combination (P,), of length 1, that the insertions tell best at theta."""
+    if len(theta) == 0:
+        return np.zeros(0)
+    _, slope, _ = told_by(problem, theta)
+    vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
+    upright: Floats = vector * np.sign(vector[np.argmax(np.abs(vector))])
+    return upright

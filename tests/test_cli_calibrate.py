@@ -1,0 +1,60 @@
+"""`needlefit calibrate`: what it writes, how it ends, and that it goes on where it was stopped."""
+
+import json
+
+import pandas as pd
+import pytest
+from test_cli import run
+
+from needlefit.cli.tune import fit_of
+from needlefit.validation.calibration.run import calibrate
+from needlefit.validation.job import Settings
+
+FILES = {
+    *("coverage.csv", "ecdf.csv", "ranks.pdf", "replicates.csv", "report.pdf", "run.json", "timing.json"),
+}
+
+
+@pytest.fixture
+def reports(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    return tmp_path / "reports"
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(reports, capsys):
+    assert run("calibrate", "study2", "--replicates", "4", "--jobs", "1", "-q") == 0
+    out = capsys.readouterr().out
+    assert "All 7 quantities are calibrated" in out and "This proves the computation, not the model" in out
+    assert "4 replicates of 1 insertion, 24 mm deep" in out
+    folder = reports / "calibrate-study2"
+    assert {path.name for path in folder.iterdir()} == FILES
+    rows = pd.read_csv(folder / "replicates.csv")
+    assert rows["replicate"].tolist() == [0, 1, 2, 3] and set(rows["origin"]) == {"synthetic"}
+    assert rows.filter(like="rank_").stack().between(0, 79).all()
+
+    done = []
+    kept = Settings(
+        checkpoint=reports / "calibrate-study2.partial",
+        stop=lambda: len(done) == 2,
+        progress=lambda label, count, of: done.append(count) if count else None,
+    )
+    cut = calibrate("study2", fit_of("study2")[1], kept, 4)
+    assert cut.interrupted and len(cut.replicates) == 2
+    before = {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
+    assert run("calibrate", "study2", "--replicates", "4", "--resume", "--jobs", "2", "-q") == 0
+    after = {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
+    assert before == after and not (reports / "calibrate-study2.partial").exists()
+
+
+def test_a_control_that_is_noticed_ends_well_and_one_that_is_not_does_not(reports, capsys):
+    """The prior as posterior: 15 truths are far likelier than its draws, one alone tells nothing."""
+    assert run("calibrate", "study2", "--control", "prior", "--replicates", "15", "-q", "--json") == 0
+    said = json.loads(capsys.readouterr().out)
+    assert said["not_calibrated"] == ["log_likelihood"] and said["by"] == {"prior": 15}
+    assert run("calibrate", "study2", "--control", "prior", "--replicates", "1", "-q") == 6
+    assert "is NOT noticed" in capsys.readouterr().err
+    assert json.loads((reports / "calibrate-study2-prior" / "run.json").read_text())["passes"] is False
+
+
+def test_a_control_that_there_is_not_is_a_usage_error(reports, capsys):
+    assert run("calibrate", "study2", "--control", "nothing") == 2

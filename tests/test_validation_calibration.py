@@ -1,0 +1,169 @@
+"""Calibration: right posteriors pass, wrong ones are noticed, bands err as often as they say."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from inference_cases import NEEDLE, insertion, measure, medium
+from scipy.stats import norm
+
+from needlefit.datasets.insertion import Dataset, Noise
+from needlefit.inference.draws import of_prior
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.problem import Problem
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.recipe import RecipeRecord
+from needlefit.validation.calibration.bands import band, inside, limits
+from needlefit.validation.calibration.controls import CONTROLS
+from needlefit.validation.calibration.judged import coverage, ecdfs, failing
+from needlefit.validation.calibration.measured import measured
+from needlefit.validation.calibration.ranks import DRAWS, covered, ranks
+from needlefit.validation.calibration.replicate import Experiment, make, replicate
+from needlefit.validation.folds import Fold
+from needlefit.validation.job import Job
+
+ENOUGH = {"sigma": 40, "prior": 20, "pose": 15, "shuffled": 10}
+"""Replicates by which each control is noticed."""
+
+SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
+
+
+def small_job(count: int = 2, scale: float | str = 1.0, **changed: object) -> Job:
+    """One or two short needles in one layer whose depths are certain, mu and b free."""
+    record = medium(1, mu1_pa={"bounds": [1e4, 1e7]}, bevel_mm={"bounds": [0.02, 0.3]})
+    made = tuple(
+        replace(measure(SEEN, record, insertion(depth), points=21), **changed)
+        for depth in (13.0, 19.0)[:count]
+    )
+    noise = Noise(registration_mean=0.19, point_sd=0.02, correlated_sd=0.02)
+    data = Dataset("small", "small", "synthetic", NEEDLE, made, ("test",), noise, "known", 0.0, Path(), "0")
+    fit = FitRecord.model_validate({"schema": 1, "dataset": "small", "medium": "test"})
+    recipe = RecipeRecord.model_validate({"schema": 1, "likelihood": {"noise_scale": scale}})
+    return Job(
+        "small", fit, data, record, Parameters.from_record(record), recipe, None, (Fold("all", made, ()),)
+    )
+
+
+def run(job: Job, count: int, **kind: object) -> dict[str, np.ndarray]:
+    experiment = Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}, **kind)
+    rows = [replicate(number, experiment) for number in range(count)]
+    names = [name for name in rows[0] if name.startswith("rank_")]
+    return {name.removeprefix("rank_"): np.array([row[name] for row in rows]) for name in names}
+
+
+def failures(found: dict[str, np.ndarray]) -> list[str]:
+    return failing(coverage(found), ecdfs(found))
+
+
+def test_needles_of_the_model_itself_are_calibrated():
+    found = run(small_job(), 40)
+    assert set(found) == {"mu1_pa", "bevel_mm", "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"}
+    assert failures(found) == []
+
+
+@pytest.mark.parametrize("control", CONTROLS)
+def test_every_control_is_noticed(control):
+    assert failures(run(small_job(), ENOUGH[control], control=control))
+
+
+def test_one_needle_alone_on_the_wrong_side_is_noticed():
+    assert failures(run(small_job(1), 10, control="shuffled"))
+
+
+def test_exact_posteriors_pass_and_narrow_ones_fail():
+    """A Gaussian toy: data with sd 1 about a truth with sd 1, the posterior known exactly."""
+    rng = np.random.default_rng(3)
+    truth = rng.normal(size=500)
+    middle = 0.5 * (truth + rng.normal(size=500))
+
+    def ranked(width: float) -> dict[str, np.ndarray]:
+        draws = middle[:, None] + width * np.sqrt(0.5) * rng.normal(size=(500, DRAWS))
+        placed = [ranks(t[None], d[:, None], rng)[0] for t, d in zip(truth, draws, strict=True)]
+        return {"x": np.array(placed)}
+
+    assert failures(ranked(1.0)) == []
+    assert failures(ranked(0.7)) == ["x"] and failures(ranked(1.4)) == ["x"]
+
+
+def test_a_band_holds_all_places_as_often_as_it_says():
+    low, high = band(60, 80, 0.1)
+    drawn = np.random.default_rng(1).integers(0, 80, (10000, 60))
+    below = np.stack([(drawn < place).sum(axis=1) for place in range(1, 80)], axis=1)
+    held = np.mean(np.all((below >= low) & (below <= high), axis=1))
+    assert 0.9 <= inside(60, low, high) < 0.92
+    assert held == pytest.approx(inside(60, low, high), abs=0.01)
+
+
+def test_limits_of_a_count_are_the_binomial_s():
+    """Of 20 fair coins 0 to 3 heads have probability 0.0013, 0 to 4 have 0.0059."""
+    low, high = limits(20, 0.5, 0.01)
+    assert (low, high) == (4, 16)
+
+
+def test_ranks_of_equal_values_take_any_place_and_levels_are_whole_parts():
+    rng = np.random.default_rng(1)
+    placed = np.array([ranks(np.zeros(1), np.zeros((DRAWS, 1)), rng)[0] for _ in range(2000)])
+    assert placed.min() == 0 and placed.max() == DRAWS
+    every = np.arange(DRAWS + 1)
+    assert [covered(every, level) for level in (0.5, 0.8, 0.9, 0.95)] == [40, 64, 72, 76]
+
+
+@pytest.mark.parametrize("pose", ["known", "free"])
+def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
+    """Its residuals are 0: arc lengths and deflections are what the likelihood takes them for."""
+    job = small_job()
+    still = replace(job.dataset, noise=replace(job.dataset.noise, registration_mean=0.0), pose=pose)
+    for one in job.folds[0].tune:
+        sure = replace(one, pose_angle_sd=0.0)
+        seen = measured(still, sure, SEEN, job.medium, np.random.default_rng(2), scale=1e-9)
+        problem = Problem(still, (seen,), job.medium, job.parameters, job.recipe.weights)
+        residuals = problem.residuals(problem.parameters.theta(SEEN))[: sum(problem.density.told)]
+        assert np.abs(residuals).max() < (1e-3 if pose == "known" else 0.05)
+
+
+def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
+    job = small_job(scale="estimated", depth_sd=0.4)
+    one = job.folds[0].tune[0]
+    quiet = replace(job.dataset, noise=Noise(point_sd=1e-6))
+    sure = replace(one, pose_angle_sd=0.0)
+    rng = np.random.default_rng(5)
+    ends = [measured(quiet, sure, SEEN, job.medium, rng).planar[0, 0] for _ in range(300)]
+    assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
+
+
+def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
+    job = small_job()
+    thetas = [make(job, np.random.default_rng(4)).theta for _ in range(2)]
+    assert np.array_equal(*thetas)
+    plain, wrong = (
+        replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}, control=c)) for c in (None, "pose")
+    )
+    assert plain["mu1_pa"] == wrong["mu1_pa"] and plain["bevel_mm"] == wrong["bevel_mm"]
+    assert plain == replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}))
+
+
+def test_the_sampler_draws_where_it_is_asked_to_and_says_that_it_has_not_converged():
+    job = small_job(1)
+    hurried = job.recipe.model_copy(update={"sample": job.recipe.sample.model_copy(update={"steps": 30})})
+    row = replicate(
+        1, Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
+    )
+    assert row["by"] == "sampler" and not row["trusted"] and row["pareto_k"] is None
+    assert 0 <= row["rank_bevel_mm"] <= DRAWS
+
+
+def test_the_prior_is_drawn_as_it_is_stated():
+    """alpha is normal about 2 and cut off at 2.5, ln mu normal about ln 1e5 and tied to it, b flat in ln."""
+    record = medium(
+        1,
+        mu1_pa={"bounds": [1e3, 1e9], "prior": {"median": 1e5, "factor": 2.0, "correlation": -0.8}},
+        alpha1={"bounds": [-3.0, 2.5], "prior": {"mean": 2.0, "sd": 0.5}},
+        bevel_mm={"bounds": [0.02, 0.3]},
+    )
+    draws = of_prior(Parameters.from_record(record), 4000, np.random.default_rng(1))
+    mu, alpha, bevel = draws.T
+    assert alpha.max() < 2.5 and np.mean(alpha < 2.0) == pytest.approx(0.5 / norm.cdf(1.0), abs=0.03)
+    slope = np.cov(mu, alpha)[0, 1] / np.var(alpha)
+    assert slope == pytest.approx(-0.8 * np.log(2.0) / 0.5, rel=0.05)  # cutting alpha leaves the regression
+    assert np.mean(bevel < np.log(0.02) + 0.25 * np.log(15)) == pytest.approx(0.25, abs=0.03)
