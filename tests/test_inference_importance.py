@@ -44,7 +44,7 @@ def test_a_correlated_gaussian_of_twenty_dimensions():
     rng = np.random.default_rng(4)
     factor = rng.normal(size=(20, 20))
     covariance = factor @ factor.T / 20 + 0.05 * np.eye(20)
-    found = weighted(Known(gaussian(covariance), 20), effort=Effort(draws=3000, rounds=1, enough=500))
+    found = weighted(Known(gaussian(covariance), 20), effort=Effort(draws=2000, rounds=1, enough=300))
     mean, got, errors = moments(found)
     assert found.certified
     assert np.all(np.abs(mean) < 5 * errors)
@@ -67,7 +67,7 @@ def test_a_banana_comes_back():
 
 def test_horns_of_a_banana_are_seen_with_the_default_effort_too():
     """Of weights that looked certified after one round, at the density itself, the mean was 0.5."""
-    found = [weighted(Known(banana, half=40.0), effort=Effort(), seed=seed) for seed in range(10)]
+    found = [weighted(Known(banana, half=40.0), effort=Effort(), seed=seed) for seed in range(6)]
     assert np.mean([moments(one)[0][1] for one in found if one.certified]) == pytest.approx(1.0, abs=0.2)
 
 

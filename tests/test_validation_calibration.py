@@ -23,7 +23,7 @@ from needlefit.validation.calibration.replicate import Experiment, make, replica
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
 
-ENOUGH = {"sigma": 40, "prior": 20, "pose": 15, "shuffled": 10}
+ENOUGH = {"sigma": 40, "prior": 20, "pose": 10, "shuffled": 8}
 """Replicates by which each control is noticed."""
 
 SEEN = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
@@ -57,7 +57,7 @@ def failures(found: dict[str, np.ndarray]) -> list[str]:
 
 
 def test_needles_of_the_model_itself_are_calibrated():
-    found = run(small_job(), 40)
+    found = run(small_job(), 25)
     assert set(found) == {"mu1_pa", "bevel_mm", "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"}
     assert failures(found) == []
 
@@ -68,7 +68,7 @@ def test_every_control_is_noticed(control):
 
 
 def test_one_needle_alone_on_the_wrong_side_is_noticed():
-    assert failures(run(small_job(1), 10, control="shuffled"))
+    assert failures(run(small_job(1), 6, control="shuffled"))
 
 
 def test_exact_posteriors_pass_and_narrow_ones_fail():

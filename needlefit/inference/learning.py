@@ -16,7 +16,7 @@ from needlefit.project.records.recipe import SampleRecord
 
 Floats = NDArray[np.float64]
 
-LESSONS = (50, 150, 400, 1000, 2500)
+LESSONS = (50, 150, 500, 1200, 3000)
 """Steps after which ensembles learn, from the second half of them."""
 
 

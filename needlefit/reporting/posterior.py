@@ -20,8 +20,8 @@ def percentiles_table(results: Results) -> pd.DataFrame:
     """Return one row per fold and free parameter: percentiles (Pa, mm), the fit's own value, R-hat.
 
     `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
-    that lies outside the central 95 % of the draws: a peak need not lie where most of a density
-    is, and a fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
+    that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
+    fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
     `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
     where the rule, which asks more than the parameters, is not met: the percentiles are then not final.
     `determined` is false where the fit's value is no estimate, and the percentiles tell of the bounds too.
