@@ -94,7 +94,7 @@ def test_where_every_needle_is_solved_no_simulation_is_to_blame():
 
 def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(tmp_path):
     p = violent()
-    settings = SampleRecord(ensembles=2, walkers=8, steps=30)
+    settings = SampleRecord(ensembles=2, walkers=8, steps=60, moves="stretch")  # steps far out
     got = sample(p, np.log([2e7, 30.0]), settings, rng())
     assert got.failures >= sum(len(thetas) for thetas in got.failed) > 0
     assert len(got.failed) == 2 and max(len(thetas) for thetas in got.failed) <= KEPT

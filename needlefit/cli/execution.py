@@ -57,8 +57,7 @@ class Execution:
             )
         for name in names:
             require_result(self.folder(name))
-        if not self.invocation.quiet:
-            screen.note_compiling(*(["lanes"] if self.sample else []))
+        screen.compile_ahead("lanes", "sensitivity", quiet=self.invocation.quiet)
 
     def folder(self, name: str) -> Path:
         """Return where the results of one study or fit go."""

@@ -67,8 +67,7 @@ def predict(
         name, record = fit_of(target)
         folder = out / f"predict-{name.removesuffix('-tune')}-{Path(scene).stem}"
         require_result(folder)
-        if not invocation.quiet:
-            screen.note_compiling("lanes")
+        screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
         with progress(invocation.quiet) as report:
             settings = Settings(seed=seed, jobs=jobs or cores(), progress=report, stop=stop)
             job = prepare(name, record, settings)

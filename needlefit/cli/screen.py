@@ -22,15 +22,18 @@ def note(text: str) -> None:
     print(text, file=sys.stderr)
 
 
-def note_compiling(*rooms: str) -> None:
-    """Say so where the model, or a further room of its kernel, is about to be compiled.
-
-    Nobody should take the wait for a hang.
-    """
+def compile_ahead(*rooms: str, quiet: bool = False) -> None:
+    """Compile the model, or further rooms of its kernel, where they are not; say so, as it takes a while."""
     from needlefit.mechanics.kernel import compiled
 
-    if not all(compiled(room) for room in ("kernel", *rooms)):
+    wanted = ("kernel", *rooms)
+    if all(compiled(room) for room in wanted):
+        return
+    if not quiet:
         note("needlefit: compiling the model; this happens once and takes some seconds")
+    from needlefit.mechanics.warm import warm
+
+    warm(*wanted)
 
 
 def show_json(value: object) -> None:

@@ -114,7 +114,7 @@ def _summary_of_step(entry: "Entry", shape: "NeedleShape") -> dict[str, Any]:
 def _insert(record: "SceneRecord", where: str) -> tuple["Scene", "tuple[NeedleShape, ...]"]:
     from needlefit.mechanics.scene import Scene, insert
 
-    screen.note_compiling()
+    screen.compile_ahead()
     scene = Scene.from_record(record, where)
     return scene, insert(scene)
 

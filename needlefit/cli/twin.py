@@ -33,8 +33,7 @@ def twin_build(
     from needlefit.synthetic.twin import SEED
 
     seed = SEED if seed is None else seed
-    if not quiet:
-        screen.note_compiling()
+    screen.compile_ahead(quiet=quiet)
     with replacing_twin(out) as fresh, progress(context.find_root().obj.quiet) as report:
         build(fresh, seed, jobs=jobs or cores(), progress=report)
     screen.say(f"{out}: synthetic dataset, seed {seed}")
@@ -65,8 +64,7 @@ def twin_ct(
     from needlefit.synthetic.twin import SEED
 
     seed, plan = SEED if seed is None else seed, named(ids or ())
-    if not quiet:
-        screen.note_compiling()
+    screen.compile_ahead(quiet=quiet)
     with replacing_scans(out) as fresh, progress(context.find_root().obj.quiet) as report:
         write_scans(fresh, plan, seed, form, jobs or cores(), report)
     screen.say(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

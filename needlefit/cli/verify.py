@@ -35,8 +35,7 @@ def verify(
     folder = out / FOLDER
     require_result(folder)
     invocation = context.find_root().obj
-    if not invocation.quiet:
-        screen.note_compiling("lanes", "sensitivity")
+    screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
     started = time.perf_counter()
     with progress(invocation.quiet) as report:
         found = measure(seed, progress=report)
