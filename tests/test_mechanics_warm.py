@@ -1,7 +1,5 @@
 """Compiling ahead: what runs afterwards is the same function in every process."""
 
-import os
-import subprocess
 import sys
 
 from needlefit.mechanics import warm as module
@@ -21,14 +19,13 @@ def test_what_is_compiled_is_not_compiled_again(monkeypatch):
     assert started == []
 
 
-def test_another_process_compiles_what_is_missing(tmp_path):
-    program = (
-        "from needlefit.mechanics import kernel, warm; assert not kernel.compiled('kernel');"
-        "warm.warm('kernel'); assert kernel.compiled('kernel');"
-        "from needlefit.mechanics.kernel import insertion; assert not insertion.advance.signatures"
-    )
-    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    done = subprocess.run(
-        [sys.executable, "-c", program], env=environment, capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stderr
+def test_another_process_compiles_what_is_missing(monkeypatch):
+    asked = []
+    monkeypatch.setattr(module, "compiled", lambda room: room != "lanes")
+    monkeypatch.setattr(module.subprocess, "run", lambda words, **options: asked.append(words))
+    warm(*ROOMS)
+    ((python, flag, program),) = asked
+    assert (python, flag) == (sys.executable, "-c")
+    monkeypatch.setattr(module, "insert", asked.append)
+    exec(program)
+    assert asked[1:] == [["lanes"]]
