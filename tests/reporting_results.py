@@ -156,7 +156,11 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
             row["objective"] = best + max(0.0, rng.exponential(0.1) - 0.08) if start else np.inf
             row["excess"] = (row["objective"] - best) / 0.01
             row |= {"as_good": bool(row["objective"] < best + 0.01), "evaluations": 600, "gradients": 0}
-            row |= {"failed_solves": int(start == 0) * 600, "stopped": "evaluations", "joined": None}
+            row |= {
+                "failed_solves": int(start == 0) * 600,
+                "stopped": "tolerance" if start else "budget",
+                "joined": None,
+            }
             for i in range(1, layers + 1):
                 row[f"mu{i}_pa"] = 10 ** rng.uniform(4, 7)
                 row[f"alpha{i}"] = rng.uniform(-3, 5)

@@ -70,13 +70,13 @@ def test_the_stiff_direction_is_asked_too():
 
 
 def met(**changed):
-    """A single quantity of two ensembles for which the rule is met, but for `changed`."""
+    """A single quantity of four ensembles for which the rule is met, but for `changed`."""
     fine = {
         "quantities": ("x",),
         "r_hat": np.array([1.009]),
-        "tau": np.array([[9.9], [9.0]]),
-        "bulk": np.array([[401.0], [500.0]]),
-        "tail": np.array([[401.0], [500.0]]),
+        "tau": np.array([[9.9], [9.0], [9.0], [9.0]]),
+        "bulk": np.array([[401.0], [500.0], [500.0], [500.0]]),
+        "tail": np.array([[401.0], [500.0], [500.0], [500.0]]),
         "steps": 500,
     }
     return Convergence(**{**fine, **changed})
@@ -87,10 +87,11 @@ def test_each_clause_of_the_rule_counts():
     broken = [
         met(r_hat=np.array([1.01])),
         met(r_hat=np.array([math.nan])),
-        met(tau=np.array([[10.0], [9.0]])),
-        met(tau=np.array([[math.inf], [9.0]])),
+        met(tau=np.array([[10.0], [9.0], [9.0], [9.0]])),
+        met(tau=np.array([[math.inf], [9.0], [9.0], [9.0]])),
         met(bulk=np.array([[401.0], [400.0]])),
         met(tail=np.array([[400.0], [500.0]])),
+        met(tau=np.array([[9.9], [9.0], [9.0]])),
     ]
     assert [len(one.faults) for one in broken] == [1] * len(broken)
 

@@ -94,6 +94,15 @@ def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
     assert min(row["deviance"] for row in told.points) == 0.0
 
 
+def test_a_better_point_than_the_fit_is_told_by_how_much():
+    p = two_layers()
+    worse = {**TRUTH, "bevel_mm": 1.1 * TRUTH["bevel_mm"]}
+    found = examine(p, fit_at(p, worse))
+    lost = p.log_posterior(p.parameters.theta(TRUTH)) - p.log_posterior(p.parameters.theta(worse))
+    assert found.gain >= lost - 0.01 and found.gain > 1
+    assert abs(examine(p, fit_at(p, TRUTH)).gain) < 0.01
+
+
 def test_threads_change_nothing_and_a_stop_leaves_out_what_has_not_begun():
     p = two_layers(count=1)
     one, two = (identified(p, examine(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))

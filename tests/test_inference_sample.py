@@ -66,7 +66,7 @@ def test_the_budget_ends_a_run_that_says_that_it_has_not_converged():
     assert not short.converged and not short.interrupted
     assert short.steps + short.burn_in == 60 and short.burn_in <= 30
     assert any("autocorrelation" in fault for fault in short.faults)
-    assert draw(ensembles=1).faults[0].startswith("a single ensemble")
+    assert draw(ensembles=1).faults[0].startswith("1 independent ensembles, not 4")
 
 
 def test_the_draws_do_not_depend_on_the_number_of_threads():

@@ -21,16 +21,16 @@ from needlefit.validation.results import Results
 
 def sampled(low: float, high: float, r_hat: float = 1.0) -> Results:
     """Study 5 with b drawn evenly between two bounds; the fit ended at 0.0847 mm."""
-    draws = np.tile(np.linspace(low, high, 400), 2).reshape(2, 400, 1)
-    many = np.full((2, 1), 500.0)
-    convergence = Convergence(("bevel_mm",), np.array([r_hat]), np.ones((2, 1)), many, many, 100)
+    draws = np.tile(np.linspace(low, high, 400), 4).reshape(4, 400, 1)
+    many = np.full((4, 1), 500.0)
+    convergence = Convergence(("bevel_mm",), np.array([r_hat]), np.ones((4, 1)), many, many, 100)
     posterior = Posterior(
         names=("bevel_mm",),
         draws=draws,
-        log_posterior=np.zeros((2, 400)),
+        log_posterior=np.zeros((4, 400)),
         walkers=4,
         moves="stretch",
-        acceptance=np.array([0.3, 0.4]),
+        acceptance=np.array([0.3, 0.4, 0.3, 0.4]),
         convergence=convergence,
         burn_in=10,
         failures=0,

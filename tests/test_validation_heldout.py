@@ -12,7 +12,7 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.study import StudyRecord
 from needlefit.reporting.foretold import foretold_layout
-from needlefit.validation.heldout import PREDICTIVE, foretold
+from needlefit.validation.heldout import PREDICTIVE, drawn, foretold
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.placed import Known
 
@@ -27,13 +27,12 @@ def job():
 def known(job):
     problem = job.problem(job.folds[0])
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    return Known(fit, identify(problem, fit))
+    return drawn(job, job.folds[0], Known(fit, identify(problem, fit)))
 
 
 def sure(known):
-    """The same fit, as if nothing were open about its parameters."""
-    directions = tuple(replace(one, sd=1e-9) for one in known.verdict.directions)
-    return replace(known, verdict=replace(known.verdict, directions=directions))
+    """One of the draws, as if nothing were open about the parameters."""
+    return replace(known, thetas=np.repeat(known.thetas[:1], len(known.thetas), axis=0))
 
 
 def of(job, *insertions):
@@ -51,7 +50,7 @@ def test_with_sure_parameters_and_depths_the_pose_and_the_points_are_left(job, k
     half = (row["tip_95_high_mm"] - row["tip_95_low_mm"]) / 2
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
-    assert tuple(row) == PREDICTIVE and row["from"] == "laplace"
+    assert tuple(row) == PREDICTIVE and row["from"] == "importance" and row["certified"]
 
 
 def test_open_depths_and_parameters_widen_it(job, known):
@@ -92,4 +91,13 @@ def test_the_table_counts_what_fell_where(job, known):
     rows[1] |= {"tip_in_50": False, "tip_in_95": True}
     table = foretold_layout(replace(study(2), predictive=pd.DataFrame(rows)))
     assert table.rows[0][2:4] == ("1 of 2 (9–91 %)", "2 of 2 (34–100 %)")
-    assert "Gaussian about the fit" in table.caption
+    assert "draws of the posterior about the fit" in table.caption
+
+
+def test_the_scale_of_the_noise_is_that_of_what_is_foretold(job, known):
+    insertion = exact(job.folds[0].validate[0])
+    doubled = job.recipe.likelihood.model_copy(update={"noise_scale": 2.0})
+    wide = replace(job, recipe=job.recipe.model_copy(update={"likelihood": doubled}))
+    (one,), (two,) = (tuple(foretold(each, of(job, insertion), sure(known))) for each in (job, wide))
+    widths = [row["tip_95_high_mm"] - row["tip_95_low_mm"] for row in (one, two)]
+    assert widths[1] == pytest.approx(2 * widths[0], rel=1e-6)

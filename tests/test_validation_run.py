@@ -19,6 +19,7 @@ from needlefit.mechanics.shape import inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.load import load
+from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.reporting.sentences import failures_said
@@ -263,6 +264,13 @@ def test_a_fit_with_everything_fixed_only_scores(project: Path) -> None:
     assert set(results.parameters["status"]) == {"fixed"}
 
 
+def test_a_fixed_bevel_is_not_tuned_anew_about_the_paper_s_set(project: Path) -> None:
+    rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { fixed = 0.09 }")
+    fit = {"schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel", "hand_tuned": "study2"}
+    found = run("gel", FitRecord.model_validate(fit | {"tune": {"specimens": ["piece1"]}}), Settings())
+    assert "hand_tuned_b" not in set(found.errors["rival"]) and "hand_tuned" in set(found.errors["rival"])
+
+
 def test_what_is_tied_to_a_fixed_parameter_is_fixed(project: Path) -> None:
     rewrite(project, "media", "mu1_pa = { bounds = [3e4, 3e6] }", 'mu1_pa = { tie = "0.015 * mu2_pa" }')
     results = run("tied", study(), Settings())
@@ -290,3 +298,11 @@ def test_weights_that_are_all_zero_are_refused(project: Path) -> None:
     rewrite(project, "recipes", "1e-6", "1e-6\n[weights]\nipe = 0\nte = 0\nedp = 0")
     with pytest.raises(ConfigError, match="nothing to minimise"):
         run("zero", study(), Settings())
+
+
+def test_a_search_that_ends_early_is_marked(project: Path) -> None:
+    rewrite(project, "recipes", "evaluations = 250", "evaluations = 4")
+    fit = {"schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel"}
+    found = run("gel", FitRecord.model_validate(fit | {"tune": {"specimens": ["piece1"]}}), Settings())
+    ((fault,),) = found.run["search_faults"].values()
+    assert fault == "no start of the search ended at a minimum (budget)"

@@ -57,6 +57,12 @@ class Execution:
             )
         for name in names:
             require_result(self.folder(name))
+            if not self.sample and any(self.folder(name).glob("posterior*.nc")):
+                raise ConfigError(
+                    "holds a sampled posterior, which this run would replace by none",
+                    where=str(self.folder(name)),
+                    mend="sample again with --sample, write elsewhere with --out, or remove it",
+                )
         screen.compile_ahead("lanes", "sensitivity", quiet=self.invocation.quiet)
 
     def folder(self, name: str) -> Path:
@@ -119,13 +125,15 @@ def cores() -> int:
 
 
 def require_converged(results: "Results") -> None:
-    """End with its exit code if a scored simulation of the fit, or a posterior, did not converge.
+    """End with its exit code if a scored simulation of the fit, its search, or a posterior did not converge.
 
     The results are written by then, marked.
     """
     fitted = results.errors[results.errors["rival"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
+    for fold, found in results.run.get("search_faults", {}).items():
+        faults += [fault if fold == "all" else f"{fold}: {fault}" for fault in found]
     for posterior in results.posteriors.values():
         faults += [f"the posterior has not converged: {why}" for why in posterior.faults]
     for fault in faults:

@@ -1,7 +1,7 @@
 """`needlefit predict`: where the needle of a planned insertion will be, and how sure that is."""
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -11,13 +11,6 @@ from needlefit.cli.execution import cores
 from needlefit.cli.interruption import stopping
 from needlefit.cli.progress import progress
 from needlefit.cli.scene_options import Depth, Set, scene_record
-
-if TYPE_CHECKING:
-    from needlefit.inference.draws import Draws
-    from needlefit.validation.job import Job, Settings
-
-DRAWS = 400
-"""Parameter sets that are simulated."""
 
 
 def predict(
@@ -50,7 +43,7 @@ def predict(
     """Predict a planned insertion with what a TARGET's data tell.
 
     The scene says needle, depth, places of the layers, bevel side and controls; moduli and bevel offset come
-    from draws of the TARGET's posterior, where one was sampled, else of a Gaussian about a fit made now.
+    from draws of the TARGET's posterior: where one was sampled from that, else weighed about a fit made now.
     Prints tip and bands, and writes shape and picture to OUT/predict-TARGET-SCENE/.
     """
     invocation = context.find_root().obj
@@ -60,6 +53,7 @@ def predict(
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
         from needlefit.reporting.write import require_result
         from needlefit.validation.forecast import forecast
+        from needlefit.validation.foreknown import foreknown
         from needlefit.validation.job import Settings, prepare
         from needlefit.validation.provenance import work
 
@@ -71,9 +65,11 @@ def predict(
         with progress(invocation.quiet) as report:
             settings = Settings(seed=seed, jobs=jobs or cores(), progress=report, stop=stop)
             job = prepare(name, record, settings)
-            draws = _draws(job, run or out / name, settings)
-        built = Scene.from_record(planned, where)
-        found = forecast(built, draws, job.parameters, job.medium, job.dataset, settings.jobs)
+            draws = foreknown(job, run or out / name, settings, required=run is not None)
+        if draws is None:
+            screen.note("needlefit: interrupted; nothing was written")
+            raise typer.Exit(failure.INTERRUPTED)
+        found = forecast(Scene.from_record(planned, where), draws, job)
         title, synthetic = planned.title or scene, job.dataset.origin == "synthetic"
         said = {**work(job), "scene": planned.model_dump(mode="json", by_alias=True)}
         write_forecast(found, folder, title, said, synthetic)
@@ -85,25 +81,3 @@ def predict(
     if found.faults:
         screen.note(f"needlefit: {name}: the posterior has {unconverged(found)}")
         raise typer.Exit(failure.NOT_CONVERGED)
-
-
-def _draws(job: "Job", run: Path, settings: "Settings") -> "Draws":
-    """Return draws of the posterior in `run`, or, where none was sampled, about a fit made now."""
-    from needlefit.inference.draws import about_fit, from_posterior
-    from needlefit.inference.identify import identify
-    from needlefit.inference.optimize import minimize
-    from needlefit.inference.posterior import load
-    from needlefit.inference.starts import Watch
-    from needlefit.project.streams import stream
-    from needlefit.validation.forecast import require_same
-
-    sampled = run / "posterior.nc"
-    if sampled.is_file():
-        require_same(job, run)
-        return from_posterior(load(sampled), job.parameters, DRAWS)
-    (fold,) = job.folds
-    problem = job.problem(fold)
-    rng = stream(job.recipe.seed, job.name, fold.name, "fitted", "starts")
-    fit = minimize(problem, job.recipe, rng, Watch(stop=settings.stop, jobs=settings.jobs))
-    chance = stream(job.recipe.seed, job.name, "predict")
-    return about_fit(fit, identify(problem, fit), job.parameters, DRAWS, chance)

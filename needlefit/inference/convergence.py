@@ -22,6 +22,9 @@ R_HAT, LENGTH_IN_TAU, DRAWS = 1.01, 50, 400
 """The rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this
 in the bulk and in the tails of every ensemble."""
 
+ENSEMBLES = 4
+"""Fewest ensembles whose agreement means something."""
+
 TAILS = (0.05, 0.95)
 """Quantiles whose indicators tell how well the tails are known."""
 
@@ -60,9 +63,9 @@ class Convergence:
         return tuple(self._faults())
 
     def _faults(self) -> Iterator[str]:
-        if len(self.tau) < 2:
-            yield "a single ensemble cannot show that it has converged"
-        elif not np.all(self.r_hat < R_HAT):
+        if len(self.tau) < ENSEMBLES:
+            yield f"{len(self.tau)} independent ensembles, not {ENSEMBLES}: too few to show that they agree"
+        if len(self.tau) > 1 and not np.all(self.r_hat < R_HAT):
             at = int(np.argmax(np.nan_to_num(self.r_hat, nan=np.inf)))
             yield f"R-hat of {self.quantities[at]} is {self.r_hat[at]:.3g}, not below {R_HAT}"
         longest = self.tau.max(axis=0)

@@ -1,4 +1,4 @@
-"""Draws of what is known of the parameters: from a sampled posterior, or Gaussian about a fit."""
+"""Draws of what is known of the parameters: of a posterior, or of the prior alone."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -6,23 +6,19 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.inference.identify import Verdict
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.posterior import Posterior
-from needlefit.inference.starts import Fit
+from needlefit.inference.ties import NOISE_SCALE
 
 Floats = NDArray[np.float64]
-Source = Literal["posterior", "laplace"]
-
-TRIES = 50
-"""Rounds in which a draw outside the bounds is drawn again; what is then still outside is put on them."""
+Source = Literal["posterior", "importance"]
 
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of theta (B, P), and where they come from; `laplace` is Gaussian about the fit.
+    """Draws of theta (B, P) of a posterior: sampled, or weighed about its modes.
 
-    `faults` says why the posterior that they come from has not converged; it is empty if it has.
+    `faults` says why it has not converged, or is not certified; it is empty if it is.
     """
 
     thetas: Floats
@@ -45,22 +41,12 @@ def from_posterior(posterior: Posterior, parameters: Parameters, count: int) -> 
     return Draws(thetas, "posterior", posterior.faults)
 
 
-def about_fit(
-    fit: Fit, verdict: Verdict, parameters: Parameters, count: int, rng: np.random.Generator
-) -> Draws:
-    """Return `count` draws of the Gaussian whose principal directions `identify` found, within the bounds."""
-    theta = np.array(fit.theta)
-    axes = np.array([direction.weights for direction in verdict.directions]).reshape(
-        -1 if theta.size else 0, theta.size
-    )
-    sds = np.array([direction.sd for direction in verdict.directions])
-    drawn = theta + (rng.normal(size=(count, len(sds))) * sds) @ axes
-    for _ in range(TRIES):
-        outside = np.any((drawn < parameters.lower) | (drawn > parameters.upper), axis=1)
-        if not outside.any():
-            break
-        drawn[outside] = theta + (rng.normal(size=(int(outside.sum()), len(sds))) * sds) @ axes
-    return Draws(np.clip(drawn, parameters.lower, parameters.upper), "laplace")
+def noise_factor(draws: Draws, parameters: Parameters, stated: float | str) -> float:
+    """Return what multiplies deviations of noise and pose: as stated, or root mean square of the draws'."""
+    if NOISE_SCALE not in parameters.free:
+        return 1.0 if isinstance(stated, str) else stated
+    scales = [parameters.values(theta)[NOISE_SCALE] for theta in draws.thetas]
+    return float(np.sqrt(np.mean(np.square(scales))))
 
 
 def of_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:

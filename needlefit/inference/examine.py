@@ -64,11 +64,14 @@ class Examination:
         What deviances were divided by: the reduced chi-square where it is above 1.
     evaluations : int
         Jacobians computed, those that led to the optimum included.
+    gain : float
+        How much higher than at the fit the log posterior is at the best point met on the way.
     """
 
     parameters: tuple[Examined, ...]
     scale: float
     evaluations: int
+    gain: float = 0.0
 
 
 def examine(
@@ -96,7 +99,9 @@ def examine(
         tasks += [pool.submit(alpha, name) for name in fixed_alphas(weighed)]
         found = tuple(one for task in tasks if (one := task.result()) is not None)
     spent = sum(one.evaluations for one in settled) + sum(one.profile.evaluations for one in found)
-    return Examination(found, scale, spent)
+    at_fit = weighed.residuals(np.array(fit.theta))
+    gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
+    return Examination(found, scale, spent, gain)
 
 
 def _free(problem: Problem, k: int, optimum: Settled, elsewhere: Sequence[Floats], scale: float) -> Examined:

@@ -42,7 +42,8 @@ def smoothed(log_weights: Floats) -> tuple[Floats, float]:
     above = np.exp(found[tail]) - math.exp(cut)  # ascending
     k, scale = pareto_fit(above)
     levels = (np.arange(len(tail)) + 0.5) / len(tail)
-    quantiles = scale * (np.expm1(-k * np.log1p(-levels)) / k if k else -np.log1p(-levels))
+    with np.errstate(over="ignore"):  # of a k beyond all use
+        quantiles = scale * (np.expm1(-k * np.log1p(-levels)) / k if k else -np.log1p(-levels))
     found[tail] = np.minimum(np.log(quantiles + math.exp(cut)), 0.0)
     return found - logsumexp(found), k
 

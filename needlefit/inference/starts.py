@@ -12,6 +12,9 @@ from needlefit.project.watching import never
 
 INTERRUPTED = "interrupted"
 
+SETTLED = ("tolerance", "bound", "flat", "roundoff")
+"""Why a search ended that has nothing left to gain."""
+
 
 @dataclass(frozen=True)
 class Place:
@@ -97,6 +100,14 @@ class Fit:
     interrupted: bool
     minimized: Minimized = "posterior"
     gradients: int = 0
+
+    @property
+    def fault(self) -> str:
+        """Why the best point may be no minimum; empty if a start ended at one."""
+        if not self.starts or any(start.stopped in SETTLED for start in self.starts):
+            return ""
+        reasons = ", ".join(sorted({start.stopped for start in self.starts}))
+        return f"no start of the search ended at a minimum ({reasons})"
 
 
 def _ignore(start: Start) -> None:

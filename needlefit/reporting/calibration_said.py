@@ -71,11 +71,17 @@ def said(found: Calibration) -> list[str]:
 
 def _outcome(found: Calibration) -> str:
     names = in_symbols(", ".join(quantity(name) for name in found.failing))
+    count = len(found.replicates)
+    few = f"{count} replicate{' is' if count == 1 else 's are'} too few to tell"
     if found.control is not None:
         seen = f"is noticed, by {names}" if found.failing else "is NOT noticed"
+        if not found.failing and not found.telling:
+            seen = f"{few} whether it is noticed"
         return f"Control: {WRONG[found.control]}: {seen}."
     if found.failing:
         return f"NOT calibrated: {names}."
+    if not found.telling:
+        return f"{few} whether anything is wrong."
     return f"All {found.coverage['quantity'].nunique()} quantities are calibrated."
 
 

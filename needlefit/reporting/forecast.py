@@ -54,7 +54,7 @@ def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
         cells.append((said, fixed(row[f"{name}_median_mm"]), *shown))
     source = {
         "posterior": "draws of the sampled posterior",
-        "laplace": "draws of a Gaussian about the fit: no posterior was sampled",
+        "importance": "draws of the posterior, weighed about the fit",
     }[forecast.source]
     left = f", {forecast.failed} draws without a solution left out" if forecast.failed else ""
     notes = (

@@ -17,7 +17,7 @@ _NOTES = (
     "Foretold are parameters, depths of layers and tip, pose and points as the dataset states their errors, "
     "through the layers of the planned path. What the model misses is not.",
 )
-_SOURCES = {"posterior": "the sampled posterior", "laplace": "a Gaussian about the fit"}
+_SOURCES = {"posterior": "the sampled posterior", "importance": "draws of the posterior about the fit"}
 
 
 def foretold_layout(results: Results) -> Display:

@@ -1,11 +1,11 @@
 """A run's folder from what it stored, without computing anything again."""
 
-import json
 from pathlib import Path
 
 from needlefit.errors import DataError
 from needlefit.project.places import PAPER_FITS, PAPER_STUDIES
 from needlefit.project.records.study import StudyRecord
+from needlefit.project.run_file import read_run
 from needlefit.reporting.posterior import posterior_files
 from needlefit.reporting.write import write, write_all
 from needlefit.validation.results import Results
@@ -35,14 +35,14 @@ def rebuild(run: Path, folder: Path) -> Path:
 
 def _parts(run: Path) -> dict[str, object]:
     """Return what was computed, by the name of its run, in the order of a report of several."""
-    table = json.loads((run / "run.json").read_text(encoding="utf-8"))
+    table = read_run(run)
     known = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in table]
     return {name: table[name] for name in known} if len(known) == len(table) else {}
 
 
 def _part(run: Path, name: str, computed: object) -> Results:
     folder = run.parent / name
-    if json.loads((folder / "run.json").read_text(encoding="utf-8")) != computed:
+    if read_run(folder) != computed:
         raise DataError(
             f"is not the run of which `{run.name}` tells",
             where=str(folder),

@@ -60,6 +60,11 @@ def cautions(results: list[Results]) -> list[Block]:
         for name, count in failed
         if count
     ]
+    said += [
+        document.warning(f"NOT CONVERGED: {one.name}: {'; '.join(faults)}.")
+        for one in results
+        if (faults := [fault for found in one.run.get("search_faults", {}).values() for fault in found])
+    ]
     return said
 
 

@@ -6,7 +6,6 @@ by more than `SHIFT` of its standard deviation, errors on the same insertions th
 than two standard errors, a verdict, what converged.
 """
 
-import json
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -17,6 +16,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.inference.parameters import in_logarithm
+from needlefit.project.run_file import read_run
 
 SHIFT = 0.5
 """Part of its standard deviation by which a parameter that is determined may move and stay what it was."""
@@ -69,7 +69,7 @@ class Difference:
 
 def differences(before: Path, after: Path) -> list[Difference]:
     """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors."""
-    runs = [json.loads((folder / "run.json").read_text(encoding="utf-8")) for folder in (before, after)]
+    runs = [read_run(folder) for folder in (before, after)]
     parameters, errors, foretold = (
         (_table(before, name), _table(after, name)) for name in ("parameters", "errors", "predictive")
     )

@@ -1,33 +1,30 @@
 """What a fit predicts of a planned insertion: where the needle will be, and where it would be measured.
 
-Two bands are told apart. The *needle's* comes from the draws of the parameters alone. The *measurement's*
-adds what a scan of it would err by: the errors that the dataset states of its points and of the entry pose.
-Neither knows what the model misses.
+Two bands are told apart. The *needle's* comes from the draws of the parameters, and of the depths of layers
+and tip. The *measurement's* adds what a scan of it would err by: the errors that the dataset states of its
+points and of the entry pose. Neither knows what the model misses.
 """
 
-import json
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
-from pathlib import Path
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.draws import Draws, Source
+from needlefit.inference.draws import Draws, Source, noise_factor
+from needlefit.inference.likelihood.depths import in_order
 from needlefit.inference.likelihood.pose import pose_sds
-from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import rules
 from needlefit.inference.predictive import Mixture
-from needlefit.mechanics.batch import Batch, positions_each
-from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import positions
+from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.plain import plain
 from needlefit.project.records.medium import MediumRecord
+from needlefit.project.streams import stream
 from needlefit.validation.job import Job
-from needlefit.validation.provenance import work
 
 Floats = NDArray[np.float64]
 
@@ -50,11 +47,11 @@ class Forecast:
         Depth of these points along the entry axis, median over draws, mm.
     needle, measured : Mixture
         Of y at each of them, mm: where the needle is, and where it would be measured.
-    source : "posterior" or "laplace"
+    source : "posterior" or "importance"
     failed : int
         Draws of which the solve failed; they are left out.
     faults : tuple of str
-        Why the posterior of the draws has not converged; empty if it has, or none was sampled.
+        Why the posterior of the draws is not to be trusted; empty if it is.
     """
 
     s: Floats
@@ -66,13 +63,12 @@ class Forecast:
     faults: tuple[str, ...] = ()
 
 
-def forecast(
-    scene: Scene, draws: Draws, parameters: Parameters, medium: MediumRecord, dataset: Dataset, jobs: int = 1
-) -> Forecast:
+def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
     """Return where the needle of a planned insertion will be.
 
     The scene says needle, depth, layers' places, bevel side and controls; its moduli and bevel offset are
-    replaced by the draws': layer n of the scene is layer n of the medium.
+    replaced by the draws': layer n of the scene is layer n of the medium. With each draw the depths of
+    layers and tip are drawn too, as they err in a typical insertion of the dataset.
 
     Raises
     ------
@@ -81,49 +77,51 @@ def forecast(
     ModelError
         If no draw can be solved.
     """
-    _check(scene, medium, dataset)
-    sets = [parameters.values(theta) for theta in draws.thetas]
-    (shapes,) = follow_batches([_batch(scene, sets, medium)], jobs)
+    _check(scene, job.medium, job.dataset)
+    rng = stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, STATIONS)
-    good = shapes.converged
-    if not good.any():
+    curves = [_curve(scene, job.parameters.values(theta), job, s, rng) for theta in draws.thetas]
+    solved = np.array([curve for curve in curves if curve is not None])  # (B, K, 2)
+    if not len(solved):
         raise ModelError(
-            f"none of {len(sets)} draws of the parameters can be solved for this scene",
+            f"none of {len(curves)} draws of the parameters can be solved for this scene",
             expected="an insertion that the model can follow",
             mend="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
-    points = positions_each(shapes, s)[good]  # (B, K, 2)
-    y = points[:, :, 1]
-    sd = _measurement(s, dataset)
+    y = solved[:, :, 1]
+    factor = noise_factor(draws, job.parameters, job.recipe.likelihood.noise_scale)
     return Forecast(
         s=s,
-        x=np.median(points[:, :, 0], axis=0),
+        x=np.median(solved[:, :, 0], axis=0),
         needle=Mixture(y, np.zeros(len(s))),
-        measured=Mixture(y, sd),
+        measured=Mixture(y, factor * _measurement(s, job.dataset)),
         source=draws.source,
-        failed=int((~good).sum()),
+        failed=len(curves) - len(solved),
         faults=draws.faults,
     )
 
 
-def _batch(scene: Scene, sets: Sequence[Mapping[str, float]], medium: MediumRecord) -> Batch:
+def _curve(
+    scene: Scene, values: Mapping[str, float], job: Job, s: Floats, rng: np.random.Generator
+) -> Floats | None:
+    """Return the points (K, 2) of one draw's needle at arc lengths `s`; None where the solve fails."""
     layers = range(1, scene.tissue.layers + 1)
+    typical = [(one.depth_sd, one.boundary_sd) for one in job.dataset.insertions]
+    entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
+    deep, wrong = entry_sd * rng.normal(), boundary_sd * rng.normal(size=scene.tissue.layers - 1)
     tissue = Tissue(
-        scene.tissue.mu,
-        np.array([sets[0][f"alpha{n}"] for n in layers]),
-        scene.tissue.boundaries,
-        np.array([medium.thickness_mm]),
-        law=medium.law,
+        np.array([values[f"mu{n}_pa"] * 1e-6 for n in layers]),
+        np.array([values[f"alpha{n}"] for n in layers]),
+        in_order(scene.tissue.boundaries + deep + wrong),
+        np.array([job.medium.thickness_mm]),
+        law=job.medium.law,
     )
-    return Batch(
-        scene.needle,
-        tissue,
-        scene.steps,
-        rules(medium),
-        mu=np.array([[values[f"mu{n}_pa"] * 1e-6 for n in layers] for values in sets]),
-        alpha=np.array([[values[f"alpha{n}"] for n in layers] for values in sets]),
-        offset=np.array([values["bevel_mm"] for values in sets]),
+    steps = tuple(
+        replace(step, depth=step.depth + deep, bevel=replace(step.bevel, offset=values["bevel_mm"]))
+        for step in scene.steps
     )
+    shape = follow(scene.needle, tissue, steps, rules(job.medium))
+    return positions(shape, s + deep) if shape.converged else None
 
 
 def _measurement(s: Floats, dataset: Dataset) -> Floats:
@@ -149,16 +147,3 @@ def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
             expected="the needle that the parameters were fitted with: mu and b depend on it",
             mend="correct [needle] of the scene",
         )
-
-
-def require_same(job: Job, run: Path) -> None:
-    """Raise ConfigError if the run in a folder is of other data or another configuration than `job`."""
-    said = json.loads((run / "run.json").read_text(encoding="utf-8"))
-    for key in ("dataset", "medium", "folds"):
-        if said.get(key) != plain(work(job)[key]):
-            raise ConfigError(
-                f"its posterior is of another {key}",
-                where=str(run),
-                expected=f"the {key} that {job.name} names now",
-                mend="sample again (`needlefit tune TARGET --sample`), or name the right one with --run",
-            )

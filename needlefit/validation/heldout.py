@@ -17,13 +17,14 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import layers_of
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.draws import Draws, about_fit, from_posterior
+from needlefit.inference.draws import Draws, from_posterior, noise_factor
 from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.likelihood.depths import moved
 from needlefit.inference.likelihood.evidence import Evidence, evidence
 from needlefit.inference.likelihood.pose import modes
 from needlefit.inference.predict import predict
 from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile, worst_level
+from needlefit.inference.weighing import by_importance
 from needlefit.mechanics.shape import positions
 from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold
@@ -44,7 +45,8 @@ MOST_LAYERS = 32
 """Depth errors drawn for an insertion, so that what a draw is does not depend on the layers it meets."""
 
 PREDICTIVE = (
-    *("fold", "insertion", "specimen", "medium", "layers", "depth_mm", "from", "draws", "failed_solves"),
+    *("fold", "insertion", "specimen", "medium", "layers", "depth_mm"),
+    *("from", "certified", "draws", "failed_solves"),
     *(
         "tip_measured_mm",
         "tip_median_mm",
@@ -61,20 +63,24 @@ nearer, at its worst point, than the measured one; `shape_in_*` says whether tha
 `points_in_*` is the part of points within their own interval, which are no independent trials."""
 
 
-def foretold(job: Job, fold: Fold, known: Known) -> Iterator[Row]:
-    """Yield a row for every insertion that a fold holds out, y toward +y of C, mm."""
-    rng = stream(job.recipe.seed, job.name, fold.name, "foretold")
+def drawn(job: Job, fold: Fold, known: Known, jobs: int = 1) -> Draws:
+    """Return draws of what a fold knows of the parameters: sampled if they were, else by importance."""
     if known.posterior is not None:
-        draws = from_posterior(known.posterior, job.parameters, DRAWS)
-    else:
-        draws = about_fit(known.fit, known.verdict, job.parameters, DRAWS, rng)
+        return from_posterior(known.posterior, job.parameters, DRAWS)
+    rng = stream(job.recipe.seed, job.name, fold.name, "foretold")
+    return by_importance(job.problem(fold), known.fit, DRAWS, rng, jobs)
+
+
+def foretold(job: Job, fold: Fold, draws: Draws) -> Iterator[Row]:
+    """Yield a row for every insertion that a fold holds out, y toward +y of C, mm."""
+    factor = noise_factor(draws, job.parameters, job.recipe.likelihood.noise_scale)
     for insertion in fold.validate:
         chance = stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         seen = evidence(job.dataset, insertion, how=job.recipe.likelihood)
         curves = [_curve(job, theta, insertion, seen, chance) for theta in draws.thetas]
         solved = np.array([curve for curve in curves if curve is not None])
         if len(solved) >= LEAST:
-            covariance, measured = _errors(job, seen), seen.measured[:, 1]
+            covariance, measured = factor**2 * _errors(job, seen), seen.measured[:, 1]
             mixture = Mixture(solved, np.sqrt(np.diag(covariance)))
             row = {"fold": fold.name, **_about(job, insertion, draws, len(curves) - len(solved))}
             row |= _judged(mixture, measured, worst_level(mixture, covariance, measured, chance))
@@ -133,6 +139,7 @@ def _about(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
         "layers": layers_of(insertion, job.record.reading),
         "depth_mm": insertion.depth,
         "from": draws.source,
+        "certified": not draws.faults,
         "draws": len(draws.thetas),
         "failed_solves": failed,
     }

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from needlefit.errors import FitError
+from needlefit.errors import ConfigError, FitError
 from needlefit.inference.examine import examine
 from needlefit.inference.expect import Expectation, expect
 from needlefit.inference.identify import with_noise
@@ -78,6 +78,12 @@ def identify_design(
     """
     job = prepare(name, record, settings)
     fold = job.folds[0]
+    if not job.parameters.free:
+        raise ConfigError(
+            "the medium leaves no parameter free: there is nothing to determine",
+            where=f"medium {job.record.medium}",
+            mend="give at least one parameter bounds instead of `fixed`",
+        )
     values, place = looked_at(job, fitted)
     rng = stream(job.recipe.seed, job.name, "design")
     noise = None if fitted is None else with_noise(job.problem(fold), job.parameters.theta(values)).noise

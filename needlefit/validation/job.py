@@ -74,7 +74,11 @@ class Job:
         return (
             "fitted",
             *(("fitted_metric",) if metric else ()),
-            *(() if self.hand_tuned is None else ("hand_tuned_b",)),
+            *(
+                ("hand_tuned_b",)
+                if self.hand_tuned is not None and "bevel_mm" in self.parameters.free
+                else ()
+            ),
         )
 
     def recipe_of(self, search: str) -> RecipeRecord:

@@ -78,6 +78,7 @@ def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:
         },
         "failed_solves": sum(search["failed_solves"] for search in every),
         **(sampled if tables.posteriors else {}),
+        "search_faults": tables.search_faults,
         "recorded_failures": reasons(tables.frame("failures")),
         "interrupted": interrupted,
         "budget_limited": False,  # every budget is counted in evaluations, none in time

@@ -22,7 +22,7 @@ from needlefit.project.streams import stream
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.folds import Fold
-from needlefit.validation.heldout import foretold
+from needlefit.validation.heldout import drawn, foretold
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.placed import Known, PlacedNeedle, place
 from needlefit.validation.results import COLUMNS, Results
@@ -63,7 +63,8 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         if fold.name in tables.verdicts:
             known = Known(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
             needles |= place(job, fold, known, settings.jobs)
-            tables.predictive += foretold(job, fold, known)
+            if fold.validate:
+                tables.predictive += foretold(job, fold, drawn(job, fold, known, settings.jobs))
         if interrupted:
             break
     return Results(

@@ -14,7 +14,7 @@ from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
 from needlefit.inference.examine import Examination
 from needlefit.inference.failure import failure
-from needlefit.inference.identify import Verdict, as_good, excess, identify, practically_equal
+from needlefit.inference.identify import EQUAL_LOG, Verdict, as_good, excess, identify, practically_equal
 from needlefit.inference.parameters import Theta
 from needlefit.inference.posterior import Posterior
 from needlefit.inference.problem import Problem
@@ -43,6 +43,7 @@ class Tables:
     searches: dict[str, dict[str, Row]] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     verdicts: dict[str, Verdict] = field(default_factory=dict)
+    search_faults: dict[str, list[str]] = field(default_factory=dict)
 
     def frame(self, name: str) -> pd.DataFrame:
         """Return one frame; without rows it still has its columns."""
@@ -68,6 +69,8 @@ def tabulate(
         for start in fit.starts:
             tables.failures += _failure_rows({**place, "start": start.index}, problem, start.failed)
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
+    if faults := _search_faults(fits.get("fitted"), examination):
+        tables.search_faults[fold.name] = faults
     if "fitted" in usable:
         verdict = identify(job.problem(fold), usable["fitted"])
         judgements: Mapping[str, Judgement] = {}
@@ -118,6 +121,17 @@ def _rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
 
 def _curve(baseline: Baseline) -> Callable[[Insertion], Curve]:
     return lambda insertion: curve_for(baseline, insertion)
+
+
+def _search_faults(fit: Fit | None, examination: Examination | None) -> list[str]:
+    """Return why the best point of a search may not be the best there is."""
+    faults = [fit.fault] if fit is not None and fit.fault else []
+    if examination is not None and examination.gain > EQUAL_LOG:
+        faults.append(
+            f"the profiles met a log posterior {examination.gain:.3g} above that of the fit: raise the "
+            "recipe’s starts or evaluations"
+        )
+    return faults
 
 
 def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:

@@ -96,7 +96,12 @@ def _moves(insertion: Insertion) -> list[tuple[Floats, float]]:
 
 def moved(insertion: Insertion, s: Floats, boundaries: Floats, depth: float) -> tuple[Insertion, Floats]:
     """Return the insertion with other depths, boundaries in order, and where its points then lie."""
-    wanted = insertion.boundaries + boundaries
-    least = GAP * np.arange(1, len(wanted) + 1)
-    raised: Floats = np.maximum.accumulate(np.maximum(wanted - least, 0.0))
-    return replace(insertion, boundaries=least + raised, depth=insertion.depth + depth), s + depth
+    found = in_order(insertion.boundaries + boundaries)
+    return replace(insertion, boundaries=found, depth=insertion.depth + depth), s + depth
+
+
+def in_order(boundaries: Floats) -> Floats:
+    """Return depths of boundaries (n - 1,), mm, raised where they are out of order or above the entry."""
+    least = GAP * np.arange(1, len(boundaries) + 1)
+    raised: Floats = np.maximum.accumulate(np.maximum(boundaries - least, 0.0))
+    return least + raised

@@ -7,13 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.inference.draws import from_posterior, of_prior
-from needlefit.inference.evaluator import Evaluator
-from needlefit.inference.importance import Effort, Weighted, importance, resampled
-from needlefit.inference.laplace import laplace
+from needlefit.inference.importance import Weighted, resampled
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sample import sample
-from needlefit.inference.starts import Fit
+from needlefit.inference.weighing import modes, weighed
 from needlefit.project.records.recipe import RecipeRecord
 
 Floats = NDArray[np.float64]
@@ -21,14 +19,6 @@ By = Literal["importance", "sampler", "prior"]
 
 STARTS = 4
 """Of each fit; none looks at the truth."""
-
-PLAUSIBLE = 10.0
-"""A start that ended with a log density this much below the best one's found no mode."""
-
-SAME = 1e-3
-"""Ends nearer to each other than this part of the bounds are one mode."""
-
-EFFORT = Effort()
 
 
 @dataclass(frozen=True)
@@ -81,25 +71,12 @@ def inferred(problem: Problem, way: Way, rng: np.random.Generator) -> Inferred:
     ends = modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
     if way.sampler == "always":
         return _sampled(problem, way, ends, rng)
-    evaluator = Evaluator(problem, 1)
-    about = [laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
-    found = importance(evaluator, about, (problem.lower, problem.upper), rng, EFFORT)
+    found = weighed(problem, ends, rng)
     if way.sampler == "otherwise" and not found.certified:
         return _sampled(problem, way, ends, rng, found)
     chosen = resampled(found, way.draws, rng)
     thetas, density = found.thetas[chosen], found.log_density[chosen]
     return Inferred(thetas, density, ends[0], "importance", found.certified, found)
-
-
-def modes(fit: Fit, width: Floats) -> Floats:
-    """Return the modes (M, P) that a fit found, the best first; `width` (P,) is that of the bounds."""
-    found: list[Floats] = []
-    for start in sorted(fit.starts, key=lambda start: (start.objective, start.index)):
-        end = np.array(start.theta)
-        new = all(np.max(np.abs(end - other) / width) > SAME for other in found)
-        if new and start.objective <= fit.objective + PLAUSIBLE:
-            found.append(end)
-    return np.array(found)
 
 
 def _sampled(

@@ -83,6 +83,12 @@ class Calibration:
         return failing(self.coverage, self.ecdfs)
 
     @property
+    def telling(self) -> bool:
+        """Whether there are replicates enough to fail: no truth at all in a half would be too few."""
+        half = self.coverage[self.coverage["level"] == min(self.coverage["level"])]
+        return bool((half["least"] > 0).all())
+
+    @property
     def untrusted(self) -> int:
         """Replicates whose posterior nobody certified: they count like all others."""
         return int((~self.replicates["trusted"].astype(bool)).sum())

@@ -1,0 +1,65 @@
+"""A fit's posterior where nothing was sampled: weighted draws about the modes that the search found."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.inference.draws import Draws
+from needlefit.inference.evaluator import Evaluator
+from needlefit.inference.identify import with_noise
+from needlefit.inference.importance import Effort, Weighted, importance, resampled
+from needlefit.inference.laplace import laplace
+from needlefit.inference.pareto import RELIABLE
+from needlefit.inference.problem import Problem
+from needlefit.inference.settle import settle
+from needlefit.inference.starts import Fit
+
+Floats = NDArray[np.float64]
+
+PLAUSIBLE = 10.0
+"""A start that ended with a log density this much below the best one's found no mode."""
+
+SAME = 1e-3
+"""Ends nearer to each other than this part of the bounds are one mode."""
+
+EFFORT = Effort()
+
+
+def modes(fit: Fit, width: Floats) -> Floats:
+    """Return the modes (M, P) that a fit found, the best first; `width` (P,) is that of the bounds."""
+    found: list[Floats] = []
+    for start in sorted(fit.starts, key=lambda start: (start.objective, start.index)):
+        end = np.array(start.theta)
+        new = all(np.max(np.abs(end - other) / width) > SAME for other in found)
+        if new and start.objective <= fit.objective + PLAUSIBLE:
+            found.append(end)
+    return np.array(found)
+
+
+def weighed(problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int = 1) -> Weighted:
+    """Return weighted draws of a posterior, known about its modes (M, P)."""
+    evaluator = Evaluator(problem, jobs)
+    about = [laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
+    return importance(evaluator, about, (problem.lower, problem.upper), rng, EFFORT)
+
+
+def by_importance(problem: Problem, fit: Fit, count: int, rng: np.random.Generator, jobs: int = 1) -> Draws:
+    """Return `count` draws of the posterior about a fit, without weights.
+
+    Where the dataset states no noise, the fit's residuals stand for it; a fit of the metric objective is
+    first led to the posterior's peak. Draws that are not certified say so in their `faults`.
+    """
+    theta = np.array(fit.theta)
+    if not theta.size:
+        return Draws(np.empty((count, 0)), "importance")
+    known = with_noise(problem, theta)
+    if fit.minimized == "posterior":
+        ends = modes(fit, problem.upper - problem.lower)
+    else:
+        ends = settle(known, theta).theta[None]
+    found = weighed(known, ends, rng, jobs)
+    doubt = (
+        f"draws by importance are not certified: Pareto k is {found.k:.2f} ({RELIABLE} at most), and they "
+        f"are worth {found.independent:.0f} independent ones ({found.enough:.0f} at least)"
+    )
+    thetas = found.thetas[resampled(found, count, rng)]
+    return Draws(thetas, "importance", () if found.certified else (doubt,))
