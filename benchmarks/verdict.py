@@ -1,7 +1,7 @@
-"""What the identifiability verdict costs beside the fit: python benchmarks/verdict.py phantom2 9 2.
+"""What a tune costs, and what of it the verdict: python benchmarks/verdict.py phantom2 9 2 32.
 
-Arguments: a fit, how many of its insertions, threads. The first line is the fit by its recipe, the second
-all profiles about it; then a line per profile.
+Arguments: a fit, how many of its insertions, threads, starts. Lines: the fit of the posterior, the one of the
+metric beside it, all profiles about the first, and their sum; then a line per profile.
 """
 
 import sys
@@ -15,23 +15,29 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.streams import stream
-from needlefit.validation.job import Settings, prepare
+from needlefit.validation.job import Settings, by_metric, prepare
 
 
-def main(name: str, count: int, jobs: int) -> None:
+def main(name: str, count: int, jobs: int, starts: int) -> None:
     job = prepare(name, load(find("fit", name), FitRecord), Settings())
+    recipe = job.recipe.model_copy(update={"starts": starts})
     problem = replace(job.problem(job.folds[0]), insertions=job.folds[0].tune[:count])
     problem.jacobian(0.5 * (problem.lower + problem.upper))  # compiles
     began = time.perf_counter(), time.process_time()
-    fit = minimize(problem, job.recipe, stream(job.recipe.seed, "verdict"), Watch(jobs=jobs))
+    fit = minimize(problem, recipe, stream(recipe.seed, "verdict"), Watch(jobs=jobs))
     between = time.perf_counter(), time.process_time()
+    minimize(problem, by_metric(recipe), stream(recipe.seed, "metric"), Watch(jobs=jobs))
+    beside = time.perf_counter(), time.process_time()
     examination = examine(problem, fit, jobs)
     ended = time.perf_counter(), time.process_time()
-    took = [(b[0] - a[0], b[1] - a[1]) for a, b in ((began, between), (between, ended))]
+    parts = ((began, between), (between, beside), (beside, ended), (began, ended))
+    took = [(b[0] - a[0], b[1] - a[1]) for a, b in parts]
     print(f"{len(problem.insertions)} insertions, {len(fit.starts)} starts, {jobs} threads")
     searched = f"{fit.evaluations} evaluations, {fit.gradients} of them with derivatives"
     print(f"fit:      {searched}, {said(took[0])}")
-    print(f"profiles: {examination.evaluations} Jacobians, {said(took[1])}")
+    print(f"metric:   {said(took[1])}")
+    print(f"profiles: {examination.evaluations} Jacobians, {said(took[2])}")
+    print(f"together: {said(took[3])}")
     for one in examination.parameters:
         profile = one.profile
         counts = f"{len(profile.at):3d} points, {profile.evaluations:4d} Jacobians"
@@ -43,4 +49,4 @@ def said(took: tuple[float, float]) -> str:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]), int(sys.argv[3]))
+    main(sys.argv[1], *map(int, sys.argv[2:5]))
