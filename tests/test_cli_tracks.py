@@ -102,3 +102,11 @@ def test_other_commands_say_which_one_runs_it(project, capsys):
     assert run("tune", "mine", "-q") == 3
     assert "use: needlefit validate mine" in capsys.readouterr().err
     assert run("check", "mine") == 0
+
+
+def test_a_study_that_leaves_nothing_to_foretell_is_refused_before_anything_runs(project, capsys):
+    (project / "studies/mine.toml").write_text(STUDY.replace("placed_by_mm = 15", "placed_by_mm = 200"))
+    assert run("validate", "mine", "-q") == 3
+    said = capsys.readouterr().err
+    assert "nothing is left to be foretold" in said and "placed_by_mm" in said
+    assert not (project / "reports/mine.partial").exists()

@@ -34,9 +34,18 @@ def foretold_layout(results: Results) -> Display:
         *(Column(f"{what} in", f"{level} %") for what in ("Tips", "Shapes") for level in (50, 95)),
         *(Column("Tip CRPS", "mm"), Column("Shape CRPS", "mm")),
     )
+    doubtful = int((~results.predictive["certified"].astype(bool)).sum())
+    notes = (
+        *_NOTES,
+        *(
+            (f"The draws behind {doubtful} of these needles are not certified: sample them (--sample).",)
+            if doubtful
+            else ()
+        ),
+    )
     said = " and ".join(_SOURCES[str(source)] for source in pd.unique(results.predictive["from"]))
     return Display(
-        "foretold", f"How well held-out needles were foretold, by {said}.", columns, tuple(rows), notes=_NOTES
+        "foretold", f"How well held-out needles were foretold, by {said}.", columns, tuple(rows), notes=notes
     )
 
 

@@ -65,7 +65,7 @@ def restore(folder: Path) -> Results:
             "holds no stored results",
             where=str(folder),
             expected=f"{NAME}, which `needlefit tune` and `needlefit validate` write",
-            mend="run it again; results of earlier versions cannot be rebuilt",
+            mend="name such a run; what an earlier version wrote must be run again",
         )
     try:
         table = json.loads(gzip.decompress(path.read_bytes()))

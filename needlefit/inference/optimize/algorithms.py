@@ -88,15 +88,16 @@ def stages(name: str, goal: Goal) -> tuple[Algorithm, ...]:
     if unknown:
         raise ConfigError(
             f"there is no algorithm `{unknown[0]}`",
-            where="recipe, key `algorithm`",
+            where="recipe, key `algorithm` or `metric_algorithm`",
             expected=f"one of {', '.join(ALGORITHMS)}, or several joined by +",
+            mend="correct its name",
         )
     has = {"value": goal.value, "gradient": goal.gradient, "jacobian": goal.jacobian}
     for part in parts:
         if has[ALGORITHMS[part].asks] is None:
             raise ConfigError(
                 f"`{part}` needs a {ALGORITHMS[part].asks}, which what is minimised has not",
-                where="recipe, key `algorithm`",
+                where="recipe, key `algorithm` or `metric_algorithm`",
                 expected="slsqp or bobyqa+neldermead: a metric, or depths by quadrature, are no squares",
             )
     named = (ALGORITHMS[part] for part in parts)

@@ -30,7 +30,7 @@ from needlefit.validation.score import Row
 from needlefit.validation.tracks.learned import learned
 from needlefit.validation.tracks.results import PARAMETERS, READINGS, RIVALS, RUNS, TrackResults
 from needlefit.validation.tracks.score import foretold, tuned_rows
-from needlefit.validation.tracks.task import Task, task, work
+from needlefit.validation.tracks.task import Task, require_scored, task, work
 
 DRAWS = 400
 """Parameter sets of which every run is foretold."""
@@ -68,6 +68,8 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
     tasks = [task(one, dataset, recipe) for one in record.fits]
+    for one in tasks:
+        require_scored(one, record.placed_by_mm)
     doing = {**work(name, record, dataset, tasks), "draws": DRAWS}
     checkpoint, tables = open_checkpoint(settings.checkpoint, settings.resume, doing), _Tables()
     for one in tasks:

@@ -27,6 +27,23 @@ class Task:
     recipe: RecipeRecord
 
 
+SCORED = 2
+"""Fewest readings of a foretold run that are scored."""
+
+
+def require_scored(one: Task, placed_by: float) -> None:
+    """Raise ConfigError if a foretold run has hardly a reading below `placed_by` mm, which only places it."""
+    for track in one.held:
+        if int((track.depth > placed_by).sum()) < SCORED:
+            raise ConfigError(
+                f"of run {track.id} nothing is left to be foretold: its readings end at "
+                f"{track.depth[-1]:g} mm, and those down to {placed_by:g} mm place it",
+                where=f"placed_by_mm, fits, {one.name}",
+                expected=f"{SCORED} readings below it, at least",
+                mend="lower placed_by_mm, or leave the run out",
+            )
+
+
 def task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) -> Task:
     """Return one fit with all that it names.
 
