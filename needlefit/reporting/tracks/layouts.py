@@ -72,13 +72,15 @@ def depths_layout(results: TrackResults) -> Display:
     table = by_depth(results)
     stretches = sorted(set(zip(table["from_mm"], table["to_mm"], strict=True)))
     rows = []
-    for (medium, rival), group in table.groupby(["medium", "rival"], sort=False):
-        known = dict(zip(group["from_mm"], group["error_mm"], strict=True))
-        cells = (fixed(known.get(low)) for low, _ in stretches)
-        rows.append((medium_name(str(medium)), NAMES[str(rival)], *cells))
+    for medium, group in table.groupby("medium", sort=False):
+        for rival in RIVALS:
+            of = group[group["rival"] == rival]
+            known = dict(zip(of["from_mm"], of["error_mm"], strict=True))
+            cells = (fixed(known.get(low)) for low, _ in stretches)
+            rows.append((medium_name(str(medium)), NAMES[rival], *cells))
     columns = (text("Foretold"), text("By"), *(Column(f"{low:g}–{high:g}", "mm") for low, high in stretches))
     strong = tuple(range(0, len(rows), len(RIVALS)))
-    caption = "Mean size of the error of the medians foretold (mm), by depth."
+    caption = "Mean size of the error of the medians foretold, by depth."
     return Display("depths", caption, columns, tuple(rows), strong[1:], strong)
 
 
