@@ -1,8 +1,9 @@
 """What pydantic finds wrong in a file, in needlefit's words: the key, what was expected there, what to do."""
 
 import difflib
+import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
@@ -51,6 +52,7 @@ _EXPECTED: dict[str, Callable[[Context], str]] = {
     "dict_type": lambda _: "a table of keys and values",
     "model_type": lambda _: "a table of keys and values",
 }
+_MEMBER = re.compile(r"constrained-|literal\[")
 _AMISS = {"too_short": "has too few members", "too_long": "has too many members"}
 
 
@@ -61,12 +63,32 @@ def schema_faults(error: ValidationError, kind: type[BaseModel]) -> list[SchemaF
     themselves.
     """
     found = error.errors()
-    places = [each["loc"] for each in found]
-    return [
-        _in_words(each["type"], each["loc"], each, kind)
-        for each in found
-        if each["type"] != "too_short" or not any(_within(place, each["loc"]) for place in places)
+    places = [_written(each["loc"]) for each in found]
+    faults = [
+        _in_words(each["type"], place, each, kind)
+        for each, place in zip(found, places, strict=True)
+        if each["type"] != "too_short" or not any(_within(other, place) for other in places)
     ]
+    return _one_for_each_key(faults)
+
+
+def _written(location: Location) -> Location:
+    """Return a location without pydantic's names for the members of a union."""
+    return tuple(part for part in location if not (isinstance(part, str) and _MEMBER.match(part)))
+
+
+def _one_for_each_key(faults: list[SchemaFault]) -> list[SchemaFault]:
+    """Return the faults, those of one key that could be one thing or another as one."""
+    kept: dict[str, SchemaFault] = {}
+    for fault in faults:
+        first = kept.get(fault.key)
+        if first is None:
+            kept[fault.key] = fault
+        elif first.what == fault.what and fault.expected:
+            kept[fault.key] = replace(first, expected=f"{first.expected}, or {fault.expected}")
+        else:
+            kept[f"{fault.key} {len(kept)}"] = fault
+    return list(kept.values())
 
 
 def _within(place: Location, outer: Location) -> bool:

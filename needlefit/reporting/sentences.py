@@ -64,7 +64,10 @@ def floor_said(results: Results) -> str:
     """Return what perfect parameters would still show."""
     row = _overall(results)
     if row is None or row["floor_ipe_mean_mm"] is None:
-        return "The dataset states no measurement noise, so no noise floor can be given."
+        return (
+            "The dataset states no measurement noise: no noise floor can be given, and the fit minimises the "
+            "errors themselves, for without noise a posterior has no width."
+        )
     digits = _digits(row["floor_ipe_mean_mm"])
     cells = [
         f"{name} {fixed(row[f'floor_{key}_mm'], digits)} mm"

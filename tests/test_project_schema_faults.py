@@ -1,0 +1,33 @@
+"""Faults of a file in words: one for each key, and none of pydantic's own names."""
+
+import pytest
+from pydantic import ValidationError
+
+from needlefit.project.records.recipe import RecipeRecord
+from needlefit.project.schema_faults import schema_faults
+
+
+def faults(**table):
+    with pytest.raises(ValidationError) as caught:
+        RecipeRecord.model_validate({"schema": 1, **table})
+    return schema_faults(caught.value, RecipeRecord)
+
+
+@pytest.mark.parametrize(
+    ("value", "expected"),
+    [
+        (0, 'a number above 0, or "estimated"'),
+        ("estimate", 'a number, without quotes, or "estimated"'),
+        (float("inf"), 'a finite number, or "estimated"'),
+    ],
+)
+def test_what_may_be_a_number_or_a_word_is_one_fault(value, expected):
+    (fault,) = faults(likelihood={"noise_scale": value})
+    assert (fault.key, fault.expected) == ("likelihood.noise_scale", expected)
+
+
+def test_two_wrong_keys_are_two_faults():
+    assert [one.key for one in faults(starts=0, likelihood={"depths": "deep"})] == [
+        "starts",
+        "likelihood.depths",
+    ]
