@@ -26,10 +26,10 @@ import numpy as np
 from full_needle import FullNeedle
 
 from needlefit.errors import ConfigError
-from needlefit.inference import sample as sampler
 from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import predict_each
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling import sample as sampler
 from needlefit.inference.starts import Watch
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.kernel.lanes import insertion as kernel

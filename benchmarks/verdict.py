@@ -8,7 +8,7 @@ import sys
 import time
 from dataclasses import replace
 
-from needlefit.inference.examine import examine
+from needlefit.inference.identifiability.examine import examine
 from needlefit.inference.optimize import minimize
 from needlefit.inference.starts import Watch
 from needlefit.project.load import load

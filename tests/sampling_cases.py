@@ -5,8 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needlefit.inference.posterior import Posterior
-from needlefit.inference.sample import sample
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.sample import sample
 from needlefit.project.records.recipe import SampleRecord
 
 

@@ -1,14 +1,13 @@
 """`needlefit calibrate`: what it writes, how it ends, and that it goes on where it was stopped."""
 
 import json
+import subprocess
+import sys
+import time
 
 import pandas as pd
 import pytest
 from test_cli import run
-
-from needlefit.cli.tune import fit_of
-from needlefit.validation.calibration.run import calibrate
-from needlefit.validation.job import Settings
 
 FILES = {
     *("coverage.csv", "ecdf.csv", "ranks.pdf", "replicates.csv", "report.pdf", "run.json", "timing.json"),
@@ -21,29 +20,37 @@ def reports(tmp_path, monkeypatch):
     return tmp_path / "reports"
 
 
-def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(reports, capsys):
-    assert run("calibrate", "study2", "--replicates", "4", "--jobs", "1", "-q") == 5  # too few
-    out = capsys.readouterr().out
-    assert "4 replicates are too few to tell" in out and "This proves the computation, not the model" in out
-    assert "4 replicates of 1 insertion, 24 mm deep" in out
+COMMAND = (sys.executable, "-m", "needlefit", "calibrate", "study2", "--replicates", "4", "-q")
+
+
+def calibrated(*words):
+    """Run it as a user does: what other tests compile in this process is not in that one."""
+    return subprocess.run((*COMMAND, *words), capture_output=True, text=True, check=False)
+
+
+def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(reports):
+    whole = calibrated("--jobs", "1")
+    assert whole.returncode == 5, whole.stderr  # too few
+    assert "4 replicates are too few to tell" in whole.stdout
+    assert "This proves the computation, not the model" in whole.stdout
+    assert "4 replicates of 1 insertion, 24 mm deep" in whole.stdout
     folder = reports / "calibrate-study2"
     assert {path.name for path in folder.iterdir()} == FILES
     rows = pd.read_csv(folder / "replicates.csv")
     assert rows["replicate"].tolist() == [0, 1, 2, 3] and set(rows["origin"]) == {"synthetic"}
     assert rows.filter(like="rank_").stack().between(0, 79).all()
-
-    done = []
-    kept = Settings(
-        checkpoint=reports / "calibrate-study2.partial",
-        stop=lambda: len(done) == 2,
-        progress=lambda label, count, of: done.append(count) if count else None,
-    )
-    cut = calibrate("study2", fit_of("study2")[1], kept, 4)
-    assert cut.interrupted and len(cut.replicates) == 2
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
-    assert run("calibrate", "study2", "--replicates", "4", "--resume", "--jobs", "2", "-q") == 5
+    running = subprocess.Popen(
+        (sys.executable, "-m", "needlefit", "calibrate", "study2", "--replicates", "4", "-q")
+    )
+    kept, deadline = reports / "calibrate-study2.partial", time.monotonic() + 60
+    while time.monotonic() < deadline and not any(path.stat().st_size for path in kept.glob("*.jsonl")):
+        time.sleep(0.02)
+    running.kill()
+    running.wait()
+    assert calibrated("--resume", "--jobs", "2").returncode == 5
     after = {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
-    assert before == after and not (reports / "calibrate-study2.partial").exists()
+    assert before == after and not kept.exists()
 
 
 def test_a_control_that_is_noticed_ends_well_and_one_that_is_not_does_not(reports, capsys):

@@ -6,7 +6,7 @@ import warnings
 import numpy as np
 import pytest
 
-from needlefit.inference.convergence import Convergence, autocorrelation_times, convergence, r_hat
+from needlefit.inference.sampling.convergence import Convergence, autocorrelation_times, convergence, r_hat
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # arviz announces its next version once a day

@@ -11,8 +11,8 @@ from needlefit.errors import ModelError
 from needlefit.inference.failure import Failure, failure
 from needlefit.inference.ledger import KEPT
 from needlefit.inference.optimize import minimize
-from needlefit.inference.posterior import load, save
-from needlefit.inference.sample import sample
+from needlefit.inference.sampling.posterior import load, save
+from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Watch, from_dict, to_dict
 from needlefit.project.records.recipe import SampleRecord
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
-from needlefit.inference.agreement import AGREE, judge, unlike
-from needlefit.inference.examine import Examined, examine
-from needlefit.inference.expect import DRAWS, expect
-from needlefit.inference.freed import fixed_alphas, freed
-from needlefit.inference.identify import Verdict
-from needlefit.inference.profile import THRESHOLD, Profile
+from needlefit.inference.identifiability.agreement import AGREE, judge, unlike
+from needlefit.inference.identifiability.examine import Examined, examine
+from needlefit.inference.identifiability.expect import DRAWS, expect
+from needlefit.inference.identifiability.freed import fixed_alphas, freed
+from needlefit.inference.identifiability.identify import Verdict
+from needlefit.inference.identifiability.profile import THRESHOLD, Profile
 from needlefit.inference.starts import Fit
 from needlefit.validation.identification import confirmed, identified, sampled_contractions
 

@@ -7,8 +7,14 @@ from inference_cases import TRUTH, insertion, measure, medium, problem, two_laye
 
 from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Noise
-from needlefit.inference.identify import identify, tip_range
-from needlefit.inference.information import combination, cramer_rao, directions, jacobian, steps
+from needlefit.inference.identifiability.identify import identify, tip_range
+from needlefit.inference.identifiability.information import (
+    combination,
+    cramer_rao,
+    directions,
+    jacobian,
+    steps,
+)
 from needlefit.inference.starts import Fit, Start
 from needlefit.project.records.recipe import LikelihoodRecord
 

@@ -6,11 +6,11 @@ import pytest
 from sampling_cases import Known, banana, gaussian, two_hills
 from scipy.stats import genpareto, norm
 
-from needlefit.inference.evaluator import Evaluator
-from needlefit.inference.importance import Effort, Weighted, importance, resampled
-from needlefit.inference.laplace import laplace
-from needlefit.inference.mixture import Mixture
-from needlefit.inference.pareto import pareto_fit, smoothed
+from needlefit.inference.sampling.evaluator import Evaluator
+from needlefit.inference.sampling.laplace import laplace
+from needlefit.inference.weighing.importance import Effort, Weighted, importance, resampled
+from needlefit.inference.weighing.mixture import Mixture
+from needlefit.inference.weighing.pareto import pareto_fit, smoothed
 
 EFFORT = Effort(draws=1000, enough=1000)
 

@@ -9,7 +9,7 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
-from needlefit.inference.information import jacobian
+from needlefit.inference.identifiability.information import jacobian
 from needlefit.inference.likelihood.depths import PLACES, Nodes, nodes
 from needlefit.inference.likelihood.marginal import log_marginals, mixing, residual_slopes, residuals
 from needlefit.inference.likelihood.quadrature import log_means, rule

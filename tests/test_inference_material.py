@@ -10,7 +10,7 @@ from test_inference_identify import FINE, fit_at
 
 from needlefit.datasets.compression_loading import Record, loading
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.identify import identify
+from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.material import fit_specimen
 from needlefit.inference.material_prior import Foundation, prior_of_material, with_material
 from needlefit.inference.parameters import Parameters

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from needlefit.inference.profile import THRESHOLD, Profile, profile
-from needlefit.inference.settle import settle
+from needlefit.inference.identifiability.profile import THRESHOLD, Profile, profile
+from needlefit.inference.identifiability.settle import settle
 
 REACH = 20.0
 VAST = np.full(2, 1e4)  # bounds so far away that they say nothing

@@ -9,12 +9,12 @@ from inference_cases import TRUTH as VALUES
 from inference_cases import Analytic, box, insertion, measure, medium, problem
 
 from needlefit.errors import ConfigError, DataError, FitError
-from needlefit.inference import learning
-from needlefit.inference import sample as sample_module
-from needlefit.inference.ensembles import INDEPENDENT, shares
-from needlefit.inference.posterior import load, save
-from needlefit.inference.sample import sample
-from needlefit.inference.snapshots import Snapshots
+from needlefit.inference.sampling import learning
+from needlefit.inference.sampling import sample as sample_module
+from needlefit.inference.sampling.ensembles import INDEPENDENT, shares
+from needlefit.inference.sampling.posterior import load, save
+from needlefit.inference.sampling.sample import sample
+from needlefit.inference.sampling.snapshots import Snapshots
 from needlefit.inference.starts import Watch
 from needlefit.project.records.recipe import SampleRecord
 

@@ -7,9 +7,9 @@ from inference_cases import TRUTH, insertion, measure, medium, problem
 from sampling_cases import Known, banana, draw, flat, gaussian, settings, standard_errors, two_hills
 from scipy.stats import norm, truncnorm
 
-from needlefit.inference.convergence import autocorrelation_times
-from needlefit.inference.independent import learned, unlearned
-from needlefit.inference.sample import sample
+from needlefit.inference.sampling.convergence import autocorrelation_times
+from needlefit.inference.sampling.independent import learned, unlearned
+from needlefit.inference.sampling.sample import sample
 from needlefit.project.records.recipe import SampleRecord
 
 MOVES = ["stretch", "de", "snooker", "independent", SampleRecord().moves]

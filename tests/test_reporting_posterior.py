@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from reporting_results import study
 
-from needlefit.inference.convergence import Convergence
-from needlefit.inference.posterior import Posterior
+from needlefit.inference.sampling.convergence import Convergence
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.posterior import (
     outside_said,
     percentiles_table,

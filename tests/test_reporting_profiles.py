@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from needlefit.inference.profile import THRESHOLD
+from needlefit.inference.identifiability.profile import THRESHOLD
 from needlefit.reporting.figures.profiles import _log_ticks, draw_profiles
 
 

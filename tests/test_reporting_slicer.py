@@ -19,10 +19,10 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.tubes import FACETS, tube, write_ply
-from needlefit.inference.convergence import Convergence
-from needlefit.inference.identify import identify
+from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
-from needlefit.inference.posterior import Posterior
+from needlefit.inference.sampling.convergence import Convergence
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.starts import Watch
 from needlefit.mechanics.scene import Entry
 from needlefit.project.streams import stream

@@ -9,11 +9,11 @@ from test_cli import run
 
 import needlefit
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.convergence import Convergence
 from needlefit.inference.draws import Draws, from_posterior
 from needlefit.inference.optimize import minimize
-from needlefit.inference.posterior import Posterior
-from needlefit.inference.sample import sample
+from needlefit.inference.sampling.convergence import Convergence
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import positions
 from needlefit.project.load import load

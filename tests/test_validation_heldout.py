@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from needlefit.inference.identify import identify
+from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.likelihood.pose import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.project.load import load

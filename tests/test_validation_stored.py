@@ -9,7 +9,7 @@ from reporting_results import stereo, study
 from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError
-from needlefit.inference.posterior import save
+from needlefit.inference.sampling.posterior import save
 from needlefit.reporting.rebuild import rebuild
 from needlefit.reporting.write import write_all, write_json
 from needlefit.validation.results import COLUMNS

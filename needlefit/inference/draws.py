@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.posterior import Posterior
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.ties import NOISE_SCALE
 
 Floats = NDArray[np.float64]

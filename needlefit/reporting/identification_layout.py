@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.expect import Expectation
-from needlefit.inference.information import Direction, combination
+from needlefit.inference.identifiability.expect import Expectation
+from needlefit.inference.identifiability.information import Direction, combination
 from needlefit.reporting.display import Column, Display, text, without_empty
 from needlefit.reporting.identification_said import millimetres
 from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset

@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.agreement import AGREE, NOTHING, is_small, known_words
-from needlefit.inference.expect import Expectation
-from needlefit.inference.identify import SD_LOG, TOLD
-from needlefit.inference.information import NEARLY_FREE, combination, short
+from needlefit.inference.identifiability.agreement import AGREE, NOTHING, is_small, known_words
+from needlefit.inference.identifiability.expect import Expectation
+from needlefit.inference.identifiability.identify import SD_LOG, TOLD
+from needlefit.inference.identifiability.information import NEARLY_FREE, combination, short
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting.numbers import number
 from needlefit.reporting.tables import Row, records

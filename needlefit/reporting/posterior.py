@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.posterior import PERCENTILES, Posterior, save
+from needlefit.inference.sampling.posterior import PERCENTILES, Posterior, save
 from needlefit.reporting.display import Column, Display, text, without_empty
 from needlefit.reporting.numbers import fixed, number, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED

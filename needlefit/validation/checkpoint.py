@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.errors import ConfigError
-from needlefit.inference.snapshots import Snapshots
+from needlefit.inference.sampling.snapshots import Snapshots
 from needlefit.inference.starts import Start, from_dict, to_dict
 from needlefit.project.replace import replacing_file
 

@@ -5,9 +5,9 @@ from pathlib import Path
 from needlefit.errors import ConfigError
 from needlefit.inference.draws import Draws, from_posterior
 from needlefit.inference.optimize import minimize
-from needlefit.inference.posterior import load
+from needlefit.inference.sampling.posterior import load
 from needlefit.inference.starts import Watch
-from needlefit.inference.weighing import by_importance
+from needlefit.inference.weighing.about_fit import by_importance
 from needlefit.project.plain import plain
 from needlefit.project.run_file import read_run
 from needlefit.project.streams import stream

@@ -24,7 +24,7 @@ from needlefit.inference.likelihood.evidence import Evidence, evidence
 from needlefit.inference.likelihood.pose import modes
 from needlefit.inference.predict import predict
 from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile, worst_level
-from needlefit.inference.weighing import by_importance
+from needlefit.inference.weighing.about_fit import by_importance
 from needlefit.mechanics.shape import positions
 from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.inference.agreement import Judgement, is_small, judge, unlike
-from needlefit.inference.examine import Examination, Examined
-from needlefit.inference.identify import Verdict, known_before
+from needlefit.inference.identifiability.agreement import Judgement, is_small, judge, unlike
+from needlefit.inference.identifiability.examine import Examination, Examined
+from needlefit.inference.identifiability.identify import Verdict, known_before
+from needlefit.inference.identifiability.profile import THRESHOLD
 from needlefit.inference.parameters import Parameters, in_logarithm
-from needlefit.inference.posterior import Posterior
 from needlefit.inference.problem import Problem
-from needlefit.inference.profile import THRESHOLD
+from needlefit.inference.sampling.posterior import Posterior
 
 Row = dict[str, Any]
 

@@ -7,9 +7,9 @@ from typing import Any, Literal
 import pandas as pd
 
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.examine import examine
-from needlefit.inference.expect import Expectation, expect
-from needlefit.inference.identify import with_noise
+from needlefit.inference.identifiability.examine import examine
+from needlefit.inference.identifiability.expect import Expectation, expect
+from needlefit.inference.identifiability.identify import with_noise
 from needlefit.inference.starts import Fit
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.streams import stream

@@ -17,10 +17,10 @@ from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.comparison import curve_of, target
 from needlefit.inference.draws import from_posterior
-from needlefit.inference.identify import Verdict
-from needlefit.inference.information import jacobian, steps
-from needlefit.inference.posterior import Posterior
+from needlefit.inference.identifiability.identify import Verdict
+from needlefit.inference.identifiability.information import jacobian, steps
 from needlefit.inference.predict import predict, predict_each
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.starts import Fit
 from needlefit.mechanics.batch import positions_each
 from needlefit.mechanics.lanes import follow_batches

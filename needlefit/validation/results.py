@@ -7,7 +7,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from needlefit.inference.posterior import Posterior
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.validation.heldout import PREDICTIVE

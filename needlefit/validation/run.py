@@ -11,10 +11,10 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor, noise_floor
 from needlefit.datasets.select import layers_of
 from needlefit.errors import FitError
-from needlefit.inference.examine import Examination, examine
-from needlefit.inference.identify import practically_equal
+from needlefit.inference.identifiability.examine import Examination, examine
+from needlefit.inference.identifiability.identify import practically_equal
 from needlefit.inference.optimize import minimize
-from needlefit.inference.sample import sample
+from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Fit, Start, Watch
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import DataError
-from needlefit.inference.posterior import Posterior, load
+from needlefit.inference.sampling.posterior import Posterior, load
 from needlefit.project.plain import plain
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord

@@ -9,15 +9,22 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.agreement import Judgement
 from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
-from needlefit.inference.examine import Examination
 from needlefit.inference.failure import failure
-from needlefit.inference.identify import EQUAL_LOG, Verdict, as_good, excess, identify, practically_equal
+from needlefit.inference.identifiability.agreement import Judgement
+from needlefit.inference.identifiability.examine import Examination
+from needlefit.inference.identifiability.identify import (
+    EQUAL_LOG,
+    Verdict,
+    as_good,
+    excess,
+    identify,
+    practically_equal,
+)
 from needlefit.inference.parameters import Theta
-from needlefit.inference.posterior import Posterior
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.starts import Fit, Start
 from needlefit.validation.folds import Fold
 from needlefit.validation.identification import confirmed, identified, sampled_contractions

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from needlefit.inference.posterior import save
+from needlefit.inference.sampling.posterior import save
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.tracks import draw_tracks

@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.inference.draws import from_posterior, of_prior
-from needlefit.inference.importance import Weighted, resampled
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
-from needlefit.inference.sample import sample
-from needlefit.inference.weighing import modes, weighed
+from needlefit.inference.sampling.sample import sample
+from needlefit.inference.weighing.about_fit import modes, weighed
+from needlefit.inference.weighing.importance import Weighted, resampled
 from needlefit.project.records.recipe import RecipeRecord
 
 Floats = NDArray[np.float64]

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.identify import told_by
+from needlefit.inference.identifiability.identify import told_by
 from needlefit.inference.predict import predict_each
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import positions_each

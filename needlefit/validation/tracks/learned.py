@@ -5,9 +5,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from needlefit.inference.agreement import is_small
+from needlefit.inference.identifiability.agreement import is_small
 from needlefit.inference.parameters import in_logarithm
-from needlefit.inference.posterior import PERCENTILES, Posterior
+from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.tracks.problem import TrackProblem
 from needlefit.validation.score import Row
 

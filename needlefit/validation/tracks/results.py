@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 import pandas as pd
 
-from needlefit.inference.posterior import Posterior
+from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.records.track_study import TrackStudyRecord
 
 RIVALS = ("fitted", "straight", "constant_curvature")

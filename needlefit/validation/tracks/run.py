@@ -9,10 +9,10 @@ import pandas as pd
 from needlefit.datasets.tracks.read import read_tracks
 from needlefit.errors import FitError
 from needlefit.inference.draws import from_posterior
-from needlefit.inference.identify import practically_equal
+from needlefit.inference.identifiability.identify import practically_equal
 from needlefit.inference.optimize import minimize
-from needlefit.inference.posterior import Posterior
-from needlefit.inference.sample import sample
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Watch
 from needlefit.inference.ties import NOISE_SCALE
 from needlefit.inference.tracks.course import tips

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
-from needlefit.inference.independent import Picture
+from needlefit.inference.sampling.independent import Picture
 
 Floats = NDArray[np.float64]
 Random = np.random.RandomState

@@ -4,14 +4,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.inference.draws import Draws
-from needlefit.inference.evaluator import Evaluator
-from needlefit.inference.identify import with_noise
-from needlefit.inference.importance import Effort, Weighted, importance, resampled
-from needlefit.inference.laplace import laplace
-from needlefit.inference.pareto import RELIABLE
+from needlefit.inference.identifiability.identify import with_noise
+from needlefit.inference.identifiability.settle import settle
 from needlefit.inference.problem import Problem
-from needlefit.inference.settle import settle
+from needlefit.inference.sampling.evaluator import Evaluator
+from needlefit.inference.sampling.laplace import laplace
 from needlefit.inference.starts import Fit
+from needlefit.inference.weighing.importance import Effort, Weighted, importance, resampled
+from needlefit.inference.weighing.pareto import RELIABLE
 
 Floats = NDArray[np.float64]
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.inference.identify import known_before, known_besides, told_by
-from needlefit.inference.information import Direction, cramer_rao, directions
+from needlefit.inference.identifiability.identify import known_before, known_besides, told_by
+from needlefit.inference.identifiability.information import Direction, cramer_rao, directions
 from needlefit.inference.problem import Problem
 
 Floats = NDArray[np.float64]

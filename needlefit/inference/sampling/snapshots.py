@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.inference.ensembles import State
+from needlefit.inference.sampling.ensembles import State
 from needlefit.project.replace import replacing_file
 
 Floats = NDArray[np.float64]

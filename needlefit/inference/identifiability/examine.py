@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.inference.freed import fixed_alphas, freed
-from needlefit.inference.identify import tip_range, told_by, with_noise
+from needlefit.inference.identifiability.freed import fixed_alphas, freed
+from needlefit.inference.identifiability.identify import tip_range, told_by, with_noise
+from needlefit.inference.identifiability.profile import Profile, profile
+from needlefit.inference.identifiability.settle import Settled, settle
 from needlefit.inference.problem import Problem
-from needlefit.inference.profile import Profile, profile
-from needlefit.inference.settle import Settled, settle
 from needlefit.inference.starts import Fit
 
 Floats = NDArray[np.float64]

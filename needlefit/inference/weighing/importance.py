@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from scipy.optimize import brentq
 from scipy.special import logsumexp
 
-from needlefit.inference.laplace import Laplace
-from needlefit.inference.mixture import Mixture
-from needlefit.inference.pareto import RELIABLE, smoothed
+from needlefit.inference.sampling.laplace import Laplace
+from needlefit.inference.weighing.mixture import Mixture
+from needlefit.inference.weighing.pareto import RELIABLE, smoothed
 
 Floats = NDArray[np.float64]
 LogDensity = Callable[[Floats], Floats]

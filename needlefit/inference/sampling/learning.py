@@ -10,8 +10,8 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.inference.ensembles import INDEPENDENT, shares
-from needlefit.inference.independent import Picture, learned, unlearned
+from needlefit.inference.sampling.ensembles import INDEPENDENT, shares
+from needlefit.inference.sampling.independent import Picture, learned, unlearned
 from needlefit.project.records.recipe import SampleRecord
 
 Floats = NDArray[np.float64]

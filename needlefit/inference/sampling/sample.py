@@ -15,16 +15,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.convergence import LENGTH_IN_TAU, Convergence, autocorrelation_times, convergence
-from needlefit.inference.ensembles import State, shares, steps
-from needlefit.inference.evaluator import Density, Evaluator
-from needlefit.inference.laplace import Laplace, laplace
-from needlefit.inference.learning import block_length, last_lesson, pictures
 from needlefit.inference.ledger import KEPT
-from needlefit.inference.posterior import Posterior
-from needlefit.inference.snapshots import Block, Failed, Snapshots
+from needlefit.inference.sampling.convergence import (
+    LENGTH_IN_TAU,
+    Convergence,
+    autocorrelation_times,
+    convergence,
+)
+from needlefit.inference.sampling.ensembles import State, shares, steps
+from needlefit.inference.sampling.evaluator import Density, Evaluator
+from needlefit.inference.sampling.laplace import Laplace, laplace
+from needlefit.inference.sampling.learning import block_length, last_lesson, pictures
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.sampling.snapshots import Block, Failed, Snapshots
+from needlefit.inference.sampling.walkers import begin
 from needlefit.inference.starts import Watch
-from needlefit.inference.walkers import begin
 from needlefit.project.records.recipe import SampleRecord
 
 Floats = NDArray[np.float64]

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from needlefit.inference.settle import GAIN, Settled, Squares, settle
+from needlefit.inference.identifiability.settle import GAIN, Settled, Squares, settle
 
 Floats = NDArray[np.float64]
 

@@ -7,9 +7,9 @@ bounds: where they say different things, the sentence says which.
 import math
 from dataclasses import dataclass
 
-from needlefit.inference.examine import Examined
-from needlefit.inference.identify import NARROWED, SD_ALPHA, SD_LOG
-from needlefit.inference.information import precision_words
+from needlefit.inference.identifiability.examine import Examined
+from needlefit.inference.identifiability.identify import NARROWED, SD_ALPHA, SD_LOG
+from needlefit.inference.identifiability.information import precision_words
 from needlefit.inference.parameters import in_logarithm
 
 NORMAL = 1.96

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.independent import ENOUGH, groups
-from needlefit.inference.information import (
+from needlefit.inference.identifiability.information import (
     Direction,
     cramer_rao,
     directions,

@@ -4,9 +4,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import FitError
-from needlefit.inference.ensembles import State
-from needlefit.inference.evaluator import Evaluator
-from needlefit.inference.laplace import Laplace
+from needlefit.inference.sampling.ensembles import State
+from needlefit.inference.sampling.evaluator import Evaluator
+from needlefit.inference.sampling.laplace import Laplace
 from needlefit.project.records.recipe import SampleRecord
 
 Floats = NDArray[np.float64]

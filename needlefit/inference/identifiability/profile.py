@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 from scipy.stats import chi2
 
-from needlefit.inference.settle import Settled, Squares
-from needlefit.inference.track import Track, follow, peak_of
+from needlefit.inference.identifiability.settle import Settled, Squares
+from needlefit.inference.identifiability.track import Track, follow, peak_of
 
 Floats = NDArray[np.float64]
 End = Literal["closed", "bound", "lost"]

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.inference.convergence import Convergence
+from needlefit.inference.sampling.convergence import Convergence
 
 if TYPE_CHECKING:
     import xarray

@@ -1,0 +1,1 @@
+"""What the data determine: information, profiles, and whether they agree."""

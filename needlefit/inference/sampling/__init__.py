@@ -1,0 +1,1 @@
+"""Walkers that sample a posterior until a rule is met, and can go on."""

@@ -1,0 +1,1 @@
+"""A posterior known by weighted draws, where nothing was sampled."""
