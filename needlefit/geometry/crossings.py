@@ -136,5 +136,7 @@ def _solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
     layers = np.zeros(len(places), dtype=np.int64)
     for surface in surfaces:
         if surface.kind == "solid":
-            layers[surface.mesh.contains(places)] = surface.into
+            with np.errstate(over="ignore"):  # trimesh divides by the directions of its rays
+                within = surface.mesh.contains(places)
+            layers[within] = surface.into
     return layers
