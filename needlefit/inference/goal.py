@@ -17,8 +17,8 @@ from needlefit.project.records.recipe import Minimized
 Floats = NDArray[np.float64]
 
 
-class Bounded(Protocol):
-    """What has a theta."""
+class Box(Protocol):
+    """What has bounds."""
 
     @property
     def lower(self) -> Floats:
@@ -27,6 +27,10 @@ class Bounded(Protocol):
     @property
     def upper(self) -> Floats:
         """Upper bounds of theta: (P,)."""
+
+
+class Bounded(Box, Protocol):
+    """What has a theta."""
 
     def values(self, theta: Floats) -> dict[str, float]:
         """Return what theta means."""

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import lsq_linear
 
+from needlefit.inference.goal import Box
 from needlefit.inference.ledger import FAILURES
 from needlefit.project.records.recipe import Minimized
 
@@ -27,20 +28,12 @@ MOST = 40
 """Evaluations after which a descent gives up."""
 
 
-class Squares(Protocol):
+class Squares(Box, Protocol):
     """A sum of squares; `Problem` is one: its log posterior is constant - |residuals|^2 / 2."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the parameters, P of them."""
-
-    @property
-    def lower(self) -> Floats:
-        """Lower bounds of theta: (P,)."""
-
-    @property
-    def upper(self) -> Floats:
-        """Upper bounds of theta: (P,)."""
 
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return residuals (R,) and their derivatives (R, P); not finite where they cannot be computed."""

@@ -7,25 +7,18 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.inference.goal import Bounded
 from needlefit.inference.ledger import FAILURES, KEPT
 
 Floats = NDArray[np.float64]
 
 
-class Density(Protocol):
+class Density(Bounded, Protocol):
     """What can be sampled; `Problem` is one."""
 
     @property
     def names(self) -> tuple[str, ...]:
         """Names of the coordinates of theta."""
-
-    @property
-    def lower(self) -> Floats:
-        """Lower bounds of theta: (P,)."""
-
-    @property
-    def upper(self) -> Floats:
-        """Upper bounds of theta: (P,)."""
 
     def log_posteriors(self, thetas: Floats, jobs: int) -> Floats:
         """Return the log densities (W,) of `thetas` (W, P), not normalised.
@@ -33,9 +26,6 @@ class Density(Protocol):
         -inf where the density is 0, NaN where it cannot be computed. `jobs` threads may be used; the
         densities do not depend on it.
         """
-
-    def values(self, theta: Floats) -> dict[str, float]:
-        """Return what theta means, by name."""
 
 
 @dataclass
