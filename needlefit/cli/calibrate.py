@@ -63,7 +63,7 @@ def calibrate(
     with stopping() as stop:
         target_name, record = fit_of(target)
         name = target_name.removesuffix("-tune")
-        execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample=True)
+        execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop)
         count = replicates or (SAMPLED if sample else REPLICATES)
         runs = {f"calibrate-{name}{_suffix(one, sample)}": one for one in _controls(control)}
         execution.prepare(runs)

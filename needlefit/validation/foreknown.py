@@ -13,11 +13,12 @@ from needlefit.project.run_file import read_run
 from needlefit.project.streams import stream
 from needlefit.validation.job import Job, Settings
 from needlefit.validation.provenance import work
+from needlefit.validation.stored import posterior_names
 
 DRAWS = 400
 """Of the parameters, of which a planned needle is foretold."""
 
-POSTERIOR = "posterior.nc"
+(POSTERIOR,) = posterior_names(1)
 
 
 def foreknown(job: Job, run: Path, settings: Settings, required: bool = False) -> Draws | None:
