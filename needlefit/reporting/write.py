@@ -52,7 +52,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
             write_needles(results, new / "slicer")
         for name, save in (also or {}).items():
             save(new / name)
-        _report(story(results, drawn), new)
+        write_report(story(results, drawn), new)
         _for_papers([results], new)
         store(results, new)
         write_json(new / "run.json", results.run)
@@ -73,7 +73,7 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
     with whole(folder) as new:
         _tables(studies, tunings or studies, new)
         drawn = _draw_scores(studies, new)
-        _report(overview(studies, tunings or studies, drawn), new)
+        write_report(overview(studies, tunings or studies, drawn), new)
         every = [*studies, *tunings]
         _for_papers(every, new)
         write_json(new / "run.json", {one.name: one.run for one in every})
@@ -81,7 +81,8 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
     return _files(folder)
 
 
-def _report(document: Document, folder: Path) -> None:
+def write_report(document: Document, folder: Path) -> None:
+    """Write a report as PDF and as HTML."""
     (folder / "report.pdf").write_bytes(compile_pdf(document))
     (folder / "report.html").write_bytes(compile_html(document))
 
