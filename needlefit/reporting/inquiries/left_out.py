@@ -1,6 +1,7 @@
 """What is told of insertions and specimens left out in turn."""
 
 from pathlib import Path
+from typing import Any
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
@@ -45,38 +46,42 @@ def _said(row: Row) -> str:
 
 
 def _errors(answer: Answer) -> Display:
-    heads = (text("Fit"), text("Left out"), Column("Fits"), Column("n"))
-    scores = [
-        Column(f"{metric} {way}", "mm")
-        for metric in ("IPE", "TE")
-        for way in ("left out", "in sample", "gap", "planned", "curve", "floor")
-    ]
-    rows = tuple(_cells(row) for row in records(answer.frames["summary"]))
+    ways = ("Left out", "In sample", "Gap", "Planned", "Curve", "Floor")
+    heads = (text("Fit"), text("Left out"), Column("Fits"), Column("n"), text("Error"))
+    rows: list[tuple[str, ...]] = []
+    breaks: list[int] = []
+    for row in records(answer.frames["summary"]):
+        breaks += [len(rows)] if rows else []
+        rows += _lines(row)
     notes = (
         "“Gap” is the error left out minus that in sample, of the same insertions, ± its standard error over "
         "what was left out. “Planned” is left out, with layers from the planned path instead of the measured "
         "crossings. “Curve” is a constant curvature fitted to the same insertions. “Floor” is what perfect "
-        "parameters would still show.",
+        "parameters would still show. Pareto k is the largest of all fits.",
     )
-    columns = (*heads, *scores, Column("Pareto k"))
+    columns = (*heads, *(Column(way, "mm") for way in ways), Column("Pareto k"))
     caption = "Errors on what was left out, beside those in sample (mean over insertions)."
-    return Display("left_out", caption, columns, rows, notes=notes)
+    return Display("left_out", caption, columns, tuple(rows), tuple(breaks), notes=notes)
 
 
-def _cells(row: Row) -> tuple[str, ...]:
+def _lines(row: Row) -> list[tuple[str, ...]]:
+    """Return the lines of one kind of group: IPE and TE, or why there are none."""
     head = (medium_name(row["fit"]), row["left_out"], str(row["groups"]), str(row["insertions"]))
     if row["note"]:
-        return (*head, row["note"], *("",) * 12)
-    cells: list[str] = []
-    for metric in ("ipe_mean", "te"):
-        stem = metric.removesuffix("_mean")
-        gap = f"{row[f'{stem}_gap_mm']:+.3f} ± {row[f'{stem}_gap_se_mm']:.3f}".replace("-", "−")
-        cells += [fixed(row[f"{metric}_mm"]), fixed(row[f"in_sample_{metric}_mm"]), gap]
-        cells += [fixed(row[f"{way}_{metric}_mm"]) for way in ("planned", "curve", "floor")]
-    k = f"{row['worst_pareto_k']:.2f}" + (
-        f" ({row['folds_sampled']} sampled)" if row["folds_sampled"] else ""
-    )
-    return (*head, *cells, k)
+        return [(*head, row["note"], *("",) * 7)]
+    k = f"{row['worst_pareto_k']:.2f}"
+    k += f" ({row['folds_sampled']} sampled)" if row["folds_sampled"] else ""
+    return [
+        (*head, "mean IPE", *_cells(row, "ipe_mean"), k),
+        ("", "", "", "", "TE", *_cells(row, "te"), ""),
+    ]
+
+
+def _cells(row: Row, metric: str) -> tuple[str, ...]:
+    stem = metric.removesuffix("_mean")
+    gap = f"{row[f'{stem}_gap_mm']:+.3f} ± {row[f'{stem}_gap_se_mm']:.3f}".replace("-", "−")
+    ways = (fixed(row[f"{way}_{metric}_mm"]) for way in ("planned", "curve", "floor"))
+    return (fixed(row[f"{metric}_mm"]), fixed(row[f"in_sample_{metric}_mm"]), gap, *ways)
 
 
 def _foretold(answer: Answer) -> Display:
@@ -137,7 +142,7 @@ def _pair(axes: Axes, y: int, row: Row, metric: str, direct: bool) -> None:
     if floor is not None:
         axes.vlines(floor, y - 0.35, y + 0.35, color=INK, lw=0.9, ls=(0, (2, 1.5)))
     if direct:
-        above = {"xytext": (0, 7), "textcoords": "offset points", "fontsize": 6.5}
+        above: dict[str, Any] = {"xytext": (0, 7), "textcoords": "offset points", "fontsize": 6.5}
         axes.annotate("left out", (held, y), ha="left", color=RIVAL_COLOURS["fitted"], **above)
         axes.annotate("in sample", (sample, y), ha="right", color=RIVAL_COLOURS["fitted"], **above)
         axes.annotate("constant curvature", (curve, y), ha="left", color=GREY, **above)
@@ -149,8 +154,8 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
     """Return the figure, both tables and what was done."""
     errors, foretold = layouts(answer)
     caption = (
-        "Errors in sample (hollow) and of what was left out (filled), with a constant curvature fitted to the "
-        "same insertions (triangles) and the noise floor (dashed)."
+        "Errors in sample (hollow) and of what was left out (filled), with a constant curvature fitted to "
+        "the same insertions (triangles) and the noise floor (dashed)."
     )
     drawn = [document.figure(figures["summary"], caption, answer.synthetic)] if "summary" in figures else []
     return [

@@ -1,8 +1,8 @@
 """Each insertion, and each specimen, left out in turn: what a fit to the others makes of it.
 
-The error in sample flatters a model, for it was made small by the fit itself; the error on what was left out
-does not. Their difference is what a reader of a tuning table should add to it. A medium of which there is only
-one specimen says nothing of a further specimen, and is told so instead of given a number.
+The error in sample flatters a model, for it was made small by the fit itself; the error on what was left
+out does not. Their difference is what a reader of a tuning table should add to it. A medium of which there
+is only one specimen says nothing of a further specimen, and is told so instead of given a number.
 """
 
 from collections.abc import Mapping
@@ -147,12 +147,11 @@ def _summary(fit: str, what: str, job: Job, frames: Frames) -> Row:
     for metric in ("ipe_mean_mm", "te_mm"):
         row[metric] = known[metric].mean()
         row[f"in_sample_{metric}"] = sample[metric].mean()
-        gap = (known[metric] - sample[metric]).groupby(
-            known["specimen"] if what == "specimen" else known.index
-        )
+        gap = known[metric] - sample[metric]
+        by_group = gap.groupby(known["specimen"] if what == "specimen" else known.index).mean()
         stem = metric.removesuffix("_mean_mm").removesuffix("_mm")
-        row[f"{stem}_gap_mm"] = (known[metric] - sample[metric]).mean()
-        row[f"{stem}_gap_se_mm"] = gap.mean().std(ddof=1) / np.sqrt(gap.ngroups)
+        row[f"{stem}_gap_mm"] = gap.mean()
+        row[f"{stem}_gap_se_mm"] = by_group.std(ddof=1) / np.sqrt(len(by_group))
         row[f"planned_{metric}"] = planned[metric].replace(np.inf, np.nan).mean()
         row[f"curve_{metric}"] = curve[metric].mean()
         row[f"floor_{metric}"] = known[f"floor_{metric}"].mean()
