@@ -23,7 +23,7 @@ from needlefit.validation.placed import Band, PlacedNeedle
 from needlefit.validation.results import COLUMNS, Results
 
 NAME = "results.json.gz"
-FORMAT = 1
+FORMAT = 2
 """Of the file; another number is refused."""
 
 _PLAIN = ("name", "title", "question", "origin", "dataset_title", "interrupted", "run")
