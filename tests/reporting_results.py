@@ -97,6 +97,7 @@ def score_all(insertions: list[dict], fold: int, rivals: tuple[str, ...], compar
                 key["boundaries"] = boundaries
                 ok = one.get("converged", True) or rival != "fitted"
                 about = {k: one[k] for k in ("medium", "specimen", "layers", "depth_mm")}
+                about["layers_other"] = one.get("layers_other", one["layers"])
                 errors.append(key | about | {"comparison": comparison} | scores(points, ok))
                 if ok:
                     shapes.append(points.assign(**key))
@@ -183,8 +184,17 @@ def failed(begun: list[dict]) -> pd.DataFrame:
 
 
 def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]:
-    design = pd.DataFrame(insertions).groupby(["role", "medium", "layers"], sort=False)["depth_mm"]
-    table = design.agg(insertions="count", depth_min_mm="min", depth_max_mm="max").reset_index()
+    table = (
+        pd.DataFrame(insertions)
+        .groupby(["role", "medium", "layers"], sort=False)
+        .agg(
+            insertions=("depth_mm", "count"),
+            insertions_other=("depth_mm", "count"),
+            **{f"depth_{end}_mm": ("depth_mm", end) for end in ("min", "max")},
+            **{f"deflection_{end}_mm": ("deflection_mm", end) for end in ("min", "max")},
+        )
+        .reset_index()
+    )
     words = ["mu1_pa and bevel_mm only as mu1_pa * bevel_mm^1.9", "bevel_mm with mu2_pa", "mu1_pa / mu2_pa"]
     sds = [0.008, 0.17, 0.91]
     return {

@@ -121,9 +121,9 @@ def _laid_out(
     studies: Sequence[Results], tunings: Sequence[Results]
 ) -> Iterator[tuple[str, pd.DataFrame, list[Display]]]:
     every = list({one.name: one for one in (*studies, *tunings)}.values())
-    yield "validation", validation_table(*studies), [layouts.validation_layout(studies)]
+    yield "validation", validation_table(*studies, both=True), [layouts.validation_layout(studies)]
     tuned = [layouts.tuning_layout(tunings, by) for by in ("layers", "media")]
-    yield "tuning", tuning_table(*tunings), tuned
+    yield "tuning", tuning_table(*tunings, both=True), tuned
     yield "parameters", parameters_table(*every), [details.parameters_layout(every)]
 
 

@@ -12,7 +12,7 @@ import pandas as pd
 from needlefit.errors import DataError
 
 NAME = "results.json.gz"
-FORMAT = 1
+FORMAT = 2
 """Of the file; another number is refused."""
 
 

@@ -22,9 +22,12 @@ SCORED = ("fold", "role", "insertion", "rival", "boundaries")
 
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
-        "design": ("role", "medium", "layers", "insertions", "depth_min_mm", "depth_max_mm"),
+        "design": (
+            *("role", "medium", "layers", "insertions", "insertions_other", "depth_min_mm", "depth_max_mm"),
+            *("deflection_min_mm", "deflection_max_mm"),
+        ),
         "errors": (
-            *("fold", "role", "insertion", "medium", "specimen", "layers", "depth_mm"),
+            *("fold", "role", "insertion", "medium", "specimen", "layers", "layers_other", "depth_mm"),
             *("rival", "boundaries", "comparison"),
             *METRICS,
             *("deflection_mm", "predicted_deflection_mm"),
@@ -64,10 +67,13 @@ class Results:
     dataset_title : str
         The dataset, in words.
     design : DataFrame
-        Insertions and depths per role ("tune", "validate"), medium and layers.
+        Insertions, depths and measured deflections of the tip (toward the bevel) per role ("tune",
+        "validate"), medium and layers; `insertions_other` is how many of the same insertions count so by the
+        other reading of needles that end at a boundary.
     errors : DataFrame
         One row per fold, role, insertion, rival and boundaries ("measured", as the paper does;
-        "planned"). `comparison` is "world", or "aligned" for shapes known only up to a rigid motion;
+        "planned"). `layers` is by the study's reading, `layers_other` by the other. `comparison` is "world",
+        or "aligned" for shapes known only up to a rigid motion;
         `edp_flagged` marks a deflection under the noise floor.
     shapes : DataFrame
         The curves that `errors` compares, j = 0 the entry (or the first scored point), as compared.
