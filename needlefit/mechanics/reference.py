@@ -41,7 +41,7 @@ def follow(
     rules: Rules = Rules(),
     lattice: Lattice | None = None,
 ) -> NeedleShape:
-    """Section 4: bring the tip from one stop to the next; arguments as in `mechanics.follow`."""
+    """Section 4: bring the tip from one stop to the next; arguments as in `follow`."""
     lattice = lattice or lattice_of(steps, rules)
     C_int = rules.spacing
     c: dict[int, float] = {0: 0.0}  # y of the constraint points, by their number
