@@ -7,8 +7,8 @@ from needlefit.reporting import document
 from needlefit.reporting.calibration_said import PROVES, caption, layout, said
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.ranks import draw_ranks
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.tables import records
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.calibration.run import Calibration
 
 

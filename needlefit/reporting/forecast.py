@@ -9,8 +9,8 @@ import pandas as pd
 from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.forecast import draw_forecast
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.numbers import fixed
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.forecast import Forecast
 
 _BANDS = {"needle": "where the needle is", "measured": "where it would be measured"}

@@ -6,10 +6,10 @@ from typing import Any
 import pandas as pd
 
 from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.identification_layout import directions_table, identification_table
 from needlefit.reporting.identification_said import design_said, verdict_said
 from needlefit.reporting.tables import records
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.identify import Identification
 from needlefit.validation.results import Results
 

@@ -15,10 +15,10 @@ from needlefit.inference.material_prior import Foundation, prior_of_material
 from needlefit.inference.population import Material
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.material import draw_material
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.material_said import prior_note, summary, verdict
 from needlefit.reporting.material_tables import curve, profile, table
 from needlefit.reporting.numbers import number
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.provenance import versions
 
 _PACKAGES = ("numpy", "scipy")

@@ -14,8 +14,8 @@ from needlefit.mechanics.control import Rules
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import set_page
 from needlefit.reporting.figures.convergence import convergence
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.numbers import MISSING, number, typeset
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.provenance import versions
 from needlefit.verification.check import Bound, Row
 from needlefit.verification.run import Verification

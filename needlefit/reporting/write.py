@@ -1,21 +1,16 @@
 """Results -> a folder of files, complete or not there at all."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
-from needlefit.errors import ConfigError
-from needlefit.project.plain import plain
-from needlefit.project.replace import replacing
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.files import all_files, require_result, whole, write_csv, write_json
 from needlefit.reporting.identification_layout import identification_table
 from needlefit.reporting.latex import latex
 from needlefit.reporting.macros import macros
@@ -28,6 +23,8 @@ from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
 from needlefit.validation.stored import store
+
+__all__ = ["require_result", "whole", "write", "write_all", "write_csv", "write_json"]
 
 Also = Mapping[str, Callable[[Path], object]]
 
@@ -57,7 +54,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
         store(results, new)
         write_json(new / "run.json", results.run)
         write_json(new / "timing.json", results.timing)
-    return _files(folder)
+    return all_files(folder)
 
 
 def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> list[Path]:
@@ -78,7 +75,7 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
         _for_papers(every, new)
         write_json(new / "run.json", {one.name: one.run for one in every})
         write_json(new / "timing.json", {one.name: one.timing for one in every})
-    return _files(folder)
+    return all_files(folder)
 
 
 def _report(document: Document, folder: Path) -> None:
@@ -154,39 +151,3 @@ def _draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
 
 def _has(frame: pd.DataFrame, role: str) -> bool:
     return bool(((frame["role"] == role) & (frame["rival"] == "fitted")).any())
-
-
-def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
-    """Write a table; `digits` None is every digit."""
-    frame.to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
-
-
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write values as JSON, NaN and infinity as null, keys in order."""
-    text = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
-
-
-@contextmanager
-def whole(folder: Path) -> Iterator[Path]:
-    """Give a new folder, and put it in the place of `folder` once it is complete."""
-    require_result(folder)
-    with replacing(folder) as new:
-        yield new
-
-
-def require_result(folder: Path) -> None:
-    """Raise ConfigError if `folder` holds something that needlefit did not write."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not (folder / "run.json").is_file():
-        raise ConfigError(
-            "exists and holds no result of needlefit, so it is not replaced",
-            where=str(folder),
-            expected="a new or empty folder, or one that holds run.json",
-            mend="choose another place with --out, or remove it",
-        )
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file())

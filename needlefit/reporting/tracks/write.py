@@ -6,6 +6,7 @@ from needlefit.inference.sampling.posterior import save
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.tracks import draw_tracks
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.tracks.layouts import (
     coverage_layout,
     depths_layout,
@@ -13,7 +14,6 @@ from needlefit.reporting.tracks.layouts import (
     scores_layout,
 )
 from needlefit.reporting.tracks.said import in_short
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.tracks.results import TrackResults
 from needlefit.validation.tracks.summary import by_depth, coverage, paired_runs
 
