@@ -13,8 +13,9 @@ from needlefit.inference.sampling.posterior import save
 from needlefit.reporting.files import write_json
 from needlefit.reporting.rebuild import rebuild
 from needlefit.reporting.write import write_all
+from needlefit.validation.packing import NAME
 from needlefit.validation.results import COLUMNS
-from needlefit.validation.stored import NAME, restore, store
+from needlefit.validation.stored import restore, store
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])

@@ -16,9 +16,11 @@ from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
+    from needlefit.project.records.inquiry import InquiryRecord
     from needlefit.project.records.study import StudyRecord
     from needlefit.project.records.track_study import TrackStudyRecord
     from needlefit.project.watching import Progress
+    from needlefit.validation.inquiries.answer import Answer
     from needlefit.validation.job import Settings
     from needlefit.validation.results import Results
     from needlefit.validation.tracks.results import TrackResults
@@ -86,6 +88,13 @@ class Execution:
 
         with progress(self.invocation.quiet) as report:
             return run(name, record, self._settings(name, report))
+
+    def ask(self, name: str, record: "InquiryRecord") -> "Answer":
+        """Carry out one inquiry; else as `run`."""
+        from needlefit.validation.inquiries.kinds import ask
+
+        with progress(self.invocation.quiet) as report:
+            return ask(name, record, self._settings(name, report))
 
     def _settings(self, name: str, report: "Progress") -> "Settings":
         from needlefit.validation.job import Settings

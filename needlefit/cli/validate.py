@@ -10,10 +10,12 @@ from needlefit.cli.completion import studies
 from needlefit.cli.execution import Execution, require_converged
 from needlefit.cli.interruption import stopping
 from needlefit.cli.show_validation import show_validation
+from needlefit.cli.validate_inquiry import validate_inquiry
 from needlefit.cli.validate_tracks import observes_tracks, validate_tracks
 
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
+    from needlefit.project.records.inquiry import InquiryRecord
     from needlefit.project.records.study import StudyRecord
     from needlefit.validation.results import Results
 
@@ -58,11 +60,20 @@ def validate(
         if observes_tracks(path):
             validate_tracks(execution, name, path, json)
             return
+        if (record := _inquiry(path)) is not None:
+            validate_inquiry(execution, name, record, json)
+            return
         done = _run(execution, study, json)
         for results in done:  # not before all are done: `all` is resumed as a whole
             execution.forget(results.name)
     for results in done:
         require_converged(results)
+
+
+def _inquiry(path: Path) -> "InquiryRecord | None":
+    from needlefit.validation.inquiries.kinds import inquiry
+
+    return inquiry(path)
 
 
 def _run(execution: Execution, study: str, json: bool) -> "list[Results]":

@@ -26,7 +26,7 @@ def foretold_layout(results: Results) -> Display:
     for (medium, layers), group in results.predictive.groupby(["medium", "layers"], sort=False):
         together = groups(list(group["insertion"]), list(group["specimen"]))
         held = (f"{what}_in_{level}" for what in ("tip", "shape") for level in (50, 95))
-        shares = (_said(share(list(group[column]), together)) for column in held)
+        shares = (said_of(share(list(group[column]), together)) for column in held)
         scores = (fixed(group[f"{what}_crps_mm"].mean(), 3) for what in ("tip", "shape"))
         rows.append((medium_name(str(medium)), str(layers), *shares, *scores))
     columns = (
@@ -49,5 +49,6 @@ def foretold_layout(results: Results) -> Display:
     )
 
 
-def _said(found: Share) -> str:
+def said_of(found: Share) -> str:
+    """Return counts and the interval of their share: "9 of 10 (60–98 %)"."""
     return f"{found.hits} of {found.trials} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"

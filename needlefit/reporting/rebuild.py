@@ -6,10 +6,13 @@ from needlefit.errors import DataError
 from needlefit.project.places import PAPER_FITS, PAPER_STUDIES
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import read_run
+from needlefit.reporting.inquiries.write import write_answer
 from needlefit.reporting.posterior import posterior_files
 from needlefit.reporting.write import write, write_all
+from needlefit.validation.inquiries.stored import is_answer, restore_answer
+from needlefit.validation.packing import NAME
 from needlefit.validation.results import Results
-from needlefit.validation.stored import NAME, restore
+from needlefit.validation.stored import restore
 
 
 def rebuild(run: Path, folder: Path) -> Path:
@@ -28,6 +31,8 @@ def rebuild(run: Path, folder: Path) -> Path:
         fits = [one for one in every if not isinstance(one.record, StudyRecord)]
         write_all(studies, fits, folder)
         return folder
+    if is_answer(run):
+        return write_answer(restore_answer(run), folder)
     results = restore(run)
     write(results, folder, posterior_files(results))
     return folder

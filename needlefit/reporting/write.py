@@ -24,7 +24,7 @@ from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
 from needlefit.validation.stored import store
 
-__all__ = ["require_result", "whole", "write", "write_all", "write_csv", "write_json"]
+__all__ = ["require_result", "whole", "write", "write_all", "write_csv", "write_json", "write_report"]
 
 Also = Mapping[str, Callable[[Path], object]]
 
@@ -49,7 +49,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
             write_needles(results, new / "slicer")
         for name, save in (also or {}).items():
             save(new / name)
-        _report(story(results, drawn), new)
+        write_report(story(results, drawn), new)
         _for_papers([results], new)
         store(results, new)
         write_json(new / "run.json", results.run)
@@ -70,7 +70,7 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
     with whole(folder) as new:
         _tables(studies, tunings or studies, new)
         drawn = _draw_scores(studies, new)
-        _report(overview(studies, tunings or studies, drawn), new)
+        write_report(overview(studies, tunings or studies, drawn), new)
         every = [*studies, *tunings]
         _for_papers(every, new)
         write_json(new / "run.json", {one.name: one.run for one in every})
@@ -78,7 +78,8 @@ def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Pa
     return all_files(folder)
 
 
-def _report(document: Document, folder: Path) -> None:
+def write_report(document: Document, folder: Path) -> None:
+    """Write a report as PDF and as HTML."""
     (folder / "report.pdf").write_bytes(compile_pdf(document))
     (folder / "report.html").write_bytes(compile_html(document))
 

@@ -30,7 +30,7 @@ def folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]
     if not isinstance(record, StudyRecord):
         return (Fold("all", tune, ()),)
     if record.leave_out is not None:
-        return _leave_out(tune, record.leave_out)
+        return leave_out(tune, record.leave_out)
     validate: dict[str, Insertion] = {}
     for selection in record.validate_:
         validate |= {insertion.id: insertion for insertion in select(dataset, selection, record.reading)}
@@ -44,20 +44,29 @@ def folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]
     return (Fold("all", tune, tuple(validate.values())),)
 
 
-def _leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
-    def group(insertion: Insertion) -> str:
-        return insertion.specimen if what == "specimen" else insertion.id
+def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
+    """Return one fold for each "insertion" or "specimen", which it leaves out.
 
-    groups = list(dict.fromkeys(group(insertion) for insertion in insertions))
-    if len(groups) < 2:
+    Raises
+    ------
+    ConfigError
+        If there is only one.
+    """
+    held = groups(insertions, what)
+    if len(held) < 2:
         raise ConfigError(
             f"there is only one {what}: none can be left out", mend="select more, or give [[validate]]"
         )
     return tuple(
-        Fold(
-            f"without {name}",
-            tuple(i for i in insertions if group(i) != name),
-            tuple(i for i in insertions if group(i) == name),
-        )
-        for name in groups
+        Fold(f"without {name}", tuple(i for i in insertions if i not in members), members)
+        for name, members in held.items()
     )
+
+
+def groups(insertions: tuple[Insertion, ...], what: str) -> dict[str, tuple[Insertion, ...]]:
+    """Return the insertions by their "specimen", or each "insertion" by itself, in their order."""
+    names = [insertion.specimen if what == "specimen" else insertion.id for insertion in insertions]
+    return {
+        name: tuple(i for i, own in zip(insertions, names, strict=True) if own == name)
+        for name in dict.fromkeys(names)
+    }

@@ -42,24 +42,33 @@ def weighed(problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int 
     return importance(evaluator, about, (problem.lower, problem.upper), rng, EFFORT)
 
 
-def by_importance(problem: Problem, fit: Fit, count: int, rng: np.random.Generator, jobs: int = 1) -> Draws:
-    """Return `count` draws of the posterior about a fit, without weights.
+def of_fit(problem: Problem, fit: Fit, rng: np.random.Generator, jobs: int = 1) -> Weighted:
+    """Return weighted draws of the posterior about a fit with at least one free parameter.
 
     Where the dataset states no noise, the fit's residuals stand for it; a fit of the metric objective is
-    first led to the posterior's peak. Draws that are not certified say so in their `faults`.
+    first led to the posterior's peak.
     """
     theta = np.array(fit.theta)
-    if not theta.size:
-        return Draws(np.empty((count, 0)), "importance")
     known = with_noise(problem, theta)
     if fit.minimized == "posterior":
         ends = modes(fit, problem.upper - problem.lower)
     else:
         ends = settle(known, theta).theta[None]
-    found = weighed(known, ends, rng, jobs)
+    return weighed(known, ends, rng, jobs)
+
+
+def drawn_from(found: Weighted, count: int, rng: np.random.Generator) -> Draws:
+    """Return `count` draws without weights; those that are not certified say so in their `faults`."""
     doubt = (
         f"draws by importance are not certified: Pareto k is {found.k:.2f} ({RELIABLE} at most), and they "
         f"are worth {found.independent:.0f} independent ones ({found.enough:.0f} at least)"
     )
     thetas = found.thetas[resampled(found, count, rng)]
-    return Draws(thetas, "importance", () if found.certified else (doubt,))
+    return Draws(thetas, "importance", () if found.certified else (doubt,), found.k)
+
+
+def by_importance(problem: Problem, fit: Fit, count: int, rng: np.random.Generator, jobs: int = 1) -> Draws:
+    """Return `count` draws of the posterior about a fit, without weights; else as `of_fit`."""
+    if not len(fit.theta):
+        return Draws(np.empty((count, 0)), "importance")
+    return drawn_from(of_fit(problem, fit, rng, jobs), count, rng)

@@ -1,0 +1,1 @@
+"""What is told of each kind of inquiry: one file a kind, entered in `pages`."""

@@ -1,0 +1,13 @@
+"""Which page tells which kind of inquiry."""
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from needlefit.reporting.inquiries import left_out
+from needlefit.reporting.inquiries.page import Page
+
+PAGES: Mapping[str, Page] = MappingProxyType(
+    {
+        "left_out": left_out.PAGE,
+    }
+)

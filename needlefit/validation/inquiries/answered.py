@@ -1,0 +1,96 @@
+"""How an inquiry is carried out, whatever it asks: piece by piece, what it was computed with beside it."""
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import pandas as pd
+
+from needlefit.project.records.inquiry import InquiryRecord
+from needlefit.validation import provenance
+from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.pieces import Piece, piecewise
+from needlefit.validation.job import Job, Settings
+
+Frames = dict[str, pd.DataFrame]
+
+
+def _nothing(frames: Frames) -> tuple[str, ...]:
+    return ()
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an inquiry computes.
+
+    Attributes
+    ----------
+    jobs : sequence of Job
+        The fits that it is about, for data, configuration and rules.
+    pieces : mapping
+        The work, by keys that say what each piece is.
+    columns : mapping
+        The columns of every frame, which it has even without rows.
+    conclude : callable
+        What is left to compute once all pieces are there: adds frames to those of the pieces, in place, and
+        returns the faults. It must be quick: it is not kept.
+    also : mapping
+        Whatever else decides the answer, as JSON values.
+    """
+
+    jobs: Sequence[Job]
+    pieces: Mapping[str, Piece]
+    columns: Mapping[str, Sequence[str]]
+    conclude: Callable[[Frames], tuple[str, ...]] = _nothing
+    also: Mapping[str, Any] | None = None
+
+
+def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -> Answer:
+    """Carry out a plan and return the answer; after an interruption with `resume` it is the same answer.
+
+    Raises
+    ------
+    ConfigError
+        If the checkpoint belongs to other work.
+    """
+    begin = time.time()
+    work = _work(name, record, plan)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
+    rows, interrupted = piecewise(plan.pieces, name, settings, checkpoint)
+    frames = {frame: _frame(rows.get(frame, []), columns) for frame, columns in plan.columns.items()}
+    faults = () if interrupted else plan.conclude(frames)
+    datasets = {job.dataset.name: job.dataset for job in plan.jobs}.values()
+    return Answer(
+        name=name,
+        record=record,
+        origin="synthetic" if any(one.origin == "synthetic" for one in datasets) else "measured",
+        dataset_title="; ".join(dict.fromkeys(one.title or one.name for one in datasets)),
+        frames=frames,
+        run={**work, "interrupted": interrupted, "faults": list(faults)},
+        timing={"seconds": time.time() - begin, "jobs": settings.jobs},
+        interrupted=interrupted,
+        faults=faults,
+    )
+
+
+def _work(name: str, record: InquiryRecord, plan: Plan) -> dict[str, Any]:
+    """Return all that decides the answer; each dataset, medium and recipe stands there once."""
+    each = [provenance.work(job) for job in plan.jobs]
+    parts = [{key: one[key] for key in _PARTS} for one in each]
+    return {
+        "name": name,
+        "versions": provenance.versions(provenance.PACKAGES),
+        "study": record.model_dump(mode="json", by_alias=True),
+        "datasets": {one["dataset"]["name"]: one["dataset"] for one in each},
+        "parts": [part for i, part in enumerate(parts) if part not in parts[:i]],
+        **(plan.also or {}),
+    }
+
+
+_PARTS = ("medium", "recipe", "rules", "hand_tuned", "folds")
+
+
+def _frame(rows: Sequence[Mapping[str, Any]], columns: Sequence[str]) -> pd.DataFrame:
+    return pd.DataFrame(list(rows), columns=list(columns))

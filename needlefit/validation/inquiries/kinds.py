@@ -1,0 +1,65 @@
+"""The kinds of inquiry: what a study file of each holds, and the verb that asks."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from needlefit.errors import ConfigError
+from needlefit.project.load import load, read_toml
+from needlefit.project.places import label
+from needlefit.project.records.inquiry import InquiryRecord
+from needlefit.project.records.left_out import LeftOutRecord
+from needlefit.validation.inquiries import left_out
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.job import Settings
+
+
+@dataclass(frozen=True)
+class Kind:
+    """What a study file of one kind holds, and what carries it out."""
+
+    record: type[InquiryRecord]
+    ask: Callable[[str, Any, Settings], Answer]
+
+
+KINDS: Mapping[str, Kind] = MappingProxyType(
+    {
+        "left_out": Kind(LeftOutRecord, left_out.ask),
+    }
+)
+
+
+def inquiry(path: Path) -> InquiryRecord | None:
+    """Return what a study file asks, or None if it has no `kind`: such a study tunes and scores.
+
+    Raises
+    ------
+    ConfigError
+        If the kind is unknown, or the file does not hold what its kind wants.
+    """
+    kind = read_toml(path).get("kind")
+    if kind is None:
+        return None
+    if kind not in KINDS:
+        raise ConfigError(
+            f"there is no kind of study called {kind!r}",
+            where=f"{label(path)}, key `kind`",
+            expected=f"one of {', '.join(KINDS)}, or no `kind`: then it tunes and scores",
+        )
+    return load(path, KINDS[kind].record)
+
+
+def ask(name: str, record: InquiryRecord, settings: Settings) -> Answer:
+    """Carry out an inquiry.
+
+    The same record, data, seed and versions give the same frames for any number of jobs, and after an
+    interruption with `resume`.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong.
+    """
+    return KINDS[record.kind].ask(name, record, settings)

@@ -1,0 +1,82 @@
+"""What some insertions teach: the best fit, and draws of the posterior, cheaply where that can be certified.
+
+The posterior is weighed about the modes that the search found (`inference.weighing`). It is sampled only
+where Pareto's k says that the weights cannot be trusted, which costs a hundred times as much.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from needlefit.errors import FitError
+from needlefit.inference.draws import Draws, from_posterior
+from needlefit.inference.identifiability.identify import practically_equal, with_noise
+from needlefit.inference.optimize import minimize
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.sample import sample
+from needlefit.inference.starts import Fit, Watch
+from needlefit.inference.weighing.about_fit import drawn_from, of_fit
+from needlefit.inference.weighing.pareto import RELIABLE
+from needlefit.project.streams import stream
+from needlefit.validation.job import Job, Settings
+
+DRAWS = 100
+"""Parameter sets that stand for a posterior."""
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A fit, `DRAWS` draws of its posterior, Pareto's k of the weights, and whether it was sampled instead.
+
+    `k` is NaN where nothing is free.
+    """
+
+    fit: Fit
+    draws: Draws
+    k: float
+    sampled: bool = False
+
+
+def learn(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Learned:
+    """Return what the insertions of a problem teach of its free parameters, by the recipe of the job.
+
+    Parameters
+    ----------
+    job : Job
+        For its recipe, seed and name.
+    problem : Problem
+        Of the job's kind; other insertions or priors than its folds' are welcome.
+    key : tuple of str
+        What this is, among all that is learned in the job: it keys the random streams.
+    settings : Settings
+        For `jobs` and `stop`; after a stop the answer means nothing.
+
+    Raises
+    ------
+    FitError
+        If the search finds no point that can be solved.
+    """
+    seed = job.recipe.seed
+    watch = Watch(stop=settings.stop, jobs=settings.jobs)
+    fit = minimize(problem, job.recipe, stream(seed, job.name, *key, "starts"), watch)
+    if not len(fit.theta) or settings.stop():
+        return Learned(fit, Draws(np.empty((DRAWS, len(fit.theta))), "importance"), float("nan"))
+    rng = stream(seed, job.name, *key, "weighed")
+    found = of_fit(problem, fit, rng, settings.jobs)
+    if found.k <= RELIABLE:
+        return Learned(fit, drawn_from(found, DRAWS, rng), found.k)
+    return Learned(fit, _sampled(job, problem, fit, key, settings), found.k, sampled=True)
+
+
+def _sampled(job: Job, problem: Problem, fit: Fit, key: tuple[str, ...], settings: Settings) -> Draws:
+    known = with_noise(problem, np.array(fit.theta))
+    ends = [fit.theta, *(start.theta for start in practically_equal(fit) if start.theta != fit.theta)]
+    rng = stream(job.recipe.seed, job.name, *key, "posterior")
+    watch = Watch(stop=settings.stop, jobs=settings.jobs)
+    try:
+        posterior = sample(known, np.array(ends), job.recipe.sample, rng, watch)
+    except FitError:
+        if settings.stop():  # before there was anything to return
+            return Draws(np.empty((0, len(fit.theta))), "posterior")
+        raise
+    return from_posterior(posterior, problem.parameters, DRAWS)
