@@ -40,7 +40,9 @@ def frames(sds):
 def test_narrow_and_broad_profiles_are_drawn_the_same_every_time(tmp_path):
     for count in (1, 3, 5):
         drawn = [
-            draw_profiles(*frames([0.01, 0.3, 3.0, 0.1, 1.0][:count]), True, tmp_path / name).read_bytes()
+            draw_profiles(
+                *frames([0.01, 0.3, 3.0, 0.1, 1.0][:count]), "synthetic", tmp_path / name
+            ).read_bytes()
             for name in ("one.pdf", "two.pdf")
         ]
         assert drawn[0] == drawn[1]

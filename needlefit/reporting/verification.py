@@ -104,8 +104,7 @@ def write_verification(verification: Verification, folder: Path, timing: Mapping
         write_json(new / "timing.json", timing)
         pictures = list[Path]()
         if studies:
-            write_csv(pd.DataFrame(studies), new / "convergence.csv")
-            pictures = [convergence(verification.curves, new / "convergence.pdf")]
+            pictures = [convergence(pd.DataFrame(studies), new / "convergence.pdf")]
         (new / "report.pdf").write_bytes(
             set_page("verification.typ", _payload(verification, pictures), pictures)
         )

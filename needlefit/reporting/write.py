@@ -99,7 +99,6 @@ def _frames(results: Results, folder: Path) -> None:
         write_csv(results.predictive.assign(origin=results.origin), folder / "predictive.csv")
     if len(results.identification):
         write_csv(identification_table(results.identification, results.origin), folder / "identify.csv")
-        write_csv(results.profiles.assign(origin=results.origin), folder / "profiles.csv")
     # With every digit: it is exactly these values that fail again.
     write_csv(results.failures.assign(origin=results.origin), folder / "failures.csv", digits=None)
 
@@ -129,7 +128,7 @@ def _draw(results: Results, folder: Path) -> dict[str, Path]:
     drawn = {}
     if len(results.profiles):
         drawn["profiles"] = draw_profiles(
-            results.identification, results.profiles, results.origin == "synthetic", folder / "profiles.pdf"
+            results.identification, results.profiles, results.origin, folder / "profiles.pdf"
         )
     if _has(results.errors, role) and _has(results.shapes, role):
         drawn["overlays"] = figures.overlays(results, folder / "overlays.pdf", role)

@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -103,19 +104,19 @@ def counted(starts: pd.DataFrame) -> str:
     return f"{each} starts" + (f" in each of {' × '.join(where)}" if where else "")
 
 
+_FAR: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}
+_NEAR: dict[str, Any] = {"ms": 4, "mfc": RIVAL_COLOURS["fitted"], "mec": "white", "mew": 0.4}
+
+
 def _ended(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
     """Draw the end of every start of the fit within the bounds: full colour where practically the best."""
-    blue = RIVAL_COLOURS["fitted"]
     for y, name in enumerate(parameters):
         here = marks[(marks["parameter"] == name) & ~marks["failed"].astype(bool)]
         near = here["as_good"].to_numpy(dtype=np.bool_)
         axes.hlines(y, 0, 1, color=GREY, lw=0.5, alpha=0.6)
-        for some, style in (
-            (~near, {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}),
-            (near, {"ms": 4, "mfc": blue, "mec": "white", "mew": 0.4}),
-        ):
+        for some, look in ((~near, _FAR), (near, _NEAR)):
             at = here.loc[some, "between_bounds"]
-            axes.plot(at, np.full(len(at), y), "o", **style)
+            axes.plot(at, np.full(len(at), y), "o", **look)
         bounds = marks[marks["parameter"] == name].iloc[0]
         for x, side, bound in ((0, "left", "bound_low"), (1, "right", "bound_high")):
             said = typeset(number(float(bounds[bound])))
