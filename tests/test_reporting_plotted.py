@@ -11,10 +11,10 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from reporting_results import stereo, study
 
-from needlefit.reporting import figures, write
+from needlefit.reporting import write
 from needlefit.reporting.figures import style
 
-MADE_UP = {"boxplot": "y", "overlays": "xy", "residuals": "xy", "rivals": "x", "waterfall": "xy"}
+AXES = {"boxplot": "y", "overlays": "xy", "residuals": "xy", "rivals": "x", "waterfall": "xy"}
 """Axes that hold data; the others hold places: of groups, rivals, parameters."""
 
 
@@ -64,7 +64,7 @@ def test_what_is_drawn_stands_in_the_table_beside(results, painted, tmp_path):
         table = pd.read_csv(folder / f"{name}.csv")
         assert set(table["origin"]) == {results.origin}
         for axis, column in (("x", 0), ("y", 1)):
-            if axis in MADE_UP[name]:
+            if axis in AXES[name]:
                 for axes in figure.axes[:1] if name == "waterfall" else figure.axes:
                     for points in drawn(axes):
                         values = points[np.isfinite(points).all(axis=1), column]

@@ -53,7 +53,8 @@ def layout(report: Report) -> Display:
 def write_material(report: Report, folder: Path) -> list[Path]:
     """Write table, curves, profiles and prior to `folder`, replacing an earlier result there.
 
-    Returns the files; beside the tables of curves and profiles lie their figures. `prior.toml` is written only if some specimen identifies alpha.
+    Returns the files; beside the tables of curves and profiles lie their figures. `prior.toml` is written
+    only if some specimen identifies alpha.
 
     Raises
     ------
