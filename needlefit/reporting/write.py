@@ -18,6 +18,7 @@ from needlefit.reporting.methods import latex_methods, methods, references
 from needlefit.reporting.overview import overview
 from needlefit.reporting.page import compile_html
 from needlefit.reporting.parameters import parameters_table
+from needlefit.reporting.ridge import free
 from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
@@ -134,6 +135,8 @@ def _draw(results: Results, folder: Path) -> dict[str, Path]:
         drawn["overlays"] = figures.overlays(results, folder / "overlays.pdf", role)
         if (results.errors["comparison"] == "aligned").any():
             drawn["residuals"] = figures.residuals(results, folder / "residuals.pdf", role)
+    if len(results.draws) and free(results):
+        drawn["corner"] = figures.corner(results, folder / "corner.pdf")
     if len(results.starts):
         drawn["waterfall"] = figures.waterfall(results, folder / "waterfall.pdf")
     return drawn | _draw_scores([results], folder)
@@ -143,10 +146,13 @@ def _draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
     """Draw the errors on held-out insertions, if any were scored."""
     if validation_table(*results).empty:
         return {}
-    return {
+    drawn = {
         "boxplot": figures.boxplot(results, folder / "boxplot.pdf"),
         "rivals": figures.rivals(results, folder / "rivals.pdf"),
     }
+    if any(len(one.predictive) for one in results):
+        drawn["foretold"] = figures.foretold(results, folder / "foretold.pdf")
+    return drawn
 
 
 def _has(frame: pd.DataFrame, role: str) -> bool:

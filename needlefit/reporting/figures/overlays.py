@@ -18,6 +18,7 @@ from needlefit.reporting.names import INK, RIVAL_COLOURS, rival_name
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import records
 from needlefit.validation.results import Results
+from needlefit.validation.summary import bevel_sides
 
 _STRETCHES = (1, 2, 5, 10, 20, 50, 100)
 _SHOWN = ("hand_tuned", "fitted")
@@ -62,21 +63,9 @@ def _curves(results: Results, role: str) -> pd.DataFrame:
         ends = {f"low_{level}_mm": "low_mm", f"high_{level}_mm": "high_mm"}
         parts.append(results.bands.rename(columns=ends).assign(curve=f"{level} %"))
     curves = pd.concat([part.reindex(columns=_POINT) for part in parts if len(part)], ignore_index=True)
-    sides = curves["insertion"].map(_sides(results))
+    sides = curves["insertion"].map(bevel_sides(results))
     curves[_HEIGHTS] = curves[_HEIGHTS].mul(sides, axis=0)
     return curves.assign(origin=results.origin)
-
-
-def _sides(results: Results) -> dict[str, float]:
-    """Return -1 for needles whose bevel faces -y, so that their curves are mirrored, else 1."""
-    ends = (
-        results.shapes.sort_values("j")
-        .groupby("insertion", sort=False)["measured_y_mm"]
-        .agg(["first", "last"])
-    )
-    bends = results.errors.drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
-    toward = (ends["last"] - ends["first"]) * bends.reindex(ends.index)  # deflections are toward the bevel
-    return {str(name): -1.0 if value < 0 else 1.0 for name, value in toward.items()}
 
 
 def _titles(results: Results, role: str) -> dict[tuple[str, str], str]:

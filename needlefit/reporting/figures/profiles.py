@@ -123,7 +123,7 @@ def _dress(axes: Axes, row: Row, ends: Floats) -> None:
     axes.set_ylim(0, TOP)
     axes.set_xlim(float(ends[0]), float(ends[1]))
     if in_logarithm(name):
-        ticks = _log_ticks(float(ends[0]), float(ends[1]))
+        ticks = log_ticks(float(ends[0]), float(ends[1]))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xticks(ticks, [_print(tick) for tick in ticks])
     else:
@@ -153,7 +153,7 @@ def _shade(row: Row) -> str:
     return INK if row["end_low"] == row["end_high"] == "closed" else WARNING
 
 
-def _log_ticks(low: float, high: float) -> list[float]:
+def log_ticks(low: float, high: float) -> list[float]:
     """Return two to four round places on a logarithmic axis: powers of ten if there are enough of them."""
     if high < 5 * low:
         places = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
