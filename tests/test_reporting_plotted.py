@@ -116,7 +116,7 @@ def test_levels_are_counted_toward_the_bevel_and_by_needles():
 
 def test_no_figure_of_a_run_is_drawn_but_from_a_table():
     """`style.draw` alone lays no table beside: it is for pictures of scans and scenes."""
-    room = Path(style.__file__).parents[1]
+    room = Path(style.__file__).parent
     importing = re.compile(r"^from needlefit\.reporting\.figures\.style import .*\bdraw\b", re.MULTILINE)
     using = {path.stem for path in room.rglob("*.py") if importing.search(path.read_text(encoding="utf-8"))}
-    assert using == {"across", "along", "scene", "steps"}
+    assert using == {"across", "along", "scene"}
