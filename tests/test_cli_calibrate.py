@@ -10,7 +10,7 @@ import pytest
 from test_cli import run
 
 FILES = {
-    *("coverage.csv", "ecdf.csv", "ranks.pdf", "replicates.csv", "report.pdf", "run.json", "timing.json"),
+    *("coverage.csv", "ranks.csv", "ranks.pdf", "replicates.csv", "report.pdf", "run.json", "timing.json"),
 }
 
 

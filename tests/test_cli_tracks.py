@@ -83,7 +83,14 @@ def test_runs_are_foretold_scored_and_said(project, capsys):
     deep = pd.read_csv(folder / "depths.csv").query("rival == 'fitted'")
     assert list(deep["from_mm"]) == [20.0, 40.0, 60.0] and deep["readings"].sum() == 2 * np.sum(DEPTH > 15)
     names = {path.name for path in folder.iterdir()}
-    assert {"report.pdf", "tracks.pdf", "posterior-gel.nc", "paired.csv", "depths.csv"} <= names
+    assert {
+        "report.pdf",
+        "readings.pdf",
+        "readings.csv",
+        "posterior-gel.nc",
+        "paired.csv",
+        "depths.csv",
+    } <= names
 
 
 def test_a_run_cannot_tune_and_validate(project, capsys):

@@ -20,8 +20,8 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.recipe import LikelihoodRecord, SampleRecord
+from needlefit.reporting.files import write_json
 from needlefit.reporting.forecast import forecast_layout, forecast_table, tip
-from needlefit.reporting.write import write_json
 from needlefit.validation.forecast import forecast
 from needlefit.validation.foreknown import foreknown, require_same
 from needlefit.validation.job import Settings, prepare

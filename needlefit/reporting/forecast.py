@@ -9,8 +9,8 @@ import pandas as pd
 from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.forecast import draw_forecast
+from needlefit.reporting.files import whole, write_json
 from needlefit.reporting.numbers import fixed
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.forecast import Forecast
 
 _BANDS = {"needle": "where the needle is", "measured": "where it would be measured"}
@@ -75,10 +75,9 @@ def write_forecast(
 ) -> None:
     """Write `forecast.csv`, `forecast.pdf` and `run.json` to `folder`, whole or not at all."""
     with whole(folder) as new:
-        table = forecast_table(forecast)
         marks = {"origin": "synthetic" if synthetic else "measured", "converged": not forecast.faults}
-        write_csv(table.assign(**marks), new / "forecast.csv")
-        draw_forecast(table, _marked(title, forecast), np.max(forecast.s), new / "forecast.pdf", synthetic)
+        table = forecast_table(forecast).assign(**marks)
+        draw_forecast(table, _marked(title, forecast), np.max(forecast.s), new / "forecast.pdf")
         write_json(new / "run.json", run | tip(forecast))
 
 

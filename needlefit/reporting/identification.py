@@ -6,10 +6,10 @@ from typing import Any
 import pandas as pd
 
 from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.identification_layout import directions_table, identification_table
 from needlefit.reporting.identification_said import design_said, verdict_said
 from needlefit.reporting.tables import records
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.identify import Identification
 from needlefit.validation.results import Results
 
@@ -17,8 +17,8 @@ from needlefit.validation.results import Results
 def write_identification(found: Identification, fitted: Results | None, folder: Path) -> list[Path]:
     """Write the verdict to `folder`, replacing an earlier result there; return the files.
 
-    `identify.csv`, `directions.csv`, `profiles.csv`, `profiles.pdf` and `run.json`; with a fit, rows and
-    profiles of both stages, the figure of the fit's.
+    `identify.csv`, `directions.csv`, `profiles.csv`, `profiles.pdf` and `run.json`; with a fit, rows of both
+    stages, and the design's profiles beside the fit's as `profiles_design`.
 
     Raises
     ------
@@ -31,10 +31,10 @@ def write_identification(found: Identification, fitted: Results | None, folder: 
     with whole(folder) as new:
         tables = [identification_table(rows, found.origin).assign(stage=stage) for stage, rows, _ in staged]
         write_csv(_stacked(tables), new / "identify.csv")
-        write_csv(_stacked([points.assign(stage=stage) for stage, _, points in staged]), new / "profiles.csv")
         write_csv(directions_table(found.expectation, found.origin), new / "directions.csv")
-        _, rows, points = staged[-1]
-        draw_profiles(rows, points, found.origin == "synthetic", new / "profiles.pdf")
+        for stage, rows, points in staged:
+            name = "profiles" if stage == staged[-1][0] else f"profiles_{stage}"
+            draw_profiles(rows, points, found.origin, new / f"{name}.pdf")
         run = {"design": found.run} | ({} if fitted is None else {"fit": fitted.run})
         write_json(new / "run.json", run)
     return sorted(folder.iterdir())
