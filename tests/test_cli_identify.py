@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
+from made_again import assert_made_again
 from test_cli import run
 
 from needlefit.validation import job
 
-FILES = {"directions.csv", "identify.csv", "profiles.csv", "profiles.pdf", "run.json"}
+FILES = {"directions.csv", "identify.csv", "profiles.csv", "profiles.pdf", "results.json.gz", "run.json"}
 
 
 @pytest.fixture
@@ -58,7 +59,7 @@ def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
     for name in ("profiles", "profiles_design"):
         profiles = pd.read_csv(folder.parent / "identify-one" / f"{name}.csv")
         assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
-        assert (folder.parent / "identify-one" / f"{name}.pdf").is_file()
+    assert_made_again(folder.parent / "identify-one")
 
 
 def test_the_design_part_looks_at_no_measured_shape(monkeypatch, folder):

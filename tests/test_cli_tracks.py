@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from made_again import assert_made_again
 from test_cli import run
 from track_cases import DEPTH, GUIDE, measured, track, written
 
@@ -91,6 +92,7 @@ def test_runs_are_foretold_scored_and_said(project, capsys):
         "paired.csv",
         "depths.csv",
     } <= names
+    assert_made_again(folder)
 
 
 def test_a_run_cannot_tune_and_validate(project, capsys):

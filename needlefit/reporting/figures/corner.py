@@ -8,6 +8,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
+from numpy.typing import NDArray
 
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting.figures.profiles import log_ticks
@@ -16,6 +17,8 @@ from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, rival_name
 from needlefit.reporting.numbers import number, symbol, typeset
 from needlefit.reporting.ridge import coordinates, free, ridge_ends
 from needlefit.validation.results import Results
+
+Floats = NDArray[np.float64]
 
 _ROOM = 0.12  # of the range of what is shown, left free at each side
 _PANEL = 1.55  # inches at most
@@ -93,7 +96,7 @@ def _pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
     _scale(axes, left, "x")
     _scale(axes, below, "y")
     draws, ridge = _of(frame, "draw"), _of(frame, "ridge")
-    axes.plot(draws[left], draws[below], "o", ms=1.6, mew=0, color=_BLUE, alpha=0.35)
+    _dots(axes, draws[left].to_numpy(dtype=np.float64), draws[below].to_numpy(dtype=np.float64))
     axes.plot(ridge[left], ridge[below], color=_RIDGE, lw=1.2, ls=(0, (4, 1.5)), zorder=3)
     for mark, (marker, size, colour) in _MARKS.items():
         some = _of(frame, mark)
@@ -103,6 +106,13 @@ def _pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
             axes.axvline(value, color=GREY, lw=0.8, ls=(0, (1, 1.5)))
         for value in _of(frame, bound)[below]:
             axes.axhline(value, color=GREY, lw=0.8, ls=(0, (1, 1.5)))
+
+
+def _dots(axes: Axes, x: Floats, y: Floats) -> None:
+    """Draw dots as one path of lines without length and with round ends: a tenth of the bytes of marks."""
+    twice = (np.repeat(one, 3) for one in (x, y))
+    across, up = (np.where(np.arange(len(one)) % 3 == 2, np.nan, one) for one in twice)
+    axes.plot(across, up, color=_BLUE, alpha=0.45, lw=1.7, solid_capstyle="round")
 
 
 def _of(frame: pd.DataFrame, shown: str) -> pd.DataFrame:

@@ -15,6 +15,7 @@ from needlefit.reporting.tracks.layouts import (
 )
 from needlefit.reporting.tracks.said import in_short
 from needlefit.validation.tracks.results import TrackResults
+from needlefit.validation.tracks.stored import posterior_file, store_tracks
 from needlefit.validation.tracks.summary import by_depth, coverage, paired_runs
 
 _CAPTION = (
@@ -39,9 +40,10 @@ def write_tracks(results: TrackResults, folder: Path) -> Path:
         for name, frame in frames.items():
             write_csv(frame.assign(origin=results.origin), new / f"{name}.csv")
         for fit, posterior in results.posteriors.items():
-            save(posterior, new / f"posterior-{fit}.nc")
+            save(posterior, new / posterior_file(fit))
         drawn = draw_tracks(results.readings.assign(origin=results.origin), new / "readings.pdf")
         (new / "report.pdf").write_bytes(compile_pdf(_story(results, drawn)))
+        store_tracks(results, new)
         write_json(new / "run.json", results.run | {"not_converged": list(results.faults)})
         write_json(new / "timing.json", results.timing)
     return folder
