@@ -11,7 +11,8 @@ from needlefit.project.load import load, read_toml
 from needlefit.project.places import label
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.left_out import LeftOutRecord
-from needlefit.validation.inquiries import left_out
+from needlefit.project.records.next_insertion import NextInsertionRecord
+from needlefit.validation.inquiries import left_out, next_insertion
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.job import Settings
 
@@ -27,6 +28,7 @@ class Kind:
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "left_out": Kind(LeftOutRecord, left_out.ask),
+        "next_insertion": Kind(NextInsertionRecord, next_insertion.ask),
     }
 )
 
