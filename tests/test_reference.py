@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from needlefit.project.load import load
-from needlefit.project.places import PAPER_FITS, PAPER_STUDIES, find
+from needlefit.project.places import find
 from needlefit.project.records.fit import SelectionRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import read_run
