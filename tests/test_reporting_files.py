@@ -20,11 +20,12 @@ from needlefit.reporting.story import story
 from needlefit.reporting.together import write_all
 from needlefit.validation.results import COLUMNS
 
+FIGURES = ("boxplot", "overlays", "rivals", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
-    *(f"{name}.pdf" for name in ("boxplot", "overlays", "rivals", "waterfall", "report")),
-    *("numbers.tex", "report.html", "results.json.gz", "run.json", "timing.json"),
+    *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "csv")),
+    *("numbers.tex", "report.pdf", "report.html", "results.json.gz", "run.json", "timing.json"),
 }
 
 

@@ -48,7 +48,7 @@ class Execution:
         ConfigError
             If they cannot, or would replace something that needlefit did not write.
         """
-        from needlefit.reporting.write import require_result
+        from needlefit.reporting.files import require_result
 
         try:
             self.out.mkdir(parents=True, exist_ok=True)

@@ -45,6 +45,11 @@ def medium_name(name: str) -> str:
     return f"{stem} {name[len(stem) :]}".strip().replace("_", " ")
 
 
+def study_name(label: str | int) -> str:
+    """Return "study 3" for the paper's third; another study by its own name."""
+    return f"study {label}" if isinstance(label, int) else str(label)
+
+
 def layers_name(layers: int) -> str:
     """Return "1 layer", "3 layers"."""
     return f"{layers} layer" if layers == 1 else f"{layers} layers"

@@ -1,9 +1,11 @@
 """The report of several studies together."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from needlefit.reporting import captions, contest, details, document, layouts, sentences
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.foretold import foretold_layout
 from needlefit.reporting.story import Figures, cautions, figure_of, tuning_blocks
 from needlefit.validation import paper
 from needlefit.validation.results import Results
@@ -24,6 +26,7 @@ def overview(
         *figure_of(figures, "boxplot", captions.BOXPLOT, synthetic),
         document.table(layouts.validation_layout(results), synthetic),
         *_rivals(results, figures, synthetic),
+        *_foretold(results, figures, synthetic),
         *_data(results, synthetic),
         *_parameters(results, tunings, synthetic),
         *_contradictions(synthetic=False),
@@ -31,6 +34,21 @@ def overview(
     ]
     data = "; ".join(dict.fromkeys(one.dataset_title for one in results))
     return Document("Validation studies, all in one", data, synthetic, tuple(blocks))
+
+
+def _foretold(results: Sequence[Results], figures: Figures, synthetic: bool) -> list[Block]:
+    told = [one for one in results if len(one.predictive)]
+    if not told:
+        return []
+    tables = [
+        replace(foretold_layout(one), caption=f"{one.name}: {foretold_layout(one).caption}") for one in told
+    ]
+    first, *rest = tables
+    return [
+        document.heading("What was foretold of held-out needles"),
+        *figure_of(figures, "foretold", captions.FORETOLD, synthetic),
+        *(document.table(table, synthetic) for table in (first, *(replace(one, notes=()) for one in rest))),
+    ]
 
 
 def _data(results: Sequence[Results], synthetic: bool) -> list[Block]:

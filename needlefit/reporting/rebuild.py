@@ -1,20 +1,30 @@
 """A run's folder from what it stored, without computing anything again."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from needlefit.errors import DataError
 from needlefit.project.places import PAPER_FITS, PAPER_STUDIES
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import read_run
+from needlefit.reporting import forecast, identification
+from needlefit.reporting.calibration import write_calibration
 from needlefit.reporting.inquiries.write import write_answer
 from needlefit.reporting.posterior import posterior_files
 from needlefit.reporting.together import write_all
+from needlefit.reporting.tracks.write import write_tracks
 from needlefit.reporting.write import write
+from needlefit.validation.calibration import stored as calibration
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.stored import is_answer, restore_answer
-from needlefit.validation.packing import NAME
+from needlefit.validation.packing import NAME, damaged, unpack
 from needlefit.validation.results import Results
 from needlefit.validation.stored import restore
+from needlefit.validation.tracks import stored as tracks
+
+Table = dict[str, Any]
 
 
 def rebuild(run: Path, folder: Path) -> Path:
@@ -34,11 +44,53 @@ def rebuild(run: Path, folder: Path) -> Path:
         fits = [one for one in results if not isinstance(one.record, StudyRecord)]
         write_all(studies, fits, folder, [one for one in every if isinstance(one, Answer)])
         return folder
-    found = _restored(run)
-    if isinstance(found, Answer):
-        return write_answer(found, folder)
-    write(found, folder, posterior_files(found))
+    _refuse(run)
+    if is_answer(run):
+        return write_answer(restore_answer(run), folder)
+    table = unpack(run)
+    try:
+        again = _KINDS[table["kind"]]
+    except KeyError as error:
+        raise damaged(run / NAME, error) from None
+    again(table, run, folder)
     return folder
+
+
+def _results(_: Table, run: Path, folder: Path) -> None:
+    results = restore(run)
+    write(results, folder, posterior_files(results))
+
+
+_KINDS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyType(
+    {
+        "study": _results,
+        "fit": _results,
+        calibration.KIND: lambda table, run, folder: write_calibration(
+            calibration.restored_calibration(table, run), folder
+        ),
+        tracks.KIND: lambda table, run, folder: write_tracks(tracks.restored_tracks(table, run), folder),
+        identification.KIND: lambda table, _, folder: identification.write_stages(
+            identification.restored(table), folder
+        ),
+        forecast.KIND: lambda table, _, folder: forecast.write_foretold(forecast.restored(table), folder),
+    }
+)
+"""How each kind of run is written again, from the table that it stored."""
+
+_IN_A_MOMENT = {"verification.csv": "needlefit verify", "material.json": "needlefit material FILE"}
+"""What only such a run writes, and how it is run: as fast as anything could be read again."""
+
+
+def _refuse(run: Path) -> None:
+    """Raise DataError for a run that stores nothing because it is computed again in a moment."""
+    for file, command in _IN_A_MOMENT.items():
+        if (run / file).is_file():
+            raise DataError(
+                "stores no results: it is computed again as fast as they could be read",
+                where=str(run),
+                expected="a run of tune, validate, identify, predict or calibrate",
+                mend=f"run `{command}` again",
+            )
 
 
 def _restored(run: Path) -> Results | Answer:

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import pandas as pd
 
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.parameters import parameters_table
 from needlefit.reporting.tables import tuning_table, validation_table
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.results import Results
 from needlefit.validation.tracks.results import TrackResults

@@ -5,18 +5,11 @@ from pathlib import Path
 
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
+from needlefit.reporting.files import all_files, whole, write_json
 from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.reporting.inquiries.write import cautions
 from needlefit.reporting.overview import overview
-from needlefit.reporting.write import (
-    draw_scores,
-    files,
-    whole,
-    write_for_papers,
-    write_json,
-    write_report,
-    write_tables,
-)
+from needlefit.reporting.write import draw_scores, write_for_papers, write_report, write_tables
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.results import Results
 
@@ -44,7 +37,7 @@ def write_all(
         told = {one.name: one for one in every} | {one.name: one for one in answers}
         write_json(new / "run.json", {name: one.run for name, one in told.items()})
         write_json(new / "timing.json", {name: one.timing for name, one in told.items()})
-    return files(folder)
+    return all_files(folder)
 
 
 def _told(answer: Answer, folder: Path) -> list[Block]:

@@ -15,6 +15,7 @@ from needlefit.reporting.names import RIVAL_NAMES, medium_name
 from needlefit.reporting.numbers import MISSING, fixed, number, percent, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.seeds.explained import UNEXPLAINED
 
 _TABLES = {
     "validation": "Errors on held-out insertions",
@@ -52,9 +53,10 @@ def _pattern(answer: Answer) -> str:
     record, frame = answer.record, answer.frames["pattern"]
     assert isinstance(record, SeedsRecord)
     holds = (frame["generalises"] == frame["generalises_in_paper"]).groupby(frame["seed"]).all()
-    kept = " and ".join(study_name(name).lower() for name in record.generalising)
+    *most, last = (study_name(name).lower() for name in record.generalising)
+    kept = " and ".join([*([", ".join(most)] if most else []), last])
     return (
-        f"The paper’s pattern, that {kept} generalise and the others do not, holds on {holds.sum()} of "
+        f"The paper’s pattern, that {kept} generalise and no other does, holds on {holds.sum()} of "
         f"{len(holds)} twins: mean IPE below {frame['threshold_mm'].iloc[0]:.2f} mm, half way (by ratio) "
         "between the paper’s two groups of studies."
     )
@@ -81,10 +83,10 @@ def _contests(answer: Answer) -> str:
 
 def _losses(answer: Answer) -> str:
     lost = answer.frames["contests"].query("verdict == 'loses'")
-    unexplained = (lost["explanation"] == "not explained").sum()
+    unexplained = int((lost["explanation"] == UNEXPLAINED).sum())
     return (
-        f"Of {len(lost)} lost contests {len(lost) - unexplained} have a reason that the data bear out; "
-        f"{unexplained} are not explained, and stand so in the table."
+        f"Lost contests: {len(lost)}, {len(lost) - unexplained} of them with a reason that the data bear "
+        f"out; not explained, and listed so: {unexplained}."
     )
 
 
@@ -203,7 +205,7 @@ def _group(key: object) -> tuple[str, str, str]:
 
 def _lost(answer: Answer) -> Display:
     lost = answer.frames["contests"].query("verdict == 'loses'")
-    order = lost.assign(known=lost["explanation"] != "not explained").sort_values("known", kind="stable")
+    order = lost.assign(known=lost["explanation"] != UNEXPLAINED).sort_values("known", kind="stable")
     rows = tuple(
         (
             *_group((row["study"], row["medium"], row["layers"])),
