@@ -1,21 +1,22 @@
 """The studies on many twins: not scanned ones, contests and reasons, every cell beside the paper's."""
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
-from test_cli import run
 
 from needlefit.datasets.read import read
 from needlefit.project.places import find
+from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.synthetic.design import named
 from needlefit.synthetic.unscanned import unscanned
 from needlefit.validation.inquiries.cells import ERRORS, cells
+from needlefit.validation.inquiries.kinds import ask, inquiry
 from needlefit.validation.inquiries.pattern import generalising, threshold
 from needlefit.validation.inquiries.seeds.contests import contests, interval
 from needlefit.validation.inquiries.seeds.explained import UNEXPLAINED, explained
+from needlefit.validation.job import Settings
 from needlefit.validation.results import METRICS
 
 RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
@@ -114,7 +115,7 @@ def test_every_cell_stands_beside_the_papers_own():
     assert found.loc[("tuning_by_media", 0, "te_mm"), "paper"] == 0.37
 
 
-def test_the_studies_on_two_twins_are_told(tmp_path, monkeypatch, capsys):
+def test_the_studies_on_two_twins_are_told(tmp_path, monkeypatch):
     for folder in ("studies", "configs/recipes"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
@@ -124,13 +125,17 @@ def test_the_studies_on_two_twins_are_told(tmp_path, monkeypatch, capsys):
     keys = 'kind = "seeds"\nstudies = ["small"]\ngeneralising = ["small"]\nseeds = 2\nresamples = 100\n'
     (tmp_path / "studies/two.toml").write_text(f"schema = 1\n{keys}")
     monkeypatch.chdir(tmp_path)
-    assert run("validate", "two", "-q") == 0
-    assert "holds on 2 of 2 twins" in capsys.readouterr().out
-    table = pd.read_csv("reports/two/errors.csv")
+    record = inquiry(find("study", "two"))
+    assert record is not None
+    answer = ask("two", record, Settings())
+    table = answer.frames["errors"]
     truth = table[(table["rival"] == "truth") & (table["role"] == "validate")]
     assert truth["te_mm"].max() < 0.5 and truth["seed"].nunique() == 2  # registration alone
-    described = json.loads(Path("reports/two/run.json").read_text())
-    assert described["seeds"] == [1, 2] and described["twins"] == "not scanned"
-    assert {"pattern.pdf", "contests.pdf", "cells.pdf", "report.pdf", "lost.tex"} <= {
-        path.name for path in Path("reports/two").iterdir()
+    assert answer.run["seeds"] == [1, 2] and answer.run["twins"] == "not scanned"
+    page = PAGES["seeds"]
+    assert "holds on 2 of 2 twins" in page.said(answer)[0]
+    assert {"pattern.pdf", "contests.pdf", "cells.pdf"} == {
+        p.name for p in page.draw(answer, tmp_path).values()
     }
+    lost = {table.name: table for table in page.layouts(answer)}["lost"]
+    assert len(lost.rows) == (answer.frames["contests"]["verdict"] == "loses").sum()
