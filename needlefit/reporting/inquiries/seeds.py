@@ -12,7 +12,7 @@ from needlefit.reporting.document import Block
 from needlefit.reporting.figures.seeds import draw_cells, draw_contests, draw_pattern
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import RIVAL_NAMES, medium_name
-from needlefit.reporting.numbers import MISSING, fixed, number, percent, typeset
+from needlefit.reporting.numbers import MISSING, fixed, number, percent, signed, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.seeds.explained import UNEXPLAINED
@@ -176,7 +176,8 @@ def _contest_table(answer: Answer) -> Display:
     breaks: list[int] = []
     for key, group in answer.frames["contests"].groupby(["study", "medium", "layers"], sort=False):
         breaks += [len(rows)] if rows else []
-        for i, row in enumerate(records(group.sort_values(["rival", "metric"], kind="stable"))):
+        ordered = group.sort_values("rival", key=_place, kind="stable")  # its two metrics stay together
+        for i, row in enumerate(records(ordered)):
             head = _group(key) if i == 0 else ("",) * 3
             rival = RIVAL_NAMES[row["rival"]] if i % 2 == 0 else ""
             means = (fixed(row["fitted_mm"]), fixed(row["rival_mm"]))
@@ -190,10 +191,12 @@ def _contest_table(answer: Answer) -> Display:
     return Display("contests", caption, columns, tuple(rows), tuple(breaks), notes=notes)
 
 
+def _place(rivals: "pd.Series[str]") -> "pd.Series[int]":
+    return rivals.map(list(RIVAL_NAMES).index)
+
+
 def _gap(row: Row) -> tuple[str, str]:
-    low, middle, high = (
-        f"{row[key]:+.2f}".replace("-", "−") for key in ("low_mm", "difference_mm", "high_mm")
-    )
+    low, middle, high = (signed(row[key]) for key in ("low_mm", "difference_mm", "high_mm"))
     return middle, f"{low} to {high}"
 
 

@@ -17,7 +17,7 @@ from needlefit.synthetic.design import Planned, insertions
 from needlefit.synthetic.truth import true_bevel, true_needle, true_specimen
 from needlefit.synthetic.twin import Twin, synthesize
 from needlefit.synthetic.unscanned import unscanned
-from needlefit.validation.inquiries.cells import ERRORS, every_job, floors_of, scored, searched
+from needlefit.validation.inquiries.cells import ERRORS, every_job, floors_of, scored, searched, with_starts
 from needlefit.validation.inquiries.pieces import Rows
 from needlefit.validation.job import Job, Settings
 from needlefit.validation.score import Rival, Row, curve_rival
@@ -42,7 +42,7 @@ def one_twin(seed: int, record: SeedsRecord, plan: Sequence[Planned], settings: 
     truth = true_rival(seed)
     errors: list[Row] = []
     parameters: list[Row] = []
-    for job in jobs.values():
+    for job in (with_starts(job, record.starts) for job in jobs.values()):
         searches = [search for search in job.searches if search != "fitted_metric"]
         fits = {search: searched(job, search, settings) for search in searches}
         errors += scored(job, {**rivals(job, job.folds[0], fits), TRUTH: truth}, floors)

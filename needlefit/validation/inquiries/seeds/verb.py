@@ -8,7 +8,7 @@ from needlefit.project.records.seeds import SeedsRecord
 from needlefit.synthetic.design import insertions
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
-from needlefit.validation.inquiries.cells import CELL, cells, every_job, numbers_of
+from needlefit.validation.inquiries.cells import CELL, cells, every_job, numbers_of, with_starts
 from needlefit.validation.inquiries.pattern import generalising
 from needlefit.validation.inquiries.seeds.contests import contests
 from needlefit.validation.inquiries.seeds.explained import explained
@@ -26,7 +26,8 @@ def ask(name: str, record: SeedsRecord, settings: Settings) -> Answer:
     FitError
         If a search finds no point that can be solved.
     """
-    jobs = every_job(record.studies, record.fits, settings)
+    shipped = every_job(record.studies, record.fits, settings)
+    jobs = {study: with_starts(job, record.starts) for study, job in shipped.items()}
     asked = {one.id for job in jobs.values() for one in job.insertions}
     plan = [planned for planned in insertions() if planned.id in asked]
     seeds = range(record.first, record.first + record.seeds)
