@@ -1,4 +1,4 @@
-"""What docstrings and signatures need before they are read as markup: they are written to be read as they are."""
+"""What docstrings and signatures need before they are read as markup; they are written as prose."""
 
 import re
 from collections.abc import Iterator
@@ -17,7 +17,7 @@ SHORT = {
     for long, short in ((NDArray[float64], "Floats"), (NDArray[int64], "Ints"), (ArrayLike, "ArrayLike"))
 }
 
-# Types in docstrings are prose, "(K,) array", and stay text; exceptions raised are references, and must exist.
+# Types in docstrings are prose, "(K,) array", and stay text; exceptions are references and must exist.
 SECTIONS = Config(
     napoleon_use_param=False,
     napoleon_use_rtype=False,
@@ -69,7 +69,7 @@ def _shorten(
     signature: str | None,
     returned: str | None,
 ) -> tuple[str, str | None] | None:
-    """Return a signature in which arrays have the names of the code; none of a record, whose keys are listed."""
+    """Return a signature with the code's names of arrays; none of a record, whose keys are listed."""
     if what == "class" and isinstance(found, type) and issubclass(found, BaseModel):
         return "", None
     if signature is None:

@@ -13,12 +13,13 @@ import needlefit
 ELSEWHERE = {"cli", "__main__"}  # the command line has a reference of its own
 ROOMS = {room.name for room in pkgutil.iter_modules(needlefit.__path__)} - ELSEWHERE
 FOLDER = "reference/api"
+NOT_OURS = "model_config"  # pydantic's
 
 INDEX = """\
 # API
 
-What `import needlefit` offers, and below it every room of the program, from its docstrings. Units are mm, N, MPa
-and rad; `Floats` and `Ints` are numpy arrays of float64 and int64, whose shapes their descriptions say.
+What `import needlefit` offers, and below it every room of the program, from its docstrings. Units are mm, N,
+MPa and rad; `Floats` and `Ints` are numpy arrays of float64 and int64, whose shapes their descriptions say.
 
 ```{{eval-rst}}
 .. py:type:: Floats
@@ -92,12 +93,12 @@ def _title(name: str, line: str) -> str:
 
 
 def _members(name: str) -> str:
-    return f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n"
+    return f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n   :exclude-members: {NOT_OURS}\n"
 
 
 def _public() -> str:
     """Return the names of `needlefit` as a table, each with the first sentence of its docstring."""
-    rows = [f"| {{py:obj}}`~{_home(name)}` | {_first_line(name)} |" for name in needlefit.__all__]
+    rows = [f"| {{py:obj}}`{name} <{_home(name)}>` | {_first_line(name)} |" for name in needlefit.__all__]
     return "\n".join(["| name | what it is |", "|---|---|", *rows])
 
 
