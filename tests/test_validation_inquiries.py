@@ -130,6 +130,8 @@ def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project,
     assert run("report", "left", "-q") == 0
     assert {path.name: path.read_bytes() for path in Path("reports/left").iterdir()} == before
     assert {"report.pdf", "report.html", "summary.pdf", "left_out.tex"} <= before.keys()
+    figures = {name.removesuffix(".pdf") for name in before if name.endswith(".pdf")} - {"report"}
+    assert all(f"{figure}.csv" in before for figure in figures)
 
 
 def test_two_answers_differ_in_lengths_words_and_numbers(tmp_path):

@@ -15,7 +15,7 @@ APART = 0.1
 
 
 def answers_differ(before: Path, after: Path) -> Iterator[Difference]:
-    """Yield, for every table that both folders hold, how its lengths, its other numbers and its words changed.
+    """Yield, for every table that both folders hold, how lengths, other numbers and words changed.
 
     Rows are compared in their order: the same question gives the same rows.
     """
