@@ -130,6 +130,9 @@ def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project,
     assert run("report", "left", "-q") == 0
     assert {path.name: path.read_bytes() for path in Path("reports/left").iterdir()} == before
     assert {"report.pdf", "report.html", "summary.pdf", "left_out.tex"} <= before.keys()
+    told = Path("reports/left/numbers.tex").read_text(encoding="utf-8")
+    value = f"{summary.loc['pieces', 'te_mm']:.2f}"
+    assert rf"nf@left-left-out-pieces-specimen-te-left-out-mm\endcsname{{{value}}}" in told
     figures = {name.removesuffix(".pdf") for name in before if name.endswith(".pdf")} - {"report"}
     assert all(f"{figure}.csv" in before for figure in figures)
 
