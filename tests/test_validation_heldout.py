@@ -27,7 +27,7 @@ def job():
 def known(job):
     problem = job.problem(job.folds[0])
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    return drawn(job, job.folds[0], Known(fit, identify(problem, fit)))
+    return drawn(job, job.folds[0], Known(fit, identify(problem, fit)))[0]
 
 
 def sure(known):

@@ -124,7 +124,8 @@ def _stacked(
 
 def _block(row: Row, ways: list[tuple[str, str]]) -> list[tuple[str, tuple[str, ...]]]:
     digits = 3 if row.get("comparison") == "aligned" else 2
-    lines = [(name, _scores(row, prefix, digits)) for name, prefix in ways]
+    told = [way for way in ways if not row["reread"] or way[1] in ("", "pooled_")]
+    lines = [(name, _scores(row, prefix, digits)) for name, prefix in told]
     lines += [("noise floor", _scores(row, "floor_", digits)), ("paper", _scores(row, "paper_", 2))]
     return [(name, cells) for name, cells in lines if any(cell != MISSING for cell in cells)]
 

@@ -1,16 +1,23 @@
 """The report of several studies together."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 from needlefit.reporting import captions, contest, details, document, layouts, sentences
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.foretold import foretold_layout
 from needlefit.reporting.story import Figures, cautions, figure_of, tuning_blocks
 from needlefit.validation import paper
 from needlefit.validation.results import Results
 
 
-def overview(results: Sequence[Results], tunings: Sequence[Results], figures: Figures) -> Document:
-    """Return one report over all studies: errors, rivals, tuning, parameters, the paper's contradictions."""
+def overview(
+    results: Sequence[Results], tunings: Sequence[Results], figures: Figures, beyond: Sequence[Block] = ()
+) -> Document:
+    """Return one report over all studies: errors, rivals, tuning, parameters, the paper's contradictions.
+
+    `beyond` is what was asked besides, and answered.
+    """
     synthetic = any(one.origin == "synthetic" for one in results)
     blocks = [
         *cautions(list(results)),
@@ -19,12 +26,29 @@ def overview(results: Sequence[Results], tunings: Sequence[Results], figures: Fi
         *figure_of(figures, "boxplot", captions.BOXPLOT, synthetic),
         document.table(layouts.validation_layout(results), synthetic),
         *_rivals(results, figures, synthetic),
+        *_foretold(results, figures, synthetic),
         *_data(results, synthetic),
         *_parameters(results, tunings, synthetic),
         *_contradictions(synthetic=False),
+        *beyond,
     ]
     data = "; ".join(dict.fromkeys(one.dataset_title for one in results))
     return Document("Validation studies, all in one", data, synthetic, tuple(blocks))
+
+
+def _foretold(results: Sequence[Results], figures: Figures, synthetic: bool) -> list[Block]:
+    told = [one for one in results if len(one.predictive)]
+    if not told:
+        return []
+    tables = [
+        replace(foretold_layout(one), caption=f"{one.name}: {foretold_layout(one).caption}") for one in told
+    ]
+    first, *rest = tables
+    return [
+        document.heading("What was foretold of held-out needles"),
+        *figure_of(figures, "foretold", captions.FORETOLD, synthetic),
+        *(document.table(table, synthetic) for table in (first, *(replace(one, notes=()) for one in rest))),
+    ]
 
 
 def _data(results: Sequence[Results], synthetic: bool) -> list[Block]:

@@ -8,68 +8,58 @@ than two standard errors, a verdict, what converged.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from needlefit.errors import DataError
 from needlefit.inference.parameters import in_logarithm
 from needlefit.project.run_file import read_run
-
-SHIFT = 0.5
-"""Part of its standard deviation by which a parameter that is determined may move and stay what it was."""
-
-VISIBLE = 0.005
-"""mm: a mean error that changes by less is printed alike."""
-
-DRAWN = 0.1
-"""Part of a CRPS that changes with the draws it is computed from."""
-
-SLIGHT = 0.02
-"""Part of `SHIFT` or `VISIBLE` under which a change is slight: of rounding, or of a search's tolerance."""
-
-SURE = 2.0
-"""Standard errors from which on a mean difference is taken for one."""
+from needlefit.validation.difference import DRAWN, SHIFT, SLIGHT, Difference, changed
+from needlefit.validation.differences_beyond import beyond
+from needlefit.validation.inquiries.differences import answers_differ, asks
 
 _KEYS = ["fold", "role", "insertion", "rival", "boundaries"]
 _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "mean TE"}
 _FORETOLD = {"tip_crps_mm": "CRPS of the tip foretold", "shape_crps_mm": "CRPS of the shape foretold"}
-_INPUTS = ("dataset", "medium", "recipe", "rules", "study", "fit", "folds", "hand_tuned", "versions")
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One thing in which run B is not run A.
-
-    Attributes
-    ----------
-    what : "input", "parameter", "error" or "state"
-    where : str
-        Which key, parameter or insertions.
-    before, after : object
-        In A and in B, as JSON knows values; None where one of them has none.
-    matters : bool or None
-        None for inputs: they are why results differ, and no result.
-    why : str
-        In words.
-    slight : bool
-        Whether it is of the size of rounding.
-    """
-
-    what: str
-    where: str
-    before: object
-    after: object
-    matters: bool | None
-    why: str
-    slight: bool = False
+_STATES = (
+    "interrupted",
+    "budget_limited",
+    "posteriors",
+    "passes",
+    "not_calibrated",
+    "not_converged",
+    "faults",
+)
+_INPUTS = (
+    "dataset",
+    "medium",
+    "recipe",
+    "rules",
+    "study",
+    "fit",
+    "folds",
+    "hand_tuned",
+    "versions",
+    "datasets",
+    "parts",
+)
 
 
 def differences(before: Path, after: Path) -> list[Difference]:
-    """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors."""
+    """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors.
+
+    Raises
+    ------
+    DataError
+        If a `run.json` is missing or damaged, or no table is in both runs.
+    """
     runs = [read_run(folder) for folder in (before, after)]
+    _require_alike(before, after)
+    if all(asks(run) for run in runs):
+        return [*_inputs(*runs), *_states(*runs), *answers_differ(before, after)]
     parameters, errors, foretold = (
         (_table(before, name), _table(after, name)) for name in ("parameters", "errors", "predictive")
     )
@@ -79,12 +69,25 @@ def differences(before: Path, after: Path) -> list[Difference]:
         *_parameters(*parameters),
         *_errors(*errors),
         *_foretold(*foretold),
+        *beyond(before, after),
     ]
 
 
 def _table(folder: Path, name: str) -> pd.DataFrame:
     path = folder / f"{name}.csv"
     return pd.read_csv(path) if path.is_file() else pd.DataFrame()
+
+
+def _require_alike(before: Path, after: Path) -> None:
+    """Raise DataError where one run answers another question than the other."""
+    tables = [{path.name for path in folder.glob("*.csv")} for folder in (before, after)]
+    if tables[0] and tables[1] and not tables[0] & tables[1]:
+        raise DataError(
+            f"has no table that `{before.name}` has: they answer different questions",
+            where=str(after),
+            expected="two runs of one kind: of studies and fits, identify, predict, calibrate, or tip tracks",
+            mend="compare runs of the same command",
+        )
 
 
 def _inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
@@ -105,7 +108,7 @@ def _leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
 
 
 def _states(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    for key in ("interrupted", "budget_limited", "posteriors"):
+    for key in _STATES:
         one, two = before.get(key), after.get(key)
         if one != two:
             yield Difference("state", key, one, two, key != "posteriors", "")
@@ -153,7 +156,7 @@ def _errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     both = before.merge(after, on=_KEYS, suffixes=("_a", "_b"), sort=False)
     for (role, rival, boundaries), rows in both.groupby(["role", "rival", "boundaries"], sort=False):
         for column, said in _ERRORS.items():
-            yield from _changed(f"{said}, {rival}, {role}, {boundaries} boundaries", rows, column)
+            yield from changed(f"{said}, {rival}, {role}, {boundaries} boundaries", rows, column)
     lost = len(before) + len(after) - 2 * len(both)
     if lost:
         counts = (len(before), len(after))
@@ -165,22 +168,4 @@ def _foretold(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]
         return
     both = before.merge(after, on=["fold", "insertion"], suffixes=("_a", "_b"), sort=False)
     for column, said in _FORETOLD.items():
-        yield from _changed(said, both, column, DRAWN * float(both[f"{column}_a"].mean()))
-
-
-def _changed(where: str, rows: pd.DataFrame, column: str, visible: float = VISIBLE) -> Iterator[Difference]:
-    """Yield how the mean of a column in mm changed, over the rows in which both runs have it."""
-    pairs = rows[[f"{column}_a", f"{column}_b"]].to_numpy(dtype=np.float64)
-    pairs = pairs[np.isfinite(pairs).all(axis=1)]
-    gap = pairs[:, 1] - pairs[:, 0]
-    if not np.any(gap):
-        return
-    mean, error = float(np.mean(gap)), math.nan
-    said = f"{mean:+.4f} mm on 1 insertion"
-    if gap.size > 1:
-        error = float(np.std(gap, ddof=1) / math.sqrt(gap.size))
-        said = f"{mean:+.4f} ± {error:.4f} mm on {gap.size} insertions"
-    matters = abs(mean) > visible and not abs(mean) <= SURE * error
-    slight = float(np.max(np.abs(gap))) < SLIGHT * VISIBLE
-    one, two = (float(value) for value in pairs.mean(axis=0))
-    yield Difference("error", where, one, two, matters, said.replace("-", "−"), slight)
+        yield from changed(said, both, column, DRAWN * float(both[f"{column}_a"].mean()))
