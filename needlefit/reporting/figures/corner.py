@@ -21,7 +21,7 @@ from needlefit.validation.results import Results
 Floats = NDArray[np.float64]
 
 _ROOM = 0.12  # of the range of what is shown, left free at each side
-_PANEL = 1.55  # inches at most
+_PANEL = 1.3  # inches at most
 _BLUE, _RIDGE = RIVAL_COLOURS["fitted"], "#D55E00"
 _MARKS = {"fitted": ("D", 4.2, INK), "hand_tuned": ("s", 4.0, RIVAL_COLOURS["hand_tuned"])}
 

@@ -126,7 +126,6 @@ def _coverage(axes: Axes, rows: pd.DataFrame) -> None:
 
 def _name(left: Axes, right: Axes) -> None:
     """Write beside the curves what they are."""
-    for n, (called, colour) in enumerate(_WHAT.values()):
+    for n, (called, colour) in enumerate([*_WHAT.values(), ("95 % of chance", GREY)]):
         left.text(0.03, 0.93 - 0.13 * n, called, color=colour, fontsize=7, va="top", transform=left.transAxes)
-    left.text(0.97, 0.05, "95 % of chance", color=GREY, fontsize=7, ha="right", transform=left.transAxes)
     right.set_title("dashed: as foretold; bars: 95 %", loc="left", color=INK)

@@ -87,7 +87,7 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
     axes.set_title(f"{counted(starts)}, {failed} without a result", loc="left")
     axes.set_xlabel("start, best first")
     axes.axhline(1, color=GREY, lw=0.6, ls=(0, (2, 1.5)))
-    axes.set_ylabel("above the best, in what counts as equal")
+    axes.set_ylabel("above the best,\nin what counts as equal")
     axes.set_yscale("symlog", linthresh=1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)
