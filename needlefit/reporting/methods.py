@@ -153,15 +153,16 @@ def _foretold(results: Results) -> Iterator[Sentence]:
     told = results.predictive
     if told.empty:
         return
+    count = told["draws"].iloc[0]
     rest = "errors of depths, pose and points drawn as they are stated"
     if (told["from"] == "posterior").all():
-        yield Sentence(f"They were foretold by {told['draws'].iloc[0]} draws of that posterior, with {rest}.")
+        yield Sentence(f"They were foretold by {count} draws of that posterior, with {rest}.")
         return
     worst = results.draws["pareto_k"].max()
     state = f", Pareto k {worst:.2f} at most" if math.isfinite(worst) else ""
     yield Sentence(
-        f"They were foretold by {told['draws'].iloc[0]} draws of the posterior, weighed about the modes that the "
-        f"search found (Pareto-smoothed importance weights{state}), with {rest}.",
+        f"They were foretold by {count} draws of the posterior, weighed about the modes that the search "
+        f"found (Pareto-smoothed importance weights{state}), with {rest}.",
         ("vehtari-pareto",),
     )
 
