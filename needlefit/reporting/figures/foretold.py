@@ -33,7 +33,7 @@ ERROR = 0.05
 
 _WHAT = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
 _INTERVALS = (50, 95)
-_TALL = 1.75  # inches a study
+_TALL = 1.45  # inches a study
 _COLUMNS = ("study", "shown", "of", "level", "share", "low", "high", "needles", "trials", "origin")
 
 
