@@ -32,9 +32,9 @@ _COMMANDS: tuple[Callable[..., None], ...] = (
 
 _EPILOG = (
     "A noun is a path (holds / or ends in .toml) or a bare name, looked up in the working folder's project, "
-    "then in the shipped one. Results go to ./reports/. Exit codes: 0 ok, 1 unexpected, 2 usage, 3 bad data "
-    "or configuration, 4 the solver failed, 5 not converged (result written, marked), 6 a verification "
-    "failed, 130 interrupted."
+    "then in the shipped one. Results go to ./reports/. Exit codes: "
+    + ", ".join(f"{code} {meaning}" for code, meaning in failure.EXIT_CODES.items())
+    + "."
 )
 
 

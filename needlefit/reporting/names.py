@@ -22,6 +22,13 @@ RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "constant_curvature": "#009E73",
     "linear_curvature": "#56B4E9",
 }
+WAY_NAMES = {
+    "inflated": "old posterior, inflated",
+    "new": "new insertions alone",
+    "none": "no update",
+}
+"""How a new medium is known in an adaptation."""
+WAY_COLOURS = {"inflated": "#0072B2", "new": "#009E73", "none": "#8a8a8a"}
 
 
 def rgb(colour: str) -> tuple[float, float, float]:

@@ -12,8 +12,13 @@ from needlefit.validation import paper
 from needlefit.validation.results import Results
 
 
-def overview(results: Sequence[Results], tunings: Sequence[Results], figures: Figures) -> Document:
-    """Return one report over all studies: errors, rivals, tuning, parameters, the paper's contradictions."""
+def overview(
+    results: Sequence[Results], tunings: Sequence[Results], figures: Figures, beyond: Sequence[Block] = ()
+) -> Document:
+    """Return one report over all studies: errors, rivals, tuning, parameters, the paper's contradictions.
+
+    `beyond` is what was asked besides, and answered.
+    """
     synthetic = any(one.origin == "synthetic" for one in results)
     blocks = [
         *cautions(list(results)),
@@ -26,6 +31,7 @@ def overview(results: Sequence[Results], tunings: Sequence[Results], figures: Fi
         *_data(results, synthetic),
         *_parameters(results, tunings, synthetic),
         *_contradictions(synthetic=False),
+        *beyond,
     ]
     data = "; ".join(dict.fromkeys(one.dataset_title for one in results))
     return Document("Validation studies, all in one", data, synthetic, tuple(blocks))

@@ -13,9 +13,11 @@ from needlefit.reporting import forecast, identification
 from needlefit.reporting.calibration import write_calibration
 from needlefit.reporting.inquiries.write import write_answer
 from needlefit.reporting.posterior import posterior_files
+from needlefit.reporting.together import write_all
 from needlefit.reporting.tracks.write import write_tracks
-from needlefit.reporting.write import write, write_all
+from needlefit.reporting.write import write
 from needlefit.validation.calibration import stored as calibration
+from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.stored import is_answer, restore_answer
 from needlefit.validation.packing import NAME, damaged, unpack
 from needlefit.validation.results import Results
@@ -36,10 +38,11 @@ def rebuild(run: Path, folder: Path) -> Path:
         If `folder` holds something that is no result.
     """
     if not (run / NAME).is_file() and (parts := _parts(run)):
-        every = [_part(run, name, digest) for name, digest in parts.items()]
-        studies = [one for one in every if isinstance(one.record, StudyRecord)]
-        fits = [one for one in every if not isinstance(one.record, StudyRecord)]
-        write_all(studies, fits, folder)
+        every = [_part(run, name, computed) for name, computed in parts.items()]
+        results = [one for one in every if isinstance(one, Results)]
+        studies = [one for one in results if isinstance(one.record, StudyRecord)]
+        fits = [one for one in results if not isinstance(one.record, StudyRecord)]
+        write_all(studies, fits, folder, [one for one in every if isinstance(one, Answer)])
         return folder
     _refuse(run)
     if is_answer(run):
@@ -90,19 +93,25 @@ def _refuse(run: Path) -> None:
             )
 
 
+def _restored(run: Path) -> Results | Answer:
+    return restore_answer(run) if is_answer(run) else restore(run)
+
+
 def _parts(run: Path) -> dict[str, object]:
     """Return what was computed, by the name of its run, in the order of a report of several."""
     table = read_run(run)
-    known = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in table]
-    return {name: table[name] for name in known} if len(known) == len(table) else {}
+    if not all(isinstance(part, dict) for part in table.values()):  # of a single run some are words
+        return {}
+    first = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in table]
+    return {name: table[name] for name in dict.fromkeys([*first, *table])}
 
 
-def _part(run: Path, name: str, computed: object) -> Results:
+def _part(run: Path, name: str, computed: object) -> Results | Answer:
     folder = run.parent / name
     if read_run(folder) != computed:
         raise DataError(
             f"is not the run of which `{run.name}` tells",
             where=str(folder),
-            mend="run `needlefit validate all` again, or report the single runs",
+            mend=f"run `needlefit validate {run.name}` again, or report the single runs",
         )
-    return restore(folder)
+    return _restored(folder)

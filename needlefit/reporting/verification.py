@@ -12,7 +12,7 @@ import pandas as pd
 
 from needlefit.mechanics.control import Rules
 from needlefit.reporting.display import Column, Display, text
-from needlefit.reporting.document import set_page
+from needlefit.reporting.document import by_name, set_page
 from needlefit.reporting.figures.convergence import convergence
 from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.numbers import MISSING, number, typeset
@@ -106,7 +106,7 @@ def write_verification(verification: Verification, folder: Path, timing: Mapping
         if studies:
             pictures = [convergence(pd.DataFrame(studies), new / "convergence.pdf")]
         (new / "report.pdf").write_bytes(
-            set_page("verification.typ", _payload(verification, pictures), pictures)
+            set_page("verification.typ", _payload(verification, pictures), by_name(pictures))
         )
 
 

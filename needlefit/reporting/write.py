@@ -10,12 +10,11 @@ from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.profiles import draw_profiles
-from needlefit.reporting.files import all_files, require_result, whole, write_csv, write_json
+from needlefit.reporting.files import all_files, whole, write_csv, write_json
 from needlefit.reporting.identification_layout import identification_table
 from needlefit.reporting.latex import latex
 from needlefit.reporting.macros import macros
 from needlefit.reporting.methods import latex_methods, methods, references
-from needlefit.reporting.overview import overview
 from needlefit.reporting.page import compile_html
 from needlefit.reporting.parameters import parameters_table
 from needlefit.reporting.ridge import free
@@ -24,8 +23,6 @@ from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
 from needlefit.validation.stored import store
-
-__all__ = ["require_result", "whole", "write", "write_all", "write_csv", "write_json", "write_report"]
 
 Also = Mapping[str, Callable[[Path], object]]
 
@@ -44,38 +41,17 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     """
     with whole(folder) as new:
         _frames(results, new)
-        _tables([results], [results], new)
+        write_tables([results], [results], new)
         drawn = _draw(results, new)
         if results.needles:
             write_needles(results, new / "slicer")
         for name, save in (also or {}).items():
             save(new / name)
         write_report(story(results, drawn), new)
-        _for_papers([results], new)
+        write_for_papers([results], new)
         store(results, new)
         write_json(new / "run.json", results.run)
         write_json(new / "timing.json", results.timing)
-    return all_files(folder)
-
-
-def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> list[Path]:
-    """Write the tables, figures and report of several studies together; return the files.
-
-    `tunings` are the fits that fill the tuning tables; without any, each study's own fit does.
-
-    Raises
-    ------
-    ConfigError
-        If `folder` exists and holds something that is no result.
-    """
-    with whole(folder) as new:
-        _tables(studies, tunings or studies, new)
-        drawn = _draw_scores(studies, new)
-        write_report(overview(studies, tunings or studies, drawn), new)
-        every = [*studies, *tunings]
-        _for_papers(every, new)
-        write_json(new / "run.json", {one.name: one.run for one in every})
-        write_json(new / "timing.json", {one.name: one.timing for one in every})
     return all_files(folder)
 
 
@@ -85,7 +61,7 @@ def write_report(document: Document, folder: Path) -> None:
     (folder / "report.html").write_bytes(compile_html(document))
 
 
-def _for_papers(results: Sequence[Results], folder: Path) -> None:
+def write_for_papers(results: Sequence[Results], folder: Path) -> None:
     """Write every number as a macro, and for a single run its methods paragraph with what that cites."""
     (folder / "numbers.tex").write_text(macros(results), encoding="utf-8")
     if len(results) == 1 and methods(results[0]):
@@ -104,7 +80,7 @@ def _frames(results: Results, folder: Path) -> None:
     write_csv(results.failures.assign(origin=results.origin), folder / "failures.csv", digits=None)
 
 
-def _tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
+def write_tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
     """Write the paper's tables with our rows beside its own, as CSV for machines and LaTeX for papers."""
     synthetic = any(one.origin == "synthetic" for one in studies)
     for name, frame, set_as in _laid_out(studies, tunings):
@@ -139,10 +115,10 @@ def _draw(results: Results, folder: Path) -> dict[str, Path]:
         drawn["corner"] = figures.corner(results, folder / "corner.pdf")
     if len(results.starts):
         drawn["waterfall"] = figures.waterfall(results, folder / "waterfall.pdf")
-    return drawn | _draw_scores([results], folder)
+    return drawn | draw_scores([results], folder)
 
 
-def _draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
+def draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
     """Draw the errors on held-out insertions, if any were scored."""
     if validation_table(*results).empty:
         return {}

@@ -6,11 +6,12 @@ from needlefit.reporting import document
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.inquiries.page import Figures
 from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.reporting.latex import latex
 from needlefit.reporting.sentences import run_said
-from needlefit.reporting.write import whole, write_csv, write_json, write_report
+from needlefit.reporting.write import write_report
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.stored import store_answer
 
