@@ -332,6 +332,10 @@ def test_numbers_in_print():
         "odd",
     ]
     assert in_symbols("mu1 and bevel_mm only as mu1_pa * bevel_mm^1.9") == "μ₁ and b only as μ₁ · b^1.9"
+    assert (
+        in_symbols("alpha2 (fixed at -1), -3 to 5, b^-2 and 2e-3")
+        == "α₂ (fixed at −1), −3 to 5, b^-2 and 2 × 10⁻³"
+    )
 
 
 def test_latex_is_booktabs_with_every_sign_escaped():
