@@ -58,8 +58,10 @@ def test_the_band_ends_where_the_tip_was_foretold(job, known):
     assert len(one.band) == STATIONS and all(tuple(point) == BANDS for point in one.band)
     last = one.band[-1]
     for name in ("low_50", "high_50", "low_95", "high_95"):
-        assert last[f"{name}_mm"] == one.row[f"tip_{name.split('_')[1]}_{name.split('_')[0]}_mm"]
-    assert (last["median_mm"], last["measured_mm"]) == (one.row["tip_median_mm"], one.row["tip_measured_mm"])
+        side, level = name.split("_")
+        assert last[f"{name}_mm"] == pytest.approx(one.row[f"tip_{level}_{side}_mm"])
+    told = one.row["tip_median_mm"], one.row["tip_measured_mm"]
+    assert (last["median_mm"], last["measured_mm"]) == pytest.approx(told)
     widths = np.array([point["high_95_mm"] - point["low_95_mm"] for point in one.band])
     assert widths[-1] > widths[0] > 0  # a turn of the pose tells most at the tip
 
