@@ -1,9 +1,11 @@
 """The numbers of a run as LaTeX macros, so that a paper never holds a number that was typed."""
 
+import re
 from collections.abc import Iterator, Sequence
 
+from needlefit.reporting.display import Display
 from needlefit.reporting.latex import escape
-from needlefit.reporting.numbers import fixed, number, percent, typeset
+from needlefit.reporting.numbers import MISSING, fixed, number, percent, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table
 from needlefit.reporting.tables import Row, over_floor, records, validation_table
 from needlefit.validation.results import Results
@@ -29,6 +31,31 @@ def macros(results: Sequence[Results]) -> str:
     """
     lines = [_line(key, words) for one in results for key, words in (*_errors(one), *_parameters(one))]
     return _HEAD + "".join(lines)
+
+
+def table_macros(name: str, tables: Sequence[Display]) -> str:
+    """Return a LaTeX file with every number of some tables of a run as they are printed.
+
+    A key is `<run>-<table>-<words of the row>-<head of the column>`, in small letters and hyphens; a row that
+    names only what is new in it has the other words of the row above.
+    """
+    lines = [_line(_slug(name, *keys), words) for table in tables for keys, words in _cells(table)]
+    return _HEAD + "".join(dict.fromkeys(lines))
+
+
+def _cells(table: Display) -> Iterator[tuple[tuple[str, ...], str]]:
+    """Yield every cell that stands at the right, with the words that say which it is."""
+    words = [i for i, column in enumerate(table.columns) if column.align == "left"]
+    above: dict[int, str] = {}
+    for row in table.rows:
+        above = {i: row[i] or above.get(i, "") for i in words}
+        for i, column in enumerate(table.columns):
+            if i not in words and row[i] not in ("", MISSING):
+                yield (table.name, *above.values(), f"{column.label} {column.unit}"), row[i]
+
+
+def _slug(*words: str) -> str:
+    return re.sub(r"[^a-z0-9]+", "-", " ".join(words).lower()).strip("-")
 
 
 def _line(key: str, words: str) -> str:

@@ -19,12 +19,33 @@ from needlefit.inference.parameters import in_logarithm
 from needlefit.project.run_file import read_run
 from needlefit.validation.difference import DRAWN, SHIFT, SLIGHT, Difference, changed
 from needlefit.validation.differences_beyond import beyond
+from needlefit.validation.inquiries.differences import answers_differ, asks
 
 _KEYS = ["fold", "role", "insertion", "rival", "boundaries"]
 _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "mean TE"}
 _FORETOLD = {"tip_crps_mm": "CRPS of the tip foretold", "shape_crps_mm": "CRPS of the shape foretold"}
-_STATES = ("interrupted", "budget_limited", "posteriors", "passes", "not_calibrated", "not_converged")
-_INPUTS = ("dataset", "medium", "recipe", "rules", "study", "fit", "folds", "hand_tuned", "versions")
+_STATES = (
+    "interrupted",
+    "budget_limited",
+    "posteriors",
+    "passes",
+    "not_calibrated",
+    "not_converged",
+    "faults",
+)
+_INPUTS = (
+    "dataset",
+    "medium",
+    "recipe",
+    "rules",
+    "study",
+    "fit",
+    "folds",
+    "hand_tuned",
+    "versions",
+    "datasets",
+    "parts",
+)
 
 
 def differences(before: Path, after: Path) -> list[Difference]:
@@ -37,6 +58,8 @@ def differences(before: Path, after: Path) -> list[Difference]:
     """
     runs = [read_run(folder) for folder in (before, after)]
     _require_alike(before, after)
+    if all(asks(run) for run in runs):
+        return [*_inputs(*runs), *_states(*runs), *answers_differ(before, after)]
     parameters, errors, foretold = (
         (_table(before, name), _table(after, name)) for name in ("parameters", "errors", "predictive")
     )
