@@ -90,10 +90,16 @@ def _kept(answer: Answer) -> str:
     kept = _varied(answer, "kept").assign(size=lambda frame: frame["te_change_mm"].abs())
     worst = records(kept.sort_values("size", ascending=False))[0]
     change = signed(worst["te_change_mm"])
+    crossing = [
+        f"{medium_name(r['study'])} ({r['of']}: {r['variation']})"
+        for r in records(kept)
+        if r["conclusion_changes"]
+    ]
+    also = f" The threshold is then crossed by {', '.join(crossing)}." if crossing else ""
     return (
         "With the parameters kept instead, as numbers taken from one program to another would be, the "
         f"largest change of a study’s TE is {change} mm ({medium_name(worst['study'])}, {worst['of']}: "
-        f"{worst['variation']}): the rules and the parameters belong together."
+        f"{worst['variation']}): the rules and the parameters belong together.{also}"
     )
 
 
@@ -123,12 +129,12 @@ def _moved(answer: Answer) -> str:
         return "Errors change by more than the noise floor under every variation."
     size = np.abs(np.log(moved["ratio"].to_numpy(dtype=np.float64)))
     row = records(moved.iloc[[int(size.argmax())]])[0]
-    change = signed(still.loc[(row["of"], row["variation"], row["study"]), "te_change_mm"])
+    changed = still["te_change_mm"].to_dict()[row["of"], row["variation"], row["study"]]
     name = symbol(row["parameter"]).split(" (")[0]
     return (
         f"Parameters are less firm than errors: under {row['of']}, {row['variation']}, {name} of "
         f"{medium_name(row['study'])} becomes {typeset(number(row['ratio']))} times what it was, and the "
-        f"study’s TE changes by {change} mm."
+        f"study’s TE changes by {signed(changed)} mm."
     )
 
 
