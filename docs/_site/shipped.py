@@ -24,8 +24,8 @@ Every file of the project that a command takes by its name; `needlefit init DIR`
 
 ## Studies
 
-`needlefit validate NAME` runs one. A study without a kind tunes on some insertions and scores others; the keys of
-the other kinds are those of their records: {kinds}.
+`needlefit validate NAME` runs one. A study without a kind tunes on some insertions and scores others; the keys
+of the other kinds are those of their records: {kinds}.
 """
 
 
@@ -40,16 +40,19 @@ def _write(app: Sphinx) -> None:
 
 
 def _page() -> Iterator[str]:
-    records = {
-        kind: f"{found.record.__module__}.{found.record.__qualname__}" for kind, found in KINDS.items()
-    }
-    yield OPENING.format(kinds=", ".join(f"{{py:obj}}`{kind} <{home}>`" for kind, home in records.items()))
+    yield OPENING.format(kinds=", ".join(_record(kind) for kind in KINDS))
     yield from ("| name | kind | what it asks |", "|---|---|---|")
     for name, said in _files("studies"):
         yield f"| `{name}` | {_cell(said, 'kind')} | {_cell(said, 'question', 'title')} |"
     for title, folder in FOLDERS.items():
         yield from ("", f"## {title}", "", "| name | what it is |", "|---|---|")
         yield from (f"| `{name}` | {_cell(said, 'title')} |" for name, said in _files(folder))
+
+
+def _record(kind: str) -> str:
+    """Return a kind of study as a link to what its file holds."""
+    record = KINDS[kind].record
+    return f"{{py:obj}}`{kind} <{record.__module__}.{record.__qualname__}>`"
 
 
 def _files(folder: str) -> Iterator[tuple[str, dict[str, object]]]:
