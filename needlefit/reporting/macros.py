@@ -7,7 +7,7 @@ from needlefit.reporting.display import Display
 from needlefit.reporting.latex import escape
 from needlefit.reporting.numbers import MISSING, fixed, number, percent, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table
-from needlefit.reporting.tables import Row, records, validation_table
+from needlefit.reporting.tables import Row, over_floor, records, validation_table
 from needlefit.validation.results import Results
 
 _HEAD = r"""% Numbers of a run of needlefit: \nf{KEY}. A key that is not here is set in bold after ??.
@@ -27,7 +27,7 @@ def macros(results: Sequence[Results]) -> str:
     """Return a LaTeX file: errors in mm, EDP in per cent, fitted parameters in Pa and mm, by readable keys.
 
     A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
-    beside it, or `<run>-<parameter>`.
+    beside it or `-over-floor` after it for the multiple of its noise floor, or `<run>-<parameter>`.
     """
     lines = [_line(key, words) for one in results for key, words in (*_errors(one), *_parameters(one))]
     return _HEAD + "".join(lines)
@@ -72,6 +72,8 @@ def _errors(results: Results) -> Iterator[tuple[str, str]]:
             for beside in _BESIDE:
                 if row.get(f"{beside}_{column}") is not None:
                     yield f"{begin}-{beside}-{name}", fixed(row[f"{beside}_{column}"], digits)
+            if (times := over_floor(row, column)) is not None:
+                yield f"{begin}-{name}-over-floor", fixed(times, 1)
         yield f"{begin}-edp", percent(row["edp_percent"])
 
 

@@ -45,7 +45,20 @@ _INPUTS = (
     "versions",
     "datasets",
     "parts",
+    "scene",
+    "fits",
+    "control",
+    "sampled",
+    "replicates",
 )
+_KINDS = {
+    "errors": "a study or fit",
+    "identify": "an identification",
+    "forecast": "a prediction",
+    "replicates": "a calibration",
+    "runs": "a study of tip tracks",
+}
+"""Kinds of runs by the table that each of them has; of a fit, which has an identification too, the first."""
 
 
 def differences(before: Path, after: Path) -> list[Difference]:
@@ -54,9 +67,9 @@ def differences(before: Path, after: Path) -> list[Difference]:
     Raises
     ------
     DataError
-        If a `run.json` is missing or damaged, or no table is in both runs.
+        If a `run.json` is missing or damaged, or the runs are of different kinds.
     """
-    runs = [read_run(folder) for folder in (before, after)]
+    runs = [_computed_with(folder) for folder in (before, after)]
     _require_alike(before, after)
     if all(asks(run) for run in runs):
         return [*_inputs(*runs), *_states(*runs), *answers_differ(before, after)]
@@ -78,20 +91,33 @@ def _table(folder: Path, name: str) -> pd.DataFrame:
     return pd.read_csv(path) if path.is_file() else pd.DataFrame()
 
 
+def _computed_with(folder: Path) -> dict[str, Any]:
+    """Return what a run says of itself; an identification says it of each stage, of the design at least."""
+    run = read_run(folder)
+    design = run.get("design")
+    return design if isinstance(design, dict) else run
+
+
 def _require_alike(before: Path, after: Path) -> None:
     """Raise DataError where one run answers another question than the other."""
-    tables = [{path.name for path in folder.glob("*.csv")} for folder in (before, after)]
-    if tables[0] and tables[1] and not tables[0] & tables[1]:
+    one, two = (
+        next((said for name, said in _KINDS.items() if (folder / f"{name}.csv").is_file()), None)
+        for folder in (before, after)
+    )
+    if one and two and one != two:
         raise DataError(
-            f"has no table that `{before.name}` has: they answer different questions",
+            f"is {two}, and {before} is {one}: they answer different questions",
             where=str(after),
-            expected="two runs of one kind: of studies and fits, identify, predict, calibrate, or tip tracks",
+            expected=f"{one}, too",
             mend="compare runs of the same command",
         )
 
 
 def _inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    leaves = [dict(_leaves({k: run[k] for k in _INPUTS if k in run})) for run in (before, after)]
+    leaves = [
+        dict(leaf for key in _INPUTS if key in run for leaf in _leaves(run[key], key))
+        for run in (before, after)
+    ]
     for key in dict.fromkeys([*leaves[0], *leaves[1]]):
         one, two = leaves[0].get(key), leaves[1].get(key)
         if one != two:
