@@ -3,9 +3,9 @@
     python docs/transcripts.py [PAGE ...]            ends with 1 where something else is printed
     python docs/transcripts.py [PAGE ...] --write    writes what is printed now into the pages
 
-The `console` blocks of a page are one session in an empty folder. `$ ` begins a command, `> ` goes on with it, and
-below it stands what it prints; `...` stands for lines left out. A number may differ by one in its last digit, as it
-does from machine to machine.
+The `console` blocks of a page are one session in an empty folder. `$ ` begins a command, `> ` goes on with
+it, and below it stands what it prints; `...` stands for lines left out. A number may differ by one in its
+last digit, as it does from machine to machine.
 """
 
 import argparse
@@ -59,7 +59,8 @@ def renewed(block: str, run: Run) -> str:
     text = ""
     for command, typed, shown in commands(block):
         printed = run(command)
-        text += typed + "".join(f"{line}\n" for line in (shown if agrees(shown, printed) else excerpt(shown, printed)))
+        kept = shown if agrees(shown, printed) else excerpt(shown, printed)
+        text += typed + "".join(f"{line}\n" for line in kept)
     return text
 
 
