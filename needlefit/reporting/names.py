@@ -22,6 +22,12 @@ RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "constant_curvature": "#009E73",
     "linear_curvature": "#56B4E9",
 }
+CANDIDATE_NAMES = {
+    "ogden": "Ogden foundation",
+    "linear": "linear foundation",
+    "neo_hookean": "neo-Hookean foundation",
+    **{name: RIVAL_NAMES[name] for name in ("linear_curvature", "constant_curvature", "straight")},
+}
 WAY_NAMES = {
     "inflated": "old posterior, inflated",
     "new": "new insertions alone",

@@ -22,6 +22,8 @@ SAME = 1e-3
 """Ends nearer to each other than this part of the bounds are one mode."""
 
 EFFORT = Effort()
+MORE = Effort(draws=1000, components=30)
+"""Where the first effort did not do: far less than sampling takes."""
 
 
 def modes(fit: Fit, width: Floats) -> Floats:
@@ -35,14 +37,18 @@ def modes(fit: Fit, width: Floats) -> Floats:
     return np.array(found)
 
 
-def weighed(problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int = 1) -> Weighted:
+def weighed(
+    problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
+) -> Weighted:
     """Return weighted draws of a posterior, known about its modes (M, P)."""
     evaluator = Evaluator(problem, jobs)
     about = [laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
-    return importance(evaluator, about, (problem.lower, problem.upper), rng, EFFORT)
+    return importance(evaluator, about, (problem.lower, problem.upper), rng, effort)
 
 
-def of_fit(problem: Problem, fit: Fit, rng: np.random.Generator, jobs: int = 1) -> Weighted:
+def of_fit(
+    problem: Problem, fit: Fit, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
+) -> Weighted:
     """Return weighted draws of the posterior about a fit with at least one free parameter.
 
     Where the dataset states no noise, the fit's residuals stand for it; a fit of the metric objective is
@@ -54,7 +60,7 @@ def of_fit(problem: Problem, fit: Fit, rng: np.random.Generator, jobs: int = 1) 
         ends = modes(fit, problem.upper - problem.lower)
     else:
         ends = settle(known, theta).theta[None]
-    return weighed(known, ends, rng, jobs)
+    return weighed(known, ends, rng, jobs, effort)
 
 
 def drawn_from(found: Weighted, count: int, rng: np.random.Generator) -> Draws:

@@ -10,11 +10,13 @@ from needlefit.errors import ConfigError
 from needlefit.project.load import load, read_toml
 from needlefit.project.places import label
 from needlefit.project.records.adaptation import AdaptationRecord
+from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.left_out import LeftOutRecord
 from needlefit.validation.inquiries import left_out
 from needlefit.validation.inquiries.adaptation import verb as adaptation
 from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.comparison import verb as comparison
 from needlefit.validation.job import Settings
 
 
@@ -29,6 +31,7 @@ class Kind:
 KINDS: Mapping[str, Kind] = MappingProxyType(
     {
         "adaptation": Kind(AdaptationRecord, adaptation.ask),
+        "comparison": Kind(ComparisonRecord, comparison.ask),
         "left_out": Kind(LeftOutRecord, left_out.ask),
     }
 )
