@@ -14,9 +14,10 @@ from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.left_out import LeftOutRecord
 from needlefit.project.records.next_insertion import NextInsertionRecord
+from needlefit.project.records.plan import PlanRecord
 from needlefit.project.records.seeds import SeedsRecord
 from needlefit.project.records.sensitivity import SensitivityRecord
-from needlefit.validation.inquiries import left_out, next_insertion
+from needlefit.validation.inquiries import left_out, next_insertion, plan
 from needlefit.validation.inquiries.adaptation import verb as adaptation
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.comparison import verb as comparison
@@ -41,6 +42,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "next_insertion": Kind(NextInsertionRecord, next_insertion.ask),
         "seeds": Kind(SeedsRecord, seeds.ask),
         "sensitivity": Kind(SensitivityRecord, sensitivity.ask),
+        "plan": Kind(PlanRecord, plan.ask),
     }
 )
 
