@@ -38,7 +38,7 @@ class Factor:
 
 def _told_by(whom: str, key: str, part: str, name: str, asks: str) -> Factor:
     """Return a factor that no program can tell."""
-    mend = f"Not something that a program can tell: to be filled in by {whom} (key {key} of --about FILE)."
+    mend = f"Not for a program to tell: to be filled in by {whom} (--about FILE, key {key})."
     return Factor(key, part, name, asks, mend, by_people=True)
 
 

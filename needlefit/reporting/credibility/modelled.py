@@ -23,7 +23,7 @@ def form(case: Case) -> Told:
     findings = []
     for one in case.results:
         if rules := one.run.get("rules"):
-            said = "; ".join(f"{key.replace('_', ' ')}: {value}" for key, value in sorted(rules.items()))
+            said = "; ".join(_rule(key, value) for key, value in sorted(rules.items()))
             findings.append(found_in(one, "run.json", f"{case.of(one)}Rules: {said}."))
         findings.append(found_in(one, "errors.csv", f"{case.of(one)}{contest.rivals_said(one)}"))
     law = "Another law of the tissue in the place of this one: nothing found that is counted here."
@@ -41,7 +41,7 @@ def sensitivities(case: Case) -> Told:
         if (said := _identified(one))
     ]
     missing = [one for one in _lacking(case, "identification") if one not in _examined(case)]
-    left = (f"Profile likelihoods of {', '.join(missing)}: needlefit identify TARGET.",) if missing else ()
+    left = (f"Profile likelihoods of {', '.join(missing)}: nothing found. {_IDENTIFY}",) if missing else ()
     return joined(Told(tuple(known), left), varied(case, INPUTS))
 
 
@@ -55,7 +55,16 @@ def uncertainties(case: Case) -> Told:
     return joined(*parts, Told(left=(said,) if missing else ()))
 
 
+_IDENTIFY = "needlefit identify TARGET would give them."
 _CALIBRATE = "needlefit calibrate TARGET would tell."
+
+
+def _rule(key: str, value: object) -> str:
+    """Return "constraint spacing 1 mm", "tie: nearest constraint ..."."""
+    name = key.removesuffix("_mm").replace("_", " ")
+    if isinstance(value, float):
+        return f"{name} {value:g}" + (" mm" if key.endswith("_mm") else "")
+    return f"{name}: {value}"
 
 
 def _known(case: Case, results: Results) -> Told:

@@ -10,6 +10,7 @@ from needlefit.reporting.credibility.origins import origins
 from needlefit.reporting.credibility.told import Finding
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.numbers import MISSING
 from needlefit.reporting.story import cautions
 
 DISCLAIMER = (
@@ -44,9 +45,11 @@ def overview(entries: list[Entry]) -> Display:
     for entry in entries:
         part = entry.factor.part
         breaks += [len(rows)] if part != last and rows else []
-        places = dict.fromkeys(finding.place for finding in entry.told.findings)
-        found = ", ".join(places) if len(places) <= _SHOWN else f"{len(places)} files"
-        rows.append((part if part != last else "", entry.factor.name, found, str(len(entry.gaps) or "")))
+        folders = dict.fromkeys(finding.place.partition("/")[0] for finding in entry.told.findings)
+        found = ", ".join(folders) if len(folders) <= _SHOWN else f"{len(folders)} folders"
+        rows.append(
+            (part if part != last else "", entry.factor.name, found or MISSING, str(len(entry.gaps) or ""))
+        )
         last = part
     columns = (text("Part"), text("Factor", wide=True), text("Found in", wide=True), Column("Empty"))
     note = "“Empty” counts the dashed boxes of a factor. Neither column says how good the evidence is."
@@ -54,8 +57,8 @@ def overview(entries: list[Entry]) -> Display:
     return Display("credibility", caption, columns, tuple(rows), tuple(breaks), notes=(note,))
 
 
-_SHOWN = 4
-"""Files named one by one."""
+_SHOWN = 3
+"""Folders named one by one."""
 
 
 def _parts(entries: list[Entry], synthetic: bool) -> Iterator[Block]:
