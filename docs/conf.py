@@ -1,7 +1,7 @@
 """How the site is built: the pages of this folder, and a reference read out of the code.
 
-Nothing is fetched from a network: mathematics is MathML, fonts are the reader's own, and what belongs to other
-packages is named, not linked.
+Nothing is fetched from a network: mathematics is MathML, fonts are the reader's own, and what belongs to
+other packages is named, not linked.
 """
 
 import os
@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).parent / "_site"))
 
 project = "needlefit"
 author = "The needlefit developers"
-copyright = author  # noqa: A001 -- Sphinx's name for it
+copyright = author
 version = release = version_of("needlefit")
 
 extensions = [
@@ -46,14 +46,15 @@ autodoc_member_order = "bysource"
 autodoc_preserve_defaults = True
 autodoc_typehints = "signature"
 python_use_unqualified_type_names = True
-python_maximum_signature_line_length = 88
+python_maximum_signature_line_length = 160
 default_role = "name"
 
 nitpicky = True
 nitpick_ignore_regex = [
     # Types of others, which signatures name: without a network there is nothing to link them to.
-    ("py:.*", r"(numpy|np|scipy|pandas|xarray|matplotlib|pydantic|pydantic_core|pydicom|SimpleITK|trimesh|typer)\..*"),
+    ("py:.*", r"(numpy|np|scipy|pandas|xarray|matplotlib|pydantic|pydantic_core|typer)\..*"),
+    ("py:.*", r"(trimesh|SimpleITK|pydicom)\..*"),
     ("py:.*", r"(collections|contextlib|pathlib|types|typing)\..*"),
     # Type variables: what stands for them is the caller's.
-    ("py:class", r"(needlefit\.(project\.(load|processes|threads)|verification\.cases)\.)?(R|T|Given|Item|Result|Returned)"),
+    ("py:class", r"(needlefit\.[a-z.]+\.)?(R|T|Given|Item|Result|Returned)"),
 ]

@@ -114,7 +114,9 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
     row = {"stage": "design", "fold": "all", "parameter": "mu1_pa", "determined": True, "sd": 0.1}
     one = table(tmp_path / "a", "identify", [row])
     two = table(tmp_path / "b", "identify", [{**row, "determined": False, "sd": 0.2}])
-    verdict, wider = differences(one, two)
+    (two / "run.json").write_text('{"design": {"dataset": {"name": "other"}}}')
+    named, verdict, wider = differences(one, two)
+    assert (named.what, named.where, named.after) == ("input", "dataset.name", "other")
     assert (verdict.before, verdict.after, verdict.matters) == ("determined", "not determined", True)
     assert (wider.why, wider.matters) == ("2 times as large", True)
 
@@ -141,7 +143,7 @@ def test_counts_of_a_calibration_matter_where_their_verdict_changed(tmp_path):
 
 
 def test_runs_of_different_kinds_are_not_compared(tmp_path):
-    one, two = table(tmp_path / "a", "coverage", [{"x": 1}]), table(tmp_path / "b", "forecast", [{"x": 1}])
+    one, two = (table(tmp_path / name, name, [{"x": 1}]) for name in ("replicates", "forecast"))
     with pytest.raises(DataError, match="answer different questions"):
         differences(one, two)
 

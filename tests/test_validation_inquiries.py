@@ -11,6 +11,7 @@ from test_cli import run
 from needlefit.errors import ConfigError
 from needlefit.reporting.reference import rounded
 from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.validation.differences import differences
 from needlefit.validation.inquiries.kinds import inquiry
 from needlefit.validation.inquiries.pieces import piecewise
 from needlefit.validation.job import Settings
@@ -129,3 +130,27 @@ def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project,
     assert run("report", "left", "-q") == 0
     assert {path.name: path.read_bytes() for path in Path("reports/left").iterdir()} == before
     assert {"report.pdf", "report.html", "summary.pdf", "left_out.tex"} <= before.keys()
+    told = Path("reports/left/numbers.tex").read_text(encoding="utf-8")
+    value = f"{summary.loc['pieces', 'te_mm']:.2f}"
+    assert rf"nf@left-left-out-pieces-specimen-te-left-out-mm\endcsname{{{value}}}" in told
+    figures = {name.removesuffix(".pdf") for name in before if name.endswith(".pdf")} - {"report"}
+    assert all(f"{figure}.csv" in before for figure in figures)
+
+
+def test_two_answers_differ_in_lengths_words_and_numbers(tmp_path):
+    run_file = {"study": {"kind": "left_out", "title": "one"}, "faults": []}
+    told = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2], "note": ["", "x"]})
+    other = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.3, 0.5], "pareto_k": [0.5, 0.4], "note": ["", "y"]})
+    for name, frame in (("one", told), ("two", other)):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "run.json").write_text(json.dumps(run_file))
+        frame.to_csv(tmp_path / name / "summary.csv", index=False)
+    assert differences(tmp_path / "one", tmp_path / "one") == []
+    length, number, words = differences(tmp_path / "one", tmp_path / "two")
+    assert (length.where, length.matters) == ("summary, te_mm", True)
+    assert length.after - length.before == pytest.approx(0.1)
+    assert (number.before, number.after, number.matters) == (0.2, 0.4, True)
+    assert (words.where, words.before, words.after) == ("summary, note", "x", "y")
+    other.head(1).to_csv(tmp_path / "two/summary.csv", index=False)
+    (rows,) = differences(tmp_path / "one", tmp_path / "two")
+    assert (rows.where, rows.before, rows.after) == ("rows of summary", 2, 1)

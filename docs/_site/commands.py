@@ -1,9 +1,11 @@
 """The command reference, read out of the very application that the command line runs."""
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
 import typer
+from pages import keep
 from sphinx.application import Sphinx
 
 from needlefit.cli.application import build
@@ -19,20 +21,17 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def _write(app: Sphinx) -> None:
-    page = app.srcdir / PAGE
-    page.parent.mkdir(exist_ok=True)
-    text = "\n\n".join(_page()) + "\n"
-    if not page.exists() or page.read_text(encoding="utf-8") != text:
-        page.write_text(text, encoding="utf-8")
+    keep(app.srcdir / PAGE, "\n\n".join(_page()) + "\n")
 
 
 def _page() -> Iterator[str]:
     group = typer.main.get_command(build())
     yield "# Commands"
     yield _prose(group.help)
-    yield _prose(group.epilog)
+    yield _prose((group.epilog or "").partition(" Exit codes:")[0])
     yield from _parameters(typer.Context(group, info_name="needlefit"))
-    yield "| exit code | meaning |\n|---|---|\n" + "\n".join(f"| {c} | {why} |" for c, why in EXIT_CODES.items())
+    codes = [f"| {code} | {meaning} |" for code, meaning in EXIT_CODES.items()]
+    yield "\n".join(["| exit code | meaning |", "|---|---|", *codes])
     yield from _commands(typer.Context(group, info_name="needlefit"))
 
 
@@ -47,7 +46,8 @@ def _commands(above: typer.Context) -> Iterator[str]:
 
 def _command(context: typer.Context) -> Iterator[str]:
     yield f"## needlefit {context.command_path.partition(' ')[2]}"
-    yield f"```text\n{' '.join([context.command_path, *context.command.collect_usage_pieces(context)])}\n```"
+    usage = " ".join([context.command_path, *context.command.collect_usage_pieces(context)])
+    yield f"```text\n{re.sub('[{}]', '', usage)}\n```"
     yield _prose(context.command.help)
     yield from _parameters(context)
 
@@ -58,10 +58,10 @@ def _parameters(context: typer.Context) -> Iterator[str]:
         record: Any = parameter.get_help_record(context)
         if record and "--help" not in parameter.opts:
             names, text = record
-            yield f"`{names}`\n: {_prose(text)}"
+            yield f"`{re.sub(' <(str|path|Path|float|int|int range)>', '', names)}`\n: {_prose(text)}"
 
 
 def _prose(text: str | None) -> str:
     """Return text of the terminal as Markdown that shows it as it stands."""
     plain = " ".join((text or "").split()) if "\n\n" not in (text or "") else text or ""
-    return plain.replace("<", r"\<").replace("*", r"\*").replace("_", r"\_").replace("[", r"\[")
+    return re.sub(r"([<*_\[])", r"\\\1", plain)

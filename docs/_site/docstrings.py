@@ -1,10 +1,10 @@
-"""What docstrings and signatures need before they are read as markup: they are written as prose, for the terminal."""
+"""What docstrings and signatures need before they are read as markup; they are written as prose."""
 
 import re
 from collections.abc import Iterator
 
 from numpy import float64, int64
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 from sphinx.application import Sphinx
@@ -14,12 +14,14 @@ from sphinx.util.typing import stringify_annotation
 SHORT = {
     stringify_annotation(long, mode): short
     for mode in ("fully-qualified-except-typing", "smart")
-    for long, short in ((NDArray[float64], "Floats"), (NDArray[int64], "Ints"))
+    for long, short in ((NDArray[float64], "Floats"), (NDArray[int64], "Ints"), (ArrayLike, "ArrayLike"))
 }
 
-# Types in docstrings are prose, "(K,) array", and stay text; exceptions that are raised are references, and must exist.
+# Types in docstrings are prose, "(K,) array", and stay text; exceptions are references and must exist.
 SECTIONS = Config(
-    napoleon_use_param=False, napoleon_use_rtype=False, napoleon_custom_sections=[("Attributes", "params_style")]
+    napoleon_use_param=False,
+    napoleon_use_rtype=False,
+    napoleon_custom_sections=[("Attributes", "params_style")],
 )
 
 
@@ -59,9 +61,15 @@ def _shown(field: FieldInfo) -> str:
 
 
 def _shorten(
-    app: Sphinx, what: str, name: str, found: object, options: object, signature: str | None, returned: str | None
+    app: Sphinx,
+    what: str,
+    name: str,
+    found: object,
+    options: object,
+    signature: str | None,
+    returned: str | None,
 ) -> tuple[str, str | None] | None:
-    """Return a signature in which arrays have the names of the code, and every default is one; none of a record."""
+    """Return a signature with the code's names of arrays; none of a record, whose keys are listed."""
     if what == "class" and isinstance(found, type) and issubclass(found, BaseModel):
         return "", None
     if signature is None:

@@ -1,7 +1,7 @@
 """Pages that lie outside this folder, where a reader of the repository looks for them.
 
-Links name them by where they lie, `../data/README.md`; in the site they are pages of their own, each a file that
-includes one.
+Links name them by where they lie, `../data/README.md`; in the site they are pages of their own, each a file
+that includes one.
 """
 
 from sphinx.application import Sphinx
@@ -16,8 +16,6 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def _redirect(app: Sphinx, name: str, source: list[str]) -> None:
-    if "{include}" in source[0]:
-        return
     up = "../" * name.count("/")
     for there, here in PAGES.items():
         source[0] = source[0].replace(f"]({up}{there}", f"]({up}{here}")

@@ -13,10 +13,14 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 
 def _inline(writer: HTML5Translator, node: nodes.math) -> None:
-    writer.body.append(tex2mathml(node.astext(), as_block=False))
+    writer.body.append(_translated(node, as_block=False))
     raise nodes.SkipNode
 
 
 def _block(writer: HTML5Translator, node: nodes.math_block) -> None:
-    writer.body.append(f'<div class="math">{tex2mathml(node.astext(), as_block=True)}</div>')
+    writer.body.append(f'<div class="math">{_translated(node, as_block=True)}</div>')
     raise nodes.SkipNode
+
+
+def _translated(node: nodes.Element, *, as_block: bool) -> str:
+    return tex2mathml(node.astext(), as_block=as_block).replace("'", "′")  # an apostrophe is a derivative

@@ -4,26 +4,30 @@ import inspect
 import pkgutil
 from collections.abc import Iterator
 from importlib import import_module
-from pathlib import Path
+
+from pages import keep
+from sphinx.application import Sphinx
 
 import needlefit
-from sphinx.application import Sphinx
 
 ELSEWHERE = {"cli", "__main__"}  # the command line has a reference of its own
 ROOMS = {room.name for room in pkgutil.iter_modules(needlefit.__path__)} - ELSEWHERE
 FOLDER = "reference/api"
+NOT_OURS = "model_config"  # pydantic's
 
 INDEX = """\
 # API
 
-What `import needlefit` offers, and below it every room of the program, from its docstrings. Units are mm, N, MPa and
-rad; `Floats` and `Ints` are numpy arrays of float64 and int64, whose shapes their descriptions say.
+What `import needlefit` offers, and below it every room of the program, from its docstrings. Units are mm, N,
+MPa and rad; `Floats` and `Ints` are numpy arrays of float64 and int64, whose shapes their descriptions say.
 
 ```{{eval-rst}}
 .. py:type:: Floats
    :canonical: numpy.typing.NDArray[numpy.float64]
 .. py:type:: Ints
    :canonical: numpy.typing.NDArray[numpy.int64]
+.. py:type:: ArrayLike
+   :canonical: numpy.typing.ArrayLike
 ```
 
 ## The public names
@@ -52,19 +56,12 @@ def setup(app: Sphinx) -> dict[str, bool]:
 
 def _write(app: Sphinx) -> None:
     folder = app.srcdir / FOLDER
-    folder.mkdir(parents=True, exist_ok=True)
     pages = dict(_pages())
     pages["index.md"] = INDEX.format(names=_public(), rooms="\n".join(name[:-4] for name in pages))
     for name, text in pages.items():
-        _keep(folder / name, text)
+        keep(folder / name, text)
     for stale in set(folder.iterdir()) - {folder / name for name in pages}:
         stale.unlink()
-
-
-def _keep(path: Path, text: str) -> None:
-    """Write a page, unless it stands there already: what is unchanged is not read again."""
-    if not path.exists() or path.read_text(encoding="utf-8") != text:
-        path.write_text(text, encoding="utf-8")
 
 
 def _pages() -> Iterator[tuple[str, str]]:
@@ -77,7 +74,10 @@ def _rooms_of(name: str) -> Iterator[tuple[str, str]]:
     module = import_module(name)
     inside = sorted(pkgutil.iter_modules(getattr(module, "__path__", [])), key=lambda found: found.name)
     files = [found.name for found in inside if not found.ispkg]
-    yield f"{name}.rst", "\n".join([_title(name, "="), _members(name), *(_file(name, file) for file in files)])
+    yield (
+        f"{name}.rst",
+        "\n".join([_title(name, "="), _members(name), *(_file(name, file) for file in files)]),
+    )
     for found in inside:
         if found.ispkg:
             yield from _rooms_of(f"{name}.{found.name}")
@@ -93,12 +93,12 @@ def _title(name: str, line: str) -> str:
 
 
 def _members(name: str) -> str:
-    return f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n"
+    return f".. automodule:: {name}\n   :members:\n   :ignore-module-all:\n   :exclude-members: {NOT_OURS}\n"
 
 
 def _public() -> str:
     """Return the names of `needlefit` as a table, each with the first sentence of its docstring."""
-    rows = [f"| {{py:obj}}`~{_home(name)}` | {_first_line(name)} |" for name in needlefit.__all__]
+    rows = [f"| {{py:obj}}`{name} <{_home(name)}>` | {_first_line(name)} |" for name in needlefit.__all__]
     return "\n".join(["| name | what it is |", "|---|---|", *rows])
 
 

@@ -14,8 +14,8 @@ _SCORES = (
     Column("Max IPE", "mm"),
     Column("TE", "mm"),
     Column("EDP", "%"),
-    Column("IPE ÷ floor"),
-    Column("TE ÷ floor"),
+    Column("IPE", "÷ floor"),
+    Column("TE", "÷ floor"),
 )
 _WAYS = {  # what a row means, said under the table where the row stands in it
     "needlefit": "Each cell is the mean over insertions of each one’s value; IPE is mean ± standard "
@@ -24,8 +24,8 @@ _WAYS = {  # what a row means, said under the table where the row stands in it
     "these errors on the tuning insertions instead, as tuning by hand does.",
     "planned boundaries": "“Planned boundaries” scores the same model with layer depths from the planned "
     "straight path: the measured crossings of a held-out insertion leak its outcome.",
-    "all points pooled": "“All points pooled” takes the statistics of all points together; of medians and "
-    "maxima the noise floor would then be another.",
+    "pooled": "“Pooled” takes the statistics of all points together; of medians and maxima the noise floor "
+    "would then be another.",
     "noise floor": "“Noise floor” is what perfect parameters would still show; “÷ floor”, the error as a "
     "multiple of it: about 1 is all that these measurements can tell. The paper gives no floor of its own.",
 }
@@ -46,7 +46,7 @@ def validation_layout(results: Sequence[Results]) -> Display:
     """Return the validation table: per held-out group ours, with planned boundaries, floor, and the paper."""
     table = records(validation_table(*results, both=True))
     heads = (text("Study"), text("Held out"), Column("Layers"), Column("n"), text("Row"))
-    ways = [("needlefit", ""), ("planned boundaries", "planned_"), ("all points pooled", "pooled_")]
+    ways = [("needlefit", ""), ("planned boundaries", "planned_"), ("pooled", "pooled_")]
     ways.insert(1, ("by IPE, TE, EDP", "fitted_metric_"))
     return _stacked(
         Display("validation", "Errors on held-out insertions.", heads, ()),
@@ -63,7 +63,7 @@ def tuning_layout(results: Sequence[Results], by: str) -> Display:
     return _stacked(
         Display(f"tuning_by_{by}", f"In-sample errors of the tuned models by {what}.", heads, ()),
         [(_group(row, row["medium"], row["layers"]), row) for row in table],
-        [("needlefit", ""), ("all points pooled", "pooled_")],
+        [("needlefit", ""), ("pooled", "pooled_")],
     )
 
 

@@ -12,6 +12,7 @@ RIVAL_NAMES = {
     "straight": "straight line",
     "constant_curvature": "constant curvature",
     "linear_curvature": "curvature linear in arc length",
+    "truth": "the twin’s own parameters",
 }
 RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "fitted": "#0072B2",
@@ -21,6 +22,7 @@ RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "straight": "#8a8a8a",
     "constant_curvature": "#009E73",
     "linear_curvature": "#56B4E9",
+    "truth": "#1a1a1a",
 }
 WAY_NAMES = {
     "inflated": "old posterior, inflated",

@@ -6,6 +6,7 @@ import re
 MISSING = "–"
 _NAME = re.compile(r"\b(?:mu\d+(?:_pa)?|alpha\d+|bevel_mm|guide_distance_mm)\b")
 _POWER = re.compile(r"\b\d(?:\.\d+)?e-?\d+\b")
+_MINUS = re.compile(r"(?<![\w^.-])-(?=\d)")  # of a number of its own, not of an exponent or a range
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
@@ -66,7 +67,8 @@ def in_symbols(words: str) -> str:
     Exponents stay `^0.28`: what sets the sentence raises them, because Unicode has no raised point.
     """
     named = _NAME.sub(lambda found: symbol(found[0]).split(" (")[0], words)
-    return _POWER.sub(lambda found: typeset(found[0]), named).replace(" * ", " · ")
+    true = _MINUS.sub("−", named)
+    return _POWER.sub(lambda found: typeset(found[0]), true).replace(" * ", " · ")
 
 
 def _is_known(value: float | None) -> bool:

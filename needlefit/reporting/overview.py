@@ -1,12 +1,13 @@
 """The report of several studies together."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 from needlefit.reporting import captions, contest, details, document, layouts, sentences
+from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
 from needlefit.reporting.foretold import foretold_layout
 from needlefit.reporting.story import Figures, cautions, figure_of, tuning_blocks
+from needlefit.reporting.tables import study_label
 from needlefit.validation import paper
 from needlefit.validation.results import Results
 
@@ -40,15 +41,26 @@ def _foretold(results: Sequence[Results], figures: Figures, synthetic: bool) -> 
     told = [one for one in results if len(one.predictive)]
     if not told:
         return []
-    tables = [
-        replace(foretold_layout(one), caption=f"{one.name}: {foretold_layout(one).caption}") for one in told
-    ]
-    first, *rest = tables
     return [
         document.heading("What was foretold of held-out needles"),
         *figure_of(figures, "foretold", captions.FORETOLD, synthetic),
-        *(document.table(table, synthetic) for table in (first, *(replace(one, notes=()) for one in rest))),
+        document.table(_one_table(told), synthetic),
     ]
+
+
+def _one_table(told: Sequence[Results]) -> Display:
+    """Return what was foretold in each study, one under the other."""
+    tables = [foretold_layout(one) for one in told]
+    rows: list[tuple[str, ...]] = []
+    breaks: list[int] = []
+    for one, table in zip(told, tables, strict=True):
+        breaks += [len(rows)] if rows else []
+        names = (str(study_label(one)), *[""] * (len(table.rows) - 1))
+        rows += [(name, *row) for name, row in zip(names, table.rows, strict=True)]
+    notes = tuple(dict.fromkeys(note for table in tables for note in table.notes))
+    columns = (text("Study"), *tables[0].columns)
+    caption = "How well held-out needles were foretold."
+    return Display("foretold", caption, columns, tuple(rows), tuple(breaks), notes=notes)
 
 
 def _data(results: Sequence[Results], synthetic: bool) -> list[Block]:

@@ -54,9 +54,8 @@ def _frames(one: Results | Answer | TrackResults) -> Mapping[str, pd.DataFrame]:
         return one.frames
     if isinstance(one, TrackResults):
         return {"paired": paired_runs(one), "coverage": coverage(one), "parameters": one.parameters}
-    errors = one.errors[one.errors["rival"] == "fitted"]
     tables = {"validation": validation_table(one), "tuning": tuning_table(one)}
-    return tables | {"parameters": parameters_table(one), "errors": errors, "predictive": one.predictive}
+    return tables | {"parameters": parameters_table(one), "errors": one.errors, "predictive": one.predictive}
 
 
 def _rounded(column: pd.Series, name: str) -> pd.Series:

@@ -29,7 +29,7 @@ def draws_said(results: Results) -> str:
     source, k, certified = (draws[name].iloc[0] for name in ("from", "pareto_k", "certified"))
     said = f"{len(draws)} draws of the sampled posterior"
     if source == "importance":
-        said = f"{len(draws)} draws weighed about the modes of the fit, Pareto k {k:.2f}"
+        said = f"{len(draws)} draws weighed about the modes of the fit, Pareto k {k:.2f}".replace("-", "−")
     doubt = "" if certified else ", which is NOT CERTIFIED: sample it (--sample)"
     where = (
         f" Shown is the first of {results.draws['fold'].nunique()} folds, {fold}."

@@ -19,12 +19,46 @@ from needlefit.inference.parameters import in_logarithm
 from needlefit.project.run_file import read_run
 from needlefit.validation.difference import DRAWN, SHIFT, SLIGHT, Difference, changed
 from needlefit.validation.differences_beyond import beyond
+from needlefit.validation.inquiries.differences import answers_differ, asks
 
 _KEYS = ["fold", "role", "insertion", "rival", "boundaries"]
 _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "mean TE"}
 _FORETOLD = {"tip_crps_mm": "CRPS of the tip foretold", "shape_crps_mm": "CRPS of the shape foretold"}
-_STATES = ("interrupted", "budget_limited", "posteriors", "passes", "not_calibrated", "not_converged")
-_INPUTS = ("dataset", "medium", "recipe", "rules", "study", "fit", "folds", "hand_tuned", "versions")
+_STATES = (
+    "interrupted",
+    "budget_limited",
+    "posteriors",
+    "passes",
+    "not_calibrated",
+    "not_converged",
+    "faults",
+)
+_INPUTS = (
+    "dataset",
+    "medium",
+    "recipe",
+    "rules",
+    "study",
+    "fit",
+    "folds",
+    "hand_tuned",
+    "versions",
+    "datasets",
+    "parts",
+    "scene",
+    "fits",
+    "control",
+    "sampled",
+    "replicates",
+)
+_KINDS = {
+    "errors": "a study or fit",
+    "identify": "an identification",
+    "forecast": "a prediction",
+    "replicates": "a calibration",
+    "runs": "a study of tip tracks",
+}
+"""Kinds of runs by the table that each of them has; of a fit, which has an identification too, the first."""
 
 
 def differences(before: Path, after: Path) -> list[Difference]:
@@ -33,10 +67,12 @@ def differences(before: Path, after: Path) -> list[Difference]:
     Raises
     ------
     DataError
-        If a `run.json` is missing or damaged, or no table is in both runs.
+        If a `run.json` is missing or damaged, or the runs are of different kinds.
     """
-    runs = [read_run(folder) for folder in (before, after)]
+    runs = [_computed_with(folder) for folder in (before, after)]
     _require_alike(before, after)
+    if all(asks(run) for run in runs):
+        return [*_inputs(*runs), *_states(*runs), *answers_differ(before, after)]
     parameters, errors, foretold = (
         (_table(before, name), _table(after, name)) for name in ("parameters", "errors", "predictive")
     )
@@ -55,22 +91,35 @@ def _table(folder: Path, name: str) -> pd.DataFrame:
     return pd.read_csv(path) if path.is_file() else pd.DataFrame()
 
 
+def _computed_with(folder: Path) -> dict[str, Any]:
+    """Return what a run says of itself; an identification says it of each stage, of the design at least."""
+    run = read_run(folder)
+    design = run.get("design")
+    return design if isinstance(design, dict) else run
+
+
 def _require_alike(before: Path, after: Path) -> None:
     """Raise DataError where one run answers another question than the other."""
-    tables = [{path.name for path in folder.glob("*.csv")} for folder in (before, after)]
-    if tables[0] and tables[1] and not tables[0] & tables[1]:
+    one, two = (
+        next((said for name, said in _KINDS.items() if (folder / f"{name}.csv").is_file()), None)
+        for folder in (before, after)
+    )
+    if one and two and one != two:
         raise DataError(
-            f"has no table that `{before.name}` has: they answer different questions",
+            f"is {two}, and {before} is {one}: they answer different questions",
             where=str(after),
-            expected="two runs of one kind: of studies and fits, identify, predict, calibrate, or tip tracks",
+            expected=f"{one}, too",
             mend="compare runs of the same command",
         )
 
 
 def _inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    leaves = [dict(leaves({k: run[k] for k in _INPUTS if k in run})) for run in (before, after)]
-    for key in dict.fromkeys([*leaves[0], *leaves[1]]):
-        one, two = leaves[0].get(key), leaves[1].get(key)
+    every = [
+        dict(leaf for key in _INPUTS if key in run for leaf in leaves(run[key], key))
+        for run in (before, after)
+    ]
+    for key in dict.fromkeys([*every[0], *every[1]]):
+        one, two = every[0].get(key), every[1].get(key)
         if one != two:
             yield Difference("input", key, one, two, None, "")
 

@@ -96,7 +96,7 @@ def tabulate(
     if "fitted_metric" in usable:
         tables.parameters += _metric_rows(job, fold, usable["fitted_metric"])
     tables.parameters += _published_rows(job, fold, usable.get("hand_tuned_b"))
-    for rival, curves in _rivals(job, fold, usable).items():
+    for rival, curves in rivals(job, fold, usable).items():
         for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
             for insertion in insertions:
                 place = {"fold": fold.name, "role": role, "rival": rival}
@@ -132,7 +132,7 @@ def tabulate_foreseen(foreseen: Iterable[Foreseen], tables: Tables) -> None:
         tables.bands += one.band
 
 
-def _rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
+def rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
     """Return the fitted model, the paper's set, that set with b re-tuned, and curves without mechanics."""
     values: dict[str, Mapping[str, float]] = {}
     if "fitted" in fits:

@@ -21,7 +21,9 @@ from needlefit.validation.results import Results
 Floats = NDArray[np.float64]
 
 _ROOM = 0.12  # of the range of what is shown, left free at each side
-_PANEL = 1.55  # inches at most
+_PANEL = 1.3  # inches at most
+_SHORT = 4  # signs of a number of which more than two stand along a panel
+_LEAST = 4.9  # inches: room for the words beside the first panel
 _BLUE, _RIDGE = RIVAL_COLOURS["fitted"], "#D55E00"
 _MARKS = {"fitted": ("D", 4.2, INK), "hand_tuned": ("s", 4.0, RIVAL_COLOURS["hand_tuned"])}
 
@@ -55,7 +57,7 @@ def _paint(frame: pd.DataFrame, said: dict[str, str]) -> Figure:
     names = [str(name) for name in frame.columns if name not in ("shown", "origin")]
     count = len(names)
     side = min(_PANEL, WIDTH / count) * count
-    figure = Figure(figsize=(max(side, 3.2), max(side, 2.2) + 0.3))
+    figure = Figure(figsize=(max(side, _LEAST), max(side, 2.2) + 0.3))
     grid = figure.subplots(count, count, squeeze=False, sharex="col")
     for row, below in enumerate(names):
         for column, left in enumerate(names):
@@ -112,7 +114,8 @@ def _dots(axes: Axes, x: Floats, y: Floats) -> None:
     """Draw dots as one path of lines without length and with round ends: a tenth of the bytes of marks."""
     twice = (np.repeat(one, 3) for one in (x, y))
     across, up = (np.where(np.arange(len(one)) % 3 == 2, np.nan, one) for one in twice)
-    axes.plot(across, up, color=_BLUE, alpha=0.45, lw=1.7, solid_capstyle="round")
+    (line,) = axes.plot(across, up, color=_BLUE, alpha=0.45, lw=1.7, solid_capstyle="round")
+    line.get_path().should_simplify = False  # or what has no length would be left out
 
 
 def _of(frame: pd.DataFrame, shown: str) -> pd.DataFrame:
@@ -144,6 +147,8 @@ def _dress(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple
         if in_logarithm(name):
             axis.set_minor_locator(NullLocator())
             ticks = log_ticks(low, high)
+            if any(len(number(tick)) > _SHORT for tick in ticks):
+                ticks = [ticks[0], ticks[-1]]
             axis.set_ticks(ticks, [typeset(number(tick)) for tick in ticks])
         else:
             axis.set_major_locator(MaxNLocator(3))

@@ -10,8 +10,11 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from needlefit.datasets.independent import groups
@@ -33,7 +36,7 @@ ERROR = 0.05
 
 _WHAT = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
 _INTERVALS = (50, 95)
-_TALL = 1.75  # inches a study
+_TALL = 1.45  # inches a study
 _COLUMNS = ("study", "shown", "of", "level", "share", "low", "high", "needles", "trials", "origin")
 
 
@@ -80,7 +83,7 @@ def _toward_bevel(results: Results) -> dict[str, Floats]:
 
 def _paint(rows: pd.DataFrame) -> Figure:
     studies = list(rows.groupby("study", sort=False))
-    figure = Figure(figsize=(WIDTH, 0.35 + _TALL * len(studies)))
+    figure = Figure(figsize=(WIDTH, 0.55 + _TALL * len(studies)))
     grid = figure.subplots(len(studies), 2, squeeze=False, sharex="col", width_ratios=(1.25, 1))
     for (left, right), (name, some) in zip(grid, studies, strict=True):
         count = f"{some['needles'].iloc[0]} needles"
@@ -90,7 +93,7 @@ def _paint(rows: pd.DataFrame) -> Figure:
         _levels(left, some)
         _coverage(right, some)
     grid[-1, 0].set_xlabel("level: the probability foretold of less")
-    _name(grid[0, 0], grid[0, 1])
+    _explain(figure)
     label_origin(figure, is_synthetic(rows))
     return figure
 
@@ -103,7 +106,7 @@ def _levels(axes: Axes, rows: pd.DataFrame) -> None:
     for what, (_, colour) in _WHAT.items():
         steps = rows[(rows["shown"] == "ECDF") & (rows["of"] == what)]
         axes.step(steps["level"], steps["share"], where="post", color=colour, lw=1.2)
-    axes.set(xlim=(0, 1), ylim=(0, 1), ylabel="share of needles")
+    axes.set(xlim=(-0.02, 1.02), ylim=(-0.04, 1.04), ylabel="share of needles")
     axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
     axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
 
@@ -124,9 +127,10 @@ def _coverage(axes: Axes, rows: pd.DataFrame) -> None:
     light_grid(axes, "y")
 
 
-def _name(left: Axes, right: Axes) -> None:
-    """Write beside the curves what they are."""
-    for n, (called, colour) in enumerate(_WHAT.values()):
-        left.text(0.03, 0.93 - 0.13 * n, called, color=colour, fontsize=7, va="top", transform=left.transAxes)
-    left.text(0.97, 0.05, "95 % of chance", color=GREY, fontsize=7, ha="right", transform=left.transAxes)
-    right.set_title("dashed: as foretold; bars: 95 %", loc="left", color=INK)
+def _explain(figure: Figure) -> None:
+    handles: list[Artist] = [
+        Line2D([], [], color=colour, lw=1.3, label=called) for called, colour in _WHAT.values()
+    ]
+    handles.append(Patch(color=GREY, alpha=0.22, lw=0, label="95 % of chance"))
+    handles.append(Line2D([], [], color=INK, lw=0.8, ls=(0, (2, 1.5)), label="as foretold"))
+    figure.legend(handles=handles, loc="outside upper left", ncols=4, handlelength=1.3)

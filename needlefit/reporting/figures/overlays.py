@@ -22,7 +22,8 @@ from needlefit.validation.summary import bevel_sides
 
 _STRETCHES = (1, 2, 5, 10, 20, 50, 100)
 _SHOWN = ("hand_tuned", "fitted")
-_EVERY = 5  # of the points compared, one in so many is drawn as a dot
+_EVERY = 5  # of the points compared, one in so many is drawn as a dot, or half of these
+_ROOMY = 24  # insertions at most that stand three in a row, with all dots
 _LEVELS = {95: 0.16, 50: 0.28}  # opacity of each band; the narrow one lies on the wide one
 _KEYS = ["fold", "insertion"]
 _HEIGHTS = ["y_mm", "low_mm", "high_mm"]
@@ -55,9 +56,8 @@ def _curves(results: Results, role: str) -> pd.DataFrame:
     shapes = shapes.sort_values("j", kind="stable")
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
     dots = shapes.drop_duplicates([*_KEYS, "j"])
-    dots = dots[dots["j"] % _EVERY == 0].set_axis(
-        [c.replace("measured_", "") for c in shapes.columns], axis=1
-    )
+    every = _EVERY if shapes["insertion"].nunique() <= _ROOMY else 2 * _EVERY
+    dots = dots[dots["j"] % every == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
     parts = [simulated.assign(curve=simulated["rival"]), dots.assign(curve="measured")]
     for level in _LEVELS if role == "validate" else ():
         ends = {f"low_{level}_mm": "low_mm", f"high_{level}_mm": "high_mm"}
@@ -82,7 +82,7 @@ def _titles(results: Results, role: str) -> dict[tuple[str, str], str]:
 def _paint(curves: pd.DataFrame, titles: dict[tuple[str, str], str], hand_tuned: str) -> Figure:
     x, y = _span(curves[["x_mm"]]), _span(curves[_HEIGHTS])
     factor = stretch(x[1] - x[0], y[1] - y[0])
-    columns = min(3 if len(titles) <= 24 else 4, len(titles))
+    columns = min(3 if len(titles) <= _ROOMY else 4, len(titles))
     rows = math.ceil(len(titles) / columns)
     panel = WIDTH / max(columns, 3)
     height = panel * 0.86 * factor * (y[1] - y[0]) / (x[1] - x[0]) + 0.32

@@ -47,7 +47,6 @@ _LOOK = {
     "figure.dpi": 100,
     "savefig.dpi": 200,
     "axes.unicode_minus": True,
-    "path.simplify": False,  # every number of the table is drawn; dots are lines without length
 }
 
 

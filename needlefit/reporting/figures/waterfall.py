@@ -84,10 +84,10 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
         for f in fits
     ]
     axes.legend(handles=handles, loc="best", handlelength=1.5)
-    axes.set_title(f"{counted(starts)}, {failed} without a result", loc="left")
+    axes.set_title(counted(starts) + (f",\n{failed} without a result" if failed else ""), loc="left")
     axes.set_xlabel("start, best first")
     axes.axhline(1, color=GREY, lw=0.6, ls=(0, (2, 1.5)))
-    axes.set_ylabel("above the best, in what counts as equal")
+    axes.set_ylabel("above the best,\nin what counts as equal")
     axes.set_yscale("symlog", linthresh=1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)
