@@ -100,4 +100,11 @@ def leave_sensitivity(folder: Path, of: str = "study1", **changed: object) -> Pa
     part = {key: WORK[key] for key in ("medium", "recipe", "rules", "folds")}
     run = {"name": "sensitivity", "versions": VERSIONS, "datasets": {"twin": WORK["dataset"]}, "faults": []}
     run |= {"study": {"kind": "sensitivity", "studies": [of], "fits": []}, "parts": [part], **changed}
-    return _leave(folder / "sensitivity", copy.deepcopy(run), "cells.csv", pd.DataFrame(rows))
+    left = _leave(folder / "sensitivity", copy.deepcopy(run), "cells.csv", pd.DataFrame(rows))
+    studies = [
+        {"of": "tie", "variation": name, "tuned": "again", "study": of, "threshold_mm": 0.74}
+        | {"conclusion_changes": name == "ahead"}
+        for name in ("ahead", "x")
+    ]
+    write_csv(pd.DataFrame(studies), left / "studies.csv")
+    return left

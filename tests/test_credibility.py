@@ -23,6 +23,7 @@ from needlefit.reporting.credibility.case import case
 from needlefit.reporting.credibility.entries import entries
 from needlefit.reporting.credibility.factors import FACTORS
 from needlefit.reporting.credibility.page import DISCLAIMER, page
+from needlefit.reporting.files import write_json
 from needlefit.validation.credibility.gather import gather
 
 
@@ -83,6 +84,7 @@ def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(a
     assert not any("calibrate" in gap for gap in found["uncertainties"][1])
     assert "Tie, 2 variations, tuned again" in found["form"][0]
     assert "mean IPE by 0.030 mm (0.3 noise floors)" in found["form"][0]
+    assert "(mean IPE below 0.74 mm) CHANGES for study1 under tie: ahead." in found["form"][0]
     assert "nothing found of advance, constraint spacing" in " ".join(found["form"][1])
 
 
@@ -183,6 +185,23 @@ def test_measured_shapes_are_not_called_synthetic_and_what_they_cannot_tell_is_o
     assert "rigid alignment" in found["outputs_alike"][0]
     assert "The model’s uncertainty is not in it" in " ".join(found["rigour"][1])
     assert "Nothing found" in found["quality_assurance"][0] or found["quality_assurance"][1]
+
+
+def test_what_is_found_alike_of_several_runs_is_said_once(tmp_path):
+    runs = [results(1), results(5)]
+    for one in runs:
+        leave(one, tmp_path)
+    leave_calibration(tmp_path, of="study5")
+    (tmp_path / "all").mkdir()
+    write_json(tmp_path / "all/run.json", {one.name: one.run for one in runs})
+    found = case(tmp_path / "all")
+    blocks = page(found, entries(found)).blocks
+    items = [item for block in blocks if block["kind"] == "list" for item in block["items"]]
+    said = [item for item in items if "Computed with" in item]
+    assert len(said) == 1 and said[0].startswith("study1, study5: Computed with emcee 3.1")
+    assert any(item.startswith("study5: 500 truths") for item in items)
+    gaps = [block["text"] for block in blocks if block["kind"] == "empty"]
+    assert any("uncertainties are right, of study1: nothing found" in gap for gap in gaps)
 
 
 def test_what_people_state_fills_their_boxes(alone):

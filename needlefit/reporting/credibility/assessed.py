@@ -1,5 +1,7 @@
 """What is found of the assessment: inputs and outputs of model and comparator, held against each other."""
 
+from dataclasses import replace
+
 from needlefit.datasets.independent import groups
 from needlefit.reporting.credibility.case import Case, found_in
 from needlefit.reporting.credibility.told import Finding, Told
@@ -8,6 +10,7 @@ from needlefit.reporting.layouts import validation_layout
 from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import fixed, number, typeset
 from needlefit.reporting.sentences import in_short
+from needlefit.reporting.tables import study_label
 from needlefit.validation.coverage import share
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate
@@ -23,10 +26,10 @@ def inputs_alike(case: Case) -> Told:
                 f"The model’s needle is the dataset’s: {needle['length']:g} mm long, EI "
                 f"{typeset(number(needle['flexural_rigidity']))} N mm^2."
             )
-            findings.append(found_in(one, "run.json", f"{case.of(one)}{words}"))
+            findings.append(found_in(one, "run.json", words))
         findings += [
-            found_in(one, "design.csv", f"{case.of(one)}{_tuned_in(one)}"),
-            found_in(one, "errors.csv", f"{case.of(one)}{_layers_given(one)}"),
+            found_in(one, "design.csv", _tuned_in(one)),
+            found_in(one, "errors.csv", _layers_given(one)),
         ]
     return Told(tuple(findings))
 
@@ -41,7 +44,7 @@ def outputs(case: Case) -> Told:
             "Five errors (median, mean and maximum in-plane error, tip error, deflection error in percent) "
             f"of {needles} held-out needles, each compared at {points} points."
         )
-        findings.append(found_in(one, "shapes.csv", f"{case.of(one)}{words}"))
+        findings.append(found_in(one, "shapes.csv", words))
     return Told(tuple(findings))
 
 
@@ -51,7 +54,7 @@ def outputs_alike(case: Case) -> Told:
     for one in case.held_out:
         aligned = (one.errors["comparison"] == "aligned").any()
         way = _ALIGNED if aligned else _WORLD
-        findings.append(found_in(one, "shapes.csv", f"{case.of(one)}{way}"))
+        findings.append(found_in(one, "shapes.csv", way))
     return Told(tuple(findings), ("What bends out of the plane is not compared.",) if findings else ())
 
 
@@ -70,12 +73,10 @@ def rigour(case: Case) -> Told:
     findings, left = list[Finding](), list[str]()
     for one in case.held_out:
         name = case.of(one)
-        words = f"{name}Differences from rivals are paired over insertions, with their standard errors."
+        words = "Differences from rivals are paired over insertions, with their standard errors."
         findings.append(found_in(one, "errors.csv", words))
         if one.errors["floor_te_mm"].notna().any():
-            words = (
-                f"{name}Of the comparator: beside every error stands what its stated noise alone would give."
-            )
+            words = "Of the comparator: beside every error stands what its stated noise alone would give."
             findings.append(found_in(one, "errors.csv", words))
         else:
             left.append(f"{name}The dataset states no noise: the comparator’s uncertainty is not in it.")
@@ -84,7 +85,7 @@ def rigour(case: Case) -> Told:
             continue
         tip, shape = (fixed(one.predictive[f"{what}_crps_mm"].mean(), 3) for what in ("tip", "shape"))
         words = (
-            f"{name}Of model and comparator: held-out needles are compared with distributions foretold of "
+            "Of model and comparator: held-out needles are compared with distributions foretold of "
             f"them; mean CRPS of tips {tip} mm, of shapes {shape} mm."
         )
         findings.append(found_in(one, "predictive.csv", words))
@@ -95,9 +96,11 @@ def agreement(case: Case) -> Told:
     """Return the errors beside their noise floors, rivals that do better, and how often intervals held."""
     findings = []
     for one in case.held_out:
-        findings += [found_in(one, "validation.csv", said) for said in in_short(one)]
+        named = isinstance(study_label(one), int)  # then the sentence itself says of which study it is
+        told = [found_in(one, "validation.csv", said) for said in in_short(one)]
+        findings += [replace(said, of="") if named else said for said in told]
         if len(one.predictive):
-            findings.append(found_in(one, "predictive.csv", f"{case.of(one)}{_held(one)}"))
+            findings.append(found_in(one, "predictive.csv", _held(one)))
     tables = [validation_layout(case.held_out)] if findings else []
     tables += [
         foretold_layout(one) for one in case.held_out if len(one.predictive) and len(case.results) == 1

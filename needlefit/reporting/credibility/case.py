@@ -57,7 +57,7 @@ class Case:
         return [one for one in self.evidence if one.kind == kind and one.counted]
 
     def of(self, results: Results) -> str:
-        """Return what a sentence about one of several runs begins with."""
+        """Return what a gap of one of several runs begins with."""
         return f"{results.name}: " if len(self.results) > 1 else ""
 
 
@@ -96,9 +96,9 @@ def target(results: Results) -> str:
 def found_in(results: Results, file: str, words: str) -> Finding:
     """Return what was found in a file of a run."""
     verb = "validate" if isinstance(results.record, StudyRecord) else "tune"
-    return Finding(words, f"{results.name}/{file}", f"needlefit {verb} {target(results)}")
+    return Finding(words, f"{results.name}/{file}", f"needlefit {verb} {target(results)}", target(results))
 
 
 def left_by(evidence: Evidence, file: str, words: str) -> Finding:
     """Return what was found in a file of evidence."""
-    return Finding(words, f"{evidence.place}/{file}", evidence.command)
+    return Finding(words, f"{evidence.place}/{file}", evidence.command, evidence.of)

@@ -6,8 +6,8 @@ import pandas as pd
 
 from needlefit.reporting.credibility.case import Case, found_in
 from needlefit.reporting.credibility.told import Told
+from needlefit.reporting.layouts import span
 from needlefit.reporting.names import medium_name
-from needlefit.reporting.numbers import fixed
 from needlefit.reporting.sentences import floor_said
 from needlefit.validation.results import Results
 
@@ -42,7 +42,7 @@ def samples_measured(case: Case) -> Told:
     """Return what the dataset says of itself, and which layers' stiffness was measured beforehand."""
     told = _each(case, "run.json", lambda one: " ".join(one.run.get("dataset", {}).get("notes", ())))
     priors = tuple(
-        found_in(one, "run.json", f"{case.of(one)}Layer {layer}: stiffness from a compression test.")
+        found_in(one, "run.json", f"Layer {layer}: stiffness from a compression test.")
         for one in case.held_out
         for layer in one.record.priors
     )
@@ -112,7 +112,7 @@ _SPANS = {"validate": "Held out", "tune": "tuned"}
 def _each(case: Case, file: str, said: Callable[[Results], str]) -> Told:
     """Return what is said of every run that holds insertions out; of synthetic ones, that they are."""
     words = [(one, said(one)) for one in case.held_out]
-    found = tuple(found_in(one, file, f"{case.of(one)}{text}") for one, text in words if text)
+    found = tuple(found_in(one, file, text) for one, text in words if text)
     return Told(found, (SYNTHETIC,) if _synthetic(case) else ())
 
 
@@ -141,10 +141,9 @@ def _counted(results: Results, role: str) -> str:
 def _span(results: Results, role: str) -> str:
     rows = results.design[results.design["role"] == role]
     depth, bend = (
-        f"{fixed(rows[f'{what}_min_mm'].min())} to {fixed(rows[f'{what}_max_mm'].max())} mm".replace("-", "−")
-        for what in ("depth", "deflection")
+        span(rows[f"{what}_min_mm"].min(), rows[f"{what}_max_mm"].max()) for what in ("depth", "deflection")
     )
-    return f"{depth} deep, tips bent by {bend}"
+    return f"{depth} mm deep, tips bent by {bend} mm"
 
 
 def _plural(count: int, noun: str) -> str:

@@ -24,19 +24,17 @@ def form(case: Case) -> Told:
     for one in case.results:
         if rules := one.run.get("rules"):
             said = "; ".join(_rule(key, value) for key, value in sorted(rules.items()))
-            findings.append(found_in(one, "run.json", f"{case.of(one)}Rules: {said}."))
-        findings.append(found_in(one, "errors.csv", f"{case.of(one)}{contest.rivals_said(one)}"))
+            findings.append(found_in(one, "run.json", f"Rules: {said}."))
+        findings.append(found_in(one, "errors.csv", contest.rivals_said(one)))
     law = "Another law of the tissue in the place of this one: nothing found that is counted here."
     return joined(Told(tuple(findings)), varied(case, FORM), Told(left=(law,)))
 
 
 def sensitivities(case: Case) -> Told:
     """Return which parameters the data determine, and what inputs matter."""
-    known = [
-        found_in(one, "parameters.csv", f"{case.of(one)}{undetermined_said(one)}") for one in case.results
-    ]
+    known = [found_in(one, "parameters.csv", undetermined_said(one)) for one in case.results]
     known += [
-        left_by(one, "identify.csv", f"{_of(case, one)}{in_symbols(' '.join(said))}")
+        left_by(one, "identify.csv", in_symbols(" ".join(said)))
         for one in case.counted("identification")
         if (said := _identified(one))
     ]
@@ -76,7 +74,7 @@ def _known(case: Case, results: Results) -> Told:
     ends = dict.fromkeys(in_symbols(str(ordered["words"].iloc[k])) for k in (0, -1))
     sds = [f"{ordered['sd'].iloc[k]:.2g}" for k in (0, -1)][: len(ends)]
     said = "; ".join(f"{words} (sd {sd})" for words, sd in zip(ends, sds, strict=True))
-    return Told((found_in(results, "directions.csv", f"{case.of(results)}Best and worst known: {said}."),))
+    return Told((found_in(results, "directions.csv", f"Best and worst known: {said}."),))
 
 
 def _foretold(case: Case, results: Results) -> Told:
@@ -90,7 +88,7 @@ def _foretold(case: Case, results: Results) -> Told:
         f"Parameters, depths and measurement errors are propagated to {len(rows)} held-out needles: the 95 % "
         f"interval of the tip is {fixed(width.min())} to {fixed(width.max())} mm wide."
     )
-    told = [found_in(results, "predictive.csv", f"{case.of(results)}{words}")]
+    told = [found_in(results, "predictive.csv", words)]
     doubtful = int((~rows["certified"].astype(bool)).sum())
     left = (f"{case.of(results)}The draws behind {doubtful} of these needles are NOT CERTIFIED.",)
     return Told(tuple(told), left if doubtful else ())
@@ -98,25 +96,35 @@ def _foretold(case: Case, results: Results) -> Told:
 
 def _calibrated(case: Case, one: Evidence) -> Told:
     """Return what simulation-based calibration came to: by drawn truths, or wrong on purpose."""
-    run, count = one.run, f"{one.run['replicates']} truths drawn from the prior"
-    names = in_symbols(", ".join(quantity(name) for name in run["not_calibrated"]))
-    if run.get("control"):
-        seen = f"noticed, by {names}" if names else "NOT noticed"
-        words = f"A control, {WRONG[run['control']]}, is {seen} ({count})."
-    else:
-        rows = one.tables["coverage.csv"]
-        at = rows[rows["level"] == rows["level"].max()]
-        held = f"{at['covered'].min()} to {at['covered'].max()} of {at['replicates'].max()}"
-        verdict = (
-            f"NOT calibrated: {names}" if names else f"all {len(at)} quantities inside what chance allows"
-        )
-        words = (
-            f"{count}: {verdict}; the {100 * at['level'].max():.0f} % intervals held {held} "
-            f"(chance: {at['least'].min()} to {at['most'].max()}). It proves the computation, not the model."
-        )
-        few = rows[rows["level"] == rows["level"].min()]["least"].min() <= 0
-        words += " So few replicates cannot tell whether anything is wrong." if few else ""
-    return Told((left_by(one, "coverage.csv", f"{_of(case, one)}{words}"),))
+    if one.run.get("control"):
+        return Told((left_by(one, "coverage.csv", _control_said(one)),))
+    rows = one.tables["coverage.csv"]
+    wide, half = (rows[rows["level"] == level] for level in (rows["level"].max(), rows["level"].min()))
+    names = _failing(one)
+    verdict = f"NOT calibrated: {names}" if names else f"all {len(wide)} quantities inside what chance allows"
+    words = (
+        f"{_truths(one)}: {verdict}; the {100 * wide['level'].max():.0f} % intervals held "
+        f"{wide['covered'].min()} to {wide['covered'].max()} of {wide['replicates'].max()} (chance: "
+        f"{wide['least'].min()} to {wide['most'].max()}). It proves the computation, not the model."
+    )
+    few = f"Whether these uncertainties are right: {_truths(one)} are too few to tell."
+    return Told(
+        (left_by(one, "coverage.csv", words),),
+        (f"{_of(case, one)}{few}",) if half["least"].min() <= 0 and not names else (),
+    )
+
+
+def _control_said(one: Evidence) -> str:
+    seen = f"noticed, by {_failing(one)}" if one.run["not_calibrated"] else "NOT noticed"
+    return f"A control, {WRONG[one.run['control']]}, is {seen} ({_truths(one)})."
+
+
+def _truths(one: Evidence) -> str:
+    return f"{one.run['replicates']} truths drawn from the prior"
+
+
+def _failing(one: Evidence) -> str:
+    return in_symbols(", ".join(quantity(name) for name in one.run["not_calibrated"]))
 
 
 def _identified(one: Evidence) -> list[str]:

@@ -32,7 +32,7 @@ def page(case: Case, entries: list[Entry]) -> Document:
         *cautions(list(case.results)),
         document.text(READ),
         document.table(overview(entries), synthetic=False),
-        *_parts(entries, case.synthetic),
+        *_parts(entries, case),
         *origins(case),
     ]
     data = "; ".join(dict.fromkeys(one.dataset_title for one in case.results))
@@ -61,21 +61,32 @@ _SHOWN = 3
 """Folders named one by one."""
 
 
-def _parts(entries: list[Entry], synthetic: bool) -> Iterator[Block]:
+def _parts(entries: list[Entry], case: Case) -> Iterator[Block]:
     for part, group in groupby(entries, key=lambda entry: entry.factor.part):
         yield document.heading(part)
         for entry in group:
-            yield from _entry(entry, synthetic)
+            yield from _entry(entry, case.synthetic, len(case.results) > 1)
 
 
-def _entry(entry: Entry, synthetic: bool) -> Iterator[Block]:
+def _entry(entry: Entry, synthetic: bool, several: bool) -> Iterator[Block]:
     yield document.subheading(entry.factor.name)
     yield document.note(entry.factor.asks)
     if entry.told.findings:
-        yield document.bullets([one.words for one in entry.told.findings])
+        yield document.bullets(_said(entry.told.findings, several))
         yield document.note(_whence(entry.told.findings))
     yield from (document.table(table, synthetic) for table in entry.told.tables)
     yield from (document.empty(gap) for gap in entry.gaps)
+
+
+def _said(findings: tuple[Finding, ...], several: bool) -> list[str]:
+    """Return what was found, once; of several runs, of which it was."""
+    by_words: dict[str, list[str]] = {}
+    for one in findings:
+        by_words.setdefault(one.words, []).append(one.of)
+    return [
+        f"{', '.join(dict.fromkeys(runs))}: {words}" if several and any(runs) else words
+        for words, runs in by_words.items()
+    ]
 
 
 def _whence(findings: tuple[Finding, ...]) -> str:

@@ -7,11 +7,24 @@ from needlefit.reporting.display import Display
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found: in words with numbers and units, the file it stands in, the command that makes it."""
+    """One thing found.
+
+    Attributes
+    ----------
+    words : str
+        With numbers and units.
+    place : str
+        The file it stands in, and its folder.
+    command : str
+        What makes that file; empty for what people state.
+    of : str
+        The study or fit that it is about; empty for what is about all of them.
+    """
 
     words: str
     place: str
     command: str
+    of: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,16 +1,18 @@
 """What a sensitivity study found of everything that was decided or is not known well."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pandas as pd
 
 from needlefit.reporting.credibility.case import Case, left_by
-from needlefit.reporting.credibility.told import Finding, Told, joined
+from needlefit.reporting.credibility.told import Told, joined
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.numbers import fixed
+from needlefit.reporting.tables import records
 from needlefit.validation.credibility.evidence import Evidence
 
-_FILE = "cells.csv"
+_CELLS, _STUDIES = "cells.csv", "studies.csv"
 _METRICS = {"ipe_mean_mm": "mean IPE", "te_mm": "TE"}
 _TUNED = {"again": "tuned again", "kept": "kept"}
 
@@ -20,7 +22,7 @@ def varied(case: Case, subjects: Sequence[str]) -> Told:
     every = case.counted("sensitivity")
     studies = {one.place: one for one in every}
     parts = [_told(case, one, subjects) for one in studies.values()]
-    known = {name for one in studies.values() for name in _rows(case, one)["of"]}
+    known = {name for one in studies.values() for name in _rows(case, one, _CELLS)["of"]}
     lacking = [name for name in subjects if name not in known]
     said = (f"What these matter: nothing found of {', '.join(lacking)}. {_MEND}",) if lacking else ()
     return joined(*parts, Told(left=said))
@@ -30,16 +32,21 @@ _MEND = "needlefit validate sensitivity would tell."
 
 
 def _told(case: Case, evidence: Evidence, subjects: Sequence[str]) -> Told:
-    rows = _rows(case, evidence)
-    rows = rows[rows["of"].isin(subjects)]
-    if rows.empty:
+    cells, studies = (_rows(case, evidence, file) for file in (_CELLS, _STUDIES))
+    cells = cells[cells["of"].isin(subjects) & cells["metric"].isin(_METRICS)]
+    if cells.empty:
         return Told()
-    findings = tuple(_said(evidence, str(name), group) for name, group in rows.groupby("of", sort=False))
+    words = [_said(str(name), group) for name, group in cells.groupby("of", sort=False)]
+    findings = [left_by(evidence, _CELLS, one) for one in words]
+    concluded = studies[studies["of"].isin(subjects) & (studies["tuned"] == "again")]
+    if len(concluded):
+        findings.append(left_by(evidence, _STUDIES, _conclusion_said(concluded)))
     faults = tuple(f"NOT TO BE TRUSTED: {evidence.place}: {why}." for why in evidence.run.get("faults", ()))
-    return Told(findings, faults, (_layout(rows),))
+    # it is of all the runs that it counts for
+    return Told(tuple(replace(one, of="") for one in findings), faults, (_layout(cells),))
 
 
-def _said(evidence: Evidence, name: str, rows: pd.DataFrame) -> Finding:
+def _said(name: str, rows: pd.DataFrame) -> str:
     """Return the largest changes under all variations of one subject, parameters tuned again."""
     again = rows[rows["tuned"] == "again"]
     count = again["variation"].nunique()
@@ -49,8 +56,17 @@ def _said(evidence: Evidence, name: str, rows: pd.DataFrame) -> Finding:
         for metric, said in _METRICS.items()
     )
     ways = "1 variation" if count == 1 else f"{count} variations"
-    words = f"{name[:1].upper()}{name[1:]}, {ways}, tuned again: cells change in {changes} at most."
-    return left_by(evidence, _FILE, words)
+    return f"{name[:1].upper()}{name[1:]}, {ways}, tuned again: cells change in {changes} at most."
+
+
+def _conclusion_said(rows: pd.DataFrame) -> str:
+    """Return whether who generalises changes under any of these variations, everything tuned again."""
+    changed = records(rows[rows["conclusion_changes"].astype(bool)])
+    limit = f"{rows['threshold_mm'].iloc[0]:.2f}"
+    if not changed:
+        return f"Which studies generalise (mean IPE below {limit} mm) is the same under all these variations."
+    which = "; ".join(f"{row['study']} under {row['of']}: {row['variation']}" for row in changed)
+    return f"Which studies generalise (mean IPE below {limit} mm) CHANGES for {which}."
 
 
 def _layout(rows: pd.DataFrame) -> Display:
@@ -80,9 +96,8 @@ def _largest(rows: pd.DataFrame, metric: str, column: str) -> float:
     return float(rows.loc[rows["metric"] == metric, column].abs().max())
 
 
-def _rows(case: Case, evidence: Evidence) -> pd.DataFrame:
-    """Return the cells of the runs that it counts for, in the metrics that are told."""
-    cells = evidence.tables[_FILE]
+def _rows(case: Case, evidence: Evidence, file: str) -> pd.DataFrame:
+    """Return what a table has of the runs that it counts for, but as it was decided."""
+    table = evidence.tables[file]
     counted = [one.of for one in case.counted("sensitivity") if one.place == evidence.place]
-    ours = cells["study"].isin(counted) & cells["metric"].isin(_METRICS)
-    return cells[ours & (cells["of"] != "as decided")]
+    return table[table["study"].isin(counted) & (table["of"] != "as decided")]

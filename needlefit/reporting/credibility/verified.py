@@ -23,7 +23,7 @@ _CODE = (
 def quality_assurance(case: Case) -> Told:
     """Return with what the run was computed, and that only people can say how that is assured."""
     findings = [
-        found_in(one, "run.json", f"{case.of(one)}Computed with {_listed(versions)}.")
+        found_in(one, "run.json", f"Computed with {_listed(versions)}.")
         for one in case.results
         if (versions := one.run.get("versions"))
     ]
@@ -62,7 +62,7 @@ def solver(case: Case) -> Told:
             Told((left_by(one, "run.json", words),)),
             _verified(one, (Group.TANGENT,)),
         ]
-    parts += [Told(tuple(_failures(one, case.of(one)))) for one in case.results]
+    parts += [Told(tuple(_failures(one))) for one in case.results]
     without = () if case.counted("verification") else ("Newton’s tangent: needlefit verify measures it.",)
     return joined(*parts, Told(left=without))
 
@@ -74,7 +74,7 @@ def use_error(case: Case) -> Told:
         dataset = one.run.get("dataset", {})
         if "sha256" in dataset:
             words = (
-                f"{case.of(one)}Inputs are recorded: dataset {dataset['name']} (sha256 "
+                f"Inputs are recorded: dataset {dataset['name']} (sha256 "
                 f"{dataset['sha256'][:16]}…), medium, recipe, rules, and which insertions tuned and which "
                 "were held out. needlefit diff RUN_A RUN_B says what another run changed."
             )
@@ -131,7 +131,7 @@ def _value(row: Row) -> float:
     return math.nan if row["measured"] is None else float(row["measured"])
 
 
-def _failures(results: Results, name: str) -> list[Finding]:
+def _failures(results: Results) -> list[Finding]:
     """Return how many solves of the searches and of the scored needles failed, and faults of searches."""
     begun, fitted = results.starts, results.errors[results.errors["rival"] == "fitted"]
     failed, every = int(begun["failed_solves"].sum()), int(begun["evaluations"].sum())
@@ -142,7 +142,7 @@ def _failures(results: Results, name: str) -> list[Finding]:
     ]
     faults = [fault for found in results.run.get("search_faults", {}).values() for fault in found]
     said += [("run.json", f"NOT CONVERGED: {fault}.") for fault in faults]
-    return [found_in(results, file, f"{name}{words}") for file, words in said]
+    return [found_in(results, file, words) for file, words in said]
 
 
 def _listed(versions: Row) -> str:

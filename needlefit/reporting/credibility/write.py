@@ -16,7 +16,7 @@ from needlefit.reporting.write import write_report
 from needlefit.validation.packing import NAME
 from needlefit.validation.provenance import versions
 
-COLUMNS = ("part", "factor", "found", "source", "command", "gap")
+COLUMNS = ("part", "factor", "of", "found", "source", "command", "gap")
 
 
 def write_bundle(case: Case, entries: list[Entry], run: Path, folder: Path) -> Path:
@@ -44,8 +44,8 @@ def rows(entries: list[Entry]) -> list[Row]:
         head = {"part": entry.factor.part, "factor": entry.factor.name}
         for one in entry.told.findings:
             source = {"source": one.place, "command": one.command or "stated by people"}
-            table.append({**head, "found": one.words, **source, "gap": ""})
-        table += [{**head, "found": "", "source": "", "command": "", "gap": gap} for gap in entry.gaps]
+            table.append({**head, "of": one.of, "found": one.words, **source, "gap": ""})
+        table += [{**head, **dict.fromkeys(COLUMNS[2:-1], ""), "gap": gap} for gap in entry.gaps]
     return table
 
 

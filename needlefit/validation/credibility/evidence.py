@@ -21,8 +21,9 @@ TABLES: Mapping[Kind, Mapping[str, tuple[str, ...]]] = MappingProxyType(
         "sensitivity": {
             "cells.csv": (
                 *("of", "variation", "tuned", "table", "study", "medium", "layers", "metric"),
-                *("value", "as_decided", "change", "change_in_floors"),
+                *("change", "change_in_floors"),
             ),
+            "studies.csv": ("of", "variation", "tuned", "study", "threshold_mm", "conclusion_changes"),
         },
     }
 )
