@@ -24,8 +24,8 @@ Every file of the project that a command takes by its name; `needlefit init DIR`
 
 ## Studies
 
-`needlefit validate NAME` runs one. A study without a kind tunes on some insertions and scores others; the keys
-of the other kinds are those of their records: {kinds}.
+`needlefit validate NAME` runs one. A study without a kind tunes on some insertions and scores others; the
+keys of the other kinds are those of their records: {kinds}.
 """
 
 
