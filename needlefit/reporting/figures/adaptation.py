@@ -39,7 +39,7 @@ def _paint(answer: Answer) -> Figure:
         else:
             axes.set_yscale("log")
     for axes, stem in zip(panels, ("te", "ipe_mean"), strict=False):
-        floor = float(answer.frames["errors"][f"floor_{stem}_mm"].astype(float).mean())
+        floor = rows[0][f"floor_{stem}_mm"]
         axes.axhline(floor, color=INK, lw=0.9, ls=(0, (2, 1.5)))
         at = {"xytext": (-1, 2), "textcoords": "offset points", "fontsize": 6.5}
         axes.annotate("noise floor", (axes.get_xlim()[1], floor), ha="right", color=INK, **at)
