@@ -13,7 +13,8 @@ from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.left_out import LeftOutRecord
 from needlefit.project.records.next_insertion import NextInsertionRecord
 from needlefit.project.records.plan import PlanRecord
-from needlefit.validation.inquiries import left_out, next_insertion, plan
+from needlefit.project.records.specimens import SpecimensRecord
+from needlefit.validation.inquiries import left_out, next_insertion, plan, specimens
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.job import Settings
 
@@ -31,6 +32,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "left_out": Kind(LeftOutRecord, left_out.ask),
         "next_insertion": Kind(NextInsertionRecord, next_insertion.ask),
         "plan": Kind(PlanRecord, plan.ask),
+        "specimens": Kind(SpecimensRecord, specimens.ask),
     }
 )
 
