@@ -39,6 +39,11 @@ def layers_of(insertion: Insertion, reading: Reading) -> int:
     return insertion.layers if reading == "listed" else insertion.layers_alternative
 
 
+def other_reading(reading: Reading) -> Reading:
+    """Return the reading that a study does not use."""
+    return "alternative" if reading == "listed" else "listed"
+
+
 def _meets(insertion: Insertion, selection: SelectionRecord, reading: Reading) -> bool:
     low, high = selection.depth_min_mm, selection.depth_max_mm
     return (

@@ -14,7 +14,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.linearize import SHARP
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord
 
@@ -51,7 +51,7 @@ def predict(
     ModelError
         If the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
-    return simulate(*conditions(values, medium, needle, insertion, boundaries, sequence))
+    return follow(*conditions(values, medium, needle, insertion, boundaries, sequence))
 
 
 def conditions(
@@ -61,8 +61,8 @@ def conditions(
     insertion: Insertion,
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
-) -> tuple[Needle, Tissue, Bevel, float, Controls, Rules]:
-    """Return what `predict` simulates, as `simulate` and `linearize` take it.
+) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:
+    """Return what `predict` simulates, as `follow` and `linearize_along` take it.
 
     Both solve to `SHARP`, so that values and derivatives are of one state: searches compare them.
     """
@@ -71,9 +71,7 @@ def conditions(
     return (
         needle,
         tissue(values, met, depths, medium),
-        Bevel(values["bevel_mm"], insertion.side),
-        insertion.depth,
-        _clamped(values.get("guide_distance_mm", insertion.guide_distance)),
+        _steps(values, insertion),
         replace(rules(medium), tolerance=SHARP),
     )
 
@@ -84,11 +82,10 @@ def predict_each(
     """Return one insertion with many parameter sets, for `lanes.follow_batches`; else as `predict`."""
     first = sets[0]
     guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
-    controls = _clamped(first.get("guide_distance_mm", insertion.guide_distance))
     return Batch(
         needle,
         tissue(first, insertion.sequence, insertion.boundaries, medium),
-        (Step(insertion.depth, Bevel(first["bevel_mm"], insertion.side), controls),),
+        _steps(first, insertion),
         rules(medium),
         mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence] for values in sets]),
         alpha=np.array([[values[f"alpha{layer}"] for layer in insertion.sequence] for values in sets]),
@@ -97,12 +94,28 @@ def predict_each(
     )
 
 
+def _steps(values: Mapping[str, float], insertion: Insertion) -> tuple[Step, ...]:
+    """Return the insertion, and behind it the base's move, if there was one."""
+    bevel = Bevel(values["bevel_mm"], insertion.side)
+    controls = _clamped(values.get("guide_distance_mm", insertion.guide_distance))
+    inserted = Step(insertion.depth, bevel, controls)
+    if not insertion.base_moved:
+        return (inserted,)
+    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_moved))
+
+
 def _clamped(guide_distance: float | None) -> Controls:
     """Return the controls of a needle clamped by a guide on the insertion axis, or held by its base alone."""
     return Controls() if guide_distance is None else Controls(guides=(Guide(-guide_distance),))
 
 
 def rules(medium: MediumRecord) -> Rules:
-    """Return the rules of a medium: its constraint spacing, and the longest mesh size up to 1 mm in it."""
+    """Return the rules of a medium, and the longest mesh size up to 1 mm in its constraint spacing."""
     spacing = medium.constraint_spacing_mm
-    return Rules(spacing, spacing / math.ceil(spacing / LONGEST_ELEMENT - 1e-9))
+    return Rules(
+        spacing,
+        spacing / math.ceil(spacing / LONGEST_ELEMENT - 1e-9),
+        switch=medium.constraint_switch,
+        tangent=medium.tangent_part,
+        first_cell=medium.first_cell_mm,
+    )

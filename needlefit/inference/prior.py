@@ -38,7 +38,7 @@ class Prior:
         if not self.names:
             return np.empty(0)
         off = [
-            _coordinate(name, values[name]) - mean for name, mean in zip(self.names, self.mean, strict=True)
+            coordinate(name, values[name]) - mean for name, mean in zip(self.names, self.mean, strict=True)
         ]
         white: Floats = np.array(self.whitening) @ np.array(off)
         return white
@@ -101,10 +101,14 @@ def prior_of(table: Mapping[str, ParameterRecord]) -> Prior:
         if one.correlation:
             j = names.index(_alpha_of(name))
             correlations[j, k] = correlations[k, j] = one.correlation
-    factor = np.linalg.cholesky(correlations * np.outer(sds, sds))
-    whitening = np.linalg.inv(factor)
-    peaks = tuple(_coordinate(name, _peak(one)) for name, one in stated.items())
-    return Prior(names, peaks, tuple(tuple(row) for row in whitening.tolist()))
+    peaks = np.array([coordinate(name, _peak(one)) for name, one in stated.items()])
+    return gaussian(names, peaks, correlations * np.outer(sds, sds))
+
+
+def gaussian(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
+    """Return the prior of `mean` (Q,) and `covariance` (Q, Q), in theta's coordinates of `names`."""
+    whitening = np.linalg.inv(np.linalg.cholesky(covariance))
+    return Prior(tuple(names), tuple(mean.tolist()), tuple(tuple(row) for row in whitening.tolist()))
 
 
 def _check(
@@ -130,7 +134,8 @@ def _alpha_of(mu: str) -> str:
     return mu.replace("mu", "alpha").removesuffix("_pa")
 
 
-def _coordinate(name: str, value: float) -> float:
+def coordinate(name: str, value: float) -> float:
+    """Return what theta holds of a parameter's value: its logarithm, but of alpha."""
     return value if dimension(name) == "exponent" else math.log(value)
 
 

@@ -23,6 +23,17 @@ def comparable_tuning(results: Results, insertions: int, paper_insertions: int |
     return _sentence(results, insertions, paper_insertions, way)
 
 
+def comparable_parameters(results: Results, printed: bool) -> str:
+    """Return the sentence for a row of the parameter table; `printed` where the paper has a value."""
+    if not printed:
+        return "The paper has no such value."
+    needles = "on a synthetic twin" if results.origin == "synthetic" else "on other needles"
+    return (
+        f"Same model, as far as the paper states it: ours fitted {needles}, the paper's tuned by hand on its "
+        "own real ones; a parameter has no noise floor."
+    )
+
+
 def _sentence(results: Results, insertions: int, paper_insertions: int, way: str) -> str:
     if (results.errors["comparison"] == "aligned").any():
         return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."

@@ -17,7 +17,8 @@ _AS_GOOD = (
     "is not determined, where starts may agree without the data knowing."
 )
 _ESTIMATES = (
-    "“Sd” is the Cramér-Rao bound, of ln for μ and b, of the value for α. μ is an effective foundation "
+    "“Sd” is the Cramér-Rao bound, of ln for μ and b, of the value for α; it stands where errors have their "
+    "noise floor, for of a parameter there is none. μ is an effective foundation "
     "modulus of this model, not a material constant."
 )
 _NOT_SAID_TWICE = re.compile(r"^not determined(?:: | \(([^()]*)\))")  # the column "Fitted" says it
@@ -51,8 +52,9 @@ def _parameters_display(table: list[Row]) -> Display:
     for row in table:
         begins = (row["study"], row["fold"]) != last
         breaks += [len(rows)] if begins and rows else []
-        last = (row["study"], row["fold"])
-        head = (str(row["study"]), str(row["fold"]) if folds else "") if begins else ("", "")
+        before, last = last and last[0], (row["study"], row["fold"])
+        named = "" if rows and row["study"] == before else str(row["study"])
+        head = (named, str(row["fold"]) if folds else "") if begins else ("", "")
         rows.append((*head, *_parameter(row), str(row["origin"]) if mixed else ""))
     columns = (
         *(text("Study"), text("Fold"), text("Parameter"), Column("Fitted")),
@@ -62,7 +64,8 @@ def _parameters_display(table: list[Row]) -> Display:
     printed = any(row["hand_tuned"] for row in table)
     ranged, metric = any(row[4] for row in rows), any(row["fitted_metric"] for row in table)
     said = (_AS_GOOD if ranged else "", _ESTIMATES, _BY_ERRORS if metric else "", _BY_HAND if printed else "")
-    notes = (" ".join(sentence for sentence in said if sentence),)
+    compared = dict.fromkeys(str(row["comparable"]) for row in table if row["hand_tuned"])
+    notes = (" ".join(sentence for sentence in said if sentence), *compared)
     caption = "Parameters, beside the paper’s." if printed else "Parameters."
     return without_empty(Display("parameters", caption, columns, tuple(rows), tuple(breaks), (), notes))
 

@@ -12,6 +12,7 @@ RIVAL_NAMES = {
     "straight": "straight line",
     "constant_curvature": "constant curvature",
     "linear_curvature": "curvature linear in arc length",
+    "truth": "the twin’s own parameters",
 }
 RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "fitted": "#0072B2",
@@ -21,7 +22,21 @@ RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "straight": "#8a8a8a",
     "constant_curvature": "#009E73",
     "linear_curvature": "#56B4E9",
+    "truth": "#1a1a1a",
 }
+CANDIDATE_NAMES = {
+    "ogden": "Ogden foundation",
+    "linear": "linear foundation",
+    "neo_hookean": "neo-Hookean foundation",
+    **{name: RIVAL_NAMES[name] for name in ("linear_curvature", "constant_curvature", "straight")},
+}
+WAY_NAMES = {
+    "inflated": "old posterior, inflated",
+    "new": "new insertions alone",
+    "none": "no update",
+}
+"""How a new medium is known in an adaptation."""
+WAY_COLOURS = {"inflated": "#0072B2", "new": "#009E73", "none": "#8a8a8a"}
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
@@ -34,6 +49,11 @@ def medium_name(name: str) -> str:
     """Return a medium as print has it: `phantom2` is "phantom 2"."""
     stem = name.rstrip("0123456789")
     return f"{stem} {name[len(stem) :]}".strip().replace("_", " ")
+
+
+def study_name(label: str | int) -> str:
+    """Return "study 3" for the paper's third; another study by its own name."""
+    return f"study {label}" if isinstance(label, int) else str(label)
 
 
 def layers_name(layers: int) -> str:

@@ -4,6 +4,7 @@ from collections.abc import Callable
 
 import pandas as pd
 
+from needlefit.reporting.comparability import comparable_parameters
 from needlefit.reporting.numbers import number
 from needlefit.reporting.tables import Row, records, study_label
 from needlefit.validation.results import Results
@@ -14,7 +15,7 @@ _COLUMNS = (
     *("study", "medium", "fold", "parameter", "fitted", "determined", "status"),
     *("sd", "sd_of", "spread_low", "spread_high", "bound_low", "bound_high", "value_used"),
     *("fitted_metric", "fitted_metric_value_used"),
-    *("hand_tuned", "hand_tuned_b", "hand_tuned_b_value_used", "note", "origin"),
+    *("hand_tuned", "hand_tuned_b", "hand_tuned_b_value_used", "note", "comparable", "origin"),
 )
 
 
@@ -25,7 +26,9 @@ def parameters_table(*results: Results) -> pd.DataFrame:
     `hand_tuned_b` (that set with b alone re-tuned) are as printed: a parameter that the data cannot
     determine reads "not determined", in both fits alike. `value_used` is the number
     that the predictions of this run were made with; where `determined` is false it is one of many that do
-    as well, and no estimate. `sd` is of ln for moduli and lengths, of the value for alpha (`sd_of`).
+    as well, and no estimate. `sd` is of ln for moduli and lengths, of the value for alpha (`sd_of`); it
+    stands where errors have their noise floor, for of a parameter there is none. `comparable` says what
+    makes ours and the paper's comparable or not.
     """
     return pd.DataFrame([row for one in results for row in _rows(one)], columns=_COLUMNS)
 
@@ -64,6 +67,7 @@ def _rows(results: Results) -> list[Row]:
             | {"value_used": ours["value"], "hand_tuned": _printed(cells.get(("hand_tuned", fold, name)))}
             | {"hand_tuned_b": _printed(retuned)}
             | {"hand_tuned_b_value_used": None if retuned is None else retuned["value"]}
+            | {"comparable": comparable_parameters(results, ("hand_tuned", fold, name) in cells)}
             | {"origin": results.origin}
         )
     return rows

@@ -1,11 +1,14 @@
 """Our rows beside the paper's, as frames: what the CSV files, `--json` and the printed tables hold."""
 
 import math
+from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
 
 from needlefit.reporting.comparability import comparable_tuning, comparable_validation
+from needlefit.reporting.readings import regrouped, reread
 from needlefit.validation import paper
 from needlefit.validation.results import FLOORS, METRICS, RIVALS, Results
 from needlefit.validation.summary import aggregate
@@ -13,28 +16,40 @@ from needlefit.validation.summary import aggregate
 _KEYS = ("study", "validate_medium", "validate_layers")
 _COUNTS = ("insertions", "not_converged", "edp_flagged", "edp_unflagged_percent")
 _BY = ("role", "rival", "boundaries", "medium", "layers")
+_ABOUT = ("reading", "reread", "comparable", "comparison", "origin")
+_RATIOS = [f"{floor.removeprefix('floor_').removesuffix('_mm')}_over_floor" for floor in FLOORS]
+_POOLED_RATIOS = ["pooled_ipe_mean_over_floor", "pooled_te_over_floor"]
+"""Of all points together the floor's median and maximum are others than the mean of each insertion's."""
 
 Row = dict[str, Any]
 
 
-def validation_table(*results: Results) -> pd.DataFrame:
+def validation_table(*results: Results, both: bool = False) -> pd.DataFrame:
     """Return one row per held-out group: ours, its noise floor, other ways of scoring it, the paper's.
 
     The first columns are those of the paper's validation table (fitted model, measured boundaries, mean
-    over insertions). `floor_*` is what perfect parameters would still show; `planned_*` the same score
-    with boundaries from the planned straight path, because the measured crossings of a held-out insertion
-    leak its outcome; `pooled_*` the statistics of all points together; `<rival>_ipe_mean_mm` and
-    `<rival>_te_mm` the rivals; `paper_*` the paper's cell, blank where it has none; `comparable` says what
-    makes the two comparable or not.
+    over insertions). `floor_*` is what perfect parameters would still show, `*_over_floor` the error as a
+    multiple of that; `planned_*` the same score with boundaries from the planned straight path, because the
+    measured crossings of a held-out insertion leak its outcome; `pooled_*` the statistics of all points
+    together; `<rival>_ipe_mean_mm` and `<rival>_te_mm` the rivals; `paper_*` the paper's cell, blank where
+    it has none; `comparable` says what makes the two comparable or not.
+
+    With `both`, groups that the two readings of the number of layers fill differently stand there once
+    more (`reread`), by the other `reading`: the same fit and predictions in other groups.
     """
-    return _frame([row for one in results for row in _validation_rows(one)], _validation_columns())
+    rows = [row for one in results for row in _read(one, _validation_rows, "validate", both)]
+    return _frame(rows, _validation_columns())
 
 
-def tuning_table(*results: Results) -> pd.DataFrame:
-    """Return the in-sample errors of every fit by layers and by media, beside the paper's tuned models."""
-    columns = [*("study", "by", "medium", "layers"), *METRICS, *_COUNTS, *FLOORS]
-    columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions", "comparable", "comparison", "origin"]
-    return _frame([row for one in results for row in _tuning_rows(one)], columns)
+def tuning_table(*results: Results, both: bool = False) -> pd.DataFrame:
+    """Return the in-sample errors of every fit by layers and by media, beside the paper's tuned models.
+
+    `both` as in `validation_table`.
+    """
+    columns = [*("study", "by", "medium", "layers"), *METRICS, *_COUNTS, *FLOORS, *_RATIOS]
+    columns += [f"pooled_{m}" for m in METRICS] + _POOLED_RATIOS
+    columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions", *_ABOUT]
+    return _frame([row for one in results for row in _read(one, _tuning_rows, "tune", both)], columns)
 
 
 def records(frame: pd.DataFrame) -> list[Row]:
@@ -48,11 +63,27 @@ def study_label(results: Results) -> str | int:
     return results.name if number is None else int(number)
 
 
+def over_floor(row: Row, error: str) -> float | None:
+    """Return an error of a row, such as "te_mm" or "pooled_te_mm", as a multiple of its noise floor."""
+    metric = next(name for name in METRICS if error.endswith(name))
+    ours, floor = row.get(error), row.get(f"floor_{metric}")
+    return None if ours is None or not floor else ours / floor
+
+
+def _read(results: Results, rows_of: Callable[[Results], list[Row]], role: str, both: bool) -> Iterator[Row]:
+    """Yield the rows by the study's reading, then those that the other one makes different, if wanted."""
+    groups = regrouped(results, role) if both else set()
+    for one in (results, *([reread(results)] if groups else [])):
+        for row in rows_of(one):
+            medium, layers = (row.get(f"validate_{key}", row.get(key)) for key in ("medium", "layers"))
+            if one is results or (medium, layers) in groups:
+                ratios = {name: over_floor(row, f"{name.removesuffix('_over_floor')}_mm") for name in _RATIOS}
+                ratios |= {n: over_floor(row, f"{n.removesuffix('_over_floor')}_mm") for n in _POOLED_RATIOS}
+                yield {**row, **ratios, "reading": one.record.reading, "reread": one is not results}
+
+
 def _validation_rows(results: Results) -> list[Row]:
-    macro, pooled = (
-        [row for row in records(aggregate(results, _BY, how)) if row["role"] == "validate"]
-        for how in ("macro", "pooled")
-    )
+    macro, pooled = _aggregated(results, _BY, "validate")
     rows = []
     for ours in _pick(macro, "fitted", "measured"):
         same = {"medium": ours["medium"], "layers": ours["layers"]}
@@ -69,11 +100,11 @@ def _validation_rows(results: Results) -> list[Row]:
 
 
 def _validation_columns() -> list[str]:
-    columns = [*_KEYS, *METRICS, *_COUNTS, *FLOORS]
-    columns += [f"{way}_{m}" for way in ("planned", "pooled") for m in METRICS]
+    columns = [*_KEYS, *METRICS, *_COUNTS, *FLOORS, *_RATIOS]
+    columns += [f"{way}_{m}" for way in ("planned", "pooled") for m in METRICS] + _POOLED_RATIOS
     columns += [f"{rival}_{m}" for rival in RIVALS[1:] for m in _compared(rival)]
     columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions"]
-    return [*columns, "comparable", "comparison", "origin"]
+    return [*columns, *_ABOUT]
 
 
 def _rivals(macro: list[Row], same: Row) -> Row:
@@ -104,8 +135,8 @@ def _paper_row(results: Results, ours: Row) -> Row:
 def _tuning_rows(results: Results) -> list[Row]:
     rows = []
     for by, keys in (("layers", ("medium", "layers")), ("media", ("medium",))):
-        grouped = records(aggregate(results, ("role", "rival", "boundaries", *keys)))
-        for ours in _pick([row for row in grouped if row["role"] == "tune"], "fitted", "measured"):
+        macro, pooled = _aggregated(results, ("role", "rival", "boundaries", *keys), "tune")
+        for ours in _pick(macro, "fitted", "measured"):
             match = {key: ours[key] for key in keys}
             listed = [r["insertions"] for r in _matching("insertions", match)]
             printed = _matching("tuning_by_layers" if by == "layers" else "tuning_by_media", match)
@@ -114,11 +145,23 @@ def _tuning_rows(results: Results) -> list[Row]:
                 {"study": study_label(results), "by": by, "medium": ours["medium"]}
                 | {"layers": ours.get("layers")}
                 | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOORS)}
+                | _prefixed("pooled", _pick(pooled, "fitted", "measured", **match), METRICS)
                 | _prefixed("paper", printed, METRICS)
                 | {"paper_insertions": count, "comparison": _comparison(results), "origin": results.origin}
                 | {"comparable": comparable_tuning(results, ours["insertions"], count)}
             )
     return rows
+
+
+def _aggregated(results: Results, by: tuple[str, ...], role: str) -> tuple[list[Row], list[Row]]:
+    """Return the rows of a role: means over insertions of every rival, all points pooled of the fit."""
+    here = replace(results, errors=results.errors[results.errors["role"] == role])
+    fitted = replace(
+        here,
+        errors=here.errors[here.errors["rival"] == "fitted"],
+        shapes=results.shapes[(results.shapes["role"] == role) & (results.shapes["rival"] == "fitted")],
+    )
+    return records(aggregate(here, by)), records(aggregate(fitted, by, "pooled"))
 
 
 def _matching(name: paper.Table, match: Row) -> list[Row]:

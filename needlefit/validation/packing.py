@@ -12,7 +12,7 @@ import pandas as pd
 from needlefit.errors import DataError
 
 NAME = "results.json.gz"
-FORMAT = 1
+FORMAT = 2
 """Of the file; another number is refused."""
 
 
@@ -37,7 +37,7 @@ def unpack(folder: Path) -> dict[str, Any]:
         raise DataError(
             "holds no stored results",
             where=str(folder),
-            expected=f"{NAME}, which `needlefit tune` and `needlefit validate` write",
+            expected=f"{NAME}, which needlefit writes into each run",
             mend="name such a run; what an earlier version wrote must be run again",
         )
     try:

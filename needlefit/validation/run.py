@@ -5,11 +5,8 @@ import time
 from dataclasses import dataclass
 
 import numpy as np
-import pandas as pd
 
-from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor, noise_floor
-from needlefit.datasets.select import layers_of
 from needlefit.errors import FitError
 from needlefit.inference.identifiability.examine import Examination, examine
 from needlefit.inference.identifiability.identify import practically_equal
@@ -21,13 +18,20 @@ from needlefit.project.records.study import StudyRecord
 from needlefit.project.streams import stream
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
+from needlefit.validation.division import division
 from needlefit.validation.folds import Fold
-from needlefit.validation.heldout import drawn, foretold
+from needlefit.validation.heldout import drawn, foreseen
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.placed import Known, PlacedNeedle, place
 from needlefit.validation.results import COLUMNS, Results
 from needlefit.validation.score import Scorer
-from needlefit.validation.tabulate import Tables, tabulate, tabulate_posterior
+from needlefit.validation.tabulate import (
+    Tables,
+    tabulate,
+    tabulate_draws,
+    tabulate_foreseen,
+    tabulate_posterior,
+)
 
 __all__ = ["Settings", "run"]
 
@@ -63,8 +67,9 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         if fold.name in tables.verdicts:
             known = Known(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
             needles |= place(job, fold, known, settings.jobs)
-            if fold.validate:
-                tables.predictive += foretold(job, fold, drawn(job, fold, known, settings.jobs))
+            few, many = drawn(job, fold, known, settings.jobs)
+            tabulate_draws(job, fold, many, tables)
+            tabulate_foreseen(foreseen(job, fold, few), tables)
         if interrupted:
             break
     return Results(
@@ -74,7 +79,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         record=record,
         origin=job.dataset.origin,
         dataset_title=job.dataset.title or job.dataset.name,
-        design=_design(job),
+        design=division(job),
         **{frame: tables.frame(frame) for frame in COLUMNS if frame != "design"},
         posteriors=tables.posteriors,
         needles=needles,
@@ -160,27 +165,3 @@ def _floors(job: Job) -> dict[str, NoiseFloor]:
         )
         for insertion in job.insertions
     }
-
-
-def _design(job: Job) -> pd.DataFrame:
-    """Return how many insertions of which depths tune and validate; folds share their insertions."""
-    groups: dict[tuple[str, str, int], dict[str, Insertion]] = {}
-    for fold in job.folds:
-        for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
-            for insertion in insertions:
-                key = (role, insertion.medium, layers_of(insertion, job.record.reading))
-                groups.setdefault(key, {})[insertion.id] = insertion
-    rows = [
-        {
-            "role": role,
-            "medium": medium,
-            "layers": layers,
-            "insertions": len(members),
-            "depth_min_mm": min(i.depth for i in members.values()),
-            "depth_max_mm": max(i.depth for i in members.values()),
-        }
-        for (role, medium, layers), members in groups.items()
-    ]
-    return pd.DataFrame(rows, columns=list(COLUMNS["design"])).sort_values(
-        ["role", "medium", "layers"], ascending=[True, True, False], ignore_index=True
-    )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.datasets.select import layers_of
+from needlefit.datasets.select import layers_of, other_reading
 from needlefit.geometry.compare import compare
 from needlefit.inference.comparison import Curve, curve_of, scored_points
 from needlefit.inference.predict import predict
@@ -92,6 +92,7 @@ class Scorer:
             "medium": insertion.medium,
             "specimen": insertion.specimen,
             "layers": layers_of(insertion, self.reading),
+            "layers_other": layers_of(insertion, other_reading(self.reading)),
             "depth_mm": insertion.depth,
             "comparison": "world" if self.dataset.pose == "known" else "aligned",
             **floor,

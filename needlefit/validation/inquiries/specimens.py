@@ -15,13 +15,10 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.stats import halfnorm
 
-from needlefit.datasets.insertion import Insertion
-from needlefit.errors import ConfigError, FitError
+from needlefit.errors import ConfigError
 from needlefit.inference.identifiability.information import combination
-from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.specimens import (
-    KERNELS,
     Population,
     Specimen,
     best_told,
@@ -29,16 +26,14 @@ from needlefit.inference.specimens import (
     shortest,
     specimen,
 )
-from needlefit.inference.weighing.about_fit import of_fit
-from needlefit.inference.weighing.importance import Effort
 from needlefit.project.records.specimens import RecoveryRecord, SpecimensRecord
 from needlefit.project.streams import stream
-from needlefit.validation.calibration.measured import measured
 from needlefit.validation.coverage import wilson
 from needlefit.validation.folds import groups
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
 from needlefit.validation.inquiries.learned import learn
+from needlefit.validation.inquiries.made_up import inferred, made_up
 from needlefit.validation.inquiries.pieces import Piece, Rows
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.score import Row
@@ -50,17 +45,8 @@ LEVELS = (0.50, 0.95)
 BEST_TOLD = "best_told"
 """The combination of parameters that specimens tell best."""
 
-STARTS, EFFORT = 2, Effort(draws=120, enough=150.0)
-"""Of each made-up specimen: its search, and the weighing of its posterior."""
-
-POINTS = 30
-"""At which a made-up needle is measured, about."""
-
 NEW = 4000
 """Further specimens that are drawn of a population."""
-
-ATTEMPTS = 100
-"""Draws of a specimen among which one must have a solution."""
 
 _WHAT = ("groups", "what", "parameter", "combination")
 _ENDS = ("median", "low_50", "high_50", "low_95", "high_95")
@@ -227,8 +213,8 @@ def _recovered(job: Job, record: SpecimensRecord, recovery: RecoveryRecord, at: 
     mean = job.parameters.theta({**job.parameters.fixed, **recovery.mean})
     known = []
     for _ in range(recovery.specimens):
-        problem = _made(job, mean, spread, rng)
-        known.append(_inferred(job, problem, rng))
+        problem = made_up(job, mean, spread, rng)
+        known.append(inferred(job, problem, rng))
     told = _population(everything, known, record, rng)
     truths = dict(zip(everything.names, mean.tolist(), strict=True))
     rows = []
@@ -239,47 +225,6 @@ def _recovered(job: Job, record: SpecimensRecord, recovery: RecoveryRecord, at: 
         kept = {key: row[key] for key in ("what", "parameter", *_ENDS, "pareto_k", "certified")}
         rows.append({"spread": spread, "replicate": number + 1, "truth": truth, **kept})
     return {"recovered": rows}
-
-
-def _made(job: Job, mean: Floats, spread: float, rng: np.random.Generator) -> Problem:
-    """Return the problem of one specimen drawn about the mean, its needles measured with errors as stated.
-
-    Raises
-    ------
-    FitError
-        If hardly any such specimen has a solution.
-    """
-    everything = job.problem(job.folds[0])
-    for _ in range(ATTEMPTS):
-        theta = mean + spread * rng.standard_normal(len(mean))
-        if np.any(theta < everything.lower) or np.any(theta > everything.upper):
-            continue
-        values = everything.values(theta)
-        seen = [measured(job.dataset, _thinned(one), values, job.medium, rng) for one in job.folds[0].tune]
-        known = tuple(one for one in seen if one is not None)
-        if len(known) == len(seen):
-            return replace(everything, insertions=known)
-    raise FitError(
-        "specimens about this mean have no solution, or lie outside the bounds",
-        where="recovery",
-        mend="choose a mean farther within the bounds, or smaller spreads",
-    )
-
-
-def _thinned(insertion: Insertion) -> Insertion:
-    """Return an insertion with about `POINTS` of its points: neighbours err alike."""
-    step = max(1, len(insertion.planar) // POINTS)
-    kept = np.arange(len(insertion.planar) - 1, -1, -step)[::-1]
-    sd = None if insertion.sd is None else insertion.sd[kept]
-    return replace(insertion, planar=insertion.planar[kept], sd=sd)
-
-
-def _inferred(job: Job, problem: Problem, rng: np.random.Generator) -> Specimen:
-    """Return the posterior of a made-up specimen; nothing of it is known before."""
-    recipe = job.recipe.model_copy(update={"starts": STARTS, "minimize": "posterior"})
-    found = of_fit(problem, minimize(problem, recipe, rng), rng, 1, EFFORT)
-    chosen = rng.choice(len(found.thetas), size=KERNELS, p=np.exp(found.log_weights))
-    return specimen(found.thetas[chosen])
 
 
 def _conclude(frames: Frames) -> tuple[str, ...]:

@@ -1,0 +1,83 @@
+"""Errors on held-out needles against the number of insertions learned from."""
+
+from pathlib import Path
+
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
+
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
+from needlefit.reporting.names import INK, WAY_COLOURS, WAY_NAMES
+from needlefit.reporting.tables import Row, records
+from needlefit.validation.inquiries.answer import Answer
+
+_PANELS = (
+    ("te", "tip error (mm)"),
+    ("ipe_mean", "in-plane error (mm)"),
+    ("tip_crps", "CRPS of the tip (mm)"),
+    ("tip_in_95", "tips in their 95 % interval"),
+)
+_FLOORS = ("te", "ipe_mean")
+"""What has a noise floor, in the order of the panels."""
+
+
+def draw_curves(answer: Answer, path: Path) -> Path:
+    """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
+    errors = answer.frames["errors"]
+    floors = {f"floor_{stem}_mm": errors[f"floor_{stem}_mm"].astype(float).mean() for stem in _FLOORS}
+    return plot(path, answer.frames["adaptation"].assign(**floors, origin=answer.origin), _paint)
+
+
+def _paint(frame: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(WIDTH, 4.4))
+    panels = figure.subplots(2, 2, sharex=True).ravel()
+    rows = records(frame)
+    for axes, (stem, words) in zip(panels, _PANELS, strict=True):
+        for way in WAY_NAMES:
+            _line(axes, [row for row in rows if row["way"] == way], stem, WAY_COLOURS[way])
+        axes.set_ylabel(words)
+        light_grid(axes, "y")
+        if stem == "tip_in_95":
+            axes.axhline(0.95, color=INK, lw=0.9, ls=(0, (2, 1.5)))
+            axes.set_ylim(-0.05, 1.05)
+        else:
+            axes.set_yscale("log")
+    for axes, stem in zip(panels, _FLOORS, strict=False):
+        floor = rows[0][f"floor_{stem}_mm"]
+        axes.axhline(floor, color=INK, lw=0.9, ls=(0, (2, 1.5)))
+        at = {"xytext": (-1, 2), "textcoords": "offset points", "fontsize": 6.5}
+        axes.annotate("noise floor", (axes.get_xlim()[1], floor), ha="right", color=INK, **at)
+    for axes in panels[:3]:
+        _ticks(axes)
+    for axes in panels[2:]:
+        axes.set_xlabel("insertions into the new medium")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    _names(panels[0], rows)
+    label_origin(figure, is_synthetic(frame))
+    return figure
+
+
+def _line(axes: Axes, rows: list[Row], stem: str, colour: str) -> None:
+    n = [row["n"] for row in rows]
+    mean = [row[stem if stem.endswith("95") else f"{stem}_mm"] for row in rows]
+    if f"{stem}_min_mm" in rows[0]:
+        low, high = ([row[f"{stem}_{end}_mm"] for row in rows] for end in ("min", "max"))
+        axes.fill_between(n, low, high, color=colour, alpha=0.18, lw=0)
+    axes.plot(n, mean, "o-", ms=3.5, lw=1.2, color=colour, mec="white", mew=0.4, zorder=3)
+
+
+def _ticks(axes: Axes) -> None:
+    """Write plain numbers, as many as a decade needs to be read."""
+    low, high = axes.get_ylim()
+    steps = (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
+    ticks = [t for power in range(-3, 3) for t in (k * 10.0**power for k in steps) if low <= t <= high]
+    axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
+    axes.set_yticks([], minor=True)
+
+
+def _names(axes: Axes, rows: list[Row]) -> None:
+    """Name every line over its last point."""
+    for way, name in WAY_NAMES.items():
+        axes.plot([], [], "o-", ms=3.5, lw=1.2, color=WAY_COLOURS[way], label=name)
+    axes.figure.legend(loc="outside upper left", ncols=3, handletextpad=0.4, columnspacing=1.4)

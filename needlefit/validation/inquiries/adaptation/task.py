@@ -1,0 +1,137 @@
+"""The sides of an adaptation: what is old, new and held out, and in which orders the rest comes."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from math import factorial
+
+import numpy as np
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.errors import ConfigError
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.transfer import inflated
+from needlefit.project.records.adaptation import AdaptationRecord, BetweenRecord, SideRecord
+from needlefit.project.records.fit import FitRecord
+from needlefit.project.streams import stream
+from needlefit.validation.inquiries.learned import Learned, learn
+from needlefit.validation.job import Job, Settings, prepare
+
+
+@dataclass(frozen=True)
+class Task:
+    """What all pieces share.
+
+    Attributes
+    ----------
+    record : AdaptationRecord
+    settings : Settings
+    old, new : Job
+    held_out : tuple of Insertion
+        New ones that never teach.
+    teaching : mapping
+        The other new ones, by id.
+    orders : tuple of tuple of str
+        Orders of their ids, all different.
+    """
+
+    record: AdaptationRecord
+    settings: Settings
+    old: Job
+    new: Job
+    held_out: tuple[Insertion, ...]
+    teaching: Mapping[str, Insertion]
+    orders: tuple[tuple[str, ...], ...]
+
+    @property
+    def counts(self) -> tuple[int, ...]:
+        """How many insertions are learned from, ascending."""
+        given = self.record.counts
+        return tuple(range(len(self.teaching) + 1)) if given is None else tuple(sorted(set(given)))
+
+    @property
+    def sets(self) -> tuple[tuple[str, ...], ...]:
+        """The different sets that the first insertions of the orders make: what they teach has no order."""
+        return tuple(dict.fromkeys(first(order, n) for n in self.counts for order in self.orders))
+
+    @cached_property
+    def before(self) -> Learned:
+        """What is known of the old medium; computed once, the same in every process."""
+        (fold,) = self.old.folds
+        return learn(self.old, self.old.problem(fold), (fold.name,), self.settings)
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """The new medium's parameters, the inflated old posterior in place of what the medium states."""
+        spread = {name: _spread(name, self.record.between) for name in self.new.parameters.free}
+        fit, thetas = self.before.fit.values, self.before.draws.thetas
+        prior = inflated(self.old.parameters, fit, thetas, self.new.parameters, spread)
+        return replace(self.new.parameters, prior=prior)
+
+
+def first(order: tuple[str, ...], n: int) -> tuple[str, ...]:
+    """Return the first `n` of an order, as a set has them: sorted."""
+    return tuple(sorted(order[:n]))
+
+
+def task_of(name: str, record: AdaptationRecord, settings: Settings) -> Task:
+    """Return the task that a record states.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything it names is missing or wrong.
+    """
+    old = prepare(f"{name} old", _fit(record, record.old), settings)
+    new = prepare(f"{name} new", _fit(record, record.new), settings)
+    there = {insertion.id: insertion for insertion in new.insertions}
+    teaching = {one: insertion for one, insertion in there.items() if one not in record.new.held_out}
+    fault = _fault(record, old, there, len(teaching))
+    if fault:
+        raise ConfigError(
+            fault,
+            where=f"study {name}",
+            expected="new insertions, some held out and enough left to learn from",
+        )
+    held_out = tuple(there[one] for one in record.new.held_out)
+    rng = stream(new.recipe.seed, name, "orders")
+    return Task(record, settings, old, new, held_out, teaching, orders(tuple(teaching), record.orders, rng))
+
+
+def orders(names: tuple[str, ...], count: int, rng: np.random.Generator) -> tuple[tuple[str, ...], ...]:
+    """Return so many different orders, or all there are: random ones, each with its rotations.
+
+    So every insertion comes first equally often, which a few independent orders would leave to chance.
+    """
+    found: dict[tuple[str, ...], None] = {}
+    while len(found) < min(count, factorial(len(names))):
+        drawn = [names[k] for k in rng.permutation(len(names))]
+        found |= {(*drawn[k:], *drawn[:k]): None for k in range(len(drawn))}
+    return tuple(found)[:count]
+
+
+def _fit(record: AdaptationRecord, side: SideRecord) -> FitRecord:
+    named = {"dataset": record.dataset, "medium": side.medium, "recipe": record.recipe}
+    table = {"schema": 1, **named, "reading": record.reading, "tune": side.insertions}
+    return FitRecord.model_validate(table)
+
+
+def _fault(record: AdaptationRecord, old: Job, there: Mapping[str, Insertion], left: int) -> str:
+    """Return what cannot be of a record's selections; nothing if all can."""
+    unknown = [one for one in record.new.held_out if one not in there]
+    if unknown:
+        return f"held_out names {', '.join(unknown)}, which [new] does not select"
+    both = sorted(there.keys() & {insertion.id for insertion in old.insertions})
+    if both:
+        return f"{', '.join(both)} would be both old and new"
+    most = max(record.counts or (1,))
+    if most > left:
+        return f"{left} new insertions are left to learn from, of {most} asked for"
+    if old.recipe.minimize != "posterior":
+        return "a fit by errors alone has no posterior to carry over"
+    return ""
+
+
+def _spread(parameter: str, between: BetweenRecord) -> float:
+    kinds = {"mu": between.ln_mu_sd, "alpha": between.alpha_sd, "bevel": between.ln_bevel_sd}
+    return next((sd for kind, sd in kinds.items() if parameter.startswith(kind)), 0.0)

@@ -1,0 +1,141 @@
+"""What a new specimen costs: how it is counted, the prior of an old medium, and a medium that is not new."""
+
+import numpy as np
+import pytest
+
+from needlefit.errors import ConfigError
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.transfer import LEAST, inflated
+from needlefit.project.records.adaptation import AdaptationRecord
+from needlefit.project.records.fit import FitRecord
+from needlefit.validation.folds import Fold
+from needlefit.validation.inquiries.adaptation.reached import drawn_again, gained, reached
+from needlefit.validation.inquiries.adaptation.task import Task, orders
+from needlefit.validation.inquiries.adaptation.verb import plan
+from needlefit.validation.inquiries.answered import answered
+from needlefit.validation.job import Job, Settings
+from tests.inference_cases import dataset, insertion, measure, medium, squares_recipe
+
+COUNTS = (0, 1, 2, 3)
+
+
+def test_a_count_is_the_first_from_which_on_the_mean_stays_within_the_limit():
+    # the mean is 5, 1, 3, 1: one insertion is enough for a moment, three are for good
+    curves = np.array([[6.0, 1.0, 4.0, 1.0], [4.0, 1.0, 2.0, 1.0]])
+    again = drawn_again(2, np.random.default_rng(1))
+    assert reached(curves, COUNTS, 2.5, again).value == 3
+    assert reached(curves, COUNTS, 3.0, again).value == 1
+    assert reached(curves, COUNTS, 5.0, again).value == 0
+    never = reached(curves, COUNTS, 0.5, again)
+    assert (never.value, never.low, never.high) == (np.inf, np.inf, np.inf)
+
+
+def test_the_interval_of_a_count_is_what_other_orders_would_have_given():
+    # with the first order alone one insertion is enough, with the second alone two
+    curves = np.array([[9.0, 1.0, 1.0], [9.0, 5.0, 1.0]])
+    found = reached(curves, (0, 1, 2), 2.0, drawn_again(2, np.random.default_rng(1)))
+    assert (found.value, found.low, found.high) == (2, 1, 2)
+
+
+def test_a_gain_is_paired_order_by_order():
+    # orders differ by far more than the ways do, which leaves the difference sure
+    rivals = np.array([1.0, 10.0, 100.0])
+    found = gained(rivals - 0.5, rivals, drawn_again(3, np.random.default_rng(1)))
+    assert (found.value, found.low, found.high) == pytest.approx((0.5, 0.5, 0.5))
+
+
+def test_every_insertion_comes_first_in_one_of_as_many_orders():
+    names = ("a", "b", "c", "d")
+    drawn = orders(names, 4, np.random.default_rng(3))
+    assert sorted(order[0] for order in drawn) == sorted(names)
+    assert len(set(orders(("a", "b", "c"), 99, np.random.default_rng(3)))) == 6  # all there are
+
+
+def test_an_inflated_prior_is_the_old_posterior_widened_by_twice_the_spreads_square():
+    old = Parameters.from_record(medium(layers=1))
+    rng = np.random.default_rng(5)
+    covariance = np.array([[0.4, -0.1], [-0.1, 0.05]])
+    centre = old.theta({"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08})
+    thetas = centre + rng.multivariate_normal([0.0, 0.0], covariance, size=20000)
+    fit = old.values(centre)
+    same = inflated(old, fit, thetas, old, {})
+    wider = inflated(old, fit, thetas, old, {"mu1_pa": 0.6, "bevel_mm": 0.2})
+    assert same.mean == pytest.approx(centre)
+    found, more = (np.linalg.inv(prior.information(old.free)) for prior in (same, wider))
+    assert found == pytest.approx(covariance, abs=0.02)
+    assert more - found == pytest.approx(np.diag([2 * 0.6**2, 2 * 0.2**2]), abs=1e-9)
+
+
+def test_layers_that_the_old_medium_ties_may_differ_in_the_new_one():
+    old = Parameters.from_record(medium(layers=2, mu2_pa={"tie": "2 * mu1_pa"}))
+    new = Parameters.from_record(medium(layers=2))
+    fit = old.values(old.theta({"mu1_pa": 1e5, "bevel_mm": 0.1}))
+    thetas = np.array([old.theta(fit), old.theta({**fit, "mu1_pa": 1.2e5})])
+    prior = inflated(old, fit, thetas, new, {"mu1_pa": 0.5, "mu2_pa": 0.5})
+    assert dict(zip(prior.names, np.exp(prior.mean), strict=True)) == pytest.approx(
+        {"mu1_pa": 1e5, "mu2_pa": 2e5, "bevel_mm": 0.1}
+    )
+    cov = np.linalg.inv(prior.information(new.free))
+    together = np.log(1.2) ** 2 / 2
+    assert cov[0, 1] == pytest.approx(together)
+    assert cov[1, 1] == pytest.approx(together + 2 * 0.5**2 + LEAST**2)
+
+
+def test_media_without_a_common_parameter_and_bounds_that_miss_the_old_fit_are_refused():
+    old = Parameters.from_record(medium(layers=1))
+    fit = old.values(old.theta({"mu1_pa": 3e5, "bevel_mm": 0.08}))
+    narrow = Parameters.from_record(medium(layers=1, mu1_pa={"bounds": [1e6, 1e8]}))
+    with pytest.raises(ConfigError, match="mu1_pa of the old medium"):
+        inflated(old, fit, old.theta(fit)[None], narrow, {})
+    nothing = old.with_only((), fit)
+    with pytest.raises(ConfigError, match="no parameter in common"):
+        inflated(old, fit, old.theta(fit)[None], nothing, {})
+
+
+TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
+
+
+def _job(name, insertions, every):
+    record = medium(layers=1)
+    fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "test"})
+    recipe = squares_recipe(starts=2)
+    parameters = Parameters.from_record(record)
+    return Job(name, fit, dataset(every), record, parameters, recipe, None, (Fold("all", insertions, ()),))
+
+
+@pytest.fixture(scope="module")
+def not_new():
+    """The old posterior carried over to the same medium, no spread between them; needles without errors."""
+    planned = [insertion(30.0 + 6 * k, side=(1, -1)[k % 2]) for k in range(6)]
+    made = tuple(measure(TRUTH, medium(layers=1), one, points=41) for one in planned)
+    sides = {"medium": "test", "insertions": {}}
+    table = {"schema": 1, "kind": "adaptation", "dataset": "cases", "old": sides}
+    table |= {"new": {**sides, "held_out": ("x",)}, "counts": (0, 1)}
+    table["between"] = {"ln_mu_sd": 0, "ln_bevel_sd": 0, "source": "none"}
+    record = AdaptationRecord.model_validate(table)
+    old, new = _job("old", made[:3], made), _job("new", made[3:], made)
+    teaching = {one.id: one for one in made[3:4]}
+    task = Task(record, Settings(), old, new, made[4:], teaching, (tuple(teaching),))
+    return answered("same", record, Settings(), plan(task))
+
+
+def test_a_medium_that_is_not_new_costs_nothing(not_new):
+    table = not_new.frames["reached"]
+    counts = table[table["target"] == "floor"].set_index(["way", "measure"])["n"]
+    assert counts["none", "te_mm"] == 0
+    assert counts["inflated", "te_mm"] == 0
+    assert counts["new", "te_mm"] == 1
+    errors = not_new.frames["adaptation"].set_index(["way", "n"])["te_mm"]
+    assert errors["none", 0] < 1e-3
+    assert errors["inflated", 0] == pytest.approx(errors["none", 0], abs=1e-6)
+    assert not_new.faults == ()
+
+
+def test_without_spread_and_new_data_the_inflated_posterior_is_the_old_one(not_new):
+    scores = not_new.frames["adaptation"].set_index(["way", "n"])["tip_crps_mm"]
+    assert scores["inflated", 0] == pytest.approx(scores["none", 0], rel=0.2)  # as a Gaussian
+
+
+def test_what_is_held_out_never_teaches(not_new):
+    assert set(not_new.frames["errors"]["insertion"]) == {"at54", "at60"}
+    assert set(not_new.frames["fits"]["learned_from"]) == {"nothing", "at48"}
