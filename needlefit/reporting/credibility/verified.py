@@ -47,7 +47,7 @@ def discretisation(case: Case) -> Told:
     parts = []
     for one in case.counted("verification"):
         measured = one.run["rules"]["element"]
-        used = {results.run["rules"]["element_mm"] for results in case.results}
+        used = {results.run.get("rules", {}).get("element_mm", math.nan) for results in case.results}
         if used == {measured}:
             parts.append(_verified(one, (Group.REFINEMENT,)))
             continue
