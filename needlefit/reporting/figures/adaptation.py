@@ -43,12 +43,13 @@ def _paint(frame: pd.DataFrame) -> Figure:
             axes.set_ylim(-0.05, 1.05)
         else:
             axes.set_yscale("log")
-            _ticks(axes)
     for axes, stem in zip(panels, _FLOORS, strict=False):
         floor = rows[0][f"floor_{stem}_mm"]
         axes.axhline(floor, color=INK, lw=0.9, ls=(0, (2, 1.5)))
         at = {"xytext": (-1, 2), "textcoords": "offset points", "fontsize": 6.5}
         axes.annotate("noise floor", (axes.get_xlim()[1], floor), ha="right", color=INK, **at)
+    for axes in panels[:3]:
+        _ticks(axes)
     for axes in panels[2:]:
         axes.set_xlabel("insertions into the new medium")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -69,7 +70,8 @@ def _line(axes: Axes, rows: list[Row], stem: str, colour: str) -> None:
 def _ticks(axes: Axes) -> None:
     """Write plain numbers, as many as a decade needs to be read."""
     low, high = axes.get_ylim()
-    ticks = [t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if low <= t <= high]
+    steps = (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
+    ticks = [t for power in range(-3, 3) for t in (k * 10.0**power for k in steps) if low <= t <= high]
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_yticks([], minor=True)
 
