@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import INK, WAY_COLOURS, WAY_NAMES
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
@@ -21,13 +22,13 @@ _PANELS = (
 
 def draw_curves(answer: Answer, path: Path) -> Path:
     """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
-    return draw(path, lambda: _paint(answer))
+    return plot(path, answer.frames["adaptation"].assign(origin=answer.origin), _paint)
 
 
-def _paint(answer: Answer) -> Figure:
+def _paint(frame: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(WIDTH, 4.4))
     panels = figure.subplots(2, 2, sharex=True).ravel()
-    rows = records(answer.frames["adaptation"])
+    rows = records(frame)
     for axes, (stem, words) in zip(panels, _PANELS, strict=True):
         for way in WAY_NAMES:
             _line(axes, [row for row in rows if row["way"] == way], stem, WAY_COLOURS[way])
@@ -49,7 +50,7 @@ def _paint(answer: Answer) -> Figure:
         axes.set_xlabel("insertions into the new medium")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _names(panels[0], rows)
-    label_origin(figure, answer.synthetic)
+    label_origin(figure, is_synthetic(frame))
     return figure
 
 
