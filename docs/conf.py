@@ -26,6 +26,7 @@ extensions = [
     "names",
     "rooms",
     "commands",
+    "shipped",
 ]
 root_doc = "index"
 exclude_patterns = ["_site"]
@@ -34,6 +35,7 @@ html_title = "needlefit"
 html_static_path = ["_static"]
 html_css_files = ["quiet.css"]
 html_copy_source = False
+toc_object_entries = False  # a room's contents are its modules; every function besides would be too many
 html_show_sphinx = False
 html_math_renderer = "mathml"
 pygments_style = "friendly"
@@ -55,6 +57,8 @@ nitpick_ignore_regex = [
     ("py:.*", r"(numpy|np|scipy|pandas|xarray|matplotlib|pydantic|pydantic_core|typer)\..*"),
     ("py:.*", r"(trimesh|SimpleITK|pydicom)\..*"),
     ("py:.*", r"(collections|contextlib|pathlib|types|typing)\..*"),
+    # What begins with an underscore has no entry, even where a signature names it.
+    ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
     # Type variables: what stands for them is the caller's.
     ("py:class", r"(needlefit\.[a-z.]+\.)?(R|T|Given|Item|Result|Returned)"),
 ]
