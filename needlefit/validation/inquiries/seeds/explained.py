@@ -6,7 +6,7 @@ A reason is given only with the numbers that bear it out, computed from the very
 - *another medium*: the rival errs more than the fit on the insertions that were tuned on, and less on a
   medium that bends less than the fit foretells, because the rival foretells less bending everywhere: no merit
   of what it knows;
-- *its moduli*: those of the rival are nearer to the twin's own, as the twin was drawn about the paper's;
+- *its moduli*: those of the rival are not fitted, and nearer to the twin's own than the fitted ones;
 - *too small to matter*: the difference is under a tenth of the noise floor.
 """
 
@@ -80,8 +80,8 @@ def _moduli(row: Row, known: _Known) -> str:
     if not theirs < ours:
         return ""
     return (
-        f"its moduli, which are not fitted, are nearer to the twin’s own (off by a factor of {theirs:.2f}, "
-        f"the fitted ones by {ours:.2f}): the twin was drawn about the paper’s"
+        f"its moduli are not fitted, and nearer to the twin’s own than the fitted ones (off by a factor of "
+        f"{theirs:.2f} against {ours:.2f}): b alone is left to learn"
     )
 
 
