@@ -263,6 +263,12 @@ def test_every_insertion_may_have_its_own_scan(tmp_path):
     np.testing.assert_array_equal(b.patient.to_world([[5.0, 0, 0]]), [[5, 0, 0]])
 
 
+def test_a_base_that_was_moved_is_written_where_any_was(tmp_path):
+    rows = [row("a", base_moved=-12.5), row("b")]
+    a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
+    assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
+
+
 def test_a_turn_about_any_axis_is_written_and_read(tmp_path):
     """A third of a turn about (1, 1, 1) takes x to y, y to z, z to x."""
     turned = Frame(np.array([-0.5, 0, 0]), np.array([[0.0, 0, 1], [1, 0, 0], [0, 1, 0]]))

@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 from needlefit.cli import failure
 from needlefit.cli.calibrate import calibrate
 from needlefit.cli.check import check
+from needlefit.cli.credibility import credibility
 from needlefit.cli.diff import diff
 from needlefit.cli.identify import identify
 from needlefit.cli.material import material
@@ -27,7 +28,7 @@ from needlefit.cli.verify import verify
 
 _COMMANDS: tuple[Callable[..., None], ...] = (
     *(simulate, check, tune, identify, calibrate, predict, validate, report, diff),
-    *(verify, material, paper, init),
+    *(verify, credibility, material, paper, init),
 )
 
 _EPILOG = (

@@ -82,6 +82,8 @@ class Insertion:
         Every boundary of its medium as it lay at this insertion, world; empty where depths are given.
     patient : Frame
         The patient coordinates (LPS) of its scan in the world.
+    base_moved : float
+        How far the base was moved across, toward +y of C, once the needle was in and before it was seen, mm.
     """
 
     id: str
@@ -106,6 +108,7 @@ class Insertion:
     surfaces: tuple[Surface, ...] = ()
     patient: Frame = IN_PATIENT
     depth_sd: float = 0.0
+    base_moved: float = 0.0
 
     @property
     def deflection(self) -> float:

@@ -50,6 +50,7 @@ def reduce(row: InsertionRow, points: Points, medium: Medium, patient: Frame) ->
         sd=points.sd,
         surfaces=medium.surfaces,
         patient=patient,
+        base_moved=row.base_moved,
     )
 
 

@@ -14,6 +14,7 @@ from needlefit.datasets.schema import (
     DIRECTION,
     ENTRY,
     ID,
+    MOVED,
     POSE,
     POSE_SOURCES,
     REQUIRED,
@@ -86,6 +87,7 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
     shift_sd, angle_sd = column("pose_shift_sd_mm", 0.0), column("pose_angle_sd_deg", 0.0)
     boundary_sd, depth_sd = column("boundary_sd_mm", 0.0), column("depth_sd_mm", 0.0)
     depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
+    moved = column(MOVED, 0.0)
     sources = text.get("pose_source", blank) if known else ["none"] * len(blank)
     return [
         InsertionRow(
@@ -106,6 +108,7 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
             depth_sd=float(depth_sd[n]),
             guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
             patient=_patient(turn[n], shift[n]),
+            base_moved=float(moved[n]),
             line=int(table.lines[n]),
         )
         for n in range(len(blank))

@@ -35,8 +35,10 @@ COLUMNS = (
     *(*ENTRY, *DIRECTION, *BEVEL, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
-"""The columns of `insertions.csv` in the order in which they are written; those of `SCAN` follow where any
-insertion has a motion of its own."""
+"""The columns of `insertions.csv` in the order in which they are written; `MOVED` follows where any base was
+moved, and `SCAN` where any insertion has a motion of its own."""
+
+MOVED = "base_moved_mm"
 
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
@@ -88,4 +90,5 @@ class InsertionRow:
     depth_sd: float = 0.0
     guide_distance: float | None = None
     patient: Frame | None = None
+    base_moved: float = 0.0
     line: int = 0

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from needlefit.datasets.formats.toml import dumps
-from needlefit.datasets.schema import COLUMNS, POINT, SCAN, SD, Floats, InsertionRow
+from needlefit.datasets.schema import COLUMNS, MOVED, POINT, SCAN, SD, Floats, InsertionRow
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface, write_surface
 from needlefit.project.files import sha256
@@ -101,9 +101,15 @@ def _write(path: Path, text: str) -> None:
 
 def _rows_text(rows: Sequence[InsertionRow]) -> str:
     lines: list[tuple[str, ...]] = [COLUMNS, *map(_cells, rows)]
+    if any(row.base_moved for row in rows):
+        lines = [(*line, more) for line, more in zip(lines, [MOVED, *map(_moved, rows)], strict=True)]
     if any(row.patient is not None for row in rows):
         lines = [(*line, *more) for line, more in zip(lines, [SCAN, *map(_scan, rows)], strict=True)]
     return "".join(",".join(cells) + "\n" for cells in lines)
+
+
+def _moved(row: InsertionRow) -> str:
+    return _number(row.base_moved)
 
 
 def _scan(row: InsertionRow) -> tuple[str, ...]:

@@ -152,9 +152,9 @@ class Parameters:
         )
 
 
-def with_noise_scale(parameters: Parameters) -> Parameters:
-    """Return the parameters with a free noise scale as the last of them."""
-    names, bounds = (*parameters.names, NOISE_SCALE), {**parameters.bounds, NOISE_SCALE: SCALES}
+def with_noise_scale(parameters: Parameters, most: float = SCALES[1]) -> Parameters:
+    """Return the parameters with a free noise scale, up to `most`, as the last of them."""
+    names, bounds = (*parameters.names, NOISE_SCALE), {**parameters.bounds, NOISE_SCALE: (SCALES[0], most)}
     return replace(parameters, names=names, bounds=bounds)
 
 

@@ -14,7 +14,7 @@ from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.linearize import SHARP
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord
 
@@ -51,7 +51,7 @@ def predict(
     ModelError
         If the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
-    return simulate(*conditions(values, medium, needle, insertion, boundaries, sequence))
+    return follow(*conditions(values, medium, needle, insertion, boundaries, sequence))
 
 
 def conditions(
@@ -61,8 +61,8 @@ def conditions(
     insertion: Insertion,
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
-) -> tuple[Needle, Tissue, Bevel, float, Controls, Rules]:
-    """Return what `predict` simulates, as `simulate` and `linearize` take it.
+) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:
+    """Return what `predict` simulates, as `follow` and `linearize_along` take it.
 
     Both solve to `SHARP`, so that values and derivatives are of one state: searches compare them.
     """
@@ -71,9 +71,7 @@ def conditions(
     return (
         needle,
         tissue(values, met, depths, medium),
-        Bevel(values["bevel_mm"], insertion.side),
-        insertion.depth,
-        _clamped(values.get("guide_distance_mm", insertion.guide_distance)),
+        _steps(values, insertion),
         replace(rules(medium), tolerance=SHARP),
     )
 
@@ -84,17 +82,26 @@ def predict_each(
     """Return one insertion with many parameter sets, for `lanes.follow_batches`; else as `predict`."""
     first = sets[0]
     guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
-    controls = _clamped(first.get("guide_distance_mm", insertion.guide_distance))
     return Batch(
         needle,
         tissue(first, insertion.sequence, insertion.boundaries, medium),
-        (Step(insertion.depth, Bevel(first["bevel_mm"], insertion.side), controls),),
+        _steps(first, insertion),
         rules(medium),
         mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence] for values in sets]),
         alpha=np.array([[values[f"alpha{layer}"] for layer in insertion.sequence] for values in sets]),
         offset=np.array([values["bevel_mm"] for values in sets]),
         guide_x=-guide if np.ptp(guide) > 0 else None,  # the lanes prefer one place for all
     )
+
+
+def _steps(values: Mapping[str, float], insertion: Insertion) -> tuple[Step, ...]:
+    """Return the insertion, and behind it the base's move, if there was one."""
+    bevel = Bevel(values["bevel_mm"], insertion.side)
+    controls = _clamped(values.get("guide_distance_mm", insertion.guide_distance))
+    inserted = Step(insertion.depth, bevel, controls)
+    if not insertion.base_moved:
+        return (inserted,)
+    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_moved))
 
 
 def _clamped(guide_distance: float | None) -> Controls:

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import conditions
-from needlefit.mechanics.linearize import linearize, moved
+from needlefit.mechanics.linearize import linearize_along, moved
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import positions
 from needlefit.project.records.medium import MediumRecord
@@ -44,7 +44,7 @@ def predict_with_slopes(
         If the needle does not reach the depth.
     """
     chain = _chain(values, parameters, insertion)
-    shape, jacobian = linearize(*conditions(values, medium, needle, insertion), wrt=_kinds(parameters))
+    shape, jacobian = linearize_along(*conditions(values, medium, needle, insertion), wrt=_kinds(parameters))
     if not shape.converged:
         return np.full((len(s), 2), np.nan), np.full((len(s), 2, len(parameters.free)), np.nan)
     rows = [chain[name] for name in jacobian.names]

@@ -28,7 +28,7 @@ class Document:
     synthetic : bool
         Whether every page is headed SYNTHETIC DATA.
     blocks : tuple
-        Made by `heading`, `text`, `bullets`, `warning`, `table` and `figure`.
+        Made by `heading`, `subheading`, `text`, `note`, `bullets`, `warning`, `empty`, `table` and `figure`.
     """
 
     title: str
@@ -42,9 +42,19 @@ def heading(words: str) -> Block:
     return {"kind": "heading", "text": words}
 
 
+def subheading(words: str) -> Block:
+    """Return the heading of a part of a section."""
+    return {"kind": "subheading", "text": words}
+
+
 def text(words: str) -> Block:
     """Return a paragraph."""
     return {"kind": "text", "text": words}
+
+
+def note(words: str) -> Block:
+    """Return a paragraph that stands back."""
+    return {"kind": "note", "text": words}
 
 
 def bullets(items: Sequence[str]) -> Block:
@@ -55,6 +65,11 @@ def bullets(items: Sequence[str]) -> Block:
 def warning(words: str) -> Block:
     """Return a paragraph that cannot be overlooked."""
     return {"kind": "warning", "text": words}
+
+
+def empty(words: str) -> Block:
+    """Return an empty box, and in words what is missing in it."""
+    return {"kind": "empty", "text": words}
 
 
 def table(display: Display, synthetic: bool) -> Block:

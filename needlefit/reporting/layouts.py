@@ -78,7 +78,7 @@ def design_layout(results: Sequence[Results]) -> Display:
             cells = ("tunes" if row["role"] == "tune" else "validates", medium_name(row["medium"]))
             other = "" if row["insertions"] == row["insertions_other"] else str(row["insertions_other"])
             counts = (str(row["layers"]), str(row["insertions"]), other)
-            spans = [_span(row[f"{what}_min_mm"], row[f"{what}_max_mm"]) for what in ("depth", "deflection")]
+            spans = [span(row[f"{what}_min_mm"], row[f"{what}_max_mm"]) for what in ("depth", "deflection")]
             rows.append((str(study_label(one)) if i == 0 else "", *cells, *counts, *spans, one.origin))
     columns = (*heads, Column("Otherwise"), Column("Depth", "mm"), Column("Bends", "mm"), text("Origin"))
     notes = (_COUNTED,) if any(row[5] for row in rows) else ()
@@ -88,7 +88,8 @@ def design_layout(results: Sequence[Results]) -> Display:
     return without_empty(table)
 
 
-def _span(low: float, high: float) -> str:
+def span(low: float, high: float) -> str:
+    """Return "19.48 to 54.75", or a single number where both are printed alike."""
     ends = [fixed(low).replace("-", "−"), fixed(high).replace("-", "−")]
     return " to ".join(dict.fromkeys(ends))
 

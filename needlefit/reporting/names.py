@@ -24,6 +24,12 @@ RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "linear_curvature": "#56B4E9",
     "truth": "#1a1a1a",
 }
+CANDIDATE_NAMES = {
+    "ogden": "Ogden foundation",
+    "linear": "linear foundation",
+    "neo_hookean": "neo-Hookean foundation",
+    **{name: RIVAL_NAMES[name] for name in ("linear_curvature", "constant_curvature", "straight")},
+}
 WAY_NAMES = {
     "inflated": "old posterior, inflated",
     "new": "new insertions alone",

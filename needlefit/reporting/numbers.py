@@ -16,6 +16,14 @@ def fixed(value: float | None, digits: int = 2) -> str:
     return f"{value:.{digits}f}" if _is_known(value) else MISSING
 
 
+def signed(value: float | None, digits: int = 2) -> str:
+    """Return a difference in mm with its sign, a true minus; what rounds to 0 has none."""
+    if not _is_known(value):
+        return MISSING
+    text = f"{value:+.{digits}f}"
+    return text[1:] if float(text) == 0 else text.replace("-", "−")
+
+
 def percent(value: float | None) -> str:
     """Return a percentage with three significant digits, as the paper prints it: 4.77, 10.3, 254."""
     if not _is_known(value):

@@ -37,8 +37,8 @@ def rebuild(run: Path, folder: Path) -> Path:
     ConfigError
         If `folder` holds something that is no result.
     """
-    if not (run / NAME).is_file() and (parts := _parts(run)):
-        every = [_part(run, name, computed) for name, computed in parts.items()]
+    if _is_group(run):
+        every = restored(run)
         results = [one for one in every if isinstance(one, Results)]
         studies = [one for one in results if isinstance(one.record, StudyRecord)]
         fits = [one for one in results if not isinstance(one.record, StudyRecord)]
@@ -77,7 +77,11 @@ _KINDS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyType(
 )
 """How each kind of run is written again, from the table that it stored."""
 
-_IN_A_MOMENT = {"verification.csv": "needlefit verify", "material.json": "needlefit material FILE"}
+_IN_A_MOMENT = {
+    "verification.csv": "needlefit verify",
+    "material.json": "needlefit material FILE",
+    "credibility.csv": "needlefit credibility RUN",
+}
 """What only such a run writes, and how it is run: as fast as anything could be read again."""
 
 
@@ -91,6 +95,23 @@ def _refuse(run: Path) -> None:
                 expected="a run of tune, validate, identify, predict or calibrate",
                 mend=f"run `{command}` again",
             )
+
+
+def restored(run: Path) -> list[Results | Answer]:
+    """Return what a run stored: one, or each of several that were reported together.
+
+    Raises
+    ------
+    DataError
+        As `rebuild`.
+    """
+    if _is_group(run):
+        return [_part(run, name, computed) for name, computed in _parts(run).items()]
+    return [_restored(run)]
+
+
+def _is_group(run: Path) -> bool:
+    return not (run / NAME).is_file() and bool(_parts(run))
 
 
 def _restored(run: Path) -> Results | Answer:

@@ -55,10 +55,10 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     return all_files(folder)
 
 
-def write_report(document: Document, folder: Path) -> None:
+def write_report(document: Document, folder: Path, name: str = "report") -> None:
     """Write a report as PDF and as HTML."""
-    (folder / "report.pdf").write_bytes(compile_pdf(document))
-    (folder / "report.html").write_bytes(compile_html(document))
+    (folder / f"{name}.pdf").write_bytes(compile_pdf(document))
+    (folder / f"{name}.html").write_bytes(compile_html(document))
 
 
 def write_for_papers(results: Sequence[Results], folder: Path) -> None:

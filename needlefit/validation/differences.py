@@ -114,21 +114,21 @@ def _require_alike(before: Path, after: Path) -> None:
 
 
 def _inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    leaves = [
-        dict(leaf for key in _INPUTS if key in run for leaf in _leaves(run[key], key))
+    every = [
+        dict(leaf for key in _INPUTS if key in run for leaf in leaves(run[key], key))
         for run in (before, after)
     ]
-    for key in dict.fromkeys([*leaves[0], *leaves[1]]):
-        one, two = leaves[0].get(key), leaves[1].get(key)
+    for key in dict.fromkeys([*every[0], *every[1]]):
+        one, two = every[0].get(key), every[1].get(key)
         if one != two:
             yield Difference("input", key, one, two, None, "")
 
 
-def _leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+def leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
     """Yield every value of nested mappings by its path; a list is one value."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
-            yield from _leaves(inner, f"{path}.{key}" if path else str(key))
+            yield from leaves(inner, f"{path}.{key}" if path else str(key))
     else:
         yield path, value
 

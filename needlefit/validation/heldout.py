@@ -9,7 +9,7 @@ band that the foretold probability of such needles stays within all along.
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,7 +30,7 @@ from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
 from needlefit.validation.placed import Known
-from needlefit.validation.planned import planned_layers
+from needlefit.validation.planned import as_planned
 from needlefit.validation.score import Row
 
 Floats = NDArray[np.float64]
@@ -131,17 +131,9 @@ def _curve(
     values = job.parameters.values(theta)
     deep = insertion.depth_sd * rng.normal()
     wrong = rng.normal(size=MOST_LAYERS)
-    met = insertion
-    if insertion.surfaces:
-        found = planned_layers(
-            insertion,
-            lambda boundaries, sequence: predict(
-                values, job.medium, job.dataset.needle, insertion, boundaries, sequence
-            ),
-        )
-        if found is None:
-            return None
-        met = replace(insertion, boundaries=found[0], sequence=found[1])
+    met = as_planned(insertion, values, job.medium, job.dataset.needle)
+    if met is None:
+        return None
     count = len(met.boundaries)
     shifts = deep + insertion.boundary_sd * wrong[:count]
     drawn, s = moved(met, seen.nodes.s[0], shifts, deep)

@@ -114,15 +114,17 @@ def by_metric(recipe: RecipeRecord) -> RecipeRecord:
     return recipe.model_copy(update={"minimize": "metric", "algorithm": recipe.metric_algorithm})
 
 
-def prepare(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Job:
-    """Load and check all that a study or fit names.
+def prepare(
+    name: str, record: FitRecord | StudyRecord, settings: Settings, dataset: Dataset | None = None
+) -> Job:
+    """Load and check all that a study or fit names; a `dataset` that is given takes the place of its own.
 
     Raises
     ------
     ConfigError, DataError
         If anything it names is missing or wrong.
     """
-    dataset = read(find("dataset", record.dataset))
+    dataset = read(find("dataset", record.dataset)) if dataset is None else dataset
     medium = _medium(record)
     recipe = load(find("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:

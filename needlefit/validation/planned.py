@@ -4,14 +4,18 @@ The measured crossings of a held-out insertion already tell where its needle wen
 from the straight planned path instead, and follows the simulated needle until its own crossings stand still.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import layers_met
+from needlefit.inference.predict import predict
+from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, inserted_points
+from needlefit.project.records.medium import MediumRecord
 
 Floats = NDArray[np.float64]
 Layers = tuple[Floats, tuple[int, ...]]
@@ -21,6 +25,22 @@ TOLERANCE = 1e-3
 
 MOST = 30
 """Rounds in which they must; past the first ten each moves them only half way."""
+
+
+def as_planned(
+    insertion: Insertion, values: Mapping[str, float], medium: MediumRecord, needle: Needle
+) -> Insertion | None:
+    """Return an insertion with the layers that `values` (Pa, mm) foretell, not those it was seen to meet.
+
+    None where `planned_layers` finds none; layers that are stated as depths stay as they are.
+    """
+    if not insertion.surfaces:
+        return insertion
+    found = planned_layers(
+        insertion,
+        lambda boundaries, sequence: predict(values, medium, needle, insertion, boundaries, sequence),
+    )
+    return None if found is None else replace(insertion, boundaries=found[0], sequence=found[1])
 
 
 def planned_layers(

@@ -22,6 +22,8 @@ SAME = 1e-3
 """Ends nearer to each other than this part of the bounds are one mode."""
 
 EFFORT = Effort()
+MORE = Effort(draws=1000, components=30)
+"""Where the first effort did not do: far less than sampling takes."""
 
 
 def modes(fit: Fit, width: Floats) -> Floats:

@@ -12,7 +12,7 @@ class SeedsRecord(InquiryRecord):
 
     `studies` (in `studies/`) and `fits` (in `configs/fits/`) are carried out on `seeds` twins, of seeds
     `first`, `first` + 1, ...; `generalising` names the studies that, in the paper, foretell what they hold
-    out. Intervals are of `resamples` bootstrap resamples.
+    out. `starts` replaces the recipe's. Intervals are of `resamples` bootstrap resamples.
     """
 
     kind: Literal["seeds"]
@@ -21,4 +21,5 @@ class SeedsRecord(InquiryRecord):
     generalising: tuple[str, ...] = ()
     seeds: int = Field(default=20, ge=2)
     first: int = Field(default=1, ge=0)
+    starts: int | None = Field(default=None, ge=1)
     resamples: int = Field(default=2000, ge=100)

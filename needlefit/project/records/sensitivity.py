@@ -44,5 +44,5 @@ class SensitivityRecord(InquiryRecord):
     kind: Literal["sensitivity"]
     studies: tuple[str, ...] = Field(min_length=1)
     fits: tuple[str, ...] = ()
-    starts: int = Field(default=4, ge=0)
+    starts: int = Field(default=4, ge=1)
     variations: tuple[VariationRecord, ...] = Field(min_length=1)

@@ -18,15 +18,11 @@ _PANELS = (
     ("tip_crps", "CRPS of the tip (mm)"),
     ("tip_in_95", "tips in their 95 % interval"),
 )
-_FLOORS = ("te", "ipe_mean")
-"""What has a noise floor, in the order of the panels."""
 
 
 def draw_curves(answer: Answer, path: Path) -> Path:
     """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
-    errors = answer.frames["errors"]
-    floors = {f"floor_{stem}_mm": errors[f"floor_{stem}_mm"].astype(float).mean() for stem in _FLOORS}
-    return plot(path, answer.frames["adaptation"].assign(**floors, origin=answer.origin), _paint)
+    return plot(path, answer.frames["adaptation"].assign(origin=answer.origin), _paint)
 
 
 def _paint(frame: pd.DataFrame) -> Figure:
@@ -43,12 +39,13 @@ def _paint(frame: pd.DataFrame) -> Figure:
             axes.set_ylim(-0.05, 1.05)
         else:
             axes.set_yscale("log")
-            _ticks(axes)
-    for axes, stem in zip(panels, _FLOORS, strict=False):
+    for axes, stem in zip(panels, ("te", "ipe_mean"), strict=False):
         floor = rows[0][f"floor_{stem}_mm"]
         axes.axhline(floor, color=INK, lw=0.9, ls=(0, (2, 1.5)))
         at = {"xytext": (-1, 2), "textcoords": "offset points", "fontsize": 6.5}
         axes.annotate("noise floor", (axes.get_xlim()[1], floor), ha="right", color=INK, **at)
+    for axes in panels[:3]:
+        _ticks(axes)
     for axes in panels[2:]:
         axes.set_xlabel("insertions into the new medium")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -69,7 +66,8 @@ def _line(axes: Axes, rows: list[Row], stem: str, colour: str) -> None:
 def _ticks(axes: Axes) -> None:
     """Write plain numbers, as many as a decade needs to be read."""
     low, high = axes.get_ylim()
-    ticks = [t for t in (0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if low <= t <= high]
+    steps = (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
+    ticks = [t for power in range(-3, 3) for t in (k * 10.0**power for k in steps) if low <= t <= high]
     axes.set_yticks(ticks, [f"{tick:g}" for tick in ticks])
     axes.set_yticks([], minor=True)
 

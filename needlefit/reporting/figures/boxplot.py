@@ -43,8 +43,8 @@ def _rows(results: Results) -> Iterator[Row]:
     cloud, errors = points(results).query(where), results.errors.query(where)
     for row in records(validation_table(results)):
         medium, layers = row["validate_medium"], row["validate_layers"]
-        label = f"{study_name(row['study'])}\n{medium_name(medium)}\n{layers_name(layers)}"
-        about = {"group": f"{label}\nn = {row['insertions']}", "origin": results.origin}
+        label = f"{study_name(row['study'])}, {medium_name(medium)}, {layers_name(layers)}"
+        about = {"group": f"{label}, n = {row['insertions']}", "origin": results.origin}
         ipe, te = (
             frame[(frame["medium"] == medium) & (frame["layers"] == layers) & np.isfinite(frame[column])]
             for frame, column in ((cloud, "ipe_mm"), (errors, "te_mm"))
@@ -81,7 +81,8 @@ def _paint(marks: pd.DataFrame) -> Figure:
         for error, shift, colour in (("IPE", -0.19, _IPE), ("TE", 0.19, _TE)):
             here = marks[(marks["group"] == group) & (marks["error"] == error)]
             _draw_error(axes, x + shift, here, colour)
-    axes.set_xticks(range(len(groups)), groups, linespacing=1.25)
+    labels = [group.replace(", ", "\n") for group in groups]
+    axes.set_xticks(range(len(groups)), labels, linespacing=1.25)
     axes.tick_params(axis="x", length=0, pad=5)
     margin = 0.55 + 0.4 * max(0, 3 - len(groups))  # one or two groups do not fill the whole width
     axes.set_xlim(-margin, len(groups) - 1 + margin)

@@ -53,7 +53,7 @@ def _curves(results: Results, role: str) -> pd.DataFrame:
     """Return one row per drawn point, y toward the bevel; `low_mm`, `high_mm` are the ends of a band."""
     where = "role == @role and boundaries == 'measured' and rival in @_SHOWN"
     shapes = results.shapes.query(where, local_dict={"role": role, "_SHOWN": _SHOWN})
-    shapes = shapes.sort_values("j", kind="stable")
+    shapes = shapes.sort_values([*_KEYS, "rival", "j"])
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
     dots = shapes.drop_duplicates([*_KEYS, "j"])
     every = _EVERY if shapes["insertion"].nunique() <= _ROOMY else 2 * _EVERY

@@ -12,9 +12,10 @@ from needlefit.reporting.document import Block
 from needlefit.reporting.figures.seeds import draw_cells, draw_contests, draw_pattern
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import RIVAL_NAMES, medium_name
-from needlefit.reporting.numbers import MISSING, fixed, number, percent, typeset
+from needlefit.reporting.numbers import MISSING, fixed, number, percent, signed, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.seeds.explained import UNEXPLAINED
 
 _TABLES = {
     "validation": "Errors on held-out insertions",
@@ -52,9 +53,10 @@ def _pattern(answer: Answer) -> str:
     record, frame = answer.record, answer.frames["pattern"]
     assert isinstance(record, SeedsRecord)
     holds = (frame["generalises"] == frame["generalises_in_paper"]).groupby(frame["seed"]).all()
-    kept = " and ".join(study_name(name).lower() for name in record.generalising)
+    *most, last = (study_name(name).lower() for name in record.generalising)
+    kept = " and ".join([*([", ".join(most)] if most else []), last])
     return (
-        f"The paper’s pattern, that {kept} generalise and the others do not, holds on {holds.sum()} of "
+        f"The paper’s pattern, that {kept} generalise and no other does, holds on {holds.sum()} of "
         f"{len(holds)} twins: mean IPE below {frame['threshold_mm'].iloc[0]:.2f} mm, half way (by ratio) "
         "between the paper’s two groups of studies."
     )
@@ -81,10 +83,10 @@ def _contests(answer: Answer) -> str:
 
 def _losses(answer: Answer) -> str:
     lost = answer.frames["contests"].query("verdict == 'loses'")
-    unexplained = (lost["explanation"] == "not explained").sum()
+    unexplained = int((lost["explanation"] == UNEXPLAINED).sum())
     return (
-        f"Of {len(lost)} lost contests {len(lost) - unexplained} have a reason that the data bear out; "
-        f"{unexplained} are not explained, and stand so in the table."
+        f"Lost contests: {len(lost)}, {len(lost) - unexplained} of them with a reason that the data bear "
+        f"out; not explained, and listed so: {unexplained}."
     )
 
 
@@ -174,7 +176,8 @@ def _contest_table(answer: Answer) -> Display:
     breaks: list[int] = []
     for key, group in answer.frames["contests"].groupby(["study", "medium", "layers"], sort=False):
         breaks += [len(rows)] if rows else []
-        for i, row in enumerate(records(group.sort_values(["rival", "metric"], kind="stable"))):
+        ordered = group.sort_values("rival", key=_place, kind="stable")  # its two metrics stay together
+        for i, row in enumerate(records(ordered)):
             head = _group(key) if i == 0 else ("",) * 3
             rival = RIVAL_NAMES[row["rival"]] if i % 2 == 0 else ""
             means = (fixed(row["fitted_mm"]), fixed(row["rival_mm"]))
@@ -188,10 +191,12 @@ def _contest_table(answer: Answer) -> Display:
     return Display("contests", caption, columns, tuple(rows), tuple(breaks), notes=notes)
 
 
+def _place(rivals: "pd.Series[str]") -> "pd.Series[int]":
+    return rivals.map(list(RIVAL_NAMES).index)
+
+
 def _gap(row: Row) -> tuple[str, str]:
-    low, middle, high = (
-        f"{row[key]:+.2f}".replace("-", "−") for key in ("low_mm", "difference_mm", "high_mm")
-    )
+    low, middle, high = (signed(row[key]) for key in ("low_mm", "difference_mm", "high_mm"))
     return middle, f"{low} to {high}"
 
 
@@ -203,7 +208,7 @@ def _group(key: object) -> tuple[str, str, str]:
 
 def _lost(answer: Answer) -> Display:
     lost = answer.frames["contests"].query("verdict == 'loses'")
-    order = lost.assign(known=lost["explanation"] != "not explained").sort_values("known", kind="stable")
+    order = lost.assign(known=lost["explanation"] != UNEXPLAINED).sort_values("known", kind="stable")
     rows = tuple(
         (
             *_group((row["study"], row["medium"], row["layers"])),

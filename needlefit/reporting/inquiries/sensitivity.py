@@ -11,7 +11,7 @@ from needlefit.reporting.document import Block
 from needlefit.reporting.figures.sensitivity import draw_studies
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import layers_name, medium_name
-from needlefit.reporting.numbers import MISSING, fixed
+from needlefit.reporting.numbers import MISSING, fixed, signed
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.sensitivity.verb import AS_DECIDED
@@ -64,7 +64,7 @@ def _each(answer: Answer) -> Iterator[str]:
     again = again.assign(size=again["change_in_floors"].abs()).sort_values("size", ascending=False)
     for of, group in again.groupby("of", sort=False):
         first = records(group)[0]
-        size = f"{first['change']:+.3f}".replace("-", "−")
+        size = signed(first["change"], 3)
         floors = f"{first['size']:.1f}" if first["size"] >= _SMALL else f"under {_SMALL:g}"
         metric = "TE" if first["metric"] == "te_mm" else "mean IPE"
         yield (
@@ -81,7 +81,7 @@ def _cell(row: Row) -> str:
 def _kept(answer: Answer) -> str:
     kept = _varied(answer, "kept").assign(size=lambda frame: frame["te_change_mm"].abs())
     worst = records(kept.sort_values("size", ascending=False))[0]
-    change = f"{worst['te_change_mm']:+.2f}".replace("-", "−")
+    change = signed(worst["te_change_mm"])
     return (
         "With the parameters kept instead, as numbers taken from one program to another would be, the "
         f"largest change of a study’s TE is {change} mm ({medium_name(worst['study'])}, {worst['of']}: "
@@ -149,7 +149,7 @@ def _number(study: str) -> str:
 def _change(row: "pd.Series[float]", key: str) -> str:
     change, floors = row[f"{key}_change_mm"], abs(row[f"{key}_change_in_floors"])
     stars = "**" if floors > 1 else "*" if floors > _SMALL else ""
-    return f"{change:+.2f}".replace("-", "−") + stars
+    return signed(float(change)) + stars
 
 
 def _largest(answer: Answer) -> Display:
@@ -167,7 +167,7 @@ def _largest(answer: Answer) -> Display:
                 continue
             first = records(part)[0]
             head = (str(of), str(variation)) if i == 0 else ("", "")
-            change = f"{first['change']:+.3f}".replace("-", "−")
+            change = signed(first["change"], 3)
             floors = MISSING if first["change_in_floors"] is None else f"{abs(first['change_in_floors']):.2f}"
             middle = fixed(float(part["size"].median()), 3)
             metric = (

@@ -73,6 +73,13 @@ def with_insertions(job: Job, changed: Callable[[Insertion], Insertion]) -> Job:
     return replace(job, folds=folds)
 
 
+def with_starts(job: Job, starts: int | None) -> Job:
+    """Return the job with so many random starts of a search; None: as many as its recipe says."""
+    if starts is None:
+        return job
+    return replace(job, recipe=job.recipe.model_copy(update={"starts": starts}))
+
+
 def floors_of(jobs: Iterable[Job]) -> dict[str, NoiseFloor]:
     """Return the noise floor of every insertion of all jobs, by its id."""
     every = {one.id: (job, one) for job in jobs for one in job.insertions}

@@ -1,7 +1,8 @@
 """What some insertions teach: the best fit, and draws of the posterior, cheaply where that can be certified.
 
-The posterior is weighed about the modes that the search found (`inference.weighing`). It is sampled only
-where Pareto's k says that the weights cannot be trusted, which costs a hundred times as much.
+The posterior is weighed about the modes that the search found (`inference.weighing`). Where Pareto's k says
+that the weights cannot be trusted it is weighed again, from more draws, and sampled only where that does not
+help either: sampling costs a hundred times as much.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Fit, Watch
-from needlefit.inference.weighing.about_fit import drawn_from, of_fit
+from needlefit.inference.weighing.about_fit import MORE, drawn_from, of_fit
 from needlefit.inference.weighing.pareto import RELIABLE
 from needlefit.project.streams import stream
 from needlefit.validation.job import Job, Settings
@@ -63,6 +64,8 @@ def learn(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) 
         return Learned(fit, Draws(np.empty((DRAWS, len(fit.theta))), "importance"), float("nan"))
     rng = stream(seed, job.name, *key, "weighed")
     found = of_fit(problem, fit, rng, settings.jobs)
+    if found.k > RELIABLE:
+        found = of_fit(problem, fit, rng, settings.jobs, MORE)
     if found.k <= RELIABLE:
         return Learned(fit, drawn_from(found, DRAWS, rng), found.k)
     return Learned(fit, _sampled(job, problem, fit, key, settings), found.k, sampled=True)

@@ -1,6 +1,6 @@
 """All studies and fits on the twin of one seed, and the needle as it really is beside them."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -13,11 +13,11 @@ from needlefit.mechanics.control import Bevel, Rules
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.seeds import SeedsRecord
-from needlefit.synthetic.design import insertions
+from needlefit.synthetic.design import Planned, insertions
 from needlefit.synthetic.truth import true_bevel, true_needle, true_specimen
 from needlefit.synthetic.twin import Twin, synthesize
 from needlefit.synthetic.unscanned import unscanned
-from needlefit.validation.inquiries.cells import ERRORS, every_job, floors_of, scored, searched
+from needlefit.validation.inquiries.cells import ERRORS, every_job, floors_of, scored, searched, with_starts
 from needlefit.validation.inquiries.pieces import Rows
 from needlefit.validation.job import Job, Settings
 from needlefit.validation.score import Rival, Row, curve_rival
@@ -33,25 +33,22 @@ FRAMES: Mapping[str, tuple[str, ...]] = {
 """Of `parameters`: those that are fitted; `true` is the geometric mean over what a fit learns from."""
 
 
-def one_twin(seed: int, record: SeedsRecord, settings: Settings) -> Rows:
-    """Return the errors of all rivals on one twin, and the parameters found on it."""
+def one_twin(seed: int, record: SeedsRecord, plan: Sequence[Planned], settings: Settings) -> Rows:
+    """Return the errors of all rivals on one twin of the insertions `plan`, and parameters found on it."""
     with TemporaryDirectory() as folder:
-        dataset = unscanned(Path(folder), seed)
+        dataset = unscanned(Path(folder), seed, plan)
         jobs = every_job(record.studies, record.fits, settings, str(dataset))
     floors = floors_of(jobs.values())
     truth = true_rival(seed)
     errors: list[Row] = []
     parameters: list[Row] = []
-    for job in jobs.values():
+    for job in (with_starts(job, record.starts) for job in jobs.values()):
         searches = [search for search in job.searches if search != "fitted_metric"]
         fits = {search: searched(job, search, settings) for search in searches}
         errors += scored(job, {**rivals(job, job.folds[0], fits), TRUTH: truth}, floors)
         parameters += _parameters(job, fits["fitted"].values, seed)
-    return {kind: [{"seed": seed, **row} for row in rows] for kind, rows in _named(errors, parameters)}
-
-
-def _named(errors: list[Row], parameters: list[Row]) -> tuple[tuple[str, list[Row]], ...]:
-    return (("errors", errors), ("parameters", parameters))
+    found = {"errors": errors, "parameters": parameters}
+    return {frame: [{"seed": seed, **row} for row in rows] for frame, rows in found.items()}
 
 
 def true_rival(seed: int) -> Rival:

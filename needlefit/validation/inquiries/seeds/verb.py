@@ -5,9 +5,10 @@ from functools import partial
 import pandas as pd
 
 from needlefit.project.records.seeds import SeedsRecord
+from needlefit.synthetic.design import insertions
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
-from needlefit.validation.inquiries.cells import CELL, cells, every_job, numbers_of
+from needlefit.validation.inquiries.cells import CELL, cells, every_job, numbers_of, with_starts
 from needlefit.validation.inquiries.pattern import generalising
 from needlefit.validation.inquiries.seeds.contests import contests
 from needlefit.validation.inquiries.seeds.explained import explained
@@ -25,9 +26,12 @@ def ask(name: str, record: SeedsRecord, settings: Settings) -> Answer:
     FitError
         If a search finds no point that can be solved.
     """
+    shipped = every_job(record.studies, record.fits, settings)
+    jobs = {study: with_starts(job, record.starts) for study, job in shipped.items()}
+    asked = {one.id for job in jobs.values() for one in job.insertions}
+    plan = [planned for planned in insertions() if planned.id in asked]
     seeds = range(record.first, record.first + record.seeds)
-    pieces = {f"seed {seed}": partial(one_twin, seed, record, settings) for seed in seeds}
-    jobs = every_job(record.studies, record.fits, settings)
+    pieces = {f"seed {seed}": partial(one_twin, seed, record, plan, settings) for seed in seeds}
     conclude = partial(_conclude, name, record, numbers_of(jobs))
     also = {"seeds": list(seeds), "twins": "not scanned"}
     return answered(name, record, settings, Plan(list(jobs.values()), pieces, FRAMES, conclude, also))

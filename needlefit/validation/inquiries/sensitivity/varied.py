@@ -5,13 +5,11 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.inference.goal import goal_of
-from needlefit.inference.optimize import minimize
 from needlefit.inference.optimize.search import search
-from needlefit.inference.starts import Fit, Place, Start, Watch
+from needlefit.inference.starts import Fit, Place, Start
 from needlefit.mechanics.needle import Needle
 from needlefit.project.records.sensitivity import VariationRecord
-from needlefit.project.streams import stream
-from needlefit.validation.inquiries.cells import with_insertions
+from needlefit.validation.inquiries.cells import searched, with_insertions, with_starts
 from needlefit.validation.job import Job, Settings
 
 _OF_MEDIUM = (
@@ -46,11 +44,9 @@ def _stiffer(job: Job, variation: VariationRecord) -> float:
 def tuned_again(job: Job, before: Fit, starts: int, settings: Settings) -> Fit:
     """Return the best fit from a few random starts and from where the fit before had ended."""
     problem = job.problem(job.folds[0])
-    few = job.recipe.model_copy(update={"starts": max(starts, 1)})
-    rng = stream(job.recipe.seed, job.name, job.folds[0].name, "fitted", "starts")
-    found = minimize(problem, few, rng, Watch(stop=settings.stop, jobs=settings.jobs))
+    found = searched(with_starts(job, starts), "fitted", settings)
     goal = goal_of(problem, job.recipe.minimize)
-    near = search(goal, job.recipe, Place(few.starts, before.theta), settings.stop)
+    near = search(goal, job.recipe, Place(starts, before.theta), settings.stop)
     if not near.objective < found.objective:
         return found
     return _from(near, found, problem.values(np.array(near.theta)))
