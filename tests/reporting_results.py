@@ -1,5 +1,6 @@
 """Small made-up Results that take every branch of the reports; their errors follow from their shapes."""
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
@@ -304,3 +305,44 @@ def test_made_up_results_have_the_columns_of_real_ones():
     for results in (study(1), stereo()):
         for name, columns in COLUMNS.items():
             assert set(columns) <= set(getattr(results, name).columns)
+
+
+def told(results: Results, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Results:
+    """Results with predictions of their held-out needles: levels in turn, bands about the measured shape."""
+    rows, bands = [], []
+    held = results.errors.query("role == 'validate' and rival == 'fitted' and boundaries == 'measured'")
+    for n, (_, one) in enumerate(held.iterrows()):
+        level = levels[n % len(levels)]
+        row = {name: one[name] for name in ("fold", "insertion", "specimen", "medium", "layers", "depth_mm")}
+        row |= {"from": "importance", "certified": True, "draws": 100, "failed_solves": 0}
+        tip, half = float(one["deflection_mm"]), 0.3
+        row |= {"tip_measured_mm": tip, "tip_median_mm": tip, "tip_crps_mm": 0.1, "shape_crps_mm": 0.1}
+        for what in ("tip", "shape"):
+            row |= {f"{what}_level": level, f"{what}_in_50": 0.25 <= level <= 0.75}
+            row |= {f"{what}_in_95": 0.025 <= level <= 0.975}
+        for size in (50, 95):
+            row |= {f"tip_{size}_low_mm": tip - half, f"tip_{size}_high_mm": tip + half}
+            row[f"points_in_{size}"] = 1.0
+        rows.append(row)
+        along = results.shapes.query("insertion == @one.insertion and rival == 'fitted' and j % 5 == 0")
+        along = along[along["boundaries"] == "measured"]
+        y = along["measured_y_mm"]
+        band = {"fold": one["fold"], "insertion": one["insertion"], "x_mm": along["measured_x_mm"]}
+        band |= {"measured_mm": y, "median_mm": y, "low_50_mm": y - 0.1, "high_50_mm": y + 0.1}
+        bands.append(pd.DataFrame(band | {"low_95_mm": y - half, "high_95_mm": y + half}))
+    predictive = pd.DataFrame(rows)[list(COLUMNS["predictive"])]
+    return replace(results, predictive=predictive, bands=pd.concat(bands, ignore_index=True))
+
+
+def with_draws(results: Results, count: int = 200) -> Results:
+    """Results with draws on a ridge: mu times b squared known to 2 %, mu within a factor of 5."""
+    rng = np.random.default_rng(5)
+    known = results.parameters.query("rival == 'fitted'").drop_duplicates("parameter").set_index("parameter")
+    values = {name: np.full(count, value) for name, value in known["value"].items()}
+    stretch = 1.6 * rng.standard_normal(count)
+    values["mu1_pa"] = values["mu1_pa"] * np.exp(stretch)
+    values["bevel_mm"] = values["bevel_mm"] * np.exp(-stretch / 2 + 0.01 * rng.standard_normal(count))
+    for name in known.index[known["status"] == "free"].difference(["mu1_pa", "bevel_mm"]):
+        values[name] = values[name] * np.exp(0.3 * rng.standard_normal(count))
+    about = {"fold": results.parameters["fold"].iloc[0], "from": "importance", "pareto_k": 0.31}
+    return replace(results, draws=pd.DataFrame(about | {"certified": True} | values))

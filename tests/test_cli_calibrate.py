@@ -7,10 +7,12 @@ import time
 
 import pandas as pd
 import pytest
+from made_again import assert_made_again
 from test_cli import run
 
 FILES = {
-    *("coverage.csv", "ecdf.csv", "ranks.pdf", "replicates.csv", "report.pdf", "run.json", "timing.json"),
+    *("coverage.csv", "ranks.csv", "ranks.pdf", "replicates.csv", "report.pdf", "run.json", "timing.json"),
+    "results.json.gz",
 }
 
 
@@ -40,6 +42,7 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(reports):
     assert rows["replicate"].tolist() == [0, 1, 2, 3] and set(rows["origin"]) == {"synthetic"}
     assert rows.filter(like="rank_").stack().between(0, 79).all()
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
+    assert_made_again(folder)
     running = subprocess.Popen(
         (sys.executable, "-m", "needlefit", "calibrate", "study2", "--replicates", "4", "-q")
     )

@@ -6,11 +6,12 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
+from made_again import assert_made_again
 from test_cli import run
 
 from needlefit.validation import job
 
-FILES = {"directions.csv", "identify.csv", "profiles.csv", "profiles.pdf", "run.json"}
+FILES = {"directions.csv", "identify.csv", "profiles.csv", "profiles.pdf", "results.json.gz", "run.json"}
 
 
 @pytest.fixture
@@ -55,9 +56,10 @@ def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
     assert {"design", "fit", "said", "directions"} <= set(said) and said["place"] == "the fitted values"
     by_stage = pd.read_csv(folder.parent / "identify-one" / "identify.csv").groupby("stage")["parameter"]
     assert by_stage.size()["design"] == by_stage.size()["fit"]
-    profiles = pd.read_csv(folder.parent / "identify-one" / "profiles.csv")
-    best = profiles.groupby(["stage", "parameter"])["deviance"].min()
-    assert (best == 0).all() and set(best.index.get_level_values("stage")) == {"design", "fit"}
+    for name in ("profiles", "profiles_design"):
+        profiles = pd.read_csv(folder.parent / "identify-one" / f"{name}.csv")
+        assert (profiles.groupby("parameter")["deviance"].min() == 0).all()
+    assert_made_again(folder.parent / "identify-one")
 
 
 def test_the_design_part_looks_at_no_measured_shape(monkeypatch, folder):

@@ -17,7 +17,8 @@ from needlefit.validation import provenance
 from needlefit.validation.job import Settings, prepare
 
 FILES = {
-    "curves.csv", "fit.pdf", "material.csv", "material.json", "prior.toml", "profiles.csv", "run.json",
+    "curves.csv", "curves.pdf", "material.csv", "material.json", "prior.toml", "profiles.csv", "profiles.pdf",
+    "run.json",
 }  # fmt: skip
 
 

@@ -4,6 +4,7 @@ import dataclasses
 import json
 from pathlib import Path
 
+import pandas as pd
 import pytest
 from reporting_results import stereo, study
 from test_cli import run
@@ -85,8 +86,13 @@ def test_validate_json_has_the_paper_s_columns_first(stub, capsys):
 
 def test_validate_reference_writes_evidence(stub):
     made = stub(study(1))
-    assert run("validate", "mine", "--reference", "-q") == 0
-    assert made.written[0][1] == Path("reports/reference/mine")
+    assert run("validate", "mine", "-q") == 0
+    assert not Path("reports/reference").exists()
+    assert run("validate", "mine", "--reference", "--out", "new", "-q") == 0
+    assert made.written[1][1] == Path("new/mine")
+    evidence = pd.read_csv("new/reference/mine/validation.csv")
+    assert (evidence["te_mm"] == evidence["te_mm"].round(3)).all()
+    assert "searches" not in json.loads(Path("new/reference/mine/run.json").read_text())
 
 
 def test_a_curve_that_beats_the_model_is_named(stub, capsys):

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from made_again import assert_made_again
 from test_cli import run
 from track_cases import DEPTH, GUIDE, measured, track, written
 
@@ -83,7 +84,15 @@ def test_runs_are_foretold_scored_and_said(project, capsys):
     deep = pd.read_csv(folder / "depths.csv").query("rival == 'fitted'")
     assert list(deep["from_mm"]) == [20.0, 40.0, 60.0] and deep["readings"].sum() == 2 * np.sum(DEPTH > 15)
     names = {path.name for path in folder.iterdir()}
-    assert {"report.pdf", "tracks.pdf", "posterior-gel.nc", "paired.csv", "depths.csv"} <= names
+    assert {
+        "report.pdf",
+        "readings.pdf",
+        "readings.csv",
+        "posterior-gel.nc",
+        "paired.csv",
+        "depths.csv",
+    } <= names
+    assert_made_again(folder)
 
 
 def test_a_run_cannot_tune_and_validate(project, capsys):

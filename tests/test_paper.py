@@ -9,7 +9,7 @@ from needlefit.validation.paper.claims import Bound, Claim
 
 
 def by_topic(part: str) -> Claim:
-    (found,) = [claim for claim in paper.claims() if part in claim.topic]
+    (found,) = [claim for claim in paper.checked_claims() if part in claim.topic]
     return found
 
 

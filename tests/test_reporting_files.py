@@ -17,13 +17,15 @@ from needlefit.errors import ConfigError
 from needlefit.reporting import write
 from needlefit.reporting.figures.overlays import stretch
 from needlefit.reporting.story import story
+from needlefit.reporting.together import write_all
 from needlefit.validation.results import COLUMNS
 
+FIGURES = ("boxplot", "overlays", "rivals", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
-    *(f"{name}.pdf" for name in ("boxplot", "overlays", "rivals", "waterfall", "report")),
-    *("numbers.tex", "report.html", "results.json.gz", "run.json", "timing.json"),
+    *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "csv")),
+    *("numbers.tex", "report.pdf", "report.html", "results.json.gz", "run.json", "timing.json"),
 }
 
 
@@ -102,7 +104,7 @@ def test_the_report_warns_before_any_number():
 
 
 def test_all_studies_together(tmp_path):
-    files = write.write_all([study(1), study(5)], [], tmp_path / "all")
+    files = write_all([study(1), study(5)], [], tmp_path / "all")
     assert {"validation.csv", "tuning.csv", "parameters.csv", "boxplot.pdf", "report.pdf"} <= {
         path.name for path in files
     }

@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 from needlefit.inference.identifiability.profile import THRESHOLD
-from needlefit.reporting.figures.profiles import _log_ticks, draw_profiles
+from needlefit.reporting.figures.profiles import draw_profiles, log_ticks
 
 
 @pytest.mark.parametrize("factor", [1.01, 1.1, 2.0, 4.9, 5.1, 30.0, 1e3, 1e6])
 def test_every_range_has_two_to_five_round_ticks(factor):
     for low in (0.0123, 0.97, 3.3e5):
-        ticks = _log_ticks(low, factor * low)
+        ticks = log_ticks(low, factor * low)
         assert 2 <= len(ticks) <= 5 and low <= min(ticks) and max(ticks) <= factor * low
 
 
@@ -40,7 +40,9 @@ def frames(sds):
 def test_narrow_and_broad_profiles_are_drawn_the_same_every_time(tmp_path):
     for count in (1, 3, 5):
         drawn = [
-            draw_profiles(*frames([0.01, 0.3, 3.0, 0.1, 1.0][:count]), True, tmp_path / name).read_bytes()
+            draw_profiles(
+                *frames([0.01, 0.3, 3.0, 0.1, 1.0][:count]), "synthetic", tmp_path / name
+            ).read_bytes()
             for name in ("one.pdf", "two.pdf")
         ]
         assert drawn[0] == drawn[1]

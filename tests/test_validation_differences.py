@@ -5,7 +5,9 @@ import pandas as pd
 import pytest
 from test_cli import run
 
+from needlefit.errors import DataError
 from needlefit.reporting.differences import differences_layout, said
+from needlefit.reporting.rebuild import rebuild
 from needlefit.validation.differences import differences
 
 ERRORS = pd.DataFrame(
@@ -99,3 +101,58 @@ def test_the_command_prints_what_matters_first(first, tmp_path, capsys):
     assert lines[0] == "1 result changed, 1 of which matters. The inputs differ in 1 key."
     assert run("diff", str(first), str(second), "--json") == 0
     assert [row["matters"] for row in json.loads(capsys.readouterr().out)] == [None, True]
+
+
+def table(folder, name, rows):
+    folder.mkdir(exist_ok=True)
+    (folder / "run.json").write_text("{}")
+    pd.DataFrame(rows).to_csv(folder / f"{name}.csv", index=False)
+    return folder
+
+
+def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
+    row = {"stage": "design", "fold": "all", "parameter": "mu1_pa", "determined": True, "sd": 0.1}
+    one = table(tmp_path / "a", "identify", [row])
+    two = table(tmp_path / "b", "identify", [{**row, "determined": False, "sd": 0.2}])
+    (two / "run.json").write_text('{"design": {"dataset": {"name": "other"}}}')
+    named, verdict, wider = differences(one, two)
+    assert (named.what, named.where, named.after) == ("input", "dataset.name", "other")
+    assert (verdict.before, verdict.after, verdict.matters) == ("determined", "not determined", True)
+    assert (wider.why, wider.matters) == ("2 times as large", True)
+
+
+def test_a_tip_that_was_foretold_elsewhere_is_told_in_its_deviations(tmp_path):
+    """A band of 3.92 mm is a deviation of 1 mm: a median that moved by 0.4 mm is what it was, by 0.6 not."""
+    row = {"s_mm": 50.0, "needle_median_mm": 2.0, "needle_95_low_mm": 0.04, "needle_95_high_mm": 3.96}
+    one = table(tmp_path / "a", "forecast", [row])
+    for moved, matters in ((0.4, False), (0.6, True)):
+        two = table(tmp_path / "b", "forecast", [{**row, "needle_median_mm": 2.0 + moved}])
+        (found,) = differences(one, two)
+        assert found.why == f"{moved:g} of its standard deviation" and found.matters is matters
+
+
+def test_counts_of_a_calibration_matter_where_their_verdict_changed(tmp_path):
+    row = {"quantity": "mu1_pa", "level": 0.5, "covered": 50, "least": 40, "most": 60, "passes": True}
+    one = table(tmp_path / "a", "coverage", [row, {**row, "level": 0.9, "covered": 90}])
+    changes = [{**row, "covered": 45}, {**row, "level": 0.9, "covered": 70, "passes": False}]
+    found = differences(one, table(tmp_path / "b", "coverage", changes))
+    assert [(one.where, one.matters) for one in found] == [
+        ("mu1_pa, 50 % interval", False),
+        ("mu1_pa, 90 % interval", True),
+    ]
+
+
+def test_runs_of_different_kinds_are_not_compared(tmp_path):
+    one, two = (table(tmp_path / name, name, [{"x": 1}]) for name in ("replicates", "forecast"))
+    with pytest.raises(DataError, match="answer different questions"):
+        differences(one, two)
+
+
+@pytest.mark.parametrize(
+    ("file", "command"), [("verification.csv", "needlefit verify"), ("material.json", "material FILE")]
+)
+def test_what_is_computed_in_a_moment_is_not_made_again_from_a_store(file, command, tmp_path):
+    (tmp_path / "run.json").write_text("{}")
+    (tmp_path / file).write_text("")
+    with pytest.raises(DataError, match=command):
+        rebuild(tmp_path, tmp_path / "again")

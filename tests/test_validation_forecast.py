@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from made_again import assert_made_again
 from test_cli import run
 
 import needlefit
@@ -20,8 +21,8 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.recipe import LikelihoodRecord, SampleRecord
+from needlefit.reporting.files import write_json
 from needlefit.reporting.forecast import forecast_layout, forecast_table, tip
-from needlefit.reporting.write import write_json
 from needlefit.validation.forecast import forecast
 from needlefit.validation.foreknown import foreknown, require_same
 from needlefit.validation.job import Settings, prepare
@@ -181,7 +182,8 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert tip["measured_95_low_mm"] < tip["needle_95_low_mm"]
     folder = tmp_path / "reports" / "predict-gel-study2"
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert set(first) == {"forecast.csv", "forecast.pdf", "run.json"}
+    assert set(first) == {"forecast.csv", "forecast.pdf", "results.json.gz", "run.json"}
+    assert_made_again(folder)
     assert run(*words, "--jobs", "1") == 0
     assert "synthetic" in capsys.readouterr().out
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first

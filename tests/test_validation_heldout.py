@@ -12,7 +12,7 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.study import StudyRecord
 from needlefit.reporting.foretold import foretold_layout
-from needlefit.validation.heldout import PREDICTIVE, drawn, foretold
+from needlefit.validation.heldout import BANDS, PREDICTIVE, STATIONS, drawn, foreseen, foretold
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.placed import Known
 
@@ -27,7 +27,7 @@ def job():
 def known(job):
     problem = job.problem(job.folds[0])
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    return drawn(job, job.folds[0], Known(fit, identify(problem, fit)))
+    return drawn(job, job.folds[0], Known(fit, identify(problem, fit)))[0]
 
 
 def sure(known):
@@ -51,6 +51,19 @@ def test_with_sure_parameters_and_depths_the_pose_and_the_points_are_left(job, k
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
     assert tuple(row) == PREDICTIVE and row["from"] == "importance" and row["certified"]
+
+
+def test_the_band_ends_where_the_tip_was_foretold(job, known):
+    (one,) = foreseen(job, of(job, exact(job.folds[0].validate[0])), sure(known))
+    assert len(one.band) == STATIONS and all(tuple(point) == BANDS for point in one.band)
+    last = one.band[-1]
+    for name in ("low_50", "high_50", "low_95", "high_95"):
+        side, level = name.split("_")
+        assert last[f"{name}_mm"] == pytest.approx(one.row[f"tip_{level}_{side}_mm"])
+    told = one.row["tip_median_mm"], one.row["tip_measured_mm"]
+    assert (last["median_mm"], last["measured_mm"]) == pytest.approx(told)
+    widths = np.array([point["high_95_mm"] - point["low_95_mm"] for point in one.band])
+    assert widths[-1] > widths[0] > 0  # a turn of the pose tells most at the tip
 
 
 def test_open_depths_and_parameters_widen_it(job, known):

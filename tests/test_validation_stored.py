@@ -10,8 +10,9 @@ from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import save
+from needlefit.reporting.files import write_json
 from needlefit.reporting.rebuild import rebuild
-from needlefit.reporting.write import write_all, write_json
+from needlefit.reporting.together import write_all
 from needlefit.validation.packing import NAME
 from needlefit.validation.results import COLUMNS
 from needlefit.validation.stored import restore, store

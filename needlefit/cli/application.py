@@ -10,6 +10,7 @@ from typer.core import TyperGroup
 from needlefit.cli import failure
 from needlefit.cli.calibrate import calibrate
 from needlefit.cli.check import check
+from needlefit.cli.credibility import credibility
 from needlefit.cli.diff import diff
 from needlefit.cli.identify import identify
 from needlefit.cli.material import material
@@ -27,14 +28,14 @@ from needlefit.cli.verify import verify
 
 _COMMANDS: tuple[Callable[..., None], ...] = (
     *(simulate, check, tune, identify, calibrate, predict, validate, report, diff),
-    *(verify, material, paper, init),
+    *(verify, credibility, material, paper, init),
 )
 
 _EPILOG = (
     "A noun is a path (holds / or ends in .toml) or a bare name, looked up in the working folder's project, "
-    "then in the shipped one. Results go to ./reports/. Exit codes: 0 ok, 1 unexpected, 2 usage, 3 bad data "
-    "or configuration, 4 the solver failed, 5 not converged (result written, marked), 6 a verification "
-    "failed, 130 interrupted."
+    "then in the shipped one. Results go to ./reports/. Exit codes: "
+    + ", ".join(f"{code} {meaning}" for code, meaning in failure.EXIT_CODES.items())
+    + "."
 )
 
 

@@ -1,6 +1,6 @@
 """The names that the shell completes."""
 
-from needlefit.project.places import names, run_names
+from needlefit.project.places import GROUPS, names, run_names
 
 
 def scenes(incomplete: str) -> list[str]:
@@ -9,8 +9,8 @@ def scenes(incomplete: str) -> list[str]:
 
 
 def studies(incomplete: str) -> list[str]:
-    """Return the studies whose names begin so, and `all`."""
-    return _beginning([*names("study"), "all"], incomplete)
+    """Return the studies whose names begin so, and the names of several."""
+    return _beginning([*names("study"), *GROUPS], incomplete)
 
 
 def targets(incomplete: str) -> list[str]:

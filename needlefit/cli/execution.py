@@ -38,15 +38,17 @@ class Execution:
     stop: Callable[[], bool]
     sample: bool = False
 
-    def prepare(self, names: Iterable[str]) -> None:
+    def prepare(self, names: Iterable[str], replaces_posterior: bool = False) -> None:
         """Make sure, before hours of work, that the results can be written.
+
+        `replaces_posterior` says that these runs sample a posterior whatever the options say.
 
         Raises
         ------
         ConfigError
             If they cannot, or would replace something that needlefit did not write.
         """
-        from needlefit.reporting.write import require_result
+        from needlefit.reporting.files import require_result
 
         try:
             self.out.mkdir(parents=True, exist_ok=True)
@@ -59,7 +61,7 @@ class Execution:
             )
         for name in names:
             require_result(self.folder(name))
-            if not self.sample and any(self.folder(name).glob("posterior*.nc")):
+            if not (self.sample or replaces_posterior) and any(self.folder(name).glob("posterior*.nc")):
                 raise ConfigError(
                     "holds a sampled posterior, which this run would replace by none",
                     where=str(self.folder(name)),
@@ -138,6 +140,11 @@ def require_converged(results: "Results") -> None:
 
     The results are written by then, marked.
     """
+    require_no_faults(faults_of(results))
+
+
+def faults_of(results: "Results") -> list[str]:
+    """Return what did not converge: scored simulations of the fit, its search, a posterior."""
     fitted = results.errors[results.errors["rival"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
@@ -145,7 +152,13 @@ def require_converged(results: "Results") -> None:
         faults += [fault if fold == "all" else f"{fold}: {fault}" for fault in found]
     for posterior in results.posteriors.values():
         faults += [f"the posterior has not converged: {why}" for why in posterior.faults]
-    for fault in faults:
-        screen.note(f"needlefit: {results.name}: {fault}")
-    if faults:
+    return [f"{results.name}: {fault}" for fault in faults]
+
+
+def require_no_faults(faults: Iterable[str]) -> None:
+    """Say all faults and end with the exit code of what did not converge, if there is one."""
+    said = list(faults)
+    for fault in said:
+        screen.note(f"needlefit: {fault}")
+    if said:
         raise typer.Exit(failure.NOT_CONVERGED)

@@ -5,9 +5,20 @@ import sys
 import traceback
 
 from needlefit.cli.invocation import Invocation
-from needlefit.errors import ConfigError, NeedlefitError
+from needlefit.errors import ConfigError, FitError, NeedlefitError
 
 UNEXPECTED, NOT_CONVERGED, VERIFICATION_FAILED, INTERRUPTED = 1, 5, 6, 130
+
+EXIT_CODES = {
+    0: "ok",
+    UNEXPECTED: "unexpected",
+    2: "usage",
+    ConfigError.exit_code: "bad data or configuration",
+    FitError.exit_code: "the solver failed",
+    NOT_CONVERGED: "not converged (result written, marked)",
+    VERIFICATION_FAILED: "a verification failed",
+    INTERRUPTED: "interrupted",
+}
 
 
 def report(error: BaseException, invocation: Invocation) -> int | None:

@@ -37,9 +37,9 @@ def material(
     from needlefit.datasets.compression import read_compression
     from needlefit.inference.material_prior import Foundation
     from needlefit.inference.population import fit_material
+    from needlefit.reporting.files import require_result
     from needlefit.reporting.material import Report, as_json, layout, write_material
     from needlefit.reporting.material_said import summary
-    from needlefit.reporting.write import require_result
 
     name = f"material-{file.stem}"
     require_result(out / name)

@@ -50,8 +50,8 @@ def predict(
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.cli.tune import fit_of
         from needlefit.mechanics.scene import Scene
+        from needlefit.reporting.files import require_result
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
-        from needlefit.reporting.write import require_result
         from needlefit.validation.forecast import forecast
         from needlefit.validation.foreknown import foreknown
         from needlefit.validation.job import Settings, prepare

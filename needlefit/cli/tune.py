@@ -10,7 +10,6 @@ from needlefit.cli.completion import targets
 from needlefit.cli.execution import Execution, require_converged
 from needlefit.cli.interruption import stopping
 from needlefit.cli.show_tuning import as_json, show_tuning
-from needlefit.cli.validate_tracks import observes_tracks
 from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -67,14 +66,16 @@ def fit_of(target: str) -> "tuple[str, FitRecord]":
     from needlefit.project.places import find_target
     from needlefit.project.records.fit import FitRecord
     from needlefit.project.records.study import StudyRecord
+    from needlefit.validation.studies import load_study
 
     kind, path = find_target(target)
-    if observes_tracks(path):
+    if kind == "fit":
+        return path.stem, load(path, FitRecord)
+    record = load_study(path)
+    if not isinstance(record, StudyRecord):
         raise ConfigError(
-            "is a study of tip tracks, which fits and foretells in one",
+            "is a study that does more than tune, and is not tuned by itself",
             where=str(path),
             mend=f"use: needlefit validate {target}",
         )
-    if kind == "study":
-        return f"{path.stem}-tune", load(path, StudyRecord).tuning()
-    return path.stem, load(path, FitRecord)
+    return f"{path.stem}-tune", record.tuning()

@@ -7,17 +7,11 @@ import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.completion import studies
-from needlefit.cli.execution import Execution, require_converged
+from needlefit.cli.execution import Execution, require_no_faults
 from needlefit.cli.interruption import stopping
-from needlefit.cli.show_validation import show_validation
-from needlefit.cli.validate_inquiry import validate_inquiry
-from needlefit.cli.validate_tracks import observes_tracks, validate_tracks
 
 if TYPE_CHECKING:
-    from needlefit.project.records.fit import FitRecord
-    from needlefit.project.records.inquiry import InquiryRecord
-    from needlefit.project.records.study import StudyRecord
-    from needlefit.validation.results import Results
+    from needlefit.cli.carried import Carried
 
 
 def validate(
@@ -27,7 +21,7 @@ def validate(
         typer.Argument(
             metavar="STUDY",
             autocompletion=studies,
-            help="study1 ... study5, all (those five), another, or a path.",
+            help="study1 ... study5, all (those five), everything, another, or a path.",
         ),
     ],
     sample: options.Sample = False,
@@ -35,86 +29,57 @@ def validate(
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
     reference: Annotated[
-        bool, typer.Option("--reference", help="Write to OUT/reference/: evidence that is committed.")
+        bool,
+        typer.Option("--reference", help="Also write OUT/reference/<study>/: evidence that is committed."),
     ] = False,
     resume: options.Resume = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
 ) -> None:
-    """Run a STUDY: tune on these, score on those.
+    """Run a STUDY: tune on these, score on those, or whatever else its file asks.
 
-    `all` runs the paper's five, and the fits that fill its tuning tables.
+    `all` runs the paper's five, and the fits that fill its tuning tables; `everything` all studies there are
+    besides, but those whose data are not here.
 
-    Prints and writes tables, figures and a PDF, with the paper's numbers beside ours, and slicer/: every
+    Prints and writes tables, figures and a report, with the paper's numbers beside ours, and slicer/: every
     needle, measured and predicted with its 95 % band, for 3D Slicer.
 
     Ctrl-C once saves what is finished and prints the line that goes on; twice leaves at once.
     """
-    folder = out / "reference" if reference else out
-    from needlefit.project.places import find_studies
-
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        execution = Execution(context.find_root().obj, folder, seed, jobs, resume, stop, sample)
-        (name, path), *_ = find_studies(study)
-        if observes_tracks(path):
-            validate_tracks(execution, name, path, json)
-            return
-        if (record := _inquiry(path)) is not None:
-            validate_inquiry(execution, name, record, json)
-            return
-        done = _run(execution, study, json)
-        for results in done:  # not before all are done: `all` is resumed as a whole
-            execution.forget(results.name)
-    for results in done:
-        require_converged(results)
+        from needlefit.cli.carried import carry_out, works
+
+        execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
+        todo = works(study)
+        execution.prepare([*(work.name for work in todo if not work.sampled), *_together(study)])
+        execution.prepare([work.name for work in todo if work.sampled], replaces_posterior=True)
+        done = carry_out(execution, todo, json)
+        if _together(study):
+            _write_all(execution, study, done, json)
+        if reference:
+            done.write_reference(out / "reference")
+        if json:
+            screen.show_json(done.as_json())
+        for work in todo:  # not before all are done: a group is resumed as a whole
+            execution.forget(work.name)
+    require_no_faults(done.faults())
 
 
-def _inquiry(path: Path) -> "InquiryRecord | None":
-    from needlefit.validation.inquiries.kinds import inquiry
+def _together(study: str) -> list[str]:
+    """Return the folder of the report of several studies together, if there is one."""
+    from needlefit.project.places import GROUPS
 
-    return inquiry(path)
-
-
-def _run(execution: Execution, study: str, json: bool) -> "list[Results]":
-    """Run, write and print the studies, and for `all` the fits of the paper's tuning tables too."""
-    from needlefit.project.load import load
-    from needlefit.project.places import find_studies, find_tunings
-    from needlefit.project.records.fit import FitRecord
-    from needlefit.project.records.study import StudyRecord
-
-    studies = [(name, load(path, StudyRecord)) for name, path in find_studies(study)]
-    tunings = [(name, load(path, FitRecord)) for name, path in find_tunings(study)]
-    execution.prepare([*(name for name, _ in [*studies, *tunings]), *["all"] * (study == "all")])
-    scored = [_carry_out(execution, name, record, json) for name, record in studies]
-    tuned = [_carry_out(execution, name, record, json) for name, record in tunings]
-    if study == "all":
-        _write_all(execution, scored, tuned, json)
-    if json:
-        from needlefit.reporting.tables import records, validation_table
-
-        screen.show_json(records(validation_table(*scored)))
-    return [*scored, *tuned]
+    return [study] if study in GROUPS else []
 
 
-def _carry_out(execution: Execution, name: str, record: "StudyRecord | FitRecord", json: bool) -> "Results":
-    results = execution.run(name, record)
-    if results.interrupted:
-        raise execution.interrupted()
-    written = execution.write(results)
-    if not json:
-        show_validation(results)
-        screen.say(f"written: {written}/\n")
-    return results
-
-
-def _write_all(execution: Execution, scored: "list[Results]", tuned: "list[Results]", json: bool) -> None:
+def _write_all(execution: Execution, study: str, done: "Carried", json: bool) -> None:
     from needlefit.reporting.layouts import tuning_layout
-    from needlefit.reporting.write import write_all
+    from needlefit.reporting.together import write_all
 
-    folder = execution.folder("all")
-    write_all(scored, tuned, folder)
+    folder = execution.folder(study)
+    write_all(done.scored, done.tuned, folder, done.answers)
     if not json:
         for by in ("layers", "media"):
-            screen.show_display(tuning_layout(tuned, by))
+            screen.show_display(tuning_layout(done.tuned, by))
         screen.say(f"written: {folder}/")

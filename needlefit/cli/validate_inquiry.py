@@ -2,9 +2,7 @@
 
 from typing import TYPE_CHECKING
 
-import typer
-
-from needlefit.cli import failure, screen
+from needlefit.cli import screen
 from needlefit.cli.execution import Execution
 
 if TYPE_CHECKING:
@@ -12,39 +10,25 @@ if TYPE_CHECKING:
     from needlefit.validation.inquiries.answer import Answer
 
 
-def validate_inquiry(execution: Execution, name: str, record: "InquiryRecord", json: bool) -> None:
+def ask(execution: Execution, name: str, record: "InquiryRecord", json: bool) -> "Answer":
     """Carry out, write and print one inquiry."""
-    execution.prepare([name])
-    answer = carry_out(execution, name, record, json)
-    execution.forget(name)
-    require_trusted([answer])
-
-
-def carry_out(execution: Execution, name: str, record: "InquiryRecord", json: bool) -> "Answer":
-    """Return the answer of an inquiry, written and printed; its checkpoint stays."""
     from needlefit.reporting.inquiries.write import write_answer
 
     answer = execution.ask(name, record)
     if answer.interrupted:
         raise execution.interrupted()
     folder = write_answer(answer, execution.folder(name))
-    if json:
-        from needlefit.reporting.tables import records
-
-        screen.show_json({frame: records(rows) for frame, rows in answer.frames.items()})
-    else:
+    if not json:
         _show(answer)
         screen.say(f"written: {folder}/\n")
     return answer
 
 
-def require_trusted(answers: "list[Answer]") -> None:
-    """End with its exit code if something in the answers is not to be trusted; they are written by then."""
-    faults = [f"{answer.name}: {fault}" for answer in answers for fault in answer.faults]
-    for fault in faults:
-        screen.note(f"needlefit: {fault}")
-    if faults:
-        raise typer.Exit(failure.NOT_CONVERGED)
+def as_json(answer: "Answer") -> dict[str, object]:
+    """Return the frames of an answer as plain values."""
+    from needlefit.reporting.tables import records
+
+    return {name: records(frame) for name, frame in answer.frames.items()}
 
 
 def _show(answer: "Answer") -> None:

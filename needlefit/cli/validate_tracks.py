@@ -4,42 +4,36 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import typer
-
-from needlefit.cli import failure, screen
+from needlefit.cli import screen
 from needlefit.cli.execution import Execution
 
 if TYPE_CHECKING:
+    from needlefit.project.records.track_study import TrackStudyRecord
     from needlefit.validation.tracks.results import TrackResults
 
 
-def observes_tracks(path: Path) -> bool:
-    """Return whether the study in a file is one of tip tracks."""
-    from needlefit.project.load import read_toml
-
-    return "observes" in read_toml(path)
-
-
-def validate_tracks(execution: Execution, name: str, path: Path, json: bool) -> None:
-    """Run, write and print one study of tip tracks."""
-    from needlefit.project.load import load
-    from needlefit.project.records.track_study import TrackStudyRecord
+def run_tracks(execution: Execution, name: str, record: "TrackStudyRecord", json: bool) -> "TrackResults":
+    """Run, write and print one study of tip tracks; what is foretold is made of its posterior."""
     from needlefit.reporting.tracks.write import write_tracks
 
-    record, execution = load(path, TrackStudyRecord), replace(execution, sample=True)
-    execution.prepare([name])
-    results = execution.run_tracks(name, record)
+    results = replace(execution, sample=True).run_tracks(name, record)
     if results.interrupted:
         raise execution.interrupted()
     folder = write_tracks(results, execution.folder(name))
-    execution.forget(name)
-    _show(results, folder, json)
-    if results.faults:
-        raise typer.Exit(failure.NOT_CONVERGED)
+    if not json:
+        _show(results, folder)
+    return results
 
 
-def _show(results: "TrackResults", folder: Path, json: bool) -> None:
+def as_json(results: "TrackResults") -> object:
+    """Return how rivals compare, run by run, as plain values."""
     from needlefit.reporting.tables import records
+    from needlefit.validation.tracks.summary import paired_runs
+
+    return records(paired_runs(results))
+
+
+def _show(results: "TrackResults", folder: Path) -> None:
     from needlefit.reporting.tracks.layouts import (
         coverage_layout,
         depths_layout,
@@ -47,11 +41,7 @@ def _show(results: "TrackResults", folder: Path, json: bool) -> None:
         scores_layout,
     )
     from needlefit.reporting.tracks.said import cautions, in_short
-    from needlefit.validation.tracks.summary import paired_runs
 
-    if json:
-        screen.show_json(records(paired_runs(results)))
-        return
     screen.say(f"{results.name}: {results.title}")
     kind = "SYNTHETIC" if results.origin == "synthetic" else "measured"
     for sentence in (f"{kind} data: {results.dataset_title}", *cautions(results)):

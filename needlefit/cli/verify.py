@@ -28,8 +28,8 @@ def verify(
     Every figure is measured now; none is stored. Prints the table and writes it as CSV, JSON
     and PDF to OUT/verification/. Exit code 6 where a row fails.
     """
+    from needlefit.reporting.files import require_result
     from needlefit.reporting.verification import refinements, summary, table, write_verification
-    from needlefit.reporting.write import require_result
     from needlefit.verification.run import verify as measure
 
     folder = out / FOLDER

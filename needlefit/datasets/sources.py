@@ -8,6 +8,7 @@ from pathlib import Path
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.project.files import sha256
+from needlefit.project.load import read_toml
 from needlefit.project.records.dataset import SourceRecord
 
 
@@ -26,18 +27,14 @@ def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
     """
     if record.root is None:
         return (path.parent,)
-    root = os.path.expandvars(record.root)
-    if "$" in root:
+    if "$" in os.path.expandvars(record.root):
         raise DataError(
             f"root is {record.root}, and that environment variable is not set",
             where=str(path),
             expected="the variable, naming the folder that holds the dataset folders",
             mend=record.how_to_get or "set it and run again",
         )
-    absolute = Path(root) if Path(root).is_absolute() else path.parent / root
-    anchor = Path(absolute.anchor or ".")
-    pattern = str(absolute.relative_to(anchor)) if absolute.anchor else str(absolute)
-    found = tuple(sorted(folder for folder in anchor.glob(pattern) if folder.is_dir()))
+    absolute, found = _matching(record.root, path)
     if not found:
         raise DataError(
             f"no folder matches root {record.root}",
@@ -46,6 +43,21 @@ def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
             mend=record.how_to_get or "check the path",
         )
     return found
+
+
+def lacking(path: Path) -> bool:
+    """Return whether the files of the dataset described at `path` lie elsewhere, and are not there."""
+    root = read_toml(path).get("root")
+    return isinstance(root, str) and not _matching(root, path)[1]
+
+
+def _matching(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
+    """Return the pattern that a root means, and the folders that match it, sorted."""
+    expanded = os.path.expandvars(root)
+    absolute = Path(expanded) if Path(expanded).is_absolute() else path.parent / expanded
+    anchor = Path(absolute.anchor or ".")
+    pattern = str(absolute.relative_to(anchor)) if absolute.anchor else str(absolute)
+    return absolute, tuple(sorted(folder for folder in anchor.glob(pattern) if folder.is_dir()))
 
 
 def checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:

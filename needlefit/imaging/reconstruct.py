@@ -12,6 +12,7 @@ from needlefit.geometry.frames import Frame, entry_frame
 from needlefit.geometry.plane import bending_plane
 from needlefit.imaging import entry
 from needlefit.imaging.contact import first_contact
+from needlefit.imaging.grid import Grid
 from needlefit.imaging.layer_doubts import doubts, refuse_tunnels
 from needlefit.imaging.layers import layer_errors, met, read_layers
 from needlefit.imaging.reconstruction import EntryPose, Reconstruction
@@ -46,7 +47,25 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     """
     volume = read(scan.volume, scan.series)
     seen = see(volume, scan, recipe)
-    surfaces = read_layers(scan, seen.patient, volume.grid)
+    found = told(seen, scan, recipe, volume.grid)
+    pictures = views(volume, seen.patient, found.frame, seen.traced.points)
+    return replace(found, views=pictures, remarks=(*volume.remarks, *found.remarks))
+
+
+def told(seen: Seen, scan: Scan, recipe: ReconstructionRecord, grid: Grid) -> Reconstruction:
+    """Return what follows, without another look at the volume, from what was seen in it; without pictures.
+
+    Parameters
+    ----------
+    grid : Grid
+        Where the scan's voxels stand.
+
+    Raises
+    ------
+    DataError
+        As `reconstruct`.
+    """
+    surfaces = read_layers(scan, seen.patient, grid)
     refuse_tunnels(scan, surfaces, seen.world)
     pose, shaft = first_contact(seen, scan, surfaces, recipe)
     begin = entry.start(seen.world, pose)
@@ -54,10 +73,9 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     frame, plane = _bending(seen, scan, pose, points, recipe)
     layers = met(points, frame, surfaces, layer_errors(scan, recipe, sd, pose, seen.registration))
     said = doubts(scan, layers, points, seen.patient)
-    depth = float(arc_length(points)[-1])
     found = Reconstruction(
         scan=scan,
-        spacing=volume.spacing,
+        spacing=grid.spacing,
         traced=seen.traced,
         markers=seen.markers,
         registration=seen.registration,
@@ -68,15 +86,15 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
         plane=plane,
         points=points,
         sd=sd,
-        depth=depth,
+        depth=float(arc_length(points)[-1]),
         depth_sd=float(np.hypot(seen.traced.tip_sd[0], pose.along_sd)),
         target_error=_target_error(seen, points),
         layers=layers,
         profile=replace(seen.profile, s=seen.profile.s - begin),
-        views=views(volume, seen.patient, frame, seen.traced.points),
+        views=(),
         remarks=(),
     )
-    return replace(found, remarks=(*volume.remarks, *remarks(found), *said))
+    return replace(found, remarks=(*remarks(found), *said))
 
 
 def _inserted(seen: Seen, begin: float, station: float) -> tuple[Floats, Floats]:

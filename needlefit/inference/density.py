@@ -1,6 +1,6 @@
 """The posterior density of one fit, its exact gradient, and the residuals it is made of."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -66,17 +66,21 @@ class Density:
     def logs(self, sets: Sequence[Mapping[str, float]], jobs: int) -> Floats:
         """Return `log` (B,) of many sets of values at once, on `jobs` threads."""
         scales = np.array([self._scale(values) for values in sets])
+        total = np.array([self.parameters.prior.log_density(values) for values in sets])
+        for known, white in zip(self.evidence, self.whites(sets, jobs), strict=True):
+            total += known.log_norm + log_marginals(white, known.nodes, scales)
+        return total
+
+    def whites(self, sets: Sequence[Mapping[str, float]], jobs: int) -> Iterator[Floats]:
+        """Yield of each insertion the whitened residuals (B, m, R) of many sets of values at its m nodes."""
         batches = [
             predict_each(sets, self.medium, self.needle, insertion)
             for known in self.evidence
             for insertion in known.nodes.insertions
         ]
         shapes = iter(follow_batches(batches, jobs))
-        total = np.array([self.parameters.prior.log_density(values) for values in sets])
         for known in self.evidence:
-            white = _white_each(known, [next(shapes) for _ in known.nodes.s])
-            total += known.log_norm + log_marginals(white, known.nodes, scales)
-        return total
+            yield _white_each(known, [next(shapes) for _ in known.nodes.s])
 
     def gradient(self, values: Mapping[str, float]) -> tuple[float, Floats]:
         """Return `log` and its derivatives (P,) by theta; NaN where a solve fails."""

@@ -1,5 +1,6 @@
 """Draws of what is known of the parameters: of a posterior, or of the prior alone."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -18,12 +19,14 @@ Source = Literal["posterior", "importance"]
 class Draws:
     """Draws of theta (B, P) of a posterior: sampled, or weighed about its modes.
 
-    `faults` says why it has not converged, or is not certified; it is empty if it is.
+    `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is that of
+    the weights, NaN of a sampled posterior.
     """
 
     thetas: Floats
     source: Source
     faults: tuple[str, ...] = ()
+    pareto_k: float = math.nan
 
 
 def from_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:

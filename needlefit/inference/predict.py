@@ -110,6 +110,12 @@ def _clamped(guide_distance: float | None) -> Controls:
 
 
 def rules(medium: MediumRecord) -> Rules:
-    """Return the rules of a medium: its constraint spacing, and the longest mesh size up to 1 mm in it."""
+    """Return the rules of a medium, and the longest mesh size up to 1 mm in its constraint spacing."""
     spacing = medium.constraint_spacing_mm
-    return Rules(spacing, spacing / math.ceil(spacing / LONGEST_ELEMENT - 1e-9))
+    return Rules(
+        spacing,
+        spacing / math.ceil(spacing / LONGEST_ELEMENT - 1e-9),
+        switch=medium.constraint_switch,
+        tangent=medium.tangent_part,
+        first_cell=medium.first_cell_mm,
+    )

@@ -160,14 +160,29 @@ class Rules:
         Newton stops when no node moves by more than this, mm.
     max_iterations : int
         A step that takes more has not converged.
+    switch : float
+        Where between two constraint points, in parts of the way from the one behind to the one ahead, the
+        tissue changes from the one to the other. 0.5: each point of the needle belongs to the nearest; 0 and
+        1: every cell to the one ahead, or behind.
+    tangent : float
+        Part of its slope that the tip takes on when it advances: 1 along its tangent, 0 a mere shift in x.
+    first_cell : float or None
+        Depth of the first constraint point, mm; None: the last cell is whole. A `Session` is told its own.
     """
 
     spacing: float = 1.0
     element: float = 1.0
     tolerance: float = 1e-7
     max_iterations: int = 40
+    switch: float = 0.5
+    tangent: float = 1.0
+    first_cell: float | None = None
 
     def __post_init__(self) -> None:
+        if not (0 <= self.switch <= 1 and 0 <= self.tangent <= 1):
+            raise ModelError(
+                f"switch is {self.switch}, tangent is {self.tangent}", expected="both from 0 to 1"
+            )
         if not finite(self.spacing, self.element):
             raise ModelError(
                 f"constraint spacing is {self.spacing} mm, element size {self.element} mm",

@@ -213,7 +213,9 @@ def stops_of(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Stop, ...]:
 
 
 def lattice_of(steps: Sequence[Step], rules: Rules) -> Lattice:
-    """Return the constraint points of a whole insertion: the tip ends on one of them."""
+    """Return the constraint points of a whole insertion: by default the tip ends on one of them."""
+    if rules.first_cell is not None:
+        return Lattice(rules.first_cell, rules.spacing)
     depth = steps[-1].depth if steps else 0.0
     return Lattice.ending_at(depth, rules.spacing) if depth > NEAR else Lattice(rules.spacing, rules.spacing)
 

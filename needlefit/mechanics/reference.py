@@ -41,7 +41,7 @@ def follow(
     rules: Rules = Rules(),
     lattice: Lattice | None = None,
 ) -> NeedleShape:
-    """Section 4: bring the tip from one stop to the next; arguments as in `mechanics.follow`."""
+    """Section 4: bring the tip from one stop to the next; arguments as in `follow`."""
     lattice = lattice or lattice_of(steps, rules)
     C_int = rules.spacing
     c: dict[int, float] = {0: 0.0}  # y of the constraint points, by their number
@@ -55,6 +55,7 @@ def follow(
         if stop.cell > 0:
             # c_m = u_tip + (x_m - x_tip) (u'_tip + s b / C_int): along the tangent, turned by the bevel
             x_0, u_0, slope_0 = rays[stop.ray]
+            slope_0 *= rules.tangent  # 1, but in variants of this rule
             bevel = steps[stop.cut].bevel
             c[stop.cell] = u_0 + (stop.tip - x_0) * (slope_0 + bevel.side * bevel.offset / C_int)
         x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
@@ -118,10 +119,11 @@ def equilibrium(
     `u` (2 N,) is a guess of deflection and slope of every node, true where they are `held`.
     """
     K_b = bending_stiffness(nodes, needle.flexural_rigidity)
-    x_q, w_q = quadrature(nodes, constraints[:, 0], tissue.boundaries)
+    change = changes(constraints[:, 0], rules.switch)
+    x_q, w_q = quadrature(nodes, change, tissue.boundaries)
     N, dN = shape_functions(nodes, x_q)  # (Q, 2 N) each
     layer = np.searchsorted(tissue.boundaries, x_q)
-    nearest = np.argmin(np.abs(x_q[:, None] - constraints[:, 0]), axis=1)
+    nearest = np.searchsorted(change, x_q)
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
     u = u.copy()
     free = ~held
@@ -170,10 +172,15 @@ def bending_stiffness(nodes: Floats, EI: float) -> Floats:
     return K
 
 
-def quadrature(nodes: Floats, x_c: Floats, boundaries: Floats) -> tuple[Floats, Floats]:
+def changes(x_c: Floats, switch: float) -> Floats:
+    """Section 3: where the tissue's points change from one constraint point to the next; 0.5: halfway."""
+    where: Floats = (1 - switch) * x_c[:-1] + switch * x_c[1:]
+    return where
+
+
+def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Floats, Floats]:
     """Section 3: two Gauss points on each interval without node, boundary or change of constraint inside."""
-    halfway = (x_c[1:] + x_c[:-1]) / 2
-    edges = np.unique(np.clip(np.concatenate(([0.0], nodes, halfway, boundaries)), 0.0, x_c[-1]))
+    edges = np.unique(np.clip(np.concatenate(([0.0], nodes, change, boundaries)), 0.0, nodes[-1]))
     middle, half = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
     points = middle[:, None] + half[:, None] * np.array([-1, 1]) / math.sqrt(3)
     return points.ravel(), np.repeat(half, 2)

@@ -170,8 +170,8 @@ class Session:
     def _begin(self) -> kernel.Insertion:
         return kernel.begin(
             self.needle.flexural_rigidity, self.needle.length, self.lattice.first_cell,
-            self.lattice.spacing, self.rules.element, self.tissue.boundaries,
-            self.needle.length, self._guides, self._rays,
+            self.lattice.spacing, self.rules.element, self.rules.switch, self.rules.tangent,
+            self.tissue.boundaries, self.needle.length, self._guides, self._rays,
         )  # fmt: skip
 
 

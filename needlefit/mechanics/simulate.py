@@ -122,7 +122,7 @@ def equilibrium(
     holds = compile_controls(controls)
     within = np.array([guide.x for guide in controls.within if guide.x <= depth - GRIP])
     nodes = node_depths(depth, depths[1], rules.spacing, rules.element, within)
-    grid = build_grid(depths, tissue.boundaries, nodes)
+    grid = build_grid(depths, tissue.boundaries, nodes, rules.switch)
     last = len(grid.nodes) - 1
     size = 1 + len(controls.before) + len(grid.nodes)
     chain = kernel.begin_chain(holds, needle.flexural_rigidity, size)
@@ -149,7 +149,7 @@ def begin(
     rays = lattice.cell(deepest) + len(steps) + 1
     return kernel.begin(
         needle.flexural_rigidity, needle.length, lattice.first_cell, lattice.spacing, rules.element,
-        tissue.boundaries, deepest, guides, rays,
+        rules.switch, rules.tangent, tissue.boundaries, deepest, guides, rays,
     )  # fmt: skip
 
 

@@ -20,8 +20,12 @@ _PATTERNS: dict[Kind, str] = {
     "reconstruction": "configs/reconstruction/{name}.toml",
 }
 PARTS = ("data", "configs", "studies")
+EVERYTHING = "everything"
+"""Every study there is, as `all` means those of the paper."""
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
+GROUPS = ("all", EVERYTHING)
+"""Names of several studies, and the fits of the paper's tuning tables with them, reported together."""
 
 
 def shipped() -> Path:
@@ -115,15 +119,17 @@ def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
 def find_studies(name: str) -> list[tuple[str, Path]]:
     """Return the names and files of the studies that `name` means; `all` is the paper's five.
 
-    Studies on data that is not shipped are never among `all`.
+    Studies on data that is not shipped are never among `all`; `everything` has all studies, these too.
     """
-    if name == "all":
-        return [(study, find("study", study)) for study in PAPER_STUDIES]
+    if name in GROUPS:
+        others = [one for one in names("study") if one not in PAPER_STUDIES]
+        wanted = (*PAPER_STUDIES, *(others if name == EVERYTHING else ()))
+        return [(study, find("study", study)) for study in wanted]
     known = names("study")
     if not _is_path(name) and name not in known:
         if name in names("fit"):
             raise _no_study(name)
-        raise _unknown("study", name, [*known, "all"])
+        raise _unknown("study", name, [*known, *GROUPS])
     path = find("study", name)
     if path.parent.name == "fits" and not _is_study(path):
         raise _no_study(name)
@@ -131,8 +137,8 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
 
 
 def find_tunings(name: str) -> list[tuple[str, Path]]:
-    """Return the names and files of the fits that fill the paper's tuning tables, which belong to `all`."""
-    return [(fit, find("fit", fit)) for fit in PAPER_FITS] if name == "all" else []
+    """Return the names and files of the fits that fill the paper's tuning tables, which belong to a group."""
+    return [(fit, find("fit", fit)) for fit in PAPER_FITS] if name in GROUPS else []
 
 
 def find_run(name: str) -> Path:
@@ -161,7 +167,7 @@ def _is_path(name: str) -> bool:
 def _is_study(path: Path) -> bool:
     from needlefit.project.load import read_toml
 
-    return bool({"validate", "leave_out"} & read_toml(path).keys())
+    return bool({"validate", "leave_out", "observes", "kind"} & read_toml(path).keys())
 
 
 def _name(kind: Kind, path: Path) -> str:

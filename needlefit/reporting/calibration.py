@@ -7,16 +7,18 @@ from needlefit.reporting import document
 from needlefit.reporting.calibration_said import PROVES, caption, layout, said
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.ranks import draw_ranks
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.tables import records
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.calibration.run import Calibration
+from needlefit.validation.calibration.stored import store_calibration
 
 
 def write_calibration(found: Calibration, folder: Path) -> list[Path]:
     """Write a calibration to `folder`, replacing an earlier result there; return the files.
 
-    `replicates.csv` (truth, ranks, who computed them), `coverage.csv` and `ecdf.csv` (what ranks say, beside
-    what chance allows), `ranks.pdf`, `report.pdf`, `run.json`, and `timing.json`, the only one with a time.
+    `replicates.csv` (truth, ranks, who computed them), `coverage.csv` and `ranks.csv` (what ranks say, beside
+    what chance allows), `ranks.pdf`, `report.pdf`, `run.json`, `results.json.gz`, from which all of this
+    can be made again, and `timing.json`, the only one with a time.
 
     Raises
     ------
@@ -24,11 +26,11 @@ def write_calibration(found: Calibration, folder: Path) -> list[Path]:
         If `folder` exists and holds something that is no result.
     """
     with whole(folder) as new:
-        for name in ("replicates", "coverage", "ecdfs"):
-            table = getattr(found, name).assign(origin=found.origin)
-            write_csv(table, new / f"{name.removesuffix('s') if name == 'ecdfs' else name}.csv")
+        for name in ("replicates", "coverage"):
+            write_csv(getattr(found, name).assign(origin=found.origin), new / f"{name}.csv")
         figure = draw_ranks(found, new / "ranks.pdf")
         (new / "report.pdf").write_bytes(compile_pdf(_page(found, figure)))
+        store_calibration(found, new)
         write_json(new / "run.json", {**found.run, **_outcome(found)})
         write_json(new / "timing.json", {"seconds": found.seconds})
     return sorted(folder.iterdir())

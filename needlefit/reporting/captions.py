@@ -8,8 +8,9 @@ BOXPLOT = (
 )
 OVERLAYS = (
     "Measured needles (dots) and what the model makes of them (lines), one panel per insertion, all in the "
-    "same axes, deflection positive toward the bevel; the axis says by how much it is drawn larger than "
-    "depth. Above each panel stand its errors."
+    "same axes. Bands: where 50 and 95 % of measurements of a held-out needle were foretold to lie. "
+    "Deflection is positive toward the bevel; the axis says by how much it is drawn larger than depth. Above "
+    "each panel stand its errors."
 )
 RESIDUALS = (
     "How far each curve lies from the measured needle, normal to it, after alignment, along the needle; "
@@ -20,6 +21,18 @@ WATERFALL = (
     "practically as good (dashed): 0.1 of the log posterior, or 1 % of the metric objective and at least "
     "0.002 mm. Right: where the starts left each free parameter between its bounds (written at the ends; μ "
     "and b in logarithms). Filled dots spread along the axis mean that the data do not determine it."
+)
+CORNER = (
+    "The posterior, one parameter and one pair at a time; moduli and b in logarithms. Draws (dots, and their "
+    "histograms), the fit and the paper’s set; dotted, the bounds and what the flat prior between them would "
+    "have the histograms be."
+)
+FORETOLD = (
+    "Whether held-out needles came out as foretold. Left: the share of needles whose level is at most so "
+    "high; a level is the probability foretold of a tip less far toward the bevel, or of a shape nearer at "
+    "its worst point. Right predictions stay in the grey band throughout, but for 5 %. Right: what share of "
+    "needles the 50 and 95 % intervals held, with Wilson’s interval of so few trials; a needle is one trial, "
+    "and repeats in one specimen are one where there are specimens enough."
 )
 PROFILES = (
     "Profile likelihoods: how the best fit worsens as one parameter is held away from it and all others are "

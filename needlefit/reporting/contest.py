@@ -6,6 +6,9 @@ from needlefit.reporting.tables import Row, records, study_label
 from needlefit.validation.results import BASELINES, Results
 from needlefit.validation.summary import paired
 
+_SURE = 2.0
+"""Standard errors up to which a difference may be chance."""
+
 _SETS = ("hand_tuned", "hand_tuned_b")
 
 
@@ -83,6 +86,8 @@ def _study(results: Results) -> str:
 def _gap(row: Row) -> str:
     if row["difference_mm"] is None:
         return MISSING
-    error = "" if row["difference_se_mm"] is None else f" ± {row['difference_se_mm']:.3f}"
+    se = row["difference_se_mm"]
+    error = "" if se is None else f" ± {se:.3f}"
+    within = "" if se is None or abs(row["difference_mm"]) > _SURE * se else "; within two standard errors"
     gap = f"{row['difference_mm']:+.3f}".replace("-", "−")
-    return f"{gap}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}"
+    return f"{gap}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}{within}"

@@ -52,8 +52,9 @@ def _parameters_display(table: list[Row]) -> Display:
     for row in table:
         begins = (row["study"], row["fold"]) != last
         breaks += [len(rows)] if begins and rows else []
-        last = (row["study"], row["fold"])
-        head = (str(row["study"]), str(row["fold"]) if folds else "") if begins else ("", "")
+        before, last = last and last[0], (row["study"], row["fold"])
+        named = "" if rows and row["study"] == before else str(row["study"])
+        head = (named, str(row["fold"]) if folds else "") if begins else ("", "")
         rows.append((*head, *_parameter(row), str(row["origin"]) if mixed else ""))
     columns = (
         *(text("Study"), text("Fold"), text("Parameter"), Column("Fitted")),

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from needlefit.project.plain import plain
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.numbers import number
-from needlefit.validation.differences import Difference
+from needlefit.validation.difference import Difference
 
 LONGEST = 40
 """Characters of a value that a table shows."""

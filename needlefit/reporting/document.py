@@ -2,11 +2,13 @@
 
 import json
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
+from itertools import count
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import typst
@@ -26,7 +28,7 @@ class Document:
     synthetic : bool
         Whether every page is headed SYNTHETIC DATA.
     blocks : tuple
-        Made by `heading`, `text`, `bullets`, `warning`, `table` and `figure`.
+        Made by `heading`, `subheading`, `text`, `note`, `bullets`, `warning`, `empty`, `table` and `figure`.
     """
 
     title: str
@@ -40,9 +42,19 @@ def heading(words: str) -> Block:
     return {"kind": "heading", "text": words}
 
 
+def subheading(words: str) -> Block:
+    """Return the heading of a part of a section."""
+    return {"kind": "subheading", "text": words}
+
+
 def text(words: str) -> Block:
     """Return a paragraph."""
     return {"kind": "text", "text": words}
+
+
+def note(words: str) -> Block:
+    """Return a paragraph that stands back."""
+    return {"kind": "note", "text": words}
 
 
 def bullets(items: Sequence[str]) -> Block:
@@ -55,6 +67,11 @@ def warning(words: str) -> Block:
     return {"kind": "warning", "text": words}
 
 
+def empty(words: str) -> Block:
+    """Return an empty box, and in words what is missing in it."""
+    return {"kind": "empty", "text": words}
+
+
 def table(display: Display, synthetic: bool) -> Block:
     """Return a table."""
     return {"kind": "table", "synthetic": synthetic, **asdict(display)}
@@ -62,33 +79,44 @@ def table(display: Display, synthetic: bool) -> Block:
 
 def figure(path: Path, caption: str, synthetic: bool) -> Block:
     """Return a figure: the PDF at `path`, set at its own size."""
-    return {"kind": "figure", "file": path.name, "path": path, "caption": caption, "synthetic": synthetic}
+    return {"kind": "figure", "path": path, "caption": caption, "synthetic": synthetic}
 
 
 def compile_pdf(document: Document) -> bytes:
     """Return the PDF of a report."""
     pictures = [block["path"] for block in document.blocks if "path" in block]
-    return set_page("report.typ", _payload(document), pictures)
+    numbered = {f"figure-{number}.pdf": path for number, path in enumerate(pictures, start=1)}
+    return set_page("report.typ", _payload(document), numbered)
 
 
-def set_page(template: str, payload: Block, pictures: Sequence[Path] = ()) -> bytes:
-    """Return the PDF that a template makes of its data and pictures; only fonts of typst's own are used."""
+def set_page(template: str, payload: Block, pictures: Mapping[str, Path] = MappingProxyType({})) -> bytes:
+    """Return the PDF that a template makes of its data and of pictures, which it knows by these names.
+
+    Only fonts of typst's own are used.
+    """
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
         folder = Path(name)
         page = folder / template
         page.write_bytes((files("needlefit.reporting") / "templates" / template).read_bytes())
         (folder / "data.json").write_text(json.dumps(payload), encoding="utf-8")
-        for picture in pictures:
-            (folder / picture.name).write_bytes(picture.read_bytes())
+        for known, picture in pictures.items():
+            (folder / known).write_bytes(picture.read_bytes())
         pdf = typst.compile(str(page), root=name, ignore_system_fonts=True)
     assert isinstance(pdf, bytes)
     return pdf
 
 
+def by_name(pictures: Sequence[Path]) -> dict[str, Path]:
+    """Return pictures as a template knows them that calls them by the names of their files."""
+    return {picture.name: picture for picture in pictures}
+
+
 def _payload(document: Document) -> Block:
-    """Return what the template reads; a table without rows is left out."""
+    """Return what the template reads, figures by their number; a table without rows is left out."""
+    number = count(1)
     blocks = [
         {key: value for key, value in block.items() if key != "path"}
+        | ({"file": f"figure-{next(number)}.pdf"} if "path" in block else {})
         for block in document.blocks
         if block["kind"] != "table" or block["rows"]
     ]

@@ -1,17 +1,23 @@
 """A predicted insertion: its table, its files, its picture."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 
 from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
+from needlefit.project.plain import plain
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.forecast import draw_forecast
+from needlefit.reporting.files import whole, write_json
 from needlefit.reporting.numbers import fixed
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.forecast import Forecast
+from needlefit.validation.packing import pack, packed, unpacked
+
+KIND = "forecast"
+"""Of what a run stores."""
 
 _BANDS = {"needle": "where the needle is", "measured": "where it would be measured"}
 
@@ -70,16 +76,40 @@ def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
     return Display("forecast", caption, tuple(columns), tuple(cells), notes=notes)
 
 
+@dataclass(frozen=True)
+class Foretold:
+    """All that the files of a prediction hold: title, its table with the marks of every row, `run.json`."""
+
+    title: str
+    table: pd.DataFrame
+    run: dict[str, Any]
+
+
 def write_forecast(
     forecast: Forecast, folder: Path, title: str, run: dict[str, Any], synthetic: bool
 ) -> None:
-    """Write `forecast.csv`, `forecast.pdf` and `run.json` to `folder`, whole or not at all."""
+    """Write `forecast.csv`, `forecast.pdf`, `run.json` and what they are made again from to `folder`.
+
+    Whole or not at all.
+    """
+    marks = {"origin": "synthetic" if synthetic else "measured", "converged": not forecast.faults}
+    table = forecast_table(forecast).assign(**marks)
+    write_foretold(Foretold(_marked(title, forecast), table, run | tip(forecast)), folder)
+
+
+def write_foretold(foretold: Foretold, folder: Path) -> None:
+    """Write the files of a prediction; else as `write_forecast`."""
+    table = foretold.table
     with whole(folder) as new:
-        table = forecast_table(forecast)
-        marks = {"origin": "synthetic" if synthetic else "measured", "converged": not forecast.faults}
-        write_csv(table.assign(**marks), new / "forecast.csv")
-        draw_forecast(table, _marked(title, forecast), np.max(forecast.s), new / "forecast.pdf", synthetic)
-        write_json(new / "run.json", run | tip(forecast))
+        draw_forecast(table, foretold.title, float(table["s_mm"].max()), new / "forecast.pdf")
+        packs = {"title": foretold.title, "table": packed(table), "run": plain(foretold.run)}
+        pack({"kind": KIND, **packs}, new)
+        write_json(new / "run.json", foretold.run)
+
+
+def restored(table: Mapping[str, Any]) -> Foretold:
+    """Return what a run stored as `table`."""
+    return Foretold(table["title"], unpacked(table["table"]), table["run"])
 
 
 def _marked(title: str, forecast: Forecast) -> str:

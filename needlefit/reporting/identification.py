@@ -1,43 +1,97 @@
 """The identifiability verdict: as a table, in sentences, as files."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import pandas as pd
 
+from needlefit.project.plain import plain
 from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.identification_layout import directions_table, identification_table
 from needlefit.reporting.identification_said import design_said, verdict_said
 from needlefit.reporting.tables import records
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.identify import Identification
+from needlefit.validation.packing import pack, packed, unpacked
 from needlefit.validation.results import Results
+
+KIND = "identification"
+"""Of what a run stores."""
+
+
+@dataclass(frozen=True)
+class Stage:
+    """What is told at one stage, before the fit or after: a row per parameter, and the profiles' points."""
+
+    rows: pd.DataFrame
+    profiles: pd.DataFrame
+    run: dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Written:
+    """All that the files of a verdict hold: by stage ("design", "fit"), and the design's directions."""
+
+    origin: str
+    stages: Mapping[str, Stage]
+    directions: pd.DataFrame
 
 
 def write_identification(found: Identification, fitted: Results | None, folder: Path) -> list[Path]:
     """Write the verdict to `folder`, replacing an earlier result there; return the files.
 
-    `identify.csv`, `directions.csv`, `profiles.csv`, `profiles.pdf` and `run.json`; with a fit, rows and
-    profiles of both stages, the figure of the fit's.
+    `identify.csv`, `directions.csv`, `profiles.csv`, `profiles.pdf`, `run.json`, and `results.json.gz`, from
+    which all of them can be made again; with a fit, rows of both
+    stages, and the design's profiles beside the fit's as `profiles_design`.
 
     Raises
     ------
     ConfigError
         If `folder` exists and holds something that is no result.
     """
-    staged = [("design", found.identification, found.profiles)]
+    stages = {"design": Stage(found.identification, found.profiles, found.run)}
     if fitted is not None:
-        staged.append(("fit", fitted.identification, fitted.profiles))
+        stages["fit"] = Stage(fitted.identification, fitted.profiles, fitted.run)
+    directions = directions_table(found.expectation, found.origin)
+    return write_stages(Written(found.origin, stages, directions), folder)
+
+
+def write_stages(written: Written, folder: Path) -> list[Path]:
+    """Write the files of a verdict; else as `write_identification`."""
+    origin, last = written.origin, list(written.stages)[-1]
     with whole(folder) as new:
-        tables = [identification_table(rows, found.origin).assign(stage=stage) for stage, rows, _ in staged]
+        tables = [
+            identification_table(stage.rows, origin).assign(stage=name)
+            for name, stage in written.stages.items()
+        ]
         write_csv(_stacked(tables), new / "identify.csv")
-        write_csv(_stacked([points.assign(stage=stage) for stage, _, points in staged]), new / "profiles.csv")
-        write_csv(directions_table(found.expectation, found.origin), new / "directions.csv")
-        _, rows, points = staged[-1]
-        draw_profiles(rows, points, found.origin == "synthetic", new / "profiles.pdf")
-        run = {"design": found.run} | ({} if fitted is None else {"fit": fitted.run})
-        write_json(new / "run.json", run)
+        write_csv(written.directions, new / "directions.csv")
+        for name, stage in written.stages.items():
+            file = "profiles" if name == last else f"profiles_{name}"
+            draw_profiles(stage.rows, stage.profiles, origin, new / f"{file}.pdf")
+        _store(written, new)
+        write_json(new / "run.json", {name: stage.run for name, stage in written.stages.items()})
     return sorted(folder.iterdir())
+
+
+def restored(table: Mapping[str, Any]) -> Written:
+    """Return what a run stored as `table`."""
+    stages = {
+        name: Stage(unpacked(stage["rows"]), unpacked(stage["profiles"]), stage["run"])
+        for name, stage in table["stages"].items()
+    }
+    return Written(table["origin"], stages, unpacked(table["directions"]))
+
+
+def _store(written: Written, folder: Path) -> None:
+    stages = {
+        name: {"rows": packed(stage.rows), "profiles": packed(stage.profiles), "run": plain(stage.run)}
+        for name, stage in written.stages.items()
+    }
+    table = {"kind": KIND, "origin": written.origin, "stages": stages}
+    pack({**table, "directions": packed(written.directions)}, folder)
 
 
 def as_json(found: Identification, fitted: Results | None) -> dict[str, Any]:

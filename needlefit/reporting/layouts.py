@@ -14,8 +14,8 @@ _SCORES = (
     Column("Max IPE", "mm"),
     Column("TE", "mm"),
     Column("EDP", "%"),
-    Column("IPE ÷ floor"),
-    Column("TE ÷ floor"),
+    Column("IPE", "÷ floor"),
+    Column("TE", "÷ floor"),
 )
 _WAYS = {  # what a row means, said under the table where the row stands in it
     "needlefit": "Each cell is the mean over insertions of each one’s value; IPE is mean ± standard "
@@ -24,8 +24,8 @@ _WAYS = {  # what a row means, said under the table where the row stands in it
     "these errors on the tuning insertions instead, as tuning by hand does.",
     "planned boundaries": "“Planned boundaries” scores the same model with layer depths from the planned "
     "straight path: the measured crossings of a held-out insertion leak its outcome.",
-    "all points pooled": "“All points pooled” takes the statistics of all points together; of medians and "
-    "maxima the noise floor would then be another.",
+    "pooled": "“Pooled” takes the statistics of all points together; of medians and maxima the noise floor "
+    "would then be another.",
     "noise floor": "“Noise floor” is what perfect parameters would still show; “÷ floor”, the error as a "
     "multiple of it: about 1 is all that these measurements can tell. The paper gives no floor of its own.",
 }
@@ -46,7 +46,7 @@ def validation_layout(results: Sequence[Results]) -> Display:
     """Return the validation table: per held-out group ours, with planned boundaries, floor, and the paper."""
     table = records(validation_table(*results, both=True))
     heads = (text("Study"), text("Held out"), Column("Layers"), Column("n"), text("Row"))
-    ways = [("needlefit", ""), ("planned boundaries", "planned_"), ("all points pooled", "pooled_")]
+    ways = [("needlefit", ""), ("planned boundaries", "planned_"), ("pooled", "pooled_")]
     ways.insert(1, ("by IPE, TE, EDP", "fitted_metric_"))
     return _stacked(
         Display("validation", "Errors on held-out insertions.", heads, ()),
@@ -63,7 +63,7 @@ def tuning_layout(results: Sequence[Results], by: str) -> Display:
     return _stacked(
         Display(f"tuning_by_{by}", f"In-sample errors of the tuned models by {what}.", heads, ()),
         [(_group(row, row["medium"], row["layers"]), row) for row in table],
-        [("needlefit", ""), ("all points pooled", "pooled_")],
+        [("needlefit", ""), ("pooled", "pooled_")],
     )
 
 
@@ -78,7 +78,7 @@ def design_layout(results: Sequence[Results]) -> Display:
             cells = ("tunes" if row["role"] == "tune" else "validates", medium_name(row["medium"]))
             other = "" if row["insertions"] == row["insertions_other"] else str(row["insertions_other"])
             counts = (str(row["layers"]), str(row["insertions"]), other)
-            spans = [_span(row[f"{what}_min_mm"], row[f"{what}_max_mm"]) for what in ("depth", "deflection")]
+            spans = [span(row[f"{what}_min_mm"], row[f"{what}_max_mm"]) for what in ("depth", "deflection")]
             rows.append((str(study_label(one)) if i == 0 else "", *cells, *counts, *spans, one.origin))
     columns = (*heads, Column("Otherwise"), Column("Depth", "mm"), Column("Bends", "mm"), text("Origin"))
     notes = (_COUNTED,) if any(row[5] for row in rows) else ()
@@ -88,7 +88,8 @@ def design_layout(results: Sequence[Results]) -> Display:
     return without_empty(table)
 
 
-def _span(low: float, high: float) -> str:
+def span(low: float, high: float) -> str:
+    """Return "19.48 to 54.75", or a single number where both are printed alike."""
     ends = [fixed(low).replace("-", "−"), fixed(high).replace("-", "−")]
     return " to ".join(dict.fromkeys(ends))
 
@@ -124,7 +125,8 @@ def _stacked(
 
 def _block(row: Row, ways: list[tuple[str, str]]) -> list[tuple[str, tuple[str, ...]]]:
     digits = 3 if row.get("comparison") == "aligned" else 2
-    lines = [(name, _scores(row, prefix, digits)) for name, prefix in ways]
+    told = [way for way in ways if not row["reread"] or way[1] in ("", "pooled_")]
+    lines = [(name, _scores(row, prefix, digits)) for name, prefix in told]
     lines += [("noise floor", _scores(row, "floor_", digits)), ("paper", _scores(row, "paper_", 2))]
     return [(name, cells) for name, cells in lines if any(cell != MISSING for cell in cells)]
 

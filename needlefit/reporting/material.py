@@ -14,11 +14,11 @@ from needlefit.inference.material import ALPHA_RANGE, SpecimenFit
 from needlefit.inference.material_prior import Foundation, prior_of_material
 from needlefit.inference.population import Material
 from needlefit.reporting.display import Column, Display, text
-from needlefit.reporting.figures.material import draw_material
+from needlefit.reporting.figures.material import draw_curves, draw_profiles
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.material_said import prior_note, summary, verdict
-from needlefit.reporting.material_tables import curve, profile, table
+from needlefit.reporting.material_tables import curves, profiles, table
 from needlefit.reporting.numbers import number
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.provenance import versions
 
 _PACKAGES = ("numpy", "scipy")
@@ -51,9 +51,10 @@ def layout(report: Report) -> Display:
 
 
 def write_material(report: Report, folder: Path) -> list[Path]:
-    """Write table, curves, profiles, figure and prior to `folder`, replacing an earlier result there.
+    """Write table, curves, profiles and prior to `folder`, replacing an earlier result there.
 
-    Returns the files. `prior.toml` is written only if some specimen identifies alpha.
+    Returns the files; beside the tables of curves and profiles lie their figures. `prior.toml` is written
+    only if some specimen identifies alpha.
 
     Raises
     ------
@@ -63,9 +64,8 @@ def write_material(report: Report, folder: Path) -> list[Path]:
     material = report.material
     with whole(folder) as new:
         write_csv(pd.DataFrame(table(material)), new / "material.csv")
-        write_csv(pd.concat([curve(fit) for fit in material.fits]), new / "curves.csv")
-        write_csv(pd.concat([profile(fit) for fit in material.fits]), new / "profiles.csv")
-        draw_material(report.test.measure, material, new / "fit.pdf")
+        draw_curves(report.test.measure, curves(material), new / "curves.pdf")
+        draw_profiles(profiles(material), new / "profiles.pdf")
         if material.alpha_identified:
             (new / "prior.toml").write_text(prior_file(report), encoding="utf-8")
         write_json(new / "material.json", as_json(report))

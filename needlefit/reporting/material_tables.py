@@ -53,7 +53,25 @@ def _row(fit: SpecimenFit) -> dict[str, Any]:
     }
 
 
-def curve(fit: SpecimenFit) -> pd.DataFrame:
+PRIOR = "(prior, ± one sd)"
+"""Stands for a specimen in rows of `profiles` that hold the ends of the prior of alpha."""
+
+
+def curves(material: Material) -> pd.DataFrame:
+    """Return measured and fitted stress of all specimens, Pa, negative in compression."""
+    return pd.concat([_curve(fit) for fit in material.fits], ignore_index=True)
+
+
+def profiles(material: Material) -> pd.DataFrame:
+    """Return the profiles of alpha of all specimens, then the ends of the prior that follows, if any does."""
+    found = [_profile(fit) for fit in material.fits]
+    if material.alpha_identified:
+        ends = [float(material.mean[1]) + side * material.sds[1] for side in (-1.0, 1.0)]
+        found.append(pd.DataFrame({"specimen": PRIOR, "alpha": ends, "in_95_region": False}))
+    return pd.concat(found, ignore_index=True)
+
+
+def _curve(fit: SpecimenFit) -> pd.DataFrame:
     """Return measured and fitted stress, Pa, negative in compression."""
     measured = 1e6 * fit.specimen.stress
     return pd.DataFrame(
@@ -67,7 +85,7 @@ def curve(fit: SpecimenFit) -> pd.DataFrame:
     )
 
 
-def profile(fit: SpecimenFit) -> pd.DataFrame:
+def _profile(fit: SpecimenFit) -> pd.DataFrame:
     """Return the profile of alpha, 0 at its peak; log likelihoods of what no positive mu fits are missing."""
     ratio = fit.profile.ratio
     return pd.DataFrame(

@@ -1,5 +1,6 @@
 """The methods paragraph of a paper that uses a run, and the references it cites: all from the run itself."""
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from importlib.resources import files
@@ -71,6 +72,7 @@ def _said(results: Results, run: Mapping[str, Any]) -> Iterator[Sentence]:
     yield from _posterior(results, recipe)
     if isinstance(results.record, StudyRecord):
         yield _held_out(results, run)
+    yield from _foretold(results)
     named = ("python", "numpy", "scipy", "numba", "nlopt")
     listed = ", ".join(f"{_NAMES[name]} {versions[name]}" for name in named if name in versions)
     yield Sentence(
@@ -143,6 +145,25 @@ def _held_out(results: Results, run: Mapping[str, Any]) -> Sentence:
         f"Errors are those of {held} insertion{'' if held == 1 else 's'} held out of every fit: the mean "
         "in-plane error along the needle (IPE), the error of the tip (TE), and that of its deflection in per "
         "cent (EDP)."
+    )
+
+
+def _foretold(results: Results) -> Iterator[Sentence]:
+    """Say of which draws held-out needles were foretold, and what was drawn with them."""
+    told = results.predictive
+    if told.empty:
+        return
+    count = told["draws"].iloc[0]
+    rest = "errors of depths, pose and points drawn as they are stated"
+    if (told["from"] == "posterior").all():
+        yield Sentence(f"They were foretold by {count} draws of that posterior, with {rest}.")
+        return
+    worst = results.draws["pareto_k"].max()
+    state = f", Pareto k {worst:.2f} at most" if math.isfinite(worst) else ""
+    yield Sentence(
+        f"They were foretold by {count} draws of the posterior, weighed about the modes that the search "
+        f"found (Pareto-smoothed importance weights{state}), with {rest}.",
+        ("vehtari-pareto",),
     )
 
 

@@ -12,6 +12,7 @@ RIVAL_NAMES = {
     "straight": "straight line",
     "constant_curvature": "constant curvature",
     "linear_curvature": "curvature linear in arc length",
+    "truth": "the twin’s own parameters",
 }
 RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "fitted": "#0072B2",
@@ -21,6 +22,7 @@ RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "straight": "#8a8a8a",
     "constant_curvature": "#009E73",
     "linear_curvature": "#56B4E9",
+    "truth": "#1a1a1a",
 }
 CANDIDATE_NAMES = {
     "ogden": "Ogden foundation",
@@ -47,6 +49,11 @@ def medium_name(name: str) -> str:
     """Return a medium as print has it: `phantom2` is "phantom 2"."""
     stem = name.rstrip("0123456789")
     return f"{stem} {name[len(stem) :]}".strip().replace("_", " ")
+
+
+def study_name(label: str | int) -> str:
+    """Return "study 3" for the paper's third; another study by its own name."""
+    return f"study {label}" if isinstance(label, int) else str(label)
 
 
 def layers_name(layers: int) -> str:

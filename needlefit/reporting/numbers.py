@@ -6,6 +6,7 @@ import re
 MISSING = "–"
 _NAME = re.compile(r"\b(?:mu\d+(?:_pa)?|alpha\d+|bevel_mm|guide_distance_mm)\b")
 _POWER = re.compile(r"\b\d(?:\.\d+)?e-?\d+\b")
+_MINUS = re.compile(r"(?<![\w^.-])-(?=\d)")  # of a number of its own, not of an exponent or a range
 _RAISED = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
@@ -13,6 +14,14 @@ _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 def fixed(value: float | None, digits: int = 2) -> str:
     """Return a length in mm as the paper prints it."""
     return f"{value:.{digits}f}" if _is_known(value) else MISSING
+
+
+def signed(value: float | None, digits: int = 2) -> str:
+    """Return a difference in mm with its sign, a true minus; what rounds to 0 has none."""
+    if not _is_known(value):
+        return MISSING
+    text = f"{value:+.{digits}f}"
+    return text[1:] if float(text) == 0 else text.replace("-", "−")
 
 
 def percent(value: float | None) -> str:
@@ -66,7 +75,8 @@ def in_symbols(words: str) -> str:
     Exponents stay `^0.28`: what sets the sentence raises them, because Unicode has no raised point.
     """
     named = _NAME.sub(lambda found: symbol(found[0]).split(" (")[0], words)
-    return _POWER.sub(lambda found: typeset(found[0]), named).replace(" * ", " · ")
+    true = _MINUS.sub("−", named)
+    return _POWER.sub(lambda found: typeset(found[0]), true).replace(" * ", " · ")
 
 
 def _is_known(value: float | None) -> bool:

@@ -42,7 +42,7 @@ def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
             along(reconstruction, Path(name, "along.pdf")),
             across(reconstruction, Path(name, "across.pdf")),
         ]
-        page = document.set_page("quality.typ", _payload(reconstruction), pictures)
+        page = document.set_page("quality.typ", _payload(reconstruction), document.by_name(pictures))
     with replacing_file(path) as new:
         new.write_bytes(page)
     return path

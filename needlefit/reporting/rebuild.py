@@ -1,18 +1,30 @@
 """A run's folder from what it stored, without computing anything again."""
 
+from collections.abc import Callable, Mapping
 from pathlib import Path
+from types import MappingProxyType
+from typing import Any
 
 from needlefit.errors import DataError
 from needlefit.project.places import PAPER_FITS, PAPER_STUDIES
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import read_run
+from needlefit.reporting import forecast, identification
+from needlefit.reporting.calibration import write_calibration
 from needlefit.reporting.inquiries.write import write_answer
 from needlefit.reporting.posterior import posterior_files
-from needlefit.reporting.write import write, write_all
+from needlefit.reporting.together import write_all
+from needlefit.reporting.tracks.write import write_tracks
+from needlefit.reporting.write import write
+from needlefit.validation.calibration import stored as calibration
+from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.stored import is_answer, restore_answer
-from needlefit.validation.packing import NAME
+from needlefit.validation.packing import NAME, damaged, unpack
 from needlefit.validation.results import Results
 from needlefit.validation.stored import restore
+from needlefit.validation.tracks import stored as tracks
+
+Table = dict[str, Any]
 
 
 def rebuild(run: Path, folder: Path) -> Path:
@@ -25,32 +37,98 @@ def rebuild(run: Path, folder: Path) -> Path:
     ConfigError
         If `folder` holds something that is no result.
     """
-    if not (run / NAME).is_file() and (parts := _parts(run)):
-        every = [_part(run, name, digest) for name, digest in parts.items()]
-        studies = [one for one in every if isinstance(one.record, StudyRecord)]
-        fits = [one for one in every if not isinstance(one.record, StudyRecord)]
-        write_all(studies, fits, folder)
+    if _is_group(run):
+        every = restored(run)
+        results = [one for one in every if isinstance(one, Results)]
+        studies = [one for one in results if isinstance(one.record, StudyRecord)]
+        fits = [one for one in results if not isinstance(one.record, StudyRecord)]
+        write_all(studies, fits, folder, [one for one in every if isinstance(one, Answer)])
         return folder
+    _refuse(run)
     if is_answer(run):
         return write_answer(restore_answer(run), folder)
+    table = unpack(run)
+    try:
+        again = _KINDS[table["kind"]]
+    except KeyError as error:
+        raise damaged(run / NAME, error) from None
+    again(table, run, folder)
+    return folder
+
+
+def _results(_: Table, run: Path, folder: Path) -> None:
     results = restore(run)
     write(results, folder, posterior_files(results))
-    return folder
+
+
+_KINDS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyType(
+    {
+        "study": _results,
+        "fit": _results,
+        calibration.KIND: lambda table, run, folder: write_calibration(
+            calibration.restored_calibration(table, run), folder
+        ),
+        tracks.KIND: lambda table, run, folder: write_tracks(tracks.restored_tracks(table, run), folder),
+        identification.KIND: lambda table, _, folder: identification.write_stages(
+            identification.restored(table), folder
+        ),
+        forecast.KIND: lambda table, _, folder: forecast.write_foretold(forecast.restored(table), folder),
+    }
+)
+"""How each kind of run is written again, from the table that it stored."""
+
+_IN_A_MOMENT = {"verification.csv": "needlefit verify", "material.json": "needlefit material FILE"}
+"""What only such a run writes, and how it is run: as fast as anything could be read again."""
+
+
+def _refuse(run: Path) -> None:
+    """Raise DataError for a run that stores nothing because it is computed again in a moment."""
+    for file, command in _IN_A_MOMENT.items():
+        if (run / file).is_file():
+            raise DataError(
+                "stores no results: it is computed again as fast as they could be read",
+                where=str(run),
+                expected="a run of tune, validate, identify, predict or calibrate",
+                mend=f"run `{command}` again",
+            )
+
+
+def restored(run: Path) -> list[Results | Answer]:
+    """Return what a run stored: one, or each of several that were reported together.
+
+    Raises
+    ------
+    DataError
+        As `rebuild`.
+    """
+    if _is_group(run):
+        return [_part(run, name, computed) for name, computed in _parts(run).items()]
+    return [_restored(run)]
+
+
+def _is_group(run: Path) -> bool:
+    return not (run / NAME).is_file() and bool(_parts(run))
+
+
+def _restored(run: Path) -> Results | Answer:
+    return restore_answer(run) if is_answer(run) else restore(run)
 
 
 def _parts(run: Path) -> dict[str, object]:
     """Return what was computed, by the name of its run, in the order of a report of several."""
     table = read_run(run)
-    known = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in table]
-    return {name: table[name] for name in known} if len(known) == len(table) else {}
+    if not all(isinstance(part, dict) for part in table.values()):  # of a single run some are words
+        return {}
+    first = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in table]
+    return {name: table[name] for name in dict.fromkeys([*first, *table])}
 
 
-def _part(run: Path, name: str, computed: object) -> Results:
+def _part(run: Path, name: str, computed: object) -> Results | Answer:
     folder = run.parent / name
     if read_run(folder) != computed:
         raise DataError(
             f"is not the run of which `{run.name}` tells",
             where=str(folder),
-            mend="run `needlefit validate all` again, or report the single runs",
+            mend=f"run `needlefit validate {run.name}` again, or report the single runs",
         )
-    return restore(folder)
+    return _restored(folder)

@@ -9,9 +9,9 @@ import pandas as pd
 
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.reporting.display import Column, Display, text, without_empty
+from needlefit.reporting.files import write_csv
 from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import MISSING, fixed
-from needlefit.reporting.write import write_csv
 
 Row = dict[str, Any]
 

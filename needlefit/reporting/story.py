@@ -13,6 +13,7 @@ from needlefit.reporting.identification_said import verdict_said
 from needlefit.reporting.methods import plain_methods
 from needlefit.reporting.numbers import in_symbols
 from needlefit.reporting.posterior import outside_said, posterior_layout, unconverged_said
+from needlefit.reporting.ridge import draws_said
 from needlefit.reporting.tables import records, tuning_table
 from needlefit.validation.results import Results
 
@@ -126,7 +127,7 @@ def _parameters(results: Results, figures: Figures, synthetic: bool) -> list[Blo
         document.text(sentences.undetermined_said(results)),
         document.table(details.parameters_layout([results]), synthetic),
         document.table(directions, synthetic),
-        *_posterior(results, synthetic),
+        *_posterior(results, figures, synthetic),
         *([document.text(failed)] if failed else []),
         *figure_of(figures, "waterfall", captions.WATERFALL, synthetic),
     ]
@@ -144,11 +145,11 @@ def _identifiability(results: Results, figures: Figures, synthetic: bool) -> lis
     ]
 
 
-def _posterior(results: Results, synthetic: bool) -> list[Block]:
-    if not results.posteriors:
-        return []
+def _posterior(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
     said = [s for s in (unconverged_said(results), outside_said(results)) if s]
-    return [*map(document.text, said), document.table(posterior_layout(results), synthetic)]
+    table = [document.table(posterior_layout(results), synthetic)] if results.posteriors else []
+    drawn = f"{captions.CORNER} {draws_said(results)}" if "corner" in figures else ""
+    return [*map(document.text, said), *table, *figure_of(figures, "corner", drawn, synthetic)]
 
 
 def _errors(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
@@ -158,6 +159,7 @@ def _errors(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
         blocks.append(document.table(layouts.validation_layout([results]), synthetic))
     if len(results.predictive):
         blocks.append(document.table(foretold_layout(results), synthetic))
+        blocks += figure_of(figures, "foretold", captions.FORETOLD, synthetic)
     return [*blocks, *tuning_blocks([results], synthetic)]
 
 

@@ -2,6 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -10,7 +11,7 @@ from needlefit.reporting.comparability import comparable_tuning, comparable_vali
 from needlefit.reporting.readings import regrouped, reread
 from needlefit.validation import paper
 from needlefit.validation.results import FLOORS, METRICS, RIVALS, Results
-from needlefit.validation.summary import How, aggregate
+from needlefit.validation.summary import aggregate
 
 _KEYS = ("study", "validate_medium", "validate_layers")
 _COUNTS = ("insertions", "not_converged", "edp_flagged", "edp_unflagged_percent")
@@ -153,12 +154,14 @@ def _tuning_rows(results: Results) -> list[Row]:
 
 
 def _aggregated(results: Results, by: tuple[str, ...], role: str) -> tuple[list[Row], list[Row]]:
-    """Return the rows of a role, means over insertions and statistics of all points."""
-    ways: tuple[How, How] = ("macro", "pooled")
-    macro, pooled = (
-        [row for row in records(aggregate(results, by, how)) if row["role"] == role] for how in ways
+    """Return the rows of a role: means over insertions of every rival, all points pooled of the fit."""
+    here = replace(results, errors=results.errors[results.errors["role"] == role])
+    fitted = replace(
+        here,
+        errors=here.errors[here.errors["rival"] == "fitted"],
+        shapes=results.shapes[(results.shapes["role"] == role) & (results.shapes["rival"] == "fitted")],
     )
-    return macro, pooled
+    return records(aggregate(here, by)), records(aggregate(fitted, by, "pooled"))
 
 
 def _matching(name: paper.Table, match: Row) -> list[Row]:

@@ -12,10 +12,10 @@ import pandas as pd
 
 from needlefit.mechanics.control import Rules
 from needlefit.reporting.display import Column, Display, text
-from needlefit.reporting.document import set_page
+from needlefit.reporting.document import by_name, set_page
 from needlefit.reporting.figures.convergence import convergence
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.numbers import MISSING, number, typeset
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.provenance import versions
 from needlefit.verification.check import Bound, Row
 from needlefit.verification.run import Verification
@@ -104,10 +104,9 @@ def write_verification(verification: Verification, folder: Path, timing: Mapping
         write_json(new / "timing.json", timing)
         pictures = list[Path]()
         if studies:
-            write_csv(pd.DataFrame(studies), new / "convergence.csv")
-            pictures = [convergence(verification.curves, new / "convergence.pdf")]
+            pictures = [convergence(pd.DataFrame(studies), new / "convergence.pdf")]
         (new / "report.pdf").write_bytes(
-            set_page("verification.typ", _payload(verification, pictures), pictures)
+            set_page("verification.typ", _payload(verification, pictures), by_name(pictures))
         )
 
 

@@ -1,28 +1,23 @@
 """Results -> a folder of files, complete or not there at all."""
 
-import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pandas as pd
 
-from needlefit.errors import ConfigError
-from needlefit.project.plain import plain
-from needlefit.project.replace import replacing
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.profiles import draw_profiles
+from needlefit.reporting.files import all_files, whole, write_csv, write_json
 from needlefit.reporting.identification_layout import identification_table
 from needlefit.reporting.latex import latex
 from needlefit.reporting.macros import macros
 from needlefit.reporting.methods import latex_methods, methods, references
-from needlefit.reporting.overview import overview
 from needlefit.reporting.page import compile_html
 from needlefit.reporting.parameters import parameters_table
+from needlefit.reporting.ridge import free
 from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
@@ -46,48 +41,27 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     """
     with whole(folder) as new:
         _frames(results, new)
-        _tables([results], [results], new)
+        write_tables([results], [results], new)
         drawn = _draw(results, new)
         if results.needles:
             write_needles(results, new / "slicer")
         for name, save in (also or {}).items():
             save(new / name)
         write_report(story(results, drawn), new)
-        _for_papers([results], new)
+        write_for_papers([results], new)
         store(results, new)
         write_json(new / "run.json", results.run)
         write_json(new / "timing.json", results.timing)
-    return _files(folder)
+    return all_files(folder)
 
 
-def write_all(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> list[Path]:
-    """Write the tables, figures and report of several studies together; return the files.
-
-    `tunings` are the fits that fill the tuning tables; without any, each study's own fit does.
-
-    Raises
-    ------
-    ConfigError
-        If `folder` exists and holds something that is no result.
-    """
-    with whole(folder) as new:
-        _tables(studies, tunings or studies, new)
-        drawn = _draw_scores(studies, new)
-        write_report(overview(studies, tunings or studies, drawn), new)
-        every = [*studies, *tunings]
-        _for_papers(every, new)
-        write_json(new / "run.json", {one.name: one.run for one in every})
-        write_json(new / "timing.json", {one.name: one.timing for one in every})
-    return _files(folder)
-
-
-def write_report(document: Document, folder: Path) -> None:
+def write_report(document: Document, folder: Path, name: str = "report") -> None:
     """Write a report as PDF and as HTML."""
-    (folder / "report.pdf").write_bytes(compile_pdf(document))
-    (folder / "report.html").write_bytes(compile_html(document))
+    (folder / f"{name}.pdf").write_bytes(compile_pdf(document))
+    (folder / f"{name}.html").write_bytes(compile_html(document))
 
 
-def _for_papers(results: Sequence[Results], folder: Path) -> None:
+def write_for_papers(results: Sequence[Results], folder: Path) -> None:
     """Write every number as a macro, and for a single run its methods paragraph with what that cites."""
     (folder / "numbers.tex").write_text(macros(results), encoding="utf-8")
     if len(results) == 1 and methods(results[0]):
@@ -102,12 +76,11 @@ def _frames(results: Results, folder: Path) -> None:
         write_csv(results.predictive.assign(origin=results.origin), folder / "predictive.csv")
     if len(results.identification):
         write_csv(identification_table(results.identification, results.origin), folder / "identify.csv")
-        write_csv(results.profiles.assign(origin=results.origin), folder / "profiles.csv")
     # With every digit: it is exactly these values that fail again.
     write_csv(results.failures.assign(origin=results.origin), folder / "failures.csv", digits=None)
 
 
-def _tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
+def write_tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
     """Write the paper's tables with our rows beside its own, as CSV for machines and LaTeX for papers."""
     synthetic = any(one.origin == "synthetic" for one in studies)
     for name, frame, set_as in _laid_out(studies, tunings):
@@ -132,62 +105,31 @@ def _draw(results: Results, folder: Path) -> dict[str, Path]:
     drawn = {}
     if len(results.profiles):
         drawn["profiles"] = draw_profiles(
-            results.identification, results.profiles, results.origin == "synthetic", folder / "profiles.pdf"
+            results.identification, results.profiles, results.origin, folder / "profiles.pdf"
         )
     if _has(results.errors, role) and _has(results.shapes, role):
         drawn["overlays"] = figures.overlays(results, folder / "overlays.pdf", role)
         if (results.errors["comparison"] == "aligned").any():
             drawn["residuals"] = figures.residuals(results, folder / "residuals.pdf", role)
+    if len(results.draws) and free(results):
+        drawn["corner"] = figures.corner(results, folder / "corner.pdf")
     if len(results.starts):
         drawn["waterfall"] = figures.waterfall(results, folder / "waterfall.pdf")
-    return drawn | _draw_scores([results], folder)
+    return drawn | draw_scores([results], folder)
 
 
-def _draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
+def draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
     """Draw the errors on held-out insertions, if any were scored."""
     if validation_table(*results).empty:
         return {}
-    return {
+    drawn = {
         "boxplot": figures.boxplot(results, folder / "boxplot.pdf"),
         "rivals": figures.rivals(results, folder / "rivals.pdf"),
     }
+    if any(len(one.predictive) for one in results):
+        drawn["foretold"] = figures.foretold(results, folder / "foretold.pdf")
+    return drawn
 
 
 def _has(frame: pd.DataFrame, role: str) -> bool:
     return bool(((frame["role"] == role) & (frame["rival"] == "fitted")).any())
-
-
-def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
-    """Write a table; `digits` None is every digit."""
-    frame.to_csv(path, index=False, float_format=digits, lineterminator="\n", encoding="utf-8")
-
-
-def write_json(path: Path, value: Mapping[str, Any]) -> None:
-    """Write values as JSON, NaN and infinity as null, keys in order."""
-    text = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
-    path.write_text(text + "\n", encoding="utf-8")
-
-
-@contextmanager
-def whole(folder: Path) -> Iterator[Path]:
-    """Give a new folder, and put it in the place of `folder` once it is complete."""
-    require_result(folder)
-    with replacing(folder) as new:
-        yield new
-
-
-def require_result(folder: Path) -> None:
-    """Raise ConfigError if `folder` holds something that needlefit did not write."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not (folder / "run.json").is_file():
-        raise ConfigError(
-            "exists and holds no result of needlefit, so it is not replaced",
-            where=str(folder),
-            expected="a new or empty folder, or one that holds run.json",
-            mend="choose another place with --out, or remove it",
-        )
-
-
-def _files(folder: Path) -> list[Path]:
-    return sorted(path for path in folder.rglob("*") if path.is_file())

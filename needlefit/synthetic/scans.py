@@ -77,7 +77,7 @@ def render_insertion(folder: Path, planned: Planned, seed: int, form: Form = "nr
     markers.write_bytes(markers_text(exposure.stated).encode("utf-8"))
     volume = folder / "volumes" / (name if form == "dicom" else f"{name}.nrrd")
     write(acquire(exposure, seed, name), volume, f"Synthetic: needlefit twin ct {name} --seed {seed}")
-    return Scanned(twin, exposure, _as_given(folder, planned, volume, markers))
+    return Scanned(twin, exposure, as_given(folder, planned, volume, markers))
 
 
 def recipe_of(setups: Sequence[Setup]) -> ReconstructionRecord:
@@ -98,7 +98,7 @@ def _rendered(folder: Path, seed: int, form: Form, planned: Planned) -> Scan:
     return render_insertion(folder, planned, seed, form).scan
 
 
-def _as_given(folder: Path, planned: Planned, volume: Path, markers: Path) -> Scan:
+def as_given(folder: Path, planned: Planned, volume: Path, markers: Path) -> Scan:
     """Return what is stated of a scan: the plan, not the truth; y of C points to +y of the phantom."""
     sources = (
         LayerSource(folder / surface_file(planned.medium, surface), surface.kind, surface.into)

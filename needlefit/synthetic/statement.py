@@ -23,13 +23,13 @@ _LAYERS = {
 }
 
 
-def statement(seed: int) -> About:
-    """Return what the twin built with `seed` states of itself."""
+def statement(seed: int, more: str = "") -> About:
+    """Return what the twin built with `seed` states of itself, and `more` if it departs from that."""
     return About(
         name="twin",
         title="Synthetic twin of the paper's 47 insertions",
         license="CC0-1.0",
         source=f"needlefit twin build --seed {seed}",
-        notes=NOTES,
+        notes=NOTES + more,
         media=_LAYERS,
     )

@@ -8,68 +8,71 @@ than two standard errors, a verdict, what converged.
 
 import math
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
+from needlefit.errors import DataError
 from needlefit.inference.parameters import in_logarithm
 from needlefit.project.run_file import read_run
-
-SHIFT = 0.5
-"""Part of its standard deviation by which a parameter that is determined may move and stay what it was."""
-
-VISIBLE = 0.005
-"""mm: a mean error that changes by less is printed alike."""
-
-DRAWN = 0.1
-"""Part of a CRPS that changes with the draws it is computed from."""
-
-SLIGHT = 0.02
-"""Part of `SHIFT` or `VISIBLE` under which a change is slight: of rounding, or of a search's tolerance."""
-
-SURE = 2.0
-"""Standard errors from which on a mean difference is taken for one."""
+from needlefit.validation.difference import DRAWN, SHIFT, SLIGHT, Difference, changed
+from needlefit.validation.differences_beyond import beyond
+from needlefit.validation.inquiries.differences import answers_differ, asks
 
 _KEYS = ["fold", "role", "insertion", "rival", "boundaries"]
 _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "mean TE"}
 _FORETOLD = {"tip_crps_mm": "CRPS of the tip foretold", "shape_crps_mm": "CRPS of the shape foretold"}
-_INPUTS = ("dataset", "medium", "recipe", "rules", "study", "fit", "folds", "hand_tuned", "versions")
-
-
-@dataclass(frozen=True)
-class Difference:
-    """One thing in which run B is not run A.
-
-    Attributes
-    ----------
-    what : "input", "parameter", "error" or "state"
-    where : str
-        Which key, parameter or insertions.
-    before, after : object
-        In A and in B, as JSON knows values; None where one of them has none.
-    matters : bool or None
-        None for inputs: they are why results differ, and no result.
-    why : str
-        In words.
-    slight : bool
-        Whether it is of the size of rounding.
-    """
-
-    what: str
-    where: str
-    before: object
-    after: object
-    matters: bool | None
-    why: str
-    slight: bool = False
+_STATES = (
+    "interrupted",
+    "budget_limited",
+    "posteriors",
+    "passes",
+    "not_calibrated",
+    "not_converged",
+    "faults",
+)
+_INPUTS = (
+    "dataset",
+    "medium",
+    "recipe",
+    "rules",
+    "study",
+    "fit",
+    "folds",
+    "hand_tuned",
+    "versions",
+    "datasets",
+    "parts",
+    "scene",
+    "fits",
+    "control",
+    "sampled",
+    "replicates",
+)
+_KINDS = {
+    "errors": "a study or fit",
+    "identify": "an identification",
+    "forecast": "a prediction",
+    "replicates": "a calibration",
+    "runs": "a study of tip tracks",
+}
+"""Kinds of runs by the table that each of them has; of a fit, which has an identification too, the first."""
 
 
 def differences(before: Path, after: Path) -> list[Difference]:
-    """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors."""
-    runs = [read_run(folder) for folder in (before, after)]
+    """Return all differences of run folder `after` from `before`: inputs, states, parameters, errors.
+
+    Raises
+    ------
+    DataError
+        If a `run.json` is missing or damaged, or the runs are of different kinds.
+    """
+    runs = [_computed_with(folder) for folder in (before, after)]
+    _require_alike(before, after)
+    if all(asks(run) for run in runs):
+        return [*_inputs(*runs), *_states(*runs), *answers_differ(before, after)]
     parameters, errors, foretold = (
         (_table(before, name), _table(after, name)) for name in ("parameters", "errors", "predictive")
     )
@@ -79,6 +82,7 @@ def differences(before: Path, after: Path) -> list[Difference]:
         *_parameters(*parameters),
         *_errors(*errors),
         *_foretold(*foretold),
+        *beyond(before, after),
     ]
 
 
@@ -87,25 +91,50 @@ def _table(folder: Path, name: str) -> pd.DataFrame:
     return pd.read_csv(path) if path.is_file() else pd.DataFrame()
 
 
+def _computed_with(folder: Path) -> dict[str, Any]:
+    """Return what a run says of itself; an identification says it of each stage, of the design at least."""
+    run = read_run(folder)
+    design = run.get("design")
+    return design if isinstance(design, dict) else run
+
+
+def _require_alike(before: Path, after: Path) -> None:
+    """Raise DataError where one run answers another question than the other."""
+    one, two = (
+        next((said for name, said in _KINDS.items() if (folder / f"{name}.csv").is_file()), None)
+        for folder in (before, after)
+    )
+    if one and two and one != two:
+        raise DataError(
+            f"is {two}, and {before} is {one}: they answer different questions",
+            where=str(after),
+            expected=f"{one}, too",
+            mend="compare runs of the same command",
+        )
+
+
 def _inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    leaves = [dict(_leaves({k: run[k] for k in _INPUTS if k in run})) for run in (before, after)]
-    for key in dict.fromkeys([*leaves[0], *leaves[1]]):
-        one, two = leaves[0].get(key), leaves[1].get(key)
+    every = [
+        dict(leaf for key in _INPUTS if key in run for leaf in leaves(run[key], key))
+        for run in (before, after)
+    ]
+    for key in dict.fromkeys([*every[0], *every[1]]):
+        one, two = every[0].get(key), every[1].get(key)
         if one != two:
             yield Difference("input", key, one, two, None, "")
 
 
-def _leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
+def leaves(value: object, path: str = "") -> Iterator[tuple[str, object]]:
     """Yield every value of nested mappings by its path; a list is one value."""
     if isinstance(value, Mapping) and value:
         for key, inner in value.items():
-            yield from _leaves(inner, f"{path}.{key}" if path else str(key))
+            yield from leaves(inner, f"{path}.{key}" if path else str(key))
     else:
         yield path, value
 
 
 def _states(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:
-    for key in ("interrupted", "budget_limited", "posteriors"):
+    for key in _STATES:
         one, two = before.get(key), after.get(key)
         if one != two:
             yield Difference("state", key, one, two, key != "posteriors", "")
@@ -153,7 +182,7 @@ def _errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     both = before.merge(after, on=_KEYS, suffixes=("_a", "_b"), sort=False)
     for (role, rival, boundaries), rows in both.groupby(["role", "rival", "boundaries"], sort=False):
         for column, said in _ERRORS.items():
-            yield from _changed(f"{said}, {rival}, {role}, {boundaries} boundaries", rows, column)
+            yield from changed(f"{said}, {rival}, {role}, {boundaries} boundaries", rows, column)
     lost = len(before) + len(after) - 2 * len(both)
     if lost:
         counts = (len(before), len(after))
@@ -165,22 +194,4 @@ def _foretold(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]
         return
     both = before.merge(after, on=["fold", "insertion"], suffixes=("_a", "_b"), sort=False)
     for column, said in _FORETOLD.items():
-        yield from _changed(said, both, column, DRAWN * float(both[f"{column}_a"].mean()))
-
-
-def _changed(where: str, rows: pd.DataFrame, column: str, visible: float = VISIBLE) -> Iterator[Difference]:
-    """Yield how the mean of a column in mm changed, over the rows in which both runs have it."""
-    pairs = rows[[f"{column}_a", f"{column}_b"]].to_numpy(dtype=np.float64)
-    pairs = pairs[np.isfinite(pairs).all(axis=1)]
-    gap = pairs[:, 1] - pairs[:, 0]
-    if not np.any(gap):
-        return
-    mean, error = float(np.mean(gap)), math.nan
-    said = f"{mean:+.4f} mm on 1 insertion"
-    if gap.size > 1:
-        error = float(np.std(gap, ddof=1) / math.sqrt(gap.size))
-        said = f"{mean:+.4f} ± {error:.4f} mm on {gap.size} insertions"
-    matters = abs(mean) > visible and not abs(mean) <= SURE * error
-    slight = float(np.max(np.abs(gap))) < SLIGHT * VISIBLE
-    one, two = (float(value) for value in pairs.mean(axis=0))
-    yield Difference("error", where, one, two, matters, said.replace("-", "−"), slight)
+        yield from changed(said, both, column, DRAWN * float(both[f"{column}_a"].mean()))

@@ -9,6 +9,7 @@ band that the foretold probability of such needles stays within all along.
 """
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +24,7 @@ from needlefit.inference.likelihood.evidence import Evidence, evidence
 from needlefit.inference.likelihood.pose import modes
 from needlefit.inference.predict import predict
 from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile, worst_level
-from needlefit.inference.weighing.about_fit import by_importance
+from needlefit.inference.weighing.about_fit import drawn_from, of_fit
 from needlefit.mechanics.shape import positions
 from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold
@@ -36,6 +37,9 @@ Floats = NDArray[np.float64]
 
 DRAWS = 100
 """Parameter sets of which every held-out needle is foretold."""
+
+SHOWN = 400
+"""Parameter sets that a figure of the posterior shows."""
 
 LEAST = 10
 """Fewer solved draws make no distribution."""
@@ -62,16 +66,48 @@ nearer, at its worst point, than the measured one; `shape_in_*` says whether tha
 `points_in_*` is the part of points within their own interval, which are no independent trials."""
 
 
-def drawn(job: Job, fold: Fold, known: Known, jobs: int = 1) -> Draws:
-    """Return draws of what a fold knows of the parameters: sampled if they were, else by importance."""
+def drawn(job: Job, fold: Fold, known: Known, jobs: int = 1) -> tuple[Draws, Draws]:
+    """Return `DRAWS` draws of what a fold knows of the parameters, to foretell with, and `SHOWN` to be seen.
+
+    Of the sampled posterior where there is one, else weighed about the fit.
+    """
     if known.posterior is not None:
-        return from_posterior(known.posterior, job.parameters, DRAWS)
+        few, many = (from_posterior(known.posterior, job.parameters, count) for count in (DRAWS, SHOWN))
+        return few, many
+    if not len(known.fit.theta):
+        few, many = (Draws(np.empty((count, 0)), "importance") for count in (DRAWS, SHOWN))
+        return few, many
     rng = stream(job.recipe.seed, job.name, fold.name, "foretold")
-    return by_importance(job.problem(fold), known.fit, DRAWS, rng, jobs)
+    found = of_fit(job.problem(fold), known.fit, rng, jobs)
+    few, many = (drawn_from(found, count, rng) for count in (DRAWS, SHOWN))
+    return few, many
+
+
+BANDS = (
+    *("fold", "insertion", "x_mm", "measured_mm", "median_mm"),
+    *("low_50_mm", "high_50_mm", "low_95_mm", "high_95_mm"),
+)
+"""Columns: where a held-out needle was foretold to be measured, point by point, at its measured x."""
+
+STATIONS = 41
+"""Points of a band that are kept, of up to some 200."""
+
+
+@dataclass(frozen=True)
+class Foreseen:
+    """What was foretold of one needle: the row of `PREDICTIVE`, and those of `BANDS`."""
+
+    row: Row
+    band: tuple[Row, ...]
 
 
 def foretold(job: Job, fold: Fold, draws: Draws) -> Iterator[Row]:
     """Yield a row for every insertion that a fold holds out, y toward +y of C, mm."""
+    return (one.row for one in foreseen(job, fold, draws))
+
+
+def foreseen(job: Job, fold: Fold, draws: Draws) -> Iterator[Foreseen]:
+    """Yield what is foretold of every insertion that a fold holds out, y toward +y of C, mm."""
     factor = noise_factor(draws, job.parameters, job.recipe.likelihood.noise_scale)
     for insertion in fold.validate:
         chance = stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
@@ -83,7 +119,9 @@ def foretold(job: Job, fold: Fold, draws: Draws) -> Iterator[Row]:
             mixture = Mixture(solved, np.sqrt(np.diag(covariance)))
             row = {"fold": fold.name, **_about(job, insertion, draws, len(curves) - len(solved))}
             row |= _judged(mixture, measured, worst_level(mixture, covariance, measured, chance))
-            yield {name: row[name] for name in PREDICTIVE}
+            where = {"fold": fold.name, "insertion": insertion.id}
+            band = ({**where, **point} for point in _band(mixture, seen.measured))
+            yield Foreseen({name: row[name] for name in PREDICTIVE}, tuple(band))
 
 
 def _curve(
@@ -134,6 +172,18 @@ def _about(job: Job, insertion: Insertion, draws: Draws, failed: int) -> Row:
         "draws": len(draws.thetas),
         "failed_solves": failed,
     }
+
+
+def _band(mixture: Mixture, measured: Floats) -> Iterator[Row]:
+    """Yield median and intervals at some of the measured points (K, 2), the tip the last."""
+    kept = np.unique(np.linspace(0, len(measured) - 1, STATIONS).round().astype(np.int64))
+    some = Mixture(mixture.means[:, kept], mixture.sd[kept])
+    columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1], "median_mm": quantile(some, 0.5)}
+    for level in LEVELS:
+        ends = zip(("low", "high"), interval(some, level), strict=True)
+        columns |= {f"{side}_{100 * level:.0f}_mm": end for side, end in ends}
+    for k in range(len(kept)):
+        yield {name: float(values[k]) for name, values in columns.items()}
 
 
 def _judged(mixture: Mixture, measured: Floats, shape_level: float) -> Row:

@@ -37,7 +37,7 @@ def unpack(folder: Path) -> dict[str, Any]:
         raise DataError(
             "holds no stored results",
             where=str(folder),
-            expected=f"{NAME}, which `needlefit tune` and `needlefit validate` write",
+            expected=f"{NAME}, which needlefit writes into each run",
             mend="name such a run; what an earlier version wrote must be run again",
         )
     try:

@@ -54,12 +54,29 @@ def rules(medium: MediumRecord) -> dict[str, Any]:
         "law": medium.law,
         "friction": 0.0,
         "element_mm": mesh(medium).element,
-        "tie": "nearest constraint at each quadrature point, quadrature split where it changes",
-        "advance": "along the tangent",
-        "first_cell": "the depth's remainder over the spacing, or a whole cell",
+        "tie": _tie(medium.constraint_switch),
+        "advance": _advance(medium.tangent_part),
+        "first_cell": "the depth's remainder over the spacing, or a whole cell"
+        if medium.first_cell_mm is None
+        else f"{medium.first_cell_mm:g} mm, whatever the depth",
         "mu": "Pa, effective foundation modulus",
         "bevel": "mm per constraint spacing",
     }
+
+
+def _tie(switch: float) -> str:
+    if switch in (0, 1):
+        return f"every cell has the constraint point {'behind' if switch else 'ahead'}"
+    which = "nearest constraint at each quadrature point"
+    if switch != 0.5:
+        which = f"constraint behind up to {switch:g} of the way, then the one ahead"
+    return f"{which}, quadrature split where it changes"
+
+
+def _advance(tangent: float) -> str:
+    if tangent in (0, 1):
+        return "along the tangent" if tangent else "a shift in x"
+    return f"along {tangent:g} of the tip's slope"
 
 
 def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:

@@ -10,7 +10,7 @@ import pandas as pd
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
-from needlefit.validation.heldout import PREDICTIVE
+from needlefit.validation.heldout import BANDS, PREDICTIVE
 from needlefit.validation.identification import IDENTIFICATION, PROFILES
 from needlefit.validation.placed import PlacedNeedle
 
@@ -18,6 +18,7 @@ METRICS = ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", 
 FLOORS = ("floor_median_err_mm", "floor_ipe_mean_mm", "floor_ipe_max_mm", "floor_te_mm")
 BASELINES = ("straight", "constant_curvature", "linear_curvature")
 RIVALS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b", *BASELINES)
+DRAWS = ("fold", "from", "pareto_k", "certified")
 SCORED = ("fold", "role", "insertion", "rival", "boundaries")
 
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
@@ -48,6 +49,8 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "identification": IDENTIFICATION,
         "profiles": PROFILES,
         "predictive": PREDICTIVE,
+        "bands": BANDS,
+        "draws": DRAWS,
     }
 )
 
@@ -99,6 +102,11 @@ class Results:
     predictive : DataFrame
         The distribution foretold of every insertion held out (`validation/heldout.py`), and how what was
         measured fell in it.
+    bands : DataFrame
+        Where each insertion held out was foretold to be measured, point by point.
+    draws : DataFrame
+        Of what each fold knows of the parameters: some draws of its sampled posterior, or of the one weighed
+        about the modes of its fit, then with Pareto's k of the weights; then one column per parameter.
     profiles : DataFrame
         Deviances of the profiles and their derivatives by ln (by alpha itself), then one column per
         parameter: where all others went.
@@ -139,6 +147,8 @@ class Results:
     needles: Mapping[str, PlacedNeedle] = field(default_factory=dict)
     identification: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(IDENTIFICATION)))
     profiles: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PROFILES)))
+    bands: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(BANDS)))
+    draws: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(DRAWS)))
     predictive: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PREDICTIVE)))
 
     def __post_init__(self) -> None:

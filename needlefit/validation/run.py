@@ -20,12 +20,18 @@ from needlefit.validation import provenance
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.division import division
 from needlefit.validation.folds import Fold
-from needlefit.validation.heldout import drawn, foretold
+from needlefit.validation.heldout import drawn, foreseen
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.placed import Known, PlacedNeedle, place
 from needlefit.validation.results import COLUMNS, Results
 from needlefit.validation.score import Scorer
-from needlefit.validation.tabulate import Tables, tabulate, tabulate_posterior
+from needlefit.validation.tabulate import (
+    Tables,
+    tabulate,
+    tabulate_draws,
+    tabulate_foreseen,
+    tabulate_posterior,
+)
 
 __all__ = ["Settings", "run"]
 
@@ -61,8 +67,9 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         if fold.name in tables.verdicts:
             known = Known(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
             needles |= place(job, fold, known, settings.jobs)
-            if fold.validate:
-                tables.predictive += foretold(job, fold, drawn(job, fold, known, settings.jobs))
+            few, many = drawn(job, fold, known, settings.jobs)
+            tabulate_draws(job, fold, many, tables)
+            tabulate_foreseen(foreseen(job, fold, few), tables)
         if interrupted:
             break
     return Results(

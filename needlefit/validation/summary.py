@@ -110,6 +110,17 @@ def points(results: Results) -> pd.DataFrame:
     return results.shapes.assign(ipe_mm=_gap(results.shapes)).merge(about, on=list(SCORED), how="inner")
 
 
+def bevel_sides(results: Results) -> dict[str, int]:
+    """Return by insertion the side of C's x axis that its bevel faces, +1 or -1: deflections are toward it.
+
+    A needle that did not bend at all is taken to face +1.
+    """
+    shapes = results.shapes.sort_values("j").groupby("insertion", sort=False)["measured_y_mm"]
+    across = shapes.last() - shapes.first()
+    toward = results.errors.drop_duplicates("insertion").set_index("insertion")["deflection_mm"]
+    return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
+
+
 def _clouds(results: Results, errors: pd.DataFrame, by: Sequence[str]) -> dict[Any, pd.Series]:
     """Return the in-plane errors of all points by group."""
     keys = errors[[*SCORED, *(name for name in by if name not in SCORED)]]

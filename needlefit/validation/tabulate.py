@@ -11,6 +11,7 @@ import pandas as pd
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
 from needlefit.inference.comparison import Curve
+from needlefit.inference.draws import Draws
 from needlefit.inference.failure import failure
 from needlefit.inference.identifiability.agreement import Judgement
 from needlefit.inference.identifiability.examine import Examination
@@ -27,6 +28,7 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.starts import Fit, Start
 from needlefit.validation.folds import Fold
+from needlefit.validation.heldout import Foreseen
 from needlefit.validation.identification import confirmed, identified, sampled_contractions
 from needlefit.validation.job import Job
 from needlefit.validation.results import COLUMNS
@@ -47,6 +49,8 @@ class Tables:
     identification: list[Row] = field(default_factory=list)
     profiles: list[Row] = field(default_factory=list)
     predictive: list[Row] = field(default_factory=list)
+    bands: list[Row] = field(default_factory=list)
+    draws: list[Row] = field(default_factory=list)
     searches: dict[str, dict[str, Row]] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     verdicts: dict[str, Verdict] = field(default_factory=dict)
@@ -55,7 +59,7 @@ class Tables:
     def frame(self, name: str) -> pd.DataFrame:
         """Return one frame; without rows it still has its columns."""
         rows = getattr(self, name)
-        values = self.names if name in ("starts", "failures", "profiles") else ()
+        values = self.names if name in ("starts", "failures", "profiles", "draws") else ()
         return pd.DataFrame(rows) if rows else pd.DataFrame(columns=[*COLUMNS[name], *values])
 
 
@@ -92,7 +96,7 @@ def tabulate(
     if "fitted_metric" in usable:
         tables.parameters += _metric_rows(job, fold, usable["fitted_metric"])
     tables.parameters += _published_rows(job, fold, usable.get("hand_tuned_b"))
-    for rival, curves in _rivals(job, fold, usable).items():
+    for rival, curves in rivals(job, fold, usable).items():
         for role, insertions in (("tune", fold.tune), ("validate", fold.validate)):
             for insertion in insertions:
                 place = {"fold": fold.name, "role": role, "rival": rival}
@@ -110,7 +114,25 @@ def tabulate_posterior(job: Job, fold: Fold, posterior: Posterior, tables: Table
         tables.failures += _failure_rows(place, job.problem(fold), thetas)
 
 
-def _rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
+def tabulate_draws(job: Job, fold: Fold, draws: Draws, tables: Tables) -> None:
+    """Keep draws of what a fold knows of the parameters, in Pa and mm."""
+    about = {
+        "fold": fold.name,
+        "from": draws.source,
+        "pareto_k": draws.pareto_k,
+        "certified": not draws.faults,
+    }
+    tables.draws += [{**about, **job.parameters.values(theta)} for theta in draws.thetas]
+
+
+def tabulate_foreseen(foreseen: Iterable[Foreseen], tables: Tables) -> None:
+    """Keep what was foretold of the insertions that a fold holds out."""
+    for one in foreseen:
+        tables.predictive.append(one.row)
+        tables.bands += one.band
+
+
+def rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:
     """Return the fitted model, the paper's set, that set with b re-tuned, and curves without mechanics."""
     values: dict[str, Mapping[str, float]] = {}
     if "fitted" in fits:

@@ -42,6 +42,7 @@ class Equilibrium:
     points: Numbers  # (M + 1, 2)
     u: Numbers
     held: Bools
+    change: Floats  # (M,) depths at which the tissue changes from one point to the next
 
 
 def parameters(case: Case) -> dict[str, Parameter]:
@@ -67,6 +68,7 @@ def derivatives(case: Case, wanted: list[Parameter], rules: Rules) -> tuple[Floa
         if stop.cell > 0:
             x, (u_0, slope), (du_0, dslope) = rays[stop.ray]
             bevel, ahead = case.steps[stop.cut].bevel, stop.tip - x
+            slope, dslope = rules.tangent * slope, rules.tangent * dslope
             c[stop.cell] = u_0 + ahead * (slope + bevel.side * bevel.offset / rules.spacing)
             dc[stop.cell] = du_0 + ahead * (dslope + by_offset * bevel.side / rules.spacing)
         places = [lattice.depth(m) for m in range(stop.cell)] + [stop.tip]
@@ -76,7 +78,7 @@ def derivatives(case: Case, wanted: list[Parameter], rules: Rules) -> tuple[Floa
         nodes, guess, held = reference.mesh(stop, controls, lattice, case.needle.length, rules.element)
         guess = np.where(held, guess, along_the_cut(nodes, points))
         u, _ = reference.equilibrium(case.needle, case.tissue, nodes, points, guess, held, rules)
-        here = Equilibrium(nodes, points, u, held)
+        here = Equilibrium(nodes, points, u, held, reference.changes(points[:, 0], rules.switch))
         du = response(case, here, wanted, moved, imposed(case, wanted, here, stop, controls))
         x_tip, tip, dtip = stop.tip, u[-2:], du[-2:]
     return du, moved
@@ -156,19 +158,19 @@ def bending(nodes: Numbers, u: Numbers) -> Numbers:
 
 def foundation(case: Case, here: Equilibrium, law: Law) -> Numbers:
     """Return the tissue's forces and moments (2 N,); state, points' y and law may be complex."""
-    boundaries, depths = case.tissue.boundaries, here.points[:, 0].real
-    x, w = reference.quadrature(here.nodes, depths, boundaries)
+    boundaries = case.tissue.boundaries
+    x, w = reference.quadrature(here.nodes, here.change, boundaries)
     N, dN = reference.shape_functions(here.nodes, x)
-    nearest = np.argmin(np.abs(x[:, None] - depths), axis=1)
+    nearest = np.searchsorted(here.change, x)
     e = N @ here.u - here.points[nearest, 1]
     return N.T @ (w * law.reaction(np.searchsorted(boundaries, x), e, dN @ here.u))
 
 
 def _reach(case: Case, here: Equilibrium, p: Parameter) -> float:
     """Return how far (mm) a boundary or a guide's node may be moved without passing anything."""
-    boundaries, depths = case.tissue.boundaries, here.points[:, 0].real
+    boundaries = case.tissue.boundaries
     place = boundaries[p.number] if p.kind == "boundary" else _stand(case, p)
-    gaps = np.abs(np.concatenate((here.nodes, 0.5 * (depths[1:] + depths[:-1]), boundaries)) - place)
+    gaps = np.abs(np.concatenate((here.nodes, here.change, boundaries)) - place)
     return min(_REACH, 0.5 * float(np.min(gaps[gaps > 0])))
 
 

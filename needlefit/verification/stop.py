@@ -43,7 +43,7 @@ def stop_at(needle: Needle, tissue: Tissue, constraints: Floats, rules: Rules) -
     depths, y = np.ascontiguousarray(constraints.T)
     held = Chain(needle.flexural_rigidity, x[:1].copy(), np.zeros(len(x), np.int64), np.zeros((len(x), 2)))
     held.kind[0] = CLAMPED
-    grid = build_grid(depths, tissue.boundaries, x[1:].copy())
+    grid = build_grid(depths, tissue.boundaries, x[1:].copy(), rules.switch)
     return Stop(x, held, grid, compile_tissue(tissue), y)
 
 

@@ -70,7 +70,7 @@ def drawn_from(found: Weighted, count: int, rng: np.random.Generator) -> Draws:
         f"are worth {found.independent:.0f} independent ones ({found.enough:.0f} at least)"
     )
     thetas = found.thetas[resampled(found, count, rng)]
-    return Draws(thetas, "importance", () if found.certified else (doubt,))
+    return Draws(thetas, "importance", () if found.certified else (doubt,), found.k)
 
 
 def by_importance(problem: Problem, fit: Fit, count: int, rng: np.random.Generator, jobs: int = 1) -> Draws:

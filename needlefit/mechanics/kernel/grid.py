@@ -29,7 +29,7 @@ class Grid(NamedTuple):
     x: Floats  # (Q,) depth of the quadrature points
     weight: Floats  # (Q,)
     layer: Ints  # (Q,)
-    constraint: Ints  # (Q,) index of the nearest constraint point
+    constraint: Ints  # (Q,) index of the constraint point that it belongs to
     shapes: Floats  # (Q, 8) cubic functions and their slopes; element 0's rows are for the solver to fill
 
 
@@ -94,10 +94,11 @@ def node_depths(tip: float, first_cell: float, spacing: float, element: float, w
 
 
 @njit(cache=True, nogil=True)
-def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats) -> Grid:
+def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: float) -> Grid:
     """Return the quadrature for constraint depths (M + 1,), layer boundaries (n - 1,) and nodes (N,).
 
-    Every interval of quadrature lies in one element, one layer, and nearest to one constraint point.
+    Every interval of quadrature lies in one element, one layer, and belongs to one constraint point: from
+    `switch` of the way to the next one on (0.5: the nearest) to that one.
     """
     count, layers, cells = len(nodes), len(boundaries), len(constraints)
     capacity = 2 * (count + layers + cells)
@@ -111,8 +112,10 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats) -> Grid:
         here += 1
     a = 0.0
     while element < count:
-        middle = 0.5 * (constraints[closest] + constraints[closest + 1]) if closest + 1 < cells else np.inf
-        b = min(nodes[element], middle)
+        change = np.inf
+        if closest + 1 < cells:
+            change = (1.0 - switch) * constraints[closest] + switch * constraints[closest + 1]
+        b = min(nodes[element], change)
         if here < layers:
             b = min(b, boundaries[here])
         length = b - a
@@ -124,7 +127,7 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats) -> Grid:
                 nearest[points] = closest
                 points += 1
         a = b
-        if b >= middle:
+        if b >= change:
             closest += 1
         if here < layers and b >= boundaries[here]:
             here += 1

@@ -61,11 +61,13 @@ class Insertion(NamedTuple):
     first_cell: float  # mm
     spacing: float  # C_int, mm
     element: float  # h, mm
+    switch: float  # where between two constraint points the target changes from one to the other
+    tangent: float  # part of the tip's slope that a ray takes on
     boundaries: Floats  # (n - 1,) mm
     main: Grid  # of all constraint points that the tip can reach
     y: Floats  # (M + 1,) of the constraint points, mm
     track: Floats  # (M + 1, 2) deflection and slope of the tip as it stood at each
-    rays: Floats  # (R, 4) x, y, slope of the tip where each ray begins, and the bevel's turn
+    rays: Floats  # (R, 4) x, y of the tip where each ray begins, the slope that it takes on, the bevel's turn
     tip: Floats  # (3,) x, y, slope of the tip now
     nodes: Floats  # (C,) depth of the chain's nodes now
     states: Floats  # (3, C, 2) their deflection and slope: now, one cell ago, and room for a third
@@ -77,19 +79,19 @@ class Insertion(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def begin(
-    rigidity: float, length: float, first_cell: float, spacing: float, element: float, boundaries: Floats,
-    deepest: float, guides: int, rays: int,
+    rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
+    tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int,
 ) -> Insertion:  # fmt: skip
     """Return a needle before first contact, with room up to `deepest` (mm) for so many guides and rays."""
     cells = max(cell_of(deepest, first_cell, spacing), 1)
     tip = first_cell + (cells - 1) * spacing
     nodes = node_depths(tip, first_cell, spacing, element, np.empty(0))
-    main = build_grid(constraint_depths(tip, cells, first_cell, spacing), boundaries, nodes)
+    main = build_grid(constraint_depths(tip, cells, first_cell, spacing), boundaries, nodes, switch)
     room = len(nodes) + guides + 3  # base, entry, a tip between constraint points
     y = np.full(cells + 1, np.nan)  # what a failed insertion never reached stays NaN
     y[0] = 0.0
     return Insertion(
-        rigidity, length, first_cell, spacing, element, boundaries, main, y,
+        rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
         np.zeros(3), np.zeros(room), np.zeros((3, room, 2)), np.zeros(4, np.int64),
         np.zeros((0, room + 1, 2)),
@@ -112,7 +114,8 @@ def advance(
     for s in range(len(stops.tip)):
         depth, cell, ray = stops.tip[s], stops.cell[s], stops.ray[s]
         if stops.opens[s]:
-            rays[ray, 0], rays[ray, 1], rays[ray, 2], rays[ray, 3] = tip[0], tip[1], tip[2], stops.turn[s]
+            rays[ray, 0], rays[ray, 1], rays[ray, 3] = tip[0], tip[1], stops.turn[s]
+            rays[ray, 2] = insertion.tangent * tip[2]
         if cell > 0:
             y[cell] = rays[ray, 1] + (depth - rays[ray, 0]) * (rays[ray, 2] + rays[ray, 3])
         on_main = stops.permanent[s] and cell > 0 and len(holds.within) == 0
@@ -149,7 +152,7 @@ def grid_at(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Grid:
     active = active[active <= tip - GRIP]
     nodes = node_depths(tip, insertion.first_cell, insertion.spacing, insertion.element, active)
     points = constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
-    return build_grid(points, insertion.boundaries, nodes)
+    return build_grid(points, insertion.boundaries, nodes, insertion.switch)
 
 
 @njit(cache=True, nogil=True)

@@ -35,6 +35,8 @@ class MediumRecord(FileRecord):
     """`configs/media/<name>.toml`: the model of one medium, as a table of parameters by name.
 
     Names: `mu1_pa`, `alpha1`, ... one pair per layer, `bevel_mm`, and optionally `guide_distance_mm`.
+    `constraint_switch`, `tangent_part` and `first_cell_mm` are rules of the model (`mechanics.control.Rules`)
+    that are decided; other values are for studies of how much they matter.
     """
 
     title: str = ""
@@ -43,4 +45,7 @@ class MediumRecord(FileRecord):
     law: str = "ogden"
     thickness_mm: float = Field(default=40.0, gt=0)
     constraint_spacing_mm: float = Field(default=1.0, gt=0)
+    constraint_switch: float = Field(default=0.5, ge=0, le=1)
+    tangent_part: float = Field(default=1.0, ge=0, le=1)
+    first_cell_mm: float | None = Field(default=None, gt=0)
     parameters: dict[str, ParameterRecord]

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import INK, WAY_COLOURS, WAY_NAMES
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
@@ -17,17 +18,19 @@ _PANELS = (
     ("tip_crps", "CRPS of the tip (mm)"),
     ("tip_in_95", "tips in their 95 % interval"),
 )
+_FLOORS = ("te", "ipe_mean")
+"""What has a noise floor, in the order of the panels."""
 
 
 def draw_curves(answer: Answer, path: Path) -> Path:
     """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
-    return draw(path, lambda: _paint(answer))
+    return plot(path, answer.frames["adaptation"].assign(origin=answer.origin), _paint)
 
 
-def _paint(answer: Answer) -> Figure:
+def _paint(frame: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(WIDTH, 4.4))
     panels = figure.subplots(2, 2, sharex=True).ravel()
-    rows = records(answer.frames["adaptation"])
+    rows = records(frame)
     for axes, (stem, words) in zip(panels, _PANELS, strict=True):
         for way in WAY_NAMES:
             _line(axes, [row for row in rows if row["way"] == way], stem, WAY_COLOURS[way])
@@ -38,7 +41,7 @@ def _paint(answer: Answer) -> Figure:
             axes.set_ylim(-0.05, 1.05)
         else:
             axes.set_yscale("log")
-    for axes, stem in zip(panels, ("te", "ipe_mean"), strict=False):
+    for axes, stem in zip(panels, _FLOORS, strict=False):
         floor = rows[0][f"floor_{stem}_mm"]
         axes.axhline(floor, color=INK, lw=0.9, ls=(0, (2, 1.5)))
         at = {"xytext": (-1, 2), "textcoords": "offset points", "fontsize": 6.5}
@@ -49,7 +52,7 @@ def _paint(answer: Answer) -> Figure:
         axes.set_xlabel("insertions into the new medium")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     _names(panels[0], rows)
-    label_origin(figure, answer.synthetic)
+    label_origin(figure, is_synthetic(frame))
     return figure
 
 

@@ -6,19 +6,19 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.overlays import stretch
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, snug
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot, snug
 from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS
 
 _BESIDE = 0.2  # share of the bands' height left free above and below
 _TALL = 2.6  # inches
 
 
-def draw_forecast(table: pd.DataFrame, title: str, depth: float, path: Path, synthetic: bool) -> None:
+def draw_forecast(table: pd.DataFrame, title: str, depth: float, path: Path) -> None:
     """Draw median, 50 and 95 % bands of the needle, and the 95 % band of its measurement, mm."""
-    draw(path, lambda: _paint(table, title, depth, synthetic))
+    plot(path, table, lambda frame: _paint(frame, title, depth))
 
 
-def _paint(table: pd.DataFrame, title: str, depth: float, synthetic: bool) -> Figure:
+def _paint(table: pd.DataFrame, title: str, depth: float) -> Figure:
     x, colour = table["x_mm"], RIVAL_COLOURS["fitted"]
     low, high = table["measured_95_low_mm"].min(), table["measured_95_high_mm"].max()
     room = _BESIDE * (high - low) + 0.05
@@ -46,6 +46,6 @@ def _paint(table: pd.DataFrame, title: str, depth: float, synthetic: bool) -> Fi
     axes.set_title(f"{title}: median, 50 and 95 % of needles", loc="left")
     axes.set_xlabel("x along the entry (mm)")
     axes.set_ylabel("y (mm)" + ("" if factor == 1 else f",\ndrawn {factor}× as large as x"))
-    label_origin(figure, synthetic)
+    label_origin(figure, is_synthetic(table))
     snug(figure)
     return figure

@@ -1,15 +1,16 @@
-"""A compression test: the curves with their fit, what the fit leaves, and what it says of alpha."""
+"""A compression test: the curves with their fit and what it leaves, and what they say of alpha."""
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.inference.material import SpecimenFit
-from needlefit.inference.population import Material
-from needlefit.mechanics.compression import Measure, stress
-from needlefit.reporting.figures.style import WIDTH, draw, light_grid
+from needlefit.mechanics.compression import Measure
+from needlefit.reporting.figures.style import WIDTH, light_grid, plot
+from needlefit.reporting.material_tables import PRIOR
 from needlefit.reporting.names import GREY, INK
 
 _COLOURS = ("#0072B2", "#E69F00", "#009E73", "#CC79A7", "#D55E00", "#56B4E9")  # Okabe and Ito
@@ -19,72 +20,73 @@ _NAMED = 8
 _FLOOR, _BAR = -8.0, 0.3
 """Log likelihood at which the profiles are cut off; height of a bar below."""
 
-
-def draw_material(measure: Measure, material: Material, path: Path) -> Path:
-    """Draw measured and fitted stress over stretch, residuals below, profile likelihoods of alpha beside."""
-    return draw(path, lambda: _paint(measure, material))
+_DOTS = 60
+"""Measured points of a specimen that are drawn, about."""
 
 
-def _paint(measure: Measure, material: Material) -> Figure:
-    figure = Figure(figsize=(WIDTH, 3.3))
-    grid = figure.add_gridspec(2, 2, height_ratios=(2.2, 1), width_ratios=(1.25, 1))
-    curves = figure.add_subplot(grid[0, 0])
-    left = figure.add_subplot(grid[1, 0], sharex=curves)
-    profile = figure.add_subplot(grid[:, 1])
-    for n, fit in enumerate(material.fits):
-        colour = _COLOURS[n % len(_COLOURS)]
-        _draw_curve(curves, fit, colour)
-        left.plot(fit.specimen.stretch, 1e3 * fit.residuals, color=colour, lw=0.8)
-        _draw_profile(profile, fit, colour, _FLOOR - _BAR * (n + 0.5))
-    _dress_curves(curves, left, measure)
-    _dress_profile(profile, material)
-    if 1 < len(material.fits) <= _NAMED:
-        curves.legend(loc="upper left", fontsize=6.5, handlelength=1.2, labelspacing=0.3)
+def draw_curves(measure: Measure, curves: pd.DataFrame, path: Path) -> Path:
+    """Draw measured and fitted stress over stretch, and below what the fit leaves."""
+    return plot(path, curves, lambda frame: _paint_curves(measure, frame))
+
+
+def draw_profiles(profiles: pd.DataFrame, path: Path) -> Path:
+    """Draw the profile log likelihoods of alpha, their 95 % regions, and the prior that follows."""
+    return plot(path, profiles, _paint_profiles)
+
+
+def _paint_curves(measure: Measure, curves: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(0.6 * WIDTH, 3.3))
+    upper, lower = figure.subplots(2, 1, height_ratios=(2.2, 1), sharex=True)
+    for colour, (name, rows) in _coloured(curves):
+        dots = rows.iloc[:: max(1, len(rows) // _DOTS)]
+        style = {"ms": 2.4, "mfc": "none", "mew": 0.6}
+        upper.plot(dots["stretch"], -dots["measured_pa"] / 1e3, "o", color=colour, **style)
+        line = rows.sort_values("stretch")
+        upper.plot(line["stretch"], -line["fitted_pa"] / 1e3, color=colour, lw=1.1, label=name)
+        lower.plot(rows["stretch"], rows["residual_pa"] / 1e3, color=colour, lw=0.8)
+    upper.invert_xaxis()
+    upper.set_ylabel(f"{measure} stress (kPa),\npositive in compression")
+    lower.axhline(0.0, color=INK, lw=0.5)
+    lower.set_ylabel("fitted minus\nmeasured (kPa)")
+    lower.set_xlabel("stretch")
+    for axes in (upper, lower):
+        light_grid(axes, "y")
+    if 1 < curves["specimen"].nunique() <= _NAMED:
+        upper.legend(loc="upper left", fontsize=6.5, handlelength=1.2, labelspacing=0.3)
     return figure
 
 
-def _draw_curve(axes: Axes, fit: SpecimenFit, colour: str) -> None:
-    """Draw the measured points, at most some hundred of them, and the fitted curve."""
-    at = fit.specimen.stretch
-    every = max(1, len(at) // 60)
-    axes.plot(
-        at[::every], -1e3 * fit.specimen.stress[::every], "o", ms=2.4, mfc="none", mew=0.6, color=colour
-    )
-    fine = np.linspace(at.min(), min(1.0, at.max()), 200)
-    fitted = -1e3 * stress(fit.mu, fit.alpha, fine, fit.measure)
-    axes.plot(fine, fitted, color=colour, lw=1.1, label=fit.specimen.name)
+def _paint_profiles(profiles: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(0.6 * WIDTH, 3.0))
+    axes = figure.add_subplot()
+    specimens = profiles[profiles["specimen"] != PRIOR]
+    for n, (colour, (name, rows)) in enumerate(_coloured(specimens)):
+        shown = rows["log_likelihood"].where(rows["log_likelihood"] >= _FLOOR)
+        axes.plot(rows["alpha"], shown, color=colour, lw=1.1, label=name)
+        bar = rows["alpha"].where(rows["in_95_region"].astype(bool))
+        level = np.full(len(rows), _FLOOR - _BAR * (n + 0.5))
+        axes.plot(bar, level, color=colour, lw=2, solid_capstyle="butt")
+    _dress_profiles(axes, profiles, specimens)
+    return figure
 
 
-def _draw_profile(axes: Axes, fit: SpecimenFit, colour: str, bar: float) -> None:
-    """Draw the log likelihood over alpha, and at the height `bar` the 95 % region."""
-    likelihood = -0.5 * fit.independent * np.log(fit.profile.ratio)
-    axes.plot(fit.profile.alpha, np.where(likelihood >= _FLOOR, likelihood, np.nan), color=colour, lw=1.1)
-    for low, high in fit.profile.regions:
-        axes.plot([low, high], [bar, bar], color=colour, lw=2, solid_capstyle="butt")
-
-
-def _dress_curves(curves: Axes, left: Axes, measure: Measure) -> None:
-    curves.invert_xaxis()
-    curves.tick_params(labelbottom=False)
-    curves.set_ylabel(f"{measure} stress (kPa),\npositive in compression")
-    left.axhline(0.0, color=INK, lw=0.5)
-    left.set_ylabel("fitted minus\nmeasured (kPa)")
-    left.set_xlabel("stretch")
-    light_grid(curves, "y")
-    light_grid(left, "y")
-
-
-def _dress_profile(axes: Axes, material: Material) -> None:
+def _dress_profiles(axes: Axes, profiles: pd.DataFrame, specimens: pd.DataFrame) -> None:
+    count = specimens["specimen"].nunique()
     axes.set_title("profile log likelihood of α; bars: 95 % region", loc="left")
-    axes.set_ylim(_FLOOR - _BAR * (len(material.fits) + 0.5), 0.6)
-    ends = [end for fit in material.fits for region in fit.profile.regions for end in region]
-    if material.alpha_identified:
-        ends += [float(material.mean[1]) + side * material.sds[1] for side in (-1.0, 1.0)]
+    axes.set_ylim(_FLOOR - _BAR * (count + 0.5), 0.6)
+    prior = profiles.loc[profiles["specimen"] == PRIOR, "alpha"]
+    ends = [*specimens.loc[specimens["in_95_region"].astype(bool), "alpha"], *prior]
     margin = 0.5 * (max(ends) - min(ends)) + 0.1
     axes.set_xlim(min(ends) - margin, max(ends) + margin)
     axes.set_xlabel("α")
-    if material.alpha_identified:
-        mean, sd = float(material.mean[1]), material.sds[1]
-        axes.axvspan(mean - sd, mean + sd, color=GREY, alpha=0.2, lw=0, label="prior, ± one sd")
-        axes.legend(loc="upper right", fontsize=6.5)
+    if len(prior):
+        axes.axvspan(prior.min(), prior.max(), color=GREY, alpha=0.2, lw=0, label="prior, ± one sd")
+    if len(prior) or 1 < count <= _NAMED:
+        axes.legend(loc="upper right", fontsize=6.5, handlelength=1.2, labelspacing=0.3)
     light_grid(axes, "y")
+
+
+def _coloured(rows: pd.DataFrame) -> Iterator[tuple[str, tuple[str, pd.DataFrame]]]:
+    """Yield a colour, and the name and rows of each specimen."""
+    for n, (name, group) in enumerate(rows.groupby("specimen", sort=False)):
+        yield _COLOURS[n % len(_COLOURS)], (str(name), group)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.inference.parameters import in_logarithm
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
 from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
 from needlefit.reporting.numbers import number, symbol, typeset
 from needlefit.reporting.tables import Row, records
@@ -32,13 +32,24 @@ TOP = 6.5
 BLUE, ORANGE, WARNING = RIVAL_COLOURS["fitted"], RIVAL_COLOURS["hand_tuned"], PAPER
 
 
-def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, synthetic: bool, path: Path) -> Path:
-    """Draw the deviance over each parameter, its 95 % interval, and what the information alone would say."""
-    return draw(path, lambda: _paint(identification, profiles, synthetic))
+def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, origin: str, path: Path) -> Path:
+    """Draw the deviance over each parameter, its 95 % interval, and what the information alone would say.
+
+    The table has the computed points, between which the curve is the cubic of their slopes, and with each
+    of them what is known of its parameter.
+    """
+    about = identification[[*_KEYS, *(name for name in _TOLD if name not in _KEYS)]]
+    frame = profiles.merge(about, on=list(_KEYS), how="left", sort=False).assign(origin=origin)
+    return plot(path, frame, _paint)
 
 
-def _paint(identification: pd.DataFrame, profiles: pd.DataFrame, synthetic: bool) -> Figure:
-    rows = records(identification)
+_KEYS = ("fold", "parameter")
+_TOLD = ("status", "fisher_sd", "interval_low", "interval_high", "end_low", "end_high", "rise")
+"""Columns of the identification that the figure shows."""
+
+
+def _paint(profiles: pd.DataFrame) -> Figure:
+    rows = records(profiles.drop_duplicates(list(_KEYS))[[*_KEYS, *_TOLD]])
     across = _across(len(rows))
     down = math.ceil(len(rows) / across)
     figure = Figure(figsize=(WIDTH, 0.3 + 1.5 * down))
@@ -53,7 +64,7 @@ def _paint(identification: pd.DataFrame, profiles: pd.DataFrame, synthetic: bool
         if n % across == 0:
             axes.set_ylabel("deviance")
     _name_lines(figure, panels[0, across - 1], float(profiles["threshold"].iloc[0]))
-    label_origin(figure, synthetic)
+    label_origin(figure, is_synthetic(profiles))
     return figure
 
 
@@ -112,7 +123,7 @@ def _dress(axes: Axes, row: Row, ends: Floats) -> None:
     axes.set_ylim(0, TOP)
     axes.set_xlim(float(ends[0]), float(ends[1]))
     if in_logarithm(name):
-        ticks = _log_ticks(float(ends[0]), float(ends[1]))
+        ticks = log_ticks(float(ends[0]), float(ends[1]))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xticks(ticks, [_print(tick) for tick in ticks])
     else:
@@ -142,7 +153,7 @@ def _shade(row: Row) -> str:
     return INK if row["end_low"] == row["end_high"] == "closed" else WARNING
 
 
-def _log_ticks(low: float, high: float) -> list[float]:
+def log_ticks(low: float, high: float) -> list[float]:
     """Return two to four round places on a logarithmic axis: powers of ten if there are enough of them."""
     if high < 5 * low:
         places = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)

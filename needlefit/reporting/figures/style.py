@@ -4,11 +4,13 @@ from collections.abc import Callable
 from pathlib import Path
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from needlefit.errors import ConfigError
+from needlefit.reporting.files import write_csv
 from needlefit.reporting.names import GREY, INK, SYNTHETIC
 
 WIDTH = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
@@ -48,6 +50,19 @@ _LOOK = {
 }
 
 
+def plot(path: Path, frame: pd.DataFrame, paint: Callable[[pd.DataFrame], Figure]) -> Path:
+    """Draw a table and lay it beside the picture, as CSV: what is drawn is what the table holds, no more.
+
+    Raises
+    ------
+    ConfigError
+        As `draw`.
+    """
+    draw(path, lambda: paint(frame))
+    write_csv(frame, path.with_suffix(".csv"))
+    return path
+
+
 def draw(path: Path, paint: Callable[[], Figure]) -> Path:
     """Paint a figure in the house style, whatever the user's own, and save it by its suffix.
 
@@ -78,6 +93,11 @@ def snug(figure: Figure) -> None:
     figure.draw_without_rendering()
     margin = 0.04  # inches, as the layout leaves at the sides
     figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
+
+
+def is_synthetic(frame: pd.DataFrame) -> bool:
+    """Return whether anything that a figure's table holds is of synthetic data."""
+    return bool((frame["origin"] == "synthetic").any())
 
 
 def label_origin(figure: Figure, synthetic: bool) -> None:

@@ -8,19 +8,19 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, medium_name
 
 _TALL = 1.75  # inches a row of runs
 _ROOM = 0.25  # share of the readings' range left free above and below; bands may leave it
 
 
-def draw_tracks(readings: pd.DataFrame, path: Path, synthetic: bool) -> Path:
+def draw_tracks(readings: pd.DataFrame, path: Path) -> Path:
     """Draw every run foretold, a row of panels per medium."""
-    return draw(path, lambda: _paint(readings, synthetic))
+    return plot(path, readings, _paint)
 
 
-def _paint(readings: pd.DataFrame, synthetic: bool) -> Figure:
+def _paint(readings: pd.DataFrame) -> Figure:
     runs = list(dict.fromkeys(zip(readings["medium"], readings["run"], strict=True)))
     rows = [(medium, [run for _, run in some]) for medium, some in groupby(runs, key=lambda one: one[0])]
     most = max((len(names) for _, names in rows), default=1)
@@ -38,7 +38,7 @@ def _paint(readings: pd.DataFrame, synthetic: bool) -> Figure:
             guide.set_ylim(group["guide_mm"].min() - 1, group["guide_mm"].max() + 1)
             tip.set_title(_short(name, medium), loc="left", fontsize=6)
             _dress(tip, guide, medium_name(medium) if k == 0 else "", last=n == len(rows) - 1)
-    label_origin(figure, synthetic)
+    label_origin(figure, is_synthetic(readings))
     return figure
 
 
@@ -83,6 +83,6 @@ def _dress(tip: Axes, guide: Axes, medium: str, last: bool) -> None:
     light_grid(tip, "y")
     if first:
         tip.set_ylabel(f"{medium}\ntip (mm)")
-        guide.set_ylabel("guide")
+        guide.set_ylabel("guide (mm)")
     if last:
         guide.set_xlabel("depth (mm)")

@@ -1,6 +1,8 @@
 """Where the starts of a search ended: how good, and how far apart."""
 
+import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -8,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
-from numpy.typing import NDArray
 
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.inference.parameters import in_logarithm
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, RIVAL_NAMES
 from needlefit.reporting.numbers import number, symbol, typeset
 from needlefit.reporting.tables import Row, records
@@ -23,26 +25,58 @@ def waterfall(results: Results, path: Path) -> Path:
     A parameter whose dots spread along its axis although their ends are practically the best one is not
     determined by the data.
     """
-    return draw(path, lambda: _paint(results))
+    return plot(path, ends(results), _paint)
 
 
-def _paint(results: Results) -> Figure:
-    free = _free(results)
-    figure = Figure(figsize=(WIDTH, max(2.2, 0.9 + 0.26 * len(free))))
+def ends(results: Results) -> pd.DataFrame:
+    """Return one row per start and free parameter of its search: rank, excess, and where it ended.
+
+    Ranks are within a search, best first; starts without a result have none. Only of the fit itself are the
+    parameters' ends drawn, so those of other searches are left out.
+    """
+    keys = ["fold", "fit", "start", "excess", "as_good", "objective"]
+    starts = results.starts.astype({"excess": float, "objective": float})
+    starts["rank"] = (
+        starts["excess"]
+        .where(np.isfinite(starts["excess"]))
+        .groupby([starts["fold"], starts["fit"]], sort=False)
+        .rank(method="first")
+    )
+    rows = []
+    for start in records(starts):
+        row = {key: start[key] for key in (*keys[:3], "rank", *keys[3:5])}
+        row["failed"] = start["objective"] is None
+        free = _free(results) if start["fit"] == "fitted" else []
+        rows += [row | _end(start, one) for one in free] or [row]
+    columns = ["fold", "fit", "start", "rank", "excess", "as_good", "failed", *_END]
+    return pd.DataFrame(rows, columns=columns).assign(origin=results.origin)
+
+
+_END = ("parameter", "value", "bound_low", "bound_high", "between_bounds")
+
+
+def _end(start: Row, free: Row) -> Row:
+    values = (start[free["parameter"]], free["bound_low"], free["bound_high"])
+    share = None if values[0] is None else _share(free["parameter"], *values)
+    return dict(zip(_END, (free["parameter"], *values, share), strict=True))
+
+
+def _paint(marks: pd.DataFrame) -> Figure:
+    parameters = list(dict.fromkeys(marks["parameter"].dropna()))
+    figure = Figure(figsize=(WIDTH, max(2.2, 0.9 + 0.26 * len(parameters))))
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
-    _ranked(left, results.starts)
-    _ended(right, results.starts, free)
-    label_origin(figure, results.origin == "synthetic")
+    _ranked(left, marks.drop_duplicates(["fold", "fit", "start"]))
+    _ended(right, marks, parameters)
+    label_origin(figure, is_synthetic(marks))
     return figure
 
 
 def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
     """Draw the excess of each search's starts, best first; failed starts stand nowhere but in the count."""
     for (fit, _), group in starts.groupby(["fit", "fold"], sort=False):
-        values = np.sort(group["excess"].to_numpy(dtype=np.float64))
-        values = values[np.isfinite(values)]
-        axes.plot(np.arange(1, len(values) + 1), values, "o-", color=RIVAL_COLOURS[str(fit)], ms=3, lw=0.8)
-    failed = int((~np.isfinite(starts["objective"].astype(float))).sum())
+        ranked = group[group["rank"].notna()].sort_values("rank")
+        axes.plot(ranked["rank"], ranked["excess"], "o-", color=RIVAL_COLOURS[str(fit)], ms=3, lw=0.8)
+    failed = int(starts["failed"].sum())
     fits = list(dict.fromkeys(starts["fit"]))
     each = ", a line per fold" if starts["fold"].nunique() > 1 else ""
     handles = [
@@ -50,10 +84,10 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
         for f in fits
     ]
     axes.legend(handles=handles, loc="best", handlelength=1.5)
-    axes.set_title(f"{counted(starts)}, {failed} without a result", loc="left")
+    axes.set_title(counted(starts) + (f",\n{failed} without a result" if failed else ""), loc="left")
     axes.set_xlabel("start, best first")
     axes.axhline(1, color=GREY, lw=0.6, ls=(0, (2, 1.5)))
-    axes.set_ylabel("above the best, in what counts as equal")
+    axes.set_ylabel("above the best,\nin what counts as equal")
     axes.set_yscale("symlog", linthresh=1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)
@@ -70,23 +104,25 @@ def counted(starts: pd.DataFrame) -> str:
     return f"{each} starts" + (f" in each of {' × '.join(where)}" if where else "")
 
 
-def _ended(axes: Axes, starts: pd.DataFrame, free: list[Row]) -> None:
+_FAR: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}
+_NEAR: dict[str, Any] = {"ms": 4, "mfc": RIVAL_COLOURS["fitted"], "mec": "white", "mew": 0.4}
+
+
+def _ended(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
     """Draw the end of every start of the fit within the bounds: full colour where practically the best."""
-    fitted = starts[(starts["fit"] == "fitted") & np.isfinite(starts["objective"].astype(float))]
-    near = fitted["as_good"].to_numpy(dtype=np.bool_)
-    for y, row in enumerate(free):
-        at = _share(fitted[row["parameter"]].to_numpy(dtype=np.float64), row)
+    for y, name in enumerate(parameters):
+        here = marks[(marks["parameter"] == name) & ~marks["failed"].astype(bool)]
+        near = here["as_good"].to_numpy(dtype=np.bool_)
         axes.hlines(y, 0, 1, color=GREY, lw=0.5, alpha=0.6)
-        axes.plot(at[~near], np.full((~near).sum(), y), "o", ms=3.4, mfc="none", mec=GREY, mew=0.6)
-        axes.plot(
-            at[near], np.full(near.sum(), y), "o", ms=4, mfc=RIVAL_COLOURS["fitted"], mec="white", mew=0.4
-        )
-        for x, side in ((0, "left"), (1, "right")):
-            bound = row["bound_low"] if x == 0 else row["bound_high"]
-            axes.text(x, y - 0.17, typeset(number(bound)), ha=side, va="bottom", fontsize=5.5, color=GREY)
-    names = [symbol(row["parameter"]) for row in free]
-    axes.set_yticks(range(len(free)), names)
-    axes.set_ylim(len(free) - 0.45, -0.65)
+        for some, look in ((~near, _FAR), (near, _NEAR)):
+            at = here.loc[some, "between_bounds"]
+            axes.plot(at, np.full(len(at), y), "o", **look)
+        bounds = marks[marks["parameter"] == name].iloc[0]
+        for x, side, bound in ((0, "left", "bound_low"), (1, "right", "bound_high")):
+            said = typeset(number(float(bounds[bound])))
+            axes.text(x, y - 0.17, said, ha=side, va="bottom", fontsize=5.5, color=GREY)
+    axes.set_yticks(range(len(parameters)), [symbol(name) for name in parameters])
+    axes.set_ylim(len(parameters) - 0.45, -0.65)
     axes.set_xlim(-0.03, 1.03)
     axes.set_xticks([])
     axes.tick_params(axis="y", length=0)
@@ -96,14 +132,11 @@ def _ended(axes: Axes, starts: pd.DataFrame, free: list[Row]) -> None:
     axes.set_xlabel("filled: practically as good as the best", color=RIVAL_COLOURS["fitted"])
 
 
-def _share(values: NDArray[np.float64], row: Row) -> NDArray[np.float64]:
-    """Return where values lie between the bounds, 0 to 1; moduli and lengths in logarithms."""
-    low, high = row["bound_low"], row["bound_high"]
-    linear = row["parameter"].startswith("alpha")
-    share: NDArray[np.float64] = (
-        (values - low) / (high - low) if linear else np.log(values / low) / np.log(high / low)
-    )
-    return share
+def _share(parameter: str, value: float, low: float, high: float) -> float:
+    """Return where a value lies between the bounds, 0 to 1; moduli and lengths in logarithms."""
+    if in_logarithm(parameter):
+        value, low, high = math.log(value), math.log(low), math.log(high)
+    return (value - low) / (high - low)
 
 
 def _free(results: Results) -> list[Row]:

@@ -1,19 +1,15 @@
 """What is told of insertions and specimens left out in turn."""
 
 from pathlib import Path
-from typing import Any
-
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from needlefit.datasets.independent import groups
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.left_out import draw_left_out
 from needlefit.reporting.foretold import said_of
 from needlefit.reporting.inquiries.page import Figures, Page
-from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, medium_name
+from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.coverage import share
@@ -106,48 +102,11 @@ def _foretold(answer: Answer) -> Display:
     return Display("foretold", caption, columns, tuple(rows), notes=notes)
 
 
-def draw_errors(answer: Answer, folder: Path) -> dict[str, Path]:
-    """Draw TE in sample and left out, fit by fit."""
-    rows = [row for row in records(answer.frames["summary"]) if not row["note"]]
-    if not rows:
+def _draw(answer: Answer, folder: Path) -> dict[str, Path]:
+    """Draw the errors in sample and left out, if anything could be left out."""
+    if (answer.frames["summary"]["note"] != "").all():
         return {}
-    return {"summary": draw(folder / "summary.pdf", lambda: _paint(rows, answer.synthetic))}
-
-
-def _paint(rows: list[Row], synthetic: bool) -> Figure:
-    figure = Figure(figsize=(WIDTH, 0.9 + 0.34 * len(rows)))
-    left, right = figure.subplots(1, 2, sharey=True)
-    for axes, metric, words in ((left, "ipe_mean", "mean in-plane error"), (right, "te", "tip error")):
-        for y, row in enumerate(rows):
-            _pair(axes, y, row, metric, direct=y == 0)
-        axes.set_xlabel(f"{words}, mean over insertions (mm)")
-        axes.set_xlim(0, None)
-        light_grid(axes, "x")
-        axes.tick_params(axis="y", length=0)
-    labels = [f"{medium_name(row['fit'])}, {row['left_out']}s ({row['groups']})" for row in rows]
-    left.set_yticks(range(len(rows)), labels)
-    left.set_ylim(len(rows) - 0.5, -0.9)
-    label_origin(figure, synthetic)
-    return figure
-
-
-def _pair(axes: Axes, y: int, row: Row, metric: str, direct: bool) -> None:
-    """Draw one row: floor, in sample, left out, and the curve that knows no tissue."""
-    floor, sample = row[f"floor_{metric}_mm"], row[f"in_sample_{metric}_mm"]
-    held, curve = row[f"{metric}_mm"], row[f"curve_{metric}_mm"]
-    axes.plot([sample, held], [y, y], color=RIVAL_COLOURS["fitted"], lw=1.0, zorder=2)
-    axes.plot(sample, y, "o", ms=5, mfc="white", mec=RIVAL_COLOURS["fitted"], zorder=3)
-    axes.plot(held, y, "o", ms=5, color=RIVAL_COLOURS["fitted"], zorder=4)
-    axes.plot(curve, y, "^", ms=4.5, color=RIVAL_COLOURS["constant_curvature"], zorder=3)
-    if floor is not None:
-        axes.vlines(floor, y - 0.35, y + 0.35, color=INK, lw=0.9, ls=(0, (2, 1.5)))
-    if direct:
-        above: dict[str, Any] = {"xytext": (0, 7), "textcoords": "offset points", "fontsize": 6.5}
-        axes.annotate("left out", (held, y), ha="left", color=RIVAL_COLOURS["fitted"], **above)
-        axes.annotate("in sample", (sample, y), ha="right", color=RIVAL_COLOURS["fitted"], **above)
-        axes.annotate("constant curvature", (curve, y), ha="left", color=GREY, **above)
-        if floor is not None:
-            axes.annotate("floor", (floor, y), ha="right", color=INK, **above)
+    return {"summary": draw_left_out(answer, folder / "summary.pdf")}
 
 
 def story(answer: Answer, figures: Figures) -> list[Block]:
@@ -167,4 +126,4 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
     ]
 
 
-PAGE = Page(said, layouts, draw_errors, story)
+PAGE = Page(said, layouts, _draw, story)

@@ -3,7 +3,15 @@
 from collections.abc import Mapping
 from types import MappingProxyType
 
-from needlefit.reporting.inquiries import adaptation, comparison, left_out
+from needlefit.reporting.inquiries import (
+    adaptation,
+    comparison,
+    left_out,
+    next_insertion,
+    plan,
+    seeds,
+    sensitivity,
+)
 from needlefit.reporting.inquiries.page import Page
 
 PAGES: Mapping[str, Page] = MappingProxyType(
@@ -11,5 +19,9 @@ PAGES: Mapping[str, Page] = MappingProxyType(
         "adaptation": adaptation.PAGE,
         "comparison": comparison.PAGE,
         "left_out": left_out.PAGE,
+        "next_insertion": next_insertion.PAGE,
+        "seeds": seeds.PAGE,
+        "sensitivity": sensitivity.PAGE,
+        "plan": plan.PAGE,
     }
 )

@@ -6,11 +6,13 @@ from needlefit.reporting import document
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.inquiries.page import Figures
 from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.reporting.latex import latex
+from needlefit.reporting.macros import table_macros
 from needlefit.reporting.sentences import run_said
-from needlefit.reporting.write import whole, write_csv, write_json, write_report
+from needlefit.reporting.write import write_report
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.stored import store_answer
 
@@ -18,8 +20,8 @@ from needlefit.validation.inquiries.stored import store_answer
 def write_answer(answer: Answer, folder: Path) -> Path:
     """Write one inquiry's answer to `folder`, replacing an earlier result there; return it.
 
-    Every frame as CSV, tables as LaTeX, figures as PDF, the report as PDF and HTML, `run.json`,
-    `results.json.gz`, from which all of this can be made again, and `timing.json`.
+    Every frame as CSV, tables and their numbers as LaTeX, figures as PDF, the report as PDF and HTML,
+    `run.json`, `results.json.gz`, from which all of this can be made again, and `timing.json`.
 
     Raises
     ------
@@ -30,8 +32,10 @@ def write_answer(answer: Answer, folder: Path) -> Path:
     with whole(folder) as new:
         for name, frame in answer.frames.items():
             write_csv(frame.assign(origin=answer.origin), new / f"{name}.csv")
-        for table in page.layouts(answer):
+        tables = page.layouts(answer)
+        for table in tables:
             (new / f"{table.name}.tex").write_text(latex(table, answer.synthetic), encoding="utf-8")
+        (new / "numbers.tex").write_text(table_macros(answer.name, tables), encoding="utf-8")
         write_report(report(answer, page.draw(answer, new)), new)
         store_answer(answer, new)
         write_json(new / "run.json", answer.run)

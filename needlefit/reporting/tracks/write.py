@@ -6,6 +6,7 @@ from needlefit.inference.sampling.posterior import save
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.tracks import draw_tracks
+from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.tracks.layouts import (
     coverage_layout,
     depths_layout,
@@ -13,8 +14,8 @@ from needlefit.reporting.tracks.layouts import (
     scores_layout,
 )
 from needlefit.reporting.tracks.said import in_short
-from needlefit.reporting.write import whole, write_csv, write_json
 from needlefit.validation.tracks.results import TrackResults
+from needlefit.validation.tracks.stored import posterior_file, store_tracks
 from needlefit.validation.tracks.summary import by_depth, coverage, paired_runs
 
 _CAPTION = (
@@ -33,15 +34,16 @@ def write_tracks(results: TrackResults, folder: Path) -> Path:
         If `folder` exists and holds something that is no result.
     """
     with whole(folder) as new:
-        frames = {"readings": results.readings, "runs": results.runs, "parameters": results.parameters}
+        frames = {"runs": results.runs, "parameters": results.parameters}
         frames |= {"paired": paired_runs(results), "coverage": coverage(results)}
         frames["depths"] = by_depth(results)
         for name, frame in frames.items():
             write_csv(frame.assign(origin=results.origin), new / f"{name}.csv")
         for fit, posterior in results.posteriors.items():
-            save(posterior, new / f"posterior-{fit}.nc")
-        drawn = draw_tracks(results.readings, new / "tracks.pdf", results.origin == "synthetic")
+            save(posterior, new / posterior_file(fit))
+        drawn = draw_tracks(results.readings.assign(origin=results.origin), new / "readings.pdf")
         (new / "report.pdf").write_bytes(compile_pdf(_story(results, drawn)))
+        store_tracks(results, new)
         write_json(new / "run.json", results.run | {"not_converged": list(results.faults)})
         write_json(new / "timing.json", results.timing)
     return folder

@@ -13,10 +13,16 @@ from needlefit.project.records.adaptation import AdaptationRecord
 from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.left_out import LeftOutRecord
-from needlefit.validation.inquiries import left_out
+from needlefit.project.records.next_insertion import NextInsertionRecord
+from needlefit.project.records.plan import PlanRecord
+from needlefit.project.records.seeds import SeedsRecord
+from needlefit.project.records.sensitivity import SensitivityRecord
+from needlefit.validation.inquiries import left_out, next_insertion, plan
 from needlefit.validation.inquiries.adaptation import verb as adaptation
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.comparison import verb as comparison
+from needlefit.validation.inquiries.seeds import verb as seeds
+from needlefit.validation.inquiries.sensitivity import verb as sensitivity
 from needlefit.validation.job import Settings
 
 
@@ -33,6 +39,10 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "adaptation": Kind(AdaptationRecord, adaptation.ask),
         "comparison": Kind(ComparisonRecord, comparison.ask),
         "left_out": Kind(LeftOutRecord, left_out.ask),
+        "next_insertion": Kind(NextInsertionRecord, next_insertion.ask),
+        "seeds": Kind(SeedsRecord, seeds.ask),
+        "sensitivity": Kind(SensitivityRecord, sensitivity.ask),
+        "plan": Kind(PlanRecord, plan.ask),
     }
 )
 

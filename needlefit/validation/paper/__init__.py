@@ -51,7 +51,7 @@ def hand_tuned(name: str) -> dict[str, float]:
     return {key: float(value) for key, value in found[0].items() if _is_number(value)}
 
 
-def claims() -> list[Claim]:
+def checked_claims() -> list[Claim]:
     """Return every claim of the paper that was held against its tables, whether it holds or not."""
     published: Tables = {name: table(name) for name in TABLES}
     return [check(published) for check in _CHECKS]
@@ -63,7 +63,7 @@ def contradictions() -> list[Claim]:
     Every entry whose numbers stand in the tables is computed from them; a claim that the tables bear out
     is left out.
     """
-    return [claim for claim in claims() if not claim.holds]
+    return [claim for claim in checked_claims() if not claim.holds]
 
 
 _CHECKS = (

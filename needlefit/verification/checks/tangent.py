@@ -30,10 +30,11 @@ def residual(stop: Stop, tissue: Tissue, constraints: Floats) -> Callable[[Numbe
     """Return R(u) of the reference's equations, (2 N,), but for the clamped base's; u may be complex."""
     x_c, y_c = constraints.T
     K_b = reference.bending_stiffness(stop.x, NEEDLE.flexural_rigidity)
-    x, w = reference.quadrature(stop.x, x_c, tissue.boundaries)
+    change = reference.changes(x_c, Rules().switch)
+    x, w = reference.quadrature(stop.x, change, tissue.boundaries)
     N, dN = reference.shape_functions(stop.x, x)
     layer = np.searchsorted(tissue.boundaries, x)
-    nearest = np.argmin(np.abs(x[:, None] - x_c), axis=1)
+    nearest = np.searchsorted(change, x)
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
 
     def R(u: Numbers) -> Numbers:

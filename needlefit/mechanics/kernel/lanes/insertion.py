@@ -34,7 +34,7 @@ class Lanes(NamedTuple):
 
     y: Floats  # (M + 1, W) of the constraint points
     track: Floats  # (M + 1, 2 W) deflection and slope of the tip as it stood at each
-    rays: Floats  # (R, 3 W) y and slope of the tip where each ray begins, and the bevel's turn
+    rays: Floats  # (R, 3 W) y of the tip where each ray begins, the slope it takes on, the bevel's turn
     starts: Floats  # (R,) depth where each ray begins, mm
     states: Floats  # (2, N, 2 W) deflection and slope of the nodes in the tissue, now and one cell ago
     nodes: Floats  # (N,) their depth now
@@ -71,7 +71,7 @@ def advance_lanes(
     )
     for s in range(len(stops.tip)):
         tip, cell = stops.tip[s], stops.cell[s]
-        _place(lanes, inputs, stops, s)
+        _place(lanes, inputs, stops, s, insertion.tangent)
         on_main = stops.permanent[s] and cell > 0
         grid, tables = insertion.main, main
         if not on_main:
@@ -105,14 +105,14 @@ def advance_lanes(
 
 
 @njit(cache=True, nogil=True)
-def _place(lanes: Lanes, inputs: LaneInputs, stops: Stops, s: int) -> None:
+def _place(lanes: Lanes, inputs: LaneInputs, stops: Stops, s: int, tangent: float) -> None:
     """Put the constraint point under the tip of stop `s` on its ray, in every lane."""
     ray, cell = stops.ray[s], stops.cell[s]
     if stops.opens[s]:
         lanes.starts[ray] = lanes.depth[0]
         tip = lanes.states[lanes.size[3], lanes.size[0] - 1]
         for l in range(W):
-            lanes.rays[ray, l], lanes.rays[ray, W + l] = tip[l], tip[W + l]
+            lanes.rays[ray, l], lanes.rays[ray, W + l] = tip[l], tangent * tip[W + l]
             lanes.rays[ray, 2 * W + l] = inputs.turn[s, l]
     if cell > 0:
         ahead, row, y = stops.tip[s] - lanes.starts[ray], lanes.rays[ray], lanes.y[cell]

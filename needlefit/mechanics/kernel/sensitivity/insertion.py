@@ -82,7 +82,7 @@ def advance(
         depth, cell, ray, state = depths[s], cells[s], ray_of[s], record[s]
         if opens[s]:
             for p in range(total):
-                rays[ray, 0, p], rays[ray, 1, p] = tip[0, p], tip[1, p]
+                rays[ray, 0, p], rays[ray, 1, p] = tip[0, p], insertion.tangent * tip[1, p]
         if cell > 0:  # c = y + (tip - x)(slope + turn)
             y[cell] = state[size, 0]
             ahead = depth - state[size, 1]

@@ -1,0 +1,66 @@
+"""What ships with the program, read out of its files: studies and what they ask, fits, media, scenes."""
+
+import tomllib
+from collections.abc import Iterator
+
+from pages import keep
+from sphinx.application import Sphinx
+
+from needlefit.project.places import shipped
+from needlefit.validation.inquiries.kinds import KINDS
+
+PAGE = "reference/shipped.md"
+FOLDERS = {
+    "Fits": "configs/fits",
+    "Media": "configs/media",
+    "Scenes": "configs/scenes",
+    "Recipes": "configs/recipes",
+}
+
+OPENING = """\
+# What ships
+
+Every file of the project that a command takes by its name; `needlefit init DIR` writes a copy to edit.
+
+## Studies
+
+`needlefit validate NAME` runs one. A study without a kind tunes on some insertions and scores others; the
+keys of the other kinds are those of their records: {kinds}.
+"""
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Write the page before any is read."""
+    app.connect("builder-inited", _write)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
+
+
+def _write(app: Sphinx) -> None:
+    keep(app.srcdir / PAGE, "\n".join(_page()) + "\n")
+
+
+def _page() -> Iterator[str]:
+    yield OPENING.format(kinds=", ".join(_record(kind) for kind in KINDS))
+    yield from ("| name | kind | what it asks |", "|---|---|---|")
+    for name, said in _files("studies"):
+        yield f"| `{name}` | {_cell(said, 'kind')} | {_cell(said, 'question', 'title')} |"
+    for title, folder in FOLDERS.items():
+        yield from ("", f"## {title}", "", "| name | what it is |", "|---|---|")
+        yield from (f"| `{name}` | {_cell(said, 'title')} |" for name, said in _files(folder))
+
+
+def _record(kind: str) -> str:
+    """Return a kind of study as a link to what its file holds."""
+    record = KINDS[kind].record
+    return f"{{py:obj}}`{kind} <{record.__module__}.{record.__qualname__}>`"
+
+
+def _files(folder: str) -> Iterator[tuple[str, dict[str, object]]]:
+    """Yield the name of every TOML file of a folder, and what it says."""
+    for path in sorted((shipped() / folder).glob("*.toml")):
+        yield path.stem, tomllib.loads(path.read_text(encoding="utf-8"))
+
+
+def _cell(said: dict[str, object], *keys: str) -> str:
+    found = next((str(said[key]) for key in keys if said.get(key)), "")
+    return found.replace("|", r"\|").replace("_", r"\_")

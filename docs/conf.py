@@ -1,0 +1,64 @@
+"""How the site is built: the pages of this folder, and a reference read out of the code.
+
+Nothing is fetched from a network: mathematics is MathML, fonts are the reader's own, and what belongs to
+other packages is named, not linked.
+"""
+
+import os
+import sys
+from importlib.metadata import version as version_of
+from pathlib import Path
+
+os.environ["NUMBA_DISABLE_JIT"] = "1"  # compiled functions are read as Python; nothing is compiled
+sys.path.insert(0, str(Path(__file__).parent / "_site"))
+
+project = "needlefit"
+author = "The needlefit developers"
+copyright = author
+version = release = version_of("needlefit")
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "elsewhere",
+    "mathml",
+    "docstrings",
+    "names",
+    "rooms",
+    "commands",
+    "shipped",
+]
+root_doc = "index"
+exclude_patterns = ["_site"]
+html_theme = "furo"
+html_title = "needlefit"
+html_static_path = ["_static"]
+html_css_files = ["quiet.css"]
+html_copy_source = False
+toc_object_entries = False  # a room's contents are its modules; every function besides would be too many
+html_show_sphinx = False
+html_math_renderer = "mathml"
+pygments_style = "friendly"
+pygments_dark_style = "github-dark"
+
+myst_enable_extensions = ["deflist", "dollarmath"]
+myst_heading_anchors = 4
+
+autodoc_member_order = "bysource"
+autodoc_preserve_defaults = True
+autodoc_typehints = "signature"
+python_use_unqualified_type_names = True
+python_maximum_signature_line_length = 160
+default_role = "name"
+
+nitpicky = True
+nitpick_ignore_regex = [
+    # Types of others, which signatures name: without a network there is nothing to link them to.
+    ("py:.*", r"(numpy|np|scipy|pandas|xarray|matplotlib|pydantic|pydantic_core|typer)\..*"),
+    ("py:.*", r"(trimesh|SimpleITK|pydicom)\..*"),
+    ("py:.*", r"(collections|contextlib|pathlib|types|typing)\..*"),
+    # What begins with an underscore has no entry, even where a signature names it.
+    ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
+    # Type variables: what stands for them is the caller's.
+    ("py:class", r"(needlefit\.[a-z.]+\.)?(R|T|Given|Item|Result|Returned)"),
+]

@@ -1,0 +1,130 @@
+"""Run the commands that the pages show, and hold what they print against what the pages say.
+
+    python docs/transcripts.py [PAGE ...]            ends with 1 where something else is printed
+    python docs/transcripts.py [PAGE ...] --write    writes what is printed now into the pages
+
+The `console` blocks of a page are one session in an empty folder. `$ ` begins a command, `> ` goes on with
+it, and below it stands what it prints; `...` stands for lines left out. A number may differ by one in its
+last digit, as it does from machine to machine.
+"""
+
+import argparse
+import difflib
+import os
+import re
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from pathlib import Path
+
+HERE = Path(__file__).resolve().parent
+PAGES = [HERE / "tutorial.md", *sorted((HERE / "howto").glob("*.md"))]
+BLOCK = re.compile(r"(?<=^```console\n).*?(?=^```$)", re.MULTILINE | re.DOTALL)
+NUMBER = re.compile(r"\d+(?:\.(\d+))?")
+LEFT_OUT = "..."
+
+Run = Callable[[str], list[str]]
+
+
+def main() -> int:
+    """Run what was asked for; return how many pages say something else than their commands."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("pages", nargs="*", type=Path, default=PAGES)
+    parser.add_argument("--write", action="store_true", help="write what is printed now into the pages")
+    asked = parser.parse_args()
+    with ThreadPoolExecutor(os.cpu_count()) as pool:
+        agreeing = list(pool.map(partial(check, write=asked.write), asked.pages))
+    return 0 if all(agreeing) else 1
+
+
+def check(page: Path, *, write: bool = False) -> bool:
+    """Whether the commands of a page print what stands there; shows where they do not."""
+    said = page.read_text(encoding="utf-8")
+    with tempfile.TemporaryDirectory() as folder:
+        now = BLOCK.sub(lambda block: renewed(block[0], partial(run, folder)), said)
+    if write:
+        page.write_text(now, encoding="utf-8")
+    lines = (text.splitlines(keepends=True) for text in (said, now))
+    difference = "".join(difflib.unified_diff(*lines, f"{page.name}, as it is", f"{page.name}, as run"))
+    verdict = "its commands print something else" if difference else "as its commands print"
+    print(f"{difference}{page.name}: {verdict}", flush=True)
+    return not difference
+
+
+def renewed(block: str, run: Run) -> str:
+    """Return a block with what its commands print now, wherever that is something else."""
+    text = ""
+    for command, typed, shown in commands(block):
+        printed = run(command)
+        kept = shown if agrees(shown, printed) else excerpt(shown, printed)
+        text += typed + "".join(f"{line}\n" for line in kept)
+    return text
+
+
+def commands(block: str) -> Iterator[tuple[str, str, list[str]]]:
+    """Yield each command of a block, the lines in which it was typed, and the lines shown below it."""
+    for part in re.split(r"^(?=\$ )", block, flags=re.MULTILINE)[1:]:
+        lines = part.splitlines()
+        count = 1 + next((n for n, line in enumerate(lines[1:]) if not re.match("> ?", line)), len(lines) - 1)
+        words = [lines[0][2:], *(line[2:] for line in lines[1:count])]
+        yield "\n".join(words), "".join(f"{line}\n" for line in lines[:count]), lines[count:]
+
+
+def run(folder: str, command: str) -> list[str]:
+    """Return the lines that a command prints in a folder, and its exit code if that is not 0."""
+    here = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    environment = {**os.environ, "PATH": here, "NO_COLOR": "1"}
+    done = subprocess.run(
+        ["bash", "-c", command], cwd=folder, env=environment, text=True, check=False,
+        stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+    )  # fmt: skip
+    lines = [line.rstrip() for line in done.stdout.rstrip().splitlines()]
+    return [*lines, f"[exit code {done.returncode}]"] if done.returncode else lines
+
+
+def agrees(shown: list[str], printed: list[str]) -> bool:
+    """Whether lines say what was printed, but for what they leave out."""
+    if not shown:
+        return not printed
+    if shown[0] == LEFT_OUT:
+        return any(agrees(shown[1:], printed[start:]) for start in range(len(printed) + 1))
+    return bool(printed) and same(shown[0], printed[0]) and agrees(shown[1:], printed[1:])
+
+
+def same(shown: str, printed: str) -> bool:
+    """Whether two lines are one, but for spaces, rules and the last digits of numbers."""
+    words = [NUMBER.sub("#", re.sub(r"[\s─]+", " ", line)) for line in (shown, printed)]
+    return words[0] == words[1] and all(map(close, NUMBER.finditer(shown), NUMBER.finditer(printed)))
+
+
+def close(shown: re.Match[str], printed: re.Match[str]) -> bool:
+    """Whether two numbers differ by at most one in the last digit that is shown; whole ones not at all."""
+    last = 10.0 ** -len(shown[1]) if shown[1] else 0.0
+    return abs(float(shown[0]) - float(printed[0])) <= 1.001 * last
+
+
+def excerpt(shown: list[str], printed: list[str]) -> list[str]:
+    """Return what was printed, without the lines that most resemble those left out so far."""
+    if LEFT_OUT not in shown:
+        return printed
+    lines, position = list[str](), 0
+    for part in re.split(r"^\.\.\.\n", "".join(f"{line}\n" for line in shown), flags=re.MULTILINE):
+        if kept := part.splitlines():
+            first = position + nearest(kept[0], printed[position:])
+            last = first + nearest(kept[-1], printed[first:])
+            kept, position = printed[first : last + 1], last + 1
+        lines += [*kept, LEFT_OUT]
+    return lines[:-1]
+
+
+def nearest(line: str, printed: list[str]) -> int:
+    """Return the number of the line that most resembles one."""
+    likeness = [difflib.SequenceMatcher(None, line, other).ratio() for other in printed]
+    return max(range(len(printed)), key=likeness.__getitem__, default=0)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

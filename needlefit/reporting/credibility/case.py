@@ -1,0 +1,104 @@
+"""The case: a run's results, the evidence beside them, and what people state."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from needlefit.errors import DataError
+from needlefit.project.records.about import AboutRecord
+from needlefit.project.records.study import StudyRecord
+from needlefit.reporting.contest import scored_role
+from needlefit.reporting.credibility.told import Finding
+from needlefit.reporting.rebuild import restored
+from needlefit.validation.credibility.evidence import Evidence, Kind
+from needlefit.validation.credibility.gather import gather
+from needlefit.validation.packing import NAME, unpack
+from needlefit.validation.results import Results
+
+NOBODY = AboutRecord.model_validate({"schema": 1})
+
+
+@dataclass(frozen=True)
+class Case:
+    """All that a bundle is made of.
+
+    Attributes
+    ----------
+    name : str
+        Of the run's folder.
+    results : tuple of Results
+        One, or those that were reported together.
+    evidence : tuple of Evidence
+        Counted or not.
+    about : AboutRecord
+        What people state.
+    stated_in : str
+        The name of the file in which they do.
+    """
+
+    name: str
+    results: tuple[Results, ...]
+    evidence: tuple[Evidence, ...]
+    about: AboutRecord = NOBODY
+    stated_in: str = ""
+
+    @property
+    def held_out(self) -> list[Results]:
+        """The results with insertions that did not tune."""
+        return [one for one in self.results if scored_role(one) == "validate"]
+
+    @property
+    def synthetic(self) -> bool:
+        """Whether anything in it is synthetic."""
+        return any(one.origin == "synthetic" for one in self.results)
+
+    def counted(self, kind: Kind) -> list[Evidence]:
+        """Return the evidence of one kind that is of the same thing as the run."""
+        return [one for one in self.evidence if one.kind == kind and one.counted]
+
+    def of(self, results: Results) -> str:
+        """Return what a gap of one of several runs begins with."""
+        return f"{results.name}: " if len(self.results) > 1 else ""
+
+
+def case(run: Path, named: Sequence[Path] = (), about: AboutRecord = NOBODY, stated_in: str = "") -> Case:
+    """Return the case of a run's folder.
+
+    Raises
+    ------
+    DataError
+        If it stored no results of a study or fit, or a named folder holds no evidence.
+    """
+    alone = (run / NAME).is_file()
+    if alone and unpack(run).get("kind") not in ("study", "fit"):
+        raise _no_results(run)
+    results = tuple(one for one in restored(run) if isinstance(one, Results))
+    if not results:
+        raise _no_results(run)
+    runs = {target(one): one.run for one in results}
+    return Case(run.resolve().name, results, tuple(gather(run, runs, named)), about, stated_in)
+
+
+def _no_results(run: Path) -> DataError:
+    return DataError(
+        "holds no results of a study or fit",
+        where=str(run),
+        expected="what `needlefit tune`, or `needlefit validate` of a study without `kind`, wrote",
+        mend="name such a run; what other commands left beside it is found, or named by --evidence",
+    )
+
+
+def target(results: Results) -> str:
+    """Return the study or fit that results are of, as other commands call it."""
+    return results.name.removesuffix("-tune")
+
+
+def found_in(results: Results, file: str, words: str) -> Finding:
+    """Return what was found in a file of a run."""
+    verb = "validate" if isinstance(results.record, StudyRecord) else "tune"
+    return Finding(words, f"{results.name}/{file}", f"needlefit {verb} {target(results)}", target(results))
+
+
+def left_by(evidence: Evidence, file: str, words: str) -> Finding:
+    """Return what was found in a file of evidence."""
+    return Finding(words, f"{evidence.place}/{file}", evidence.command, evidence.of)

@@ -1,0 +1,85 @@
+"""A bundle -> a folder of files, complete or not there at all."""
+
+import hashlib
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from needlefit.project.run_file import RUN_FILE
+from needlefit.reporting.credibility.case import Case
+from needlefit.reporting.credibility.entries import Entry
+from needlefit.reporting.credibility.page import DISCLAIMER, page
+from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.tables import Row
+from needlefit.reporting.write import write_report
+from needlefit.validation.packing import NAME
+from needlefit.validation.provenance import versions
+
+COLUMNS = ("part", "factor", "of", "found", "source", "command", "gap")
+
+
+def write_bundle(case: Case, entries: list[Entry], run: Path, folder: Path) -> Path:
+    """Write a bundle to `folder`, replacing an earlier one there; return it.
+
+    `credibility.pdf` and `.html`, `credibility.csv` (a row for every finding and every gap), and `run.json`
+    with the digest of every file that was read.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` exists and holds something that is no result.
+    """
+    with whole(folder) as new:
+        write_report(page(case, entries), new, "credibility")
+        write_csv(pd.DataFrame(rows(entries), columns=list(COLUMNS)), new / "credibility.csv")
+        write_json(new / RUN_FILE, _provenance(case, run))
+    return folder
+
+
+def rows(entries: list[Entry]) -> list[Row]:
+    """Return a row for every finding and every gap."""
+    table = []
+    for entry in entries:
+        head = {"part": entry.factor.part, "factor": entry.factor.name}
+        for one in entry.told.findings:
+            source = {"source": one.place, "command": one.command or "stated by people"}
+            table.append({**head, "of": one.of, "found": one.words, **source, "gap": ""})
+        table += [{**head, **dict.fromkeys(COLUMNS[2:-1], ""), "gap": gap} for gap in entry.gaps]
+    return table
+
+
+def as_json(case: Case, entries: list[Entry]) -> dict[str, Any]:
+    """Return the bundle for machines."""
+    return {"name": case.name, "says": DISCLAIMER, "factors": rows(entries), "evidence": _evidence(case)}
+
+
+def _provenance(case: Case, run: Path) -> dict[str, Any]:
+    folders = {one.name: run.parent / one.name for one in case.results} if len(case.results) > 1 else {}
+    read = {run.name: run, **folders}
+    return {
+        "name": f"credibility-{case.name}",
+        "versions": versions(()),
+        "runs": {name: _digests(folder) for name, folder in read.items()},
+        "evidence": _evidence(case),
+        "stated": {
+            "file": case.stated_in,
+            **case.about.model_dump(mode="json", by_alias=True, exclude_defaults=True),
+        },
+    }
+
+
+def _evidence(case: Case) -> list[dict[str, Any]]:
+    return [
+        {
+            **{key: getattr(one, key) for key in ("kind", "place", "of", "command", "counted")},
+            "objections": list(one.objections),
+            "sha256": dict(one.digests),
+        }
+        for one in case.evidence
+    ]
+
+
+def _digests(folder: Path) -> dict[str, str]:
+    files = [folder / name for name in (RUN_FILE, NAME) if (folder / name).is_file()]
+    return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}

@@ -1,0 +1,136 @@
+"""Whether what was foretold of held-out needles came true as often as it should.
+
+The level of a measurement is the probability that was foretold of less: of a tip less far toward the
+bevel, of a shape nearer at its worst point. Where predictions are right, levels are uniform. A needle is one
+trial, and repeats in one specimen are one where there are specimens enough (`datasets.independent`).
+"""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from needlefit.datasets.independent import groups
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
+from needlefit.reporting.names import GREY, INK, study_name
+from needlefit.reporting.tables import Row, study_label
+from needlefit.validation.calibration.bands import band
+from needlefit.validation.coverage import share
+from needlefit.validation.results import Results
+from needlefit.validation.summary import bevel_sides
+
+Floats = NDArray[np.float64]
+
+PLACES = 100
+"""Levels at which the band of chance is told, less one."""
+
+ERROR = 0.05
+"""Probability with which levels that are uniform leave the band somewhere."""
+
+_WHAT = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
+_INTERVALS = (50, 95)
+_TALL = 1.45  # inches a study
+_COLUMNS = ("study", "shown", "of", "level", "share", "low", "high", "needles", "trials", "origin")
+
+
+def foretold(results: Sequence[Results], path: Path) -> Path:
+    """Draw, a row of panels per study, the ECDF of the levels in its band, and the coverage of intervals."""
+    return plot(path, counted(results), _paint)
+
+
+def counted(results: Sequence[Results]) -> pd.DataFrame:
+    """Return what is drawn: steps of the ECDFs, the band of chance, and shares with Wilson's intervals."""
+    rows = [row for one in results if len(one.predictive) for row in _rows(one)]
+    return pd.DataFrame(rows, columns=_COLUMNS)
+
+
+def _rows(results: Results) -> Iterator[Row]:
+    told = results.predictive
+    together = groups(list(told["insertion"]), list(told["specimen"]))
+    trials = len(set(together))
+    about: Row = {"study": study_name(study_label(results)), "origin": results.origin}
+    about |= {"needles": len(told), "trials": trials}
+    size = pd.Series(together).map(pd.Series(together).value_counts()).to_numpy(dtype=np.float64)
+    for what, levels in _toward_bevel(results).items():
+        order = np.argsort(levels, kind="stable")
+        below = np.cumsum(1 / size[order]) / trials  # every group weighs the same
+        for level, part in zip([0.0, *levels[order], 1.0], [0.0, *below, 1.0], strict=True):
+            yield {**about, "shown": "ECDF", "of": what, "level": float(level), "share": float(part)}
+    least, most = band(trials, PLACES, ERROR)
+    for place, low, high in zip(range(1, PLACES), least / trials, most / trials, strict=True):
+        yield {**about, "shown": "band", "level": place / PLACES, "low": float(low), "high": float(high)}
+    for what in _WHAT:
+        for level in _INTERVALS:
+            found = share([bool(held) for held in told[f"{what}_in_{level}"]], together)
+            ends = {"share": found.hits / found.trials, "low": found.low, "high": found.high}
+            yield {**about, "shown": "coverage", "of": what, "level": level / 100, **ends}
+
+
+def _toward_bevel(results: Results) -> dict[str, Floats]:
+    """Return the levels of tips and shapes; those of tips are stored toward +y."""
+    told = results.predictive
+    sides = told["insertion"].map(bevel_sides(results)).to_numpy(dtype=np.float64)
+    tips, shapes = (told[f"{what}_level"].to_numpy(dtype=np.float64) for what in ("tip", "shape"))
+    return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}
+
+
+def _paint(rows: pd.DataFrame) -> Figure:
+    studies = list(rows.groupby("study", sort=False))
+    figure = Figure(figsize=(WIDTH, 0.55 + _TALL * len(studies)))
+    grid = figure.subplots(len(studies), 2, squeeze=False, sharex="col", width_ratios=(1.25, 1))
+    for (left, right), (name, some) in zip(grid, studies, strict=True):
+        count = f"{some['needles'].iloc[0]} needles"
+        trials = some["trials"].iloc[0]
+        alone = "" if trials == some["needles"].iloc[0] else f", {trials} independent"
+        left.set_title(f"{name}: {count}{alone}", loc="left")
+        _levels(left, some)
+        _coverage(right, some)
+    grid[-1, 0].set_xlabel("level: the probability foretold of less")
+    _explain(figure)
+    label_origin(figure, is_synthetic(rows))
+    return figure
+
+
+def _levels(axes: Axes, rows: pd.DataFrame) -> None:
+    chance = rows[rows["shown"] == "band"]
+    ends: Mapping[str, pd.Series] = {side: chance[side].astype(float) for side in ("low", "high")}
+    axes.fill_between(chance["level"], ends["low"], ends["high"], color=GREY, alpha=0.22, lw=0)
+    axes.plot([0, 1], [0, 1], color=GREY, lw=0.5)
+    for what, (_, colour) in _WHAT.items():
+        steps = rows[(rows["shown"] == "ECDF") & (rows["of"] == what)]
+        axes.step(steps["level"], steps["share"], where="post", color=colour, lw=1.2)
+    axes.set(xlim=(-0.02, 1.02), ylim=(-0.04, 1.04), ylabel="share of needles")
+    axes.set_xticks([0, 0.5, 1], ["0", "½", "1"])
+    axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
+
+
+def _coverage(axes: Axes, rows: pd.DataFrame) -> None:
+    """Draw what part of needles each interval held, with what so few of them leave open."""
+    for at, level in enumerate(_INTERVALS):
+        axes.plot([at - 0.32, at + 0.32], [level / 100] * 2, color=INK, lw=0.8, ls=(0, (2, 1.5)))
+    for shift, (what, (_, colour)) in zip((-0.13, 0.13), _WHAT.items(), strict=True):
+        some = rows[(rows["shown"] == "coverage") & (rows["of"] == what)]
+        for at, (_, row) in enumerate(some.iterrows()):
+            axes.plot([at + shift] * 2, [row["low"], row["high"]], color=colour, lw=1.2)
+            axes.plot(at + shift, row["share"], "o", ms=4, color=colour, mec="white", mew=0.5)
+    axes.set_xticks(range(len(_INTERVALS)), [f"{level} % intervals" for level in _INTERVALS])
+    axes.tick_params(axis="x", length=0)
+    axes.set(xlim=(-0.6, len(_INTERVALS) - 0.4), ylim=(-0.04, 1.04), ylabel="held")
+    axes.set_yticks([0, 0.5, 1], ["0", "½", "1"])
+    light_grid(axes, "y")
+
+
+def _explain(figure: Figure) -> None:
+    handles: list[Artist] = [
+        Line2D([], [], color=colour, lw=1.3, label=called) for called, colour in _WHAT.values()
+    ]
+    handles.append(Patch(color=GREY, alpha=0.22, lw=0, label="95 % of chance"))
+    handles.append(Line2D([], [], color=INK, lw=0.8, ls=(0, (2, 1.5)), label="as foretold"))
+    figure.legend(handles=handles, loc="outside upper left", ncols=4, handlelength=1.3)

@@ -1,0 +1,178 @@
+"""The studies on many twins: who generalises, whom the fit beats, and every cell beside the paper's."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS, RIVAL_NAMES, medium_name
+from needlefit.reporting.tables import Row, records
+from needlefit.validation import paper
+from needlefit.validation.inquiries.answer import Answer
+
+_NEAR = 0.1
+"""mm; up to here the scale of the contests is linear."""
+
+_PANELS = {
+    "median_err_mm": "median (mm)",
+    "ipe_mean_mm": "mean IPE (mm)",
+    "ipe_std_mm": "sd of IPE (mm)",
+    "ipe_max_mm": "max IPE (mm)",
+    "te_mm": "TE (mm)",
+    "edp_percent": "EDP (%)",
+}
+_TITLES = {
+    "validation": "held out",
+    "tuning_by_layers": "tuned, by layers",
+    "tuning_by_media": "tuned, by media",
+}
+
+
+def draw_pattern(answer: Answer, path: Path) -> Path:
+    """Draw the mean IPE of every study on every twin, beside the threshold."""
+    return draw(path, lambda: _pattern(answer))
+
+
+def draw_contests(answer: Answer, path: Path) -> Path:
+    """Draw what the fit's errors differ by from each rival's, a panel a rival."""
+    return draw(path, lambda: _contests(answer))
+
+
+def draw_cells(answer: Answer, path: Path) -> Path:
+    """Draw median and range of every cell, a panel a metric."""
+    return draw(path, lambda: _cells(answer))
+
+
+def _pattern(answer: Answer) -> Figure:
+    frame = answer.frames["pattern"]
+    names = list(dict.fromkeys(frame["study"]))
+    figure = Figure(figsize=(WIDTH, 0.8 + 0.36 * len(names)))
+    axes = figure.add_subplot()
+    for y, name in enumerate(names):
+        rows = frame[frame["study"] == name]
+        colour = RIVAL_COLOURS["fitted"] if rows["generalises_in_paper"].all() else PAPER
+        spread = y + 0.18 * np.linspace(-1, 1, len(rows))
+        axes.plot(rows["ipe_mean_mm"], spread, "o", ms=3, color=colour, alpha=0.6, mew=0)
+        axes.vlines(rows["ipe_mean_mm"].median(), y - 0.32, y + 0.32, color=colour, lw=1.6)
+        printed = _printed(name)
+        axes.plot(printed, [y] * len(printed), "D", ms=4, mfc="white", mec=INK, mew=0.8, zorder=5)
+    limit = frame["threshold_mm"].iloc[0]
+    axes.axvline(limit, color=INK, lw=0.8, ls=(0, (3, 2)))
+    axes.text(limit, -0.62, " does not generalise", fontsize=6.5, ha="left", color=INK)
+    axes.text(limit, -0.62, "generalises ", fontsize=6.5, ha="right", color=INK)
+    _rows_named(axes, [medium_name(name).capitalize() for name in names])
+    axes.set_xlabel("mean in-plane error of what is held out (mm)")
+    axes.set_xlim(0, None)
+    light_grid(axes, "x")
+    label_origin(figure, answer.synthetic)
+    return figure
+
+
+def _printed(study: str) -> list[float]:
+    """Return the paper's mean IPE of the groups that a study holds out."""
+    table = paper.table("validation")
+    own = table[table["study"].astype(str) == study.removeprefix("study")]
+    return [float(value) for value in own["ipe_mean_mm"]]
+
+
+def _contests(answer: Answer) -> Figure:
+    frame = answer.frames["contests"]
+    rivals = [name for name in RIVAL_NAMES if name in set(frame["rival"])]
+    groups = list(dict.fromkeys(zip(frame["study"], frame["medium"], frame["layers"], strict=True)))
+    figure = Figure(figsize=(WIDTH, 1.0 + 2 * 0.2 * len(groups) + 0.6))
+    panels = figure.subplots(2, -(-len(rivals) // 2), sharex=True, sharey=True).ravel()
+    for axes, rival in zip(panels, rivals, strict=False):
+        for row in records(frame[frame["rival"] == rival]):
+            y = groups.index((row["study"], row["medium"], row["layers"]))
+            _contest(axes, y, row)
+        axes.axvline(0, color=INK, lw=0.6)
+        axes.set_xscale("symlog", linthresh=_NEAR, linscale=0.6)
+        axes.set_xticks([-10, -1, -0.1, 0, 0.1, 1], ["−10", "−1", "−0.1", "0", "0.1", "1"])
+        axes.set_title(f"against {RIVAL_NAMES[rival]}", loc="left", fontsize=6.5)
+        light_grid(axes, "x")
+    _rows_named(panels[0], [_group(group) for group in groups])
+    for axes in panels[len(rivals) :]:
+        axes.set_visible(False)
+    _key(figure, panels[0])
+    figure.supxlabel("error of the fit less that of the rival (mm)", fontsize=7.5)
+    label_origin(figure, answer.synthetic)
+    return figure
+
+
+def _contest(axes: Axes, y: int, row: Row) -> None:
+    """Draw one difference: mean IPE filled, above; TE hollow, below."""
+    mean = row["metric"] == "ipe_mean_mm"
+    level = y + (-0.17 if mean else 0.17)
+    colour = {"wins": RIVAL_COLOURS["fitted"], "loses": PAPER, "open": GREY}[row["verdict"]]
+    axes.hlines(level, row["low_mm"], row["high_mm"], color=colour, lw=1.0)
+    axes.plot(row["difference_mm"], level, "o", ms=3.2, mec=colour, mfc=colour if mean else "white", mew=0.8)
+
+
+def _key(figure: Figure, axes: Axes) -> None:
+    """Say above the panels what marks and colours are."""
+    mark: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3.6, "mec": INK, "mew": 0.8}
+    axes.plot([], [], mfc=INK, label="mean IPE", **mark)
+    axes.plot([], [], mfc="white", label="TE", **mark)
+    colours = {"the fit wins": RIVAL_COLOURS["fitted"], "it loses": PAPER, "open": GREY}
+    for words, colour in colours.items():
+        axes.plot([], [], color=colour, lw=1.6, label=words)
+    figure.legend(loc="outside upper left", ncols=5, handletextpad=0.4, columnspacing=1.4)
+
+
+def _cells(answer: Answer) -> Figure:
+    frame = answer.frames["cells"]
+    keys = ["table", "study", "medium", "layers"]
+    groups = list(frame[keys].drop_duplicates().itertuples(index=False, name=None))
+    figure = Figure(figsize=(WIDTH, 0.8 + 0.22 * len(groups)))
+    panels = figure.subplots(1, len(_PANELS), sharey=True)
+    for axes, (metric, words) in zip(panels, _PANELS.items(), strict=True):
+        for row in records(frame[frame["metric"] == metric]):
+            _cell(axes, groups.index(tuple(row[key] for key in keys)), row)
+        if metric == "edp_percent":
+            axes.set_xscale("log")
+        else:
+            axes.set_xlim(0, None)
+        axes.set_xlabel(words)
+        light_grid(axes, "x")
+        for y in _changes([group[0] for group in groups]):
+            axes.axhline(y - 0.5, color=INK, lw=0.4)
+    _rows_named(panels[0], [_cell_name(group) for group in groups])
+    label_origin(figure, answer.synthetic)
+    return figure
+
+
+def _cell(axes: Axes, y: int, row: Row) -> None:
+    colour = RIVAL_COLOURS["fitted"]
+    axes.hlines(y, row["q05"], row["q95"], color=colour, lw=1.4)
+    axes.plot(row["q50"], y, "o", ms=3.2, color=colour)
+    if row["paper"] is not None:
+        axes.plot(row["paper"], y, "D", ms=3.2, mfc="white", mec=PAPER, mew=0.9, zorder=5)
+    if row["floor"] is not None:
+        axes.vlines(row["floor"], y - 0.35, y + 0.35, color=INK, lw=0.8, ls=(0, (2, 1.5)))
+
+
+def _changes(tables: Sequence[str]) -> list[int]:
+    return [i for i in range(1, len(tables)) if tables[i] != tables[i - 1]]
+
+
+def _cell_name(group: tuple[Any, ...]) -> str:
+    table, study, medium, layers = group
+    if table != "validation":
+        return f"{_TITLES[table]}: {medium_name(medium)}" + (f", {layers}" if layers else "")
+    return _group((study, medium, layers))
+
+
+def _group(group: tuple[Any, ...]) -> str:
+    study, medium, layers = group
+    return f"{medium_name(study)}: {medium_name(medium)}, {layers}"
+
+
+def _rows_named(axes: Axes, names: list[str]) -> None:
+    """Name the rows from the top downwards."""
+    axes.set_yticks(range(len(names)), names)
+    axes.set_ylim(len(names) - 0.5, -0.75)
+    axes.tick_params(axis="y", length=0)

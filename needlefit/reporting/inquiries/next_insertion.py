@@ -1,0 +1,289 @@
+"""What is told of the insertion to make next: what each candidate would tell, and what none can."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from needlefit.inference.identifiability.information import precision_words, short
+from needlefit.inference.parameters import in_logarithm
+from needlefit.reporting import document
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.document import Block
+from needlefit.reporting.figures.labels import apart
+from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.inquiries.page import Figures, Page
+from needlefit.reporting.names import GREY, INK
+from needlefit.reporting.numbers import fixed, in_symbols, symbol
+from needlefit.reporting.tables import Row, records
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.next_insertion import LEAST_KNOWN, ROUGH
+
+COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+_KEY = ["role", "entry", "angle_deg", "depth_mm"]
+
+
+def said(answer: Answer) -> list[str]:
+    """Return the best candidate, what it tells beside a repeat, and what none tells."""
+    best, again = _best(answer), _repeat(answer)
+    if best is None:
+        return ["No candidate has a solution within the medium."]
+    layers = f"layer{'s' if '-' in best['layers'] else ''} {best['layers']}"
+    repeated = ""
+    if again is not None:
+        where = f"{again['entry']}, {again['depth_mm']:.1f} mm"
+        repeated = f" Once more the deepest insertion so far ({where}) would tell {_nats(again)} nats."
+    return [
+        f"Most is told by an insertion {_name(best)}, {best['depth_mm']:g} mm deep, through {layers}: "
+        f"{_nats(best)} nats about all parameters together are expected.{repeated}",
+        _parameters_said(answer, best),
+        *(_tip_said(answer, str(name)) for name in answer.frames["tips"]["tip"].unique()),
+        *_alphas_said(answer),
+        _agreement_said(answer),
+    ]
+
+
+def _parameters_said(answer: Answer, best: Row) -> str:
+    parts = []
+    for row in records(_of(answer.frames["parameters"], best)):
+        name = str(row["parameter"])
+        now, after = (_known(name, row[key]) for key in ("sd_now", "sd_after"))
+        called = symbol(name).split(" (")[0]
+        if name == LEAST_KNOWN:
+            called = f"the combination known worst, {in_symbols(str(row['combination']))},"
+        parts.append(f"{called} {after} (now {now})")
+    return f"What would then be known: {'; '.join(parts)}."
+
+
+def _known(name: str, sd: float) -> str:
+    return precision_words(sd, name == LEAST_KNOWN or in_logarithm(name))
+
+
+def _tip_said(answer: Answer, name: str) -> str:
+    """Return which candidate tells most about a tip."""
+    every = answer.frames["tips"]
+    mine = every[(every["tip"] == name) & (every["role"] == "candidate")]
+    row = records(mine.sort_values("sd_after_mm", kind="stable"))[0]
+    return (
+        f"Most about the {name} is told {_name(row)}, {row['depth_mm']:g} mm deep: its deviation falls from "
+        f"{fixed(row['sd_now_mm'])} to {fixed(row['sd_after_mm'])} mm."
+    )
+
+
+def _alphas_said(answer: Answer) -> list[str]:
+    every = answer.frames["alphas"]
+    if every.empty:
+        return []
+    left = float((every["sd_after"] / every["sd_before"]).min())
+    names = " and ".join(symbol(str(name)) for name in every["parameter"].unique())
+    return [
+        f"No candidate tells {names}: even with all else known, the deviation of a flat prior between −3 and "
+        f"5 would stay {100 * left:.1f} % of what it is."
+    ]
+
+
+def _agreement_said(answer: Answer) -> str:
+    row = records(answer.frames["agreement"])[0]
+    if row["spearman"] is None:
+        return "There are too few candidates to compare the linear gain with."
+    first = "the same candidate" if row["same_best"] else "another candidate"
+    return (
+        f"Linearised (Σ of the draws, J at each), {first} is first and the rank correlation over "
+        f"{row['candidates']} candidates is {row['spearman']:.2f}; the linear gain is up to "
+        f"{row['largest_excess_nats']:.1f} nats larger, for one covariance makes a bent ridge too thick."
+    )
+
+
+def layouts(answer: Answer) -> list[Display]:
+    """Return the best depth of every way in beside a repeat, and the deviations that the best leaves."""
+    return [_ranking(answer), _left(answer)]
+
+
+def _ranking(answer: Answer) -> Display:
+    again, tips = _repeat(answer), answer.frames["tips"]
+    ways = [max(rows, key=lambda row: float(row["nats"])) for rows in _ways(answer).values()]
+    shown = sorted(ways, key=lambda row: -float(row["nats"])) + ([again] if again is not None else [])
+    names = [str(name) for name in tips["tip"].unique()]
+    columns = (
+        *(text("Way in", wide=True), text("Layers"), Column("Depth", "mm"), Column("Tip", "mm")),
+        *(Column("Gain", "nats"), Column("Linearised", "nats"), Column("sd, worst known", "ln")),
+        *(Column(f"sd, {name}", "mm") for name in names),
+    )
+    now = [f"{fixed(_first(tips[tips['tip'] == name], 'sd_now_mm'))} mm of the {name}" for name in names]
+    known = answer.frames["parameters"]
+    worst = (
+        f"{fixed(_first(known[known['parameter'] == LEAST_KNOWN], 'sd_now'))} of the combination known worst"
+    )
+    note = (
+        "The depth at which each way in tells most. Gain: expected fall of entropy, ± its standard error; "
+        f"deviations are those expected afterwards; now they are {' and '.join([worst, *now])}. All "
+        "candidates are in candidates.csv, parameters.csv and tips.csv."
+    )
+    caption = "What one more insertion is expected to tell."
+    rows = tuple(_cells(answer, row) for row in shown)
+    return Display("next_insertion", caption, columns, rows, strong=(0,), notes=(note,))
+
+
+def _cells(answer: Answer, row: Row) -> tuple[str, ...]:
+    known = _of(answer.frames["parameters"], row)
+    worst = _first(known[known["parameter"] == LEAST_KNOWN], "sd_after")
+    ends = (fixed(float(sd)) for sd in _of(answer.frames["tips"], row)["sd_after_mm"])
+    way = "once more" if row["role"] == "repeat" else _name(row)
+    mark = f" ({row['note']})" if row["note"] else ""
+    where = (way, str(row["layers"]), f"{row['depth_mm']:.3g}", fixed(row["tip_mm"]))
+    return (*where, _nats(row), fixed(row["linear_nats"]), f"{fixed(worst)}{mark}", *ends)
+
+
+def _left(answer: Answer) -> Display:
+    """Return how well parameters are known now, and would be."""
+    found = [one for one in (_best(answer), _repeat(answer)) if one is not None]
+    each = [records(_of(answer.frames["parameters"], one)) for one in found]
+    rows = []
+    for same in zip(*each, strict=True):
+        name = str(same[0]["parameter"])
+        called = str(same[0]["combination"]) if name == LEAST_KNOWN else short(name)
+        after = (_known(name, row["sd_after"]) for row in same)
+        rows.append((in_symbols(called), _known(name, same[0]["sd_now"]), *after))
+    heads = ("Known now", "After the best", "After a repeat")[: 1 + len(found)]
+    columns = (text("What"), *(text(head) for head in heads))
+    return Display("left", "How well parameters would be known.", columns, tuple(rows))
+
+
+def draw_gains(answer: Answer, folder: Path) -> dict[str, Path]:
+    """Draw gain and remaining deviation of the first tip against depth, a line for each way in."""
+    if _best(answer) is None:
+        return {}
+    return {"candidates": draw(folder / "candidates.pdf", lambda: _paint(answer))}
+
+
+def _paint(answer: Answer) -> Figure:
+    tips = answer.frames["tips"]
+    names = [str(name) for name in tips["tip"].unique()]
+    figure = Figure(figsize=(WIDTH, 2.9))
+    panels = figure.subplots(1, 1 + bool(names), squeeze=False)[0]
+    _lines(panels[0], answer, answer.frames["candidates"], "nats")
+    panels[0].set_title("Expected gain about all parameters (nats)", loc="left")
+    if names:
+        mine = tips[tips["tip"] == names[0]]
+        now = _first(mine, "sd_now_mm")
+        panels[1].axhline(now, xmax=1 / BEYOND, color=INK, lw=0.7, ls=(0, (4, 3)))
+        panels[1].text(0.5, now, "now", fontsize=6.5, color=INK, va="bottom")
+        _lines(panels[1], answer, mine, "sd_after_mm")
+        panels[1].set_title(f"Expected sd of the {names[0]} (mm)", loc="left")
+    for axes in panels:
+        axes.set_xlabel("depth (mm)", x=0.5 / BEYOND)
+        light_grid(axes, "y")
+    label_origin(figure, answer.synthetic)
+    return figure
+
+
+BEYOND = 1.62
+"""The width of a panel by its greatest depth: names stand beyond."""
+
+
+def _lines(axes: Axes, answer: Answer, frame: pd.DataFrame, column: str) -> None:
+    """Draw one column against depth, each line named at its end."""
+    ends = []
+    candidates = frame[(frame["role"] == "candidate") & frame[column].notna()]
+    ways = list(_ways(answer))
+    for (entry, angle), rows in candidates.groupby(["entry", "angle_deg"], sort=False):
+        way = (str(entry), float(str(angle)))
+        colour = COLOURS[ways.index(way) % len(COLOURS)]
+        x, y = (rows[name].to_numpy(dtype=np.float64) for name in ("depth_mm", column))
+        if "nats_se" in rows:
+            spread = rows["nats_se"].to_numpy(dtype=np.float64)
+            axes.fill_between(x, y - spread, y + spread, color=colour, alpha=0.15, lw=0)
+        axes.plot(x, y, color=colour, lw=1.2, marker="o", ms=2.2)
+        ends.append((float(y[-1]), float(x[-1]), _way_name(*way), colour))
+    again = frame[(frame["role"] == "repeat") & frame[column].notna()]
+    for x, y in zip(again["depth_mm"], again[column], strict=True):
+        axes.plot(x, y, "D", ms=4.5, color=INK, mfc="white", zorder=4)
+        ends.append((float(y), float(x), "once more", INK))
+    _name_ends(axes, sorted(ends), float(frame["depth_mm"].max()))
+
+
+def _name_ends(axes: Axes, ends: list[tuple[float, float, str, str]], deepest: float) -> None:
+    """Write names beyond the lines, in the order of their ends, with a hair to each."""
+    bottom, top = 0.0, 1.05 * max(axes.get_ylim()[1], 1e-9)
+    gap = 0.062 * (top - bottom)
+    at = apart([y for y, *_ in ends], gap * np.arange(len(ends), dtype=np.float64))
+    at = at - max(0.0, float(at[-1]) - (top - 0.4 * gap))
+    for (y, x, name, colour), place in zip(ends, at.tolist(), strict=True):
+        axes.plot([x, 1.06 * deepest], [y, place], color=GREY, lw=0.4, alpha=0.7, zorder=1)
+        axes.text(1.08 * deepest, place, name, va="center", color=colour, fontsize=6.5)
+    axes.set(xlim=(0, BEYOND * deepest), ylim=(bottom, top))
+    axes.set_xticks([tick for tick in axes.get_xticks() if tick <= deepest])
+
+
+def story(answer: Answer, figures: Figures) -> list[Block]:
+    """Return figure, tables, and what is behind the numbers."""
+    caption = (
+        "Expected gain of one more insertion (with its standard error), and the deviation of the tip asked "
+        "for that it is expected to leave, against its depth. Diamond: the deepest insertion so far again."
+    )
+    drawn = [document.figure(path, caption, answer.synthetic) for path in figures.values()]
+    tables = [document.table(table, answer.synthetic) for table in layouts(answer)] if figures else []
+    behind = [document.text(_behind(row, answer)) for row in records(answer.frames["posterior"])]
+    return [document.heading("What each would tell"), *drawn, *tables, document.heading("How"), *behind]
+
+
+def _behind(row: Row, answer: Answer) -> str:
+    rough = int((answer.frames["candidates"]["note"] == ROUGH).sum())
+    source = "sampled" if row["sampled"] else f"weighed (Pareto k {row['pareto_k']:.2f})"
+    made = f"{row['insertions']} insertion{'s' if row['insertions'] > 1 else ''}"
+    marked = f" {rough} candidates leave so few draws that deviations are rough (marked)." if rough else ""
+    return (
+        f"The posterior of the {made} made so far is {source}: {row['draws']} draws, worth "
+        f"{row['independent']:.0f} independent ones. Some of them foretell data, with errors of pose, depths "
+        "and points as in the dataset, and all are weighed anew by these data (nested Monte Carlo): the mean "
+        "fall of entropy is the gain, and the new weights give the deviations. A gain of 1 nat divides the "
+        f"volume of what is possible by 2.7.{marked} What the model misses is not in it: an insertion that "
+        "checks the model may be worth more than one that narrows its parameters."
+    )
+
+
+def _best(answer: Answer) -> Row | None:
+    ranked = [row for rows in _ways(answer).values() for row in rows]
+    return max(ranked, key=lambda row: float(row["nats"]), default=None)
+
+
+def _repeat(answer: Answer) -> Row | None:
+    every = answer.frames["candidates"]
+    found = records(every[(every["role"] == "repeat") & every["nats"].notna()])
+    return found[0] if found else None
+
+
+def _ways(answer: Answer) -> dict[tuple[str, float], list[Row]]:
+    """Return the candidates that have a solution, by entry and angle."""
+    every = answer.frames["candidates"]
+    found: dict[tuple[str, float], list[Row]] = {}
+    for row in records(every[(every["role"] == "candidate") & every["nats"].notna()]):
+        found.setdefault((str(row["entry"]), float(row["angle_deg"])), []).append(row)
+    return found
+
+
+def _first(frame: pd.DataFrame, column: str) -> float:
+    return float(frame[column].to_numpy(dtype=np.float64)[0])
+
+
+def _of(frame: pd.DataFrame, where: Row) -> pd.DataFrame:
+    """Return the rows about one candidate."""
+    same = np.all([frame[key] == where[key] for key in _KEY], axis=0)
+    return frame[same]
+
+
+def _name(row: Row) -> str:
+    return _way_name(str(row["entry"]), float(row["angle_deg"]))
+
+
+def _way_name(entry: str, angle: float) -> str:
+    return entry if angle == 0 else f"{entry}, {angle:g}°".replace("-", "−")
+
+
+def _nats(row: Row) -> str:
+    return f"{row['nats']:.2f} ± {row['nats_se']:.2f}"
+
+
+PAGE = Page(said, layouts, draw_gains, story)

@@ -1,0 +1,242 @@
+"""What is told of how much the tables depend on what was decided."""
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pandas as pd
+
+from needlefit.reporting import document
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.document import Block
+from needlefit.reporting.figures.sensitivity import draw_studies
+from needlefit.reporting.inquiries.page import Figures, Page
+from needlefit.reporting.names import layers_name, medium_name
+from needlefit.reporting.numbers import MISSING, fixed, signed
+from needlefit.reporting.tables import Row, records
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.sensitivity.verb import AS_DECIDED
+
+_TABLES = {
+    "validation": "held out",
+    "tuning_by_layers": "in sample, by layers",
+    "tuning_by_media": "by media",
+}
+_SMALL = 0.1
+"""Part of the noise floor that a change must exceed to be called one."""
+
+
+def said(answer: Answer) -> list[str]:
+    """Return what every kind of variation does, most first, and whether a conclusion changes."""
+    return [_conclusions(answer), *_each(answer), _kept(answer), _rigidity(answer), _limits()]
+
+
+def layouts(answer: Answer) -> list[Display]:
+    """Return the change of every study, of all cells, and of the parameters."""
+    return [_studies(answer, "again"), _studies(answer, "kept"), _largest(answer), _parameters(answer)]
+
+
+def _varied(answer: Answer, tuned: str) -> pd.DataFrame:
+    frame = answer.frames["studies"]
+    return frame[(frame["of"] != AS_DECIDED) & (frame["tuned"] == tuned)]
+
+
+def _conclusions(answer: Answer) -> str:
+    again = _varied(answer, "again")
+    changed = again[again["conclusion_changes"]]
+    count = len(again[["of", "variation"]].drop_duplicates())
+    limit = again["threshold_mm"].iloc[0]
+    lead = f"Who generalises (mean IPE below {limit:.2f} mm)"
+    if changed.empty:
+        return f"{lead} is the same under all {count} variations, once everything is tuned again."
+    which = "; ".join(
+        f"{medium_name(row['study'])} under {row['of']} {row['variation']}" for row in records(changed)
+    )
+    return f"{lead} changes, once everything is tuned again, for {which}; else it is the same."
+
+
+def _each(answer: Answer) -> Iterator[str]:
+    """Return for every kind of variation the largest change of a held-out cell, the largest first."""
+    cells = answer.frames["cells"]
+    again = cells[
+        (cells["of"] != AS_DECIDED) & (cells["tuned"] == "again") & (cells["table"] == "validation")
+    ]
+    again = again[again["metric"].isin(["ipe_mean_mm", "te_mm"])]
+    again = again.assign(size=again["change_in_floors"].abs()).sort_values("size", ascending=False)
+    for of, group in again.groupby("of", sort=False):
+        first = records(group)[0]
+        size = signed(first["change"], 3)
+        floors = f"{first['size']:.1f}" if first["size"] >= _SMALL else f"under {_SMALL:g}"
+        metric = "TE" if first["metric"] == "te_mm" else "mean IPE"
+        yield (
+            f"{str(of).capitalize()} ({first['variation']}), tuned again: at most {size} mm ({floors} noise "
+            f"floors), in {metric} of {_cell(first)}."
+        )
+
+
+def _cell(row: Row) -> str:
+    layers = f", {layers_name(int(row['layers']))}" if row["layers"] else ""
+    return f"{medium_name(row['study'])}, {medium_name(row['medium'])}{layers}"
+
+
+def _kept(answer: Answer) -> str:
+    kept = _varied(answer, "kept").assign(size=lambda frame: frame["te_change_mm"].abs())
+    worst = records(kept.sort_values("size", ascending=False))[0]
+    change = signed(worst["te_change_mm"])
+    return (
+        "With the parameters kept instead, as numbers taken from one program to another would be, the "
+        f"largest change of a study’s TE is {change} mm ({medium_name(worst['study'])}, {worst['of']}: "
+        f"{worst['variation']}): the rules and the parameters belong together."
+    )
+
+
+def _rigidity(answer: Answer) -> str:
+    ratios = answer.frames["parameter_changes"].query("of == 'rigidity'")
+    moduli = ratios[ratios["parameter"].str.startswith("mu")]
+    words = [
+        f"{variation} {rows['ratio'].min():.3f} to {rows['ratio'].max():.3f}"
+        for variation, rows in moduli.groupby("variation", sort=False)
+    ]
+    if not words:
+        return "Rigidity was not varied."
+    return (
+        "Moduli and rigidity enter by their ratio: tuned again, every modulus becomes as much stiffer as the "
+        f"needle ({'; '.join(words)} times), and the errors stay."
+    )
+
+
+def _limits() -> str:
+    return (
+        "Everything was tuned again from the fit as it stood and a few random starts. Fits under different "
+        "constraint spacings are not compared by their parameters, and nothing is kept from one to the "
+        "other: b is per spacing, and the spacing is no mesh size."
+    )
+
+
+def _studies(answer: Answer, tuned: str) -> Display:
+    frame = _varied(answer, tuned)
+    names = list(dict.fromkeys(frame["study"]))
+    columns = [text("Of"), text("Variation")]
+    for error in ("IPE", "TE"):
+        columns += [Column(f"{error}, {_number(name)}", "mm") for name in names]
+    columns.append(text("Changes"))
+    rows: list[tuple[str, ...]] = []
+    breaks: list[int] = []
+    for (of, variation), group in frame.groupby(["of", "variation"], sort=False):
+        new = not rows or all(row[0] != str(of) for row in rows)
+        breaks += [len(rows)] if rows and new else []
+        by = group.set_index("study")
+        cells = [_change(by.loc[name], key) for key in ("ipe_mean", "te") for name in names]
+        changed = by.index[by["conclusion_changes"]]
+        who = ", ".join(_number(str(name)) for name in changed) or MISSING
+        rows.append((str(of) if new else "", str(variation), *cells, who))
+    decided = answer.frames["studies"].query("of == @AS_DECIDED").set_index("study")
+    stands = (fixed(decided.loc[name, key]) for key in ("ipe_mean_mm", "te_mm") for name in names)
+    rows.insert(0, (AS_DECIDED, "", *stands, ""))
+    how = "tuned again" if tuned == "again" else "with the parameters kept"
+    notes = (
+        "First row: errors as they stand; below: their change. * is more than a tenth of the noise floor, ** "
+        "more than all of it. Columns are the studies; “Changes” names those that cross the threshold.",
+    )
+    caption = f"Change of held-out mean IPE and TE, {how}."
+    shifted = tuple(at + 1 for at in (0, *breaks))
+    return Display(f"studies_{tuned}", caption, tuple(columns), tuple(rows), shifted, notes=notes)
+
+
+def _number(study: str) -> str:
+    return study.removeprefix("study")
+
+
+def _change(row: "pd.Series[float]", key: str) -> str:
+    change, floors = row[f"{key}_change_mm"], abs(row[f"{key}_change_in_floors"])
+    stars = "**" if floors > 1 else "*" if floors > _SMALL else ""
+    return signed(float(change)) + stars
+
+
+def _largest(answer: Answer) -> Display:
+    """Return, by variation and table, the cell that changes most."""
+    cells = answer.frames["cells"]
+    again = cells[(cells["of"] != AS_DECIDED) & (cells["tuned"] == "again") & (cells["unit"] == "mm")]
+    again = again.assign(size=again["change"].abs())
+    rows: list[tuple[str, ...]] = []
+    breaks: list[int] = []
+    for (of, variation), group in again.groupby(["of", "variation"], sort=False):
+        breaks += [len(rows)] if rows else []
+        for i, (table, words) in enumerate(_TABLES.items()):
+            part = group[group["table"] == table].sort_values("size", ascending=False)
+            if part.empty:
+                continue
+            first = records(part)[0]
+            head = (str(of), str(variation)) if i == 0 else ("", "")
+            change = signed(first["change"], 3)
+            floors = MISSING if first["change_in_floors"] is None else f"{abs(first['change_in_floors']):.2f}"
+            middle = fixed(float(part["size"].median()), 3)
+            metric = (
+                first["metric"]
+                .removesuffix("_mm")
+                .replace("_", " ")
+                .replace("ipe", "IPE")
+                .replace("te", "TE")
+            )
+            rows.append((*head, words, middle, change, floors, metric, _cell(first)))
+    columns = (
+        *(text("Of"), text("Variation"), text("Table"), Column("Median change", "mm")),
+        *(Column("Largest", "mm"), Column("in floors"), text("Error"), text("Cell", wide=True)),
+    )
+    caption = "Change of the cells in mm, tuned again: the median over cells, and the largest."
+    return Display("largest", caption, columns, tuple(rows), tuple(breaks))
+
+
+def _parameters(answer: Answer) -> Display:
+    """Return the fitted parameters under every variation as multiples of those as decided."""
+    frame = answer.frames["parameter_changes"]
+    frame = frame[frame["of"] != AS_DECIDED]
+    names = list(frame[["study", "parameter"]].drop_duplicates().itertuples(index=False, name=None))
+    columns = [text("Fit of"), text("Parameter")]
+    variations = list(frame[["of", "variation"]].drop_duplicates().itertuples(index=False, name=None))
+    columns += [Column(str(i + 1)) for i in range(len(variations))]
+    by = frame.set_index(["study", "parameter", "of", "variation"])
+    rows: list[tuple[str, ...]] = []
+    breaks: list[int] = []
+    for study, parameter in names:
+        new = not any(row[0] == medium_name(study) for row in rows)
+        breaks += [len(rows)] if rows and new else []
+        cells = (_ratio(by.loc[(study, parameter, *where)]) for where in variations)
+        rows.append((medium_name(study) if new else "", parameter, *cells))
+    key = "; ".join(f"{i} {of}: {name}" for i, (of, name) in enumerate(variations, start=1))
+    notes = (f"Columns: {key}. † stands at a bound. Not compared where the constraint spacing is another.",)
+    caption = "Parameters tuned again, as multiples of those as decided."
+    return Display("parameters", caption, tuple(columns), tuple(rows), tuple(breaks), notes=notes)
+
+
+def _ratio(row: "pd.Series[float]") -> str:
+    mark = "†" if row["at_bound"] else ""
+    return (fixed(row["ratio"]) if pd.notna(row["ratio"]) else MISSING) + mark
+
+
+def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
+    """Draw the change of every study under every variation."""
+    return {"studies": draw_studies(answer, folder / "studies.pdf")}
+
+
+def story(answer: Answer, figures: Figures) -> list[Block]:
+    """Return the figure, then the changes of studies, cells and parameters."""
+    again, kept, largest, parameters = (document.table(t, answer.synthetic) for t in layouts(answer))
+    return [
+        document.heading("Who changes by how much"),
+        document.figure(figures["studies"], _CAPTION, answer.synthetic),
+        again,
+        kept,
+        document.heading("Every cell"),
+        largest,
+        document.text("The file cells.csv holds every cell under every variation."),
+        document.heading("Parameters"),
+        parameters,
+    ]
+
+
+_CAPTION = (
+    "Change of the held-out errors of each study (its number) in units of their noise floor, under each "
+    "variation. Left pair: tuned again. Right pair: parameters kept; nothing is kept between different "
+    "constraint spacings. Grey: within a tenth of the floor. The scale is logarithmic beyond ±1."
+)
+PAGE = Page(said, layouts, draw_all, story)

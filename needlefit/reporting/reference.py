@@ -1,0 +1,72 @@
+"""Committed evidence: the numbers of a run, rounded so that only a changed result changes them.
+
+Lengths are rounded to 0.001 mm, in which machines agree; everything else to three significant digits. Of
+`run.json` what the answer was computed with and what it could not tell is kept; how many evaluations that
+took is not, for it differs from machine to machine.
+"""
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+
+import pandas as pd
+
+from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.parameters import parameters_table
+from needlefit.reporting.tables import tuning_table, validation_table
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.results import Results
+from needlefit.validation.tracks.results import TrackResults
+from needlefit.validation.tracks.summary import coverage, paired_runs
+
+DECIMALS = 3
+"""Of a length in mm."""
+
+DIGITS = 3
+"""Significant ones of everything else."""
+
+_COUNTED = ("searches", "evaluations", "failed_solves", "failed_solves_of_sampler", "recorded_failures")
+
+
+def write_reference(one: Results | Answer | TrackResults, folder: Path) -> Path:
+    """Write the tables of a run, rounded, and its `run.json` to `folder`; return it.
+
+    Raises
+    ------
+    ConfigError
+        If `folder` exists and holds something that is no result.
+    """
+    with whole(folder) as new:
+        for name, frame in _frames(one).items():
+            if len(frame):
+                write_csv(rounded(frame).assign(origin=one.origin), new / f"{name}.csv")
+        write_json(new / "run.json", {key: one.run[key] for key in one.run if key not in _COUNTED})
+    return folder
+
+
+def rounded(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return a frame with every length to 0.001 mm and every other number to three significant digits."""
+    return frame.assign(**{str(name): _rounded(frame[name], str(name)) for name in frame})
+
+
+def _frames(one: Results | Answer | TrackResults) -> Mapping[str, pd.DataFrame]:
+    if isinstance(one, Answer):
+        return one.frames
+    if isinstance(one, TrackResults):
+        return {"paired": paired_runs(one), "coverage": coverage(one), "parameters": one.parameters}
+    tables = {"validation": validation_table(one), "tuning": tuning_table(one)}
+    return tables | {"parameters": parameters_table(one), "errors": one.errors, "predictive": one.predictive}
+
+
+def _rounded(column: pd.Series, name: str) -> pd.Series:
+    if not pd.api.types.is_float_dtype(column):
+        return column
+    if name.endswith("_mm"):
+        return column.round(DECIMALS) + 0.0  # no −0
+    return column.map(_significant)
+
+
+def _significant(value: float) -> float:
+    if not math.isfinite(value) or value == 0:
+        return value
+    return round(value, DIGITS - 1 - math.floor(math.log10(abs(value))))

@@ -1,0 +1,34 @@
+"""A calibration as one file, from which its tables, figure and report are made again."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from needlefit.project.plain import plain
+from needlefit.validation.calibration.run import Calibration
+from needlefit.validation.packing import pack, packed, unpacked
+
+KIND = "calibration"
+
+_PLAIN = ("name", "title", "origin", "dataset_title", "control", "sampled", "interrupted", "run")
+_TUPLES = ("insertions", "depths")
+_FRAMES = ("replicates", "coverage", "ecdfs")
+
+
+def store_calibration(found: Calibration, folder: Path) -> Path:
+    """Write all of a calibration but its time to `folder`; equal ones give equal bytes."""
+    table = {key: plain(getattr(found, key)) for key in _PLAIN}
+    table |= {key: list(getattr(found, key)) for key in _TUPLES}
+    frames = {key: packed(getattr(found, key)) for key in _FRAMES}
+    return pack({"kind": KIND, **table, "frames": frames}, folder)
+
+
+def restored_calibration(table: Mapping[str, Any], folder: Path) -> Calibration:
+    """Return the calibration that a run stored as `table` in `folder`."""
+    timing = folder / "timing.json"
+    seconds = json.loads(timing.read_text(encoding="utf-8"))["seconds"] if timing.is_file() else 0.0
+    about: dict[str, Any] = {key: table[key] for key in _PLAIN}
+    about |= {key: tuple(table[key]) for key in _TUPLES}
+    about |= {key: unpacked(table["frames"][key]) for key in _FRAMES}
+    return Calibration(seconds=seconds, **about)

@@ -1,0 +1,227 @@
+"""The plan that brings the foretold tip to a target, beside plans that know less.
+
+The plan is the one of least expected squared miss over draws of the posterior (`aiming`). Beside it stand:
+aiming straight at the target; the plan at the best fit, which takes its parameters for certain and their
+execution for exact; and that of the paper's hand-tuned set. At known parameters many plans hit: it is the one
+found first. All are tried on draws that none was sought with, each with the layers on its own path.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cache, partial
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from needlefit.geometry.crossings import crossings
+from needlefit.project.records.plan import PlanRecord
+from needlefit.project.streams import stream
+from needlefit.validation.coverage import share
+from needlefit.validation.inquiries.aiming import (
+    Aim,
+    Aimed,
+    Site,
+    Trial,
+    best,
+    clearance,
+    faultless,
+    straight,
+    trial,
+)
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.answered import Frames, Plan, answered
+from needlefit.validation.inquiries.candidates import template
+from needlefit.validation.inquiries.knowledge import Knowledge, about, knowledge
+from needlefit.validation.inquiries.pieces import Piece, Rows
+from needlefit.validation.job import Settings, prepare
+from needlefit.validation.score import Row
+
+Floats = NDArray[np.float64]
+
+SEEK, TRY = 100, 400
+"""Draws on which a plan is sought, and others on which it is tried."""
+
+SHOWN = 80
+"""Needles of the plan that are kept to be drawn."""
+
+RAYS = 121
+"""Lines along x on which the layers of the plane are found."""
+
+EXPECTED, BEST_FIT, HAND_TUNED, STRAIGHT = "expected", "best_fit", "hand_tuned", "straight"
+
+TARGET = "target"
+
+_MISS = ("median_mm", "miss_95_mm", "rms_mm", "bias_x_mm", "bias_y_mm", "spread_mm")
+FRAMES: Mapping[str, tuple[str, ...]] = {
+    "plans": (
+        *("plan", "offset_mm", "angle_deg", "depth_mm", "bevel_side", "sought_rms_mm"),
+        *("tried", "failed_solves", *_MISS),
+    ),
+    "beyond": ("plan", "what", "limit_mm", "share", "low", "high"),
+    "misses": ("plan", "trial", "x_mm", "y_mm", "miss_mm"),
+    "needles": ("plan", "trial", "x_mm", "y_mm"),
+    "layers": ("y_mm", "interval", "layer", "from_mm", "to_mm"),
+    "posterior": ("insertions", "pareto_k", "sampled", "draws", "independent", "fault"),
+}
+"""`beyond` is the share of needles that miss by more than `limit_mm`, or, where `what` names an obstacle,
+that touch it, with Wilson's 95 % interval. `needles` of trial -1 are those of the mean parameters, executed
+as planned. `miss_95_mm` is what 95 % of needles miss by at most; the bias is the mean tip less the target."""
+
+
+@dataclass(frozen=True)
+class _Known:
+    """What is known when it is planned, and the draws that plans are sought with and tried on."""
+
+    site: Site
+    knowledge: Knowledge
+    sought: tuple[Trial, ...]
+    tried: tuple[Trial, ...]
+
+
+Ask = Callable[[], _Known | None]
+
+
+def ask(name: str, record: PlanRecord, settings: Settings) -> Answer:
+    """Return the plan of a study, what it misses by, and what others would.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If anything the record names is missing or wrong.
+    FitError
+        If the fit has no solution.
+    """
+    job = prepare(name, record.tuning(), settings)
+    site = Site(job, template(job, record.like), record)
+    known = cache(partial(_known, site, settings))
+    names = [EXPECTED, BEST_FIT, *([HAND_TUNED] if job.hand_tuned is not None else []), STRAIGHT]
+    pieces: dict[str, Piece] = {
+        "posterior": partial(_posterior, known),
+        **{one: partial(_piece, known, one, settings) for one in names},
+        "layers": partial(_layers, site),
+    }
+    return answered(name, record, settings, Plan([job], pieces, FRAMES, _conclude))
+
+
+def _known(site: Site, settings: Settings) -> _Known | None:
+    found = knowledge(site.job, settings)
+    if found is None:
+        return None
+    even = np.arange(len(found.thetas)) % 2 == 0
+    return _Known(site, found, _trials(site, found.only(even), SEEK), _trials(site, found.only(~even), TRY))
+
+
+def _trials(site: Site, known: Knowledge, count: int) -> tuple[Trial, ...]:
+    """Return draws of parameters and of errors; other counts are other draws."""
+    rng = stream(site.job.recipe.seed, site.job.name, "trials", count)
+    sets = known.sets
+    return tuple(trial(sets[k], site.like, rng) for k in known.drawn(count, rng))
+
+
+def _posterior(known: Ask) -> Rows:
+    now = known()
+    return {} if now is None else {"posterior": [about(now.knowledge)]}
+
+
+def _piece(known: Ask, name: str, settings: Settings) -> Rows:
+    """Return one plan, and what became of its needles."""
+    now = known()
+    if now is None:
+        return {}
+    aimed = _aimed(now, name)
+    if settings.stop():
+        return {}
+    paths = [now.site.executed(aimed.aim, one) for one in now.tried]
+    return _rows(now, name, aimed, paths)
+
+
+def _aimed(now: _Known, name: str) -> Aimed:
+    site, middle = now.site, now.knowledge.middle
+    if name == EXPECTED:
+        return best(site, now.sought, middle)
+    if name == STRAIGHT:
+        low, high = site.record.entrance.angle_deg
+        return Aimed(
+            straight(site.record.entrance, site.record.target_mm, float(np.clip(0, low, high)), 1), 0.0
+        )
+    values = dict(now.knowledge.learned.fit.values if name == BEST_FIT else site.job.hand_tuned or {})
+    return best(site, [faultless(values)], values)
+
+
+def _rows(now: _Known, name: str, aimed: Aimed, paths: list[Floats | None]) -> Rows:
+    site, target = now.site, np.asarray(now.site.record.target_mm)
+    solved = {number: path for number, path in enumerate(paths) if path is not None}
+    tips = np.array([path[-1] for path in solved.values()]).reshape(-1, 2)
+    misses = np.linalg.norm(tips - target, axis=1)
+    (nominal,) = site.paths(aimed.aim, [faultless(now.knowledge.middle)], now.knowledge.middle)
+    fan = dict(list(solved.items())[:SHOWN]) if name == EXPECTED else {}
+    drawn = {**({} if nominal is None else {-1: nominal}), **fan}
+    ends = pd.DataFrame({"trial": list(solved), "x_mm": tips[:, 0], "y_mm": tips[:, 1], "miss_mm": misses})
+    return {
+        "plans": [_plan(name, aimed, tips - target, len(paths) - len(solved))],
+        "beyond": _beyond(site.record, name, misses, list(solved.values())),
+        "misses": [{"plan": name, **dict(row)} for _, row in ends.iterrows()],
+        "needles": [
+            {"plan": name, "trial": number, "x_mm": x, "y_mm": y}
+            for number, path in drawn.items()
+            for x, y in path.tolist()
+        ],
+    }
+
+
+def _plan(name: str, aimed: Aimed, off: Floats, failed: int) -> Row:
+    """Return one plan and its misses; `off` (B, 2) are the tips less the target."""
+    aim: Aim = aimed.aim
+    chosen: Row = {"plan": name, "offset_mm": aim.offset, "angle_deg": aim.angle, "depth_mm": aim.depth}
+    chosen |= {"bevel_side": aim.side, "sought_rms_mm": None if name == STRAIGHT else aimed.rms}
+    chosen |= {"tried": len(off) + failed, "failed_solves": failed}
+    if not len(off):
+        return chosen
+    misses, bias = np.linalg.norm(off, axis=1), off.mean(axis=0)
+    spread = np.sqrt(np.mean(np.sum((off - bias) ** 2, axis=1)))
+    quantiles = np.quantile(misses, [0.5, 0.95])
+    found = (*quantiles, np.sqrt(np.mean(misses**2)), *bias, spread)
+    return chosen | dict(zip(_MISS, map(float, found), strict=True))
+
+
+def _beyond(record: PlanRecord, name: str, misses: Floats, paths: list[Floats]) -> list[Row]:
+    """Return how many needles miss by more than each tolerance, and how many touch an obstacle."""
+    held = [(TARGET, limit, misses > limit) for limit in record.tolerances_mm]
+    for one in record.obstacles:
+        held.append((one.name, 0.0, np.array([clearance(path, one) < 0 for path in paths])))
+    rows = []
+    for what, limit, wrong in held:
+        found = share(wrong.tolist(), [str(k) for k in range(len(wrong))]) if len(wrong) else None
+        ends = (None,) * 3 if found is None else (found.hits / found.trials, found.low, found.high)
+        row = dict(zip(("share", "low", "high"), ends, strict=True))
+        rows.append({"plan": name, "what": what, "limit_mm": limit, **row})
+    return rows
+
+
+def _layers(site: Site) -> Rows:
+    """Return the layers of the plane, on lines along x; nothing where the dataset has no surfaces."""
+    if not site.like.surfaces:
+        return {}
+    entrance, (x, y) = site.record.entrance, site.record.target_mm
+    half = max(abs(entrance.offset_mm[0]), abs(entrance.offset_mm[1]), abs(y)) + 5.0
+    far = max(entrance.depth_mm[1], x) + 5.0
+    rows = []
+    for height in np.linspace(-half, half, RAYS).tolist():
+        ends = site.plane.to_world(np.array([[0.0, height, 0.0], [far, height, 0.0]]))
+        met = crossings(ends, site.like.surfaces)
+        stops = [0.0, *met.arc.tolist(), far]
+        for k, layer in enumerate(met.sequence):
+            place = {"y_mm": height, "interval": k, "layer": layer}
+            rows.append({**place, "from_mm": stops[k], "to_mm": stops[k + 1]})
+    return {"layers": rows}
+
+
+def _conclude(frames: Frames) -> tuple[str, ...]:
+    plans = frames["plans"]
+    lost = plans[plans["failed_solves"].astype(float) > 0]
+    failed = [
+        f"{row.failed_solves} of {row.tried} needles of plan {row.plan} have no solution"
+        for row in lost.itertuples()
+    ]
+    return (*(fault for fault in frames["posterior"]["fault"] if fault), *failed)

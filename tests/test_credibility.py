@@ -1,0 +1,249 @@
+"""The bundle: gaps are empty boxes, evidence of another thing is not counted, nothing is claimed."""
+
+import json
+import re
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+from credibility_cases import (
+    WORK,
+    leave,
+    leave_calibration,
+    leave_sensitivity,
+    leave_verification,
+    results,
+)
+from reporting_results import stereo
+from test_cli import run
+
+from needlefit.errors import DataError
+from needlefit.project.records.about import AboutRecord
+from needlefit.reporting.credibility.case import case
+from needlefit.reporting.credibility.entries import entries
+from needlefit.reporting.credibility.factors import FACTORS
+from needlefit.reporting.credibility.page import DISCLAIMER, page
+from needlefit.reporting.files import write_json
+from needlefit.validation.credibility.gather import gather
+
+
+def told(folder, *named, about=None):
+    """Return every factor's findings and gaps, by its key."""
+    given = {} if about is None else {"about": AboutRecord.model_validate({"schema": 1, **about})}
+    found = case(folder, named, **given)
+    return {
+        one.factor.key: (" ".join(f.words for f in one.told.findings), list(one.gaps))
+        for one in entries(found)
+    }
+
+
+@pytest.fixture
+def alone(tmp_path):
+    """A run with nothing beside it."""
+    return leave(results(), tmp_path)
+
+
+def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them():
+    assert [sum(one.part.startswith(part) for one in FACTORS) for part in ("Question", "Verif", "Valid")] == [
+        *(4, 5),
+        *(3 + 8 + 5,),
+    ]
+    assert [one.key for one in FACTORS if one.part == "Applicability"] == [
+        "relevance_of_quantities",
+        "relevance_of_validation",
+    ]
+    assert {one.key for one in FACTORS if one.by_people} == {*AboutRecord.model_fields} - {"schema_"}
+
+
+def test_without_evidence_every_gap_is_a_box_that_says_what_would_fill_it(alone):
+    found = told(alone)
+    for key in ("question_of_interest", "context_of_use", "relevance_of_quantities"):
+        words, gaps = found[key]
+        assert words == "" and len(gaps) == 1 and key in gaps[0] and "--about" in gaps[0]
+    for key in ("code_verification", "discretisation"):
+        assert found[key] == ("", ["Nothing found. needlefit verify would give it."])
+    gaps = {key: " ".join(found[key][1]) for key in found}
+    assert "nothing found of tie, advance, constraint spacing" in gaps["form"]
+    assert "nothing found of thickness, rigidity, layer depths" in gaps["sensitivities"]
+    assert "needlefit identify" in gaps["sensitivities"]
+    assert "needlefit calibrate" in gaps["uncertainties"]
+    assert "nothing physical" in gaps["samples"]
+    assert found["samples_uncertainty"][0] == ""
+
+
+def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(alone, tmp_path):
+    leave_verification(tmp_path)
+    leave_calibration(tmp_path)
+    leave_sensitivity(tmp_path)
+    found = told(alone)
+    assert "Closed forms: 1 of 1 rows within their bounds" in found["code_verification"][0]
+    assert "4.00 × 10⁻⁸ mm (bound ≤ 10⁻⁷)" in found["code_verification"][0]
+    assert found["code_verification"][1] == []
+    assert "Discretisation error: 1 of 1" in found["discretisation"][0]
+    assert "500 truths" in found["uncertainties"][0] and "472 to 481 of 500" in found["uncertainties"][0]
+    assert not any("calibrate" in gap for gap in found["uncertainties"][1])
+    assert "Tie, 2 variations, tuned again" in found["form"][0]
+    assert "mean IPE by 0.030 mm (0.3 noise floors)" in found["form"][0]
+    assert "(mean IPE below 0.74 mm) CHANGES for study1 under tie: ahead." in found["form"][0]
+    assert "nothing found of advance, constraint spacing" in " ".join(found["form"][1])
+
+
+def test_what_fails_is_said(alone, tmp_path):
+    leave_verification(tmp_path, measured=3e-6)
+    leave_calibration(tmp_path, not_calibrated=["mu1_pa"])
+    found = told(alone)
+    assert (
+        "0 of 1 rows within their bounds; 1 FAIL (Case 0: error of the tip)" in found["code_verification"][0]
+    )
+    assert "NOT calibrated: μ₁" in found["uncertainties"][0]
+
+
+def beside(folder):
+    """Return the evidence that lies beside study 1 in a folder."""
+    return gather(folder / "study1", {"study1": WORK})
+
+
+def other(part, **changed):
+    return {part: {**WORK[part], **changed}}
+
+
+@pytest.mark.parametrize(
+    ("changed", "why"),
+    [
+        (other("dataset", sha256="cd" * 32), "dataset sha256: cdcdcdcdcdcd… there, abababababab… here"),
+        (other("versions", needlefit="0.0.9"), "version of needlefit: 0.0.9 there, 0.1.0 here"),
+        (other("rules", tie="ahead"), "rules tie: ahead there, nearest here"),
+        (other("medium", thickness_mm=20.0), "medium thickness_mm: 20.0 there, 40.0 here"),
+        ({"folds": [{"name": "all", "tune": ["a"], "validate": ["c"]}]}, "tuned on"),
+        ({"recipe": None}, "recipe: not stated there"),
+    ],
+)
+def test_what_is_of_another_thing_is_named(tmp_path, changed, why):
+    leave_calibration(tmp_path, **changed)
+    (evidence,) = beside(tmp_path)
+    assert not evidence.counted and why in "; ".join(evidence.objections)
+
+
+def test_evidence_of_another_thing_is_listed_but_not_counted(alone, tmp_path):
+    leave_calibration(tmp_path, **other("dataset", sha256="cd" * 32))
+    found = case(alone)
+    every = entries(found)
+    (uncertainties,) = (one for one in every if one.factor.key == "uncertainties")
+    assert not any("500 truths" in one.words for one in uncertainties.told.findings)
+    assert "needlefit calibrate" in " ".join(uncertainties.gaps)
+    said = json.dumps(page(found, every).blocks, default=str, ensure_ascii=False)
+    assert "calibrate-study1" in said and "cdcdcdcdcdcd… there, abababababab… here" in said
+
+
+def test_another_seed_or_title_is_the_same_thing(tmp_path):
+    leave_calibration(tmp_path, **other("recipe", seed=7, title="Mine"))
+    assert [one.counted for one in beside(tmp_path)] == [True]
+
+
+def test_a_sensitivity_study_counts_for_the_runs_whose_fit_it_varied(tmp_path):
+    part = {key: WORK[key] for key in ("medium", "recipe", "rules", "folds")}
+    others = part | {"folds": [{"name": "all", "tune": ["x"], "validate": []}]}
+    leave_sensitivity(tmp_path / "one", parts=[others, part])
+    leave_sensitivity(tmp_path / "two", parts=[others])
+    assert [one.counted for name in ("one", "two") for one in beside(tmp_path / name)] == [True, False]
+
+
+def test_verification_of_another_mesh_tells_of_the_code_but_not_of_the_discretisation(tmp_path):
+    alone = leave(results(rules={**WORK["rules"], "element_mm": 0.5}), tmp_path)
+    leave_verification(tmp_path)
+    found = told(alone)
+    assert found["code_verification"][0] and not found["discretisation"][0]
+    assert "elements of 1 mm; this run’s are 0.5 mm" in " ".join(found["discretisation"][1])
+
+
+def test_what_is_named_stands_for_what_lies_beside_and_is_refused_if_it_is_no_evidence(alone, tmp_path):
+    leave_verification(tmp_path, measured=1e-8)
+    named = leave_verification(tmp_path / "elsewhere", measured=2e-8)
+    assert "2.00 × 10⁻⁸" in told(alone, named)["code_verification"][0]
+    assert "1.00 × 10⁻⁸" in told(alone)["code_verification"][0]
+    foreign = leave_calibration(tmp_path / "elsewhere", of="study2")
+    (evidence,) = case(alone, [foreign]).evidence[:1]
+    assert evidence.objections == ("is of study2, not of study1",)
+    with pytest.raises(DataError, match="holds no evidence"):
+        case(alone, [alone])
+
+
+def test_evidence_with_a_table_missing_or_of_another_layout_is_not_counted(tmp_path):
+    folder = leave_sensitivity(tmp_path)
+    pd.read_csv(folder / "cells.csv").drop(columns="change").to_csv(folder / "cells.csv", index=False)
+    (leave_verification(tmp_path) / "verification.csv").unlink()
+    said = {one.kind: one.objections for one in beside(tmp_path)}
+    assert said == {
+        "sensitivity": ("cells.csv lacks change",),
+        "verification": ("verification.csv is missing",),
+    }
+
+
+def test_measured_shapes_are_not_called_synthetic_and_what_they_cannot_tell_is_open(tmp_path):
+    found = told(leave(replace(stereo(), run={"name": "stereo_insertions"}), tmp_path))
+    assert not any("nothing physical" in gap for _, gaps in found.values() for gap in gaps)
+    assert "rigid alignment" in found["outputs_alike"][0]
+    assert "The model’s uncertainty is not in it" in " ".join(found["rigour"][1])
+    assert "Nothing found" in found["quality_assurance"][0] or found["quality_assurance"][1]
+
+
+def test_what_is_found_alike_of_several_runs_is_said_once(tmp_path):
+    runs = [results(1), results(5)]
+    for one in runs:
+        leave(one, tmp_path)
+    leave_calibration(tmp_path, of="study5")
+    (tmp_path / "all").mkdir()
+    write_json(tmp_path / "all/run.json", {one.name: one.run for one in runs})
+    found = case(tmp_path / "all")
+    blocks = page(found, entries(found)).blocks
+    items = [item for block in blocks if block["kind"] == "list" for item in block["items"]]
+    said = [item for item in items if "Computed with" in item]
+    assert len(said) == 1 and said[0].startswith("study1, study5: Computed with emcee 3.1")
+    assert any(item.startswith("study5: 500 truths") for item in items)
+    gaps = [block["text"] for block in blocks if block["kind"] == "empty"]
+    assert any("uncertainties are right, of study1: nothing found" in gap for gap in gaps)
+
+
+def test_what_people_state_fills_their_boxes(alone):
+    found = told(alone, about={"question_of_interest": "Where does the tip end?"})
+    assert found["question_of_interest"] == ("Where does the tip end?", [])
+    assert found["context_of_use"][1]
+
+
+def test_a_range_validated_is_no_statement_of_its_relevance(alone):
+    words, gaps = told(alone)["relevance_of_validation"]
+    assert "Beyond that, nothing was" in words and "relevance_of_validation" in gaps[0]
+
+
+def test_the_command_writes_the_same_bytes_claims_nothing_and_prints_json(
+    alone, tmp_path, capsys, monkeypatch
+):
+    leave_verification(tmp_path)
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "about.toml").write_text('schema = 1\ncontext_of_use = "Planning of a phantom study."\n')
+    wanted = ("credibility", str(alone), "--about", "about.toml")
+    assert run(*wanted) == 0
+    assert "reports/credibility-study1/" in capsys.readouterr().out
+    folder = tmp_path / "reports/credibility-study1"
+    first = {path.name: path.read_bytes() for path in folder.iterdir()}
+    assert set(first) == {"credibility.pdf", "credibility.html", "credibility.csv", "run.json"}
+    assert run(*wanted, "--json") == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == first
+    assert {row["factor"] for row in answer["factors"]} == {one.name for one in FACTORS}
+    words = " ".join(re.sub(r"<[^>]*>", " ", first["credibility.html"].decode()).split())
+    assert DISCLAIMER.replace("&", "&amp;") in words
+    rest = words.replace(DISCLAIMER.replace("&", "&amp;"), "") + first["credibility.csv"].decode()
+    assert not re.search(r"compl(y|ies|ian)", rest)
+    assert "Planning of a phantom study." in words and str(tmp_path) not in words
+    about = json.loads(first["run.json"])
+    assert about["stated"]["context_of_use"] and about["evidence"][0]["sha256"].keys() == {
+        *("run.json", "verification.csv")
+    }
+
+
+def test_what_is_no_run_of_a_study_is_refused(tmp_path, capsys):
+    folder = leave_verification(tmp_path)
+    assert run("credibility", str(folder)) == 3
+    assert run("credibility", str(tmp_path / "nothing")) == 3
+    assert "there is no run" in capsys.readouterr().err

@@ -1,0 +1,81 @@
+"""The documentation's links lead somewhere, its commands exist, and what it shows is held against them."""
+
+import importlib.util
+import re
+
+import pytest
+
+from needlefit.cli.application import build
+from needlefit.project.places import shipped
+
+DOCS = shipped() / "docs"
+pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not run from the repository")
+PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("howto/*.md")), *sorted(DOCS.glob("../*/README.md"))]
+WRITTEN = DOCS / "reference"  # by the build
+
+
+@pytest.fixture(scope="module")
+def transcripts():
+    spec = importlib.util.spec_from_file_location("transcripts", DOCS / "transcripts.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_links_lead_somewhere(page):
+    links = [
+        link for link in re.findall(r"\]\(([^)#\s]+)[^)]*\)", page.read_text("utf-8")) if ":" not in link
+    ]
+    there = [(page.parent / link).resolve() for link in links]
+    assert [path for path in there if not path.exists() and not path.is_relative_to(WRITTEN.resolve())] == []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
+def test_commands_and_their_options_exist(page, known):
+    for line in re.findall(
+        r"(?:^(?:\$ |    )|`)needlefit ([a-z][^`\n|>#;]*)", page.read_text("utf-8"), re.MULTILINE
+    ):
+        words = line.split()
+        named = next(name for name in (" ".join(words[:2]), words[0], "") if name in known)
+        assert named, line
+        assert {word.partition("=")[0] for word in words if word.startswith("--")} <= known[named], line
+
+
+@pytest.fixture(scope="module")
+def known():
+    import typer
+
+    found = {"": set()}
+
+    def walk(command, name):
+        if hasattr(command, "commands"):
+            for word, inner in command.commands.items():
+                walk(inner, f"{name} {word}".strip())
+        else:
+            found[name] = {option for parameter in command.params for option in parameter.opts} | {"--help"}
+
+    walk(typer.main.get_command(build()), "")
+    return found
+
+
+def test_a_transcript_is_held_against_its_commands(tmp_path, transcripts, capsys):
+    page = tmp_path / "page.md"
+    page.write_text("```console\n$ echo 1.234\n1.235\n$ cat <<'END'\n> a\n> b\n> END\n...\nb\n```\n", "utf-8")
+    assert transcripts.check(page)
+    page.write_text(page.read_text("utf-8").replace("1.235", "1.236"), "utf-8")
+    assert not transcripts.check(page, write=True)
+    assert "+1.234\n" in capsys.readouterr().out
+    assert page.read_text("utf-8").startswith("```console\n$ echo 1.234\n1.234\n")
+
+
+def test_an_exit_code_is_part_of_a_transcript(tmp_path, transcripts):
+    page = tmp_path / "page.md"
+    page.write_text("```console\n$ exit 3\n[exit code 3]\n```\n", "utf-8")
+    assert transcripts.check(page)
+
+
+def test_an_excerpt_follows_what_is_printed_now(transcripts):
+    shown = ["head", "...", "sum 1.0", "..."]
+    printed = ["head", "new", "sum 2.0", "tail"]
+    assert transcripts.excerpt(shown, printed) == ["head", "...", "sum 2.0", "..."]

@@ -1,0 +1,96 @@
+"""A plan: straight where nothing bends the needle, mirrored where the target is, away from obstacles."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needlefit.project.records.plan import ObstacleRecord, PlanRecord
+from needlefit.reporting.inquiries.plan import said
+from needlefit.reporting.inquiries.write import write_answer
+from needlefit.validation.inquiries import knowledge, plan
+from needlefit.validation.inquiries.aiming import Site, best, clearance, faultless, straight
+from needlefit.validation.inquiries.candidates import template
+from needlefit.validation.job import Settings, prepare
+
+CHICKEN = {
+    "schema": 1,
+    "kind": "plan",
+    "dataset": "twin",
+    "medium": "chicken",
+    "recipe": "quick",
+    "like": "chicken-02",
+    "target_mm": [45, 3],
+    "tune": {"insertions": ["chicken-01"]},
+    "entrance": {"offset_mm": [-10, 10], "angle_deg": [-10, 10], "depth_mm": [30, 60]},
+}
+SOFT = {"mu1_pa": 2e4, "alpha1": 1.0, "bevel_mm": 0.2}
+AHEAD = {"offset_mm": [-0.1, 0.1], "angle_deg": [-0.1, 0.1], "depth_mm": [30, 60]}
+
+
+def site(**changed: object) -> Site:
+    record = PlanRecord.model_validate({**CHICKEN, **changed})
+    job = prepare("test", record.tuning(), Settings())
+    return Site(job, template(job, record.like), record)
+
+
+def test_without_a_bevel_the_best_plan_is_the_straight_aim():
+    where = site()
+    values = {**SOFT, "bevel_mm": 0.0}
+    found = best(where, [faultless(values)], values)
+    aimed = straight(where.record.entrance, (45.0, 3.0), 0.0, 1)
+    assert found.rms < 1e-3
+    assert (found.aim.offset, found.aim.angle, found.aim.depth) == pytest.approx((3.0, 0.0, 45.0), abs=1e-3)
+    assert (aimed.offset, aimed.depth) == (3.0, 45.0)
+
+
+def test_a_target_on_the_other_side_turns_the_bevel_over():
+    """Straight ahead, only bending reaches beside the axis."""
+    plans = {}
+    for y in (1.5, -1.5):
+        plans[y] = best(site(target_mm=[45, y], entrance=AHEAD), [faultless(SOFT)], SOFT)
+    assert [plans[y].aim.side for y in (1.5, -1.5)] == [1, -1]
+    assert plans[1.5].rms == pytest.approx(plans[-1.5].rms, abs=1e-4)
+    assert plans[1.5].aim.depth == pytest.approx(plans[-1.5].aim.depth, abs=1e-2)
+
+
+def test_a_plan_passes_by_an_obstacle_on_the_straight_way():
+    obstacle = ObstacleRecord(name="vessel", centre_mm=(25.0, 2.0), radius_mm=2.0, margin_mm=0.5)
+    where = site(obstacles=[obstacle.model_dump()])
+    found = best(where, [faultless(SOFT)], SOFT)
+    (path,) = where.paths(found.aim, [faultless(SOFT)], SOFT)
+    assert clearance(path, obstacle) > 0.49
+    assert np.linalg.norm(path[-1] - (45.0, 3.0)) < 0.02
+
+
+def test_clearance_is_the_distance_from_the_rim():
+    line = np.array([[0.0, 0.0], [10.0, 0.0]])
+    assert clearance(line, ObstacleRecord(name="a", centre_mm=(5, 3), radius_mm=1)) == pytest.approx(2.0)
+    assert clearance(line, ObstacleRecord(name="a", centre_mm=(13, 4), radius_mm=1)) == pytest.approx(4.0)
+    assert clearance(line, ObstacleRecord(name="a", centre_mm=(5, 0.5), radius_mm=1)) == pytest.approx(-0.5)
+
+
+def test_errors_of_the_entry_move_the_tip_as_a_rigid_body():
+    where = site()
+    aim = straight(where.record.entrance, (45.0, 3.0), 5.0, 1)
+    plain = faultless(SOFT)
+    there, shifted = (where.executed(aim, one) for one in (plain, replace(plain, across=0.3)))
+    turn = np.radians(5.0)
+    assert shifted - there == pytest.approx(np.tile([-0.3 * np.sin(turn), 0.3 * np.cos(turn)], (41, 1)))
+
+
+def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(plan, "SEEK", 4)
+    monkeypatch.setattr(plan, "TRY", 30)
+    monkeypatch.setattr(knowledge, "MANY", replace(knowledge.MANY, draws=100, enough=100.0))
+    answer = plan.ask("aim", PlanRecord.model_validate(CHICKEN), Settings())
+    plans = answer.frames["plans"].set_index("plan")
+    assert plans["rms_mm"]["expected"] < plans["rms_mm"]["straight"]
+    rows = answer.frames["misses"]
+    misses = rows[rows["plan"] == "expected"]["miss_mm"]
+    assert len(misses) == 30
+    beyond = answer.frames["beyond"].set_index(["plan", "limit_mm"])["share"]
+    assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
+    assert "45" in said(answer)[0]
+    written = {path.name for path in write_answer(answer, tmp_path / "out").iterdir()}
+    assert {"needles.pdf", "needles.csv", "misses.pdf", "misses.csv", "report.pdf"} <= written

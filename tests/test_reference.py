@@ -1,0 +1,54 @@
+"""The committed evidence is what the program still computes: a study, reduced, run again."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.fit import SelectionRecord
+from needlefit.project.records.study import StudyRecord
+from needlefit.project.run_file import read_run
+from needlefit.reporting.reference import rounded
+from needlefit.validation.run import Settings, run
+
+REFERENCE = Path(__file__).parent.parent / "reports/reference"
+TOLERANCE = 0.002
+"""mm: half a micrometre of rounding on either side, and as much for machines."""
+
+KEY = ["rival", "role", "insertion", "boundaries"]
+SCORES = ["te_mm", "ipe_mean_mm", "ipe_max_mm", "predicted_deflection_mm", "floor_te_mm"]
+
+
+@pytest.fixture(scope="module")
+def rerun():
+    """Study 5 by the quick recipe, a few starts instead of many, and three of its held-out insertions."""
+    held = SelectionRecord(insertions=("chicken-04", "chicken-06", "chicken-12"))
+    study = load(find("study", "study5"), StudyRecord)
+    study = study.model_copy(update={"recipe": "quick", "validate_": (held,)})
+    return run("study5", study, Settings(jobs=2))
+
+
+def test_every_study_of_the_paper_has_its_evidence():
+    for name in ("study5",):
+        folder = REFERENCE / name
+        assert read_run(folder)["name"] == name
+        for file in folder.glob("*.csv"):
+            evidence = pd.read_csv(file)
+            assert set(evidence["origin"]) == {"synthetic"}
+            assert rounded(evidence).equals(evidence), f"{file} is not rounded"
+
+
+def test_the_reduced_study_has_the_errors_of_the_evidence(rerun):
+    committed = pd.read_csv(REFERENCE / "study5/errors.csv").set_index(KEY)[SCORES]
+    again = rerun.errors[rerun.errors["rival"] != "fitted_metric"].set_index(KEY)[SCORES]
+    assert set(again.index.get_level_values("rival")) >= {"fitted", "hand_tuned_b", "straight"}
+    gap = (again - committed.loc[again.index]).abs().max()
+    assert (gap <= TOLERANCE).all(), gap
+
+
+def test_the_reduced_study_is_of_the_same_data_and_rules(rerun):
+    committed = read_run(REFERENCE / "study5")
+    for key in ("dataset", "rules", "medium"):
+        assert rerun.run[key] == committed[key], f"{key} changed: write the evidence anew, and say why"

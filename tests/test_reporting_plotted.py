@@ -1,0 +1,125 @@
+"""Beside every figure lies what it draws, as a table, and what is drawn stands in it."""
+
+import re
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.collections import PolyCollection
+from matplotlib.figure import Figure
+from reporting_results import stereo, study, told, with_draws
+
+from needlefit.reporting import ridge, write
+from needlefit.reporting.figures import style
+from needlefit.reporting.figures.foretold import counted
+
+WHAT = {
+    "boxplot": ("y", slice(None)),
+    "corner": ("xy", slice(None)),
+    "foretold": ("xy", slice(0, None, 2)),
+    "overlays": ("xy", slice(None)),
+    "residuals": ("xy", slice(None)),
+    "rivals": ("x", slice(None)),
+    "waterfall": ("xy", slice(0, 1)),
+}
+"""Which axes of which panels hold data; the others hold places: of groups, rivals, intervals, parameters."""
+
+
+@pytest.fixture
+def painted(monkeypatch) -> dict[str, Figure]:
+    """Figures by the name of their file, as they are painted."""
+    found: dict[str, Figure] = {}
+    draw = style.draw
+
+    def keep(path: Path, paint) -> Path:
+        def kept() -> Figure:
+            found[path.stem] = paint()
+            return found[path.stem]
+
+        return draw(path, kept)
+
+    monkeypatch.setattr(style, "draw", keep)
+    return found
+
+
+def drawn(axes: Axes) -> Iterator[np.ndarray]:
+    """The points (N, 2) of lines, marks and bands that lie in the coordinates of the data."""
+    for line in axes.get_lines():
+        if line.get_transform() == axes.transData and len(line.get_xydata()):
+            yield np.asarray(line.get_xydata(), dtype=float)
+    for patch in axes.collections:
+        if isinstance(patch, PolyCollection):
+            yield np.concatenate([path.vertices for path in patch.get_paths()] or [np.empty((0, 2))])
+
+
+def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
+    """Which values are among the table's numbers."""
+    known = np.sort(table.select_dtypes("number").to_numpy(dtype=float).ravel())
+    known = known[np.isfinite(known)]
+    at = np.clip(np.searchsorted(known, values), 1, len(known) - 1)
+    near = np.minimum(np.abs(known[at] - values), np.abs(known[at - 1] - values))
+    return near <= 1e-6 * np.maximum(1.0, np.abs(values))
+
+
+@pytest.mark.parametrize("results", [told(with_draws(study(5))), stereo()], ids=["study5", "stereo"])
+def test_what_is_drawn_stands_in_the_table_beside(results, painted, tmp_path, monkeypatch):
+    folder = tmp_path / "run"
+    monkeypatch.setattr(write, "write_report", lambda *_: None)
+    write.write(results, folder)
+    pictures = {path.stem for path in folder.glob("*.pdf")}
+    assert pictures == set(painted) and {"boxplot", "overlays", "rivals", "waterfall"} <= pictures
+    for name, figure in painted.items():
+        table = pd.read_csv(folder / f"{name}.csv")
+        assert set(table["origin"]) == {results.origin}
+        held, panels = WHAT[name]
+        for points in (points for axes in figure.axes[panels] for points in drawn(axes)):
+            for axis in held:
+                values = points[np.isfinite(points).all(axis=1), "xy".index(axis)]
+                values = values[(values != 0) & (values != 1)]  # zero lines, and where starts count as equal
+                assert stands_in(table, values).all(), (name, axis)
+
+
+def test_the_ridge_is_the_longest_axis_of_the_draws():
+    """Across it mu1 * b^2 is known to 2 % (as made), along it mu1 within a factor of 5."""
+    made = with_draws(study(5), 4000)
+    names = ["mu1_pa", "bevel_mm"]
+    assert ridge.free(made) == names
+    shortest, longest = ridge.axes_of(made.draws[names])
+    assert shortest.words == "mu1^0.5 * b is known to 1 %"
+    assert longest.weights[1] / longest.weights[0] == pytest.approx(-0.5, abs=0.01)
+    first, last = ridge.ridge_ends(made.draws[names])
+    slope = np.log(last["bevel_mm"] / first["bevel_mm"]) / np.log(last["mu1_pa"] / first["mu1_pa"])
+    assert slope == pytest.approx(-0.5, abs=0.01)
+    said = ridge.draws_said(made)
+    assert "4000 draws weighed about the modes of the fit, Pareto k 0.31." in said
+    assert "across it μ₁^0.5 · b is known to 1 %" in said
+
+
+def test_levels_are_counted_toward_the_bevel_and_by_needles():
+    """Seven needles; of the levels 0.1, 0.4, 0.7, 0.97 in turn, four lie in the middle half, all in 95 %."""
+    made = told(study(1))
+    rows = counted([made])
+    assert set(rows["needles"]) == {7}
+    cover = rows[(rows["shown"] == "coverage") & (rows["of"] == "shape")].set_index("level")["share"]
+    assert cover.to_dict() == pytest.approx({0.5: 4 / 7, 0.95: 1.0})
+    steps = rows[(rows["shown"] == "ECDF") & (rows["of"] == "tip")]
+    assert steps["level"].tolist() == pytest.approx([0, 0.1, 0.1, 0.4, 0.4, 0.7, 0.7, 0.97, 1])
+    mirrored = {"deflection_mm": -made.errors["deflection_mm"]}
+    turned = counted([replace(made, errors=made.errors.assign(**mirrored))])
+    other = turned[(turned["shown"] == "ECDF") & (turned["of"] == "tip")]["level"]
+    assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
+
+
+def test_no_figure_of_a_run_is_drawn_but_from_a_table():
+    """`style.draw` lays no table beside: it is for pictures of scans and scenes, and for frames of an answer,
+    which are written as they are.
+    """
+    room = Path(style.__file__).parent
+    importing = re.compile(r"^from needlefit\.reporting\.figures\.style import .*\bdraw\b", re.MULTILINE)
+    texts = {path.stem: path.read_text(encoding="utf-8") for path in room.rglob("*.py")}
+    using = {name for name, text in texts.items() if importing.search(text) and "answer: Answer" not in text}
+    assert using == {"across", "along", "scene"}

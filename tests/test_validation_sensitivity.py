@@ -1,0 +1,105 @@
+"""What a variation changes: known answers of rigidity and spacing, and an inquiry on a small study."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from needlefit.errors import ConfigError
+from needlefit.inference.predict import predict, rules
+from needlefit.project.places import find
+from needlefit.project.records.sensitivity import VariationRecord
+from needlefit.reporting.inquiries.pages import PAGES
+from needlefit.validation.inquiries.cells import every_job
+from needlefit.validation.inquiries.kinds import ask, inquiry
+from needlefit.validation.inquiries.sensitivity.varied import varied
+from needlefit.validation.job import Settings
+
+RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
+STUDY = """schema = 1
+dataset = "twin"
+medium = "chicken"
+recipe = "few"
+paper_study = 5
+[tune]
+insertions = ["chicken-01"]
+[[validate]]
+insertions = ["chicken-04", "chicken-05"]
+"""
+INQUIRY = """schema = 1
+kind = "sensitivity"
+studies = ["small"]
+starts = 1
+[[variations]]
+of = "rigidity"
+name = "10 % more"
+rigidity_factor = 1.1
+[[variations]]
+of = "constraint spacing"
+name = "2 mm"
+constraint_spacing_mm = 2.0
+"""
+
+
+def test_a_variation_changes_what_it_names_and_nothing_else():
+    job = every_job(["study2"], [], Settings())["study2"]
+    variation = VariationRecord(
+        of="x", name="y", constraint_switch=0.0, first_cell_mm=0.5, thickness_mm=20.0, boundary_shift_sd=2.0
+    )
+    changed = varied(job, variation)
+    now, before = rules(changed.medium), rules(job.medium)
+    assert (now.switch, now.tangent, now.first_cell, now.spacing) == (0.0, 1.0, 0.5, before.spacing)
+    assert changed.medium.thickness_mm == 20.0 and changed.dataset.needle == job.dataset.needle
+    for one, other in zip(changed.insertions, job.insertions, strict=True):
+        np.testing.assert_allclose(one.boundaries, other.boundaries + 2 * other.boundary_sd)
+        assert one.sequence == other.sequence
+
+
+def test_a_stiffer_needle_in_as_much_stiffer_tissue_bends_alike():
+    job = every_job(["study2"], [], Settings())["study2"]
+    stiff = varied(job, VariationRecord(of="rigidity", name="more", rigidity_factor=1.1))
+    hollow = varied(job, VariationRecord(of="rigidity", name="tube", inner_diameter_mm=1.27 / 2))
+    assert hollow.dataset.needle.flexural_rigidity == pytest.approx(
+        15 / 16 * job.dataset.needle.flexural_rigidity
+    )
+    assert job.hand_tuned is not None
+    values = dict(job.hand_tuned)
+    more = {name: 1.1 * value if name.startswith("mu") else value for name, value in values.items()}
+    insertion = job.insertions[-1]
+    soft = predict(values, job.medium, job.dataset.needle, insertion)
+    np.testing.assert_allclose(
+        predict(more, stiff.medium, stiff.dataset.needle, insertion).u, soft.u, atol=1e-7
+    )
+
+
+def test_a_variation_that_changes_nothing_is_refused(tmp_path):
+    file = tmp_path / "nothing.toml"
+    file.write_text(INQUIRY.replace("rigidity_factor = 1.1\n", ""))
+    with pytest.raises(ConfigError, match="changes nothing"):
+        inquiry(file)
+
+
+def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
+    for folder in ("studies", "configs/recipes"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
+    (tmp_path / "studies/small.toml").write_text(STUDY)
+    (tmp_path / "studies/varied.toml").write_text(INQUIRY)
+    monkeypatch.chdir(tmp_path)
+    record = inquiry(find("study", "varied"))
+    assert record is not None
+    answer = ask("varied", record, Settings())
+    studies = answer.frames["studies"].set_index(["of", "tuned"])
+    assert abs(studies.loc[("rigidity", "again"), "te_change_mm"]) < 1e-3
+    assert abs(studies.loc[("rigidity", "kept"), "te_change_mm"]) > 1e-3
+    assert ("constraint spacing", "kept") not in studies.index  # b is per spacing
+    ratios = answer.frames["parameter_changes"].set_index(["of", "parameter"])["ratio"]
+    assert ratios["rigidity", "mu1_pa"] == pytest.approx(1.1, rel=0.01)
+    assert pd.isna(ratios["constraint spacing", "bevel_mm"])
+    page = PAGES["sensitivity"]
+    assert "the same under all 2 variations" in page.said(answer)[0]
+    assert page.draw(answer, tmp_path)["studies"].is_file()
+    again, kept, *_ = page.layouts(answer)
+    assert len(again.rows) == 3 and len(kept.rows) == 2
+    assert answer.run["variations"]["constraint spacing: 2 mm"]["constraint_spacing_mm"] == 2.0
