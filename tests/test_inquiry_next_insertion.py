@@ -77,4 +77,4 @@ def test_deep_insertions_into_one_layer_tell_more_and_alpha_nothing(tmp_path, mo
     assert np.all(alphas["sd_after"] > 0.99 * alphas["sd_before"])
     assert "80 mm deep" in said(answer)[0]
     written = {path.name for path in write_answer(answer, tmp_path / "out").iterdir()}
-    assert {"candidates.csv", "candidates.pdf", "report.pdf", "report.html"} <= written
+    assert {"told.csv", "told.pdf", "report.pdf", "report.html"} <= written

@@ -158,19 +158,21 @@ def best_told(specimens: Sequence[Specimen]) -> Floats:
     return upright
 
 
-def shortest(
-    values: Floats, weights: Floats, level: float, least: float | None = None
-) -> tuple[float, float]:
-    """Return the interval of highest density of weighted draws (N,), smoothed by kernels.
+def marginal(values: Floats, weights: Floats, least: float) -> tuple[Floats, Floats]:
+    """Return places (GRID,) and the density there (GRID,) of weighted draws (N,) that end at `least`.
 
-    `least` is where the values end, as those of a spread do at 0: the density is mirrored there, and an
-    interval may begin at it exactly.
+    Smoothed by kernels, mirrored where the values end.
     """
     kernel = gaussian_kde(values, weights=weights)
     wide = 3 * float(np.sqrt(kernel.covariance[0, 0]))
-    low = float(values.min()) - wide if least is None else least
-    grid = np.linspace(low, float(values.max()) + wide, GRID)
-    density = kernel(grid) + (0.0 if least is None else kernel(2 * least - grid))
+    grid = np.linspace(least, float(values.max()) + wide, GRID)
+    density: Floats = kernel(grid) + kernel(2 * least - grid)
+    return grid, density
+
+
+def shortest(values: Floats, weights: Floats, level: float, least: float) -> tuple[float, float]:
+    """Return the interval of highest density of weighted draws (N,); it may begin at `least` exactly."""
+    grid, density = marginal(values, weights, least)
     order = np.argsort(-density, kind="stable")
     filled = np.cumsum(density[order]) / density.sum()
     kept = grid[order[: int(np.searchsorted(filled, level)) + 1]]

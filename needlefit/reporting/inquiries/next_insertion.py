@@ -155,23 +155,22 @@ def draw_gains(answer: Answer, folder: Path) -> dict[str, Path]:
     """Draw gain and remaining deviation of the first tip against depth, a line for each way in."""
     if _best(answer) is None:
         return {}
-    return {"candidates": draw(folder / "candidates.pdf", lambda: _paint(answer))}
+    return {"told": draw(folder / "told.pdf", lambda: _paint(answer))}
 
 
 def _paint(answer: Answer) -> Figure:
-    tips = answer.frames["tips"]
-    names = [str(name) for name in tips["tip"].unique()]
+    told = answer.frames["told"]
+    tip = told["tip"].dropna().unique()
     figure = Figure(figsize=(WIDTH, 2.9))
-    panels = figure.subplots(1, 1 + bool(names), squeeze=False)[0]
-    _lines(panels[0], answer, answer.frames["candidates"], "nats")
+    panels = figure.subplots(1, 1 + len(tip), squeeze=False)[0]
+    _lines(panels[0], answer, "nats")
     panels[0].set_title("Expected gain about all parameters (nats)", loc="left")
-    if names:
-        mine = tips[tips["tip"] == names[0]]
-        now = _first(mine, "sd_now_mm")
+    if len(tip):
+        now = _first(told, "sd_now_mm")
         panels[1].axhline(now, xmax=1 / BEYOND, color=INK, lw=0.7, ls=(0, (4, 3)))
         panels[1].text(0.5, now, "now", fontsize=6.5, color=INK, va="bottom")
-        _lines(panels[1], answer, mine, "sd_after_mm")
-        panels[1].set_title(f"Expected sd of the {names[0]} (mm)", loc="left")
+        _lines(panels[1], answer, "sd_after_mm")
+        panels[1].set_title(f"Expected sd of the {tip[0]} (mm)", loc="left")
     for axes in panels:
         axes.set_xlabel("depth (mm)", x=0.5 / BEYOND)
         light_grid(axes, "y")
@@ -183,16 +182,16 @@ BEYOND = 1.62
 """The width of a panel by its greatest depth: names stand beyond."""
 
 
-def _lines(axes: Axes, answer: Answer, frame: pd.DataFrame, column: str) -> None:
+def _lines(axes: Axes, answer: Answer, column: str) -> None:
     """Draw one column against depth, each line named at its end."""
-    ends = []
+    frame, ends = answer.frames["told"], []
     candidates = frame[(frame["role"] == "candidate") & frame[column].notna()]
     ways = list(_ways(answer))
     for (entry, angle), rows in candidates.groupby(["entry", "angle_deg"], sort=False):
         way = (str(entry), float(str(angle)))
         colour = COLOURS[ways.index(way) % len(COLOURS)]
         x, y = (rows[name].to_numpy(dtype=np.float64) for name in ("depth_mm", column))
-        if "nats_se" in rows:
+        if column == "nats":
             spread = rows["nats_se"].to_numpy(dtype=np.float64)
             axes.fill_between(x, y - spread, y + spread, color=colour, alpha=0.15, lw=0)
         axes.plot(x, y, color=colour, lw=1.2, marker="o", ms=2.2)

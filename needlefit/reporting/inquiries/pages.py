@@ -11,6 +11,7 @@ from needlefit.reporting.inquiries import (
     plan,
     seeds,
     sensitivity,
+    specimens,
 )
 from needlefit.reporting.inquiries.page import Page
 
@@ -20,8 +21,9 @@ PAGES: Mapping[str, Page] = MappingProxyType(
         "comparison": comparison.PAGE,
         "left_out": left_out.PAGE,
         "next_insertion": next_insertion.PAGE,
+        "plan": plan.PAGE,
         "seeds": seeds.PAGE,
         "sensitivity": sensitivity.PAGE,
-        "plan": plan.PAGE,
+        "specimens": specimens.PAGE,
     }
 )

@@ -17,7 +17,8 @@ from needlefit.project.records.next_insertion import NextInsertionRecord
 from needlefit.project.records.plan import PlanRecord
 from needlefit.project.records.seeds import SeedsRecord
 from needlefit.project.records.sensitivity import SensitivityRecord
-from needlefit.validation.inquiries import left_out, next_insertion, plan
+from needlefit.project.records.specimens import SpecimensRecord
+from needlefit.validation.inquiries import left_out, next_insertion, plan, specimens
 from needlefit.validation.inquiries.adaptation import verb as adaptation
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.comparison import verb as comparison
@@ -40,9 +41,10 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "comparison": Kind(ComparisonRecord, comparison.ask),
         "left_out": Kind(LeftOutRecord, left_out.ask),
         "next_insertion": Kind(NextInsertionRecord, next_insertion.ask),
+        "plan": Kind(PlanRecord, plan.ask),
         "seeds": Kind(SeedsRecord, seeds.ask),
         "sensitivity": Kind(SensitivityRecord, sensitivity.ask),
-        "plan": Kind(PlanRecord, plan.ask),
+        "specimens": Kind(SpecimensRecord, specimens.ask),
     }
 )
 

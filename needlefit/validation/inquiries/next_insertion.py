@@ -253,7 +253,7 @@ def _alphas(problem: Problem, values: Mapping[str, float], where: Row) -> list[R
 
 
 def _conclude(frames: Frames) -> tuple[str, ...]:
-    """Add how the two gains agree; return why something is not to be trusted."""
+    """Add how the two gains agree, and what the figure draws; return why something is not to be trusted."""
     known = frames["candidates"].dropna(subset=["nats", "linear_nats"])
     ranked = known[known["role"] == "candidate"]
     nats, linear_nats = (ranked[name].to_numpy(dtype=np.float64) for name in ("nats", "linear_nats"))
@@ -262,4 +262,13 @@ def _conclude(frames: Frames) -> tuple[str, ...]:
     excess = float(np.max(linear_nats - nats)) if len(ranked) else float("nan")
     rows = [dict(zip(AGREEMENT, (len(ranked), rank, excess, best), strict=True))]
     frames["agreement"] = pd.DataFrame(rows, columns=list(AGREEMENT))
+    frames["told"] = _told(frames)
     return tuple(fault for fault in frames["posterior"]["fault"] if fault)
+
+
+def _told(frames: Frames) -> pd.DataFrame:
+    """Return gain, and deviation of the first tip asked for, of every insertion that has a solution."""
+    where, tips = list(_WHERE), frames["tips"]
+    gains = frames["candidates"][[*where, "nats", "nats_se"]].dropna(subset=["nats"])
+    first = tips[tips["tip"] == (tips["tip"].iloc[0] if len(tips) else "")].drop(columns="nats")
+    return gains.merge(first, how="left", on=where)

@@ -1,0 +1,279 @@
+"""What is told of a population of specimens: its mean, its spread, a further specimen; and of a known one."""
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from needlefit.inference.parameters import in_logarithm
+from needlefit.project.records.specimens import SpecimensRecord
+from needlefit.reporting import document
+from needlefit.reporting.display import Column, Display, text
+from needlefit.reporting.document import Block
+from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.inquiries.page import Figures, Page
+from needlefit.reporting.names import GREY
+from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset
+from needlefit.reporting.tables import Row, records
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.specimens import BEST_TOLD, LEVELS
+
+COLOURS = ("#0072B2", "#D55E00")
+WHAT = {"mean": "mean", "spread": "spread", "new": "a further one"}
+
+
+def said(answer: Answer) -> list[str]:
+    """Return what the spread between specimens can be, or how often intervals held a known one."""
+    if answer.frames["recovered"].empty:
+        return [line for what in _groups(answer) for line in _population_said(answer, what)]
+    return _recovery_said(answer)
+
+
+def _population_said(answer: Answer, what: str) -> list[str]:
+    every = answer.frames["population"]
+    mine = every[every["groups"] == what]
+    spreads = records(mine[mine["what"] == "spread"])
+    parts = "; ".join(f"{_name(row)} {_interval(row)}" for row in spreads)
+    limits = ", ".join(_name(row) for row in spreads if row["low_95"] == 0)
+    reach = f" What begins at 0 tells no spread, only a limit of it ({limits})." if limits else ""
+    new = records(mine[(mine["what"] == "new") & (mine["parameter"] != BEST_TOLD)])
+    further = "; ".join(f"{_name(row)} {_values(row)}" for row in new)
+    count = f"{spreads[0]['specimens']} {what}s"
+    return [
+        f"Spread between {count} (standard deviation of the logarithm, 95 %): {parts}.{reach}",
+        f"A further {what}, 95 %: {further}.",
+    ]
+
+
+def _recovery_said(answer: Answer) -> list[str]:
+    coverage, made = answer.frames["coverage"], _record(answer).recovery
+    assert made is not None
+    lines = [f"{made.replicates} times {made.specimens} made-up specimens of each known spread."]
+    for spread, same in coverage[coverage["what"] == "spread"].groupby("spread", sort=False):
+        counts = [
+            f"{_name(row)} {row['held']} of {row['replicates']} ({100 * row['level']:.0f} %)"
+            for row in records(same)
+        ]
+        reached = "reached 0" if spread == 0 else f"held {spread:g}"
+        lines.append(f"True spread {spread:g}: intervals that {reached}: {'; '.join(counts)}.")
+    for level, same in coverage[coverage["what"] == "mean"].groupby("level", sort=False):
+        held, count = int(same["held"].sum()), int(same["replicates"].sum())
+        percent = f"{100 * float(str(level)):.0f} %"
+        lines.append(f"Of the means, {held} of {count} lay in their {percent} intervals.")
+    found = answer.frames["recovered"].drop_duplicates(["spread", "replicate"])
+    doubtful = int((~found["certified"].astype(bool)).sum())
+    if doubtful:
+        lines.append(f"What is told of {doubtful} of {len(found)} populations is not certified; it counts.")
+    return lines
+
+
+def layouts(answer: Answer) -> list[Display]:
+    """Return mean, spread and further specimen; or how often intervals held."""
+    return [_coverage(answer)] if len(answer.frames["coverage"]) else [_population(answer)]
+
+
+def _population(answer: Answer) -> Display:
+    rows: list[tuple[str, ...]] = []
+    breaks: list[int] = []
+    for what in _groups(answer):
+        breaks += [len(rows)] if rows else []
+        mine = answer.frames["population"]
+        for row in records(mine[mine["groups"] == what]):
+            ends = (_signed(f"{fixed(row[f'low_{p}'])} to {fixed(row[f'high_{p}'])}") for p in (50, 95))
+            values = _values(row) if row["what"] != "spread" and row["parameter"] != BEST_TOLD else "–"
+            median = _signed(fixed(row["median"]))
+            rows.append((f"{row['specimens']} {what}s", _name(row), WHAT[row["what"]], median, *ends, values))
+    columns = (
+        *(text("Specimens"), text("Parameter"), text("What"), Column("Median", "ln")),
+        *(Column("50 %", "ln"), Column("95 %", "ln"), text("95 %, in Pa or mm")),
+    )
+    prior = _record(answer).spread_prior_sd
+    notes = (
+        "Of logarithms (of alpha itself). Intervals of spreads are the shortest, and may begin at 0; the "
+        f"others are central. Prior of every spread: half-normal of standard deviation {prior:g}. Each "
+        "specimen's own posterior is in specimens.csv.",
+    )
+    caption = "The population that the specimens come from."
+    return Display("population", caption, columns, tuple(rows), tuple(breaks), notes=notes)
+
+
+def _coverage(answer: Answer) -> Display:
+    coverage = answer.frames["coverage"]
+    rows = []
+    for (spread, what, parameter), same in coverage.groupby(["spread", "what", "parameter"], sort=False):
+        by_level = {row["level"]: row for row in records(same)}
+        cells = []
+        for level in LEVELS:
+            row = by_level[level]
+            ends = f"{100 * row['low']:.0f}–{100 * row['high']:.0f} %"
+            cells += [f"{row['held']} of {row['replicates']} ({ends})", fixed(row["width"])]
+        rows.append((f"{spread:g}", WHAT[str(what)], _name({"parameter": parameter}), *cells))
+    pairs = [(Column(f"{100 * level:.0f} % held"), Column("width", "ln")) for level in LEVELS]
+    heads = (one for pair in pairs for one in pair)
+    columns = (Column("True spread"), text("What"), text("Parameter"), *heads)
+    notes = (
+        "How often the interval held the truth (in brackets Wilson's 95 % interval of that share), and its "
+        "median width. Where the true spread is 0 the shortest interval holds it only if it begins at 0. "
+        "Bayesian intervals hold at their level on average over the prior, not at every truth.",
+    )
+    caption = "Whether a known population is found again."
+    return Display("coverage", caption, columns, tuple(rows), notes=notes)
+
+
+def draw_specimens(answer: Answer, folder: Path) -> dict[str, Path]:
+    """Draw specimens and spreads, or the intervals of every replicate beside the truth."""
+    if len(answer.frames["coverage"]):
+        return {"recovered": draw(folder / "recovered.pdf", lambda: _paint_recovery(answer))}
+    return {
+        "specimens": draw(folder / "specimens.pdf", lambda: _paint_specimens(answer)),
+        "densities": draw(folder / "densities.pdf", lambda: _paint_densities(answer)),
+    }
+
+
+def _paint_specimens(answer: Answer) -> Figure:
+    """Each specimen's own posterior: mean and standard deviation."""
+    every = answer.frames["specimens"]
+    names = [str(name) for name in every["parameter"].unique()]
+    order = every.drop_duplicates(["groups", "specimen"])[["groups", "specimen"]].reset_index(drop=True)
+    figure = Figure(figsize=(WIDTH, 0.7 + 0.16 * len(order)))
+    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
+    for axes, name in zip(panels, names, strict=True):
+        rows = order.merge(every[every["parameter"] == name], on=["groups", "specimen"])
+        for y, row in enumerate(records(rows)):
+            colour = COLOURS[_groups(answer).index(row["groups"]) % len(COLOURS)]
+            axes.plot([row["mean"] - row["sd"], row["mean"] + row["sd"]], [y, y], color=colour, lw=1.1)
+            axes.plot(row["mean"], y, "o", color=colour, ms=3)
+        axes.set_xlabel(_axis(name))
+        light_grid(axes, "x")
+        axes.tick_params(axis="y", length=0)
+    panels[0].set_yticks(range(len(order)), [str(name) for name in order["specimen"]])
+    panels[0].set_ylim(len(order) - 0.5, -0.5)
+    label_origin(figure, answer.synthetic)
+    return figure
+
+
+def _paint_densities(answer: Answer) -> Figure:
+    every, told = answer.frames["densities"], answer.frames["population"]
+    names = [str(name) for name in every["parameter"].unique()]
+    figure = Figure(figsize=(WIDTH, 2.3))
+    panels = figure.subplots(1, len(names), squeeze=False)[0]
+    for axes, name in zip(panels, names, strict=True):
+        mine = every[every["parameter"] == name]
+        far = float(told[(told["what"] == "spread") & (told["parameter"] == name)]["high_95"].max())
+        for number_, what in enumerate(_groups(answer)):
+            rows, colour = mine[mine["groups"] == what], COLOURS[number_ % len(COLOURS)]
+            axes.plot(rows["spread"], rows["density"], color=colour, lw=1.3)
+            x, y = (rows[key].to_numpy(dtype=np.float64) for key in ("spread", "density"))
+            top = int(np.argmax(y))
+            axes.text(x[top] + 0.02 * far, y[top], f"{what}s", color=colour, fontsize=6.5, va="bottom")
+        prior = mine[mine["groups"] == _groups(answer)[0]]
+        axes.plot(prior["spread"], prior["prior"], color=GREY, lw=0.8, ls=(0, (4, 3)))
+        if prior["prior"].notna().all():
+            at, height = (prior[key].to_numpy(dtype=np.float64) for key in ("spread", "prior"))
+            place, size = 0.8 * far, 6.5
+            axes.text(place, np.interp(place, at, height), "prior", color=GREY, fontsize=size, va="bottom")
+        axes.set(xlim=(0, 1.15 * far), ylim=(0, 1.15 * float(mine["density"].max())))
+        axes.set_xlabel("spread of what is told best" if name == BEST_TOLD else f"spread of {_axis(name)}")
+        axes.set_yticks([])
+    panels[0].set_ylabel("posterior density")
+    label_origin(figure, answer.synthetic)
+    return figure
+
+
+def _paint_recovery(answer: Answer) -> Figure:
+    """Intervals of every replicate, grouped by the true spread, beside the truth."""
+    every = answer.frames["recovered"]
+    names = [str(name) for name in every["parameter"].unique()]
+    figure = Figure(figsize=(WIDTH, 0.5 + 1.35 * len(names)))
+    panels = figure.subplots(len(names), 2, squeeze=False, sharex=True)
+    for row, name in zip(panels, names, strict=True):
+        for axes, what in zip(row, ("mean", "spread"), strict=True):
+            _paint_intervals(axes, every[(every["parameter"] == name) & (every["what"] == what)])
+            axes.set_title(f"{WHAT[what]} of {_axis(name)}", loc="left")
+    label_origin(figure, answer.synthetic)
+    return figure
+
+
+def _paint_intervals(axes: Axes, rows: pd.DataFrame) -> None:
+    ticks, at = [], 0
+    for spread, same in rows.groupby("spread", sort=False):
+        x = at + np.arange(len(same))
+        axes.vlines(x, same["low_95"], same["high_95"], color=COLOURS[0], lw=0.9)
+        axes.vlines(x, same["low_50"], same["high_50"], color=COLOURS[0], lw=2.4)
+        truth = float(same["truth"].iloc[0])
+        axes.plot([x[0] - 0.5, x[-1] + 0.5], [truth, truth], color=COLOURS[1], lw=1.1, zorder=3)
+        ticks.append((float(x.mean()), f"true spread\n{spread:g}"))
+        at = int(x[-1]) + 3
+    axes.set_xticks([place for place, _ in ticks], [words for _, words in ticks])
+    axes.tick_params(axis="x", length=0)
+    light_grid(axes, "y")
+
+
+def story(answer: Answer, figures: Figures) -> list[Block]:
+    """Return figures, table, and what is behind them."""
+    captions = {
+        "specimens": "The posterior of every specimen by itself: mean and standard deviation.",
+        "densities": "Posterior density of the spread between specimens; dashed its prior.",
+        "recovered": "Intervals of 50 % (thick) and 95 % (thin) of every replicate; orange the truth.",
+    }
+    drawn = [document.figure(path, captions[name], answer.synthetic) for name, path in figures.items()]
+    tables = [document.table(table, answer.synthetic) for table in layouts(answer)]
+    heading = "What is found again" if len(answer.frames["coverage"]) else "The population"
+    return [document.heading(heading), *drawn, *tables, document.heading("How"), document.text(HOW)]
+
+
+HOW = (
+    "Stage one is the posterior of every specimen by itself, with a flat prior; stage two weighs its draws "
+    "anew by a population in which parameters vary independently, as Gaussians in the logarithm. Draws stand "
+    "for kernels that keep each posterior's mean and covariance, so that the ridge of μ and b stays, and a "
+    "spread of 0 is possible. The combination is the one that the specimens tell best. What differs within a "
+    "specimen, from place to place or with the bevel's direction, is not in the model: it is taken for a "
+    "difference between specimens, or leaves intervals too narrow."
+)
+
+
+def _groups(answer: Answer) -> list[str]:
+    return [str(what) for what in answer.frames["population"]["groups"].unique()]
+
+
+def _record(answer: Answer) -> SpecimensRecord:
+    assert isinstance(answer.record, SpecimensRecord)
+    return answer.record
+
+
+def _in_log(name: str) -> bool:
+    """Return whether a row is of a logarithm: every combination is."""
+    return name == BEST_TOLD or in_logarithm(name)
+
+
+def _name(row: Row) -> str:
+    if row["parameter"] == BEST_TOLD:
+        return in_symbols(str(row["combination"]))
+    return symbol(str(row["parameter"])).split(" (")[0]
+
+
+def _axis(name: str) -> str:
+    called = symbol(name).split(" (")[0]
+    return f"ln {called}" if _in_log(name) else called
+
+
+def _signed(words: str) -> str:
+    return words.replace("-", "−")
+
+
+def _interval(row: Row) -> str:
+    return f"{fixed(row['low_95'])} to {fixed(row['high_95'])}"
+
+
+def _values(row: Row) -> str:
+    """Return the 95 % interval of a parameter in its own unit."""
+    name = str(row["parameter"])
+    low, high = (math.exp(row[key]) if _in_log(name) else row[key] for key in ("low_95", "high_95"))
+    unit = {"_pa": " Pa", "_mm": " mm"}.get(name[-3:], "")
+    return f"{typeset(number(low))} to {typeset(number(high))}{unit}"
+
+
+PAGE = Page(said, layouts, draw_specimens, story)
