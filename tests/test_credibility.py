@@ -84,7 +84,7 @@ def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(a
     assert "500 truths" in found["uncertainties"][0] and "472 to 481 of 500" in found["uncertainties"][0]
     assert not any("calibrate" in gap for gap in found["uncertainties"][1])
     assert "Tie, 2 variations, tuned again" in found["form"][0]
-    assert "mean IPE by 0.030 mm (0.3 noise floors)" in found["form"][0]
+    assert "mean IPE of a cell changes by at most 0.030 mm (0.3 noise floors)" in found["form"][0]
     assert "(mean IPE below 0.74 mm) CHANGES for study1 under tie: ahead." in found["form"][0]
     assert "nothing found of advance, constraint spacing" in " ".join(found["form"][1])
 
