@@ -23,6 +23,7 @@ from needlefit.reporting.credibility.case import case
 from needlefit.reporting.credibility.entries import entries
 from needlefit.reporting.credibility.factors import FACTORS
 from needlefit.reporting.credibility.page import DISCLAIMER, page
+from needlefit.reporting.credibility.verified import code_verification
 from needlefit.reporting.files import write_json
 from needlefit.validation.credibility.gather import gather
 
@@ -83,7 +84,7 @@ def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(a
     assert "500 truths" in found["uncertainties"][0] and "472 to 481 of 500" in found["uncertainties"][0]
     assert not any("calibrate" in gap for gap in found["uncertainties"][1])
     assert "Tie, 2 variations, tuned again" in found["form"][0]
-    assert "mean IPE by 0.030 mm (0.3 noise floors)" in found["form"][0]
+    assert "mean IPE of a cell changes by at most 0.030 mm (0.3 noise floors)" in found["form"][0]
     assert "(mean IPE below 0.74 mm) CHANGES for study1 under tie: ahead." in found["form"][0]
     assert "nothing found of advance, constraint spacing" in " ".join(found["form"][1])
 
@@ -154,6 +155,15 @@ def test_verification_of_another_mesh_tells_of_the_code_but_not_of_the_discretis
     found = told(alone)
     assert found["code_verification"][0] and not found["discretisation"][0]
     assert "elements of 1 mm; this run’s are 0.5 mm" in " ".join(found["discretisation"][1])
+
+
+def test_a_figure_beside_the_numbers_is_shown_and_its_bytes_are_recorded(alone, tmp_path):
+    folder = leave_verification(tmp_path)
+    assert code_verification(case(alone)).pictures == ()
+    (folder / "convergence.pdf").write_bytes(b"figure")
+    (picture,) = code_verification(case(alone)).pictures
+    assert picture.path == folder / "convergence.pdf" and not picture.of_data
+    assert "convergence.pdf" in case(alone).evidence[0].digests
 
 
 def test_what_is_named_stands_for_what_lies_beside_and_is_refused_if_it_is_no_evidence(alone, tmp_path):

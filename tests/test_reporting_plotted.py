@@ -66,14 +66,12 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("results", [told(with_draws(study(5))), stereo()], ids=["study5", "stereo"])
-def test_what_is_drawn_stands_in_the_table_beside(results, painted, tmp_path, monkeypatch):
-    folder = tmp_path / "run"
-    monkeypatch.setattr(write, "write_report", lambda *_: None)
-    write.write(results, folder)
-    pictures = {path.stem for path in folder.glob("*.pdf")}
+def test_what_is_drawn_stands_in_the_table_beside(results, painted, tmp_path):
+    write._draw(results, tmp_path)
+    pictures = {path.stem for path in tmp_path.glob("*.pdf")}
     assert pictures == set(painted) and {"boxplot", "overlays", "rivals", "waterfall"} <= pictures
     for name, figure in painted.items():
-        table = pd.read_csv(folder / f"{name}.csv")
+        table = pd.read_csv(tmp_path / f"{name}.csv")
         assert set(table["origin"]) == {results.origin}
         held, panels = WHAT[name]
         for points in (points for axes in figure.axes[panels] for points in drawn(axes)):

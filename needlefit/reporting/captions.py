@@ -34,6 +34,15 @@ FORETOLD = (
     "needles the 50 and 95 % intervals held, with Wilson’s interval of so few trials; a needle is one trial, "
     "and repeats in one specimen are one where there are specimens enough."
 )
+RANKS = (
+    "Where truths stood among draws of their posteriors: the ECDF of the ranks of each quantity, less that "
+    "of uniform ones, on the band in which chance keeps it. First above and then below, posteriors are too "
+    "narrow; the other way round, too wide."
+)
+CONVERGENCE = (
+    "Manufactured solutions: largest error in the tissue under refinement, per case. Dashed: the orders that "
+    "theory promises. “At the nodes”: the largest of all cases there alone, where the slope superconverges."
+)
 PROFILES = (
     "Profile likelihoods: how the best fit worsens as one parameter is held away from it and all others are "
     "fitted again (solid; dots were computed). The 95 % interval is shaded: where the curve stays under the "

@@ -77,7 +77,11 @@ _KINDS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyType(
 )
 """How each kind of run is written again, from the table that it stored."""
 
-_IN_A_MOMENT = {"verification.csv": "needlefit verify", "material.json": "needlefit material FILE"}
+_IN_A_MOMENT = {
+    "verification.csv": "needlefit verify",
+    "material.json": "needlefit material FILE",
+    "credibility.csv": "needlefit credibility RUN",
+}
 """What only such a run writes, and how it is run: as fast as anything could be read again."""
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.mechanics.control import Rules
+from needlefit.reporting.captions import CONVERGENCE
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import by_name, set_page
 from needlefit.reporting.figures.convergence import convergence
@@ -21,10 +22,6 @@ from needlefit.verification.check import Bound, Row
 from needlefit.verification.run import Verification
 
 _PACKAGES = ("numpy", "scipy", "numba")
-_CAPTION = (
-    "Manufactured solutions: largest error in the tissue under refinement, per case. Dashed: the orders that "
-    "theory promises. “At the nodes”: the largest of all cases there alone, where the slope superconverges."
-)
 
 
 def layouts(verification: Verification) -> list[Display]:
@@ -140,7 +137,7 @@ def _payload(verification: Verification, pictures: Sequence[Path]) -> dict[str, 
             for part in layouts(verification)
         ],
         "figure": pictures[0].name if pictures else None,
-        "caption": _CAPTION,
+        "caption": CONVERGENCE,
         "version": about["versions"]["needlefit"],
     }
 

@@ -67,9 +67,10 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         if fold.name in tables.verdicts:
             known = Known(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
             needles |= place(job, fold, known, settings.jobs)
-            few, many = drawn(job, fold, known, settings.jobs)
-            tabulate_draws(job, fold, many, tables)
-            tabulate_foreseen(foreseen(job, fold, few), tables)
+            if fold.validate or not interrupted:
+                few, many = drawn(job, fold, known, settings.jobs)
+                tabulate_draws(job, fold, many, tables)
+                tabulate_foreseen(foreseen(job, fold, few), tables)
         if interrupted:
             break
     return Results(

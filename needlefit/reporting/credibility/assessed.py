@@ -3,7 +3,8 @@
 from dataclasses import replace
 
 from needlefit.datasets.independent import groups
-from needlefit.reporting.credibility.case import Case, found_in
+from needlefit.reporting import captions
+from needlefit.reporting.credibility.case import Case, drawn, found_in
 from needlefit.reporting.credibility.told import Finding, Told
 from needlefit.reporting.foretold import foretold_layout, said_of
 from needlefit.reporting.layouts import validation_layout
@@ -14,6 +15,9 @@ from needlefit.reporting.tables import study_label
 from needlefit.validation.coverage import share
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate
+
+SHOWN = {"boxplot.pdf": captions.BOXPLOT, "foretold.pdf": captions.FORETOLD}
+"""Figures of the run that show how outputs agree."""
 
 
 def inputs_alike(case: Case) -> Told:
@@ -105,7 +109,8 @@ def agreement(case: Case) -> Told:
     tables += [
         foretold_layout(one) for one in case.held_out if len(one.predictive) and len(case.results) == 1
     ]
-    return Told(tuple(dict.fromkeys(findings)), tables=tuple(tables))
+    pictures = [one for file, caption in SHOWN.items() for one in drawn(case.folder, file, caption)]
+    return Told(tuple(findings), tables=tuple(tables), pictures=tuple(pictures if findings else ()))
 
 
 def _held(results: Results) -> str:

@@ -8,7 +8,7 @@ from needlefit.errors import DataError
 from needlefit.project.records.about import AboutRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.reporting.contest import scored_role
-from needlefit.reporting.credibility.told import Finding
+from needlefit.reporting.credibility.told import Finding, Picture
 from needlefit.reporting.rebuild import restored
 from needlefit.validation.credibility.evidence import Evidence, Kind
 from needlefit.validation.credibility.gather import gather
@@ -24,8 +24,8 @@ class Case:
 
     Attributes
     ----------
-    name : str
-        Of the run's folder.
+    folder : Path
+        The run's.
     results : tuple of Results
         One, or those that were reported together.
     evidence : tuple of Evidence
@@ -36,11 +36,16 @@ class Case:
         The name of the file in which they do.
     """
 
-    name: str
+    folder: Path
     results: tuple[Results, ...]
     evidence: tuple[Evidence, ...]
     about: AboutRecord = NOBODY
     stated_in: str = ""
+
+    @property
+    def name(self) -> str:
+        """The name of the run's folder."""
+        return self.folder.name
 
     @property
     def held_out(self) -> list[Results]:
@@ -76,7 +81,7 @@ def case(run: Path, named: Sequence[Path] = (), about: AboutRecord = NOBODY, sta
     if not results:
         raise _no_results(run)
     runs = {target(one): one.run for one in results}
-    return Case(run.resolve().name, results, tuple(gather(run, runs, named)), about, stated_in)
+    return Case(run.resolve(), results, tuple(gather(run, runs, named)), about, stated_in)
 
 
 def _no_results(run: Path) -> DataError:
@@ -97,6 +102,11 @@ def found_in(results: Results, file: str, words: str) -> Finding:
     """Return what was found in a file of a run."""
     verb = "validate" if isinstance(results.record, StudyRecord) else "tune"
     return Finding(words, f"{results.name}/{file}", f"needlefit {verb} {target(results)}", target(results))
+
+
+def drawn(folder: Path, file: str, caption: str) -> tuple[Picture, ...]:
+    """Return a figure that lies in a folder, if it does."""
+    return (Picture(folder / file, caption),) if (folder / file).is_file() else ()
 
 
 def left_by(evidence: Evidence, file: str, words: str) -> Finding:

@@ -1,14 +1,14 @@
 """What is found of the computational model: its form, and sensitivity to and uncertainty of its inputs."""
 
-from needlefit.reporting import contest
+from needlefit.reporting import captions, contest
 from needlefit.reporting.calibration_said import WRONG, quantity
-from needlefit.reporting.credibility.case import Case, found_in, left_by, target
+from needlefit.reporting.credibility.case import Case, drawn, found_in, left_by, target
 from needlefit.reporting.credibility.told import Told, joined
 from needlefit.reporting.credibility.varied import varied
 from needlefit.reporting.identification_said import verdict_said
 from needlefit.reporting.numbers import fixed, in_symbols
 from needlefit.reporting.sentences import undetermined_said
-from needlefit.validation.credibility.evidence import Evidence
+from needlefit.validation.credibility.evidence import FIGURES, Evidence
 from needlefit.validation.results import Results
 
 FORM = ("tie", "advance", "constraint spacing", "first cell", "phase of the grid")
@@ -26,7 +26,7 @@ def form(case: Case) -> Told:
             said = "; ".join(_rule(key, value) for key, value in sorted(rules.items()))
             findings.append(found_in(one, "run.json", f"Rules: {said}."))
         findings.append(found_in(one, "errors.csv", contest.rivals_said(one)))
-    law = "Another law of the tissue in the place of this one: nothing found that is counted here."
+    law = "Another law of the tissue in the place of this one: not looked for here; a comparison study tells."
     return joined(Told(tuple(findings)), varied(case, FORM), Told(left=(law,)))
 
 
@@ -111,6 +111,7 @@ def _calibrated(case: Case, one: Evidence) -> Told:
     return Told(
         (left_by(one, "coverage.csv", words),),
         (f"{_of(case, one)}{few}",) if half["least"].min() <= 0 and not names else (),
+        pictures=drawn(one.folder, FIGURES[one.kind], f"{_of(case, one)}{captions.RANKS}"),
     )
 
 

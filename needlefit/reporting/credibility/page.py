@@ -74,6 +74,8 @@ def _entry(entry: Entry, synthetic: bool, several: bool) -> Iterator[Block]:
     if entry.told.findings:
         yield document.bullets(_said(entry.told.findings, several))
         yield document.note(_whence(entry.told.findings))
+    for picture in entry.told.pictures:
+        yield document.figure(picture.path, picture.caption, synthetic and picture.of_data)
     yield from (document.table(table, synthetic) for table in entry.told.tables)
     yield from (document.empty(gap) for gap in entry.gaps)
 

@@ -2,14 +2,16 @@
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 import pandas as pd
 
-from needlefit.reporting.credibility.case import Case, found_in, left_by
+from needlefit.reporting import captions
+from needlefit.reporting.credibility.case import Case, drawn, found_in, left_by
 from needlefit.reporting.credibility.told import Finding, Told, joined
 from needlefit.reporting.tables import Row, records
 from needlefit.reporting.verification import bound_said, measured_said
-from needlefit.validation.credibility.evidence import Evidence
+from needlefit.validation.credibility.evidence import FIGURES, Evidence
 from needlefit.validation.results import Results
 from needlefit.verification.check import Bound, Group
 
@@ -31,8 +33,13 @@ def quality_assurance(case: Case) -> Told:
 
 
 def code_verification(case: Case) -> Told:
-    """Return every group of checks of the code, by its largest values beside their bounds."""
-    return joined(*(_verified(one, _CODE) for one in case.counted("verification")))
+    """Return every group of checks of the code, by what is nearest to its bound, and the orders observed."""
+    parts = []
+    for one in case.counted("verification"):
+        orders = drawn(one.folder, FIGURES[one.kind], captions.CONVERGENCE)
+        pictures = tuple(replace(picture, of_data=False) for picture in orders)
+        parts.append(replace(_verified(one, _CODE), pictures=pictures))
+    return joined(*parts)
 
 
 def discretisation(case: Case) -> Told:
@@ -40,7 +47,7 @@ def discretisation(case: Case) -> Told:
     parts = []
     for one in case.counted("verification"):
         measured = one.run["rules"]["element"]
-        used = {results.run["rules"]["element_mm"] for results in case.results}
+        used = {results.run.get("rules", {}).get("element_mm", math.nan) for results in case.results}
         if used == {measured}:
             parts.append(_verified(one, (Group.REFINEMENT,)))
             continue

@@ -7,6 +7,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.run_file import RUN_FILE
+from needlefit.reporting.credibility.assessed import SHOWN
 from needlefit.reporting.credibility.case import Case
 from needlefit.reporting.credibility.entries import Entry
 from needlefit.reporting.credibility.page import DISCLAIMER, page
@@ -81,5 +82,5 @@ def _evidence(case: Case) -> list[dict[str, Any]]:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    files = [folder / name for name in (RUN_FILE, NAME) if (folder / name).is_file()]
+    files = [folder / name for name in (RUN_FILE, NAME, *SHOWN) if (folder / name).is_file()]
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}

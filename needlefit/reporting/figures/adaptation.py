@@ -18,15 +18,11 @@ _PANELS = (
     ("tip_crps", "CRPS of the tip (mm)"),
     ("tip_in_95", "tips in their 95 % interval"),
 )
-_FLOORS = ("te", "ipe_mean")
-"""What has a noise floor, in the order of the panels."""
 
 
 def draw_curves(answer: Answer, path: Path) -> Path:
     """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
-    errors = answer.frames["errors"]
-    floors = {f"floor_{stem}_mm": errors[f"floor_{stem}_mm"].astype(float).mean() for stem in _FLOORS}
-    return plot(path, answer.frames["adaptation"].assign(**floors, origin=answer.origin), _paint)
+    return plot(path, answer.frames["adaptation"].assign(origin=answer.origin), _paint)
 
 
 def _paint(frame: pd.DataFrame) -> Figure:
@@ -43,7 +39,7 @@ def _paint(frame: pd.DataFrame) -> Figure:
             axes.set_ylim(-0.05, 1.05)
         else:
             axes.set_yscale("log")
-    for axes, stem in zip(panels, _FLOORS, strict=False):
+    for axes, stem in zip(panels, ("te", "ipe_mean"), strict=False):
         floor = rows[0][f"floor_{stem}_mm"]
         axes.axhline(floor, color=INK, lw=0.9, ls=(0, (2, 1.5)))
         at = {"xytext": (-1, 2), "textcoords": "offset points", "fontsize": 6.5}

@@ -140,8 +140,8 @@ def _curves(answer: Answer) -> Display:
         breaks += [len(rows)] if rows and new else []
         rows.append((WAY_NAMES[row["way"]] if new else "", *_cells(row)))
         named.add(row["way"])
-    floors = answer.frames["errors"].drop_duplicates("insertion")
-    te, ipe = (fixed(floors[f"floor_{name}"].mean(), 3) for name in _ERRORS)
+    floors = records(answer.frames["adaptation"])[0]
+    te, ipe = (fixed(floors[f"floor_{name}"], 3) for name in _ERRORS)
     notes = (
         "n: new insertions learned from. Means over the held-out needles, then over orders; “range” is of "
         f"orders. Noise floor: TE {te}, IPE {ipe} mm. “Fits” counts the different sets of insertions behind "

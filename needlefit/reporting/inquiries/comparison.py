@@ -31,8 +31,8 @@ def _ranked(own: Row, others: list[Row]) -> str:
         if found:
             parts.append(f"{words}: " + ", ".join(f"{_name(row)} ({_difference(row)})" for row in found))
     return (
-        f"Against {_name(own)}, log predictive density of {own['insertions']} held-out needles, ± standard "
-        f"error over {own['groups']} groups of repeats: " + "; ".join(parts) + "."
+        f"Log predictive density of {own['insertions']} held-out needles against the {_name(own)}, ± "
+        f"standard error over {own['groups']} groups of repeats; {'; '.join(parts)}."
     )
 
 
@@ -86,14 +86,12 @@ def layouts(answer: Answer) -> list[Display]:
     )
     cells = tuple(_cells(row) for row in rows)
     strong = tuple(n for n, row in enumerate(rows) if row["verdict"] == "reference")
-    floors = (fixed(rows[0][f"floor_{name}_mm"], 3) for name in ("te", "ipe_mean"))
+    te, ipe = (fixed(rows[0][f"floor_{name}_mm"], 3) for name in ("te", "ipe_mean"))
     notes = (
         "“Δ log density”: summed over held-out needles, less the reference’s, ± its standard error over "
         "groups of repeats. “Draws’ error” is what a mean over a hundred draws leaves open of the sum. TE "
-        "and IPE are those of each candidate’s best curve along the planned path; noise floor "
-        + ", ".join(floors)
-        + " mm. “Noise factor” multiplies the stated errors of points and pose: what a "
-        "candidate misses.",
+        f"and IPE are those of each candidate’s best curve along the planned path; noise floor: TE {te}, IPE "
+        f"{ipe} mm. “Noise factor” multiplies the stated errors of points and pose: what a candidate misses.",
     )
     caption = "Every candidate on needles that it was not fitted to."
     return [Display("against", caption, columns, cells, (), strong, notes)]
@@ -115,8 +113,8 @@ def _cells(row: Row) -> tuple[str, ...]:
 
 
 def draw_figures(answer: Answer, folder: Path) -> dict[str, Path]:
-    """Draw the differences, group by group and summed; `differences` and `against` hold what is drawn."""
-    return {"differences": draw_candidates(answer, folder / "differences.pdf")}
+    """Draw the differences, group by group and their mean; the frame `contest` holds what is drawn."""
+    return {"contest": draw_candidates(answer, folder / "contest.pdf")}
 
 
 def story(answer: Answer, figures: Figures) -> list[Block]:
@@ -129,7 +127,7 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
     )
     return [
         document.heading("Comparison"),
-        document.figure(figures["differences"], caption, answer.synthetic),
+        document.figure(figures["contest"], caption, answer.synthetic),
         document.table(table, answer.synthetic),
         document.heading("What was done"),
         document.text(

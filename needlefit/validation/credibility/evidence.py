@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Literal
 
@@ -29,6 +30,11 @@ TABLES: Mapping[Kind, Mapping[str, tuple[str, ...]]] = MappingProxyType(
 )
 """The tables that evidence of each kind is read from, and the columns that are read."""
 
+FIGURES: Mapping[Kind, str] = MappingProxyType(
+    {"verification": "convergence.pdf", "calibration": "ranks.pdf"}
+)
+"""The figure that shows it, where there is one."""
+
 
 @dataclass(frozen=True)
 class Evidence:
@@ -38,8 +44,7 @@ class Evidence:
     ----------
     kind : str
         Which command: "verification", "calibration", "identification" or "sensitivity".
-    place : str
-        The name of its folder.
+    folder : Path
     of : str
         The study or fit that it is looked at for; empty for what is about the program.
     run : mapping
@@ -53,12 +58,17 @@ class Evidence:
     """
 
     kind: Kind
-    place: str
+    folder: Path
     of: str
     run: Mapping[str, Any]
     tables: Mapping[str, pd.DataFrame]
     objections: tuple[str, ...]
     digests: Mapping[str, str]
+
+    @property
+    def place(self) -> str:
+        """The name of its folder."""
+        return self.folder.name
 
     @property
     def counted(self) -> bool:

@@ -9,7 +9,7 @@ import pandas as pd
 
 from needlefit.errors import DataError
 from needlefit.project.run_file import RUN_FILE, read_run
-from needlefit.validation.credibility.evidence import TABLES, Evidence, Kind
+from needlefit.validation.credibility.evidence import FIGURES, TABLES, Evidence, Kind
 from needlefit.validation.credibility.sameness import identity, of_versions, unlike
 
 Runs = Mapping[str, Mapping[str, Any]]
@@ -78,9 +78,10 @@ def _looked_at(
     folder: Path, kind: Kind, table: Mapping[str, Any], runs: Runs, named: bool
 ) -> Iterator[Evidence]:
     tables, lacking = _tables(folder, kind)
-    digests = {name: _digest(folder / name) for name in (RUN_FILE, *tables)}
+    drawn = [name for name in (FIGURES.get(kind, ""),) if name and (folder / name).is_file()]
+    digests = {name: _digest(folder / name) for name in (RUN_FILE, *tables, *drawn)}
     for of, objections in _objections(kind, table, runs, named):
-        yield Evidence(kind, folder.name, of, table, tables, (*lacking, *objections), digests)
+        yield Evidence(kind, folder, of, table, tables, (*lacking, *objections), digests)
 
 
 def _objections(

@@ -34,8 +34,9 @@ def conclude(task: Task, frames: Frames) -> tuple[str, ...]:
         ]
     )
     frames["curves"] = curves
-    frames["adaptation"] = _over_orders(curves).merge(_learned(frames["fits"]), on=["way", "n"], how="left")
+    means = _over_orders(curves).merge(_learned(frames["fits"]), on=["way", "n"], how="left")
     floors = {error: float(frames["errors"][f"floor_{error}"].astype(float).mean()) for error in ERRORS}
+    frames["adaptation"] = means.assign(**{f"floor_{error}": floor for error, floor in floors.items()})
     rng = stream(task.new.recipe.seed, task.new.name, "orders again")
     again = drawn_again(len(task.orders), rng)
     frames["reached"] = pd.DataFrame(list(_reached(task, curves, floors, again)))

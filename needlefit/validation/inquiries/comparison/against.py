@@ -14,15 +14,16 @@ from needlefit.validation.score import Row
 SURE = 2.0
 """Standard errors from which on a difference is taken for one."""
 
-AHEAD, BEHIND, TIE = "ahead", "behind", "tie"
+AHEAD, BEHIND, TIE, REFERENCE = "ahead", "behind", "tie", "reference"
 
 
 def conclude(record: ComparisonRecord, frames: Frames) -> tuple[str, ...]:
-    """Add `differences` (needle by needle) and `against` (one row a candidate); return the faults."""
+    """Add `differences` by needles, `contest` by groups and `against` by candidates; return the faults."""
     scores = frames["scores"].astype({"log_density": float, "te_mm": float, "ipe_mean_mm": float})
     frames["differences"] = _differences(scores, record.reference)
     rows = list(_against(record, frames["differences"], scores, frames["fits"]))
     frames["against"] = pd.DataFrame(rows)
+    frames["contest"] = pd.DataFrame(list(_contest(frames["differences"], rows)))
     return (*_faults(frames), *(_control(record, rows) if record.must_win else ()))
 
 
@@ -64,7 +65,7 @@ def _against(
             "log_density": float(scored["log_density"].sum()),
             "difference": difference,
             "difference_se": error,
-            "verdict": "reference" if name == record.reference else verdict(difference, error),
+            "verdict": REFERENCE if name == record.reference else verdict(difference, error),
             "draws_se": float(np.sqrt((scored["log_density_se"].astype(float) ** 2).sum())),
             "ipe_mean_mm": float(scored["ipe_mean_mm"].mean()),
             "te_mm": float(scored["te_mm"].mean()),
@@ -73,6 +74,26 @@ def _against(
             "noise_scale": float(np.exp(np.log(scale).mean())),
             "worst_pareto_k": float(fitted["pareto_k"].astype(float).max()),
             "sampled": int(fitted.drop_duplicates("fold")["sampled"].astype(bool).sum()),
+        }
+
+
+def _contest(differences: pd.DataFrame, rows: list[Row]) -> Iterator[Row]:
+    """Yield the differences of every group, and their mean with two standard errors, as "mean"."""
+    for row in rows:
+        if row["verdict"] == REFERENCE:
+            continue
+        own = differences[differences["candidate"] == row["candidate"]]
+        each = own.groupby("group", sort=False)["difference"].sum()
+        for group, value in each.items():
+            yield {"candidate": row["candidate"], "group": group, "difference": value}
+        mean, error = (row[key] / row["groups"] for key in ("difference", "difference_se"))
+        ends = {"low": mean - SURE * error, "high": mean + SURE * error}
+        yield {
+            "candidate": row["candidate"],
+            "group": "mean",
+            "difference": mean,
+            **ends,
+            "verdict": row["verdict"],
         }
 
 
