@@ -96,8 +96,8 @@ def _agreement_said(answer: Answer) -> str:
     bent = ", for one covariance makes a bent ridge too thick" if excess > BENT else ""
     return (
         f"Linearised (Σ of the draws, J at each), {first} is first and the rank correlation over "
-        f"{row['candidates']} candidates is {row['spearman']:.2f}; the linear gain is up to {excess:.1f} nats "
-        f"larger{bent}."
+        f"{row['candidates']} candidates is {row['spearman']:.2f}; the linear gain is up to {excess:.1f} "
+        f"nats larger{bent}."
     )
 
 
