@@ -12,7 +12,7 @@ from needlefit.reporting.document import Block
 from needlefit.reporting.figures.seeds import draw_cells, draw_contests, draw_pattern
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import RIVAL_NAMES, medium_name
-from needlefit.reporting.numbers import MISSING, fixed, number, percent, signed, typeset
+from needlefit.reporting.numbers import MISSING, fixed, number, percent, signed, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.seeds.explained import UNEXPLAINED
@@ -157,7 +157,7 @@ def _parameters(answer: Answer) -> Display:
             ratios = (fixed(row[f"ratio_to_true_{key}"]) for key in ("q50", "q05", "q95"))
             middle, low, high, paper = values
             head = study_name(str(study)) if i == 0 else ""
-            rows.append((head, typeset(row["parameter"]), middle, low, high, paper, *ratios))
+            rows.append((head, symbol(row["parameter"]), middle, low, high, paper, *ratios))
     notes = (
         "“To truth” is the ratio to the twin’s own value, the geometric mean over the specimens, layers and "
         "bevels that a fit learns from. Moduli and b lie on a ridge: neither is known apart.",

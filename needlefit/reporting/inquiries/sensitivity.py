@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from needlefit.reporting import document
@@ -11,15 +12,15 @@ from needlefit.reporting.document import Block
 from needlefit.reporting.figures.sensitivity import draw_studies
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import layers_name, medium_name
-from needlefit.reporting.numbers import MISSING, fixed, signed
+from needlefit.reporting.numbers import MISSING, fixed, number, signed, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.sensitivity.verb import AS_DECIDED
 
 _TABLES = {
-    "validation": "held out",
-    "tuning_by_layers": "in sample, by layers",
-    "tuning_by_media": "by media",
+    "validation": "Held out",
+    "tuning_by_layers": "By layers",
+    "tuning_by_media": "By media",
 }
 _SMALL = 0.1
 """Part of the noise floor that a change must exceed to be called one."""
@@ -27,7 +28,14 @@ _SMALL = 0.1
 
 def said(answer: Answer) -> list[str]:
     """Return what every kind of variation does, most first, and whether a conclusion changes."""
-    return [_conclusions(answer), *_each(answer), _kept(answer), _rigidity(answer), _limits()]
+    return [
+        _conclusions(answer),
+        *_each(answer),
+        _kept(answer),
+        _rigidity(answer),
+        _moved(answer),
+        *_limits(answer),
+    ]
 
 
 def layouts(answer: Answer) -> list[Display]:
@@ -82,10 +90,16 @@ def _kept(answer: Answer) -> str:
     kept = _varied(answer, "kept").assign(size=lambda frame: frame["te_change_mm"].abs())
     worst = records(kept.sort_values("size", ascending=False))[0]
     change = signed(worst["te_change_mm"])
+    crossing = [
+        f"{medium_name(r['study'])} ({r['of']}: {r['variation']})"
+        for r in records(kept)
+        if r["conclusion_changes"]
+    ]
+    also = f" The threshold is then crossed by {', '.join(crossing)}." if crossing else ""
     return (
         "With the parameters kept instead, as numbers taken from one program to another would be, the "
         f"largest change of a study’s TE is {change} mm ({medium_name(worst['study'])}, {worst['of']}: "
-        f"{worst['variation']}): the rules and the parameters belong together."
+        f"{worst['variation']}): the rules and the parameters belong together.{also}"
     )
 
 
@@ -104,12 +118,40 @@ def _rigidity(answer: Answer) -> str:
     )
 
 
-def _limits() -> str:
+def _moved(answer: Answer) -> str:
+    """Return the parameter that moves most while the errors hardly do: the data leave it open."""
+    studies = _varied(answer, "again")
+    still = studies[studies["te_change_in_floors"].abs() < 1].set_index(["of", "variation", "study"])
+    changes = answer.frames["parameter_changes"].dropna(subset="ratio")
+    keys = changes.set_index(["of", "variation", "study"]).index
+    moved = changes[keys.isin(still.index)]
+    if moved.empty:
+        return "Errors change by more than the noise floor under every variation."
+    size = np.abs(np.log(moved["ratio"].to_numpy(dtype=np.float64)))
+    row = records(moved.iloc[[int(size.argmax())]])[0]
+    changed = still["te_change_mm"].to_dict()[row["of"], row["variation"], row["study"]]
+    name = symbol(row["parameter"]).split(" (")[0]
     return (
+        f"Parameters are less firm than errors: under {row['of']}, {row['variation']}, {name} of "
+        f"{medium_name(row['study'])} becomes {typeset(number(row['ratio']))} times what it was, and the "
+        f"study’s TE changes by {signed(changed)} mm."
+    )
+
+
+def _limits(answer: Answer) -> list[str]:
+    """Return what the changes do not say."""
+    said = []
+    if answer.synthetic:
+        said.append(
+            "The twin was made under the rules as decided, so that any other rule is wrong on it: the "
+            "changes say how much the rules matter, not which of them needles follow."
+        )
+    said.append(
         "Everything was tuned again from the fit as it stood and a few random starts. Fits under different "
         "constraint spacings are not compared by their parameters, and nothing is kept from one to the "
         "other: b is per spacing, and the spacing is no mesh size."
     )
+    return said
 
 
 def _studies(answer: Answer, tuned: str) -> Display:
@@ -153,37 +195,31 @@ def _change(row: "pd.Series[float]", key: str) -> str:
 
 
 def _largest(answer: Answer) -> Display:
-    """Return, by variation and table, the cell that changes most."""
+    """Return, by variation and table, by how much the cells change: in the middle, and at most."""
     cells = answer.frames["cells"]
     again = cells[(cells["of"] != AS_DECIDED) & (cells["tuned"] == "again") & (cells["unit"] == "mm")]
-    again = again.assign(size=again["change"].abs())
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
     for (of, variation), group in again.groupby(["of", "variation"], sort=False):
-        breaks += [len(rows)] if rows else []
-        for i, (table, words) in enumerate(_TABLES.items()):
-            part = group[group["table"] == table].sort_values("size", ascending=False)
-            if part.empty:
-                continue
-            first = records(part)[0]
-            head = (str(of), str(variation)) if i == 0 else ("", "")
-            change = signed(first["change"], 3)
-            floors = MISSING if first["change_in_floors"] is None else f"{abs(first['change_in_floors']):.2f}"
-            middle = fixed(float(part["size"].median()), 3)
-            metric = (
-                first["metric"]
-                .removesuffix("_mm")
-                .replace("_", " ")
-                .replace("ipe", "IPE")
-                .replace("te", "TE")
-            )
-            rows.append((*head, words, middle, change, floors, metric, _cell(first)))
-    columns = (
-        *(text("Of"), text("Variation"), text("Table"), Column("Median change", "mm")),
-        *(Column("Largest", "mm"), Column("in floors"), text("Error"), text("Cell", wide=True)),
-    )
-    caption = "Change of the cells in mm, tuned again: the median over cells, and the largest."
-    return Display("largest", caption, columns, tuple(rows), tuple(breaks))
+        new = not rows or all(row[0] != str(of) for row in rows)
+        breaks += [len(rows)] if rows and new else []
+        found: list[str] = []
+        for table in _TABLES:
+            part = group[group["table"] == table]
+            found += [fixed(part["change"].abs().median(), 3), signed(_most(part["change"]), 3)]
+            found.append(fixed(abs(_most(part["change_in_floors"]))))
+        rows.append((str(of) if new else "", str(variation), *found))
+    columns = [text("Of"), text("Variation")]
+    for words in _TABLES.values():
+        columns += [Column(words, unit) for unit in ("median, mm", "most, mm", "most, floors")]
+    caption = "Change of the cells of each table, tuned again: the median of its size, and the largest."
+    return Display("largest", caption, tuple(columns), tuple(rows), tuple(breaks))
+
+
+def _most(changes: "pd.Series[float]") -> float:
+    """Return the change of the largest size; NaN if there is none."""
+    known = changes.dropna()
+    return float("nan") if known.empty else float(known.iloc[int(known.abs().to_numpy().argmax())])
 
 
 def _parameters(answer: Answer) -> Display:
@@ -201,7 +237,7 @@ def _parameters(answer: Answer) -> Display:
         new = not any(row[0] == medium_name(study) for row in rows)
         breaks += [len(rows)] if rows and new else []
         cells = (_ratio(by.loc[(study, parameter, *where)]) for where in variations)
-        rows.append((medium_name(study) if new else "", parameter, *cells))
+        rows.append((medium_name(study) if new else "", symbol(parameter), *cells))
     key = "; ".join(f"{i} {of}: {name}" for i, (of, name) in enumerate(variations, start=1))
     notes = (f"Columns: {key}. † stands at a bound. Not compared where the constraint spacing is another.",)
     caption = "Parameters tuned again, as multiples of those as decided."
@@ -235,8 +271,8 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
 
 
 _CAPTION = (
-    "Change of the held-out errors of each study (its number) in units of their noise floor, under each "
-    "variation. Left pair: tuned again. Right pair: parameters kept; nothing is kept between different "
-    "constraint spacings. Grey: within a tenth of the floor. The scale is logarithmic beyond ±1."
+    "Change of the held-out errors of each study in units of their noise floor, under each variation. Left "
+    "pair: tuned again. Right pair: parameters kept; nothing is kept between different constraint spacings. "
+    "A ring marks a study that crosses the threshold. The scale is logarithmic beyond ±1."
 )
 PAGE = Page(said, layouts, draw_all, story)
