@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from shutil import copytree
 
 import pandas as pd
 import pytest
@@ -38,10 +39,15 @@ def told(folder, *named, about=None):
     }
 
 
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    return leave(results(), tmp_path_factory.mktemp("left"))
+
+
 @pytest.fixture
-def alone(tmp_path):
+def alone(left, tmp_path):
     """A run with nothing beside it."""
-    return leave(results(), tmp_path)
+    return copytree(left, tmp_path / left.name)
 
 
 def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them():
