@@ -3,6 +3,7 @@
 import json
 import re
 from dataclasses import replace
+from shutil import copytree
 
 import pandas as pd
 import pytest
@@ -38,10 +39,15 @@ def told(folder, *named, about=None):
     }
 
 
+@pytest.fixture(scope="module")
+def left(tmp_path_factory):
+    return leave(results(), tmp_path_factory.mktemp("left"))
+
+
 @pytest.fixture
-def alone(tmp_path):
+def alone(left, tmp_path):
     """A run with nothing beside it."""
-    return leave(results(), tmp_path)
+    return copytree(left, tmp_path / left.name)
 
 
 def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them():
@@ -84,7 +90,7 @@ def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(a
     assert "500 truths" in found["uncertainties"][0] and "472 to 481 of 500" in found["uncertainties"][0]
     assert not any("calibrate" in gap for gap in found["uncertainties"][1])
     assert "Tie, 2 variations, tuned again" in found["form"][0]
-    assert "mean IPE by 0.030 mm (0.3 noise floors)" in found["form"][0]
+    assert "mean IPE of a cell changes by at most 0.030 mm (0.3 noise floors)" in found["form"][0]
     assert "(mean IPE below 0.74 mm) CHANGES for study1 under tie: ahead." in found["form"][0]
     assert "nothing found of advance, constraint spacing" in " ".join(found["form"][1])
 

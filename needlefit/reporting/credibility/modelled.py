@@ -26,7 +26,7 @@ def form(case: Case) -> Told:
             said = "; ".join(_rule(key, value) for key, value in sorted(rules.items()))
             findings.append(found_in(one, "run.json", f"Rules: {said}."))
         findings.append(found_in(one, "errors.csv", contest.rivals_said(one)))
-    law = "Another law of the tissue in the place of this one: nothing found that is counted here."
+    law = "Another law of the tissue in the place of this one: not looked for here; a comparison study tells."
     return joined(Told(tuple(findings)), varied(case, FORM), Told(left=(law,)))
 
 

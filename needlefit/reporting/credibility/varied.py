@@ -13,7 +13,7 @@ from needlefit.reporting.tables import records
 from needlefit.validation.credibility.evidence import Evidence
 
 _CELLS, _STUDIES = "cells.csv", "studies.csv"
-_METRICS = {"ipe_mean_mm": "mean IPE", "te_mm": "TE"}
+_METRICS = ("ipe_mean_mm", "te_mm")
 _TUNED = {"again": "tuned again", "kept": "kept"}
 
 
@@ -50,13 +50,14 @@ def _said(name: str, rows: pd.DataFrame) -> str:
     """Return the largest changes under all variations of one subject, parameters tuned again."""
     again = rows[rows["tuned"] == "again"]
     count = again["variation"].nunique()
-    changes = " and ".join(
-        f"{said} by {fixed(_largest(again, metric, 'change'), 3)} mm "
+    ipe, te = (
+        f"{fixed(_largest(again, metric, 'change'), 3)} mm "
         f"({fixed(_largest(again, metric, 'change_in_floors'), 1)} noise floors)"
-        for metric, said in _METRICS.items()
+        for metric in _METRICS
     )
     ways = "1 variation" if count == 1 else f"{count} variations"
-    return f"{name[:1].upper()}{name[1:]}, {ways}, tuned again: cells change in {changes} at most."
+    head = f"{name[:1].upper()}{name[1:]}, {ways}, tuned again"
+    return f"{head}: mean IPE of a cell changes by at most {ipe}, TE by at most {te}."
 
 
 def _conclusion_said(rows: pd.DataFrame) -> str:

@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import CANDIDATE_NAMES, GREY, INK, RIVAL_COLOURS
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
@@ -19,18 +20,16 @@ _COLOURS = {
 
 def draw_candidates(answer: Answer, path: Path) -> Path:
     """Draw one row for each candidate but the reference."""
-    return draw(path, lambda: _paint(answer))
+    return plot(path, answer.frames["contest"].assign(origin=answer.origin), _paint)
 
 
-def _paint(answer: Answer) -> Figure:
-    verdicts = {row["candidate"]: row["verdict"] for row in records(answer.frames["against"])}
-    rows = [name for name, verdict in verdicts.items() if verdict != "reference"]
-    drawn = answer.frames["contest"]
+def _paint(frame: pd.DataFrame) -> Figure:
+    rows = list(dict.fromkeys(frame["candidate"]))
     figure = Figure(figsize=(WIDTH, 0.9 + 0.36 * len(rows)))
     axes = figure.add_subplot()
     axes.axvline(0, color=INK, lw=0.8)
     for y, name in enumerate(rows):
-        _row(axes, y, records(drawn[drawn["candidate"] == name]), verdicts[name])
+        _row(axes, y, records(frame[frame["candidate"] == name]))
     axes.set_xscale("symlog", linthresh=1.0)
     _ticks(axes)
     axes.set_xlabel("log predictive density less the reference’s, a group of repeats (symmetric logarithm)")
@@ -39,20 +38,20 @@ def _paint(answer: Answer) -> Figure:
     axes.tick_params(axis="y", length=0)
     axes.spines["left"].set_visible(False)
     light_grid(axes, "x")
-    label_origin(figure, answer.synthetic)
+    label_origin(figure, is_synthetic(frame))
     return figure
 
 
-def _row(axes: Axes, y: int, rows: list[Row], verdict: str) -> None:
+def _row(axes: Axes, y: int, rows: list[Row]) -> None:
     """Draw groups, and their mean with two standard errors."""
-    colour = _COLOURS[verdict]
+    (mean,) = (row for row in rows if row["group"] == "mean")
+    colour = _COLOURS[mean["verdict"]]
     each = [row["difference"] for row in rows if row["group"] != "mean"]
     axes.plot(each, [y + 0.2] * len(each), "o", ms=2.5, color=GREY, alpha=0.7, mec="none")
-    (mean,) = (row for row in rows if row["group"] == "mean")
     axes.plot([mean["low"], mean["high"]], [y, y], color=colour, lw=1.6)
     axes.plot(mean["difference"], y, "D", ms=5, color=colour, mec="white", mew=0.5, zorder=4)
     axes.annotate(
-        verdict, (1.0, y), xycoords=("axes fraction", "data"), xytext=(4, 0),
+        mean["verdict"], (1.0, y), xycoords=("axes fraction", "data"), xytext=(4, 0),
         textcoords="offset points", va="center", color=colour,
     )  # fmt: skip
 

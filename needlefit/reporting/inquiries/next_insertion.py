@@ -22,6 +22,9 @@ from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.next_insertion import LEAST_KNOWN, ROUGH
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+BENT = 0.3
+"""Nats by which a linear gain must be too large for the ridge to be called bent: several standard errors."""
+
 _KEY = ["role", "entry", "angle_deg", "depth_mm"]
 
 
@@ -89,10 +92,12 @@ def _agreement_said(answer: Answer) -> str:
     if row["spearman"] is None:
         return "There are too few candidates to compare the linear gain with."
     first = "the same candidate" if row["same_best"] else "another candidate"
+    excess = float(row["largest_excess_nats"])
+    bent = ", for one covariance makes a bent ridge too thick" if excess > BENT else ""
     return (
         f"Linearised (Σ of the draws, J at each), {first} is first and the rank correlation over "
-        f"{row['candidates']} candidates is {row['spearman']:.2f}; the linear gain is up to "
-        f"{row['largest_excess_nats']:.1f} nats larger, for one covariance makes a bent ridge too thick."
+        f"{row['candidates']} candidates is {row['spearman']:.2f}; the linear gain is up to {excess:.1f} "
+        f"nats larger{bent}."
     )
 
 

@@ -96,7 +96,7 @@ def _objections(
     of = [name for name in targets if name in runs]
     for name in of:
         here = runs[name]
-        yield name, (*of_versions(_versioned(kind, table), here), *_nearest(kind, table, here))
+        yield name, (*of_versions(_work(kind, table), here), *_nearest(kind, table, here))
     if named and not of:
         yield ", ".join(targets), (f"is of {', '.join(targets)}, not of {', '.join(runs)}",)
 
@@ -104,11 +104,11 @@ def _objections(
 def _targets(kind: Kind, table: Mapping[str, Any]) -> list[str]:
     if kind == "sensitivity":
         return [*table["study"].get("studies", ()), *table["study"].get("fits", ())]
-    work = table["design"] if kind == "identification" else table
-    return [str(work["name"]).removeprefix("identify-")]
+    return [str(_work(kind, table)["name"]).removeprefix("identify-")]
 
 
-def _versioned(kind: Kind, table: Mapping[str, Any]) -> Mapping[str, Any]:
+def _work(kind: Kind, table: Mapping[str, Any]) -> Mapping[str, Any]:
+    """Return the part of a `run.json` that says what decided it."""
     return table["design"] if kind == "identification" else table
 
 
@@ -116,7 +116,7 @@ def _nearest(kind: Kind, table: Mapping[str, Any], here: Mapping[str, Any]) -> l
     """Return what is unlike; of work in several parts, in the part that is most alike."""
     wanted = identity(here)
     if kind != "sensitivity":
-        return unlike(identity(_versioned(kind, table)), wanted)
+        return unlike(identity(_work(kind, table)), wanted)
     dataset = here.get("dataset") or {}
     data = table.get("datasets", {}).get(dataset.get("name"))
     each = [unlike(identity(part, data), wanted) for part in table.get("parts", ())]

@@ -39,7 +39,7 @@ from needlefit.validation.score import Row
 
 Floats = NDArray[np.float64]
 
-SEEK, TRY = 100, 400
+SEEK, TRY = 60, 400
 """Draws on which a plan is sought, and others on which it is tried."""
 
 SHOWN = 80

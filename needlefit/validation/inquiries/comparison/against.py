@@ -88,7 +88,13 @@ def _contest(differences: pd.DataFrame, rows: list[Row]) -> Iterator[Row]:
             yield {"candidate": row["candidate"], "group": group, "difference": value}
         mean, error = (row[key] / row["groups"] for key in ("difference", "difference_se"))
         ends = {"low": mean - SURE * error, "high": mean + SURE * error}
-        yield {"candidate": row["candidate"], "group": "mean", "difference": mean, **ends}
+        yield {
+            "candidate": row["candidate"],
+            "group": "mean",
+            "difference": mean,
+            **ends,
+            "verdict": row["verdict"],
+        }
 
 
 def _faults(frames: Frames) -> tuple[str, ...]:
