@@ -129,8 +129,8 @@ class _Counter:
 
 
 def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> Examination | None:
-    """Return the profiles of a fit; a study's folds are scored, not examined."""
-    if isinstance(job.record, StudyRecord) or not math.isfinite(fits["fitted"].objective):
+    """Return the profiles of the fit; many folds are scored, not examined."""
+    if len(job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
         return None
     settings.progress(f"{job.name}: profiles", 0, 1)
     return examine(job.problem(fold), fits["fitted"], settings.jobs, settings.stop)
