@@ -9,8 +9,8 @@ from needlefit.inference.weighing.importance import Effort
 from needlefit.project.records.next_insertion import EntryRecord, NextInsertionRecord
 from needlefit.reporting.inquiries.next_insertion import said
 from needlefit.reporting.inquiries.write import write_answer
-from needlefit.validation.inquiries import knowledge, next_insertion
-from needlefit.validation.inquiries.candidates import candidate, frame_of, template
+from needlefit.validation.inquiries.planning import knowledge, next_insertion
+from needlefit.validation.inquiries.planning.candidates import candidate, frame_of, template
 from needlefit.validation.job import Settings, prepare
 
 CHICKEN = {

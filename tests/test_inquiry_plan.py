@@ -8,9 +8,9 @@ import pytest
 from needlefit.project.records.plan import ObstacleRecord, PlanRecord
 from needlefit.reporting.inquiries.plan import said
 from needlefit.reporting.inquiries.write import write_answer
-from needlefit.validation.inquiries import knowledge, plan
-from needlefit.validation.inquiries.aiming import Site, best, clearance, faultless, straight
-from needlefit.validation.inquiries.candidates import template
+from needlefit.validation.inquiries.planning import knowledge, plan
+from needlefit.validation.inquiries.planning.aiming import Site, best, clearance, faultless, straight
+from needlefit.validation.inquiries.planning.candidates import template
 from needlefit.validation.job import Settings, prepare
 
 CHICKEN = {

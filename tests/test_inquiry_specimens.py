@@ -7,7 +7,7 @@ from needlefit.errors import ConfigError
 from needlefit.project.records.specimens import SpecimensRecord
 from needlefit.reporting.inquiries.specimens import draw_specimens, said
 from needlefit.reporting.inquiries.write import write_answer
-from needlefit.validation.inquiries.specimens import ask
+from needlefit.validation.inquiries.specimens.verb import ask
 from needlefit.validation.job import Settings
 
 CHICKEN = {

@@ -17,7 +17,7 @@ from needlefit.synthetic.twin import SEED
 
 TWIN = shipped() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent
-MAKE_TWINS = [PACKAGE / "validation/inquiries" / name for name in ("seeds", "specimens.py")]
+MAKE_TWINS = [PACKAGE / "validation/inquiries" / name for name in ("tables/seeds", "specimens")]
 
 FEW = ("phantom2-16", "chicken-04")
 """The shortest needles."""

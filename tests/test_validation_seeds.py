@@ -11,11 +11,11 @@ from needlefit.project.places import find
 from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.synthetic.design import named
 from needlefit.synthetic.unscanned import unscanned
-from needlefit.validation.inquiries.cells import ERRORS, cells
 from needlefit.validation.inquiries.kinds import ask, inquiry
-from needlefit.validation.inquiries.pattern import generalising, threshold
-from needlefit.validation.inquiries.seeds.contests import contests, interval
-from needlefit.validation.inquiries.seeds.explained import UNEXPLAINED, explained
+from needlefit.validation.inquiries.tables.cells import ERRORS, cells
+from needlefit.validation.inquiries.tables.pattern import generalising, threshold
+from needlefit.validation.inquiries.tables.seeds.contests import contests, interval
+from needlefit.validation.inquiries.tables.seeds.explained import UNEXPLAINED, explained
 from needlefit.validation.job import Settings
 from needlefit.validation.results import METRICS
 

@@ -11,9 +11,9 @@ from needlefit.inference.predict import predict, rules
 from needlefit.project.places import find
 from needlefit.project.records.sensitivity import VariationRecord
 from needlefit.reporting.inquiries.pages import PAGES
-from needlefit.validation.inquiries.cells import every_job
 from needlefit.validation.inquiries.kinds import ask, inquiry
-from needlefit.validation.inquiries.sensitivity.varied import varied
+from needlefit.validation.inquiries.tables.cells import every_job
+from needlefit.validation.inquiries.tables.sensitivity.varied import varied
 from needlefit.validation.job import Settings
 
 RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")

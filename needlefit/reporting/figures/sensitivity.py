@@ -9,7 +9,7 @@ from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_g
 from needlefit.reporting.names import INK, medium_name
 from needlefit.reporting.tables import records
 from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.sensitivity.verb import AS_DECIDED
+from needlefit.validation.inquiries.tables.sensitivity.verb import AS_DECIDED
 
 _COLOURS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00")
 _MOST = 20.0

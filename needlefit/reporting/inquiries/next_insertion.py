@@ -19,7 +19,7 @@ from needlefit.reporting.names import GREY, INK
 from needlefit.reporting.numbers import fixed, in_symbols, symbol
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.next_insertion import LEAST_KNOWN, ROUGH
+from needlefit.validation.inquiries.planning.next_insertion import LEAST_KNOWN, ROUGH
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BENT = 0.3

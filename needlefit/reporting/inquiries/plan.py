@@ -19,7 +19,7 @@ from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, SYNTHETIC
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.plan import BEST_FIT, EXPECTED, HAND_TUNED, STRAIGHT, TARGET
+from needlefit.validation.inquiries.planning.plan import BEST_FIT, EXPECTED, HAND_TUNED, STRAIGHT, TARGET
 
 NAMES = {
     EXPECTED: "least expected squared miss",

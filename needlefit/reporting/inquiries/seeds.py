@@ -15,7 +15,7 @@ from needlefit.reporting.names import RIVAL_NAMES, medium_name
 from needlefit.reporting.numbers import MISSING, fixed, number, percent, signed, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.seeds.explained import UNEXPLAINED
+from needlefit.validation.inquiries.tables.seeds.explained import UNEXPLAINED
 
 _TABLES = {
     "validation": "Errors on held-out insertions",

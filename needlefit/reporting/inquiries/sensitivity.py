@@ -15,7 +15,7 @@ from needlefit.reporting.names import layers_name, medium_name
 from needlefit.reporting.numbers import MISSING, fixed, number, signed, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.sensitivity.verb import AS_DECIDED
+from needlefit.validation.inquiries.tables.sensitivity.verb import AS_DECIDED
 
 _TABLES = {
     "validation": "Held out",

@@ -19,7 +19,7 @@ from needlefit.reporting.names import GREY
 from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.specimens import BEST_TOLD, LEVELS
+from needlefit.validation.inquiries.specimens.verb import BEST_TOLD, LEVELS
 
 COLOURS = ("#0072B2", "#D55E00")
 WHAT = {"mean": "mean", "spread": "spread", "new": "a further one"}

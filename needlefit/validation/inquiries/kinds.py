@@ -18,12 +18,14 @@ from needlefit.project.records.plan import PlanRecord
 from needlefit.project.records.seeds import SeedsRecord
 from needlefit.project.records.sensitivity import SensitivityRecord
 from needlefit.project.records.specimens import SpecimensRecord
-from needlefit.validation.inquiries import left_out, next_insertion, plan, specimens
+from needlefit.validation.inquiries import left_out
 from needlefit.validation.inquiries.adaptation import verb as adaptation
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.comparison import verb as comparison
-from needlefit.validation.inquiries.seeds import verb as seeds
-from needlefit.validation.inquiries.sensitivity import verb as sensitivity
+from needlefit.validation.inquiries.planning import next_insertion, plan
+from needlefit.validation.inquiries.specimens import verb as specimens
+from needlefit.validation.inquiries.tables.seeds import verb as seeds
+from needlefit.validation.inquiries.tables.sensitivity import verb as sensitivity
 from needlefit.validation.job import Settings
 
 

@@ -9,7 +9,7 @@ from needlefit.inference.optimize.search import search
 from needlefit.inference.starts import Fit, Place, Start
 from needlefit.mechanics.needle import Needle
 from needlefit.project.records.sensitivity import VariationRecord
-from needlefit.validation.inquiries.cells import searched, with_insertions, with_starts
+from needlefit.validation.inquiries.tables.cells import searched, with_insertions, with_starts
 from needlefit.validation.job import Job, Settings
 
 _OF_MEDIUM = (

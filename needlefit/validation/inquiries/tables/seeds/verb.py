@@ -8,11 +8,11 @@ from needlefit.project.records.seeds import SeedsRecord
 from needlefit.synthetic.design import insertions
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
-from needlefit.validation.inquiries.cells import CELL, cells, every_job, numbers_of, with_starts
-from needlefit.validation.inquiries.pattern import generalising
-from needlefit.validation.inquiries.seeds.contests import contests
-from needlefit.validation.inquiries.seeds.explained import explained
-from needlefit.validation.inquiries.seeds.one_twin import FRAMES, one_twin
+from needlefit.validation.inquiries.tables.cells import CELL, cells, every_job, numbers_of, with_starts
+from needlefit.validation.inquiries.tables.pattern import generalising
+from needlefit.validation.inquiries.tables.seeds.contests import contests
+from needlefit.validation.inquiries.tables.seeds.explained import explained
+from needlefit.validation.inquiries.tables.seeds.one_twin import FRAMES, one_twin
 from needlefit.validation.job import Settings
 
 

@@ -17,8 +17,15 @@ from needlefit.synthetic.design import Planned, insertions
 from needlefit.synthetic.truth import true_bevel, true_needle, true_specimen
 from needlefit.synthetic.twin import Twin, synthesize
 from needlefit.synthetic.unscanned import unscanned
-from needlefit.validation.inquiries.cells import ERRORS, every_job, floors_of, scored, searched, with_starts
 from needlefit.validation.inquiries.pieces import Rows
+from needlefit.validation.inquiries.tables.cells import (
+    ERRORS,
+    every_job,
+    floors_of,
+    scored,
+    searched,
+    with_starts,
+)
 from needlefit.validation.job import Job, Settings
 from needlefit.validation.score import Rival, Row, curve_rival
 from needlefit.validation.tabulate import rivals

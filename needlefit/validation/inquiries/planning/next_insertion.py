@@ -29,9 +29,9 @@ from needlefit.validation.design import planned
 from needlefit.validation.folds import Fold
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
-from needlefit.validation.inquiries.candidates import Place, candidate, places, seen, template
-from needlefit.validation.inquiries.knowledge import Knowledge, about, knowledge, tips
 from needlefit.validation.inquiries.pieces import Piece, Rows
+from needlefit.validation.inquiries.planning.candidates import Place, candidate, places, seen, template
+from needlefit.validation.inquiries.planning.knowledge import Knowledge, about, knowledge, tips
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.score import Row
 

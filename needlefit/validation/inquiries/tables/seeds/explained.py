@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from needlefit.validation.inquiries.seeds.one_twin import TRUTH
+from needlefit.validation.inquiries.tables.seeds.one_twin import TRUTH
 from needlefit.validation.score import Row
 
 SMALL = 0.1

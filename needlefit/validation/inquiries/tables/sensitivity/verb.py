@@ -10,7 +10,8 @@ from needlefit.inference.starts import Fit
 from needlefit.project.records.sensitivity import SensitivityRecord, VariationRecord
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
-from needlefit.validation.inquiries.cells import (
+from needlefit.validation.inquiries.pieces import Piece, Rows
+from needlefit.validation.inquiries.tables.cells import (
     CELL,
     ERRORS,
     cells,
@@ -20,9 +21,8 @@ from needlefit.validation.inquiries.cells import (
     scored,
     searched,
 )
-from needlefit.validation.inquiries.pattern import generalising
-from needlefit.validation.inquiries.pieces import Piece, Rows
-from needlefit.validation.inquiries.sensitivity.varied import tuned_again, varied
+from needlefit.validation.inquiries.tables.pattern import generalising
+from needlefit.validation.inquiries.tables.sensitivity.varied import tuned_again, varied
 from needlefit.validation.job import Job, Settings
 from needlefit.validation.provenance import rules
 from needlefit.validation.score import Row, model_rival

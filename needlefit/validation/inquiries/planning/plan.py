@@ -18,7 +18,10 @@ from needlefit.geometry.crossings import crossings
 from needlefit.project.records.plan import PlanRecord
 from needlefit.project.streams import stream
 from needlefit.validation.coverage import share
-from needlefit.validation.inquiries.aiming import (
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.answered import Frames, Plan, answered
+from needlefit.validation.inquiries.pieces import Piece, Rows
+from needlefit.validation.inquiries.planning.aiming import (
     Aim,
     Aimed,
     Site,
@@ -29,11 +32,8 @@ from needlefit.validation.inquiries.aiming import (
     straight,
     trial,
 )
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.answered import Frames, Plan, answered
-from needlefit.validation.inquiries.candidates import template
-from needlefit.validation.inquiries.knowledge import Knowledge, about, knowledge
-from needlefit.validation.inquiries.pieces import Piece, Rows
+from needlefit.validation.inquiries.planning.candidates import template
+from needlefit.validation.inquiries.planning.knowledge import Knowledge, about, knowledge
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.score import Row
 

@@ -33,8 +33,8 @@ from needlefit.validation.folds import groups
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
 from needlefit.validation.inquiries.learned import learn
-from needlefit.validation.inquiries.made_up import inferred, made_up
 from needlefit.validation.inquiries.pieces import Piece, Rows
+from needlefit.validation.inquiries.specimens.made_up import inferred, made_up
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.score import Row
 
