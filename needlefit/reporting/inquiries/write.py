@@ -16,6 +16,9 @@ from needlefit.reporting.write import write_report
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.stored import store_answer
 
+MADE_UP = "The needles were made by the model itself: how it fares on them says nothing of real ones."
+"""Of synthetic data that are not the twin's."""
+
 
 def write_answer(answer: Answer, folder: Path) -> Path:
     """Write one inquiry's answer to `folder`, replacing an earlier result there; return it.
@@ -62,9 +65,9 @@ def cautions(answer: Answer) -> list[Block]:
     """Return what a reader must know before any number."""
     said = []
     if answer.synthetic:
-        said.append(
-            document.warning(f"SYNTHETIC DATA. {SYNTHETIC.removeprefix('Synthetic data: ').capitalize()}")
-        )
+        of_twin = "twin" in answer.run["datasets"]
+        why = SYNTHETIC.removeprefix("Synthetic data: ").capitalize() if of_twin else MADE_UP
+        said.append(document.warning(f"SYNTHETIC DATA. {why}"))
     if answer.interrupted:
         said.append(document.warning("INTERRUPTED. Some of the work was left undone; what is here is part."))
     return [*said, *(document.warning(f"NOT TO BE TRUSTED: {fault}.") for fault in answer.faults)]
