@@ -93,4 +93,4 @@ def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
     assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
     assert "45" in said(answer)[0]
     written = {path.name for path in write_answer(answer, tmp_path / "out").iterdir()}
-    assert {"needles.pdf", "needles.csv", "misses.pdf", "misses.csv", "report.pdf"} <= written
+    assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written

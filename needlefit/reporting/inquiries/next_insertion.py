@@ -4,24 +4,20 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from needlefit.inference.identifiability.information import precision_words, short
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
-from needlefit.reporting.figures.labels import apart
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.gains import draw_gains
 from needlefit.reporting.inquiries.page import Figures, Page
-from needlefit.reporting.names import GREY, INK
+from needlefit.reporting.names import way_in_name
 from needlefit.reporting.numbers import fixed, in_symbols, symbol
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.planning.next_insertion import LEAST_KNOWN, ROUGH
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BENT = 0.3
 """Nats by which a linear gain must be too large for the ridge to be called bent: several standard errors."""
 
@@ -156,69 +152,9 @@ def _left(answer: Answer) -> Display:
     return Display("left", "How well parameters would be known.", columns, tuple(rows))
 
 
-def draw_gains(answer: Answer, folder: Path) -> dict[str, Path]:
-    """Draw gain and remaining deviation of the first tip against depth, a line for each way in."""
-    if _best(answer) is None:
-        return {}
-    return {"told": draw(folder / "told.pdf", lambda: _paint(answer))}
-
-
-def _paint(answer: Answer) -> Figure:
-    told = answer.frames["told"]
-    tip = told["tip"].dropna().unique()
-    figure = Figure(figsize=(WIDTH, 2.9))
-    panels = figure.subplots(1, 1 + len(tip), squeeze=False)[0]
-    _lines(panels[0], answer, "nats")
-    panels[0].set_title("Expected gain about all parameters (nats)", loc="left")
-    if len(tip):
-        now = _first(told, "sd_now_mm")
-        panels[1].axhline(now, xmax=1 / BEYOND, color=INK, lw=0.7, ls=(0, (4, 3)))
-        panels[1].text(0.5, now, "now", fontsize=6.5, color=INK, va="bottom")
-        _lines(panels[1], answer, "sd_after_mm")
-        panels[1].set_title(f"Expected sd of the {tip[0]} (mm)", loc="left")
-    for axes in panels:
-        axes.set_xlabel("depth (mm)", x=0.5 / BEYOND)
-        light_grid(axes, "y")
-    label_origin(figure, answer.synthetic)
-    return figure
-
-
-BEYOND = 1.62
-"""The width of a panel by its greatest depth: names stand beyond."""
-
-
-def _lines(axes: Axes, answer: Answer, column: str) -> None:
-    """Draw one column against depth, each line named at its end."""
-    frame, ends = answer.frames["told"], []
-    candidates = frame[(frame["role"] == "candidate") & frame[column].notna()]
-    ways = list(_ways(answer))
-    for (entry, angle), rows in candidates.groupby(["entry", "angle_deg"], sort=False):
-        way = (str(entry), float(str(angle)))
-        colour = COLOURS[ways.index(way) % len(COLOURS)]
-        x, y = (rows[name].to_numpy(dtype=np.float64) for name in ("depth_mm", column))
-        if column == "nats":
-            spread = rows["nats_se"].to_numpy(dtype=np.float64)
-            axes.fill_between(x, y - spread, y + spread, color=colour, alpha=0.15, lw=0)
-        axes.plot(x, y, color=colour, lw=1.2, marker="o", ms=2.2)
-        ends.append((float(y[-1]), float(x[-1]), _way_name(*way), colour))
-    again = frame[(frame["role"] == "repeat") & frame[column].notna()]
-    for x, y in zip(again["depth_mm"], again[column], strict=True):
-        axes.plot(x, y, "D", ms=4.5, color=INK, mfc="white", zorder=4)
-        ends.append((float(y), float(x), "once more", INK))
-    _name_ends(axes, sorted(ends), float(frame["depth_mm"].max()))
-
-
-def _name_ends(axes: Axes, ends: list[tuple[float, float, str, str]], deepest: float) -> None:
-    """Write names beyond the lines, in the order of their ends, with a hair to each."""
-    bottom, top = 0.0, 1.05 * max(axes.get_ylim()[1], 1e-9)
-    gap = 0.062 * (top - bottom)
-    at = apart([y for y, *_ in ends], gap * np.arange(len(ends), dtype=np.float64))
-    at = at - max(0.0, float(at[-1]) - (top - 0.4 * gap))
-    for (y, x, name, colour), place in zip(ends, at.tolist(), strict=True):
-        axes.plot([x, 1.06 * deepest], [y, place], color=GREY, lw=0.4, alpha=0.7, zorder=1)
-        axes.text(1.08 * deepest, place, name, va="center", color=colour, fontsize=6.5)
-    axes.set(xlim=(0, BEYOND * deepest), ylim=(bottom, top))
-    axes.set_xticks([tick for tick in axes.get_xticks() if tick <= deepest])
+def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
+    """Draw what every insertion would tell, if any has a solution."""
+    return {} if _best(answer) is None else {"told": draw_gains(answer, folder / "told.pdf")}
 
 
 def story(answer: Answer, figures: Figures) -> list[Block]:
@@ -279,15 +215,11 @@ def _of(frame: pd.DataFrame, where: Row) -> pd.DataFrame:
 
 
 def _name(row: Row) -> str:
-    return _way_name(str(row["entry"]), float(row["angle_deg"]))
-
-
-def _way_name(entry: str, angle: float) -> str:
-    return entry if angle == 0 else f"{entry}, {angle:g}°".replace("-", "−")
+    return way_in_name(str(row["entry"]), float(row["angle_deg"]))
 
 
 def _nats(row: Row) -> str:
     return f"{row['nats']:.2f} ± {row['nats_se']:.2f}"
 
 
-PAGE = Page(said, layouts, draw_gains, story)
+PAGE = Page(said, layouts, draw_all, story)
