@@ -11,6 +11,7 @@ from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures.gains import draw_gains
+from needlefit.reporting.inquiries import ways_in
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import way_in_name
 from needlefit.reporting.numbers import fixed, in_symbols, symbol
@@ -21,12 +22,10 @@ from needlefit.validation.inquiries.planning.next_insertion import LEAST_KNOWN, 
 BENT = 0.3
 """Nats by which a linear gain must be too large for the ridge to be called bent: several standard errors."""
 
-_KEY = ["role", "entry", "angle_deg", "depth_mm"]
-
 
 def said(answer: Answer) -> list[str]:
     """Return the best candidate, what it tells beside a repeat, and what none tells."""
-    best, again = _best(answer), _repeat(answer)
+    best, again = ways_in.best(answer), ways_in.repeat(answer)
     if best is None:
         return ["No candidate has a solution within the medium."]
     layers = f"layer{'s' if '-' in best['layers'] else ''} {best['layers']}"
@@ -46,7 +45,7 @@ def said(answer: Answer) -> list[str]:
 
 def _parameters_said(answer: Answer, best: Row) -> str:
     parts = []
-    for row in records(_of(answer.frames["parameters"], best)):
+    for row in records(ways_in.about(answer.frames["parameters"], best)):
         name = str(row["parameter"])
         now, after = (_known(name, row[key]) for key in ("sd_now", "sd_after"))
         called = symbol(name).split(" (")[0]
@@ -103,8 +102,8 @@ def layouts(answer: Answer) -> list[Display]:
 
 
 def _ranking(answer: Answer) -> Display:
-    again, tips = _repeat(answer), answer.frames["tips"]
-    ways = [max(rows, key=lambda row: float(row["nats"])) for rows in _ways(answer).values()]
+    again, tips = ways_in.repeat(answer), answer.frames["tips"]
+    ways = [max(rows, key=lambda row: float(row["nats"])) for rows in ways_in.ways(answer).values()]
     shown = sorted(ways, key=lambda row: -float(row["nats"])) + ([again] if again is not None else [])
     names = [str(name) for name in tips["tip"].unique()]
     columns = (
@@ -128,9 +127,9 @@ def _ranking(answer: Answer) -> Display:
 
 
 def _cells(answer: Answer, row: Row) -> tuple[str, ...]:
-    known = _of(answer.frames["parameters"], row)
+    known = ways_in.about(answer.frames["parameters"], row)
     worst = _first(known[known["parameter"] == LEAST_KNOWN], "sd_after")
-    ends = (fixed(float(sd)) for sd in _of(answer.frames["tips"], row)["sd_after_mm"])
+    ends = (fixed(float(sd)) for sd in ways_in.about(answer.frames["tips"], row)["sd_after_mm"])
     way = "once more" if row["role"] == "repeat" else _name(row)
     mark = f" ({row['note']})" if row["note"] else ""
     where = (way, str(row["layers"]), f"{row['depth_mm']:.3g}", fixed(row["tip_mm"]))
@@ -139,8 +138,8 @@ def _cells(answer: Answer, row: Row) -> tuple[str, ...]:
 
 def _left(answer: Answer) -> Display:
     """Return how well parameters are known now, and would be."""
-    found = [one for one in (_best(answer), _repeat(answer)) if one is not None]
-    each = [records(_of(answer.frames["parameters"], one)) for one in found]
+    found = [one for one in (ways_in.best(answer), ways_in.repeat(answer)) if one is not None]
+    each = [records(ways_in.about(answer.frames["parameters"], one)) for one in found]
     rows = []
     for same in zip(*each, strict=True):
         name = str(same[0]["parameter"])
@@ -154,7 +153,7 @@ def _left(answer: Answer) -> Display:
 
 def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
     """Draw what every insertion would tell, if any has a solution."""
-    return {} if _best(answer) is None else {"told": draw_gains(answer, folder / "told.pdf")}
+    return {} if ways_in.best(answer) is None else {"told": draw_gains(answer, folder / "told.pdf")}
 
 
 def story(answer: Answer, figures: Figures) -> list[Block]:
@@ -184,34 +183,8 @@ def _behind(row: Row, answer: Answer) -> str:
     )
 
 
-def _best(answer: Answer) -> Row | None:
-    ranked = [row for rows in _ways(answer).values() for row in rows]
-    return max(ranked, key=lambda row: float(row["nats"]), default=None)
-
-
-def _repeat(answer: Answer) -> Row | None:
-    every = answer.frames["candidates"]
-    found = records(every[(every["role"] == "repeat") & every["nats"].notna()])
-    return found[0] if found else None
-
-
-def _ways(answer: Answer) -> dict[tuple[str, float], list[Row]]:
-    """Return the candidates that have a solution, by entry and angle."""
-    every = answer.frames["candidates"]
-    found: dict[tuple[str, float], list[Row]] = {}
-    for row in records(every[(every["role"] == "candidate") & every["nats"].notna()]):
-        found.setdefault((str(row["entry"]), float(row["angle_deg"])), []).append(row)
-    return found
-
-
 def _first(frame: pd.DataFrame, column: str) -> float:
     return float(frame[column].to_numpy(dtype=np.float64)[0])
-
-
-def _of(frame: pd.DataFrame, where: Row) -> pd.DataFrame:
-    """Return the rows about one candidate."""
-    same = np.all([frame[key] == where[key] for key in _KEY], axis=0)
-    return frame[same]
 
 
 def _name(row: Row) -> str:
