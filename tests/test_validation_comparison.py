@@ -102,7 +102,7 @@ def _answer(**changed):
     )
     rng, made = np.random.default_rng(2), []
     for k in range(4):
-        planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=31)
+        planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=21)
         made.append(measured(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
     fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "test"})
     parameters = Parameters.from_record(medium(layers=1))
