@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from needlefit.project.load import load
-from needlefit.project.places import find
+from needlefit.project.places import PAPER_FITS, PAPER_STUDIES, find
 from needlefit.project.records.fit import SelectionRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import read_run
@@ -31,7 +31,7 @@ def rerun():
 
 
 def test_every_study_of_the_paper_has_its_evidence():
-    for name in ("study5",):
+    for name in (*PAPER_STUDIES, *PAPER_FITS):
         folder = REFERENCE / name
         assert read_run(folder)["name"] == name
         for file in folder.glob("*.csv"):
