@@ -78,7 +78,7 @@ def _greatest(where: str, rows: pd.DataFrame, column: str, keys: list[str]) -> I
     if not np.any(gap > 0):
         return
     row = int(np.nanargmax(gap))
-    at = ", ".join(rows.loc[row, keys].astype(str))
+    at = ", ".join(str(rows.loc[row, key]) for key in keys)
     if column.endswith("_mm"):
         part, why = float(gap[row]) / VISIBLE, f"at most {gap[row]:.3g} mm"
         matters, slight = part > 1, part < SLIGHT
