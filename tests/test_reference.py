@@ -31,8 +31,9 @@ def rerun():
 
 
 def test_every_study_of_the_paper_has_its_evidence():
-    for name in (*PAPER_STUDIES, *PAPER_FITS):
-        folder = REFERENCE / name
+    folders = {folder.name: folder for folder in REFERENCE.iterdir()}
+    assert folders.keys() >= {*PAPER_STUDIES, *PAPER_FITS}
+    for name, folder in folders.items():
         assert read_run(folder)["name"] == name
         for file in folder.glob("*.csv"):
             evidence = pd.read_csv(file)
