@@ -1,5 +1,6 @@
 """What is told of a plan: how it would go, and by how much it and its rivals would miss."""
 
+from collections.abc import Collection
 from pathlib import Path
 
 from needlefit.project.records.plan import PlanRecord
@@ -12,26 +13,46 @@ from needlefit.reporting.names import PLAN_NAMES
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.planning.plan import EXPECTED, TARGET
+from needlefit.validation.inquiries.planning.plan import EXPECTED, TARGET, at_bounds, reaches
 
 
 def said(answer: Answer) -> list[str]:
     """Return the plan, by how much it would miss, and what the others would."""
     rows = {str(row["plan"]): row for row in records(answer.frames["plans"])}
-    ours, x, y = rows[EXPECTED], *_record(answer).target_mm
+    ours = rows[EXPECTED]
     side = "+" if ours["bevel_side"] > 0 else "−"
     way = f"turned by {_signed(ours['angle_deg'])}°, {ours['depth_mm']:.1f} mm deep, bevel toward {side}y"
     misses = {
         str(row["plan"]): f"{fixed(row['median_mm'])} and {fixed(row['miss_95_mm'])} mm"
         for row in rows.values()
     }
-    others = "; ".join(f"{PLAN_NAMES[name]}, {both}" for name, both in misses.items() if name != EXPECTED)
+    others = "; ".join(
+        f"{PLAN_NAMES[name]}, {both}{_bounded(answer, rows[name])}"
+        for name, both in misses.items()
+        if name != EXPECTED
+    )
     return [
-        f"To bring the tip to x = {x:g}, y = {y:g} mm: enter at y = {_signed(ours['offset_mm'])} mm, {way}.",
+        f"{_aim_said(answer, ours)}: enter at y = {_signed(ours['offset_mm'])} mm, {way}"
+        f"{_bounded(answer, ours)}.",
         f"Tried on {ours['tried']} fresh draws, half and 95 % of the needles miss by at most "
         f"{misses[EXPECTED]}. {_beyond_said(answer)}",
         f"Other plans: {others}.",
     ]
+
+
+def _aim_said(answer: Answer, ours: Row) -> str:
+    """Return what the plan is for, or that there is none, and what stands in its place."""
+    (x, y), limit = _record(answer).target_mm, max(_record(answer).tolerances_mm)
+    target = f"x = {x:g}, y = {y:g} mm"
+    if reaches(ours["median_mm"], limit):
+        return f"To bring the tip to {target}"
+    return f"No plan within these bounds reaches {target}, to {limit:g} mm. The one that misses least"
+
+
+def _bounded(answer: Answer, row: Row) -> str:
+    """Return which values of a plan stand at a bound of the study file."""
+    held = at_bounds(_record(answer).entrance, row)
+    return f" (at a bound of the study: {', '.join(held)})" if held else ""
 
 
 def _beyond_said(answer: Answer) -> str:
@@ -51,12 +72,16 @@ def layouts(answer: Answer) -> list[Display]:
     head = (text("Plan", wide=True), Column("Offset", "mm"), Column("Angle", "°"), Column("Depth", "mm"))
     ends = (Column("Bevel"), Column("Half miss by", "mm"), Column("95 % by", "mm"), Column("rms", "mm"))
     columns = (*head, *ends, Column("Bias x, y", "mm"), Column("Spread", "mm"))
+    entrance = _record(answer).entrance
+    cells = tuple(_cells(row, at_bounds(entrance, row)) for row in plans)
     note = (
         "Misses of fresh draws of the parameters, with errors of entry, depth and layers. Bias: the mean tip "
         "less the target. Spread: root mean square distance from the mean tip."
     )
     caption = "The plans, and by how much they miss."
-    table = Display("plans", caption, columns, tuple(map(_cells, plans)), strong=(0,), notes=(note,))
+    marked = any(at_bounds(entrance, row) for row in plans)
+    notes = (note, *(("* At a bound of the study file.",) if marked else ()))
+    table = Display("plans", caption, columns, cells, strong=(0,), notes=notes)
     limits = beyond[["what", "limit_mm"]].drop_duplicates().itertuples(index=False)
     heads = [f"misses by > {limit:g} mm" if what == TARGET else f"touches {what}" for what, limit in limits]
     rows = tuple(
@@ -69,8 +94,10 @@ def layouts(answer: Answer) -> list[Display]:
     return [table, Display("beyond", caption, shares, rows, strong=(0,), notes=(note,))]
 
 
-def _cells(row: Row) -> tuple[str, ...]:
-    aim = (_signed(row["offset_mm"]), _signed(row["angle_deg"]), f"{row['depth_mm']:.1f}")
+def _cells(row: Row, bounded: Collection[str]) -> tuple[str, ...]:
+    """Return the cells of a plan; values at a bound have a star."""
+    values = {"offset": row["offset_mm"], "angle": row["angle_deg"], "depth": row["depth_mm"]}
+    aim = (f"{_signed(value)}{'*' if name in bounded else ''}" for name, value in values.items())
     bias = f"{_signed(row['bias_x_mm'], 2)}, {_signed(row['bias_y_mm'], 2)}"
     misses = (fixed(row[name]) for name in ("median_mm", "miss_95_mm", "rms_mm"))
     side = "+y" if row["bevel_side"] > 0 else "−y"

@@ -16,6 +16,9 @@ from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.specimens.verb import BEST_TOLD, LEVELS
 
+NAMED = 3
+"""Specimens at most that a sentence names; more are counted."""
+
 
 def said(answer: Answer) -> list[str]:
     """Return what the spread between specimens can be, or how often intervals held a known one."""
@@ -36,8 +39,56 @@ def _population_said(answer: Answer, what: str) -> list[str]:
     count = f"{spreads[0]['specimens']} {what}s"
     return [
         f"Spread between {count} (standard deviation of the logarithm, 95 %): {parts}.{reach}",
-        f"A further {what}, 95 %: {further}.",
+        f"A further {what}, 95 %: {further}.{_beyond_bounds(answer, new, what)}",
+        *_pressing(answer, what),
     ]
+
+
+def _beyond_bounds(answer: Answer, new: list[Row], what: str) -> str:
+    """Return where the interval of a further specimen leaves the medium's bounds, which no fit ever did."""
+    ends = _bounds(answer)
+    beyond = [
+        f"{_name(row)} ({_between(row['parameter'], *ends[row['parameter']])})"
+        for row in new
+        if row["parameter"] in ends
+        and (row["low_95"] < ends[row["parameter"]][0] or row["high_95"] > ends[row["parameter"]][1])
+    ]
+    if not beyond:
+        return ""
+    return (
+        f" That leaves the bounds within which the medium is fitted: {', '.join(beyond)}. Beyond them a "
+        f"further {what} is what the Gaussian of the population makes it, not what was seen."
+    )
+
+
+def _pressing(answer: Answer, what: str) -> list[str]:
+    """Return whose posterior lies within two standard deviations of a bound: it is the bound that ends it."""
+    ends, every = _bounds(answer), answer.frames["specimens"]
+    mine = every[every["groups"] == what]
+    count, held = mine["specimen"].nunique(), []
+    for name, rows in mine[mine["parameter"].isin(list(ends))].groupby("parameter", sort=False):
+        low, high = ends[str(name)]
+        near = rows[rows["mean"].sub(low).combine(high - rows["mean"], min) < 2 * rows["sd"]]
+        if len(near):
+            which = ", ".join(map(str, near["specimen"])) if len(near) <= NAMED else f"{len(near)} {what}s"
+            held.append(f"{_name({'parameter': name})} of {which}")
+    if not held:
+        return []
+    return [
+        f"Of {count} posteriors some lie within two standard deviations of a bound of the medium: "
+        f"{'; '.join(held)}. There the bound ends what the data leave open, and spread and further {what} "
+        "depend on it."
+    ]
+
+
+def _bounds(answer: Answer) -> dict[str, tuple[float, float]]:
+    """Return the bounds of the medium's free parameters: logarithms, of alpha itself."""
+    (part, *_) = answer.run["parts"]
+    given = {name: one["bounds"] for name, one in part["medium"]["parameters"].items() if one["bounds"]}
+    return {
+        name: (math.log(low), math.log(high)) if _in_log(name) else (low, high)
+        for name, (low, high) in given.items()
+    }
 
 
 def _recovery_said(answer: Answer) -> list[str]:
@@ -187,8 +238,12 @@ def _interval(row: Row) -> str:
 
 def _values(row: Row) -> str:
     """Return the 95 % interval of a parameter in its own unit."""
-    name = str(row["parameter"])
-    low, high = (math.exp(row[key]) if _in_log(name) else row[key] for key in ("low_95", "high_95"))
+    return _between(str(row["parameter"]), row["low_95"], row["high_95"])
+
+
+def _between(name: str, *ends: float) -> str:
+    """Return two ends, of logarithms where the parameter is told as one, in the parameter's own unit."""
+    low, high = (math.exp(end) if _in_log(name) else end for end in ends)
     unit = {"_pa": " Pa", "_mm": " mm"}.get(name[-3:], "")
     return f"{typeset(number(low))} to {typeset(number(high))}{unit}"
 
