@@ -6,16 +6,21 @@ import pytest
 from reporting_results import stereo, study
 
 from needlefit.reporting import figures, write
-from needlefit.reporting.figures.residuals import off_normal
+from needlefit.reporting.figures.residuals import about_fit
 from needlefit.reporting.figures.waterfall import counted
 
 
-def test_residuals_are_normal_to_the_measured_shape():
-    along = np.linspace(0, 10, 11)
-    x, y = 0.6 * along, 0.8 * along  # a straight needle, its left normal (-0.8, 0.6)
-    shape = pd.DataFrame({"measured_x_mm": x, "measured_y_mm": y})
-    moved = shape.assign(simulated_x_mm=x - 0.8 * 0.5 + 0.6 * 2, simulated_y_mm=y + 0.6 * 0.5 + 0.8 * 2)
-    assert off_normal(moved) == pytest.approx(np.full(11, 0.5))  # 2 mm along it count for nothing
+def test_residuals_are_heights_above_the_fit_at_the_same_depth():
+    """The fit is y = x / 10 to x = 10; a rival lies 0.5 mm above it, at other depths and beyond its tip."""
+    fit = pd.DataFrame({"curve": "fitted", "x_mm": [0.0, 4.0, 10.0], "y_mm": [0.0, 0.4, 1.0]})
+    at = np.array([-1.0, 1.0, 7.0, 12.0])
+    rival = pd.DataFrame({"curve": "hand_tuned", "x_mm": at, "y_mm": 0.1 * at + 0.5})
+    band = pd.DataFrame({"curve": "95 %", "x_mm": at, "low_mm": 0.1 * at - 1, "high_mm": 0.1 * at + 2})
+    off = about_fit(pd.concat([fit, rival, band]).assign(fold="all", insertion="one"))
+    assert set(off["curve"]) == {"hand_tuned", "95 %"}
+    assert off["y_mm"].dropna().tolist() == pytest.approx([0.5] * 4)
+    assert off["low_mm"].dropna().tolist() == pytest.approx([-1.0] * 4)
+    assert off["high_mm"].dropna().tolist() == pytest.approx([2.0] * 4)
 
 
 def test_starts_are_counted_as_each_search_had_them():
@@ -24,8 +29,16 @@ def test_starts_are_counted_as_each_search_had_them():
     assert counted(stereo().starts.query("fold == 1")) == "8 starts"
 
 
-def test_aligned_shapes_are_shown_by_their_residuals_too(tmp_path):
-    path = figures.residuals(stereo(), tmp_path / "residuals.pdf")
-    assert path.read_bytes().startswith(b"%PDF")
-    files = {path.name for path in write.write(stereo(), tmp_path / "stereo")}
-    assert {"overlays.pdf", "residuals.pdf"} <= files
+def test_needles_are_drawn_to_scale(monkeypatch, tmp_path):
+    painted = []
+    monkeypatch.setattr("needlefit.reporting.figures.style.draw", lambda path, paint: painted.append(paint()))
+    for results in (study(5), stereo()):
+        figures.overlays(results, tmp_path / "overlays.pdf")
+    shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
+    assert shown and {axes.get_aspect() for axes in shown} == {1.0}
+
+
+def test_every_study_shows_its_residuals(tmp_path):
+    for results in (study(5), stereo()):
+        files = {path.name for path in write.write(results, tmp_path / results.name)}
+        assert {"overlays.pdf", "residuals.pdf", "residuals.csv"} <= files

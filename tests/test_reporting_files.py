@@ -15,12 +15,12 @@ from reporting_results import stereo, study
 
 from needlefit.errors import ConfigError
 from needlefit.reporting import write
-from needlefit.reporting.figures.overlays import stretch
+from needlefit.reporting.figures.style import stretch
 from needlefit.reporting.story import story
 from needlefit.reporting.together import write_all
 from needlefit.validation.results import COLUMNS
 
-FIGURES = ("boxplot", "overlays", "rivals", "waterfall")
+FIGURES = ("boxplot", "overlays", "residuals", "rivals", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),

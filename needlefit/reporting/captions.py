@@ -8,13 +8,15 @@ BOXPLOT = (
 )
 OVERLAYS = (
     "Measured needles (dots) and what the model makes of them (lines), one panel per insertion, all in the "
-    "same axes. Bands: where 50 and 95 % of measurements of a held-out needle were foretold to lie. "
-    "Deflection is positive toward the bevel; the axis says by how much it is drawn larger than depth. Above "
-    "each panel stand its errors."
+    "same axes, depth and deflection to the same scale. Bands: where 50 and 95 % of measurements of a "
+    "held-out needle were foretold to lie. Deflection is positive toward the bevel. Above each panel stand "
+    "its errors."
 )
 RESIDUALS = (
-    "How far each curve lies from the measured needle, normal to it, after alignment, along the needle; "
-    "positive to the left of its course. The straight line is left out, its residuals would hide the others."
+    "What needles drawn to scale hide: deflection less that of the fitted needle at the same depth, positive "
+    "toward the bevel; stretched freely, for it is no geometry. Bands as above: they are of draws of the "
+    "posterior, with the errors of measurement, along the layers that each draw would meet, and need not lie "
+    "about the fit. Curves that leave a panel lie farther off; the straight line is left out."
 )
 WATERFALL = (
     "Left: how far each start of a search ended above its best, best first, in units of what still counts as "

@@ -109,8 +109,7 @@ def _draw(results: Results, folder: Path) -> dict[str, Path]:
         )
     if _has(results.errors, role) and _has(results.shapes, role):
         drawn["overlays"] = figures.overlays(results, folder / "overlays.pdf", role)
-        if (results.errors["comparison"] == "aligned").any():
-            drawn["residuals"] = figures.residuals(results, folder / "residuals.pdf", role)
+        drawn["residuals"] = figures.residuals(results, folder / "residuals.pdf", role)
     if len(results.draws) and free(results):
         drawn["corner"] = figures.corner(results, folder / "corner.pdf")
     if len(results.starts):

@@ -5,8 +5,7 @@ from pathlib import Path
 import pandas as pd
 from matplotlib.figure import Figure
 
-from needlefit.reporting.figures.overlays import stretch
-from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot, snug
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot, snug, stretch
 from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS
 
 _BESIDE = 0.2  # share of the bands' height left free above and below

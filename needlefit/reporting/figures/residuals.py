@@ -1,97 +1,96 @@
-"""How far simulated shapes lie from measured ones, along each insertion: what overlays are too small for."""
+"""How far measured needles and other curves lie off the fitted one: what needles drawn to scale hide."""
 
 import math
-from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
+from needlefit.reporting.figures.insertions import (
+    DASHED,
+    DOT,
+    HEIGHTS,
+    KEYS,
+    curves,
+    explain,
+    paint_bands,
+    panels,
+)
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import INK, RIVAL_COLOURS, rival_name
+from needlefit.reporting.names import RIVAL_COLOURS, rival_name
 from needlefit.validation.results import Results
 
-_SHOWN = ("constant_curvature", "linear_curvature", "hand_tuned", "fitted")
-_KEYS = ["fold", "insertion"]
+Floats = NDArray[np.float64]
+
+_RIVALS = ("hand_tuned", "linear_curvature", "constant_curvature")
+_EVERY = 2  # of the points compared, one in so many is drawn
 
 
 def residuals(results: Results, path: Path, role: str = "validate") -> Path:
-    """Draw, per insertion of a role, simulated minus measured normal to the measured shape, mm.
+    """Draw, per insertion of a role, deflections less that of the fitted needle at the same x, mm.
 
-    The straight line is left out: its residuals would hide all others.
+    Measured points as dots, rivals as lines, and the bands of what was foretold. The straight line is left
+    out: it would hide all others.
     """
-    names = {rival: rival_name(rival, results) for rival in _SHOWN}
-    return plot(path, _off(results, role), lambda off: _paint(off, names))
+    names = {rival: rival_name(rival, results) for rival in ("fitted", *_RIVALS)}
+    off = about_fit(curves(results, role, ("fitted", *_RIVALS), _EVERY))
+    return plot(path, off, lambda points: _paint(points, names))
 
 
-def _off(results: Results, role: str) -> pd.DataFrame:
-    """Return how far each curve lies off each measured needle, point by point, mm."""
-    where = "role == @role and boundaries == 'measured' and rival in @_SHOWN"
-    shapes = results.shapes.query(where, local_dict={"role": role, "_SHOWN": _SHOWN})
-    about = [*_KEYS, "rival", "j", "measured_x_mm"]
-    parts = [
-        shape[about].assign(off_normal_mm=off_normal(shape))
-        for _, shape in shapes.sort_values("j", kind="stable").groupby([*_KEYS, "rival"], sort=False)
-    ]
-    return pd.concat(parts, ignore_index=True).assign(origin=results.origin)
+def about_fit(points: pd.DataFrame) -> pd.DataFrame:
+    """Return all curves but the fit, their heights less the fit's at the same x."""
+    parts = []
+    for _, mine in points.groupby(KEYS, sort=False):
+        fit = mine[mine["curve"] == "fitted"].dropna(subset="y_mm")
+        others = mine[mine["curve"] != "fitted"]
+        if len(fit) > 1:
+            height = _height(fit["x_mm"].to_numpy(), fit["y_mm"].to_numpy(), others["x_mm"].to_numpy())
+            parts.append(others.assign(**{name: others[name] - height for name in HEIGHTS}))
+    return pd.concat(parts, ignore_index=True) if parts else points.head(0)
 
 
-def off_normal(shape: pd.DataFrame) -> NDArray[np.float64]:
-    """Return by how much a simulated shape lies to the left of the measured one, point by point (K,), mm.
-
-    Parameters
-    ----------
-    shape : DataFrame
-        `measured_x_mm`, `measured_y_mm`, `simulated_x_mm` and `simulated_y_mm` in the order of the points.
-    """
-    measured = shape[["measured_x_mm", "measured_y_mm"]].to_numpy(dtype=np.float64)
-    simulated = shape[["simulated_x_mm", "simulated_y_mm"]].to_numpy(dtype=np.float64)
-    tangent = np.gradient(measured, axis=0)  # (K, 2)
-    tangent /= np.hypot(*tangent.T)[:, None]
-    off = simulated - measured
-    across: NDArray[np.float64] = tangent[:, 0] * off[:, 1] - tangent[:, 1] * off[:, 0]
-    return across
+def _height(x: Floats, y: Floats, at: Floats) -> Floats:
+    """Return a needle's height at `at` (K,), straight on beyond its ends."""
+    found: Floats = np.interp(at, x, y)
+    for end, beside, beyond in ((0, 1, at < x[0]), (-1, -2, at > x[-1])):
+        slope = (y[end] - y[beside]) / (x[end] - x[beside])
+        found = np.where(beyond, y[end] + slope * (at - x[end]), found)
+    return found
 
 
-def _paint(off: pd.DataFrame, names: Mapping[str, str]) -> Figure:
-    panels = dict(list(off.groupby(_KEYS, sort=False)))
-    columns = min(3, len(panels))
-    rows = math.ceil(len(panels) / columns)
-    figure = Figure(figsize=(WIDTH * max(columns, 2) / 3, 1.15 * rows + 0.75))
-    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    for axes, ((_, insertion), group) in zip(grid.flat, panels.items(), strict=False):
-        _panel(axes, group)
-        axes.set_title(str(insertion), loc="left", pad=3)
-    spare = list(grid.flat)[len(panels) :]
-    for i, axes in enumerate(reversed(spare), start=1):
-        axes.set_visible(False)
-        if rows > 1:
-            grid[-2, -i].tick_params(labelbottom=True)
-    figure.supxlabel("measured x (mm)", fontsize=7.5)
-    figure.supylabel("simulated minus measured,\nnormal to the shape (mm)", fontsize=7.5)
-    _explain(figure, {rival: name for rival, name in names.items() if (off["rival"] == rival).any()})
-    label_origin(figure, is_synthetic(off))
+def _paint(points: pd.DataFrame, names: dict[str, str]) -> Figure:
+    wanted = list(points[KEYS].drop_duplicates().itertuples(index=False, name=None))
+    columns = min(3, max(len(wanted), 2))
+    figure = Figure(figsize=(WIDTH, 1.15 * math.ceil(len(wanted) / columns) + 0.95))
+    for axes, _, mine in panels(figure, points, columns, wanted):
+        _panel(axes, mine)
+    axes.set_ylim(_limits(points))
+    figure.supxlabel("depth x (mm)", fontsize=7.5)
+    figure.supylabel("toward the bevel,\nless the fitted needle (mm)", fontsize=7.5)
+    explain(figure, {"fitted", *points["curve"]}, names)
+    label_origin(figure, is_synthetic(points))
     return figure
 
 
-def _panel(axes: Axes, group: pd.DataFrame) -> None:
-    axes.axhline(0.0, color=INK, lw=0.5)
-    for rival in _SHOWN:
-        shape = group[group["rival"] == rival]
-        if len(shape):
-            width = 1.4 if rival == "fitted" else 0.8
-            axes.plot(shape["measured_x_mm"], shape["off_normal_mm"], color=RIVAL_COLOURS[rival], lw=width)
+def _panel(axes: Axes, points: pd.DataFrame) -> None:
+    paint_bands(axes, points)
+    axes.axhline(0.0, color=RIVAL_COLOURS["fitted"], lw=1.0)
+    for rival in _RIVALS:
+        curve = points[points["curve"] == rival]
+        line = {"color": RIVAL_COLOURS[rival], "lw": 0.8, "ls": DASHED.get(rival, "-")}
+        axes.plot(curve["x_mm"], curve["y_mm"], **line)
+    dots = points[points["curve"] == "measured"]
+    axes.plot(dots["x_mm"], dots["y_mm"], "o", zorder=4, **{**DOT, "ms": 1.8, "mew": 0})
     light_grid(axes, "y")
 
 
-def _explain(figure: Figure, names: Mapping[str, str]) -> None:
-    handles = [
-        Line2D([], [], color=RIVAL_COLOURS[rival], lw=1.3, label=names[rival])
-        for rival in reversed(_SHOWN)
-        if rival in names
-    ]
-    figure.legend(handles=handles, loc="outside upper left", ncols=4, handlelength=1.3)
+def _limits(points: pd.DataFrame) -> tuple[float, float]:
+    """Return what holds all measured points and bands, and of rivals what lies not much farther."""
+    near = points[~points["curve"].isin(_RIVALS)]
+    every, own = (frame[HEIGHTS].to_numpy(dtype=np.float64) for frame in (points, near))
+    low, high = float(np.nanmin(own)), float(np.nanmax(own))
+    room = 0.5 * (high - low)
+    return max(low - room, float(np.nanmin(every))), min(high + room, float(np.nanmax(every)))

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 from needlefit.mechanics.control import Guide, Step
 from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.reporting.figures.overlays import stretch
-from needlefit.reporting.figures.style import WIDTH, snug
+from needlefit.reporting.figures.style import WIDTH, snug, stretch
 from needlefit.reporting.figures.tissue import layer_labels, shades
 from needlefit.reporting.names import GREY, INK
 

@@ -14,6 +14,7 @@ from needlefit.reporting.files import write_csv
 from needlefit.reporting.names import GREY, INK, SYNTHETIC
 
 WIDTH = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
+_STRETCHES = (1, 2, 5, 10, 20, 50, 100)
 _METADATA: dict[str, dict[str, None]] = {
     ".pdf": {"CreationDate": None},
     ".svg": {"Date": None},
@@ -93,6 +94,12 @@ def snug(figure: Figure) -> None:
     figure.draw_without_rendering()
     margin = 0.04  # inches, as the layout leaves at the sides
     figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
+
+
+def stretch(width: float, height: float) -> int:
+    """Return the largest of 1, 2, 5, ... that keeps a drawing of `width` by `height` mm wider than high."""
+    fitting = [factor for factor in _STRETCHES if factor * height <= 0.62 * width]
+    return fitting[-1] if fitting else 1
 
 
 def is_synthetic(frame: pd.DataFrame) -> bool:
