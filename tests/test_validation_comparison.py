@@ -147,7 +147,7 @@ def _answer(**changed):
     )
     rng, made = np.random.default_rng(2), []
     for k in range(4):
-        planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=31)
+        planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=21)
         made.append(measured(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
     job = _job(tuple(made), dealt(tuple(made), 2))
     return answered("cases", record, Settings(), plan(record, job, Settings()))

@@ -1,8 +1,9 @@
 """Where and how to enter so that the tip comes to a target."""
 
+import math
 from typing import Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from needlefit.project.records.record import Record
 from needlefit.project.records.tuned import TunedInquiryRecord
@@ -54,6 +55,20 @@ class PlanRecord(TunedInquiryRecord):
     kind: Literal["plan"]
     like: str
     target_mm: Point
-    tolerances_mm: tuple[float, ...] = Field(default=(1.0, 2.0), min_length=1)
+    tolerances_mm: tuple[PositiveFloat, ...] = Field(default=(1.0, 2.0), min_length=1)
     entrance: EntranceRecord
     obstacles: tuple[ObstacleRecord, ...] = ()
+
+    @model_validator(mode="after")
+    def _within_reach(self) -> Self:
+        """Refuse what no needle of these depths reaches, however it bends."""
+        (x, y), (low, high), deepest = self.target_mm, self.entrance.offset_mm, self.entrance.depth_mm[1]
+        away = math.hypot(x, y - min(max(y, low), high))
+        if x <= 0:
+            raise ValueError(f"target_mm lies before the entrance, x = 0: x is {x:g} mm")
+        if away > deepest + max(self.tolerances_mm):
+            raise ValueError(
+                f"target_mm is {away:.1f} mm from the nearest entry that offset_mm allows; depth_mm ends "
+                f"at {deepest:g} mm"
+            )
+        return self

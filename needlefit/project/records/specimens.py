@@ -2,7 +2,7 @@
 
 from typing import Literal
 
-from pydantic import Field
+from pydantic import Field, NonNegativeFloat
 
 from needlefit.project.records.record import Record
 from needlefit.project.records.tuned import TunedInquiryRecord
@@ -18,7 +18,7 @@ class RecoveryRecord(Record):
 
     specimens: int = Field(ge=3)
     replicates: int = Field(ge=1)
-    spreads: tuple[float, ...] = Field(min_length=1)
+    spreads: tuple[NonNegativeFloat, ...] = Field(min_length=1)
     mean: dict[str, float]
 
 

@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.geometry.crossings import crossings
-from needlefit.project.records.plan import PlanRecord
+from needlefit.project.records.plan import EntranceRecord, PlanRecord
 from needlefit.project.streams import stream
 from needlefit.validation.coverage import share
 from needlefit.validation.inquiries.answer import Answer
@@ -44,6 +44,9 @@ SEEK, TRY = 60, 400
 
 SHOWN = 80
 """Needles of the plan that are kept to be drawn."""
+
+PRINTED = 0.05
+"""Values nearer to a bound, mm or degrees, are printed as the bound."""
 
 RAYS = 121
 """Lines along x on which the layers of the plane are found."""
@@ -101,7 +104,8 @@ def ask(name: str, record: PlanRecord, settings: Settings) -> Answer:
         **{one: partial(_piece, known, one, settings) for one in names},
         "layers": partial(_layers, site),
     }
-    return answered(name, record, settings, Plan([job], pieces, FRAMES, _conclude))
+    conclude = partial(_conclude, max(record.tolerances_mm))
+    return answered(name, record, settings, Plan([job], pieces, FRAMES, conclude))
 
 
 def _known(site: Site, settings: Settings) -> _Known | None:
@@ -185,6 +189,15 @@ def _plan(name: str, aimed: Aimed, off: Floats, failed: int) -> Row:
     return chosen | dict(zip(_MISS, map(float, found), strict=True))
 
 
+def at_bounds(entrance: EntranceRecord, row: Row) -> tuple[str, ...]:
+    """Return which of a plan's values stand at a bound of the study file, as far as tables print them."""
+    ranges = {"offset": entrance.offset_mm, "angle": entrance.angle_deg, "depth": entrance.depth_mm}
+    values = {"offset": row["offset_mm"], "angle": row["angle_deg"], "depth": row["depth_mm"]}
+    return tuple(
+        name for name, ends in ranges.items() if min(abs(values[name] - end) for end in ends) < PRINTED
+    )
+
+
 def _beyond(record: PlanRecord, name: str, misses: Floats, paths: list[Floats]) -> list[Row]:
     """Return how many needles miss by more than each tolerance, and how many touch an obstacle."""
     held = [(TARGET, limit, misses > limit) for limit in record.tolerances_mm]
@@ -217,11 +230,25 @@ def _layers(site: Site) -> Rows:
     return {"layers": rows}
 
 
-def _conclude(frames: Frames) -> tuple[str, ...]:
+def _conclude(limit: float, frames: Frames) -> tuple[str, ...]:
     plans = frames["plans"]
     lost = plans[plans["failed_solves"].astype(float) > 0]
     failed = [
         f"{row.failed_solves} of {row.tried} needles of plan {row.plan} have no solution"
         for row in lost.itertuples()
     ]
-    return (*(fault for fault in frames["posterior"]["fault"] if fault), *failed)
+    ours = plans.set_index("plan")["median_mm"].astype(float)
+    beside = () if reaches(float(ours[EXPECTED]), limit) else (_beside(float(ours[EXPECTED]), limit),)
+    return (*beside, *(fault for fault in frames["posterior"]["fault"] if fault), *failed)
+
+
+def reaches(median: float | None, limit: float) -> bool:
+    """Return whether at least half of a plan's needles come within `limit` mm; none where none is solved."""
+    return median is not None and median <= limit
+
+
+def _beside(median: float, limit: float) -> str:
+    missed = f"half of the needles of the best one miss by more than {median:.1f} mm"
+    if not np.isfinite(median):
+        missed = "no needle of the best one has a solution"
+    return f"no plan within these bounds comes within {limit:g} mm of the target: {missed}"

@@ -105,13 +105,34 @@ def _check(job: Job, record: SpecimensRecord) -> None:
         if missing:
             raise ConfigError(
                 f"no mean is given for {', '.join(missing)}",
-                where="recovery.mean",
+                where=f"study {job.name}, key recovery.mean",
                 expected="one value for each free parameter",
             )
+        _check_mean(job, record.recovery.mean)
         return
     for what in record.groups:
         if len(groups(job.folds[0].tune, what)) < 2:
-            raise ConfigError(f"there is only one {what}: a spread needs two", mend="select more")
+            raise ConfigError(
+                f"there is only one {what}: a spread needs two",
+                where=f"study {job.name}, key tune",
+                mend="select more",
+            )
+
+
+def _check_mean(job: Job, mean: Mapping[str, float]) -> None:
+    """Refuse a mean that the medium does not have, or has only beyond its bounds."""
+    for name, value in mean.items():
+        where = f"study {job.name}, key recovery.mean.{name}"
+        if name not in job.parameters.bounds:
+            free = ", ".join(job.parameters.free)
+            raise ConfigError("this parameter is not free", where=where, expected=f"one of {free}")
+        low, high = job.parameters.bounds[name]
+        if not low < value < high:
+            raise ConfigError(
+                f"{value:g} is not within the bounds of medium {job.record.medium}",
+                where=where,
+                expected=f"a number between {low:g} and {high:g}",
+            )
 
 
 def _measured(job: Job, record: SpecimensRecord, what: str, settings: Settings) -> Rows:
