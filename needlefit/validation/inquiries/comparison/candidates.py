@@ -98,7 +98,10 @@ def _by_law(job: Job, fold: Fold, settings: Settings) -> Candidate | None:
         if met is None:
             return None
         both = replace(problem, insertions=(*problem.insertions, met))
-        peaks = distinct((settle(both, end).theta for end in ends), width)
+        settled = [settle(both, end) for end in ends]
+        peaks = distinct((one.theta for one in settled if np.isfinite(one.value)), width)
+        if not len(peaks):
+            return None
         rng = stream(seed, job.name, fold.name, "weighed", insertion.id)
         return surely(lambda effort: weighed(both, peaks, rng, settings.jobs, effort))
 
