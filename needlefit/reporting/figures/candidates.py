@@ -1,6 +1,5 @@
 """Differences of log predictive density between candidates, group by group."""
 
-from functools import partial
 from pathlib import Path
 
 import pandas as pd
@@ -21,8 +20,8 @@ _COLOURS = {
 
 def draw_candidates(answer: Answer, path: Path) -> Path:
     """Draw one row for each candidate but the reference."""
-    frame = answer.frames["contest"].assign(origin=answer.origin)
-    return plot(path, frame, partial(_paint, one=held_out(answer)))
+    frame = answer.frames["contest"].assign(held_out=held_out(answer), origin=answer.origin)
+    return plot(path, frame, _paint)
 
 
 def held_out(answer: Answer) -> str:
@@ -31,7 +30,7 @@ def held_out(answer: Answer) -> str:
     return "group of repeats" if told["group"].nunique() < told["insertion"].nunique() else "needle"
 
 
-def _paint(frame: pd.DataFrame, one: str) -> Figure:
+def _paint(frame: pd.DataFrame) -> Figure:
     rows = list(dict.fromkeys(frame["candidate"]))
     figure = Figure(figsize=(WIDTH, 0.9 + 0.36 * len(rows)))
     axes = figure.add_subplot()
@@ -40,7 +39,9 @@ def _paint(frame: pd.DataFrame, one: str) -> Figure:
         _row(axes, y, records(frame[frame["candidate"] == name]))
     axes.set_xscale("symlog", linthresh=1.0)
     _ticks(axes)
-    axes.set_xlabel(f"log predictive density less the reference’s, each {one} (symmetric logarithm)")
+    axes.set_xlabel(
+        f"log predictive density less the reference’s, each {frame['held_out'].iloc[0]} (symmetric logarithm)"
+    )
     axes.set_yticks(range(len(rows)), [CANDIDATE_NAMES[name] for name in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
