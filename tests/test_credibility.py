@@ -44,6 +44,12 @@ def left(tmp_path_factory):
     return leave(results(), tmp_path_factory.mktemp("left"))
 
 
+@pytest.fixture(scope="module")
+def bare(left):
+    """What is told of a run with nothing beside it."""
+    return told(left)
+
+
 @pytest.fixture
 def alone(left, tmp_path):
     """A run with nothing beside it."""
@@ -62,20 +68,19 @@ def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them()
     assert {one.key for one in FACTORS if one.by_people} == {*AboutRecord.model_fields} - {"schema_"}
 
 
-def test_without_evidence_every_gap_is_a_box_that_says_what_would_fill_it(alone):
-    found = told(alone)
+def test_without_evidence_every_gap_is_a_box_that_says_what_would_fill_it(bare):
     for key in ("question_of_interest", "context_of_use", "relevance_of_quantities"):
-        words, gaps = found[key]
+        words, gaps = bare[key]
         assert words == "" and len(gaps) == 1 and key in gaps[0] and "--about" in gaps[0]
     for key in ("code_verification", "discretisation"):
-        assert found[key] == ("", ["Nothing found. needlefit verify would give it."])
-    gaps = {key: " ".join(found[key][1]) for key in found}
+        assert bare[key] == ("", ["Nothing found. needlefit verify would give it."])
+    gaps = {key: " ".join(bare[key][1]) for key in bare}
     assert "nothing found of tie, advance, constraint spacing" in gaps["form"]
     assert "nothing found of thickness, rigidity, layer depths" in gaps["sensitivities"]
     assert "needlefit identify" in gaps["sensitivities"]
     assert "needlefit calibrate" in gaps["uncertainties"]
     assert "nothing physical" in gaps["samples"]
-    assert found["samples_uncertainty"][0] == ""
+    assert bare["samples_uncertainty"][0] == ""
 
 
 def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(alone, tmp_path):
@@ -175,8 +180,8 @@ def test_a_figure_beside_the_numbers_is_shown_and_its_bytes_are_recorded(alone, 
 def test_what_is_named_stands_for_what_lies_beside_and_is_refused_if_it_is_no_evidence(alone, tmp_path):
     leave_verification(tmp_path, measured=1e-8)
     named = leave_verification(tmp_path / "elsewhere", measured=2e-8)
-    assert "2.00 × 10⁻⁸" in told(alone, named)["code_verification"][0]
-    assert "1.00 × 10⁻⁸" in told(alone)["code_verification"][0]
+    for given, measured in (((named,), "2.00 × 10⁻⁸"), ((), "1.00 × 10⁻⁸")):
+        assert measured in code_verification(case(alone, given)).findings[0].words
     foreign = leave_calibration(tmp_path / "elsewhere", of="study2")
     (evidence,) = case(alone, [foreign]).evidence[:1]
     assert evidence.objections == ("is of study2, not of study1",)
@@ -226,8 +231,8 @@ def test_what_people_state_fills_their_boxes(alone):
     assert found["context_of_use"][1]
 
 
-def test_a_range_validated_is_no_statement_of_its_relevance(alone):
-    words, gaps = told(alone)["relevance_of_validation"]
+def test_a_range_validated_is_no_statement_of_its_relevance(bare):
+    words, gaps = bare["relevance_of_validation"]
     assert "Beyond that, nothing was" in words and "relevance_of_validation" in gaps[0]
 
 

@@ -22,7 +22,7 @@ def foreseen(thetas: np.ndarray, by_depth: np.ndarray) -> Foreseen:
 @pytest.mark.parametrize("by_depth", [np.zeros(3), np.array([0.5, -1.0, 2.0])])
 def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_depth):
     rng = np.random.default_rng(1)
-    thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=2000)
+    thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=1200)
     found = nested(foreseen(thetas, by_depth), np.arange(400), thetas, rng)
     noise = np.eye(3) + np.outer(by_depth, by_depth)  # the depth, integrated over
     after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ np.linalg.solve(noise, SLOPES))

@@ -88,7 +88,7 @@ def test_both_hills_of_two_weigh_alike():
 def test_heavy_tails_are_not_certified():
     """Weights of a Pareto law with k = 1.5 have no mean; k is drawn to 0.5, by ten weights."""
     heavy = np.log(genpareto.rvs(1.5, size=20000, random_state=3))
-    found = Weighted(np.zeros((20000, 1)), np.zeros(20000), *smoothed(heavy), enough=1.0)
+    found = Weighted(np.zeros((20000, 1)), np.zeros(20000), *smoothed(heavy), enough=1.0, log_evidence=0.0)
     assert found.k == pytest.approx(1.5, abs=0.4) and not found.certified
 
 
@@ -124,8 +124,8 @@ def test_a_mixture_is_fitted_to_its_own_draws():
 
 def test_resampled_draws_stand_once_and_by_their_weight():
     rng = np.random.default_rng(7)
-    known = Weighted(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0)
+    known = Weighted(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
     assert len(set(resampled(known, 79, rng).tolist())) == 79
     few = np.log(np.array([0.8, 0.2]))
-    drawn = resampled(Weighted(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0), 4000, rng)
+    drawn = resampled(Weighted(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
     assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)

@@ -66,8 +66,8 @@ def test_an_entry_says_its_layers_whole(entry, fault):
 
 
 def test_deep_insertions_into_one_layer_tell_more_and_alpha_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(next_insertion, "OUTER", 60)
-    monkeypatch.setattr(knowledge, "MANY", Effort(draws=150, enough=200.0))
+    monkeypatch.setattr(next_insertion, "OUTER", 40)
+    monkeypatch.setattr(knowledge, "MANY", Effort(draws=100, enough=150.0))
     answer = next_insertion.ask("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
     found = answer.frames["candidates"].set_index("depth_mm")
     assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]

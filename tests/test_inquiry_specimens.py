@@ -7,7 +7,7 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.project.records.specimens import SpecimensRecord
-from needlefit.reporting.inquiries.specimens import draw_specimens, said
+from needlefit.reporting.inquiries.specimens import draw_all, said
 from needlefit.reporting.inquiries.write import write_answer
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.specimens.verb import ask
@@ -65,7 +65,7 @@ def test_intervals_are_held_against_the_population_that_was_made_up(tmp_path):
     spreads = coverage[(coverage["what"] == "spread") & (coverage["level"] == 0.95)]
     held = found[(found["what"] == "spread") & (found["low_95"] == 0.0)]
     assert spreads["held"].sum() == len(held)
-    assert draw_specimens(answer, tmp_path)["recovered"].is_file()
+    assert draw_all(answer, tmp_path)["recovered"].is_file()
     assert "reached 0" in said(answer)[1]
 
 

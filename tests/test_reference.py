@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from needlefit.project.load import load
-from needlefit.project.places import find
+from needlefit.project.places import PAPER_FITS, PAPER_STUDIES, find
 from needlefit.project.records.fit import SelectionRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import read_run
@@ -31,8 +31,9 @@ def rerun():
 
 
 def test_every_study_of_the_paper_has_its_evidence():
-    for name in ("study5",):
-        folder = REFERENCE / name
+    folders = {folder.name: folder for folder in REFERENCE.iterdir()}
+    assert folders.keys() >= {*PAPER_STUDIES, *PAPER_FITS}
+    for name, folder in folders.items():
         assert read_run(folder)["name"] == name
         for file in folder.glob("*.csv"):
             evidence = pd.read_csv(file)

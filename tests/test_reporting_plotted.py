@@ -1,8 +1,9 @@
 """Beside every figure lies what it draws, as a table, and what is drawn stands in it."""
 
-import re
+import ast
 from collections.abc import Iterator
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from reporting_results import stereo, study, told, with_draws
 from needlefit.reporting import ridge, write
 from needlefit.reporting.figures import style
 from needlefit.reporting.figures.foretold import counted
+from needlefit.validation.inquiries.answer import Answer
 
 WHAT = {
     "boxplot": ("y", slice(None)),
@@ -31,18 +33,14 @@ WHAT = {
 
 @pytest.fixture
 def painted(monkeypatch) -> dict[str, Figure]:
-    """Figures by the name of their file, as they are painted."""
+    """Figures by the name of their file, as they are painted; their files are left empty."""
     found: dict[str, Figure] = {}
-    draw = style.draw
 
-    def keep(path: Path, paint) -> Path:
-        def kept() -> Figure:
-            found[path.stem] = paint()
-            return found[path.stem]
+    def keep(figure: Figure, path: Path, **_: object) -> None:
+        path.touch()
+        found[path.stem] = figure
 
-        return draw(path, kept)
-
-    monkeypatch.setattr(style, "draw", keep)
+    monkeypatch.setattr(Figure, "savefig", keep)
     return found
 
 
@@ -112,12 +110,38 @@ def test_levels_are_counted_toward_the_bevel_and_by_needles():
     assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
 
 
-def test_no_figure_of_a_run_is_drawn_but_from_a_table():
-    """`style.draw` lays no table beside: it is for pictures of scans and scenes, and for frames of an answer,
-    which are written as they are.
-    """
-    room = Path(style.__file__).parent
-    importing = re.compile(r"^from needlefit\.reporting\.figures\.style import .*\bdraw\b", re.MULTILINE)
-    texts = {path.stem: path.read_text(encoding="utf-8") for path in room.rglob("*.py")}
-    using = {name for name, text in texts.items() if importing.search(text) and "answer: Answer" not in text}
-    assert using == {"across", "along", "scene"}
+def test_no_figure_is_drawn_but_from_a_table():
+    """`style.draw` lays no table beside: it is for pictures of scans and scenes."""
+    using = {name for name, tree in sources() if "draw" in imported(tree, style.__name__)}
+    assert using == {"figures/across.py", "figures/along.py", "figures/scene.py"}
+
+
+def test_what_paints_a_figure_of_an_answer_sees_nothing_but_its_table():
+    """A function of the module is handed on as it is: what closes over the answer would be a lambda."""
+    painting = {
+        name: [ast.unparse(call.args[2]) for call in ast.walk(tree) if is_plot(call)]
+        for name, tree in sources()
+        if "Answer" in imported(tree, Answer.__module__)
+    }
+    painters = [paint for found in painting.values() for paint in found]
+    assert painters and all(paint.isidentifier() for paint in painters), painting
+
+
+@cache
+def sources() -> tuple[tuple[str, ast.Module], ...]:
+    """All modules of `reporting`, by where they lie in it."""
+    room = Path(style.__file__).parent.parent
+    return tuple(
+        (path.relative_to(room).as_posix(), ast.parse(path.read_text(encoding="utf-8")))
+        for path in room.rglob("*.py")
+    )
+
+
+def imported(tree: ast.Module, module: str) -> set[str]:
+    """The names that are imported from a module."""
+    found = (node for node in ast.walk(tree) if isinstance(node, ast.ImportFrom) and node.module == module)
+    return {one.name for node in found for one in node.names}
+
+
+def is_plot(node: ast.AST) -> bool:
+    return isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == "plot"

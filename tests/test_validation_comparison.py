@@ -6,14 +6,17 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from scipy.stats import multivariate_normal, norm
+from scipy.integrate import quad
+from scipy.stats import multivariate_normal
 
+from needlefit.errors import ConfigError
 from needlefit.inference.baselines import LENGTH, curve_for
 from needlefit.inference.curve_density import CurveDensity
 from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import predict, predict_each
 from needlefit.inference.slopes import predict_with_slopes
+from needlefit.inference.ties import NOISE_SCALE
 from needlefit.mechanics.control import Bevel, Controls, Rules, Step
 from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.shape import positions
@@ -22,28 +25,17 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.recipe import LikelihoodRecord
+from needlefit.reporting.inquiries.comparison import said
 from needlefit.validation.calibration.measured import measured
+from needlefit.validation.folds import Fold
 from needlefit.validation.inquiries.answered import answered
-from needlefit.validation.inquiries.comparison.against import summed, verdict
-from needlefit.validation.inquiries.comparison.verb import dealt, log_mean, plan
+from needlefit.validation.inquiries.comparison.against import drawn_error, summed, verdict
+from needlefit.validation.inquiries.comparison.candidates import MOST, candidate, job_of
+from needlefit.validation.inquiries.comparison.verb import dealt, plan
 from needlefit.validation.job import Job, Settings
 from tests.inference_cases import NEEDLE, NOISE, dataset, insertion, measure, medium, squares_recipe
 
 TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
-
-
-def test_the_mean_density_of_a_conjugate_case_is_the_predictive_one():
-    # theta ~ N(1, 0.5^2), y ~ N(theta, 0.3^2): y ~ N(1, 0.5^2 + 0.3^2)
-    draws = np.random.default_rng(1).normal(1.0, 0.5, size=20000)
-    value, error = log_mean(norm.logpdf(1.7, draws, 0.3))
-    assert value == pytest.approx(norm.logpdf(1.7, 1.0, math.hypot(0.5, 0.3)), abs=3 * error)
-    assert error < 0.02
-
-
-def test_a_mean_of_densities_forgives_failed_draws_and_knows_when_there_is_none():
-    assert log_mean(np.array([-np.inf, math.log(4.0)]))[0] == pytest.approx(math.log(2.0))
-    assert log_mean(np.array([-800.0, -800.0]))[0] == pytest.approx(-800.0)  # no underflow
-    assert log_mean(np.array([-np.inf, -np.inf]))[0] == -np.inf
 
 
 def test_differences_are_summed_over_groups_and_their_error_is_that_of_the_groups():
@@ -54,11 +46,24 @@ def test_differences_are_summed_over_groups_and_their_error_is_that_of_the_group
     assert verdict(-np.inf, np.nan) == "tie"  # nothing is known where a density is missing
 
 
+def test_what_draws_leave_open_adds_up_where_needles_share_it():
+    errors = {"log_density_se": [0.5, 0.5, 0.4], "shared_se": [0.3, 0.3, 0.0], "fold": ["1", "1", "2"]}
+    # 0.4^2 + 0.4^2 + 0.4^2 of the needles, (2 * 0.3)^2 of the first fold
+    assert drawn_error(pd.DataFrame(errors)) == pytest.approx(math.sqrt(3 * 0.16 + 0.36))
+
+
 def test_repeats_are_never_on_both_sides():
     many = [replace(insertion(30.0 + k), specimen=f"hole {k % 5}") for k in range(15)]
     for fold in dealt(tuple(many), 3):
         assert not {one.specimen for one in fold.tune} & {one.specimen for one in fold.validate}
         assert len(fold.tune) + len(fold.validate) == 15
+
+
+def test_there_are_no_more_folds_than_needles():
+    many = tuple(replace(insertion(30.0 + k), specimen="one block") for k in range(4))
+    assert [len(fold.validate) for fold in dealt(many, 4)] == [1, 1, 1, 1]
+    with pytest.raises(ConfigError, match="5 folds cannot be dealt from 4 needles"):
+        dealt(many, 5)
 
 
 def _curved(depth, side=1):
@@ -93,7 +98,47 @@ def test_a_curves_peak_is_where_its_density_is_greatest():
     assert density.curve(peak).coefficients[0] == pytest.approx(0.001, rel=0.2)
 
 
+def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
+    """Its one parameter can be integrated over by quadrature."""
+    made = tuple(_curved(30.0 + 5 * k, (1, -1)[k % 2]) for k in range(3))
+    fold = Fold("all but one", made[:2], made[2:])
+    found = candidate("straight", job_of("straight", _job(made, (fold,))), fold, Settings())
+
+    def log_evidence(insertions):
+        density = CurveDensity("straight", dataset(made), insertions, LikelihoodRecord(), MOST)
+        top = density(density.peak[None])[0]
+        scaled = quad(lambda at: np.exp(density(np.array([[at]]))[0] - top), *(density.peak[0] + [-2.0, 2.0]))
+        return top + math.log(scaled[0])
+
+    told = found.foretells(made[2])
+    assert told.log_density == pytest.approx(log_evidence(made) - log_evidence(made[:2]), abs=0.15)
+    assert told.k < 0.7 and told.se < 0.1
+
+
+def test_further_points_add_their_whole_density():
+    """Nothing that the likelihood drops is missing from the ratio of two posteriors."""
+    made = [measure(TRUTH, medium(layers=1), insertion(30.0 + 6 * k), points=31) for k in range(2)]
+    job = job_of("ogden", _job(tuple(made), ()))
+    theta = job.parameters.theta({**TRUTH, "bevel_mm": 0.1, NOISE_SCALE: 1.3})
+    one, both = (job.problem(Fold("", tuple(some), ())) for some in (made[:1], made))
+    s = both.density.evidence[1].nodes.s[0]
+    shape = predict(both.values(theta), medium(layers=1), NEEDLE, made[1])
+    flat, x = np.full(len(s), NOISE.registration_mean / math.sqrt(8 / math.pi)), made[1].planar[:, 0]
+    slope = np.polynomial.Polynomial.fit(x, made[1].planar[:, 1], 5).deriv()(x)
+    modes = np.column_stack([flat, made[1].pose_angle_sd * x, -flat * slope])
+    cov = 1.3**2 * (points_covariance(s, NOISE) + modes @ modes.T)
+    exact = multivariate_normal.logpdf(positions(shape, s)[:, 1] - made[1].planar[:, 1], cov=cov)
+    assert both.log_posterior(theta) - one.log_posterior(theta) == pytest.approx(exact, abs=0.01)
+
+
 RECORD = {"schema": 1, "kind": "comparison", "dataset": "cases", "medium": "test", "folds": 2}
+
+
+def _job(made, folds):
+    fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "test"})
+    parameters = Parameters.from_record(medium(layers=1))
+    recipe = squares_recipe(starts=2)
+    return Job("cases", fit, dataset(made), medium(layers=1), parameters, recipe, None, folds)
 
 
 def _answer(**changed):
@@ -102,13 +147,9 @@ def _answer(**changed):
     )
     rng, made = np.random.default_rng(2), []
     for k in range(4):
-        planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=31)
+        planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=21)
         made.append(measured(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
-    fit = FitRecord.model_validate({"schema": 1, "dataset": "cases", "medium": "test"})
-    parameters = Parameters.from_record(medium(layers=1))
-    recipe = squares_recipe(starts=2)
-    folds = dealt(tuple(made), 2)
-    job = Job("cases", fit, dataset(made), medium(layers=1), parameters, recipe, None, folds)
+    job = _job(tuple(made), dealt(tuple(made), 2))
     return answered("cases", record, Settings(), plan(record, job, Settings()))
 
 
@@ -123,6 +164,22 @@ def test_laws_tie_where_strains_are_small_and_a_straight_line_loses(compared):
     assert abs(table.loc["linear", "difference"]) < 3.0
     assert table.loc["straight", "difference"] < -20.0
     assert 0.5 < table.loc["ogden", "noise_scale"] < 2.0
+
+
+def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
+    scores, table = compared.frames["scores"], compared.frames["against"].set_index("candidate")
+    assert scores["log_density_se"].max() < 0.2 and scores["pareto_k"].max() < 0.7
+    own = compared.frames["differences"].query("candidate == 'linear'")
+    scatter = summed(own["difference"], own["group"])[1]
+    drawn = table.loc[["linear", "ogden"], "draws_se"]
+    assert table.loc["linear", "difference_se"] == pytest.approx(math.hypot(scatter, *drawn))
+    assert table.loc["ogden", "difference_se"] == 0.0
+
+
+def test_needles_that_are_no_repeats_are_not_called_so(compared):
+    assert "over 4 needles" in said(compared)[0]
+    frames = {**compared.frames, "differences": compared.frames["differences"].assign(group="one hole")}
+    assert "groups of repeats" in said(replace(compared, frames=frames))[0]
 
 
 def test_a_control_that_the_comparison_misses_is_a_fault(compared):

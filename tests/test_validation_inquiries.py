@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from test_cli import run
 
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, DataError
 from needlefit.reporting.reference import rounded
 from needlefit.validation.checkpoint import open_checkpoint
 from needlefit.validation.differences import differences
@@ -137,23 +137,46 @@ def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project,
     assert all(f"{figure}.csv" in before for figure in figures)
 
 
-def test_two_answers_differ_in_lengths_words_and_numbers(tmp_path):
-    run_file = {"study": {"kind": "left_out", "title": "one"}, "faults": []}
-    told = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2], "note": ["", "x"]})
-    other = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.3, 0.5], "pareto_k": [0.5, 0.4], "note": ["", "y"]})
-    for name, frame in (("one", told), ("two", other)):
-        (tmp_path / name).mkdir()
-        (tmp_path / name / "run.json").write_text(json.dumps(run_file))
-        frame.to_csv(tmp_path / name / "summary.csv", index=False)
-    assert differences(tmp_path / "one", tmp_path / "one") == []
-    length, number, words = differences(tmp_path / "one", tmp_path / "two")
-    assert (length.where, length.matters) == ("summary, te_mm", True)
-    assert length.after - length.before == pytest.approx(0.1)
+def _answer(folder: Path, kind: str, **frames: pd.DataFrame) -> Path:
+    folder.mkdir()
+    (folder / "run.json").write_text(json.dumps({"study": {"kind": kind}, "faults": []}))
+    for name, frame in frames.items():
+        frame.to_csv(folder / f"{name}.csv", index=False)
+    return folder
+
+
+def test_two_answers_differ_in_rows_lengths_and_numbers(tmp_path):
+    told = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2]})
+    other = pd.DataFrame({"fit": ["b", "a"], "te_mm": [0.41, 0.2], "pareto_k": [0.4, 0.5]})
+    one, two = (_answer(tmp_path / n, "left_out", summary=f) for n, f in (("1", told), ("2", other)))
+    assert differences(one, one) == []
+    length, number = differences(one, two)  # rows are found by their words, in whatever order
+    assert (length.before, length.after, length.matters) == (0.4, 0.41, True)
+    assert "insertions" not in length.why and "0.01 mm" in length.why
     assert (number.before, number.after, number.matters) == (0.2, 0.4, True)
-    assert (words.where, words.before, words.after) == ("summary, note", "x", "y")
-    other.head(1).to_csv(tmp_path / "two/summary.csv", index=False)
-    (rows,) = differences(tmp_path / "one", tmp_path / "two")
-    assert (rows.where, rows.before, rows.after) == ("rows of summary", 2, 1)
+    three = _answer(tmp_path / "3", "left_out", summary=told.assign(fit=["a", "c"]))
+    (rows,) = differences(one, three)
+    assert rows.where == "rows of summary" and rows.why.startswith("2 rows are in one run only")
+
+
+def test_errors_of_answers_are_compared_insertion_by_insertion(tmp_path):
+    told = pd.DataFrame({"insertion": ["a", "b", "c"], "te_mm": [0.2, 0.4, 0.3]})
+    worse = told.assign(te_mm=told["te_mm"] + [0.1, 0.1, 0.1])
+    (found,) = differences(
+        _answer(tmp_path / "1", "left_out", errors=told), _answer(tmp_path / "2", "left_out", errors=worse)
+    )
+    assert found.matters and "on 3 insertions" in found.why
+
+
+def test_answers_to_other_questions_are_not_compared(tmp_path):
+    one, two = (_answer(tmp_path / kind, kind) for kind in ("left_out", "plan"))
+    study = tmp_path / "study"
+    study.mkdir()
+    (study / "run.json").write_text("{}")
+    (study / "errors.csv").write_text("fold\n")
+    for pair in ((one, two), (one, study), (study, two)):
+        with pytest.raises(DataError, match="they answer different questions"):
+            differences(*pair)
 
 
 NEXT = {

@@ -134,7 +134,7 @@ def test_the_studies_on_two_twins_are_told(tmp_path, monkeypatch):
     assert answer.run["seeds"] == [1, 2] and answer.run["twins"] == "not scanned"
     page = PAGES["seeds"]
     assert "holds on 2 of 2 twins" in page.said(answer)[0]
-    assert {"pattern.pdf", "contests.pdf", "cells.pdf"} == {
+    assert {"generalising.pdf", "contests.pdf", "cells.pdf"} == {
         p.name for p in page.draw(answer, tmp_path).values()
     }
     lost = {table.name: table for table in page.layouts(answer)}["lost"]

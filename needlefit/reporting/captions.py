@@ -53,5 +53,5 @@ PROFILES = (
 )
 RIVALS = (
     "Mean in-plane error of the fitted model and of what it has to beat, on the same held-out points. The "
-    "further left, the better; left of the dashed noise floor, differences mean nothing."
+    "further left, the better; at the dashed noise floor an error is that of the measurement."
 )

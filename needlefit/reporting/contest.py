@@ -26,10 +26,12 @@ def rivals_said(results: Results) -> str:
 
 def losses_said(results: Results) -> str:
     """Return every rival that does better than the fitted model on the scored points, or nothing."""
-    losses = [f"{rival_name(name, results)} ({_gap(row)})" for name, row in _better(_table(results)).items()]
-    return (
+    table = _table(results)
+    losses = [f"{rival_name(name, results)} ({_gap(row)})" for name, row in _better(table).items()]
+    said = (
         f"{_study(results)}: better than the fit on the same points: {'; '.join(losses)}." if losses else ""
     )
+    return " ".join(part for part in (said, _close_said(results, table)) if part)
 
 
 def compared_said(results: Results) -> str:
@@ -50,8 +52,10 @@ def _curves_said(results: Results, table: dict[str, Row]) -> str:
         points = "held-out points" if scored_role(results) == "validate" else "points"
         return (
             "An empirical curve that knows nothing of tissue does better here than the fitted model, on the "
-            f"same {points}: {'; '.join(winners)}."
+            f"same {points}: {'; '.join(winners)}." + _after(_close_said(results, curves))
         )
+    if close := _close_said(results, curves):
+        return f"No empirical curve does better than the fitted model on these insertions. {close}"
     known = [name for name in curves if curves[name]["difference_mm"] is not None]
     if not known:
         return "No empirical curve could be compared with the fitted model."
@@ -63,11 +67,12 @@ def _curves_said(results: Results, table: dict[str, Row]) -> str:
 
 
 def _sets_said(results: Results, table: dict[str, Row]) -> str:
-    winners = _better({name: row for name, row in table.items() if name in _SETS})
+    sets = {name: row for name, row in table.items() if name in _SETS}
+    close, winners = _close_said(results, sets), _better(sets)
     if not winners:
-        return ""
+        return close
     said = "; ".join(f"{rival_name(name, results)} ({_gap(row)})" for name, row in winners.items())
-    return f"The paper’s parameters do better here than the fitted ones: {said}."
+    return f"The paper’s parameters do better here than the fitted ones: {said}." + _after(close)
 
 
 def _table(results: Results) -> dict[str, Row]:
@@ -75,7 +80,28 @@ def _table(results: Results) -> dict[str, Row]:
 
 
 def _better(table: dict[str, Row]) -> dict[str, Row]:
-    return {name: row for name, row in table.items() if (row["difference_mm"] or 0.0) < 0}
+    """Return the rivals that err less by over two standard errors, or by anything where none is known."""
+    return {name: row for name, row in table.items() if _ahead(row) and not _tied(row)}
+
+
+def _close_said(results: Results, table: dict[str, Row]) -> str:
+    """Return the rivals that err less, but by no more than chance gives, or nothing."""
+    close = {name: row for name, row in table.items() if _ahead(row) and _tied(row)}
+    said = "; ".join(f"{rival_name(name, results)} ({_gap(row)})" for name, row in close.items())
+    return f"Not told apart from the fit, by less than two standard errors: {said}." if close else ""
+
+
+def _ahead(row: Row) -> bool:
+    return (row["difference_mm"] or 0.0) < 0
+
+
+def _tied(row: Row) -> bool:
+    se = row["difference_se_mm"]
+    return se is not None and abs(row["difference_mm"]) <= _SURE * se
+
+
+def _after(sentence: str) -> str:
+    return f" {sentence}" if sentence else ""
 
 
 def _study(results: Results) -> str:
@@ -88,6 +114,5 @@ def _gap(row: Row) -> str:
         return MISSING
     se = row["difference_se_mm"]
     error = "" if se is None else f" ± {se:.3f}"
-    within = "" if se is None or abs(row["difference_mm"]) > _SURE * se else "; within two standard errors"
     gap = f"{row['difference_mm']:+.3f}".replace("-", "−")
-    return f"{gap}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}{within}"
+    return f"{gap}{error} mm mean IPE, the fit better on {row['better']} of {row['insertions']}"

@@ -17,9 +17,9 @@ _AS_GOOD = (
     "is not determined, where starts may agree without the data knowing."
 )
 _ESTIMATES = (
-    "“Sd” is the Cramér-Rao bound, of ln for μ and b, of the value for α; it stands where errors have their "
-    "noise floor, for of a parameter there is none. μ is an effective foundation "
-    "modulus of this model, not a material constant."
+    "“Sd” is the Cramér-Rao bound, of ln for μ and b, of the value for α: what this model misses, and the "
+    "rules that were decided, are not in it. It stands where errors have their noise floor, for of a "
+    "parameter there is none. μ is an effective foundation modulus of this model, not a material constant."
 )
 _NOT_SAID_TWICE = re.compile(r"^not determined(?:: | \(([^()]*)\))")  # the column "Fitted" says it
 _BY_ERRORS = (

@@ -12,7 +12,8 @@ from needlefit.validation.results import Results
 _NOTES = (
     "Tips that fell into the interval foretold for them, and shapes of which no point left the band foretold "
     "for them as a whole; of right predictions half and 95 %. In brackets the 95 % interval of that share, "
-    "in which repeats in one specimen count as one trial. CRPS is the mean absolute error of a sure "
+    "in which repeats in one specimen count as one trial where there are five specimens or more, and else as "
+    "many; how specimens differ is then not in it. CRPS is the mean absolute error of a sure "
     "prediction, less what stating doubt gains; smaller is better.",
     "Foretold are parameters, depths of layers and tip, pose and points as the dataset states their errors, "
     "through the layers of the planned path. What the model misses is not.",

@@ -26,8 +26,9 @@ _WAYS = {  # what a row means, said under the table where the row stands in it
     "straight path: the measured crossings of a held-out insertion leak its outcome.",
     "pooled": "“Pooled” takes the statistics of all points together; of medians and maxima the noise floor "
     "would then be another.",
-    "noise floor": "“Noise floor” is what perfect parameters would still show; “÷ floor”, the error as a "
-    "multiple of it: about 1 is all that these measurements can tell. The paper gives no floor of its own.",
+    "noise floor": "“Noise floor” is what perfect parameters would still show if measurements err "
+    "as the dataset states; “÷ floor”, the error as a multiple of it: about 1 is all that these measurements "
+    "can tell. The paper gives no floor of its own.",
 }
 _OTHERWISE = "‡"
 _REREAD = (

@@ -37,6 +37,20 @@ WAY_NAMES = {
 }
 """How a new medium is known in an adaptation."""
 WAY_COLOURS = {"inflated": "#0072B2", "new": "#009E73", "none": "#8a8a8a"}
+PLAN_NAMES = {
+    "expected": "least expected squared miss",
+    "best_fit": "best fit, taken for certain",
+    "hand_tuned": RIVAL_NAMES["hand_tuned"],
+    "straight": "straight at the target",
+}
+PLAN_COLOURS = {
+    "expected": RIVAL_COLOURS["fitted"],
+    "best_fit": "#CC79A7",
+    "hand_tuned": RIVAL_COLOURS["hand_tuned"],
+    "straight": RIVAL_COLOURS["straight"],
+}
+POPULATION_NAMES = {"mean": "mean", "spread": "spread", "new": "a further one"}
+"""What is told of a parameter of a population of specimens."""
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
@@ -59,6 +73,11 @@ def study_name(label: str | int) -> str:
 def layers_name(layers: int) -> str:
     """Return "1 layer", "3 layers"."""
     return f"{layers} layer" if layers == 1 else f"{layers} layers"
+
+
+def way_in_name(entry: str, angle_deg: float) -> str:
+    """Return an entry, and the angle at which a needle would go in there."""
+    return entry if angle_deg == 0 else f"{entry}, {angle_deg:g}°".replace("-", "−")
 
 
 def rival_name(rival: str, results: Results) -> str:

@@ -25,6 +25,9 @@ DECIMALS = 3
 DIGITS = 3
 """Significant ones of everything else."""
 
+MOST = 500
+"""Rows of a table that is kept: longer ones are what shorter ones were made of, and no one reviews them."""
+
 _COUNTED = ("searches", "evaluations", "failed_solves", "failed_solves_of_sampler", "recorded_failures")
 
 
@@ -38,7 +41,7 @@ def write_reference(one: Results | Answer | TrackResults, folder: Path) -> Path:
     """
     with whole(folder) as new:
         for name, frame in _frames(one).items():
-            if len(frame):
+            if 0 < len(frame) <= MOST:
                 write_csv(rounded(frame).assign(origin=one.origin), new / f"{name}.csv")
         write_json(new / "run.json", {key: one.run[key] for key in one.run if key not in _COUNTED})
     return folder

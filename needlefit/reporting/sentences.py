@@ -81,7 +81,8 @@ def floor_said(results: Results) -> str:
     return (
         "With perfect parameters the measurement noise stated with the dataset would alone still give these "
         f"errors, on average over the scored insertions: {', '.join(cells)}. An error means something only "
-        "beside this floor."
+        "beside this floor, and the floor is no better than what the dataset states: errors that lie below "
+        "it say that this is too much."
     )
 
 

@@ -41,11 +41,11 @@ def write_all(
 
 
 def _told(answer: Answer, folder: Path) -> list[Block]:
-    """Return an answer in short: question, what it says, and its figures, drawn in a folder of their own."""
+    """Return an answer in short: question, what it says, its first figure; its own report has the others."""
     page = PAGES[answer.kind]
     (folder / answer.name).mkdir()
     drawn = page.draw(answer, folder / answer.name)
-    told = [block for block in page.story(answer, drawn) if block["kind"] == "figure"]
+    told = [block for block in page.story(answer, drawn) if block["kind"] == "figure"][:1]
     return [
         document.heading(answer.title),
         *cautions(answer)[answer.synthetic :],  # that data are synthetic stands over the whole report

@@ -57,6 +57,8 @@ _KINDS = {
     "forecast": "a prediction",
     "replicates": "a calibration",
     "runs": "a study of tip tracks",
+    "verification": "a verification",
+    "credibility": "a credibility bundle",
 }
 """Kinds of runs by the table that each of them has; of a fit, which has an identification too, the first."""
 
@@ -70,8 +72,8 @@ def differences(before: Path, after: Path) -> list[Difference]:
         If a `run.json` is missing or damaged, or the runs are of different kinds.
     """
     runs = [_computed_with(folder) for folder in (before, after)]
-    _require_alike(before, after)
-    if all(asks(run) for run in runs):
+    _require_alike(before, after, runs)
+    if asks(runs[0]) is not None:
         return [*_inputs(*runs), *_states(*runs), *answers_differ(before, after)]
     parameters, errors, foretold = (
         (_table(before, name), _table(after, name)) for name in ("parameters", "errors", "predictive")
@@ -98,19 +100,25 @@ def _computed_with(folder: Path) -> dict[str, Any]:
     return design if isinstance(design, dict) else run
 
 
-def _require_alike(before: Path, after: Path) -> None:
+def _require_alike(before: Path, after: Path, runs: list[dict[str, Any]]) -> None:
     """Raise DataError where one run answers another question than the other."""
-    one, two = (
-        next((said for name, said in _KINDS.items() if (folder / f"{name}.csv").is_file()), None)
-        for folder in (before, after)
-    )
-    if one and two and one != two:
+    one, two = (_kind(folder, run) for folder, run in zip((before, after), runs, strict=True))
+    if one != two:
         raise DataError(
             f"is {two}, and {before} is {one}: they answer different questions",
             where=str(after),
             expected=f"{one}, too",
             mend="compare runs of the same command",
         )
+
+
+def _kind(folder: Path, run: Mapping[str, Any]) -> str:
+    """Return what a run is, in words."""
+    asked = asks(run)
+    if asked is not None:
+        return f"a study of kind `{asked}`"
+    found = (said for name, said in _KINDS.items() if (folder / f"{name}.csv").is_file())
+    return next(found, "a run of another kind")
 
 
 def _inputs(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Difference]:

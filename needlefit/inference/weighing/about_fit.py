@@ -1,5 +1,7 @@
 """A fit's posterior where nothing was sampled: weighted draws about the modes that the search found."""
 
+from collections.abc import Callable, Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -28,13 +30,24 @@ MORE = Effort(draws=1000, components=30)
 
 def modes(fit: Fit, width: Floats) -> Floats:
     """Return the modes (M, P) that a fit found, the best first; `width` (P,) is that of the bounds."""
+    starts = sorted(fit.starts, key=lambda start: (start.objective, start.index))
+    plausible = [start for start in starts if start.objective <= fit.objective + PLAUSIBLE]
+    return distinct((np.array(start.theta) for start in plausible), width)
+
+
+def distinct(ends: Iterable[Floats], width: Floats) -> Floats:
+    """Return those of some ends (P,) that differ from all before them: (M, P)."""
     found: list[Floats] = []
-    for start in sorted(fit.starts, key=lambda start: (start.objective, start.index)):
-        end = np.array(start.theta)
-        new = all(np.max(np.abs(end - other) / width) > SAME for other in found)
-        if new and start.objective <= fit.objective + PLAUSIBLE:
+    for end in ends:
+        if all(np.max(np.abs(end - other) / width) > SAME for other in found):
             found.append(end)
     return np.array(found)
+
+
+def surely(weigh: Callable[[Effort], Weighted]) -> Weighted:
+    """Return what is weighed with the first effort, or with more where its weights cannot be trusted."""
+    found = weigh(EFFORT)
+    return found if found.k <= RELIABLE else weigh(MORE)
 
 
 def weighed(

@@ -8,6 +8,7 @@ outside the bounds has no density, and costs nothing. `pareto` says whether the 
 cannot see what no draw has come near, which is why the first rounds are wide, and never the last.
 """
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -60,6 +61,8 @@ class Weighted:
         Pareto shape of the weights' tail.
     enough : float
         Independent draws that they had to be worth.
+    log_evidence : float
+        Logarithm of the density's integral within the bounds: of the mean weight before smoothing.
     """
 
     thetas: Floats
@@ -67,11 +70,17 @@ class Weighted:
     log_weights: Floats
     k: float
     enough: float
+    log_evidence: float
 
     @property
     def independent(self) -> float:
         """How many independent draws they are worth."""
         return worth(self.log_weights)
+
+    @property
+    def log_evidence_se(self) -> float:
+        """Monte Carlo error of `log_evidence`, at most: that of a mean, by the variance of the weights."""
+        return 1 / math.sqrt(self.independent)
 
     @property
     def certified(self) -> bool:
@@ -150,8 +159,8 @@ def _weighed(rounds: Sequence[_Round], enough: float) -> Weighted:
     thetas = np.concatenate([one.thetas for one in rounds])
     density = np.concatenate([one.log_density for one in rounds])
     drawn = [np.log(one.tried) + one.proposal.log_density(thetas) for one in rounds]
-    log_weights, k = smoothed(density - logsumexp(drawn, axis=0))
-    return Weighted(thetas, density, log_weights, k, enough)
+    heavy = density - logsumexp(drawn, axis=0)
+    return Weighted(thetas, density, *smoothed(heavy), enough, log_evidence=float(logsumexp(heavy)))
 
 
 STEPS = 6

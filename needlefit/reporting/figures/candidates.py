@@ -20,7 +20,14 @@ _COLOURS = {
 
 def draw_candidates(answer: Answer, path: Path) -> Path:
     """Draw one row for each candidate but the reference."""
-    return plot(path, answer.frames["contest"].assign(origin=answer.origin), _paint)
+    frame = answer.frames["contest"].assign(held_out=held_out(answer), origin=answer.origin)
+    return plot(path, frame, _paint)
+
+
+def held_out(answer: Answer) -> str:
+    """Return what is held out as one: a group of repeats, if any two needles are repeats, else a needle."""
+    told = answer.frames["differences"]
+    return "group of repeats" if told["group"].nunique() < told["insertion"].nunique() else "needle"
 
 
 def _paint(frame: pd.DataFrame) -> Figure:
@@ -32,7 +39,9 @@ def _paint(frame: pd.DataFrame) -> Figure:
         _row(axes, y, records(frame[frame["candidate"] == name]))
     axes.set_xscale("symlog", linthresh=1.0)
     _ticks(axes)
-    axes.set_xlabel("log predictive density less the reference’s, a group of repeats (symmetric logarithm)")
+    axes.set_xlabel(
+        f"log predictive density less the reference’s, each {frame['held_out'].iloc[0]} (symmetric logarithm)"
+    )
     axes.set_yticks(range(len(rows)), [CANDIDATE_NAMES[name] for name in rows])
     axes.set_ylim(len(rows) - 0.4, -0.6)
     axes.tick_params(axis="y", length=0)
@@ -43,7 +52,7 @@ def _paint(frame: pd.DataFrame) -> Figure:
 
 
 def _row(axes: Axes, y: int, rows: list[Row]) -> None:
-    """Draw groups, and their mean with two standard errors."""
+    """Draw needles or groups, and their mean with two standard errors."""
     (mean,) = (row for row in rows if row["group"] == "mean")
     colour = _COLOURS[mean["verdict"]]
     each = [row["difference"] for row in rows if row["group"] != "mean"]

@@ -5,10 +5,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS, RIVAL_NAMES, medium_name
 from needlefit.reporting.tables import Row, records
 from needlefit.validation import paper
@@ -33,43 +34,33 @@ _TITLES = {
 
 
 def draw_pattern(answer: Answer, path: Path) -> Path:
-    """Draw the mean IPE of every study on every twin, beside the threshold."""
-    return draw(path, lambda: _pattern(answer))
+    """Draw the mean IPE of every study on every twin, beside the threshold and the paper's own."""
+    return plot(path, _generalising(answer), _pattern)
 
 
 def draw_contests(answer: Answer, path: Path) -> Path:
     """Draw what the fit's errors differ by from each rival's, a panel a rival."""
-    return draw(path, lambda: _contests(answer))
+    return plot(path, answer.frames["contests"].assign(origin=answer.origin), _contests)
 
 
 def draw_cells(answer: Answer, path: Path) -> Path:
     """Draw median and range of every cell, a panel a metric."""
-    return draw(path, lambda: _cells(answer))
+    return plot(path, answer.frames["cells"].assign(origin=answer.origin), _cells)
 
 
-def _pattern(answer: Answer) -> Figure:
-    frame = answer.frames["pattern"]
-    names = list(dict.fromkeys(frame["study"]))
-    figure = Figure(figsize=(WIDTH, 0.8 + 0.36 * len(names)))
-    axes = figure.add_subplot()
-    for y, name in enumerate(names):
-        rows = frame[frame["study"] == name]
-        colour = RIVAL_COLOURS["fitted"] if rows["generalises_in_paper"].all() else PAPER
-        spread = y + 0.18 * np.linspace(-1, 1, len(rows))
-        axes.plot(rows["ipe_mean_mm"], spread, "o", ms=3, color=colour, alpha=0.6, mew=0)
-        axes.vlines(rows["ipe_mean_mm"].median(), y - 0.32, y + 0.32, color=colour, lw=1.6)
-        printed = _printed(name)
-        axes.plot(printed, [y] * len(printed), "D", ms=4, mfc="white", mec=INK, mew=0.8, zorder=5)
-    limit = frame["threshold_mm"].iloc[0]
-    axes.axvline(limit, color=INK, lw=0.8, ls=(0, (3, 2)))
-    axes.text(limit, -0.62, " does not generalise", fontsize=6.5, ha="left", color=INK)
-    axes.text(limit, -0.62, "generalises ", fontsize=6.5, ha="right", color=INK)
-    _rows_named(axes, [medium_name(name).capitalize() for name in names])
-    axes.set_xlabel("mean in-plane error of what is held out (mm)")
-    axes.set_xlim(0, None)
-    light_grid(axes, "x")
-    label_origin(figure, answer.synthetic)
-    return figure
+def _generalising(answer: Answer) -> pd.DataFrame:
+    """Return mean IPE of every study: on each twin, their median, and of the paper's groups."""
+    every = answer.frames["pattern"]
+    twins = every[["study", "seed", "ipe_mean_mm", "threshold_mm", "generalises_in_paper"]]
+    about = twins.groupby("study", sort=False).agg(
+        {"ipe_mean_mm": "median", "threshold_mm": "first", "generalises_in_paper": "all"}
+    )
+    medians = about.reset_index().assign(part="median")
+    printed = [{"part": "paper", "study": n, "ipe_mean_mm": ipe} for n in about.index for ipe in _printed(n)]
+    parts = [twins.assign(part="twin"), medians, pd.DataFrame(printed)]
+    columns = ["part", *twins.columns]
+    known = [part.reindex(columns=columns).astype({"seed": "Int64"}) for part in parts if len(part)]
+    return pd.concat(known, ignore_index=True).assign(origin=answer.origin)
 
 
 def _printed(study: str) -> list[float]:
@@ -79,8 +70,35 @@ def _printed(study: str) -> list[float]:
     return [float(value) for value in own["ipe_mean_mm"]]
 
 
-def _contests(answer: Answer) -> Figure:
-    frame = answer.frames["contests"]
+def _pattern(frame: pd.DataFrame) -> Figure:
+    names = list(dict.fromkeys(frame["study"]))
+    figure = Figure(figsize=(WIDTH, 0.8 + 0.36 * len(names)))
+    axes = figure.add_subplot()
+    for y, name in enumerate(names):
+        _study(axes, y, frame[frame["study"] == name])
+    limit = frame["threshold_mm"].iloc[0]
+    axes.axvline(limit, color=INK, lw=0.8, ls=(0, (3, 2)))
+    axes.text(limit, -0.62, " does not generalise", fontsize=6.5, ha="left", color=INK)
+    axes.text(limit, -0.62, "generalises ", fontsize=6.5, ha="right", color=INK)
+    _rows_named(axes, [medium_name(name).capitalize() for name in names])
+    axes.set_xlabel("mean in-plane error of what is held out (mm)")
+    axes.set_xlim(0, None)
+    light_grid(axes, "x")
+    label_origin(figure, is_synthetic(frame))
+    return figure
+
+
+def _study(axes: Axes, y: int, rows: pd.DataFrame) -> None:
+    """Draw one study: twins, their median, and what the paper prints."""
+    twins, median, printed = (rows[rows["part"] == part] for part in ("twin", "median", "paper"))
+    colour = RIVAL_COLOURS["fitted"] if twins["generalises_in_paper"].all() else PAPER
+    level = y + 0.18 * np.linspace(-1, 1, len(twins))
+    axes.plot(twins["ipe_mean_mm"], level, "o", ms=3, color=colour, alpha=0.6, mew=0)
+    axes.vlines(median["ipe_mean_mm"], y - 0.32, y + 0.32, color=colour, lw=1.6)
+    axes.plot(printed["ipe_mean_mm"], [y] * len(printed), "D", ms=4, mfc="white", mec=INK, mew=0.8, zorder=5)
+
+
+def _contests(frame: pd.DataFrame) -> Figure:
     rivals = [name for name in RIVAL_NAMES if name in set(frame["rival"])]
     groups = list(dict.fromkeys(zip(frame["study"], frame["medium"], frame["layers"], strict=True)))
     figure = Figure(figsize=(WIDTH, 1.0 + 2 * 0.2 * len(groups) + 0.6))
@@ -99,7 +117,7 @@ def _contests(answer: Answer) -> Figure:
         axes.set_visible(False)
     _key(figure, panels[0])
     figure.supxlabel("error of the fit less that of the rival (mm)", fontsize=7.5)
-    label_origin(figure, answer.synthetic)
+    label_origin(figure, is_synthetic(frame))
     return figure
 
 
@@ -123,8 +141,7 @@ def _key(figure: Figure, axes: Axes) -> None:
     figure.legend(loc="outside upper left", ncols=5, handletextpad=0.4, columnspacing=1.4)
 
 
-def _cells(answer: Answer) -> Figure:
-    frame = answer.frames["cells"]
+def _cells(frame: pd.DataFrame) -> Figure:
     keys = ["table", "study", "medium", "layers"]
     groups = list(frame[keys].drop_duplicates().itertuples(index=False, name=None))
     figure = Figure(figsize=(WIDTH, 0.8 + 0.22 * len(groups)))
@@ -141,7 +158,7 @@ def _cells(answer: Answer) -> Figure:
         for y in _changes([group[0] for group in groups]):
             axes.axhline(y - 0.5, color=INK, lw=0.4)
     _rows_named(panels[0], [_cell_name(group) for group in groups])
-    label_origin(figure, answer.synthetic)
+    label_origin(figure, is_synthetic(frame))
     return figure
 
 

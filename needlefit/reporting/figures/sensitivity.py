@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import INK, medium_name
 from needlefit.reporting.tables import records
 from needlefit.validation.inquiries.answer import Answer
@@ -25,12 +26,11 @@ _PANELS = (
 
 def draw_studies(answer: Answer, path: Path) -> Path:
     """Draw the change of every study's mean IPE and TE, in noise floors."""
-    return draw(path, lambda: _paint(answer))
+    return plot(path, answer.frames["studies"].assign(origin=answer.origin), _paint)
 
 
-def _paint(answer: Answer) -> Figure:
-    frame = answer.frames["studies"]
-    frame = frame[frame["of"] != AS_DECIDED]
+def _paint(every: pd.DataFrame) -> Figure:
+    frame = every[every["of"] != AS_DECIDED]
     rows = list(frame[["of", "variation"]].drop_duplicates().itertuples(index=False, name=None))
     studies = list(dict.fromkeys(frame["study"]))
     figure = Figure(figsize=(WIDTH, 1.1 + 0.23 * len(rows)))
@@ -52,7 +52,7 @@ def _paint(answer: Answer) -> Figure:
         panels[0].plot([], [], "o", ms=3.4, mew=0, color=colour, label=medium_name(study))
     figure.legend(loc="outside upper left", ncols=len(studies), handletextpad=0.1, columnspacing=1.2)
     figure.supxlabel("change of the held-out error (noise floors)", fontsize=7.5)
-    label_origin(figure, answer.synthetic)
+    label_origin(figure, is_synthetic(every))
     return figure
 
 

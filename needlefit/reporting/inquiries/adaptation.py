@@ -76,7 +76,7 @@ def _floor(answer: Answer) -> str:
 
 
 def _count(row: Row, most: int) -> str:
-    """Return a count of insertions with its interval over orders."""
+    """Return a count of insertions with its interval."""
     n, low, high = (f"more than {most}" if row[end] is None else f"{row[end]:.0f}" for end in _COUNTS)
     count = f"{n} insertion{'' if row['n'] == 1 else 's'}"
     return count if low == high else f"{count} ({low} to {high})"
@@ -119,8 +119,9 @@ def _limits(answer: Answer) -> str:
     orders = answer.frames["orders"]["order"].nunique()
     return (
         f"All of it is of {len(record.new.held_out)} held-out needles, the same throughout, and {orders} "
-        "orders of the others. Intervals in brackets are of 95 %, over orders drawn again; other needles and "
-        "other specimens are not in them. Errors are those of the best fit along the planned path."
+        "random orders of the others. Intervals in brackets are of 95 %, over orders and held-out needles "
+        "drawn again; with so few of them they are rather too narrow, and other specimens are not in them. "
+        "Errors are those of the best fit along the planned path."
     )
 
 
@@ -175,7 +176,7 @@ def _reached(answer: Answer) -> Display:
             rows.append((words, said_of, *levels, *(_short(by[way]) for way in WAY_NAMES)))
     notes = (
         "The smallest number of new insertions from which on the mean error stays at or below the limit; in "
-        "brackets its 95 % interval over orders drawn again.",
+        "brackets its 95 % interval over orders and held-out needles drawn again.",
     )
     caption = "How many insertions a new specimen costs."
     return Display("reached", caption, columns, tuple(rows), (2,), notes=notes)

@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+from needlefit.inference.weighing.pareto import RELIABLE
 from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
-from needlefit.reporting.figures.candidates import draw_candidates
+from needlefit.reporting.figures.candidates import draw_candidates, held_out
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import CANDIDATE_NAMES
 from needlefit.reporting.numbers import fixed, number, typeset
@@ -21,10 +22,15 @@ def said(answer: Answer) -> list[str]:
     rows = records(answer.frames["against"])
     own = next(row for row in rows if row["verdict"] == "reference")
     others = [row for row in rows if row["verdict"] != "reference"]
-    return [_ranked(own, others), _tissue(own, others), _errors(own, others), _limits(own, answer)]
+    return [
+        _ranked(own, others, held_out(answer)),
+        _tissue(own, others),
+        _errors(own, others),
+        _limits(own, answer),
+    ]
 
 
-def _ranked(own: Row, others: list[Row]) -> str:
+def _ranked(own: Row, others: list[Row], one: str) -> str:
     parts = []
     for verdict, words in _STANDS.items():
         found = [row for row in others if row["verdict"] == verdict]
@@ -32,7 +38,7 @@ def _ranked(own: Row, others: list[Row]) -> str:
             parts.append(f"{words}: " + ", ".join(f"{_name(row)} ({_difference(row)})" for row in found))
     return (
         f"Log predictive density of {own['insertions']} held-out needles against the {_name(own)}, ± "
-        f"standard error over {own['groups']} groups of repeats; {'; '.join(parts)}."
+        f"standard error over {own['groups']} {_plural(one)}; {'; '.join(parts)}."
     )
 
 
@@ -61,9 +67,14 @@ def _limits(own: Row, answer: Answer) -> str:
     record = answer.record
     assert isinstance(record, ComparisonRecord)
     return (
-        f"A difference of less than two standard errors is called a tie. The {own['groups']} groups share "
-        f"the fits of {record.folds} folds, and are few, so that the standard error is rather too small."
+        f"A difference of less than two standard errors is called a tie. The {own['groups']} "
+        f"{_plural(held_out(answer))} share the fits of {record.folds} folds, and are few, so that the "
+        "standard error is rather too small."
     )
+
+
+def _plural(one: str) -> str:
+    return "groups of repeats" if one == "group of repeats" else f"{one}s"
 
 
 def _name(row: Row) -> str:
@@ -89,9 +100,11 @@ def layouts(answer: Answer) -> list[Display]:
     te, ipe = (fixed(rows[0][f"floor_{name}_mm"], 3) for name in ("te", "ipe_mean"))
     notes = (
         "“Δ log density”: summed over held-out needles, less the reference’s, ± its standard error over "
-        "groups of repeats. “Draws’ error” is what a mean over a hundred draws leaves open of the sum. TE "
-        f"and IPE are those of each candidate’s best curve along the planned path; noise floor: TE {te}, IPE "
-        f"{ipe} mm. “Noise factor” multiplies the stated errors of points and pose: what a candidate misses.",
+        f"{_plural(held_out(answer))}, the draws’ in it. “Draws’ error” is what the draws of both evidences "
+        "leave open of a candidate’s own sum; “Pareto k” is the largest of their weights’, and up to "
+        f"{RELIABLE} that error can be trusted. TE and IPE are those of each candidate’s best curve along "
+        f"the planned path; noise floor: TE {te}, IPE {ipe} mm. “Noise factor” multiplies the stated errors "
+        "of points and pose: what a candidate misses.",
     )
     caption = "Every candidate on needles that it was not fitted to."
     return [Display("against", caption, columns, cells, (), strong, notes)]
@@ -99,16 +112,15 @@ def layouts(answer: Answer) -> list[Display]:
 
 def _cells(row: Row) -> tuple[str, ...]:
     reference = row["verdict"] == "reference"
-    k = fixed(row["worst_pareto_k"]) + (f" ({row['sampled']} sampled)" if row["sampled"] else "")
     return (
         _name(row),
         "0" if reference else _difference(row),
         row["verdict"],
-        fixed(row["draws_se"], 1),
+        fixed(row["draws_se"], 2),
         fixed(row["te_mm"], 3),
         fixed(row["ipe_mean_mm"], 3),
         typeset(number(row["noise_scale"])),
-        k,
+        fixed(row["worst_pareto_k"]),
     )
 
 
@@ -121,8 +133,8 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
     """Return figure, table and what was done."""
     (table,) = layouts(answer)
     caption = (
-        "Log predictive density of each group of held-out needles less the reference’s (dots), and the mean "
-        "over groups with two standard errors (diamonds), on a scale that is linear between −1 and 1 and "
+        f"Log predictive density of each held-out {held_out(answer)} less the reference’s (dots), and their "
+        "mean with two standard errors (diamonds), on a scale that is linear between −1 and 1 and "
         "logarithmic beyond. Left of zero the reference foretells better."
     )
     return [
@@ -131,9 +143,11 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
         document.table(table, answer.synthetic),
         document.heading("What was done"),
         document.text(
-            "Every candidate was fitted to all folds but one and foretold that one: by the mean, over a "
-            "hundred draws of its posterior, of the density of all points of a needle together, with the "
-            "stated errors of points, pose and depths, through the layers of the planned path. Stated errors "
+            "Every candidate was fitted to all folds but one and foretold that one: by the density of all "
+            "points of a needle together, averaged over its posterior, with the stated errors of points, "
+            "pose and depths, through the layers that its fit meets on the planned path. The average is the "
+            "evidence of the fitted needles with the one held out, divided by that of the fitted ones alone; "
+            "each is an integral by importance about its own peaks. Stated errors "
             "of points and pose are multiplied by one factor that each candidate estimates, so that what it "
             "misses costs it the same way. Alignment of free shapes takes the same degrees of freedom from "
             "all."

@@ -4,33 +4,28 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from needlefit.inference.identifiability.information import precision_words, short
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
-from needlefit.reporting.figures.labels import apart
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.gains import draw_gains
+from needlefit.reporting.inquiries import ways_in
 from needlefit.reporting.inquiries.page import Figures, Page
-from needlefit.reporting.names import GREY, INK
+from needlefit.reporting.names import way_in_name
 from needlefit.reporting.numbers import fixed, in_symbols, symbol
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.planning.next_insertion import LEAST_KNOWN, ROUGH
 
-COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BENT = 0.3
 """Nats by which a linear gain must be too large for the ridge to be called bent: several standard errors."""
-
-_KEY = ["role", "entry", "angle_deg", "depth_mm"]
 
 
 def said(answer: Answer) -> list[str]:
     """Return the best candidate, what it tells beside a repeat, and what none tells."""
-    best, again = _best(answer), _repeat(answer)
+    best, again = ways_in.best(answer), ways_in.repeat(answer)
     if best is None:
         return ["No candidate has a solution within the medium."]
     layers = f"layer{'s' if '-' in best['layers'] else ''} {best['layers']}"
@@ -50,7 +45,7 @@ def said(answer: Answer) -> list[str]:
 
 def _parameters_said(answer: Answer, best: Row) -> str:
     parts = []
-    for row in records(_of(answer.frames["parameters"], best)):
+    for row in records(ways_in.about(answer.frames["parameters"], best)):
         name = str(row["parameter"])
         now, after = (_known(name, row[key]) for key in ("sd_now", "sd_after"))
         called = symbol(name).split(" (")[0]
@@ -107,8 +102,8 @@ def layouts(answer: Answer) -> list[Display]:
 
 
 def _ranking(answer: Answer) -> Display:
-    again, tips = _repeat(answer), answer.frames["tips"]
-    ways = [max(rows, key=lambda row: float(row["nats"])) for rows in _ways(answer).values()]
+    again, tips = ways_in.repeat(answer), answer.frames["tips"]
+    ways = [max(rows, key=lambda row: float(row["nats"])) for rows in ways_in.ways(answer).values()]
     shown = sorted(ways, key=lambda row: -float(row["nats"])) + ([again] if again is not None else [])
     names = [str(name) for name in tips["tip"].unique()]
     columns = (
@@ -132,9 +127,9 @@ def _ranking(answer: Answer) -> Display:
 
 
 def _cells(answer: Answer, row: Row) -> tuple[str, ...]:
-    known = _of(answer.frames["parameters"], row)
+    known = ways_in.about(answer.frames["parameters"], row)
     worst = _first(known[known["parameter"] == LEAST_KNOWN], "sd_after")
-    ends = (fixed(float(sd)) for sd in _of(answer.frames["tips"], row)["sd_after_mm"])
+    ends = (fixed(float(sd)) for sd in ways_in.about(answer.frames["tips"], row)["sd_after_mm"])
     way = "once more" if row["role"] == "repeat" else _name(row)
     mark = f" ({row['note']})" if row["note"] else ""
     where = (way, str(row["layers"]), f"{row['depth_mm']:.3g}", fixed(row["tip_mm"]))
@@ -143,8 +138,8 @@ def _cells(answer: Answer, row: Row) -> tuple[str, ...]:
 
 def _left(answer: Answer) -> Display:
     """Return how well parameters are known now, and would be."""
-    found = [one for one in (_best(answer), _repeat(answer)) if one is not None]
-    each = [records(_of(answer.frames["parameters"], one)) for one in found]
+    found = [one for one in (ways_in.best(answer), ways_in.repeat(answer)) if one is not None]
+    each = [records(ways_in.about(answer.frames["parameters"], one)) for one in found]
     rows = []
     for same in zip(*each, strict=True):
         name = str(same[0]["parameter"])
@@ -156,69 +151,9 @@ def _left(answer: Answer) -> Display:
     return Display("left", "How well parameters would be known.", columns, tuple(rows))
 
 
-def draw_gains(answer: Answer, folder: Path) -> dict[str, Path]:
-    """Draw gain and remaining deviation of the first tip against depth, a line for each way in."""
-    if _best(answer) is None:
-        return {}
-    return {"told": draw(folder / "told.pdf", lambda: _paint(answer))}
-
-
-def _paint(answer: Answer) -> Figure:
-    told = answer.frames["told"]
-    tip = told["tip"].dropna().unique()
-    figure = Figure(figsize=(WIDTH, 2.9))
-    panels = figure.subplots(1, 1 + len(tip), squeeze=False)[0]
-    _lines(panels[0], answer, "nats")
-    panels[0].set_title("Expected gain about all parameters (nats)", loc="left")
-    if len(tip):
-        now = _first(told, "sd_now_mm")
-        panels[1].axhline(now, xmax=1 / BEYOND, color=INK, lw=0.7, ls=(0, (4, 3)))
-        panels[1].text(0.5, now, "now", fontsize=6.5, color=INK, va="bottom")
-        _lines(panels[1], answer, "sd_after_mm")
-        panels[1].set_title(f"Expected sd of the {tip[0]} (mm)", loc="left")
-    for axes in panels:
-        axes.set_xlabel("depth (mm)", x=0.5 / BEYOND)
-        light_grid(axes, "y")
-    label_origin(figure, answer.synthetic)
-    return figure
-
-
-BEYOND = 1.62
-"""The width of a panel by its greatest depth: names stand beyond."""
-
-
-def _lines(axes: Axes, answer: Answer, column: str) -> None:
-    """Draw one column against depth, each line named at its end."""
-    frame, ends = answer.frames["told"], []
-    candidates = frame[(frame["role"] == "candidate") & frame[column].notna()]
-    ways = list(_ways(answer))
-    for (entry, angle), rows in candidates.groupby(["entry", "angle_deg"], sort=False):
-        way = (str(entry), float(str(angle)))
-        colour = COLOURS[ways.index(way) % len(COLOURS)]
-        x, y = (rows[name].to_numpy(dtype=np.float64) for name in ("depth_mm", column))
-        if column == "nats":
-            spread = rows["nats_se"].to_numpy(dtype=np.float64)
-            axes.fill_between(x, y - spread, y + spread, color=colour, alpha=0.15, lw=0)
-        axes.plot(x, y, color=colour, lw=1.2, marker="o", ms=2.2)
-        ends.append((float(y[-1]), float(x[-1]), _way_name(*way), colour))
-    again = frame[(frame["role"] == "repeat") & frame[column].notna()]
-    for x, y in zip(again["depth_mm"], again[column], strict=True):
-        axes.plot(x, y, "D", ms=4.5, color=INK, mfc="white", zorder=4)
-        ends.append((float(y), float(x), "once more", INK))
-    _name_ends(axes, sorted(ends), float(frame["depth_mm"].max()))
-
-
-def _name_ends(axes: Axes, ends: list[tuple[float, float, str, str]], deepest: float) -> None:
-    """Write names beyond the lines, in the order of their ends, with a hair to each."""
-    bottom, top = 0.0, 1.05 * max(axes.get_ylim()[1], 1e-9)
-    gap = 0.062 * (top - bottom)
-    at = apart([y for y, *_ in ends], gap * np.arange(len(ends), dtype=np.float64))
-    at = at - max(0.0, float(at[-1]) - (top - 0.4 * gap))
-    for (y, x, name, colour), place in zip(ends, at.tolist(), strict=True):
-        axes.plot([x, 1.06 * deepest], [y, place], color=GREY, lw=0.4, alpha=0.7, zorder=1)
-        axes.text(1.08 * deepest, place, name, va="center", color=colour, fontsize=6.5)
-    axes.set(xlim=(0, BEYOND * deepest), ylim=(bottom, top))
-    axes.set_xticks([tick for tick in axes.get_xticks() if tick <= deepest])
+def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
+    """Draw what every insertion would tell, if any has a solution."""
+    return {} if ways_in.best(answer) is None else {"told": draw_gains(answer, folder / "told.pdf")}
 
 
 def story(answer: Answer, figures: Figures) -> list[Block]:
@@ -248,46 +183,16 @@ def _behind(row: Row, answer: Answer) -> str:
     )
 
 
-def _best(answer: Answer) -> Row | None:
-    ranked = [row for rows in _ways(answer).values() for row in rows]
-    return max(ranked, key=lambda row: float(row["nats"]), default=None)
-
-
-def _repeat(answer: Answer) -> Row | None:
-    every = answer.frames["candidates"]
-    found = records(every[(every["role"] == "repeat") & every["nats"].notna()])
-    return found[0] if found else None
-
-
-def _ways(answer: Answer) -> dict[tuple[str, float], list[Row]]:
-    """Return the candidates that have a solution, by entry and angle."""
-    every = answer.frames["candidates"]
-    found: dict[tuple[str, float], list[Row]] = {}
-    for row in records(every[(every["role"] == "candidate") & every["nats"].notna()]):
-        found.setdefault((str(row["entry"]), float(row["angle_deg"])), []).append(row)
-    return found
-
-
 def _first(frame: pd.DataFrame, column: str) -> float:
     return float(frame[column].to_numpy(dtype=np.float64)[0])
 
 
-def _of(frame: pd.DataFrame, where: Row) -> pd.DataFrame:
-    """Return the rows about one candidate."""
-    same = np.all([frame[key] == where[key] for key in _KEY], axis=0)
-    return frame[same]
-
-
 def _name(row: Row) -> str:
-    return _way_name(str(row["entry"]), float(row["angle_deg"]))
-
-
-def _way_name(entry: str, angle: float) -> str:
-    return entry if angle == 0 else f"{entry}, {angle:g}°".replace("-", "−")
+    return way_in_name(str(row["entry"]), float(row["angle_deg"]))
 
 
 def _nats(row: Row) -> str:
     return f"{row['nats']:.2f} ± {row['nats_se']:.2f}"
 
 
-PAGE = Page(said, layouts, draw_gains, story)
+PAGE = Page(said, layouts, draw_all, story)

@@ -234,7 +234,7 @@ def _together(lost: pd.DataFrame) -> pd.DataFrame:
 def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
     """Draw the pattern, the contests and every cell."""
     return {
-        "pattern": draw_pattern(answer, folder / "pattern.pdf"),
+        "generalising": draw_pattern(answer, folder / "generalising.pdf"),
         "contests": draw_contests(answer, folder / "contests.pdf"),
         "cells": draw_cells(answer, folder / "cells.pdf"),
     }
@@ -249,7 +249,7 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
 
     return [
         document.heading("Who generalises"),
-        *shown("pattern", _PATTERN),
+        *shown("generalising", _PATTERN),
         document.heading("Against its rivals"),
         *shown("contests", _CONTESTS),
         tables["lost"],

@@ -3,29 +3,21 @@
 import math
 from pathlib import Path
 
-import numpy as np
-import pandas as pd
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
-
 from needlefit.inference.parameters import in_logarithm
 from needlefit.project.records.specimens import SpecimensRecord
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
-from needlefit.reporting.figures.style import WIDTH, draw, label_origin, light_grid
+from needlefit.reporting.figures.specimens import draw_densities, draw_recovered, draw_specimens
 from needlefit.reporting.inquiries.page import Figures, Page
-from needlefit.reporting.names import GREY
+from needlefit.reporting.names import POPULATION_NAMES
 from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.specimens.verb import BEST_TOLD, LEVELS
 
-COLOURS = ("#0072B2", "#D55E00")
 NAMED = 3
 """Specimens at most that a sentence names; more are counted."""
-
-WHAT = {"mean": "mean", "spread": "spread", "new": "a further one"}
 
 
 def said(answer: Answer) -> list[str]:
@@ -136,7 +128,16 @@ def _population(answer: Answer) -> Display:
             ends = (_signed(f"{fixed(row[f'low_{p}'])} to {fixed(row[f'high_{p}'])}") for p in (50, 95))
             values = _values(row) if row["what"] != "spread" and row["parameter"] != BEST_TOLD else "–"
             median = _signed(fixed(row["median"]))
-            rows.append((f"{row['specimens']} {what}s", _name(row), WHAT[row["what"]], median, *ends, values))
+            rows.append(
+                (
+                    f"{row['specimens']} {what}s",
+                    _name(row),
+                    POPULATION_NAMES[row["what"]],
+                    median,
+                    *ends,
+                    values,
+                )
+            )
     columns = (
         *(text("Specimens"), text("Parameter"), text("What"), Column("Median", "ln")),
         *(Column("50 %", "ln"), Column("95 %", "ln"), text("95 %, in Pa or mm")),
@@ -161,7 +162,7 @@ def _coverage(answer: Answer) -> Display:
             row = by_level[level]
             ends = f"{100 * row['low']:.0f}–{100 * row['high']:.0f} %"
             cells += [f"{row['held']} of {row['replicates']} ({ends})", fixed(row["width"])]
-        rows.append((f"{spread:g}", WHAT[str(what)], _name({"parameter": parameter}), *cells))
+        rows.append((f"{spread:g}", POPULATION_NAMES[str(what)], _name({"parameter": parameter}), *cells))
     pairs = [(Column(f"{100 * level:.0f} % held"), Column("width", "ln")) for level in LEVELS]
     heads = (one for pair in pairs for one in pair)
     columns = (Column("True spread"), text("What"), text("Parameter"), *heads)
@@ -174,93 +175,14 @@ def _coverage(answer: Answer) -> Display:
     return Display("coverage", caption, columns, tuple(rows), notes=notes)
 
 
-def draw_specimens(answer: Answer, folder: Path) -> dict[str, Path]:
+def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
     """Draw specimens and spreads, or the intervals of every replicate beside the truth."""
     if len(answer.frames["coverage"]):
-        return {"recovered": draw(folder / "recovered.pdf", lambda: _paint_recovery(answer))}
+        return {"recovered": draw_recovered(answer, folder / "recovered.pdf")}
     return {
-        "specimens": draw(folder / "specimens.pdf", lambda: _paint_specimens(answer)),
-        "densities": draw(folder / "densities.pdf", lambda: _paint_densities(answer)),
+        "specimens": draw_specimens(answer, folder / "specimens.pdf"),
+        "densities": draw_densities(answer, folder / "densities.pdf"),
     }
-
-
-def _paint_specimens(answer: Answer) -> Figure:
-    """Each specimen's own posterior: mean and standard deviation."""
-    every = answer.frames["specimens"]
-    names = [str(name) for name in every["parameter"].unique()]
-    order = every.drop_duplicates(["groups", "specimen"])[["groups", "specimen"]].reset_index(drop=True)
-    figure = Figure(figsize=(WIDTH, 0.7 + 0.16 * len(order)))
-    panels = figure.subplots(1, len(names), sharey=True, squeeze=False)[0]
-    for axes, name in zip(panels, names, strict=True):
-        rows = order.merge(every[every["parameter"] == name], on=["groups", "specimen"])
-        for y, row in enumerate(records(rows)):
-            colour = COLOURS[_groups(answer).index(row["groups"]) % len(COLOURS)]
-            axes.plot([row["mean"] - row["sd"], row["mean"] + row["sd"]], [y, y], color=colour, lw=1.1)
-            axes.plot(row["mean"], y, "o", color=colour, ms=3)
-        axes.set_xlabel(_axis(name))
-        light_grid(axes, "x")
-        axes.tick_params(axis="y", length=0)
-    panels[0].set_yticks(range(len(order)), [str(name) for name in order["specimen"]])
-    panels[0].set_ylim(len(order) - 0.5, -0.5)
-    label_origin(figure, answer.synthetic)
-    return figure
-
-
-def _paint_densities(answer: Answer) -> Figure:
-    every, told = answer.frames["densities"], answer.frames["population"]
-    names = [str(name) for name in every["parameter"].unique()]
-    figure = Figure(figsize=(WIDTH, 2.3))
-    panels = figure.subplots(1, len(names), squeeze=False)[0]
-    for axes, name in zip(panels, names, strict=True):
-        mine = every[every["parameter"] == name]
-        far = float(told[(told["what"] == "spread") & (told["parameter"] == name)]["high_95"].max())
-        for number_, what in enumerate(_groups(answer)):
-            rows, colour = mine[mine["groups"] == what], COLOURS[number_ % len(COLOURS)]
-            axes.plot(rows["spread"], rows["density"], color=colour, lw=1.3)
-            x, y = (rows[key].to_numpy(dtype=np.float64) for key in ("spread", "density"))
-            top = int(np.argmax(y))
-            axes.text(x[top] + 0.02 * far, y[top], f"{what}s", color=colour, fontsize=6.5, va="bottom")
-        prior = mine[mine["groups"] == _groups(answer)[0]]
-        axes.plot(prior["spread"], prior["prior"], color=GREY, lw=0.8, ls=(0, (4, 3)))
-        if prior["prior"].notna().all():
-            at, height = (prior[key].to_numpy(dtype=np.float64) for key in ("spread", "prior"))
-            place, size = 0.8 * far, 6.5
-            axes.text(place, np.interp(place, at, height), "prior", color=GREY, fontsize=size, va="bottom")
-        axes.set(xlim=(0, 1.15 * far), ylim=(0, 1.15 * float(mine["density"].max())))
-        axes.set_xlabel("spread of what is told best" if name == BEST_TOLD else f"spread of {_axis(name)}")
-        axes.set_yticks([])
-    panels[0].set_ylabel("posterior density")
-    label_origin(figure, answer.synthetic)
-    return figure
-
-
-def _paint_recovery(answer: Answer) -> Figure:
-    """Intervals of every replicate, grouped by the true spread, beside the truth."""
-    every = answer.frames["recovered"]
-    names = [str(name) for name in every["parameter"].unique()]
-    figure = Figure(figsize=(WIDTH, 0.5 + 1.35 * len(names)))
-    panels = figure.subplots(len(names), 2, squeeze=False, sharex=True)
-    for row, name in zip(panels, names, strict=True):
-        for axes, what in zip(row, ("mean", "spread"), strict=True):
-            _paint_intervals(axes, every[(every["parameter"] == name) & (every["what"] == what)])
-            axes.set_title(f"{WHAT[what]} of {_axis(name)}", loc="left")
-    label_origin(figure, answer.synthetic)
-    return figure
-
-
-def _paint_intervals(axes: Axes, rows: pd.DataFrame) -> None:
-    ticks, at = [], 0
-    for spread, same in rows.groupby("spread", sort=False):
-        x = at + np.arange(len(same))
-        axes.vlines(x, same["low_95"], same["high_95"], color=COLOURS[0], lw=0.9)
-        axes.vlines(x, same["low_50"], same["high_50"], color=COLOURS[0], lw=2.4)
-        truth = float(same["truth"].iloc[0])
-        axes.plot([x[0] - 0.5, x[-1] + 0.5], [truth, truth], color=COLOURS[1], lw=1.1, zorder=3)
-        ticks.append((float(x.mean()), f"true spread\n{spread:g}"))
-        at = int(x[-1]) + 3
-    axes.set_xticks([place for place, _ in ticks], [words for _, words in ticks])
-    axes.tick_params(axis="x", length=0)
-    light_grid(axes, "y")
 
 
 def story(answer: Answer, figures: Figures) -> list[Block]:
@@ -306,11 +228,6 @@ def _name(row: Row) -> str:
     return symbol(str(row["parameter"])).split(" (")[0]
 
 
-def _axis(name: str) -> str:
-    called = symbol(name).split(" (")[0]
-    return f"ln {called}" if _in_log(name) else called
-
-
 def _signed(words: str) -> str:
     return words.replace("-", "−")
 
@@ -331,4 +248,4 @@ def _between(name: str, *ends: float) -> str:
     return f"{typeset(number(low))} to {typeset(number(high))}{unit}"
 
 
-PAGE = Page(said, layouts, draw_specimens, story)
+PAGE = Page(said, layouts, draw_all, story)

@@ -16,7 +16,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Fit, Watch
-from needlefit.inference.weighing.about_fit import MORE, drawn_from, of_fit
+from needlefit.inference.weighing.about_fit import drawn_from, of_fit, surely
 from needlefit.inference.weighing.pareto import RELIABLE
 from needlefit.project.streams import stream
 from needlefit.validation.job import Job, Settings
@@ -57,18 +57,20 @@ def learn(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) 
     FitError
         If the search finds no point that can be solved.
     """
-    seed = job.recipe.seed
-    watch = Watch(stop=settings.stop, jobs=settings.jobs)
-    fit = minimize(problem, job.recipe, stream(seed, job.name, *key, "starts"), watch)
+    fit = fitted(job, problem, key, settings)
     if not len(fit.theta) or settings.stop():
         return Learned(fit, Draws(np.empty((DRAWS, len(fit.theta))), "importance"), float("nan"))
-    rng = stream(seed, job.name, *key, "weighed")
-    found = of_fit(problem, fit, rng, settings.jobs)
-    if found.k > RELIABLE:
-        found = of_fit(problem, fit, rng, settings.jobs, MORE)
+    rng = stream(job.recipe.seed, job.name, *key, "weighed")
+    found = surely(lambda effort: of_fit(problem, fit, rng, settings.jobs, effort))
     if found.k <= RELIABLE:
         return Learned(fit, drawn_from(found, DRAWS, rng), found.k)
     return Learned(fit, _sampled(job, problem, fit, key, settings), found.k, sampled=True)
+
+
+def fitted(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
+    """Return the fit alone, by the recipe of the job; arguments and errors as of `learn`."""
+    watch = Watch(stop=settings.stop, jobs=settings.jobs)
+    return minimize(problem, job.recipe, stream(job.recipe.seed, job.name, *key, "starts"), watch)
 
 
 def _sampled(job: Job, problem: Problem, fit: Fit, key: tuple[str, ...], settings: Settings) -> Draws:

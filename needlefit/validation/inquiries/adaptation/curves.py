@@ -7,8 +7,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.project.streams import stream
-from needlefit.validation.inquiries.adaptation.reached import drawn_again, gained, reached
-from needlefit.validation.inquiries.adaptation.task import Task, first
+from needlefit.validation.inquiries.adaptation.reached import Again, drawn_again, estimate, reached
+from needlefit.validation.inquiries.adaptation.task import Task, learned_from
 from needlefit.validation.inquiries.answered import Frames
 from needlefit.validation.score import Row
 
@@ -37,10 +37,10 @@ def conclude(task: Task, frames: Frames) -> tuple[str, ...]:
     means = _over_orders(curves).merge(_learned(frames["fits"]), on=["way", "n"], how="left")
     floors = {error: float(frames["errors"][f"floor_{error}"].astype(float).mean()) for error in ERRORS}
     frames["adaptation"] = means.assign(**{f"floor_{error}": floor for error, floor in floors.items()})
-    rng = stream(task.new.recipe.seed, task.new.name, "orders again")
-    again = drawn_again(len(task.orders), rng)
-    frames["reached"] = pd.DataFrame(list(_reached(task, curves, floors, again)))
-    frames["gained"] = pd.DataFrame(list(_gained(task, curves, again)))
+    rng = stream(task.new.recipe.seed, task.new.name, "drawn again")
+    again = drawn_again(len(task.orders), len(task.held_out), rng)
+    frames["reached"] = pd.DataFrame(list(_reached(task, frames["errors"], again)))
+    frames["gained"] = pd.DataFrame(list(_gained(task, frames["errors"], again)))
     return _faults(frames)
 
 
@@ -52,7 +52,7 @@ def _curves(task: Task, errors: pd.DataFrame) -> Iterator[Row]:
     for way in WAYS:
         for order, ids in enumerate(task.orders):
             for n in task.counts:
-                name = "nothing" if way == "none" else "+".join(first(ids, n)) or "nothing"
+                name = "nothing" if way == "none" else learned_from(ids, n)
                 if (way, name) in known:
                     yield {"way": way, "order": order, "n": n} | known[way, name]
 
@@ -76,37 +76,43 @@ def _learned(fits: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def _matrix(curves: pd.DataFrame, way: str, error: str) -> Floats:
-    """Return a measure (O, N) of every order and count."""
-    table = curves[curves["way"] == way].pivot(index="order", columns="n", values=error)
-    return table.to_numpy(dtype=np.float64)
+def _means(task: Task, errors: pd.DataFrame, way: str, error: str, again: Again) -> Floats:
+    """Return the mean errors (R, N) of a way at every count, as they are and drawn again."""
+    wanted = errors[errors["way"] == way].astype({error: float})
+    table = wanted.pivot(index="learned_from", columns="insertion", values=error)
+    ids = [one.id for one in task.held_out]
+    sets = [
+        ["nothing" if way == "none" else learned_from(order, n) for n in task.counts] for order in task.orders
+    ]
+    known = table.reindex([name for names in sets for name in names])[ids].to_numpy(dtype=np.float64)
+    return again.means(known.reshape(len(task.orders), len(task.counts), len(ids)))
 
 
-def _reached(
-    task: Task, curves: pd.DataFrame, floors: dict[str, float], again: NDArray[np.int64]
-) -> Iterator[Row]:
+def _reached(task: Task, errors: pd.DataFrame, again: Again) -> Iterator[Row]:
     """Yield from which count on each way stays near what all new ones give, and near the floor."""
     for error in ERRORS:
-        every = float(_matrix(curves, "new", error)[:, -1].mean())
-        for target, level in (("all", every), ("floor", floors[error])):
+        means = {way: _means(task, errors, way, error, again) for way in WAYS}
+        floors = _means(task, errors, "none", f"floor_{error}", again)[:, 0]
+        for target, levels in (("all", means["new"][:, -1]), ("floor", floors)):
+            limits = levels + task.record.margin_mm
             for way in WAYS:
-                counts = sorted(curves.loc[curves["way"] == way, "n"].unique().tolist())
-                limit = level + task.record.margin_mm
-                found = reached(_matrix(curves, way, error), counts, limit, again)
-                about = {"way": way, "measure": error, "target": target, "target_mm": level}
+                known = np.isfinite(means[way][0])  # from new insertions alone nothing is known at 0
+                counts = [n for n, there in zip(task.counts, known, strict=True) if there]
+                found = reached(means[way][:, known], counts, limits)
+                about = {"way": way, "measure": error, "target": target, "target_mm": float(levels[0])}
                 counted = {"n": found.value, "n_low": found.low, "n_high": found.high}
-                yield {**about, "limit_mm": limit, **counted}
+                yield {**about, "limit_mm": float(limits[0]), **counted}
 
 
-def _gained(task: Task, curves: pd.DataFrame, again: NDArray[np.int64]) -> Iterator[Row]:
+def _gained(task: Task, errors: pd.DataFrame, again: Again) -> Iterator[Row]:
     """Yield by how much the inflated posterior errs less than each rival, count by count."""
     for error in ERRORS:
+        mine = _means(task, errors, "inflated", error, again)
         for rival in ("new", "none"):
-            for n in task.counts:
-                at = curves[curves["n"] == n]
-                if rival in set(at["way"]):
-                    mine, theirs = _matrix(at, "inflated", error)[:, 0], _matrix(at, rival, error)[:, 0]
-                    found = gained(mine, theirs, again)
+            gain = _means(task, errors, rival, error, again) - mine
+            for k, n in enumerate(task.counts):
+                if np.isfinite(gain[0, k]):
+                    found = estimate(gain[:, k])
                     about = {"measure": error, "rival": rival, "n": n, "gain_mm": found.value}
                     yield {**about, "gain_low_mm": found.low, "gain_high_mm": found.high}
 

@@ -1,9 +1,9 @@
-"""From how many insertions on a curve is good enough, and how much of that is the luck of their order.
+"""From how many insertions on a curve is good enough, and how much of that is luck.
 
-A curve is a mean over held-out needles, one value for every count of insertions learned from; there is one
-for every order. The count is read off the mean over orders. What it would have been with other orders is
-asked by drawing the orders again, with replacement; all curves are drawn again together, so that their
-differences are paired. Held-out needles are the same throughout: intervals say nothing of other ones.
+A curve is a mean over held-out needles and over orders, one value for every count of insertions learned from.
+What it would have been with other needles and other orders is asked by drawing both again, with replacement
+and independently of each other; all curves, and what they are held against, are drawn again together, so that
+their differences are paired. Other specimens of the medium are not in it: there is one.
 """
 
 from collections.abc import Sequence
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 AGAIN = 2000
-"""Times that orders are drawn again."""
+"""Times that orders and needles are drawn again."""
 
 ENDS = (2.5, 97.5)
 """Percentiles of an interval."""
@@ -23,32 +23,44 @@ ENDS = (2.5, 97.5)
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value and its 95 % interval over orders; infinite where a count is not reached."""
+    """A value and its 95 % interval over orders and needles; infinite where a count is not reached."""
 
     value: float
     low: float
     high: float
 
 
-def drawn_again(orders: int, rng: np.random.Generator) -> NDArray[np.int64]:
-    """Return which orders (`AGAIN`, O) make each of the repetitions."""
-    return rng.integers(0, orders, size=(AGAIN, orders))
+@dataclass(frozen=True)
+class Again:
+    """Weights of orders (R, O) and of needles (R, H) in every repetition; in the first all weigh the same."""
+
+    orders: Floats
+    needles: Floats
+
+    def means(self, values: Floats) -> Floats:
+        """Return the means (R, N) of `values` (O, N, H) in every repetition."""
+        averaged: Floats = np.einsum("ro,onh,rh->rn", self.orders, values, self.needles, optimize=True)
+        return averaged
 
 
-def reached(curves: Floats, counts: Sequence[int], limit: float, again: NDArray[np.int64]) -> Estimate:
-    """Return the smallest count from which on the mean of `curves` (O, N) stays at or below `limit`."""
-    means = np.vstack([curves.mean(axis=0)[None], curves[again].mean(axis=1)])  # (1 + AGAIN, N)
-    from_end = np.cumprod((means <= limit)[:, ::-1], axis=1).sum(axis=1)  # how many counts stay good
-    found = np.array([*counts, np.inf])[len(counts) - from_end]
-    return _estimate(found[0], found[1:])
+def drawn_again(orders: int, needles: int, rng: np.random.Generator) -> Again:
+    """Return the weights of what there is, and of what is drawn again from it."""
+    return Again(_weights(orders, rng), _weights(needles, rng))
 
 
-def gained(curves: Floats, rivals: Floats, again: NDArray[np.int64]) -> Estimate:
-    """Return by how much the mean of `curves` (O,) lies below that of `rivals` (O,), order by order."""
-    gain = rivals - curves
-    return _estimate(gain.mean(), gain[again].mean(axis=1))
+def reached(means: Floats, counts: Sequence[int], limits: Floats) -> Estimate:
+    """Return the smallest count from which on `means` (R, N) stay at or below their limit (R,)."""
+    good = means <= limits[:, None]
+    from_end = np.cumprod(good[:, ::-1], axis=1).sum(axis=1)  # how many counts stay good
+    return estimate(np.array([*counts, np.inf])[len(counts) - from_end])
 
 
-def _estimate(value: float, again: Floats) -> Estimate:
-    low, high = np.percentile(again, ENDS, method="inverted_cdf")
-    return Estimate(float(value), float(low), float(high))
+def estimate(values: Floats) -> Estimate:
+    """Return the first of `values` (R,) with the interval of the others."""
+    low, high = np.percentile(values[1:], ENDS, method="inverted_cdf")
+    return Estimate(float(values[0]), float(low), float(high))
+
+
+def _weights(count: int, rng: np.random.Generator) -> Floats:
+    drawn = rng.multinomial(count, np.full(count, 1 / count), size=AGAIN)
+    return np.vstack([np.ones(count), drawn]) / count

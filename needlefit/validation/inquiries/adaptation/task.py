@@ -74,6 +74,11 @@ def first(order: tuple[str, ...], n: int) -> tuple[str, ...]:
     return tuple(sorted(order[:n]))
 
 
+def learned_from(order: tuple[str, ...], n: int) -> str:
+    """Return how the frames call the first `n` of an order."""
+    return "+".join(first(order, n)) or "nothing"
+
+
 def task_of(name: str, record: AdaptationRecord, settings: Settings) -> Task:
     """Return the task that a record states.
 
@@ -99,15 +104,11 @@ def task_of(name: str, record: AdaptationRecord, settings: Settings) -> Task:
 
 
 def orders(names: tuple[str, ...], count: int, rng: np.random.Generator) -> tuple[tuple[str, ...], ...]:
-    """Return so many different orders, or all there are: random ones, each with its rotations.
-
-    So every insertion comes first equally often, which a few independent orders would leave to chance.
-    """
+    """Return so many different orders, or all there are, drawn independently of each other."""
     found: dict[tuple[str, ...], None] = {}
     while len(found) < min(count, factorial(len(names))):
-        drawn = [names[k] for k in rng.permutation(len(names))]
-        found |= {(*drawn[k:], *drawn[:k]): None for k in range(len(drawn))}
-    return tuple(found)[:count]
+        found[tuple(names[k] for k in rng.permutation(len(names)))] = None
+    return tuple(found)
 
 
 def _fit(record: AdaptationRecord, side: SideRecord) -> FitRecord:

@@ -4,29 +4,25 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.baselines import curve_for
-from needlefit.inference.curve_density import CurveDensity, log_likelihoods
-from needlefit.inference.density import Density
-from needlefit.inference.likelihood.depths import nodes
-from needlefit.inference.likelihood.evidence import evidence
+from needlefit.inference.curve_density import CurveDensity
+from needlefit.inference.identifiability.settle import settle
 from needlefit.inference.parameters import Parameters, with_noise_scale
-from needlefit.inference.prior import Prior
 from needlefit.inference.sampling.laplace import laplace
 from needlefit.inference.ties import NOISE_SCALE, dimension
-from needlefit.inference.weighing.importance import Effort, importance, resampled
+from needlefit.inference.weighing.about_fit import distinct, modes, surely, weighed
+from needlefit.inference.weighing.further import NOTHING, Further, further
+from needlefit.inference.weighing.importance import Weighted, importance
 from needlefit.mechanics import laws
 from needlefit.project.records.medium import MediumRecord, ParameterRecord
 from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold
-from needlefit.validation.inquiries.learned import DRAWS, learn
+from needlefit.validation.inquiries.learned import fitted
 from needlefit.validation.job import Job, Settings
 from needlefit.validation.planned import as_planned
 from needlefit.validation.score import Rival, curve_rival, model_rival
-
-Floats = NDArray[np.float64]
 
 MOST = 1000.0
 """Largest noise factor: a candidate that misses by millimetres where points err by hundredths needs it."""
@@ -42,23 +38,25 @@ class Candidate:
         Its parameters at its greatest density (Pa, mm; curves: mm^-(k + 1)), the noise factor among them.
     rival : Rival
         The curve of these.
-    densities : callable
-        Insertion -> the log densities (B,) of its points, one for every draw; -inf where a solve fails.
-    k : float
-        Pareto's, of the draws' weights.
-    sampled : bool
-        Whether they were sampled instead.
+    known : Weighted
+        Its posterior.
+    after : callable
+        Insertion -> its posterior after this one too; None where it has no simulated needle.
     """
 
     values: Mapping[str, float]
     rival: Rival
-    densities: Callable[[Insertion], Floats]
-    k: float
-    sampled: bool
+    known: Weighted
+    after: Callable[[Insertion], Weighted | None]
+
+    def foretells(self, insertion: Insertion) -> Further:
+        """Return how probable it makes all points of an insertion together."""
+        both = self.after(insertion)
+        return NOTHING if both is None else further(both, self.known)
 
 
-def candidate(name: str, job: Job, fold: Fold, settings: Settings) -> Candidate:
-    """Return what the candidate of this name learns from the insertions that a fold tunes on."""
+def candidate(name: str, job: Job, fold: Fold, settings: Settings) -> Candidate | None:
+    """Return what the candidate of this name learns from a fold's insertions; None after a stop."""
     return _by_law(job, fold, settings) if name in laws.names() else _by_curve(name, job, fold)
 
 
@@ -87,40 +85,43 @@ def _with_law(medium: MediumRecord, law: str) -> MediumRecord:
     return medium.model_copy(update={"law": law, "parameters": fixed})
 
 
-def _by_law(job: Job, fold: Fold, settings: Settings) -> Candidate:
-    known = learn(job, job.problem(fold), (fold.name,), settings)
-    sets = [job.parameters.values(theta) for theta in known.draws.thetas]
-    likelihood = replace(job.parameters, prior=Prior())
+def _by_law(job: Job, fold: Fold, settings: Settings) -> Candidate | None:
+    problem, seed, needle = job.problem(fold), job.recipe.seed, job.dataset.needle
+    fit = fitted(job, problem, (fold.name,), settings)
+    if settings.stop():
+        return None
+    width = problem.upper - problem.lower
+    ends = modes(fit, width)
 
-    def densities(insertion: Insertion) -> Floats:
-        seen = evidence(job.dataset, insertion, how=job.recipe.likelihood)
-        logs = []
-        for values in sets:
-            met = as_planned(insertion, values, job.medium, job.dataset.needle)
-            if met is None:
-                logs.append(-np.inf)
-                continue
-            at = replace(seen, nodes=nodes(met, seen.nodes.s[0], job.recipe.likelihood.depths))
-            logs.append(Density(likelihood, job.medium, job.dataset.needle, (at,)).log(values))
-        found: Floats = np.nan_to_num(np.array(logs), nan=-np.inf)
-        return found
+    def after(insertion: Insertion) -> Weighted | None:
+        met = as_planned(insertion, fit.values, job.medium, needle)
+        if met is None:
+            return None
+        both = replace(problem, insertions=(*problem.insertions, met))
+        settled = [settle(both, end) for end in ends]
+        peaks = distinct((one.theta for one in settled if np.isfinite(one.value)), width)
+        if not len(peaks):
+            return None
+        rng = stream(seed, job.name, fold.name, "weighed", insertion.id)
+        return surely(lambda effort: weighed(both, peaks, rng, settings.jobs, effort))
 
-    rival = model_rival(known.fit.values, job.medium, job.dataset)
-    return Candidate(known.fit.values, rival, densities, known.k, known.sampled)
+    rng = stream(seed, job.name, fold.name, "weighed")
+    known = surely(lambda effort: weighed(problem, ends, rng, settings.jobs, effort))
+    return Candidate(fit.values, model_rival(fit.values, job.medium, job.dataset), known, after)
 
 
 def _by_curve(name: str, job: Job, fold: Fold) -> Candidate:
     density = CurveDensity(name, job.dataset, fold.tune, job.recipe.likelihood, MOST)
-    rng = stream(job.recipe.seed, job.name, fold.name, "weighed")
-    bounds = (density.lower, density.upper)
-    found = importance(density, [laplace(density, density.peak, *bounds)], bounds, rng, Effort())
-    thetas = found.thetas[resampled(found, DRAWS, rng)]
+
+    def after(*insertions: Insertion) -> Weighted:
+        both = replace(density, insertions=(*fold.tune, *insertions))
+        about = [laplace(both, both.peak, both.lower, both.upper)]
+        keys = (one.id for one in insertions)
+        rng = stream(job.recipe.seed, job.name, fold.name, "weighed", *keys)
+        return surely(lambda effort: importance(both, about, (both.lower, both.upper), rng, effort))
+
     best = density.curve(density.peak)
     coefficients = {f"c{k}": value for k, value in enumerate(best.coefficients)}
-
-    def densities(insertion: Insertion) -> Floats:
-        return log_likelihoods(density, density.of(insertion), thetas)
-
     values = {**coefficients, NOISE_SCALE: float(np.exp(density.peak[-1]))}
     rival = curve_rival(lambda insertion: curve_for(best, insertion))
-    return Candidate(values, rival, densities, found.k, False)
+    return Candidate(values, rival, after(), after)

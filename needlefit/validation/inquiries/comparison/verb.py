@@ -4,9 +4,6 @@ from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 
-import numpy as np
-from numpy.typing import NDArray
-
 from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import noise_floor
@@ -29,20 +26,20 @@ from needlefit.validation.inquiries.pieces import Piece, Rows
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.score import Row, Scorer
 
-Floats = NDArray[np.float64]
-
 _WHERE = ("candidate", "fold")
 _SCORED = ("depth_mm", "comparison", "converged", "te_mm", "ipe_mean_mm", "floor_te_mm", "floor_ipe_mean_mm")
 
 FRAMES: Mapping[str, tuple[str, ...]] = {
     "scores": (
-        *(*_WHERE, "insertion", "group", "points", "log_density", "log_density_se", "failed_solves"),
+        *(*_WHERE, "insertion", "group", "points"),
+        *("log_density", "log_density_se", "shared_se", "pareto_k", "independent_draws"),
         *_SCORED,
     ),
-    "fits": (*_WHERE, "pareto_k", "sampled", "parameter", "value"),
+    "fits": (*_WHERE, "pareto_k", "parameter", "value"),
 }
-"""`log_density` is of all points of a needle together, in mm^-points; `log_density_se` what its mean over few
-draws leaves open."""
+"""`log_density` is of all points of a needle together, in mm^-points; `log_density_se` its Monte Carlo error,
+`shared_se` the part of it that is the same for all needles of a fold; `pareto_k` the larger of its two
+integrals'."""
 
 
 def ask(name: str, record: ComparisonRecord, settings: Settings) -> Answer:
@@ -98,8 +95,21 @@ def _made(name: str, record: ComparisonRecord, settings: Settings) -> Dataset | 
 
 
 def dealt(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...]:
-    """Return folds to which groups of repeats are dealt in turn, at most as many as there are groups."""
+    """Return folds to which needles, or groups of repeats, are dealt in turn.
+
+    Raises
+    ------
+    ConfigError
+        If there are fewer of these than folds.
+    """
     names = _groups(insertions)
+    most = len(set(names))
+    if count > most:
+        raise ConfigError(
+            f"{count} folds cannot be dealt from {most} needles, repeats in a specimen counted as one",
+            where="key folds",
+            expected=f"{most} at most",
+        )
     order = {name: k % count for k, name in enumerate(dict.fromkeys(names))}
     held = [order[name] for name in names]
     return tuple(
@@ -108,7 +118,7 @@ def dealt(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...]:
             tuple(one for one, own in zip(insertions, held, strict=True) if own != k),
             tuple(one for one, own in zip(insertions, held, strict=True) if own == k),
         )
-        for k in range(max(held) + 1)
+        for k in range(count)
     )
 
 
@@ -119,13 +129,15 @@ def _groups(insertions: tuple[Insertion, ...]) -> tuple[str, ...]:
 def _piece(name: str, job: Job, fold: Fold, settings: Settings) -> Rows:
     """Fit one candidate to all folds but one, and ask how probable it makes that one."""
     found = candidate(name, job, fold, settings)
+    if found is None:
+        return {}
     head: Row = {"candidate": name, "fold": fold.name}
     together = _groups((*fold.tune, *fold.validate))[len(fold.tune) :]
     scores = [
         {**head, "group": group, **_score(job, found, insertion)}
         for insertion, group in zip(fold.validate, together, strict=True)
     ]
-    about = {**head, "pareto_k": found.k, "sampled": found.sampled}
+    about = {**head, "pareto_k": found.known.k}
     fits = [{**about, "parameter": key, "value": value} for key, value in found.values.items()]
     return {"scores": scores, "fits": fits}
 
@@ -135,21 +147,14 @@ def _score(job: Job, found: Candidate, insertion: Insertion) -> Row:
     floor = noise_floor(job.dataset, insertion, stream(job.recipe.seed, "noise floor", insertion.id))
     scorer = Scorer(job.dataset, job.record.reading, {insertion.id: floor})
     scored = scorer.score({}, insertion, found.rival)[0][-1]  # the planned path comes last
-    logs = found.densities(insertion)
-    value, error = log_mean(logs)
-    told = {"log_density": value, "log_density_se": error, "points": len(insertion.planar)}
-    told["failed_solves"] = int(np.sum(~np.isfinite(logs)))
-    return {"insertion": insertion.id, **told, **{key: scored[key] for key in _SCORED}}
-
-
-def log_mean(logs: Floats) -> tuple[float, float]:
-    """Return the logarithm of a mean of densities, given their logarithms (B,), and its standard error.
-
-    The error is that of a mean over B independent draws, to first order.
-    """
-    top = float(np.max(logs))
-    if not np.isfinite(top):
-        return -np.inf, np.inf
-    share = np.exp(logs - top)
-    error = np.std(share, ddof=1) / np.mean(share) / np.sqrt(len(share)) if len(share) > 1 else np.inf
-    return top + float(np.log(np.mean(share))), float(error)
+    told = found.foretells(insertion)
+    return {
+        "insertion": insertion.id,
+        "points": len(insertion.planar),
+        "log_density": told.log_density,
+        "log_density_se": told.se,
+        "shared_se": told.shared_se,
+        "pareto_k": told.k,
+        "independent_draws": told.independent,
+        **{key: scored[key] for key in _SCORED},
+    }

@@ -1,0 +1,169 @@
+"""A plan in its plane, and by how much its needles and those of its rivals miss."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Circle
+
+from needlefit.project.records.plan import PlanRecord
+from needlefit.reporting.figures.labels import apart
+from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
+from needlefit.reporting.names import GREY, INK, PLAN_COLOURS, PLAN_NAMES, SYNTHETIC
+from needlefit.reporting.tables import Row, records
+from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.planning.plan import EXPECTED
+
+_SHADES = ("#f7f4ee", "#e2d9c6", "#efeadd", "#d3c7ae", "#e9e2d2")
+_PARTS = ("part", "plan", "trial", "x_mm", "y_mm", "name", "radius_mm")
+_LAYERS = ("interval", "layer", "from_mm", "to_mm")
+
+
+def draw_plane(answer: Answer, path: Path) -> Path:
+    """Draw layers, needles and what they shall reach and pass by; beside it where the plan's needles end."""
+    return plot(path, _plane(answer), _paint_plane)
+
+
+def draw_misses(answer: Answer, path: Path) -> Path:
+    """Draw the share of needles that miss by at most so much, plan by plan."""
+    return plot(path, _within(answer), _paint_misses)
+
+
+def _plane(answer: Answer) -> pd.DataFrame:
+    """Return needles, tips of the plan, layers, and the circles about target and obstacles."""
+    record, frames = answer.record, answer.frames
+    assert isinstance(record, PlanRecord)
+    tips = frames["misses"][frames["misses"]["plan"] == EXPECTED].drop(columns="miss_mm")
+    parts = [frames["needles"].assign(part="needle"), tips.assign(part="tip")]
+    parts += [frames["layers"].assign(part="layer"), pd.DataFrame(_circles(record))]
+    columns = [*_PARTS, *_LAYERS]
+    every = pd.concat([part.reindex(columns=columns) for part in parts if len(part)], ignore_index=True)
+    whole = dict.fromkeys(("trial", "interval", "layer"), "Int64")
+    return every.astype(whole).assign(origin=answer.origin)
+
+
+def _circles(record: PlanRecord) -> list[Row]:
+    """Return a row for each tolerance about the target, and for each obstacle."""
+    about = [("tolerance", "", record.target_mm, limit) for limit in record.tolerances_mm]
+    about += [("obstacle", one.name, one.centre_mm, one.radius_mm) for one in record.obstacles]
+    return [
+        {"part": part, "name": name, "x_mm": x, "y_mm": y, "radius_mm": radius}
+        for part, name, (x, y), radius in about
+    ]
+
+
+def _within(answer: Answer) -> pd.DataFrame:
+    """Return the steps of each plan's share of needles, and the tolerances."""
+    record = answer.record
+    assert isinstance(record, PlanRecord)
+    parts = []
+    for name, rows in answer.frames["misses"].groupby("plan", sort=False):
+        miss = np.sort(rows["miss_mm"].to_numpy(dtype=np.float64))
+        share = np.arange(1, len(miss) + 1) / len(miss)
+        parts.append(pd.DataFrame({"part": "needles", "plan": name, "miss_mm": miss, "share": share}))
+    parts.append(pd.DataFrame({"part": "tolerance", "miss_mm": record.tolerances_mm}))
+    return pd.concat(parts, ignore_index=True).assign(origin=answer.origin)
+
+
+def _paint_plane(plane: pd.DataFrame) -> Figure:
+    needles, tolerances, obstacles = (_part(plane, name) for name in ("needle", "tolerance", "obstacle"))
+    target = records(tolerances.nlargest(1, "radius_mm"))[0]
+    rims = [target["y_mm"], *(obstacles["y_mm"] - obstacles["radius_mm"])]
+    rims += [*(obstacles["y_mm"] + obstacles["radius_mm"])]
+    low, high = min(needles["y_mm"].min(), *rims) - 4, max(needles["y_mm"].max(), *rims) + 4
+    right = max(float(needles["x_mm"].max()), target["x_mm"]) + 6
+    figure = Figure(figsize=(WIDTH, 0.8 + 0.68 * WIDTH * (high - low) / (right + 30)))
+    axes, near = figure.subplots(1, 2, width_ratios=(3.2, 1))
+    _paint_layers(axes, _part(plane, "layer"), right)
+    _paint_needles(axes, needles)
+    axes.add_patch(_circle(target, fill=False, ec=INK, lw=0.7, zorder=4))
+    for row in records(obstacles):
+        axes.add_patch(_circle(row, fc=SYNTHETIC, ec="none", alpha=0.35))
+        above = {"ha": "center", "va": "bottom", "color": SYNTHETIC}
+        axes.text(row["x_mm"], row["y_mm"] + row["radius_mm"] + 0.5, row["name"], fontsize=6.5, **above)
+    axes.set(xlim=(-30, right), ylim=(low, high), xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
+    axes.set_xticks([tick for tick in axes.get_xticks() if 0 <= tick <= right])
+    _paint_target(near, _part(plane, "tip"), tolerances)
+    label_origin(figure, is_synthetic(plane))
+    return figure
+
+
+def _part(table: pd.DataFrame, name: str) -> pd.DataFrame:
+    return table[table["part"] == name]
+
+
+def _circle(row: Row, **style: object) -> Circle:
+    return Circle((row["x_mm"], row["y_mm"]), row["radius_mm"], **style)
+
+
+def _paint_needles(axes: Axes, needles: pd.DataFrame) -> None:
+    """Draw the needle of every plan, and for ours those of the draws, thin; name them where they enter."""
+    planned, drawn = needles[needles["trial"] == -1], needles[needles["trial"] >= 0]
+    for name, rows in planned.groupby("plan", sort=False):
+        style = (0, (5, 2)) if name != EXPECTED else "-"
+        axes.plot(rows["x_mm"], rows["y_mm"], color=PLAN_COLOURS[str(name)], lw=1.0, ls=style, zorder=3)
+    for (plan, _), rows in drawn.groupby(["plan", "trial"]):
+        axes.plot(rows["x_mm"], rows["y_mm"], color=PLAN_COLOURS[str(plan)], lw=0.35, alpha=0.3)
+    first = planned.groupby("plan", sort=False)["y_mm"].first().sort_values()
+    at = apart(first.to_numpy(dtype=np.float64), 1.9 * np.arange(len(first), dtype=np.float64))
+    for (plan, entry), place in zip(first.items(), at.tolist(), strict=True):
+        colour = PLAN_COLOURS[str(plan)]
+        axes.plot([-1.5, 0], [place, entry], color=colour, lw=0.5)
+        axes.text(-2, place, PLAN_NAMES[str(plan)], ha="right", va="center", fontsize=6.5, color=colour)
+
+
+def _paint_target(axes: Axes, tips: pd.DataFrame, tolerances: pd.DataFrame) -> None:
+    """Draw where the plan's needles end, with the tolerances about the target."""
+    axes.plot(tips["x_mm"], tips["y_mm"], ".", color=PLAN_COLOURS[EXPECTED], ms=2.2, alpha=0.5, mew=0)
+    for row in records(tolerances):
+        axes.add_patch(_circle(row, fill=False, ec=INK, lw=0.6))
+        top, said = row["y_mm"] + row["radius_mm"], f"{row['radius_mm']:g} mm"
+        axes.text(row["x_mm"], top, said, fontsize=6, ha="center", va="bottom", color=INK)
+    x, y = (float(tolerances[axis].iloc[0]) for axis in ("x_mm", "y_mm"))
+    axes.plot(x, y, "+", color=INK, ms=6, mew=0.8)
+    half = 1.2 * float(tolerances["radius_mm"].max())
+    axes.set(xlim=(x - half, x + half), ylim=(y - half, y + half), xlabel="x (mm)", aspect="equal")
+    axes.set_title("tips at the target", loc="left")
+
+
+def _paint_layers(axes: Axes, layers: pd.DataFrame, right: float) -> None:
+    """Shade the layers, and number them along the lower edge."""
+    step = float(np.diff(np.sort(layers["y_mm"].unique())).min()) if len(layers) else 0.0
+    for _, rows in layers.sort_values("y_mm").groupby(["interval", "layer"]):
+        layer = int(rows["layer"].iloc[0])
+        y, starts, ends = (rows[name].to_numpy(dtype=np.float64) for name in ("y_mm", "from_mm", "to_mm"))
+        starts, ends = np.minimum(starts, right), np.minimum(ends, right)
+        for run in np.split(np.arange(len(y)), np.flatnonzero(np.diff(y) > 1.5 * step) + 1):
+            shade = _SHADES[(layer - 1) % len(_SHADES)]
+            axes.fill_betweenx(y[run], starts[run], ends[run], color=shade, lw=0, zorder=0)
+        middle = 0.5 * float(np.median(starts) + np.median(ends))
+        low = axes.get_xaxis_transform()
+        axes.text(middle, 0.01, f"{layer}", transform=low, ha="center", va="bottom", color=GREY)
+
+
+def _paint_misses(within: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(WIDTH, 2.5))
+    axes = figure.add_subplot()
+    axes.set_xscale("log")
+    misses = _part(within, "needles")
+    for place, (name, rows) in enumerate(misses.groupby("plan", sort=False)):
+        colour, ours = PLAN_COLOURS[str(name)], name == EXPECTED
+        axes.step(rows["miss_mm"], rows["share"], where="post", color=colour, lw=1.6 if ours else 1.1)
+        level = 0.55 if ours else 0.15 + 0.12 * place
+        beside, side = (0.95, "right") if ours else (1.06, "left")
+        at = beside * float(rows["miss_mm"].quantile(level))
+        axes.text(at, level, PLAN_NAMES[str(name)], color=colour, fontsize=6.5, ha=side, va="center")
+    for limit in _part(within, "tolerance")["miss_mm"]:
+        axes.axvline(limit, color=INK, lw=0.5, ls=(0, (2, 2)), zorder=0)
+    low, high = misses["miss_mm"].quantile([0.005, 1.0])
+    axes.set(xlim=(0.8 * low, 1.3 * high), ylim=(0, 1.01), xlabel="miss of the tip (mm)")
+    axes.set_ylabel("share of needles")
+    ticks = [tick * 10.0**power for power in range(-3, 3) for tick in (1, 2, 5)]
+    axes.set_xticks([tick for tick in ticks if low <= tick <= high], minor=False)
+    axes.xaxis.set_major_formatter("{x:g}")
+    axes.minorticks_off()
+    light_grid(axes, "y")
+    label_origin(figure, is_synthetic(within))
+    return figure
