@@ -89,4 +89,4 @@ def test_a_population_is_refused_that_cannot_be():
         wrong = {**CHICKEN, "recovery": {**RECOVERY, "mean": {**RECOVERY["mean"], **mean}}}
         with pytest.raises(ConfigError, match=fault) as error:
             ask("wrong", SpecimensRecord.model_validate(wrong), Settings())
-        assert error.value.where.startswith("study wrong, key recovery.mean")
+        assert error.value.where.startswith("study wrong, key `recovery.mean.")

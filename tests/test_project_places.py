@@ -202,3 +202,15 @@ def test_the_shipped_twin_may_be_replaced_and_a_template_not(tmp_path):
     template(tmp_path / "mine")
     with pytest.raises(ConfigError, match="is not replaced"), replacing_twin(tmp_path / "mine"):
         pytest.fail("began to build")
+
+
+def test_of_few_names_all_are_listed_and_of_many_the_nearest(project):
+    for part in range(4):
+        (project / f"reports/run{part}").mkdir(parents=True)
+        (project / f"reports/run{part}/run.json").write_text("{}")
+    with pytest.raises(ConfigError) as fault:
+        places.find_run("run1x")
+    assert fault.value.expected == "one of run0, run1, run2, run3"
+    with pytest.raises(ConfigError) as fault:
+        places.find_studies("study33")
+    assert "study3" in fault.value.expected and "adaptation" not in fault.value.expected

@@ -1,11 +1,14 @@
 """What figures count and measure, apart from how they look."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 import pytest
-from reporting_results import stereo, study
+from reporting_results import stereo, study, told, with_draws
 
 from needlefit.reporting import figures, write
+from needlefit.reporting.figures.insertions import curves
 from needlefit.reporting.figures.residuals import about_fit
 from needlefit.reporting.figures.waterfall import counted
 
@@ -27,6 +30,18 @@ def test_starts_are_counted_as_each_search_had_them():
     assert counted(study(5).starts) == "8 starts in each of 2 searches"
     assert counted(stereo().starts) == "8 starts in each of 3 folds"
     assert counted(stereo().starts.query("fold == 1")) == "8 starts"
+
+
+def test_bands_stay_beside_the_needle_they_were_foretold_for():
+    """Tilted by what the frames of score and prediction differ, a band keeps its distances to the needle."""
+    results = told(with_draws(study(5)))
+    tilted = results.bands.copy()
+    for name in ("measured_mm", "low_95_mm", "high_95_mm", "low_50_mm", "high_50_mm"):
+        tilted[name] += 0.01 * tilted["x_mm"]
+    drawn, again = (curves(one, "validate", ("fitted",)) for one in (results, replace(results, bands=tilted)))
+    assert (drawn["curve"] == "95 %").any()
+    for name in ("low_mm", "high_mm"):
+        assert again[name].dropna().tolist() == pytest.approx(drawn[name].dropna().tolist())
 
 
 def test_needles_are_drawn_to_scale(monkeypatch, tmp_path):

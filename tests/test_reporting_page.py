@@ -85,6 +85,13 @@ def test_what_a_user_wrote_is_text_and_no_markup():
     assert "<script>" in outline.words and "<b>bold</b>" in "".join(outline.words)
 
 
+def test_prose_has_no_backticks():
+    said = "made by `needlefit twin`"
+    blocks = (document.text(said), document.bullets([said]), document.note(said), document.warning(said))
+    content = compile_html(document.Document("t", "", False, blocks)).decode()
+    assert content.count("made by needlefit twin") == 4 and "`" not in content.split("</style>")[1]
+
+
 def test_a_table_without_rows_is_left_out():
     display = Display("t", "nothing", (text("a"),), ())
     assert not Outline(

@@ -189,7 +189,7 @@ def test_a_control_that_the_comparison_misses_is_a_fault(compared):
 
 
 def test_a_study_names_its_data_or_makes_them():
-    with pytest.raises(ValueError, match="either dataset or"):
+    with pytest.raises(ValueError, match="neither dataset nor"):
         ComparisonRecord.model_validate({**RECORD, "dataset": None})
     with pytest.raises(ValueError, match="not among the candidates"):
         ComparisonRecord.model_validate({**RECORD, "candidates": ("linear", "straight")})

@@ -12,7 +12,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.reporting.reference import rounded
 from needlefit.validation.checkpoint import open_checkpoint
 from needlefit.validation.differences import differences
-from needlefit.validation.inquiries.kinds import inquiry
+from needlefit.validation.inquiries.kinds import KINDS, ask, inquiry
 from needlefit.validation.inquiries.pieces import piecewise
 from needlefit.validation.job import Settings
 
@@ -177,3 +177,42 @@ def test_answers_to_other_questions_are_not_compared(tmp_path):
     for pair in ((one, two), (one, study), (study, two)):
         with pytest.raises(DataError, match="they answer different questions"):
             differences(*pair)
+
+
+NEXT = {
+    "schema": 1,
+    "kind": "next_insertion",
+    "dataset": "twin",
+    "medium": "chicken",
+    "recipe": "quick",
+    "like": "chicken-02",
+    "tune": {"insertions": ["chicken-01"]},
+    "depths_mm": [40.0],
+    "entries": [{"name": "above"}],
+}
+LEFT = {"schema": 1, "kind": "left_out", "fits": ["chicken"]}
+DEEP = [{"name": "a", "entry": "above", "depth_mm": 9e3}]
+ALONE = {
+    "schema": 1,
+    "kind": "comparison",
+    "dataset": "twin",
+    "medium": "chicken",
+    "insertions": {"insertions": ["chicken-01"]},
+}
+
+
+@pytest.mark.parametrize(
+    ("record", "what", "where"),
+    [
+        ({**NEXT, "like": "none"}, "not in the dataset", "like"),
+        ({**NEXT, "depths_mm": [40, 9e3]}, "cannot be inserted 9000 mm", "depths_mm"),
+        ({**NEXT, "quantities": DEEP}, "cannot be inserted 9000 mm", "quantities.1.depth_mm"),
+        ({**LEFT, "fits": ["no"]}, "no fit called `no`", "fits"),
+        (ALONE, "only one group", "folds"),
+    ],
+    ids=["like", "depths", "quantities", "fits", "folds"],
+)
+def test_what_is_wrong_with_a_study_is_told_with_its_name_and_key(record, what, where):
+    with pytest.raises(ConfigError, match=what) as error:
+        ask("mine", KINDS[record["kind"]].record.model_validate(record), Settings())
+    assert error.value.where == f"study mine, key `{where}`"

@@ -24,6 +24,8 @@ EVERYTHING = "everything"
 """Every study there is, as `all` means those of the paper."""
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
+FEW = 12
+"""Names that a message lists all of; of more the nearest."""
 GROUPS = ("all", EVERYTHING)
 """Names of several studies, and the fits of the paper's tuning tables with them, reported together."""
 
@@ -187,7 +189,8 @@ def _missing(kind: str, name: str) -> ConfigError:
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> ConfigError:
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
+    few = len(known) <= FEW
+    near = known if few else difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
     mend = f"write ./{name} if you mean the one in this folder" if Path(name).exists() else ""
     return ConfigError(
         f"there is no {kind} called `{name}`",

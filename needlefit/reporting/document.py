@@ -49,27 +49,32 @@ def subheading(words: str) -> Block:
 
 def text(words: str) -> Block:
     """Return a paragraph."""
-    return {"kind": "text", "text": words}
+    return {"kind": "text", "text": _prose(words)}
 
 
 def note(words: str) -> Block:
     """Return a paragraph that stands back."""
-    return {"kind": "note", "text": words}
+    return {"kind": "note", "text": _prose(words)}
 
 
 def bullets(items: Sequence[str]) -> Block:
     """Return a list."""
-    return {"kind": "list", "items": list(items)}
+    return {"kind": "list", "items": [_prose(words) for words in items]}
 
 
 def warning(words: str) -> Block:
     """Return a paragraph that cannot be overlooked."""
-    return {"kind": "warning", "text": words}
+    return {"kind": "warning", "text": _prose(words)}
 
 
 def empty(words: str) -> Block:
     """Return an empty box, and in words what is missing in it."""
-    return {"kind": "empty", "text": words}
+    return {"kind": "empty", "text": _prose(words)}
+
+
+def _prose(words: str) -> str:
+    """Return words without the backticks by which a terminal and Markdown tell names: a page prints them."""
+    return words.replace("`", "")
 
 
 def table(display: Display, synthetic: bool) -> Block:

@@ -22,6 +22,8 @@ from needlefit.project.watching import Progress, Stop, never, silent
 from needlefit.validation import paper
 from needlefit.validation.folds import Fold, folds
 
+_GUIDE = "guide_distance_mm"
+
 
 @dataclass(frozen=True)
 class Settings:
@@ -163,17 +165,22 @@ def _check_layers(job: Job) -> None:
             )
 
 
+def farthest_guide(parameters: Parameters, insertion: Insertion) -> float:
+    """Return how far before the tissue, mm, a guide can hold the needle; 0 without one."""
+    if _GUIDE in parameters.bounds:
+        return parameters.bounds[_GUIDE][1]
+    return parameters.fixed.get(_GUIDE, insertion.guide_distance or 0.0)
+
+
 def _check_reach(job: Job) -> None:
     """Refuse, before hours of work, a needle too short for the deepest insertion and the farthest guide."""
-    name = "guide_distance_mm"
-    bounds, fixed = job.parameters.bounds.get(name), job.parameters.fixed.get(name)
     for insertion in job.insertions:
-        guide = bounds[1] if bounds else fixed if fixed is not None else insertion.guide_distance or 0.0
+        guide = farthest_guide(job.parameters, insertion)
         if insertion.depth + guide >= job.dataset.needle.length:
             raise ConfigError(
                 f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
                 f"the tissue the needle of {job.dataset.needle.length:g} mm is too short",
-                where=f"medium {job.record.medium}, key parameters.{name}",
+                where=f"medium {job.record.medium}, key parameters.{_GUIDE}",
                 expected=f"below {job.dataset.needle.length - insertion.depth:g} mm",
                 mend="lessen the guide's distance or its upper bound",
             )

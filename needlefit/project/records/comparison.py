@@ -63,8 +63,10 @@ class ComparisonRecord(InquiryRecord):
 
     @model_validator(mode="after")
     def _one_source(self) -> Self:
-        if (self.dataset is None) == (self.made is None):
-            raise ValueError("give either dataset or [made], not both")
+        if self.dataset is None and self.made is None:
+            raise ValueError("neither dataset nor [made] is given: give one of them")
+        if self.dataset is not None and self.made is not None:
+            raise ValueError("both dataset and [made] are given: give one of them")
         if self.reference not in self.candidates:
             raise ValueError(f"the reference {self.reference} is not among the candidates")
         return self

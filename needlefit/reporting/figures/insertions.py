@@ -4,6 +4,7 @@ import math
 from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
+import numpy as np
 import pandas as pd
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
@@ -42,15 +43,32 @@ def curves(results: Results, role: str, shown: Iterable[str], every: int = 1) ->
     shapes = shapes.sort_values([*KEYS, "rival", "j"])
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
     dots = shapes.drop_duplicates([*KEYS, "j"])
+    bands = _on_measured(results.bands, dots)
     dots = dots[dots["j"] % every == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
     parts = [simulated.assign(curve=simulated["rival"]), dots.assign(curve="measured")]
     for level in _LEVELS if role == "validate" else ():
         ends = {f"low_{level}_mm": "low_mm", f"high_{level}_mm": "high_mm"}
-        parts.append(results.bands.rename(columns=ends).assign(curve=f"{level} %"))
+        parts.append(bands.rename(columns=ends).assign(curve=f"{level} %"))
     found = pd.concat([part.reindex(columns=_POINT) for part in parts if len(part)], ignore_index=True)
     sides = found["insertion"].map(bevel_sides(results))
     found[HEIGHTS] = found[HEIGHTS].mul(sides, axis=0)
     return found.assign(origin=results.origin)
+
+
+def _on_measured(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
+    """Return bands as they lie about the measured needle that is drawn.
+
+    Where only the shape is known, scores turn it into a frame of their own: a band stays where it is beside
+    the needle it was foretold for.
+    """
+    parts = []
+    ends = [name for name in bands.columns if name.startswith(("low_", "high_"))]
+    for key, band in bands.groupby(KEYS, sort=False):
+        needle = shapes[(shapes["fold"] == key[0]) & (shapes["insertion"] == key[1])]
+        if len(needle):
+            height = np.interp(band["x_mm"], needle["measured_x_mm"], needle["measured_y_mm"])
+            parts.append(band.assign(**{name: band[name] - band["measured_mm"] + height for name in ends}))
+    return pd.concat(parts) if parts else bands
 
 
 def panels(

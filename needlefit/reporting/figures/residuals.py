@@ -92,5 +92,5 @@ def _limits(points: pd.DataFrame) -> tuple[float, float]:
     near = points[~points["curve"].isin(_RIVALS)]
     every, own = (frame[HEIGHTS].to_numpy(dtype=np.float64) for frame in (points, near))
     low, high = float(np.nanmin(own)), float(np.nanmax(own))
-    room = 0.5 * (high - low)
-    return max(low - room, float(np.nanmin(every))), min(high + room, float(np.nanmax(every)))
+    far, room = 0.5 * (high - low), 0.06 * (high - low)
+    return max(low - far, float(np.nanmin(every))) - room, min(high + far, float(np.nanmax(every))) + room

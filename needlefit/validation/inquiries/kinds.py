@@ -21,6 +21,7 @@ from needlefit.project.records.specimens import SpecimensRecord
 from needlefit.validation.inquiries import left_out
 from needlefit.validation.inquiries.adaptation import verb as adaptation
 from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.inquiries.blamed import blamed
 from needlefit.validation.inquiries.comparison import verb as comparison
 from needlefit.validation.inquiries.planning import next_insertion, plan
 from needlefit.validation.inquiries.specimens import verb as specimens
@@ -82,4 +83,5 @@ def ask(name: str, record: InquiryRecord, settings: Settings) -> Answer:
     ConfigError, DataError
         If anything the record names is missing or wrong.
     """
-    return KINDS[record.kind].ask(name, record, settings)
+    with blamed(name):
+        return KINDS[record.kind].ask(name, record, settings)

@@ -23,6 +23,7 @@ from needlefit.validation.folds import Fold, groups, leave_out
 from needlefit.validation.heldout import PREDICTIVE, foretold
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
+from needlefit.validation.inquiries.blamed import blamed
 from needlefit.validation.inquiries.learned import Learned, learn
 from needlefit.validation.inquiries.pieces import Piece, Rows
 from needlefit.validation.job import Job, Settings, prepare
@@ -65,8 +66,9 @@ def ask(name: str, record: LeftOutRecord, settings: Settings) -> Answer:
 
 
 def _job(name: str, fit: str, settings: Settings) -> Job:
-    record = load(find("fit", fit), FitRecord)
-    return prepare(f"{name} {fit}", record, settings)
+    with blamed(name, "fits"):
+        record = load(find("fit", fit), FitRecord)
+        return prepare(f"{name} {fit}", record, settings)
 
 
 def _piece(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) -> Rows:

@@ -7,7 +7,6 @@ from functools import partial
 from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import noise_floor
-from needlefit.datasets.select import select
 from needlefit.errors import ConfigError
 from needlefit.project.load import load
 from needlefit.project.places import find
@@ -19,6 +18,7 @@ from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Plan, answered
+from needlefit.validation.inquiries.blamed import place
 from needlefit.validation.inquiries.comparison.against import conclude
 from needlefit.validation.inquiries.comparison.candidates import Candidate, candidate, job_of
 from needlefit.validation.inquiries.comparison.made import made
@@ -66,7 +66,8 @@ def plan(record: ComparisonRecord, job: Job, settings: Settings) -> Plan:
 
 def _job(name: str, record: ComparisonRecord, settings: Settings) -> Job:
     table = {"schema": 1, "dataset": record.dataset or name, "medium": record.medium}
-    fit = FitRecord.model_validate({**table, "recipe": record.recipe, "reading": record.reading})
+    how = {"recipe": record.recipe, "reading": record.reading, "tune": record.insertions}
+    fit = FitRecord.model_validate({**table, **how})
     job = prepare(name, fit, settings, _made(name, record, settings))
     if job.recipe.minimize != "posterior":
         raise ConfigError(
@@ -74,7 +75,14 @@ def _job(name: str, record: ComparisonRecord, settings: Settings) -> Job:
             where=f"study {name}",
             expected='a dataset that states its noise, and a recipe with minimize = "posterior"',
         )
-    chosen = select(job.dataset, record.insertions, record.reading)
+    chosen = job.folds[0].tune
+    if len(set(_groups(chosen))) < 2:
+        raise ConfigError(
+            "there is only one group of repeats: none can be left out",
+            where=place(name, "folds"),
+            expected="insertions of two groups, at least",
+            mend="select more in [insertions]",
+        )
     return replace(job, folds=dealt(chosen, record.folds))
 
 

@@ -14,7 +14,8 @@ from needlefit.geometry.frames import Frame, entry_frame, unit
 from needlefit.inference.predict import predict
 from needlefit.mechanics.shape import NeedleShape, inserted_points
 from needlefit.project.records.next_insertion import EntryRecord, NextInsertionRecord
-from needlefit.validation.job import Job
+from needlefit.validation.inquiries.blamed import place as place_of
+from needlefit.validation.job import Job, farthest_guide
 from needlefit.validation.planned import planned_layers
 
 Floats = NDArray[np.float64]
@@ -45,10 +46,31 @@ def template(job: Job, like: str) -> Insertion:
     if like not in known:
         raise ConfigError(
             f"insertion {like} is not in the dataset",
-            where="key `like`",
+            where=place_of(job.name, "like"),
             expected=f"one of {', '.join(known)}",
         )
     return replace(known[like], side=1, sd=None)
+
+
+def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
+    """Refuse depths (mm, by the study's key) that the needle cannot be inserted to.
+
+    Raises
+    ------
+    ConfigError
+        Naming the first such key.
+    """
+    guide = farthest_guide(job.parameters, like)
+    longest = job.dataset.needle.length - guide
+    through = f", held by a guide {guide:g} mm before the tissue," if guide else ""
+    for key, depth in depths.items():
+        if depth >= longest:
+            raise ConfigError(
+                f"a needle of {job.dataset.needle.length:g} mm{through} cannot be inserted {depth:g} mm",
+                where=place_of(job.name, key),
+                expected=f"depths below {longest:g} mm",
+                mend=f"correct `{key}`, or the needle's length in the dataset",
+            )
 
 
 def candidate(job: Job, like: Insertion, place: Place, values: Mapping[str, float]) -> Insertion | None:
@@ -94,7 +116,7 @@ def _layers(
     if not planned.surfaces:
         raise ConfigError(
             f"medium {planned.medium} has no surfaces: the layers at entry `{entry.name}` are not known",
-            where="entries",
+            where=place_of(job.name, "entries"),
             mend="list the entry's `layers`, and their boundaries_mm",
         )
 

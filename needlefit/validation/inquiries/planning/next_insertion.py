@@ -30,7 +30,14 @@ from needlefit.validation.folds import Fold
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
 from needlefit.validation.inquiries.pieces import Piece, Rows
-from needlefit.validation.inquiries.planning.candidates import Place, candidate, places, seen, template
+from needlefit.validation.inquiries.planning.candidates import (
+    Place,
+    candidate,
+    check_reach,
+    places,
+    seen,
+    template,
+)
 from needlefit.validation.inquiries.planning.knowledge import Knowledge, about, knowledge, tips
 from needlefit.validation.job import Job, Settings, prepare
 from needlefit.validation.score import Row
@@ -121,6 +128,7 @@ def ask(name: str, record: NextInsertionRecord, settings: Settings) -> Answer:
     """
     job = prepare(name, record.tuning(), settings)
     like = template(job, record.like)
+    check_reach(job, like, _deepest(record))
     now = cache(partial(_now, job, record, like, settings))
     names = tuple(one.name for one in record.quantities)
     pieces: dict[str, Piece] = {"posterior": partial(_posterior, now)}
@@ -133,6 +141,14 @@ def ask(name: str, record: NextInsertionRecord, settings: Settings) -> Answer:
     where = dict(zip(_WHERE, ("repeat", deepest.id, 0.0, deepest.depth), strict=True))
     pieces["repeat"] = partial(_piece, now, where, names, partial(_repeat, deepest))
     return answered(name, record, settings, Plan([job], pieces, FRAMES, _conclude))
+
+
+def _deepest(record: NextInsertionRecord) -> dict[str, float]:
+    """Return the largest depth that each key of the record holds, mm."""
+    entries = {f"entries.{n}.depths_mm": one.depths_mm for n, one in enumerate(record.entries, start=1)}
+    wanted = {f"quantities.{n}.depth_mm": (one.depth_mm,) for n, one in enumerate(record.quantities, start=1)}
+    every = {"depths_mm": record.depths_mm, **entries, **wanted}
+    return {key: max(depths) for key, depths in every.items() if depths}
 
 
 def _now(job: Job, record: NextInsertionRecord, like: Insertion, settings: Settings) -> _Now | None:

@@ -32,7 +32,7 @@ from needlefit.validation.inquiries.planning.aiming import (
     straight,
     trial,
 )
-from needlefit.validation.inquiries.planning.candidates import template
+from needlefit.validation.inquiries.planning.candidates import check_reach, template
 from needlefit.validation.inquiries.planning.knowledge import Knowledge, about, knowledge
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.score import Row
@@ -97,6 +97,7 @@ def ask(name: str, record: PlanRecord, settings: Settings) -> Answer:
     """
     job = prepare(name, record.tuning(), settings)
     site = Site(job, template(job, record.like), record)
+    check_reach(job, site.like, {"entrance.depth_mm": record.entrance.depth_mm[1]})
     known = cache(partial(_known, site, settings))
     names = [EXPECTED, BEST_FIT, *([HAND_TUNED] if job.hand_tuned is not None else []), STRAIGHT]
     pieces: dict[str, Piece] = {

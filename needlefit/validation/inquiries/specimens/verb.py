@@ -32,6 +32,7 @@ from needlefit.validation.coverage import wilson
 from needlefit.validation.folds import groups
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
+from needlefit.validation.inquiries.blamed import place
 from needlefit.validation.inquiries.learned import learn
 from needlefit.validation.inquiries.pieces import Piece, Rows
 from needlefit.validation.inquiries.specimens.made_up import inferred, made_up
@@ -105,7 +106,7 @@ def _check(job: Job, record: SpecimensRecord) -> None:
         if missing:
             raise ConfigError(
                 f"no mean is given for {', '.join(missing)}",
-                where=f"study {job.name}, key recovery.mean",
+                where=place(job.name, "recovery.mean"),
                 expected="one value for each free parameter",
             )
         _check_mean(job, record.recovery.mean)
@@ -114,7 +115,7 @@ def _check(job: Job, record: SpecimensRecord) -> None:
         if len(groups(job.folds[0].tune, what)) < 2:
             raise ConfigError(
                 f"there is only one {what}: a spread needs two",
-                where=f"study {job.name}, key tune",
+                where=place(job.name, "tune"),
                 mend="select more",
             )
 
@@ -122,7 +123,7 @@ def _check(job: Job, record: SpecimensRecord) -> None:
 def _check_mean(job: Job, mean: Mapping[str, float]) -> None:
     """Refuse a mean that the medium does not have, or has only beyond its bounds."""
     for name, value in mean.items():
-        where = f"study {job.name}, key recovery.mean.{name}"
+        where = place(job.name, f"recovery.mean.{name}")
         if name not in job.parameters.bounds:
             free = ", ".join(job.parameters.free)
             raise ConfigError("this parameter is not free", where=where, expected=f"one of {free}")

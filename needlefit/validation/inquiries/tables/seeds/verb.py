@@ -8,6 +8,7 @@ from needlefit.project.records.seeds import SeedsRecord
 from needlefit.synthetic.design import insertions
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
+from needlefit.validation.inquiries.blamed import blamed
 from needlefit.validation.inquiries.tables.cells import CELL, cells, every_job, numbers_of, with_starts
 from needlefit.validation.inquiries.tables.pattern import generalising
 from needlefit.validation.inquiries.tables.seeds.contests import contests
@@ -26,7 +27,8 @@ def ask(name: str, record: SeedsRecord, settings: Settings) -> Answer:
     FitError
         If a search finds no point that can be solved.
     """
-    shipped = every_job(record.studies, record.fits, settings)
+    with blamed(name, "studies, fits"):
+        shipped = every_job(record.studies, record.fits, settings)
     jobs = {study: with_starts(job, record.starts) for study, job in shipped.items()}
     asked = {one.id for job in jobs.values() for one in job.insertions}
     plan = [planned for planned in insertions() if planned.id in asked]

@@ -10,6 +10,7 @@ from needlefit.inference.starts import Fit
 from needlefit.project.records.sensitivity import SensitivityRecord, VariationRecord
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
+from needlefit.validation.inquiries.blamed import blamed
 from needlefit.validation.inquiries.pieces import Piece, Rows
 from needlefit.validation.inquiries.tables.cells import (
     CELL,
@@ -66,7 +67,8 @@ def ask(name: str, record: SensitivityRecord, settings: Settings) -> Answer:
     FitError
         If a search finds no point that can be solved.
     """
-    jobs = every_job(record.studies, record.fits, settings)
+    with blamed(name, "studies, fits"):
+        jobs = every_job(record.studies, record.fits, settings)
     base = _AsItStands(jobs, settings)
     pieces: dict[str, Piece] = {AS_DECIDED: partial(_as_decided, base)}
     for one in record.variations:
