@@ -3,6 +3,7 @@
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import pandas as pd
@@ -22,6 +23,7 @@ _POOLED_RATIOS = ["pooled_ipe_mean_over_floor", "pooled_te_over_floor"]
 """Of all points together the floor's median and maximum are others than the mean of each insertion's."""
 
 Row = dict[str, Any]
+RowsOf = Callable[[Results], list[Row]]
 
 
 def validation_table(*results: Results, both: bool = False) -> pd.DataFrame:
@@ -70,8 +72,31 @@ def over_floor(row: Row, error: str) -> float | None:
     return None if ours is None or not floor else ours / floor
 
 
-def _read(results: Results, rows_of: Callable[[Results], list[Row]], role: str, both: bool) -> Iterator[Row]:
-    """Yield the rows by the study's reading, then those that the other one makes different, if wanted."""
+class _Itself:
+    """Results as a key: equal to nothing but themselves."""
+
+    def __init__(self, results: Results) -> None:
+        self.results = results
+
+    def __hash__(self) -> int:
+        return id(self.results)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Itself) and other.results is self.results
+
+
+def _read(results: Results, rows_of: RowsOf, role: str, both: bool) -> tuple[Row, ...]:
+    """Return the rows by the study's reading, then those that the other one makes different, if wanted."""
+    return _rows(_Itself(results), rows_of, role, both)
+
+
+@lru_cache(maxsize=64)
+def _rows(of: _Itself, rows_of: RowsOf, role: str, both: bool) -> tuple[Row, ...]:
+    """Return the same once made: tables, figures and sentences of one report all ask for them."""
+    return tuple(_made(of.results, rows_of, role, both))
+
+
+def _made(results: Results, rows_of: RowsOf, role: str, both: bool) -> Iterator[Row]:
     groups = regrouped(results, role) if both else set()
     for one in (results, *([reread(results)] if groups else [])):
         for row in rows_of(one):
