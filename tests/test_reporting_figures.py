@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from reporting_results import stereo, study, told, with_draws
 
-from needlefit.reporting import figures, write
+from needlefit.reporting import figures
 from needlefit.reporting.figures.insertions import curves
 from needlefit.reporting.figures.residuals import about_fit
 from needlefit.reporting.figures.waterfall import counted
@@ -51,9 +51,3 @@ def test_needles_are_drawn_to_scale(monkeypatch, tmp_path):
         figures.overlays(results, tmp_path / "overlays.pdf")
     shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
     assert shown and {axes.get_aspect() for axes in shown} == {1.0}
-
-
-def test_every_study_shows_its_residuals(tmp_path):
-    for results in (study(5), stereo()):
-        files = {path.name for path in write.write(results, tmp_path / results.name)}
-        assert {"overlays.pdf", "residuals.pdf", "residuals.csv"} <= files

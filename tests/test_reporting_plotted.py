@@ -67,7 +67,9 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
 def test_what_is_drawn_stands_in_the_table_beside(results, painted, tmp_path):
     write._draw(results, tmp_path)
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
-    assert pictures == set(painted) and {"boxplot", "overlays", "rivals", "waterfall"} <= pictures
+    assert (
+        pictures == set(painted) and {"boxplot", "overlays", "residuals", "rivals", "waterfall"} <= pictures
+    )
     for name, figure in painted.items():
         table = pd.read_csv(tmp_path / f"{name}.csv")
         assert set(table["origin"]) == {results.origin}
