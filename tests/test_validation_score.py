@@ -230,7 +230,7 @@ def test_a_tie_shares_its_sources_verdict_times_its_factor(project: Path) -> Non
     assert mu2["determined"] == mu1["determined"]
     assert math.isnan(mu2["sd"]) and mu1["sd"] > 0
     assert [mu1["bound_low"], mu1["bound_high"]] == [3e4, 3e6] and math.isnan(mu2["bound_low"])
-    assert rows.loc["alpha1", "note"] == "fixed" and not rows.loc["alpha1", "determined"]
+    assert rows.loc["alpha1", "note"].startswith("fixed") and not rows.loc["alpha1", "determined"]
 
 
 def test_the_run_says_what_decided_it(project: Path) -> None:
@@ -242,6 +242,4 @@ def test_the_run_says_what_decided_it(project: Path) -> None:
     assert search["negative_log_posterior"] == starts["objective"].min()
     assert search["values"] == fitted(results)
     assert json.loads(json.dumps(results.run)) == results.run
-    assert [name for name, frame in frames(results).items() if frame.empty] == [
-        *("failures", "identification", "profiles")  # a study is not profiled
-    ]
+    assert [name for name, frame in frames(results).items() if frame.empty] == ["failures"]

@@ -189,8 +189,8 @@ def _missing(kind: str, name: str) -> ConfigError:
 
 
 def _unknown(kind: str, name: str, known: list[str]) -> ConfigError:
-    few = len(known) <= FEW
-    near = known if few else difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
+    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
+    near = list(dict.fromkeys([*near, *known])) if len(known) <= FEW else near
     mend = f"write ./{name} if you mean the one in this folder" if Path(name).exists() else ""
     return ConfigError(
         f"there is no {kind} called `{name}`",
