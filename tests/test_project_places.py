@@ -210,7 +210,7 @@ def test_of_few_names_all_are_listed_and_of_many_the_nearest(project):
         (project / f"reports/run{part}/run.json").write_text("{}")
     with pytest.raises(ConfigError) as fault:
         places.find_run("run1x")
-    assert fault.value.expected == "one of run0, run1, run2, run3"
+    assert fault.value.expected.startswith("one of run1, ") and "run0" in fault.value.expected
     with pytest.raises(ConfigError) as fault:
         places.find_studies("study33")
     assert "study3" in fault.value.expected and "adaptation" not in fault.value.expected
