@@ -19,22 +19,19 @@ _NOTES = (
     "through the layers of the planned path. What the model misses is not.",
 )
 _SOURCES = {"posterior": "the sampled posterior", "importance": "draws of the posterior about the fit"}
+TOLD = (
+    *(Column(f"{what} in", f"{level} %") for what in ("Tips", "Shapes") for level in (50, 95)),
+    *(Column("Tip CRPS", "mm"), Column("Shape CRPS", "mm")),
+)
+"""Heads of what became of predictions."""
 
 
 def foretold_layout(results: Results) -> Display:
     """Return one row per medium and number of layers, over all folds."""
     rows = []
     for (medium, layers), group in results.predictive.groupby(["medium", "layers"], sort=False):
-        together = groups(list(group["insertion"]), list(group["specimen"]))
-        held = (f"{what}_in_{level}" for what in ("tip", "shape") for level in (50, 95))
-        shares = (said_of(share(list(group[column]), together)) for column in held)
-        scores = (fixed(group[f"{what}_crps_mm"].mean(), 3) for what in ("tip", "shape"))
-        rows.append((medium_name(str(medium)), str(layers), *shares, *scores))
-    columns = (
-        *(text("Held out"), Column("Layers")),
-        *(Column(f"{what} in", f"{level} %") for what in ("Tips", "Shapes") for level in (50, 95)),
-        *(Column("Tip CRPS", "mm"), Column("Shape CRPS", "mm")),
-    )
+        rows.append((medium_name(str(medium)), str(layers), *told_cells(group)))
+    columns = (text("Held out"), Column("Layers"), *TOLD)
     doubtful = int((~results.predictive["certified"].astype(bool)).sum())
     notes = (
         *_NOTES,
@@ -48,6 +45,15 @@ def foretold_layout(results: Results) -> Display:
     return Display(
         "foretold", f"How well held-out needles were foretold, by {said}.", columns, tuple(rows), notes=notes
     )
+
+
+def told_cells(told: pd.DataFrame) -> tuple[str, ...]:
+    """Return the cells under `TOLD` of some needles: shares within their intervals, and mean scores."""
+    together = groups(list(told["insertion"]), list(told["specimen"]))
+    held = (f"{what}_in_{level}" for what in ("tip", "shape") for level in (50, 95))
+    shares = (said_of(share(list(told[column]), together)) for column in held)
+    scores = (fixed(told[f"{what}_crps_mm"].mean(), 3) for what in ("tip", "shape"))
+    return (*shares, *scores)
 
 
 def said_of(found: Share) -> str:

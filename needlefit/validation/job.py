@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.noise import NoiseFloor, noise_floor
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.inference.material_prior import with_material
@@ -18,6 +19,7 @@ from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.prior import MaterialRecord
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.project.streams import stream
 from needlefit.project.watching import Progress, Stop, never, silent
 from needlefit.validation import paper
 from needlefit.validation.folds import Fold, folds
@@ -92,6 +94,10 @@ class Job:
         """Every insertion that tunes or validates in any fold, once."""
         found = {i.id: i for fold in self.folds for i in (*fold.tune, *fold.validate)}
         return tuple(found.values())
+
+    def floor(self, insertion: Insertion) -> NoiseFloor:
+        """Return the noise floor of an insertion, the same whatever else is asked of it."""
+        return noise_floor(self.dataset, insertion, stream(self.recipe.seed, "noise floor", insertion.id))
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return what one search of a fold minimises: everything free, or the bevel about the paper's set."""

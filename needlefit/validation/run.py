@@ -6,7 +6,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needlefit.datasets.noise import NoiseFloor, noise_floor
 from needlefit.errors import FitError
 from needlefit.inference.identifiability.examine import Examination, examine
 from needlefit.inference.identifiability.identify import practically_equal
@@ -53,7 +52,8 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
     job = prepare(name, record, settings)
     work = provenance.work(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
-    scorer = Scorer(job.dataset, job.record.reading, _floors(job))
+    floors = {insertion.id: job.floor(insertion) for insertion in job.insertions}
+    scorer = Scorer(job.dataset, job.record.reading, floors)
     tables, interrupted = Tables(job.parameters.names), False
     needles: dict[str, PlacedNeedle] = {}
     for number, fold in enumerate(job.folds):
@@ -157,12 +157,3 @@ def _sample(
         raise
     tabulate_posterior(job, fold, posterior, tables)
     return posterior.interrupted
-
-
-def _floors(job: Job) -> dict[str, NoiseFloor]:
-    return {
-        insertion.id: noise_floor(
-            job.dataset, insertion, stream(job.recipe.seed, "noise floor", insertion.id)
-        )
-        for insertion in job.insertions
-    }

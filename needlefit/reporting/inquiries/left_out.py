@@ -2,17 +2,15 @@
 
 from pathlib import Path
 
-from needlefit.datasets.independent import groups
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures.left_out import draw_left_out
-from needlefit.reporting.foretold import said_of
+from needlefit.reporting.foretold import TOLD, told_cells
 from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.coverage import share
 from needlefit.validation.inquiries.answer import Answer
 
 _NAMES = {"insertion": "each insertion left out", "specimen": "each specimen left out"}
@@ -83,16 +81,8 @@ def _cells(row: Row, metric: str) -> tuple[str, ...]:
 def _foretold(answer: Answer) -> Display:
     rows = []
     for (fit, what), told in answer.frames["predictive"].groupby(["fit", "left_out"], sort=False):
-        together = groups(list(told["insertion"]), list(told["specimen"]))
-        held = (f"{part}_in_{level}" for part in ("tip", "shape") for level in (50, 95))
-        shares = (said_of(share(list(told[column]), together)) for column in held)
-        scores = (fixed(told[f"{part}_crps_mm"].mean(), 3) for part in ("tip", "shape"))
-        rows.append((medium_name(str(fit)), str(what), *shares, *scores))
-    columns = (
-        *(text("Fit"), text("Left out")),
-        *(Column(f"{part} in", f"{level} %") for part in ("Tips", "Shapes") for level in (50, 95)),
-        *(Column("Tip CRPS", "mm"), Column("Shape CRPS", "mm")),
-    )
+        rows.append((medium_name(str(fit)), str(what), *told_cells(told)))
+    columns = (text("Fit"), text("Left out"), *TOLD)
     notes = (
         "Tips and whole shapes that fell into the interval foretold for them, by draws of the posterior; in "
         "brackets the 95 % interval of that share. Pareto k of those draws is beside the errors: where it is "

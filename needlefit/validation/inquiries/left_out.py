@@ -11,14 +11,11 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.noise import NoiseFloor, noise_floor
 from needlefit.inference.baselines import curve_for, fit_baseline
 from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.left_out import LeftOutRecord
-from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold, groups, leave_out
 from needlefit.validation.heldout import PREDICTIVE, foretold
 from needlefit.validation.inquiries.answer import Answer
@@ -75,7 +72,8 @@ def _piece(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) -> 
     """Fit one fold, score what it holds out, and say how it was foretold."""
     head: Row = dict(zip(_WHERE, where, strict=True))
     learned = learn(job, job.problem(fold), (fold.name,), settings)
-    scorer = Scorer(job.dataset, job.record.reading, _floors(job, fold.validate))
+    floors = {insertion.id: job.floor(insertion) for insertion in fold.validate}
+    scorer = Scorer(job.dataset, job.record.reading, floors)
     curve = fit_baseline(BASELINE, job.dataset.pose, job.dataset.drop_proximal, fold.tune)
     rivals = {
         "fitted": model_rival(learned.fit.values, job.medium, job.dataset),
@@ -96,11 +94,6 @@ def _fit_rows(head: Row, fold: Fold, learned: Learned) -> list[Row]:
     about["sampled"] = learned.sampled
     values = learned.fit.values.items()
     return [{**head, **about, "parameter": name, "value": value} for name, value in values]
-
-
-def _floors(job: Job, insertions: tuple[Insertion, ...]) -> dict[str, NoiseFloor]:
-    seed = job.recipe.seed
-    return {one.id: noise_floor(job.dataset, one, stream(seed, "noise floor", one.id)) for one in insertions}
 
 
 SUMMARY = (

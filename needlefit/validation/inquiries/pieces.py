@@ -1,7 +1,7 @@
 """Long work in pieces, each kept as it is finished: what was interrupted goes on to the same bytes."""
 
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 
 from needlefit.validation.checkpoint import Checkpoint
 from needlefit.validation.job import Settings
@@ -37,12 +37,13 @@ def piecewise(
         kept[key] = rows
         done += 1
     settings.progress(label, done, len(pieces))
-    return _joined([kept[key] for key in pieces if key in kept]), done < len(pieces)
+    return joined([kept[key] for key in pieces if key in kept]), done < len(pieces)
 
 
-def _joined(parts: list[Rows]) -> Rows:
-    joined: Rows = {}
+def joined(parts: Iterable[Rows]) -> Rows:
+    """Return the rows of several parts, one after the other."""
+    every: Rows = {}
     for part in parts:
         for frame, rows in part.items():
-            joined.setdefault(frame, []).extend(rows)
-    return joined
+            every.setdefault(frame, []).extend(rows)
+    return every

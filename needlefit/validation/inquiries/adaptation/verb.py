@@ -7,7 +7,6 @@ from functools import partial
 
 import numpy as np
 
-from needlefit.datasets.noise import noise_floor
 from needlefit.inference.draws import Draws, of_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.project.records.adaptation import AdaptationRecord
@@ -107,7 +106,7 @@ def _rows(task: Task, job: Job, where: tuple[str, tuple[str, ...]], known: _Know
     told = {row["insertion"]: row for row in foretold(job, fold, known.draws)}
     errors = []
     for insertion in task.held_out:
-        floor = noise_floor(job.dataset, insertion, stream(job.recipe.seed, "noise floor", insertion.id))
+        floor = job.floor(insertion)
         scorer = Scorer(job.dataset, job.record.reading, {insertion.id: floor})
         scored = scorer.score({}, insertion, rival)[0][-1]  # the planned path comes last
         row = {**scored, **told.get(insertion.id, {})}

@@ -6,7 +6,6 @@ from functools import partial
 
 from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.noise import noise_floor
 from needlefit.errors import ConfigError
 from needlefit.project.load import load
 from needlefit.project.places import find
@@ -14,7 +13,6 @@ from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.streams import stream
 from needlefit.validation.folds import Fold
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Plan, answered
@@ -144,7 +142,7 @@ def _piece(name: str, job: Job, fold: Fold, settings: Settings) -> Rows:
 
 def _score(job: Job, found: Candidate, insertion: Insertion) -> Row:
     """Return how probable the points of a needle are, and the errors of the best curve."""
-    floor = noise_floor(job.dataset, insertion, stream(job.recipe.seed, "noise floor", insertion.id))
+    floor = job.floor(insertion)
     scorer = Scorer(job.dataset, job.record.reading, {insertion.id: floor})
     scored = scorer.score({}, insertion, found.rival)[0][-1]  # the planned path comes last
     told = found.foretells(insertion)

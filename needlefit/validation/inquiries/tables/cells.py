@@ -11,7 +11,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.noise import NoiseFloor, noise_floor
+from needlefit.datasets.noise import NoiseFloor
 from needlefit.inference.optimize import minimize
 from needlefit.inference.starts import Fit, Watch
 from needlefit.project.load import load
@@ -83,10 +83,7 @@ def with_starts(job: Job, starts: int | None) -> Job:
 def floors_of(jobs: Iterable[Job]) -> dict[str, NoiseFloor]:
     """Return the noise floor of every insertion of all jobs, by its id."""
     every = {one.id: (job, one) for job in jobs for one in job.insertions}
-    return {
-        name: noise_floor(job.dataset, one, stream(job.recipe.seed, "noise floor", name))
-        for name, (job, one) in every.items()
-    }
+    return {name: job.floor(one) for name, (job, one) in every.items()}
 
 
 def searched(job: Job, search: str, settings: Settings) -> Fit:

@@ -11,7 +11,7 @@ from needlefit.project.records.sensitivity import SensitivityRecord, VariationRe
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Frames, Plan, answered
 from needlefit.validation.inquiries.blamed import blamed
-from needlefit.validation.inquiries.pieces import Piece, Rows
+from needlefit.validation.inquiries.pieces import Piece, Rows, joined
 from needlefit.validation.inquiries.tables.cells import (
     CELL,
     ERRORS,
@@ -81,7 +81,7 @@ def ask(name: str, record: SensitivityRecord, settings: Settings) -> Answer:
 
 def _as_decided(base: _AsItStands) -> Rows:
     where = dict(zip(_WHERE, (AS_DECIDED, AS_DECIDED, "again"), strict=True))
-    return _joined([_scored(job, base, base.fits[name], where) for name, job in base.jobs.items()])
+    return joined([_scored(job, base, base.fits[name], where) for name, job in base.jobs.items()])
 
 
 def _piece(base: _AsItStands, variation: VariationRecord, starts: int, settings: Settings) -> Rows:
@@ -95,7 +95,7 @@ def _piece(base: _AsItStands, variation: VariationRecord, starts: int, settings:
         for tuned, fit in fits.items():
             where = dict(zip(_WHERE, (variation.of, variation.name, tuned), strict=True))
             parts.append(_scored(changed, base, fit, where))
-    return _joined(parts)
+    return joined(parts)
 
 
 def _scored(job: Job, base: _AsItStands, fit: Fit, where: Row) -> Rows:
@@ -111,10 +111,6 @@ def _scored(job: Job, base: _AsItStands, fit: Fit, where: Row) -> Rows:
         "errors": [{**where, **row} for row in scored(job, {"fitted": rival}, base.floors)],
         "parameters": parameters,
     }
-
-
-def _joined(parts: list[Rows]) -> Rows:
-    return {frame: [row for part in parts for row in part[frame]] for frame in FRAMES}
 
 
 def _conclude(numbers: Mapping[str, int], frames: Frames) -> tuple[str, ...]:
