@@ -57,7 +57,7 @@ def open_run(named: Named) -> Subject:
         return subject
     chosen = draws.iloc[np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).astype(np.int64)]
     layers = [layer for _, layer in layers_met(insertion)]
-    return replace(subject, spread=spread_of(chosen.to_dict(orient="records"), layers))
+    return replace(subject, spread=spread_of(chosen, layers))
 
 
 @dataclass(frozen=True)
