@@ -2,6 +2,7 @@
 
 from needlefit.project.subjects import Named, find_subject
 from needlefit.viewer.opening.insertion import open_insertion
+from needlefit.viewer.opening.run import open_run
 from needlefit.viewer.opening.scene import open_scene
 from needlefit.viewer.subject import Subject
 
@@ -30,4 +31,4 @@ def open_subject(name: str | None, insertion: str | None = None) -> Subject:
     return _OPENERS[named.kind](named)
 
 
-_OPENERS = {"scene": open_scene, "dataset": open_insertion}
+_OPENERS = {"scene": open_scene, "run": open_run, "dataset": open_insertion}

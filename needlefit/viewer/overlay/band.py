@@ -5,10 +5,11 @@ the hand led this one. Neither the noise of measured points, nor errors of the l
 model misses is in it.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from needlefit.mechanics.batch import Batch, positions_each
@@ -59,12 +60,15 @@ class NeedleBand:
     failed: int
 
 
-def spread_of(sets: Sequence[Mapping[str, float]], layers: Sequence[int]) -> Spread:
-    """Return parameter sets (Pa, mm) as the layers that a needle meets, by their numbers, have them."""
+def spread_of(draws: pd.DataFrame, layers: Sequence[int]) -> Spread:
+    """Return draws (a column per parameter; Pa, mm) as the layers that a needle meets have them.
+
+    `layers` are their numbers, from 1, in the order in which they are met.
+    """
     return Spread(
-        mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in layers] for values in sets]),
-        alpha=np.array([[values[f"alpha{layer}"] for layer in layers] for values in sets]),
-        offset=np.array([values["bevel_mm"] for values in sets]),
+        mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
+        alpha=np.column_stack([draws[f"alpha{layer}"] for layer in layers]),
+        offset=draws["bevel_mm"].to_numpy(dtype=np.float64),
     )
 
 
