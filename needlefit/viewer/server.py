@@ -11,7 +11,7 @@ from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from needlefit.errors import ConfigError, ModelError, NeedlefitError
+from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.viewer.door import HEADERS, LARGEST, LOOPBACK, Door, Pace
 from needlefit.viewer.export import KINDS, export
 from needlefit.viewer.messages import Message, read
@@ -92,9 +92,9 @@ class Server:
         """Return a window's first message; None, the socket closed, if it is not the right one."""
         try:
             message = read(await socket_.receive_str(timeout=PATIENCE))
-        except (ModelError, TypeError, TimeoutError):
-            message = None
-        if message is None or message.do != "hello" or not self.door.knows(message.said.get("token")):
+        except (TypeError, TimeoutError):
+            message = Message("")
+        if message.do != "hello" or not self.door.knows(message.said.get("token")):
             await socket_.close(code=4401, message=b"the token is missing or wrong")
             return None
         if len(self._sockets) >= MOST_WINDOWS:
@@ -116,12 +116,7 @@ class Server:
             if frame.type is not WSMsgType.TEXT or not pace.allows():
                 await socket_.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too much, or no text")
                 return
-            try:
-                message = read(frame.data)
-            except ModelError as error:
-                await _send(socket_, [window.refused(error)])
-                continue
-            trial = window.trial
+            message, trial = read(frame.data), window.trial
             if message.do == "show":  # reads a dataset: other windows go on meanwhile
                 replies = await asyncio.to_thread(lambda said: list(window.answer(said)), message)
             else:
