@@ -1,14 +1,16 @@
 """The model step by step, for a hand on the needle."""
 
+import copy
 import math
 from collections import Counter
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import Any, Generic, TypeVar
+from dataclasses import dataclass, replace
+from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.course import course
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
 from needlefit.mechanics.needle import Needle
@@ -21,6 +23,15 @@ _DEFAULT_CONTROLS = Controls()
 _DEFAULT_RULES = Rules()
 T = TypeVar("T")
 _AS_IT_IS: Any = object()  # None already says that a tip is not tracked
+
+
+@dataclass(frozen=True)
+class Moment:
+    """A needle as it stands: its shape in C, the depth and the inputs that hold it there, and its tissue."""
+
+    shape: NeedleShape
+    step: Step
+    tissue: Tissue
 
 
 class Session:
@@ -48,6 +59,8 @@ class Session:
         Where the needle stands, and under which inputs.
     failures : Counter
         How many steps failed, by reason.
+    solved : int
+        Equilibria asked of the solver so far.
     """
 
     def __init__(
@@ -63,13 +76,19 @@ class Session:
         self.lattice = Lattice(first_cell, rules.spacing)
         self.last = Step(0.0, bevel, controls)
         self.failures: Counter[str] = Counter()
+        self.solved = 0
         self._foundation = compile_tissue(tissue)
         self._newton = Newton(rules.tolerance, rules.max_iterations)
         self._position = Position()
         self._bevels, self._controls = _Numbers[Bevel](), _Numbers[Controls]()
         self._guides, self._rays = 4, math.ceil(needle.length / rules.spacing)
         self._under_way = self._begin()
-        self.go(self.last)
+        self._shape = self.go(self.last)
+
+    @property
+    def now(self) -> Moment:
+        """The needle as it stands."""
+        return Moment(self._shape, self.last, self.tissue)
 
     @property
     def depth(self) -> float:
@@ -123,10 +142,51 @@ class Session:
         check_reach(self.needle.length, step.depth, step.controls)
         return self._go(step)
 
+    def copy(self) -> Self:
+        """Return a second needle that stands where this one does; the two go on by themselves."""
+        other = copy.copy(self)
+        other.failures = self.failures.copy()
+        other._bevels, other._controls = self._bevels.copy(), self._controls.copy()
+        other._under_way = self._begin()
+        for part, ours in zip(_parts(other._under_way), _parts(self._under_way), strict=True):
+            part[...] = ours
+        return other
+
+    def course(self) -> tuple[Step, ...]:
+        """Return the shortest steps from first contact to where the needle stands."""
+        bevels, controls = self._bevels.values(), self._controls.values()
+        return course(
+            self._position, self.last, self.lattice, lambda ray: (bevels[ray.cut], controls[ray.held])
+        )
+
+    def retold(self, tissue: Tissue | None = None, offset: float | None = None) -> "Session":
+        """Return a needle led the same way through another tissue, or with another bevel offset throughout.
+
+        Its `failures` say whether a step of it failed; it then stands where that step began.
+
+        Parameters
+        ----------
+        tissue : Tissue, optional
+        offset : float, optional
+            b, mm, of every step.
+        """
+        steps = self.course()
+        if offset is not None:
+            steps = tuple(replace(step, bevel=replace(step.bevel, offset=offset)) for step in steps)
+        bevel, controls = steps[0].bevel, steps[0].controls
+        other = Session(
+            self.needle, tissue or self.tissue, bevel, self.lattice.first_cell, controls, self.rules
+        )
+        for step in steps:
+            if not other.go(step).converged:
+                break
+        return other
+
     def _go(self, step: Step) -> NeedleShape:
         move = Move(step.depth, self._bevels.of(step.bevel), self._controls.of(step.controls))
         position, stops = advance(self._position, move, self.lattice)
         status, iterations = CONVERGED, 0
+        self.solved += len(stops)
         if stops:  # there are none where only the bevel was turned
             self._make_room(len(step.controls.guides), stops[-1].ray + 1)
             moving = self._moving(stops)
@@ -141,7 +201,7 @@ class Session:
             self._stop = stops[-1]
         shape = read(self._under_way, self._stop, step.controls, status, iterations)
         if status == CONVERGED:
-            self._position, self.last = position, step
+            self._position, self.last, self._shape = position, step, shape
             self._bevels.forget(lambda: {move.cut, *(ray.cut for ray in rays(position))})
             self._controls.forget(lambda: {move.held, *(ray.held for ray in rays(position))})
         else:
@@ -186,6 +246,16 @@ class _Numbers(Generic[T]):
     def __init__(self) -> None:
         self._numbers: dict[T, int] = {}
         self._next, self._most = 0, 256
+
+    def copy(self) -> "_Numbers[T]":
+        """Return the same numbers for the same inputs."""
+        other = copy.copy(self)
+        other._numbers = self._numbers.copy()
+        return other
+
+    def values(self) -> dict[int, T]:
+        """Return the inputs by their numbers."""
+        return {number: value for value, number in self._numbers.items()}
 
     def of(self, value: T) -> int:
         """Return the number of an input."""
