@@ -3,7 +3,7 @@
 import json
 import math
 from dataclasses import dataclass, field
-from typing import Any, NoReturn
+from typing import Any
 
 from needlefit.errors import ModelError
 from needlefit.viewer.inputs import Change
@@ -32,12 +32,15 @@ class Message:
     changes : tuple of Change
     said : dict
         Whatever else it says.
+    fault : ModelError or None
+        Why it cannot be carried out.
     """
 
     do: str
     id: int = 0
     changes: tuple[Change, ...] = ()
     said: dict[str, Any] = field(default_factory=dict)
+    fault: ModelError | None = None
 
     def number(self, key: str, default: float | None = None, most: float = math.inf) -> float:
         """Return a finite number that the message must hold, unless there is a default."""
@@ -63,25 +66,27 @@ class Message:
 def read(text: str) -> Message:
     """Return the message in a text.
 
-    Raises
-    ------
-    ModelError
-        If it is none: no JSON, an unknown verb, an input that does not exist or is not finite.
+    It has a fault if it is no JSON, or asks for an unknown verb, an input that does not exist, or one that
+    is not finite; its number is then told where it can be.
     """
     try:
-        said = json.loads(text, parse_constant=_no_number)
+        said = json.loads(text)
     except (ValueError, RecursionError):
-        raise ModelError("the message is no JSON", expected="an object with `do` and `id`") from None
-    if not isinstance(said, dict) or said.get("do") not in DOES:
-        raise ModelError("the message says nothing to do", expected=f"`do`: {', '.join(sorted(DOES))}")
-    identity = said.get("id", 0)
-    if not isinstance(identity, int) or isinstance(identity, bool):
-        raise ModelError("the message has no number", expected="`id`, a whole number")
-    return Message(said["do"], identity, _changes(said.get("set", [])), said)
-
-
-def _no_number(text: str) -> NoReturn:
-    raise ModelError(f"a message holds {text}", expected="finite numbers")
+        said = None
+    if not isinstance(said, dict):
+        return Message(
+            "", fault=ModelError("the message is no JSON", expected="an object with `do` and `id`")
+        )
+    identity = said.get("id")
+    number = identity if type(identity) is int else 0
+    try:
+        if said.get("do") not in DOES or type(identity) is not int:
+            raise ModelError(
+                "the message says nothing to do", expected=f"`id`, and `do`: {', '.join(sorted(DOES))}"
+            )
+        return Message(said["do"], number, _changes(said.get("set", [])), said)
+    except ModelError as error:
+        return Message("", number, fault=error)
 
 
 def _changes(rows: object) -> tuple[Change, ...]:

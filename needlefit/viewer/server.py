@@ -11,11 +11,12 @@ from typing import Any
 
 from aiohttp import WSCloseCode, WSMsgType, web
 
-from needlefit.errors import ConfigError, ModelError, NeedlefitError
+from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.viewer.door import HEADERS, LARGEST, LOOPBACK, Door, Pace
 from needlefit.viewer.export import KINDS, export
 from needlefit.viewer.messages import Message, read
 from needlefit.viewer.overlay.band import band
+from needlefit.viewer.overlay.slice import slice_of
 from needlefit.viewer.picture import band_message
 from needlefit.viewer.trial import Trial
 from needlefit.viewer.trials import Trials
@@ -48,6 +49,7 @@ class Server:
         app.router.add_get("/", _index)
         app.router.add_get("/ws", self._attend)
         app.router.add_post("/export/{kind}", self._export)
+        app.router.add_post("/slice", self._slice)
         app.router.add_static("/page", PAGE)
         app.on_shutdown.append(self._leave)
         return app
@@ -92,9 +94,9 @@ class Server:
         """Return a window's first message; None, the socket closed, if it is not the right one."""
         try:
             message = read(await socket_.receive_str(timeout=PATIENCE))
-        except (ModelError, TypeError, TimeoutError):
-            message = None
-        if message is None or message.do != "hello" or not self.door.knows(message.said.get("token")):
+        except (TypeError, TimeoutError):
+            message = Message("")
+        if message.do != "hello" or not self.door.knows(message.said.get("token")):
             await socket_.close(code=4401, message=b"the token is missing or wrong")
             return None
         if len(self._sockets) >= MOST_WINDOWS:
@@ -116,12 +118,7 @@ class Server:
             if frame.type is not WSMsgType.TEXT or not pace.allows():
                 await socket_.close(code=WSCloseCode.POLICY_VIOLATION, message=b"too much, or no text")
                 return
-            try:
-                message = read(frame.data)
-            except ModelError as error:
-                await _send(socket_, [window.refused(error)])
-                continue
-            trial = window.trial
+            message, trial = read(frame.data), window.trial
             if message.do == "show":  # reads a dataset: other windows go on meanwhile
                 replies = await asyncio.to_thread(lambda said: list(window.answer(said)), message)
             else:
@@ -146,6 +143,18 @@ class Server:
         except (NeedlefitError, OSError) as error:
             raise web.HTTPUnprocessableEntity(text=str(error)) from error
         return web.Response(body=found, content_type=KINDS[kind])
+
+    async def _slice(self, request: web.Request) -> web.Response:
+        """Return the scan's slice in the bending plane."""
+        scanned = (await self._asked(request)).subject.scanned
+        if scanned is None:
+            raise web.HTTPNotFound(text="there is no scan of this insertion")
+        try:
+            found = await asyncio.to_thread(slice_of, scanned)
+        except (NeedlefitError, OSError) as error:
+            raise web.HTTPUnprocessableEntity(text=str(error)) from error
+        extent = ",".join(f"{edge:.4f}" for edge in found.extent)
+        return web.Response(body=found.png, content_type="image/png", headers={"X-Extent-Mm": extent})
 
     async def _asked(self, request: web.Request) -> Trial:
         """Return the trial that a request is about."""

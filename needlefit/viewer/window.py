@@ -37,15 +37,15 @@ class Window:
             self._do(message)
         except NeedlefitError as error:
             self._motion = None
-            yield self.refused(error)
+            yield self._refused(error)
         except OSError as error:
             self._motion = None
-            yield self.refused(_unwritten(error, trial))
+            yield self._refused(_unwritten(error, trial))
         if self.trial is not trial or message.do == "hello":
             yield scene_message(self.trial)
-        yield self.state()
+        yield self._state()
 
-    def state(self) -> Reply:
+    def _state(self) -> Reply:
         """Return the needle as it stands."""
         motion = self._motion
         return state_message(self.trial) | {
@@ -54,12 +54,14 @@ class Window:
             "playing": isinstance(motion, Play | Replay),
         }
 
-    def refused(self, error: NeedlefitError) -> Reply:
+    def _refused(self, error: NeedlefitError) -> Reply:
         """Return why something was not done."""
         said = {"what": error.what, "expected": error.expected, "mend": error.mend}
         return {"kind": "refused", "answers": self.heard, **said}
 
     def _do(self, message: Message) -> None:
+        if message.fault:
+            raise message.fault
         if message.do not in ("frame", "hello"):
             self._motion = None  # a hand on the needle takes over from what goes on by itself
         match message.do:

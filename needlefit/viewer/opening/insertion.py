@@ -18,6 +18,7 @@ from needlefit.project.streams import stream
 from needlefit.project.subjects import Named
 from needlefit.viewer.opening.start import beginning
 from needlefit.viewer.overlay.measured import measured_of
+from needlefit.viewer.overlay.slice import scanned
 from needlefit.viewer.subject import Subject
 
 
@@ -71,13 +72,15 @@ def subject_of(shown: Shown, name: str, said: str, choices: tuple[str, ...]) -> 
     scene = Scene.from_record(record, f"{name}/{insertion.id}")
     shape = follow(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = noise_floor(dataset, insertion, stream(shown.seed, "noise floor", insertion.id))
+    scan, lacking = scanned(dataset, insertion)
     return Subject(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=said,
+        note=f"{said} {lacking}".rstrip(),
         record=record,
         first_cell=lattice_of(scene.steps, scene.rules).first_cell,
         synthetic=dataset.origin == "synthetic",
         measured=measured_of(dataset, insertion, floor.te_mm, shape),
+        scanned=scan,
         choices=choices,
     )
