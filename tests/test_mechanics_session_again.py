@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from mechanics_cases import random_needle, random_rules, random_steps, random_tissue
 
-from needlefit.mechanics.control import Bevel, Controls, Guide, Step
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
@@ -96,10 +96,10 @@ def test_retold_is_the_insertion_into_the_other_tissue() -> None:
 
 
 def test_retold_says_where_it_failed_and_leaves_the_first_alone() -> None:
-    thin = Tissue(mu=[0.5], alpha=[8.0], thickness=[2.0])
+    thin = Tissue(mu=[0.5], alpha=[8.0], thickness=[1.0])
     under_way = Session(NEEDLE, replace(thin, thickness=[60.0]), LEFT)
     under_way.step(insert=5.4)
-    before = under_way.step(base=(100.0, 0.0))
+    before = under_way.step(tip=TrackedTip(-3.0))
     retold = under_way.retold(thin)
     assert before.converged and retold.failures
     assert under_way.now.shape is before and retold.depth == 5.4

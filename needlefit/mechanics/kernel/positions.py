@@ -19,13 +19,13 @@ def positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     reached[0] = x[0]
     ends = np.empty(4)
     for e in range(len(x) - 1):
-        _ends(ends, u, slope, e)
+        ends_of(ends, u, slope, e)
         reached[e + 1] = reached[e] + _advance(ends, x[e + 1] - x[e], x[e + 1] - x[e])
     points = np.empty((len(s), 2))
     row = np.empty(8)
     for i in range(len(s)):
-        e = _element(x, s[i])
-        _ends(ends, u, slope, e)
+        e = element_at(x, s[i])
+        ends_of(ends, u, slope, e)
         length = x[e + 1] - x[e]
         points[i, 0] = reached[e] + _advance(ends, length, s[i] - x[e])
         hermite(row, s[i] - x[e], length)
@@ -51,21 +51,22 @@ def deflections_each(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
     ends, row = np.empty(4), np.empty(8)
     for b in range(len(x)):
         for i in range(len(s)):
-            e = _element(x[b], s[i])
-            _ends(ends, u[b], slope[b], e)
+            e = element_at(x[b], s[i])
+            ends_of(ends, u[b], slope[b], e)
             hermite(row, s[i] - x[b, e], x[b, e + 1] - x[b, e])
             found[b, i] = row[0] * ends[0] + row[1] * ends[1] + row[2] * ends[2] + row[3] * ends[3]
     return found
 
 
 @njit(cache=True, nogil=True)
-def _element(x: Floats, s: float) -> int:
+def element_at(x: Floats, s: float) -> int:
     """Return the element of nodes `x` (N,) in which a beam coordinate lies; the nearest one outside."""
     return min(max(int(np.searchsorted(x, s)) - 1, 0), len(x) - 2)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _ends(ends: Floats, u: Floats, slope: Floats, e: int) -> None:
+def ends_of(ends: Floats, u: Floats, slope: Floats, e: int) -> None:
+    """Fill `ends` (4,) with deflection and slope at both ends of element `e`."""
     ends[0], ends[1], ends[2], ends[3] = u[e], slope[e], u[e + 1], slope[e + 1]
 
 

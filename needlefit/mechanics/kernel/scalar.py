@@ -185,7 +185,7 @@ def sweep(
                     k22, k23, k33 = k22 + n2 * t2, k23 + n2 * t3, k33 + n3 * t3
                     f0, f1, f2, f3 = f0 + n0 * r, f1 + n1 * r, f2 + n2 * r, f3 + n3 * r
             stop = nodes[e] if e >= 0 else front[i + 1]
-            a, b, c, d = _bending(rigidity, stop - start)
+            a, b, c, d = bending(rigidity, stop - start)
             start = stop
             k10, k20, k21 = k01 + b + x10, k02 - a + x20, k12 - b + x21
             k30, k31, k32 = k03 + b + x30, k13 + d + x31, k23 - b + x32
@@ -235,7 +235,7 @@ def back(state: Floats, factor: Floats) -> float:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def _bending(rigidity: float, length: float) -> tuple[float, float, float, float]:
+def bending(rigidity: float, length: float) -> tuple[float, float, float, float]:
     """Return 12, 6 l, 4 l^2 and 2 l^2 times EI / l^3, the stiffness of a cubic beam element."""
     f = rigidity / (length * length * length)
     return 12.0 * f, 6.0 * f * length, 4.0 * f * length * length, 2.0 * f * length * length

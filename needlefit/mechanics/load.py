@@ -1,0 +1,135 @@
+"""What acts on the needle across its axis: the tissue along its shaft, and whatever else holds it."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics.control import Controls, Rules
+from needlefit.mechanics.kernel import load as kernel
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import NeedleShape
+from needlefit.mechanics.simulate import compile_tissue
+from needlefit.mechanics.tissue import Tissue
+
+Floats = NDArray[np.float64]
+
+_DEFAULT_RULES = Rules()
+
+
+@dataclass(frozen=True)
+class Hold:
+    """What something that holds the needle puts on it at one place.
+
+    Attributes
+    ----------
+    x : float
+        Beam coordinate, mm.
+    force : float
+        N, toward +y.
+    moment : float
+        N mm, turning x toward y; 0 where the needle turns freely.
+    """
+
+    x: float
+    force: float = 0.0
+    moment: float = 0.0
+
+
+@dataclass(frozen=True)
+class Loads:
+    """All that acts on the needle across its axis, in the constraint frame C; + is toward +y.
+
+    Attributes
+    ----------
+    s : (K,) array
+        Beam coordinates in the tissue at which the model integrates the load, increasing, mm.
+    load : (K,) array
+        Lateral load of the tissue there, N/mm; it jumps where constraint point or layer change.
+    weight : (K,) array
+        Length of shaft that each of them stands for, mm: the tissue's force is `weight @ load`.
+    at_tip : float
+        Force of the tissue on the stretch that belongs to the last constraint point, N.
+    base : Hold
+    guides : tuple of Hold
+        One for each of the controls' guides, in their order; all 0 for one that does not hold yet.
+    tip : Hold
+        What holds a tracked tip where it is; all 0 where the tip is free.
+    """
+
+    s: Floats
+    load: Floats
+    weight: Floats
+    at_tip: float
+    base: Hold
+    guides: tuple[Hold, ...]
+    tip: Hold
+
+    @property
+    def tip_force(self) -> float:
+        """Lateral force on the tip, N: of the tissue about it, and of what holds it where it is tracked."""
+        return self.at_tip + self.tip.force
+
+    @property
+    def tissue(self) -> Hold:
+        """The tissue's force on the whole shaft, N, and its moment about the entry, N mm."""
+        forces = self.weight * self.load
+        return Hold(0.0, float(forces.sum()), float(forces @ self.s))
+
+    @property
+    def everything(self) -> tuple[Hold, ...]:
+        """The tissue and all that holds the needle: together they balance."""
+        return self.tissue, self.base, *self.guides, self.tip
+
+
+def loads(
+    shape: NeedleShape, tissue: Tissue, needle: Needle, controls: Controls, rules: Rules = _DEFAULT_RULES
+) -> Loads:
+    """Return what acts on a needle in equilibrium: docs/model.md, section 3.
+
+    Parameters
+    ----------
+    shape : NeedleShape
+    tissue, needle, rules : Tissue, Needle, Rules
+        Those under which it was found.
+    controls : Controls
+        What holds the needle there: those of its last step.
+
+    Returns
+    -------
+    Loads
+        NaN where the shape is, if it did not converge.
+    """
+    s, weight, load, last, held = kernel.balance(
+        shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
+        rules.switch, needle.flexural_rigidity,
+    )  # fmt: skip
+    acting = dict(zip(shape.x.tolist(), held.tolist(), strict=True))
+    base, tip = float(shape.x[0]), controls.tip
+    return Loads(
+        s,
+        load,
+        weight,
+        float(weight[last:] @ load[last:]),
+        _hold(acting, base, clamped=True),
+        tuple(_hold(acting, guide.x, guide.slope is not None) for guide in controls.guides),
+        Hold(shape.depth) if tip is None else _hold(acting, shape.depth, tip.slope is not None),
+    )
+
+
+def lateral_load(shape: NeedleShape, tissue: Tissue, s: Floats, rules: Rules = _DEFAULT_RULES) -> Floats:
+    """Return the lateral load (K,) of the tissue, N/mm, at beam coordinates `s` (K,), mm.
+
+    Where the load jumps, that of the side nearer to the base.
+    """
+    return kernel.load_at(
+        shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
+        rules.switch, np.ascontiguousarray(s, dtype=np.float64),
+    )  # fmt: skip
+
+
+def _hold(acting: Mapping[float, Sequence[float]], x: float, clamped: bool) -> Hold:
+    """Return what holds at `x`, given force and moment at each node; a guide without a node holds nothing."""
+    force, moment = acting.get(x, (0.0, 0.0))
+    return Hold(x, force, moment if clamped else 0.0)

@@ -1,0 +1,43 @@
+"""What acts on the needle balances: tissue, base, guides and tracked tip."""
+
+import numpy as np
+
+from needlefit.mechanics.load import Hold, loads
+from needlefit.verification.cases import EXACT, Case, random_schedule
+from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
+
+RANDOM = 10
+
+
+def unbalanced(case: Case) -> tuple[float, float]:
+    """Return the sum of all forces, and of all moments about the entry, over the sum of their sizes."""
+    found = loads(case.shape(), case.tissue, case.needle, case.steps[-1].controls, EXACT)
+    forces = [held.force for held in found.everything]
+    moments = [_about_entry(held) for held in found.everything]
+    return _sum_over_sizes(forces), _sum_over_sizes(moments)
+
+
+def _about_entry(held: Hold) -> float:
+    return held.moment + held.x * held.force
+
+
+def _sum_over_sizes(values: list[float]) -> float:
+    return abs(sum(values)) / float(np.sum(np.abs(values)))
+
+
+def _largest(rng: np.random.Generator) -> Outcome:
+    forces, moments = zip(*(unbalanced(random_schedule(rng)) for _ in range(RANDOM)), strict=True)
+    return Outcome((worst(forces), worst(moments)))
+
+
+CHECKS = (
+    Check(
+        Group.SYMMETRIES,
+        "Tissue, base, guides and tracked tip balance, schedules of all inputs",
+        (
+            Quantity(f"sum of forces over their sizes, {RANDOM} random cases", at_most(1e-5), ""),
+            Quantity(f"sum of moments over their sizes, {RANDOM} random cases", at_most(1e-5), ""),
+        ),
+        _largest,
+    ),
+)

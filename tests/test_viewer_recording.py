@@ -1,0 +1,170 @@
+"""A needle in somebody's hand, its recording, and the recording carried out again."""
+
+import numpy as np
+import pytest
+
+from needlefit.errors import ModelError, NeedlefitError
+from needlefit.mechanics.control import Guide, TrackedTip
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.simulate import follow
+from needlefit.project.load import load
+from needlefit.project.places import find
+from needlefit.project.records.scene import SceneRecord
+from needlefit.viewer.inputs import Change, changes_to
+from needlefit.viewer.recording import Recorded, Recorder, head_of, read
+from needlefit.viewer.replay import replay
+from needlefit.viewer.steering import Steering
+
+RECORD = load(find("scene", "figure1"), SceneRecord)
+PLAIN = load(find("scene", "study2"), SceneRecord)
+
+
+def steer(record: SceneRecord = PLAIN, first_cell: float = 1.0) -> Steering:
+    return Steering(Scene.from_record(record), first_cell)
+
+
+def act(steering: Steering, *said) -> None:
+    steering.apply([Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in said])
+
+
+WANDERING = [
+    [("depth_mm", 12.34567)],
+    [("base_y_mm", 0.1), ("base_slope", -0.01)],
+    [("bevel_side", -1.0), ("depth_mm", 20.0)],
+    [("guide_x_mm", 1, -30.0), ("guide_y_mm", 1, 0.2)],
+    [("guide_slope", 1, 0.02), ("depth_mm", 25.1)],
+    [("mu_pa", 1, 1e5), ("alpha", 2, 3.0)],
+    [("return_to", 2.0)],
+    [("bevel_offset_mm", 0.03), ("depth_mm", 30.0)],
+    [("guide_x_mm", 2, 8.0), ("guide_y_mm", 2, 0.1), ("guide_turns_freely", 2, 1.0)],
+    [("offset_throughout_mm", 0.05)],
+    [("tip_held", 1.0)],
+    [("tip_y_mm", 0.5)],
+    [("depth_mm", 18.0), ("tip_held", 0.0), ("guide_holds", 2, 0.0)],
+    [("return_to", 0.0)],
+    [("depth_mm", 5.0)],
+]
+
+
+def recorded(path, said=WANDERING) -> list[np.ndarray]:
+    """Write a recording of what was said; return the deflections after each step."""
+    steering = steer()
+    recorder = Recorder(path, head_of("study2", 1.0, PLAIN.model_dump(mode="json", by_alias=True)))
+    found = [steering.now.shape.u]
+    for n, changes in enumerate(said, start=1):
+        act(steering, *changes)
+        if n == 2:
+            steering.keep()
+        given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in changes)
+        recorder.write(Recorded(n, 0.25 * n, given, float(steering.now.shape.u[-1])))
+        found.append(steering.now.shape.u)
+    return found
+
+
+def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
+    path = tmp_path / "log.csv"
+    found = recorded(path)
+    again = list(replay(read(path)))
+    assert len(again) == len(found) == len(WANDERING) + 1
+    for replayed, expected in zip(again, found, strict=True):
+        np.testing.assert_array_equal(replayed.moment.shape.u, expected)
+    assert max(replayed.off for replayed in again) == 0.0
+    assert again[4].time == 1.0
+
+
+@pytest.mark.parametrize("cut", [1, 20, 45])
+def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int) -> None:
+    """Killed while it wrote: the step of two rows at the end is there whole, or not at all."""
+    path = tmp_path / "log.csv"
+    recorded(path, [*WANDERING, [("depth_mm", 9.0), ("bevel_side", -1.0)]])
+    path.write_bytes(path.read_bytes()[:-cut])
+    assert [step.number for step in read(path).steps] == list(range(1, len(WANDERING) + 1))
+
+
+def test_a_recording_is_a_table_for_others(tmp_path) -> None:
+    import pandas as pd
+
+    recorded(tmp_path / "log.csv")
+    frame = pd.read_csv(tmp_path / "log.csv", comment="#")
+    assert list(frame.columns) == ["step", "time_s", "input", "item", "value", "deflection_mm"]
+    assert frame.loc[frame.input == "depth_mm", "value"].iloc[0] == 12.34567
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "fault"),
+    [
+        ("1,0.2500,depth_mm", "1,0.2500,depth_m", "line .*: there is no input `depth_m`"),
+        ("depth_mm,,12.34567", "depth_mm,,deep", "`deep`"),
+        ("depth_mm,,12.34567", "depth_mm,,nan", "depth_mm is nan"),
+        ("5,1.2500,", "7,1.2500,", "step 7"),
+        ("# first_cell_mm = 1.0", "# first_cell_mm = -1.0", "first_cell_mm"),
+        ("# schema = 1", "# schema = ", "head is no TOML"),
+        ("depth_mm,,12.34567", "depth_mm,,500.0", "step 1 cannot be carried out"),
+        ("return_to,,2.0", "return_to,,77.0", "step 7 cannot be carried out"),
+    ],
+)
+def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault) -> None:
+    path = tmp_path / "log.csv"
+    recorded(path)
+    text = path.read_text()
+    assert old in text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(NeedlefitError, match=f"log.csv.*{fault}"):
+        list(replay(read(path)))
+
+
+def test_an_insertion_by_hand_is_the_simulated_one() -> None:
+    """In many small strides, as a page sends them."""
+    scene = Scene.from_record(PLAIN)
+    steering = steer(first_cell=0.06)
+    for depth in np.arange(0.37, 38.06, 0.37):
+        act(steering, ("depth_mm", float(depth)))
+    act(steering, ("depth_mm", 38.06))
+    expected = follow(scene.needle, scene.tissue, scene.steps, scene.rules).deflection
+    assert steering.now.shape.deflection == pytest.approx(expected, abs=1e-7)
+
+
+def test_what_is_refused_has_not_happened() -> None:
+    steering = steer()
+    act(steering, ("depth_mm", 30.0))
+    before = steering.now
+    for said in (
+        [("depth_mm", 151.0)],
+        [("guide_x_mm", 1, -20.0)],
+        [("mu_pa", 1, -5.0)],
+        [("mu_pa", 9, 5.0)],
+        [("tip_y_mm", 500.0)],
+        [("return_to", 5.0)],
+        [("guide_x_mm", 1, -200.0), ("guide_y_mm", 1, 0.0)],
+    ):
+        with pytest.raises(ModelError):
+            act(steering, *said)
+    assert steering.number == 1
+    assert steering.now.shape is before.shape and steering.now.step == before.step
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_no_input_takes_what_is_not_finite(value: float) -> None:
+    with pytest.raises(ModelError, match="finite"):
+        Change("base_y_mm", None, value)
+
+
+def test_guides_keep_their_numbers_and_names() -> None:
+    steering = steer()
+    act(steering, ("guide_x_mm", 2, -10.0), ("guide_y_mm", 2, 0.0))
+    act(steering, ("guide_x_mm", 1, -5.0), ("guide_y_mm", 1, 0.0))
+    act(steering, ("guide_x_mm", 2, 4.0))
+    assert steering.now.step.controls.guides == (Guide(-5.0), Guide(4.0, in_tissue=True))
+    act(steering, ("guide_holds", 1, 0.0))
+    act(steering, ("guide_turns_freely", 2, 1.0), ("tip_y_mm", 0.1))
+    assert steering.now.step.controls.guides == (Guide(4.0, 0.0, None, True),)
+    assert steering.now.step.controls.tip == TrackedTip(0.1)
+
+
+def test_the_steps_of_a_scene_can_be_carried_out_by_hand() -> None:
+    scene = Scene.from_record(RECORD)
+    steering = steer(RECORD)
+    for step in steering.scene.steps:
+        changes = changes_to(step, steering.now.step, steering.names)
+        steering.apply([*changes, Change("depth_mm", None, step.depth)])
+    assert steering.now.step == scene.steps[-1]
