@@ -25,9 +25,10 @@ from needlefit.cli.tune import tune
 from needlefit.cli.twin import twin_build, twin_ct
 from needlefit.cli.validate import validate
 from needlefit.cli.verify import verify
+from needlefit.cli.view import view
 
 _COMMANDS: tuple[Callable[..., None], ...] = (
-    *(simulate, check, tune, identify, calibrate, predict, validate, report, diff),
+    *(simulate, view, check, tune, identify, calibrate, predict, validate, report, diff),
     *(verify, credibility, material, paper, init),
 )
 

@@ -38,5 +38,10 @@ def reconstructions(incomplete: str) -> list[str]:
     return _beginning(names("reconstruction"), incomplete)
 
 
+def subjects(incomplete: str) -> list[str]:
+    """Return the scenes, runs and datasets whose names begin so."""
+    return _beginning([*names("scene"), *run_names(), *names("dataset")], incomplete)
+
+
 def _beginning(known: list[str], incomplete: str) -> list[str]:
     return [name for name in known if name.startswith(incomplete)]

@@ -37,20 +37,41 @@ def views(volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike) -> tu
     needle : (N, 3) array
         The whole needle from base to tip, LPS, mm.
     """
-    local = frame.to_local(patient.to_world(needle))
-    local = local[np.argsort(local[:, 0])]
-    start, tip = float(local[0, 0]), float(local[-1, 0])
-    shown = local[local[:, 0] >= -OUTSIDE]
-    x = _pixels(max(-OUTSIDE, start - 2.0), tip + BEYOND)
-    y, z = (_pixels(float(side.min()) - BESIDE, float(side.max()) + BESIDE) for side in shown.T[1:])
-    y_at, z_at = (np.interp(x, local[:, 0], side) for side in local.T[1:])
-    end = np.full(len(y), tip - BEFORE_TIP)
-    turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
+    local, turned = _laid(patient, frame, needle)
+    x, (y, z) = _along(local), (_beside(local, side, BESIDE) for side in (1, 2))
+    end = np.full(len(y), local[-1, 0] - BEFORE_TIP)
     return (
-        _picture(volume, turned, "xyz", (x, y, z_at)),
-        _picture(volume, turned, "xzy", (x, z, y_at)),
+        in_bending_plane(volume, patient, frame, needle),
+        _picture(volume, turned, "xzy", (x, z, np.interp(x, local[:, 0], local[:, 1]))),
         _picture(volume, turned, "yzx", (y, z, end)),
     )
+
+
+def in_bending_plane(
+    volume: Volume, patient: Frame, frame: Frame, needle: ArrayLike, beside: float = BESIDE
+) -> View:
+    """Return the picture in the bending plane (x, y), `beside` mm wide to both sides; else as `views`."""
+    local, turned = _laid(patient, frame, needle)
+    x, y = _along(local), _beside(local, 1, beside)
+    return _picture(volume, turned, "xyz", (x, y, np.interp(x, local[:, 0], local[:, 2])))
+
+
+def _laid(patient: Frame, frame: Frame, needle: ArrayLike) -> tuple[Floats, Frame]:
+    """Return the needle (N, 3) in C, in the order of its x, and C in the scan's LPS."""
+    local = frame.to_local(patient.to_world(needle))
+    turned = Frame(patient.to_local(frame.origin[None])[0], patient.rotation.T @ frame.rotation)
+    return local[np.argsort(local[:, 0])], turned
+
+
+def _along(local: Floats) -> Floats:
+    """Return the columns of a picture along a needle in C (N, 3)."""
+    return _pixels(max(-OUTSIDE, float(local[0, 0]) - 2.0), float(local[-1, 0]) + BEYOND)
+
+
+def _beside(local: Floats, axis: int, beside: float) -> Floats:
+    """Return the pixels along one of the axes across a needle in C (N, 3), from `beside` mm before it on."""
+    side = local[local[:, 0] >= -OUTSIDE, axis]
+    return _pixels(float(side.min()) - beside, float(side.max()) + beside)
 
 
 def _pixels(low: float, high: float) -> Floats:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -150,6 +151,11 @@ def write(volume: Volume, path: Path, description: str = "") -> None:
             from needlefit.imaging.dicom.write import write_series
 
             write_series(volume, path, description)
+
+
+def installed() -> bool:
+    """Return whether the packages that read scans are there."""
+    return all(find_spec(name) is not None for name in ("SimpleITK", "pydicom"))
 
 
 @contextmanager

@@ -206,4 +206,10 @@ class Rules:
     @classmethod
     def from_record(cls, record: RulesRecord) -> Self:
         """Return the rules that a checked record describes."""
-        return cls(record.constraint_spacing_mm, record.element)
+        return cls(
+            record.constraint_spacing_mm,
+            record.element,
+            switch=record.constraint_switch,
+            tangent=record.tangent_part,
+            first_cell=record.first_cell_mm,
+        )

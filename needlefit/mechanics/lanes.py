@@ -227,8 +227,8 @@ def _inputs(batch: Batch, tissue: tuple[Floats, Floats], holds: Holds, cut: Ints
         values = getattr(batch, name)
         return np.full(len(lane), otherwise) if values is None else values[lane]
 
-    turns = np.array([step.bevel.side / batch.rules.spacing for step in batch.steps])
-    offsets = np.array([given("offset", step.bevel.offset) for step in batch.steps])  # (steps, W)
+    bevels = [batch.steps[step].bevel for step in cut]  # of these stops alone: there may be many steps
+    turns = [bevel.side / batch.rules.spacing * given("offset", bevel.offset) for bevel in bevels]
     before = np.repeat(holds.before[:, :, None], len(lane), axis=2)  # (F, 3, W)
     if batch.guide_x is not None:
         before[0, 0] = batch.guide_x[lane]
@@ -238,7 +238,7 @@ def _inputs(batch: Batch, tissue: tuple[Floats, Floats], holds: Holds, cut: Ints
         *tissue,
         np.array([given("base_y", base[0]), given("base_slope", base[1]), np.full(len(lane), base[2])]),
         before,
-        turns[cut, None] * offsets[cut],
+        np.array(turns),  # (S, W)
     )
 
 

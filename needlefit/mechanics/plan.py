@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Controls, Rules, Step
+from needlefit.mechanics.control import Bevel, Controls, Rules, Step
 
 NEAR = 1e-9
 """Two depths nearer than this are the same, mm."""
@@ -196,10 +196,13 @@ def moves_of(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
     """Return the steps as moves, once the needle of `length` (mm) is long enough for each of them."""
     if not steps:
         raise ModelError("an insertion without steps", expected="one step at least")
-    bevels, controls = [step.bevel for step in steps], [step.controls for step in steps]
-    for step in steps:
+    bevels: dict[Bevel, int] = {}
+    controls: dict[Controls, int] = {}
+    for n, step in enumerate(steps):
         check_reach(length, step.depth, step.controls)
-    return tuple(Move(step.depth, bevels.index(step.bevel), controls.index(step.controls)) for step in steps)
+        bevels.setdefault(step.bevel, n)
+        controls.setdefault(step.controls, n)
+    return tuple(Move(step.depth, bevels[step.bevel], controls[step.controls]) for step in steps)
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over

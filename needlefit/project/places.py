@@ -63,7 +63,7 @@ def find(kind: Kind, name: str) -> Path:
     ConfigError
         If there is no such file; the nearest names are listed.
     """
-    if _is_path(name):
+    if is_path(name):
         path = Path(name)
         path = path / "dataset.toml" if kind == "dataset" and path.is_dir() else path
         if path.is_file():
@@ -80,7 +80,7 @@ def find(kind: Kind, name: str) -> Path:
         path = root / _PATTERNS[kind].format(name=name)
         if path.is_file():
             return path
-    raise _unknown(kind, name, names(kind))
+    raise unknown_name(kind, name, names(kind))
 
 
 def label(path: Path) -> str:
@@ -95,7 +95,7 @@ def label(path: Path) -> str:
 
 def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
-    if _is_path(name):
+    if is_path(name):
         path = Path(name)
         if not path.is_file():
             raise _missing("study or fit", name)
@@ -113,7 +113,7 @@ def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
             mend="tune them one by one; `needlefit validate all` runs the paper's studies and their fits",
         )
     if not found:
-        raise _unknown("study or fit", name, names("study") + names("fit"))
+        raise unknown_name("study or fit", name, names("study") + names("fit"))
     kind: Literal["study", "fit"] = "study" if found[0] == "study" else "fit"
     return kind, find(kind, name)
 
@@ -128,10 +128,10 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
         wanted = (*PAPER_STUDIES, *(others if name == EVERYTHING else ()))
         return [(study, find("study", study)) for study in wanted]
     known = names("study")
-    if not _is_path(name) and name not in known:
+    if not is_path(name) and name not in known:
         if name in names("fit"):
             raise _no_study(name)
-        raise _unknown("study", name, [*known, *GROUPS])
+        raise unknown_name("study", name, [*known, *GROUPS])
     path = find("study", name)
     if path.parent.name == "fits" and not _is_study(path):
         raise _no_study(name)
@@ -151,10 +151,10 @@ def find_run(name: str) -> Path:
     ConfigError
         If there is no such folder, or it holds no `run.json`.
     """
-    folder = Path(name) if _is_path(name) else Path("reports") / name
+    folder = Path(name) if is_path(name) else Path("reports") / name
     if (folder / "run.json").is_file():
         return folder
-    raise _unknown("run", name, run_names())
+    raise unknown_name("run", name, run_names())
 
 
 def run_names() -> list[str]:
@@ -162,7 +162,8 @@ def run_names() -> list[str]:
     return sorted(path.parent.name for path in Path("reports").glob("*/run.json"))
 
 
-def _is_path(name: str) -> bool:
+def is_path(name: str) -> bool:
+    """Return whether a name is a path, and no bare name to look up."""
     return "/" in name or name in (".", "..") or name.endswith(".toml")
 
 
@@ -188,12 +189,13 @@ def _missing(kind: str, name: str) -> ConfigError:
     return ConfigError(f"there is no such {kind}", where=name, expected="a TOML file", mend="check the path")
 
 
-def _unknown(kind: str, name: str, known: list[str]) -> ConfigError:
+def unknown_name(kind: str, name: str, known: list[str], otherwise: str = ", or a path") -> ConfigError:
+    """Return what is raised of a bare name that is not known: the nearest of those that are."""
     near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
     near = list(dict.fromkeys([*near, *known])) if len(known) <= FEW else near
     mend = f"write ./{name} if you mean the one in this folder" if Path(name).exists() else ""
     return ConfigError(
         f"there is no {kind} called `{name}`",
         expected=f"one of {', '.join(near) or '(none found)'}",
-        mend=mend or "use one of these names, or a path",
+        mend=mend or f"use one of these names{otherwise}",
     )

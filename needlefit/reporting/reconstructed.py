@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from needlefit.datasets.volumes import ScanVolume, write_volumes
 from needlefit.imaging.assemble import About
 from needlefit.imaging.batch import PACKAGES, Failure
 from needlefit.imaging.reconstruction import Reconstruction
@@ -35,8 +36,8 @@ def write_reconstructed(
 
     Where none can be held nothing is written, and what was there stays.
 
-    The dataset; `reconstruction.csv`, `markers.csv`, `crossings.csv`; `quality/<id>.pdf`; `slicer/`;
-    and `reconstruction.json`: versions, recipe, and the SHA-256 of every file.
+    The dataset, and where its scans lie; `reconstruction.csv`, `markers.csv`, `crossings.csv`;
+    `quality/<id>.pdf`; `slicer/`; and `reconstruction.json`: versions, recipe, and the SHA-256 of every file.
 
     Raises
     ------
@@ -49,6 +50,7 @@ def write_reconstructed(
         kept, failures = assemble_sound(fresh, ones, recipe, about)
         if not kept:
             return kept, failures
+        write_volumes(fresh, {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept})
         write_tables(kept, fresh)
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))

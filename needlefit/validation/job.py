@@ -140,7 +140,7 @@ def prepare(
     if recipe.minimize == "posterior" and not dataset.noise.stated:
         recipe = by_metric(recipe)  # without noise a posterior has no width, and no peak
     parameters = Parameters.from_record(medium)
-    hand = None if record.hand_tuned is None else _hand_tuned(record.hand_tuned, parameters, record.medium)
+    hand = None if record.hand_tuned is None else hand_tuned_set(record.hand_tuned, parameters, record.medium)
     if recipe.likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)
         hand = None if hand is None else {**hand, NOISE_SCALE: 1.0}
@@ -192,8 +192,8 @@ def _check_reach(job: Job) -> None:
             )
 
 
-def _hand_tuned(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
-    """Return the paper's set, completed by what the medium fixes."""
+def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
+    """Return the paper's set, completed by what the medium fixes; ConfigError where it is of other layers."""
     published = {**parameters.fixed, **paper.hand_tuned(name)}
     missing = [p for p in parameters.names if p not in published]
     if missing:

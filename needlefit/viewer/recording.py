@@ -74,13 +74,18 @@ class Recorder:
         OSError
             If the file cannot be written.
         """
-        text = "" if self._begun else _head_lines(self._head)
-        text += "".join(_rows(step))
-        if not self._begun:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.begin()
         # one write, unbuffered: the step is in the system's hands, or it is not there at all
-        with self.path.open("ab" if self._begun else "xb", buffering=0) as file:
-            file.write(text.encode())
+        with self.path.open("ab", buffering=0) as file:
+            file.write("".join(_rows(step)).encode())
+
+    def begin(self) -> None:
+        """Make the file with its head, where that was not done; raise OSError if it cannot be written."""
+        if self._begun:
+            return
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.path.open("xb", buffering=0) as file:
+            file.write(_head_lines(self._head).encode())
         self._begun = True
 
 

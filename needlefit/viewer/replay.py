@@ -1,12 +1,11 @@
 """A recording carried out again."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
-from needlefit.viewer.inputs import Change
 from needlefit.viewer.recording import Recorded, Recording
 from needlefit.viewer.steering import Steering
 
@@ -63,7 +62,7 @@ def replay(recording: Recording, steering: Steering | None = None) -> Iterator[R
         If a step cannot be carried out; it was recorded by another version, or changed since.
     """
     steering = steering or begin(recording)
-    wanted = {int(change.value) for recorded in recording.steps for change in returns(recorded)}
+    last = last_returns(recording.steps)
     yield Replayed(None, steering.now)
     for recorded in recording.steps:
         try:
@@ -75,11 +74,19 @@ def replay(recording: Recording, steering: Steering | None = None) -> Iterator[R
                 expected=error.expected,
                 mend=f"it was recorded by needlefit {recording.head.needlefit}; replay it with that version",
             ) from error
-        if recorded.number in wanted:
-            steering.keep()
+        keep_for_returns(steering, recorded, last)
         yield Replayed(recorded, moment)
 
 
-def returns(recorded: Recorded) -> Iterator[Change]:
-    """Yield the changes of a step that take the needle back."""
-    return (change for change in recorded.changes if change.name == "return_to")
+def last_returns(steps: Sequence[Recorded]) -> dict[int, int]:
+    """Return to which steps the needle returns, and the number of the last step that does."""
+    return {int(c.value): step.number for step in steps for c in step.changes if c.name == "return_to"}
+
+
+def keep_for_returns(steering: Steering, recorded: Recorded, last: dict[int, int]) -> None:
+    """Keep the needle as it stands after a step if a later one returns to it; forget what none returns to."""
+    if recorded.number in last:
+        steering.keep()
+    for change in recorded.changes:
+        if change.name == "return_to" and last[int(change.value)] == recorded.number:
+            steering.forget(int(change.value))

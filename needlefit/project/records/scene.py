@@ -53,10 +53,26 @@ class BevelRecord(Record):
 
 
 class RulesRecord(Record):
-    """What is part of the model (`constraint_spacing_mm`) and what is numerical (`element_mm`)."""
+    """What is part of the model, and what is numerical (`element_mm`).
+
+    `constraint_switch`, `tangent_part` and `first_cell_mm` are decided, as in a medium; other values let a
+    scene carry a needle that was fitted under them.
+    """
 
     constraint_spacing_mm: float = Field(default=1.0, gt=0)
     element_mm: float | None = Field(default=None, gt=0)
+    constraint_switch: float = Field(default=0.5, ge=0, le=1)
+    tangent_part: float = Field(default=1.0, ge=0, le=1)
+    first_cell_mm: float | None = Field(default=None, gt=0)
+
+    @model_validator(mode="after")
+    def _within_a_cell(self) -> Self:
+        if self.first_cell_mm is not None and self.first_cell_mm > self.constraint_spacing_mm:
+            raise ValueError(
+                f"first_cell_mm is {self.first_cell_mm:g}: at most constraint_spacing_mm, "
+                f"{self.constraint_spacing_mm:g}"
+            )
+        return self
 
     @property
     def element(self) -> float:

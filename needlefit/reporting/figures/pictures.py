@@ -1,7 +1,10 @@
 """The scan in the axes of the constraint frame, with what was reconstructed drawn over it."""
 
+from io import BytesIO
+
 import numpy as np
 from matplotlib.axes import Axes
+from matplotlib.image import imsave
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
@@ -40,6 +43,16 @@ def show(axes: Axes, view: View, reconstruction: Reconstruction, span: tuple[flo
     _draw_markers(axes, view, reconstruction)
     for spine in axes.spines.values():
         spine.set_visible(False)
+
+
+def png(view: View) -> bytes:
+    """Return a picture of the scan by itself: PNG, the top row first, clear outside the volume."""
+    grey = np.interp(view.values, *_shades((view,)))  # (H, W)
+    outside = ~np.isfinite(view.values)
+    image = np.dstack([np.where(outside, 0.0, grey)] * 3 + [np.where(outside, 0.0, 1.0)])
+    file = BytesIO()
+    imsave(file, image, origin="lower", format="png")
+    return file.getvalue()
 
 
 def whole_needle(reconstruction: Reconstruction) -> Floats:

@@ -46,9 +46,14 @@ def hand_tuned(name: str) -> dict[str, float]:
     published = {"parameters": table("parameters")}
     found = rows(published, "parameters", set=name)
     if not found:
-        known = ", ".join(row["set"] for row in rows(published, "parameters"))
+        known = ", ".join(hand_tuned_names())
         raise ConfigError(f"the paper has no hand-tuned set called `{name}`", expected=f"one of {known}")
     return {key: float(value) for key, value in found[0].items() if _is_number(value)}
+
+
+def hand_tuned_names() -> tuple[str, ...]:
+    """Return the names of the rows of the parameter table."""
+    return tuple(table("parameters")["set"])
 
 
 def checked_claims() -> list[Claim]:

@@ -1,0 +1,101 @@
+"""`needlefit view`: a needle in one's own hand, in the browser."""
+
+import asyncio
+import shlex
+import signal
+import threading
+import webbrowser
+from collections.abc import Callable, Coroutine
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from needlefit.cli import options, screen
+from needlefit.cli.completion import subjects
+
+if TYPE_CHECKING:
+    from needlefit.viewer.door import Door
+    from needlefit.viewer.trials import Trials
+
+
+def view(
+    subject: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="[SCENE | RUN | DATASET/ID]",
+            autocompletion=subjects,
+            show_default=False,
+            help="What to steer: a scene; a run's fit of an insertion, with its band; a measured insertion.",
+        ),
+    ] = None,
+    inputs: Annotated[
+        Path | None,
+        typer.Option(metavar="LOG", help="A recording to carry out again, and to go on from; no SUBJECT."),
+    ] = None,
+    port: Annotated[
+        int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: one that is free).")
+    ] = 0,
+    browser: Annotated[
+        bool, typer.Option("--browser/--no-browser", help="Open the page, or only print its address.")
+    ] = True,
+    out: options.Out = Path("reports"),
+    quiet: options.Quiet = False,
+    verbose: options.Verbose = False,
+) -> None:
+    """Steer a needle by hand, in real time, in the browser.
+
+    The page is served to this machine alone. Everything done there is recorded to OUT/view/, a CSV for each
+    needle, as it happens; `needlefit simulate --inputs LOG` replays it. Ctrl-C ends.
+    """
+    if inputs is not None and subject is not None:
+        raise typer.BadParameter("the recording says what it is about: leave it out", param_hint="SUBJECT")
+    serve = _server()
+    screen.compile_ahead("lanes", quiet=quiet)
+    trials = _trials(subject, inputs, out / "view")
+
+    def ready(door: "Door") -> None:
+        screen.say(door.address)
+        screen.note("needlefit: Ctrl-C ends")
+        if browser:  # some browsers hold up whoever calls them
+            threading.Thread(target=webbrowser.open, args=(door.address,), daemon=True).start()
+
+    asyncio.run(serve(trials, port, ready, _until_stopped))
+    for path in trials.written():
+        screen.say(f"recorded: {path}")
+        screen.note(f"replay it: {shlex.join(('needlefit', 'simulate', '--inputs', str(path)))}")
+
+
+def _server() -> Callable[..., "Coroutine[None, None, None]"]:
+    """Return what serves, if what that needs is installed."""
+    try:
+        from needlefit.viewer.server import serve
+    except ModuleNotFoundError as error:
+        if error.name != "aiohttp":
+            raise
+        from needlefit.errors import ConfigError
+
+        raise ConfigError(
+            "the interactive simulation needs aiohttp, which is not installed",
+            mend="pip install 'needlefit[view]'",
+        ) from None
+    return serve
+
+
+def _trials(subject: str | None, inputs: Path | None, folder: Path) -> "Trials":
+    from needlefit.viewer.opening import open_subject
+    from needlefit.viewer.opening.recorded import open_recorded
+    from needlefit.viewer.recording import read
+    from needlefit.viewer.trials import Trials
+
+    source = None if inputs is None else read(inputs)
+    shown = open_subject(subject) if source is None else open_recorded(source)
+    return Trials(shown, folder, lambda insertion: open_subject(shown.name, insertion), source)
+
+
+async def _until_stopped() -> None:
+    """Wait for Ctrl-C, or to be told to end."""
+    stopped, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, stopped.set)
+    await stopped.wait()

@@ -1,0 +1,51 @@
+"""Where the scans of a dataset's insertions lie: to look at, nothing is read from them that is fitted to."""
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.formats.csv import missing_columns, read_table
+from needlefit.datasets.insertion import Dataset
+
+NAME = "volumes.csv"
+COLUMNS = ("id", "volume", "series")
+
+
+@dataclass(frozen=True)
+class ScanVolume:
+    """The scan of an insertion: a file or folder, and which DICOM series where a folder holds several."""
+
+    path: Path
+    series: str | None = None
+
+
+def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume]) -> Path:
+    """Write where the scan of each insertion lies, by its id, with whole paths: they hold on this machine."""
+    rows = [(id_, str(one.path.resolve()), one.series or "") for id_, one in volumes.items()]
+    path = folder / NAME
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
+    return path
+
+
+def volume_of(dataset: Dataset, id_: str) -> ScanVolume | None:
+    """Return the scan of an insertion, None where the dataset does not say; it may not lie there any more.
+
+    Raises
+    ------
+    DataError
+        If the table that says so has a fault.
+    """
+    path = dataset.path.parent / NAME
+    if not path.is_file():
+        return None
+    table, found = read_table(path), list[Fault]()
+    if missing_columns(table, COLUMNS[:2], found):
+        raise as_error(found, path)
+    cells = table.cells[table.cells["id"] == id_]
+    if cells.empty or not cells["volume"].iloc[0]:
+        return None
+    series = cells["series"].iloc[0] if "series" in cells else ""
+    return ScanVolume(path.parent / cells["volume"].iloc[0], series or None)

@@ -1,0 +1,117 @@
+"""What the page may say, read with distrust."""
+
+import json
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from needlefit.errors import ModelError
+from needlefit.viewer.inputs import Change
+
+DOES = frozenset(
+    ("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show")
+)
+
+MOST_CHANGES = 64
+"""Inputs that one message may set."""
+
+FASTEST = 1000.0
+"""mm/s, and times as fast as recorded."""
+
+
+@dataclass(frozen=True)
+class Message:
+    """One message of the page.
+
+    Attributes
+    ----------
+    do : str
+        One of `DOES`.
+    id : int
+        The page's own number of it; answers name it.
+    changes : tuple of Change
+    said : dict
+        Whatever else it says.
+    fault : ModelError or None
+        Why it cannot be carried out.
+    """
+
+    do: str
+    id: int = 0
+    changes: tuple[Change, ...] = ()
+    said: dict[str, Any] = field(default_factory=dict)
+    fault: ModelError | None = None
+
+    def number(self, key: str, default: float | None = None, most: float = math.inf) -> float:
+        """Return a finite number that the message must hold, unless there is a default."""
+        value = self.said.get(key, default)
+        found = _finite(value)
+        if found is None or abs(found) > most:
+            upto = f", at most {most:g}" if math.isfinite(most) else ""
+            raise ModelError(f"{key} is {value!r:.40}", expected=f"a finite number{upto}")
+        return found
+
+    def text(self, key: str) -> str:
+        """Return a text; empty if the message holds none."""
+        value = self.said.get(key)
+        return value if isinstance(value, str) else ""
+
+    @property
+    def gesture(self) -> int | None:
+        """Which gesture it belongs to, if any."""
+        value = self.said.get("gesture")
+        return value if isinstance(value, int) and not isinstance(value, bool) else None
+
+
+def read(text: str) -> Message:
+    """Return the message in a text.
+
+    It has a fault if it is no JSON, or asks for an unknown verb, an input that does not exist, or one that
+    is not finite; its number is then told where it can be.
+    """
+    try:
+        said = json.loads(text)
+    except (ValueError, RecursionError):
+        said = None
+    if not isinstance(said, dict):
+        return Message(
+            "", fault=ModelError("the message is no JSON", expected="an object with `do` and `id`")
+        )
+    identity = said.get("id")
+    number = identity if type(identity) is int else 0
+    try:
+        if said.get("do") not in DOES or type(identity) is not int:
+            raise ModelError(
+                "the message says nothing to do", expected=f"`id`, and `do`: {', '.join(sorted(DOES))}"
+            )
+        return Message(said["do"], number, _changes(said.get("set", [])), said)
+    except ModelError as error:
+        return Message("", number, fault=error)
+
+
+def _changes(rows: object) -> tuple[Change, ...]:
+    if not isinstance(rows, list) or len(rows) > MOST_CHANGES:
+        raise ModelError("`set` holds no inputs", expected=f"up to {MOST_CHANGES} of [input, item, value]")
+    return tuple(_change(row) for row in rows)
+
+
+def _change(row: object) -> Change:
+    if not (isinstance(row, list) and len(row) == 3):
+        raise ModelError(f"{row!r:.60} is no input", expected="[input, item, value]")
+    name, item, value = row
+    number = _finite(value)
+    if number is None:
+        raise ModelError(f"{name!r:.40} is {value!r:.40}", expected="a finite number")
+    if not isinstance(name, str) or not (item is None or type(item) is int):
+        raise ModelError(f"{row!r:.60} is no input", expected="[input, item, value]")
+    return Change(name[:40], item, number)
+
+
+def _finite(value: object) -> float | None:
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        return None
+    try:
+        number = float(value)
+    except OverflowError:
+        return None
+    return number if math.isfinite(number) else None

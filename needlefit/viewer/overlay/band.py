@@ -1,0 +1,112 @@
+"""Where a fit says that the needle is, as surely as the data know the parameters.
+
+The band is that of `validation/placed.py`: the central 95 % of the needles of draws of the parameters, led as
+the hand led this one. Neither the noise of measured points, nor errors of the layers' places, nor what the
+model misses is in it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+
+from needlefit.mechanics.batch import Batch, positions_each
+from needlefit.mechanics.control import Rules, Step
+from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.tissue import Tissue
+from needlefit.validation.placed import CENTRAL, STATIONS
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Spread:
+    """Draws of the parameters, as the layers of one insertion have them.
+
+    Attributes
+    ----------
+    mu : (B, n) array
+        Of the n layers that it meets, MPa.
+    alpha : (B, n) array
+    offset : (B,) array
+        b, mm.
+    """
+
+    mu: Floats
+    alpha: Floats
+    offset: Floats
+
+
+@dataclass(frozen=True)
+class NeedleBand:
+    """The central 95 % of the needles of draws, from the entry to the tip, in C.
+
+    Attributes
+    ----------
+    x : (K,) array
+        Depth along the entry axis, median over the needles, mm.
+    low, high : (K,) arrays
+        Of y, mm.
+    failed : int
+        Draws whose needle was not found; they are left out.
+    """
+
+    x: Floats
+    low: Floats
+    high: Floats
+    failed: int
+
+
+def spread_of(draws: pd.DataFrame, layers: Sequence[int]) -> Spread:
+    """Return draws (a column per parameter; Pa, mm) as the layers that a needle meets have them.
+
+    `layers` are their numbers, from 1, in the order in which they are met.
+    """
+    return Spread(
+        mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
+        alpha=np.column_stack([draws[f"alpha{layer}"] for layer in layers]),
+        offset=draws["bevel_mm"].to_numpy(dtype=np.float64),
+    )
+
+
+def band(
+    spread: Spread, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: Rules, first_cell: float
+) -> NeedleBand | None:
+    """Return the band of a needle that was led through `steps`; None where it has no width to show.
+
+    Every draw replaces moduli and alphas of all layers and the bevel offset of all steps; the layers stay
+    where they are, guides and base where the hand holds them. Runs on one core, and lets the interpreter go.
+
+    Parameters
+    ----------
+    steps : tuple of Step
+        The shortest that lead to where the needle stands: `Session.course`.
+    first_cell : float
+        Of the session, mm.
+
+    Returns
+    -------
+    NeedleBand or None
+        None before the tip is in, and where no draw can be solved.
+    """
+    depth = steps[-1].depth
+    if not depth > 0:
+        return None
+    led = Batch(
+        needle,
+        tissue,
+        steps,
+        replace(rules, first_cell=first_cell),
+        mu=spread.mu,
+        alpha=spread.alpha,
+        offset=spread.offset,
+    )
+    (shapes,) = follow_batches([led], threads=1)
+    found = positions_each(shapes, np.linspace(0.0, depth, STATIONS))[shapes.converged]  # (B, K, 2)
+    if not len(found):
+        return None
+    low, _, high = np.percentile(found[:, :, 1], CENTRAL, axis=0)
+    return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))

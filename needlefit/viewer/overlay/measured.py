@@ -1,0 +1,133 @@
+"""A measured needle beside the one in somebody's hand, and how far they lie apart at this moment."""
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.geometry.compare import STATIONS, CurveErrors, compare
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import align_rigid
+from needlefit.inference.comparison import Target, curve_of, scored, target
+from needlefit.mechanics.shape import NeedleShape, positions
+
+Floats = NDArray[np.float64]
+
+AT_DEPTH = 1e-6
+"""A needle this near to the measured depth, mm, has reached it."""
+
+LEAST = 1.0
+"""Of less than this in common, mm, nothing is said."""
+
+_FRACTIONS = np.linspace(0.0, 1.0, STATIONS)
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A measured needle, ready to be compared with many simulated ones.
+
+    Attributes
+    ----------
+    id : str
+    points : (N, 2) array
+        In C, entry first, mm. A shape known only up to a rigid motion lies on the needle of the parameters
+        with which it was opened.
+    s : (N,) array
+        Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm.
+    target : Target
+        What a study compares a needle of the measured depth with.
+    depth : float
+        Inserted arc length, mm.
+    side : int
+        The side of C's x axis that the bevel faces, +1 or -1.
+    floor : float or None
+        TE that the true parameters would still show, mm; None where no noise is stated.
+    """
+
+    id: str
+    points: Floats
+    s: Floats
+    target: Target
+    depth: float
+    side: int
+    floor: float | None
+
+
+@dataclass(frozen=True)
+class LiveErrors:
+    """How far the needle lies from the measured one; mm unless said.
+
+    Attributes
+    ----------
+    te, ipe_mean, ipe_max : float
+        As in a study where `whole`; else of the length that both have in common, counted from the entry, and
+        TE at its end.
+    edp : float or None
+        Percent of the measured deflection there; None where the measured needle is straight.
+    upto : float
+        Inserted length that is compared.
+    whole : bool
+        Whether the needle has the measured depth, so that these are the errors of a study.
+    floor : float or None
+        Of TE, for the whole needle.
+    """
+
+    te: float
+    ipe_mean: float
+    ipe_max: float
+    edp: float | None
+    upto: float
+    whole: bool
+    floor: float | None
+
+
+def measured_of(dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape) -> Measured:
+    """Return an insertion as it is compared.
+
+    Parameters
+    ----------
+    floor : float
+        TE of its noise floor, mm; NaN where there is none.
+    shape : NeedleShape
+        The needle on which a shape of unknown pose is laid.
+    """
+    aim = target(dataset.pose, dataset.drop_proximal, insertion)
+    points, s = insertion.planar, arc_length(insertion.planar)
+    s = s * (insertion.depth / s[-1])
+    if dataset.pose == "free":
+        points, s = aim.measured, aim.s
+        if shape.converged:
+            points = align_rigid(points, positions(shape, s))
+    stated = None if math.isnan(floor) else floor
+    return Measured(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
+
+
+def live_errors(measured: Measured, shape: NeedleShape) -> LiveErrors | None:
+    """Return how far a needle lies from the measured one.
+
+    None where that cannot be said: the needle was not found, has hardly begun, or is not as deep as a
+    measured one of which only the shape is known.
+    """
+    upto = min(shape.depth, measured.depth)
+    if not shape.converged or upto < LEAST:
+        return None
+    beyond = shape.depth - measured.depth
+    whole = abs(beyond) <= AT_DEPTH
+    if whole:
+        curve = curve_of(shape)
+        errors = compare(*scored(measured.target, lambda s: curve(s + beyond)))
+    elif measured.target.pose == "known":
+        errors = _in_common(measured, shape, upto)
+    else:
+        return None
+    edp = errors.edp if math.isfinite(errors.edp) else None
+    return LiveErrors(errors.te, errors.mean, errors.maximum, edp, upto, whole, measured.floor)
+
+
+def _in_common(measured: Measured, shape: NeedleShape, upto: float) -> CurveErrors:
+    """Compare both needles up to the same inserted length."""
+    s = upto * _FRACTIONS
+    seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
+    return compare(positions(shape, s), seen)

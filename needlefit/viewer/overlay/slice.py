@@ -1,0 +1,67 @@
+"""The slice of a scan in the plane in which its needle bends."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.volumes import ScanVolume, volume_of
+from needlefit.imaging.views import OUTSIDE, in_bending_plane
+from needlefit.imaging.volume import installed, read
+from needlefit.reporting.figures.pictures import png
+
+BESIDE = 25.0
+"""How far the slice reaches to both sides of the needle, mm."""
+
+
+@dataclass(frozen=True)
+class Scanned:
+    """A measured needle and the scan in which it was seen."""
+
+    volume: ScanVolume
+    insertion: Insertion
+
+
+@dataclass(frozen=True)
+class Slice:
+    """A slice as PNG, and its edges in C: left, right, bottom, top, mm."""
+
+    png: bytes
+    extent: tuple[float, float, float, float]
+
+
+def scanned(dataset: Dataset, insertion: Insertion) -> tuple[Scanned | None, str]:
+    """Return the scan of an insertion, or none and, where one could be expected, in words why.
+
+    Raises
+    ------
+    DataError
+        If the table of the dataset's scans has a fault.
+    """
+    volume = volume_of(dataset, insertion.id)
+    if volume is None:
+        return None, ""
+    if not installed():
+        return None, "No slice of the scan: it takes pip install 'needlefit[ct]'."
+    if not volume.path.exists():
+        return None, f"No slice of the scan: it is not at {volume.path} any more, where volumes.csv has it."
+    return Scanned(volume, insertion), ""
+
+
+def slice_of(one: Scanned) -> Slice:
+    """Read a scan and return the slice along its needle: some seconds where the scan is large.
+
+    It follows the needle through the thickness, so that a needle bent out of its plane stays in it; before
+    the entry it follows the entry axis.
+
+    Raises
+    ------
+    DataError
+        If the scan cannot be read.
+    """
+    insertion = one.insertion
+    shaft = insertion.frame.to_world(np.array([[-OUTSIDE, 0.0, 0.0]]))
+    needle = insertion.patient.to_local(np.concatenate([shaft, insertion.centerline]))
+    volume = read(one.volume.path, one.volume.series)
+    view = in_bending_plane(volume, insertion.patient, insertion.frame, needle, BESIDE)
+    return Slice(png(view), view.extent)

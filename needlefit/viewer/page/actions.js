@@ -1,0 +1,98 @@
+/** What buttons, keys and gestures ask for in the same words. */
+
+import { degrees, slope } from "./numbers.js";
+import { change, command, move, newGesture, wanted } from "./steering.js";
+import { listen, now } from "./store.js";
+
+const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
+const STEP = { base_mm: 0.1, turn_deg: 0.1, offset_mm: 0.005 };
+const CLEAR = 2; // mm that a new guide keeps from its neighbours
+
+const speedField = document.getElementById("speed");
+let lastNudge = { what: null, at: -Infinity, gesture: 0 };
+let guidesEver = 0;
+
+/** Speed of insertion, mm/s. */
+export const speed = () => Math.abs(Number(speedField.value)) || 10;
+
+/** Insert (1) or retract (-1) as long as it is held. */
+export const hold = (direction) => move(direction * speed());
+
+/** Insert, or retract if negative, by so many mm. */
+export const insert = (mm, at) => change([], { insert: mm, gesture: going("insert"), at });
+
+/** Go to a depth, mm, at the speed. */
+export function goTo(depth) {
+  const way = depth - now.state.depth_mm;
+  if (way) move(Math.sign(way) * speed(), depth);
+}
+
+/** The depth of the measured insertion, or else of the scene. */
+export const ownDepth = () => now.scene.measured?.depth_mm ?? now.scene.depth_mm;
+
+/** Turn the bevel over. */
+export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
+
+/** Move the base by so many steps. */
+export function nudgeBase(steps, at) {
+  const y = wanted("base_y_mm", null, now.state.base.y) + steps * STEP.base_mm;
+  change([["base_y_mm", null, y]], { gesture: going("base"), at });
+}
+
+/** Turn the base by so many steps. */
+export function nudgeTurn(steps, at) {
+  const angle = degrees(wanted("base_slope", null, now.state.base.slope)) + steps * STEP.turn_deg;
+  change([["base_slope", null, slope(angle)]], { gesture: going("turn"), at });
+}
+
+/** Change b from here on by so many steps. */
+export function nudgeOffset(steps, at) {
+  const offset = wanted("bevel_offset_mm", null, now.state.bevel.offset_mm) + steps * STEP.offset_mm;
+  const [low, high] = now.scene.limits.offset_mm;
+  change([["bevel_offset_mm", null, Math.min(Math.max(offset, low), high)]], { gesture: going("offset"), at });
+}
+
+/** Put a guide on the needle at x (mm), where it changes nothing yet; by default between base and skin. */
+export function addGuide(x = freePlace(), at = performance.now()) {
+  guidesEver = Math.max(guidesEver, ...now.state.guides.map(({ item }) => item)) + 1;
+  change([
+    ["guide_x_mm", guidesEver, x], ["guide_y_mm", guidesEver, needleAt(x)], ["guide_turns_freely", guidesEver, 1],
+  ], { at });
+}
+
+/** Hold the tip where it is, or let go of it. */
+export function toggleTip(at) {
+  const { held, y } = now.state.tip;
+  change([held ? ["tip_held", null, 0] : ["tip_y_mm", null, y]], { at });
+}
+
+export const undo = () => command({ do: "undo" });
+export const redo = () => command({ do: "redo" });
+export const reset = () => command({ do: "reset" });
+export const play = () => command({ do: "play", speed_mm_s: speed() });
+
+/** Where the needle is at x, mm; the picture's points, joined by straight lines. */
+export function needleAt(x) {
+  const { x: xs, y: ys } = now.state;
+  const after = xs.findIndex((one) => one >= x);
+  if (after <= 0) return after === 0 ? ys[0] : ys.at(-1);
+  const share = (x - xs[after - 1]) / (xs[after] - xs[after - 1]);
+  return ys[after - 1] + share * (ys[after] - ys[after - 1]);
+}
+
+/** A place before the skin, halfway in the widest gap that guides leave. */
+function freePlace() {
+  const taken = now.state.guides.map(({ x }) => x).filter((x) => x < 0);
+  const edges = [Math.max(now.state.base.x, -0.6 * now.scene.length_mm) + CLEAR, ...taken, -CLEAR].sort((a, b) => a - b);
+  const gaps = edges.slice(1).map((edge, i) => [edge - edges[i], (edge + edges[i]) / 2]);
+  return Math.round(gaps.reduce((widest, gap) => (gap[0] > widest[0] ? gap : widest))[1] * 10) / 10;
+}
+
+function going(what) {
+  const at = performance.now();
+  const gesture = what === lastNudge.what && at - lastNudge.at < WITHIN ? lastNudge.gesture : newGesture();
+  lastNudge = { what, at, gesture };
+  return gesture;
+}
+
+listen("scene", () => (guidesEver = 0));

@@ -1,0 +1,109 @@
+/** A number that can be set: a name, a field, and where it has limits a slider with a mark. */
+
+import { newGesture } from "./steering.js";
+
+const template = document.getElementById("field-template");
+const STEPS = 1000; // of a slider
+const LINEAR = [(x) => x, (x) => x];
+const LOGARITHMIC = [Math.log, Math.exp];
+let made = 0;
+
+/**
+ * Make a field and put it at the end of `into`.
+ *
+ * `about` says its `name` and `unit`, how to `write` a value, and whom to `ask` for another:
+ * ask(value, {gesture, at}). With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one.
+ */
+export function makeField(into, about) {
+  const part = template.content.firstElementChild.cloneNode(true);
+  const [number, slider, mark, back] = [".number", ".slider", ".mark", ".home"].map((one) => part.querySelector(one));
+  const [to, from] = about.logarithmic ? LOGARITHMIC : LINEAR;
+  const [low, high] = (about.limits ?? [0, 1]).map(to);
+  const field = {
+    ...about, part, number, slider, mark, back, value: null, home: null, editing: false, gesture: newGesture(),
+    share: (value) => Math.min(Math.max((to(value) - low) / (high - low), 0), 1),
+    at: (share) => from(low + share * (high - low)),
+  };
+  name(field);
+  wireNumber(field);
+  wireSlider(field);
+  setHome(field, null);
+  into.append(part);
+  return field;
+}
+
+/** Let a field say what is; what somebody is typing stays. */
+export function show(field, value) {
+  if (value === field.value) return;
+  field.value = value;
+  const text = field.write(value);
+  if (!field.editing && field.number.value !== text) field.number.value = text;
+  field.slider.value = Math.round(STEPS * field.share(value));
+  field.slider.setAttribute("aria-valuetext", `${text} ${field.unit}`.trim());
+  markHome(field);
+}
+
+/** Give a field the value to which it goes back; null: there is none. */
+export function setHome(field, home) {
+  field.home = home;
+  field.back.hidden = field.mark.hidden = home === null;
+  if (home === null) return;
+  field.mark.style.left = `${100 * field.share(home)}%`;
+  field.back.title = `back to ${field.write(home)} ${field.unit}`.trim();
+  markHome(field);
+}
+
+/** The way back is open only where there is one to go. */
+function markHome({ back, write, value, home }) {
+  back.disabled = home === null || value === null || write(home) === write(value);
+}
+
+function name({ part, number, slider, back, name: called, unit, limits }) {
+  made += 1;
+  number.id = `field-${made}`;
+  part.querySelector("label").htmlFor = number.id;
+  part.querySelector(".name").textContent = called;
+  part.querySelector(".unit").textContent = unit;
+  const spoken = unit ? `${called}, ${unit}` : called;
+  number.setAttribute("aria-label", spoken);
+  slider.setAttribute("aria-label", spoken);
+  slider.max = STEPS;
+  back.setAttribute("aria-label", `${called} back to its initial value`);
+  if (limits) [number.min, number.max] = limits;
+  else part.querySelector(".track").remove();
+}
+
+function ask(field, value, event) {
+  field.ask(value, { gesture: field.gesture, at: event.timeStamp });
+  field.value = null; // what the server answers is shown even where it is what was
+}
+
+/** A number counts once it is done: at Enter, at a step of the arrows, or when the field is left. */
+function wireNumber(field) {
+  const { number } = field;
+  number.addEventListener("input", () => (field.editing = true));
+  number.addEventListener("blur", () => (field.editing = false));
+  number.addEventListener("change", (event) => {
+    field.gesture = newGesture();
+    field.editing = false;
+    field.value = null;
+    if (number.value !== "") ask(field, Number(number.value), event);
+  });
+  number.addEventListener("keydown", (event) => {
+    if (event.key === "Escape") number.value = field.write(field.value);
+    if (event.key === "Escape" || event.key === "Enter") field.editing = false;
+  });
+}
+
+/** A slider is heard while it moves; all of one movement is undone together. */
+function wireSlider(field) {
+  const { slider, back } = field;
+  const goHome = (event) => {
+    field.gesture = newGesture();
+    if (field.home !== null) ask(field, field.home, event);
+  };
+  slider.addEventListener("input", (event) => ask(field, field.at(slider.value / STEPS), event));
+  slider.addEventListener("change", () => (field.gesture = newGesture()));
+  slider.addEventListener("dblclick", goHome);
+  back.addEventListener("click", goHome);
+}

@@ -1,0 +1,53 @@
+/** The clock of the picture, and what each of its frames took. */
+
+import { answered } from "./connection.js";
+import { listen, now } from "./store.js";
+
+const KEPT = 8192;
+const SPAN = 2000; // ms over which rates are told
+
+let count = 0;
+let fresh = false;
+let oldestInput = null; // ms; of the inputs that the next frame is the first to show
+const channel = new MessageChannel();
+let toMark = null;
+
+channel.port1.onmessage = () => {
+  toMark.painted = performance.now();
+  if (toMark.input !== null) toMark.latency_ms = toMark.painted - toMark.input;
+};
+
+listen("state", ({ answers }) => {
+  fresh = true;
+  oldestInput ??= answered(answers);
+});
+
+/** Call `paint(fresh, t)` in every frame from now on and keep a record of it. */
+export function start(paint) {
+  const frame = (t) => {
+    const record = { t, step: now.state?.step ?? null, fresh, latency_ms: null, painted: null, input: oldestInput };
+    paint(fresh, t);
+    fresh = false;
+    oldestInput = null;
+    now.frames[count++ % KEPT] = record;
+    toMark = record;
+    channel.port2.postMessage(null); // heard once the browser is done with this frame's scripts and layout
+    requestAnimationFrame(frame);
+  };
+  requestAnimationFrame(frame);
+}
+
+/** Frames a second and median latency (ms, null without input) of the last two seconds. */
+export function rates() {
+  const since = performance.now() - SPAN;
+  const latencies = [];
+  let frames = 0;
+  for (let back = 1; back <= Math.min(count, KEPT); back += 1) {
+    const record = now.frames[(count - back) % KEPT];
+    if (record.t < since) break;
+    frames += 1;
+    if (record.latency_ms !== null) latencies.push(record.latency_ms);
+  }
+  latencies.sort((one, other) => one - other);
+  return { perSecond: (1000 * frames) / SPAN, latency: latencies[latencies.length >> 1] ?? null };
+}

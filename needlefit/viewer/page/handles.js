@@ -1,0 +1,71 @@
+/** What a hand can take hold of in the picture, and what dragging it asks for. */
+
+import { now } from "./store.js";
+import { fromPx, fromPy, toPx, toPy, view } from "./view.js";
+
+const ARM = { base: 56, guide: 42 }; // px from a place to the ring that turns it
+const NEAR = { mouse: 16, touch: 28 }; // px
+
+const angleOf = (slope) => Math.atan(slope * view.magnified);
+
+/** Where the base is drawn, the ring that turns it (behind it), and its direction. */
+export function basePlace({ base }) {
+  const [px, py, angle] = [toPx(base.x), toPy(base.y), angleOf(base.slope)];
+  return { place: [px, py], turn: [px - ARM.base * Math.cos(angle), py + ARM.base * Math.sin(angle)], angle };
+}
+
+/** Where a guide is drawn, the ring that turns it (beside it), and its direction. */
+export function guidePlace({ x, y, slope }) {
+  const [px, py, angle] = [toPx(x), toPy(y), angleOf(slope)];
+  return { place: [px, py], turn: [px - ARM.guide * Math.sin(angle), py - ARM.guide * Math.cos(angle)], angle };
+}
+
+/** All handles, the ones drawn last first. */
+function all() {
+  const { state } = now;
+  const base = basePlace(state);
+  const handles = [{ at: [toPx(state.tip.x), toPy(state.tip.y)], cursor: "ns-resize", drag: dragTip(state) }];
+  for (const guide of state.guides) {
+    const { place, turn } = guidePlace(guide);
+    if (!guide.turns_freely) handles.push({ at: turn, cursor: "grab", drag: turnGuide(guide, place) });
+    handles.push({ at: place, cursor: "move", drag: dragGuide(guide) });
+  }
+  handles.push({ at: base.turn, cursor: "grab", drag: turnBase(base.place) });
+  handles.push({ at: base.place, cursor: "ns-resize", drag: dragBase(state) });
+  return handles;
+}
+
+/** The handle nearest to a place in px, or null; `drag(from, to)` says what dragging it asks for. */
+export function handleAt(px, py, kind = "mouse") {
+  if (!now.state) return null;
+  let [nearest, least] = [null, NEAR[kind] ?? NEAR.mouse];
+  for (const handle of all()) {
+    const distance = Math.hypot(handle.at[0] - px, handle.at[1] - py);
+    if (distance < least) [nearest, least] = [handle, distance];
+  }
+  return nearest;
+}
+
+const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
+
+const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.y + rise(from, to)]];
+
+const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.y + rise(from, to)]];
+
+const dragGuide = ({ item, x, y }) => (from, to) => [
+  ["guide_x_mm", item, x + fromPx(to[0]) - fromPx(from[0])],
+  ["guide_y_mm", item, y + rise(from, to)],
+];
+
+/** The base's ring stands behind it: it points away from where the needle goes. */
+const turnBase = (place) => (_, to) => [["base_slope", null, slopeAlong(to, place)]];
+
+/** A guide's ring stands beside it: the guide's direction is across. */
+const turnGuide = ({ item }, place) => (_, to) => {
+  const [across, up] = [to[0] - place[0], place[1] - to[1]];
+  return [["guide_slope", item, -across / Math.max(up, 1) / view.magnified]];
+};
+
+function slopeAlong(from, to) {
+  return (from[1] - to[1]) / Math.max(to[0] - from[0], 1) / view.magnified;
+}

@@ -1,0 +1,89 @@
+/** The keyboard: what each key does, and the list of it. */
+
+import * as act from "./actions.js";
+import { halt, letGo } from "./steering.js";
+import { now } from "./store.js";
+import { fit, zoom } from "./view.js";
+import { describe } from "./described.js";
+import { pressed } from "./toolbar.js";
+
+const dialog = document.getElementById("keys");
+let holding = null; // the key that holds a move
+
+/** Keys as the browser calls them, what is written for them, what they do. Large is with Shift. */
+const KEYS = [
+  [["ArrowRight"], "→", "insert, held; with Shift by 0.1 mm", (e, large) => along(e, 1, large)],
+  [["ArrowLeft"], "←", "retract, held; with Shift by 0.1 mm", (e, large) => along(e, -1, large)],
+  [["ArrowUp"], "↑", "base up by 0.1 mm; with Shift by 1 mm", (e, large) => act.nudgeBase(large ? 10 : 1, e.timeStamp)],
+  [["ArrowDown"], "↓", "base down, likewise", (e, large) => act.nudgeBase(large ? -10 : -1, e.timeStamp)],
+  [[",", "<", ";"], ",", "turn the base clockwise by 0.1°; with Shift by 1°", (e, large) => act.nudgeTurn(large ? -10 : -1, e.timeStamp)],
+  [[".", ">", ":"], ".", "turn it counterclockwise, likewise", (e, large) => act.nudgeTurn(large ? 10 : 1, e.timeStamp)],
+  [["f", "F"], "F", "flip the bevel", (e) => e.repeat || act.flip(e.timeStamp)],
+  [["[", "{"], "[", "b from here on less by 0.005 mm", (e) => act.nudgeOffset(-1, e.timeStamp)],
+  [["]", "}"], "]", "b from here on more by 0.005 mm", (e) => act.nudgeOffset(1, e.timeStamp)],
+  [["g", "G"], "G", "add a guide", (e) => e.repeat || act.addGuide()],
+  [["t", "T"], "T", "hold the tip, let go of it", (e) => e.repeat || act.toggleTip(e.timeStamp)],
+  [[" "], "space", "stop", () => halt()],
+  [["p", "P"], "P", "play the scene", (e) => e.repeat || act.play()],
+  [["d", "D"], "D", "say where the needle stands", () => describe()],
+  [["+", "="], "+", "zoom in", () => zoom(1.25)],
+  [["-", "_"], "−", "zoom out", () => zoom(0.8)],
+  [["0", "1"], "0, 1", "show the whole needle", () => show("whole")],
+  [["2"], "2", "show the tissue", () => show("tissue")],
+  [["3"], "3", "follow the tip", () => show("tip")],
+];
+const ALWAYS = [["Ctrl+Z", "undo"], ["Ctrl+Y, Ctrl+Shift+Z", "redo"], ["?", "this list"]];
+
+function along(event, direction, fine) {
+  if (fine) return act.insert(0.1 * direction, event.timeStamp);
+  if (event.repeat || holding) return;
+  holding = event.key;
+  act.hold(direction);
+}
+
+function show(which) {
+  fit(which);
+  pressed();
+}
+
+function down(event) {
+  if (dialog.open || !now.state) return;
+  if (event.ctrlKey || event.metaKey) return history(event);
+  if (event.altKey || typing(event.target)) return;
+  if (event.key === "?") return dialog.showModal();
+  if (event.key === " " && event.target.closest("button, select, summary")) return; // it presses that
+  const found = KEYS.find(([keys]) => keys.includes(event.key));
+  if (!found) return;
+  event.preventDefault();
+  found[3](event, event.shiftKey);
+}
+
+function history(event) {
+  const key = event.key.toLowerCase();
+  if (typing(event.target) || !["z", "y"].includes(key)) return;
+  event.preventDefault();
+  key === "y" || event.shiftKey ? act.redo() : act.undo();
+}
+
+function up(event) {
+  if (event.key !== holding) return;
+  holding = null;
+  letGo();
+}
+
+const typing = (target) => target.matches("input, select, textarea");
+
+const list = document.getElementById("key-list");
+for (const [written, what] of [...KEYS.map(([, key, says]) => [key, says]), ...ALWAYS]) {
+  const [row, term, text] = ["div", "dt", "dd"].map((tag) => document.createElement(tag));
+  const key = document.createElement("kbd");
+  key.textContent = written;
+  text.textContent = what;
+  term.append(key);
+  row.append(term, text);
+  list.append(row);
+}
+document.getElementById("help").addEventListener("click", () => dialog.showModal());
+addEventListener("keydown", down);
+addEventListener("keyup", up);
+addEventListener("blur", () => (holding = null));

@@ -1,0 +1,40 @@
+/** What the reader must know at once: refused inputs, and a line that is down. */
+
+import { open } from "./connection.js";
+import { listen, now } from "./store.js";
+
+const LASTS = 9000; // ms
+const refusal = document.getElementById("refusal");
+const banner = document.getElementById("banner");
+const text = document.getElementById("banner-text");
+const act = document.getElementById("banner-act");
+let fading = 0;
+
+/** Say what was refused and how to mend it, until it is read. */
+function refuse({ what, expected, mend }) {
+  const parts = [what, expected && `Expected: ${expected}.`, mend && `To mend it: ${mend}.`].filter(Boolean);
+  refusal.replaceChildren(...parts.map((part, i) => Object.assign(document.createElement(i ? "span" : "strong"), { textContent: part })));
+  clearTimeout(fading);
+  fading = setTimeout(() => refusal.replaceChildren(), LASTS);
+}
+
+const BANNERS = {
+  lost: ({ wait }) => [`Not connected to the needle. Trying again ${wait < 1 ? "at once" : `in ${wait.toFixed(0)} s`}; until then inputs are not sent.`, "Try now"],
+  bye: ({ what }) => [`The program has stopped${what ? `: ${what}` : ""}. Its recording is kept. The page looks for it until it is back.`, "Try now"],
+  taken: () => ["This needle is held by another window. Inputs here are not sent.", "Take it back"],
+};
+
+listen("line", (line) => {
+  banner.hidden = line.open;
+  document.body.classList.toggle("offline", !line.open);
+  if (line.open) return;
+  const [said, button] = BANNERS[line.why](line);
+  if (text.textContent !== said) text.textContent = said;
+  act.textContent = button;
+  act.hidden = false;
+});
+listen("refused", refuse);
+listen("notice", refuse);
+listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle.", mend: "wait until it is back" }));
+refusal.addEventListener("click", () => refusal.replaceChildren());
+act.addEventListener("click", () => !now.connected && open());

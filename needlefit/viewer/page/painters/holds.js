@@ -1,0 +1,73 @@
+/** What holds the needle: the base on its stage, and guides as clamps. */
+
+import { guidePlace, basePlace } from "../handles.js";
+import { palette } from "../palette.js";
+import { thickness } from "./needle.js";
+import { ring, straight, turned } from "./strokes.js";
+
+const HANDLE = 7; // px
+
+/** Draw the hub, the rail along which the stage moves it, and the ring that turns it. */
+export function paintBase(context, state) {
+  const { place: [px, py], turn, angle } = basePlace(state);
+  const half = Math.max(thickness() / 2 + 4, 7);
+  straight(context, [px, py - 46], [px, py + 46], palette.quiet, 2);
+  for (const to of [-1, 1]) arrowHead(context, px, py + 46 * to, to);
+  straight(context, [px, py], turn, palette.ink, 1.5);
+  turned(context, px, py, angle, () => {
+    context.fillStyle = palette.ink;
+    context.beginPath();
+    context.roundRect(-22, -half, 26, 2 * half, 4);
+    context.fill();
+  });
+  ring(context, ...turn, HANDLE, palette.ink, palette.air);
+}
+
+function arrowHead(context, px, py, to) {
+  context.fillStyle = palette.quiet;
+  context.beginPath();
+  context.moveTo(px - 5, py);
+  context.lineTo(px, py + 7 * to);
+  context.lineTo(px + 5, py);
+  context.fill();
+}
+
+/** Draw each guide: two jaws along its direction if it clamps, two points if the needle turns freely in it. */
+export function paintGuides(context, state) {
+  for (const guide of state.guides) {
+    const { place, turn, angle } = guidePlace(guide);
+    const gap = thickness() / 2 + 2;
+    if (!guide.turns_freely) straight(context, place, turn, palette.guide, 1.5);
+    turned(context, ...place, angle, () => {
+      context.fillStyle = palette.guide;
+      for (const to of [-1, 1]) guide.turns_freely ? point(context, gap * to, to) : jaw(context, gap * to, to);
+    });
+    if (!guide.turns_freely) ring(context, ...turn, HANDLE, palette.guide, palette.air);
+    write(context, guide.item, place, gap + 24);
+  }
+}
+
+function jaw(context, from, to) {
+  context.beginPath();
+  context.roundRect(-13, Math.min(from, from + 7 * to), 26, 7, 2);
+  context.fill();
+}
+
+function point(context, from, to) {
+  context.beginPath();
+  context.moveTo(0, from);
+  context.lineTo(-7, from + 11 * to);
+  context.lineTo(7, from + 11 * to);
+  context.fill();
+}
+
+function write(context, item, [px, py], below) {
+  context.font = "600 12px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  context.strokeStyle = palette.halo;
+  context.lineWidth = 3;
+  context.strokeText(item, px, py + below);
+  context.fillStyle = palette.guide;
+  context.fillText(item, px, py + below);
+}

@@ -1,0 +1,85 @@
+/** The fields of bevel, tissue, base and tip, and what they ask for. */
+
+import * as act from "./actions.js";
+import { makeField, setHome, show } from "./fields.js";
+import { brief, degrees, slope } from "./numbers.js";
+import { change, wanted } from "./steering.js";
+import { listen, now } from "./store.js";
+
+const part = (id) => document.getElementById(id);
+const asMm = (value) => value.toFixed(3);
+const asDegrees = (value) => value.toFixed(2);
+
+let fields = []; // [field, () => value], of the scene that is shown
+
+/** A field of one input; `shown` and `meant` turn its value into what is read, and back. */
+function inputField(into, [input, item], about, current, { shown = (x) => x, meant = (x) => x } = {}) {
+  const ask = (value, how) => change([[input, item, meant(value)]], how);
+  const field = makeField(part(into), { ...about, ask });
+  fields.push([field, () => shown(wanted(input, item, current()))]);
+  return field;
+}
+
+const ANGLE = { shown: degrees, meant: slope };
+
+function build(scene) {
+  for (const id of ["bevel-fields", "tissue-fields", "base-fields", "tip-fields"]) part(id).replaceChildren();
+  fields = [];
+  buildBevel(scene);
+  buildTissue(scene);
+  buildBase(scene);
+  buildTip();
+  part("home-all").hidden = scene.fitted === null;
+}
+
+function buildBevel({ limits, fitted }) {
+  const about = { unit: "mm", write: asMm, limits: limits.offset_mm };
+  const offset = () => now.state.bevel.offset_mm;
+  const here = inputField("bevel-fields", ["bevel_offset_mm", null], { ...about, name: "b from here on" }, offset);
+  const whole = inputField("bevel-fields", ["offset_throughout_mm", null], { ...about, name: "b throughout" }, offset);
+  for (const field of [here, whole]) setHome(field, fitted?.offset_mm ?? null);
+}
+
+function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }) {
+  for (let i = 0; i <= tops.length; i += 1) {
+    const called = names[i] || `layer ${i + 1}`;
+    const layer = () => now.state.layers[i];
+    const mu = { name: `${called} μ`, unit: "Pa", write: brief, limits: limits.mu_pa, logarithmic: true };
+    const alpha = { name: `${called} α`, unit: "", write: (value) => value.toFixed(2), limits: limits.alpha };
+    setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted?.mu_pa[i] ?? null);
+    setHome(inputField("tissue-fields", ["alpha", i + 1], alpha, () => layer().alpha), fitted?.alpha[i] ?? null);
+  }
+}
+
+function buildBase({ limits }) {
+  const y = { name: "y", unit: "mm", write: asMm, limits: limits.base_y_mm };
+  inputField("base-fields", ["base_y_mm", null], y, () => now.state.base.y);
+  const angle = { name: "slope", unit: "°", write: asDegrees, limits: [-10, 10] };
+  inputField("base-fields", ["base_slope", null], angle, () => now.state.base.slope, ANGLE);
+}
+
+function buildTip() {
+  const y = { name: "deflection", unit: "mm", write: asMm };
+  inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.y);
+  const angle = { name: "slope", unit: "°", write: asDegrees };
+  const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.slope, ANGLE);
+  field.ask = (value, how) => change([["tip_y_mm", null, now.state.tip.y], ["tip_slope", null, slope(value)]], how);
+}
+
+/** Let every field say what is, or what was asked for last. */
+export function refresh() {
+  for (const [field, current] of fields) show(field, current());
+  const { held } = now.state.tip;
+  part("release").disabled = !held;
+  part("tip-note").hidden = held;
+}
+
+function allHome(event) {
+  const { mu_pa: mus, alpha: alphas, offset_mm: offset } = now.scene.fitted;
+  const set = mus.flatMap((mu, i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alphas[i]]]);
+  change([...set, ["offset_throughout_mm", null, offset]], { at: event.timeStamp });
+}
+
+listen("scene", build);
+part("home-all").addEventListener("click", allHome);
+part("release").addEventListener("click", (event) => act.toggleTip(event.timeStamp));

@@ -1,0 +1,102 @@
+/** Mouse, pen and fingers on the picture: handles, background, wheel, pinch, double click. */
+
+import { addGuide, insert, needleAt } from "./actions.js";
+import { handleAt } from "./handles.js";
+import { change, newGesture } from "./steering.js";
+import { now } from "./store.js";
+import { fromPx, pan, toPy, zoom } from "./view.js";
+
+const NOTCH = { 0: 100, 1: 3, 2: 1 }; // wheel units a notch, by deltaMode
+const FINE = 0.1;
+const ON_NEEDLE = 24; // px
+const TWICE = { within: 350, apart: 24 }; // ms and px between the taps of a double one
+
+const canvas = document.getElementById("canvas");
+const notch = document.getElementById("notch");
+const fingers = new Map(); // pointers that are down, and where
+let drag = null; // {handle, from, gesture, pointer}
+let lastTap = { at: -Infinity, px: 0, py: 0 };
+
+const place = (event) => {
+  const { left, top } = canvas.getBoundingClientRect();
+  return [event.clientX - left, event.clientY - top];
+};
+
+function down(event) {
+  if (event.button > 0) return;
+  canvas.setPointerCapture(event.pointerId);
+  const at = place(event);
+  fingers.set(event.pointerId, at);
+  if (fingers.size > 1) drag = null; // two fingers pinch
+  else {
+    const handle = handleAt(...at, event.pointerType);
+    if (handle) drag = { handle, from: at, gesture: newGesture(), pointer: event.pointerId };
+  }
+  canvas.classList.toggle("dragging", drag !== null);
+}
+
+/** A handle follows at once: this event does not wait for the next frame, as moves do. */
+function follow(event) {
+  if (drag?.pointer !== event.pointerId || !now.connected) return;
+  const set = drag.handle.drag(drag.from, place(event));
+  change(set, { gesture: drag.gesture, at: event.timeStamp });
+}
+
+function moved(event) {
+  const before = fingers.get(event.pointerId);
+  if (!before) return hover(event);
+  if (drag) return RAW ? undefined : follow(event);
+  const at = place(event);
+  if (fingers.size === 1) pan(at[0] - before[0], at[1] - before[1]);
+  else if (fingers.size === 2) pinch(event.pointerId, before, at);
+  fingers.set(event.pointerId, at);
+}
+
+function pinch(id, before, at) {
+  const other = [...fingers].find(([finger]) => finger !== id)[1];
+  const distance = ([x, y]) => Math.max(Math.hypot(x - other[0], y - other[1]), 20);
+  pan((at[0] - before[0]) / 2, (at[1] - before[1]) / 2);
+  zoom(distance(at) / distance(before), (at[0] + other[0]) / 2, (at[1] + other[1]) / 2);
+}
+
+function up(event) {
+  if (drag?.pointer === event.pointerId) {
+    if (event.type === "pointerup") follow(event); // its last place, whether or not a move told it
+    drag = null;
+  }
+  const from = fingers.get(event.pointerId);
+  fingers.delete(event.pointerId);
+  canvas.classList.remove("dragging");
+  if (from && event.type === "pointerup") tapped(event, place(event));
+}
+
+/** Two taps at one place on the needle put a guide there. */
+function tapped(event, [px, py]) {
+  const twice = event.timeStamp - lastTap.at < TWICE.within && Math.hypot(px - lastTap.px, py - lastTap.py) < TWICE.apart;
+  lastTap = twice ? { at: -Infinity, px, py } : { at: event.timeStamp, px, py };
+  if (!twice || !now.state || handleAt(px, py, event.pointerType)) return;
+  const x = fromPx(px);
+  if (Math.abs(toPy(needleAt(x)) - py) < ON_NEEDLE) addGuide(x, event.timeStamp);
+}
+
+function hover(event) {
+  const cursor = handleAt(...place(event))?.cursor ?? "";
+  if (canvas.style.cursor !== cursor) canvas.style.cursor = cursor;
+}
+
+function wheel(event) {
+  event.preventDefault();
+  if (!now.state) return;
+  const notches = (event.deltaY || event.deltaX) / NOTCH[event.deltaMode];
+  if (event.ctrlKey || event.metaKey) return zoom(Math.exp(-0.2 * notches), ...place(event));
+  const mm = (Number(notch.value) || 1) * (event.shiftKey ? FINE : 1);
+  insert(-notches * mm, event.timeStamp);
+}
+
+const RAW = "onpointerrawupdate" in canvas;
+canvas.addEventListener("pointerdown", down);
+canvas.addEventListener("pointermove", moved);
+if (RAW) canvas.addEventListener("pointerrawupdate", follow);
+canvas.addEventListener("pointerup", up);
+canvas.addEventListener("pointercancel", up);
+canvas.addEventListener("wheel", wheel, { passive: false });

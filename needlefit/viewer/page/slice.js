@@ -1,0 +1,24 @@
+/** The scan's slice that lies behind the needle. */
+
+import { needle, token } from "./connection.js";
+import { listen, now, tell } from "./store.js";
+
+let held = null; // {image, extent} of the scene it belongs to
+
+/** The slice as {image, extent}, or null while there is none. */
+export const slice = () => held;
+
+listen("scene", async (scene) => {
+  held = null;
+  if (!scene.slice) return;
+  const answer = await fetch(scene.slice.url, {
+    method: "POST",
+    headers: { Authorization: `Bearer ${token()}`, "Content-Type": "application/json" },
+    body: JSON.stringify({ needle: needle() }),
+  });
+  if (!answer.ok) return tell("notice", { what: "The scan's slice did not come." });
+  const image = await createImageBitmap(await answer.blob());
+  if (now.scene !== scene) return; // another one is shown by now
+  held = { image, extent: scene.slice.extent_mm };
+  tell("slice", held);
+});

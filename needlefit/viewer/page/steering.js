@@ -1,0 +1,97 @@
+/** Inputs on their way to the server: the newest one counts, and at most one change is in flight. */
+
+import { send } from "./connection.js";
+import { listen, now } from "./store.js";
+
+let flight = null; // id of the change that has no answer yet
+let waiting = []; // changes that are not sent yet, one for each gesture
+let held = false; // whether a hand holds a move
+let gestures = Date.now() % 1e9; // a page that was loaded again goes on with numbers of its own
+const asked = new Map(); // what was asked for and is not answered yet
+
+/** A number for inputs that are undone together. */
+export const newGesture = () => ++gestures;
+
+const key = (name, item) => `${name} ${item ?? ""}`;
+
+/** What an input was last asked to be, or `otherwise` where the server's state already says it. */
+export function wanted(name, item, otherwise) {
+  return asked.get(key(name, item))?.value ?? otherwise;
+}
+
+/**
+ * Ask for a change.
+ * @param set triples [name, item, value], all of one step
+ * @param how gesture, insert (mm, relative), at (ms, when the hand did it)
+ */
+export function change(set, { gesture = newGesture(), insert = 0, at = performance.now() } = {}) {
+  for (const [name, item, value] of set) asked.set(key(name, item), { value, id: Infinity });
+  const last = waiting.at(-1);
+  if (last?.gesture === gesture) merge(last, set, insert);
+  else waiting.push({ gesture, set: [...set], insert, at });
+  if (flight === null) sendNext();
+}
+
+function merge(last, set, insert) {
+  last.insert += insert;
+  for (const triple of set) {
+    const place = last.set.findIndex(([name, item]) => name === triple[0] && item === triple[1]);
+    if (place < 0) last.set.push(triple);
+    else last.set[place] = triple;
+  }
+}
+
+function sendNext() {
+  const { gesture, set, insert, at } = waiting.shift();
+  const message = { do: "change", gesture, set };
+  if (insert) message.insert_mm = insert;
+  flight = send(message, at);
+  if (flight === null) return forget();
+  for (const [name, item, value] of set) {
+    if (asked.get(key(name, item))?.value === value) asked.set(key(name, item), { value, id: flight });
+  }
+}
+
+/** Send what is no change, after all changes that were asked for before it. */
+export function command(message, at = performance.now()) {
+  while (waiting.length) sendNext();
+  return send(message, at);
+}
+
+/** Insert (retract, if negative) at a speed, mm/s: on to a depth, or as long as it is held. */
+export function move(speed, to = null) {
+  held = to === null;
+  const message = { do: "move", gesture: newGesture(), speed_mm_s: speed };
+  command(to === null ? message : { ...message, to_mm: to });
+}
+
+/** Stop whatever moves. */
+export function halt() {
+  held = false;
+  if (now.connected) command({ do: "halt" });
+}
+
+/** Let go of a move that a hand holds; one that goes on to a depth goes on. */
+export function letGo() {
+  if (held) halt();
+}
+
+function heard({ answers }) {
+  for (const [name, { id }] of asked) if (id <= answers) asked.delete(name);
+  if (flight === null || answers < flight) return;
+  flight = null;
+  if (waiting.length) sendNext();
+}
+
+function forget() {
+  flight = null;
+  held = false;
+  waiting = [];
+  asked.clear();
+}
+
+listen("state", heard);
+listen("refused", heard);
+listen("line", forget);
+addEventListener("blur", letGo);
+document.addEventListener("visibilitychange", () => document.hidden && letGo());

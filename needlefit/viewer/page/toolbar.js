@@ -1,0 +1,34 @@
+/** The buttons above the picture: what part is seen, and what of it. */
+
+import { invalidate, shown } from "./drawing.js";
+import { listen, now } from "./store.js";
+import { fit, magnify, touch, view, zoom } from "./view.js";
+
+const fits = document.querySelectorAll("[data-fit]");
+const shows = document.querySelectorAll("[data-show]");
+
+/** Let the buttons say which view is seen. */
+export function pressed() {
+  for (const button of fits) button.setAttribute("aria-pressed", String(button.dataset.fit === view.fit));
+}
+
+function toggle(button) {
+  const on = button.getAttribute("aria-pressed") !== "true";
+  button.setAttribute("aria-pressed", String(on));
+  if (button.dataset.show === "magnified") return magnify(on);
+  shown[button.dataset.show] = on;
+  button.dataset.show === "slice" ? touch() : invalidate();
+}
+
+for (const button of fits) button.addEventListener("click", () => (fit(button.dataset.fit), pressed()));
+for (const button of shows) button.addEventListener("click", () => toggle(button));
+for (const button of document.querySelectorAll("[data-zoom]")) {
+  button.addEventListener("click", () => zoom(button.dataset.zoom === "in" ? 1.25 : 0.8));
+}
+
+listen("scene", ({ measured, band, slice }) => {
+  const there = { measured: measured !== null, band, slice: slice !== null };
+  for (const button of shows) button.hidden = there[button.dataset.show] === false;
+});
+listen("view", pressed);
+listen("state", () => now.state && pressed());

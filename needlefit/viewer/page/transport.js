@@ -1,0 +1,83 @@
+/** The buttons and fields of the insertion: held to move, or pressed once. */
+
+import * as act from "./actions.js";
+import { brief } from "./numbers.js";
+import { command, halt, letGo } from "./steering.js";
+import { listen, now } from "./store.js";
+
+const part = (id) => document.getElementById(id);
+const STEP = 1; // mm; what a mere click does, as assistive technology gives it
+
+/** A button that moves the needle as long as it is held, by pointer, space or enter. */
+function holdButton(button, direction) {
+  let held = false;
+  const begin = () => {
+    if (held || !now.state) return;
+    held = true;
+    act.hold(direction);
+  };
+  const end = () => {
+    if (held) letGo();
+    held = false;
+  };
+  button.addEventListener("pointerdown", (event) => {
+    if (event.button > 0) return;
+    button.setPointerCapture(event.pointerId);
+    begin();
+  });
+  button.addEventListener("keydown", (event) => {
+    if (event.key !== " " && event.key !== "Enter") return;
+    event.preventDefault();
+    begin();
+  });
+  for (const kind of ["pointerup", "pointercancel", "lostpointercapture", "keyup", "blur"]) {
+    button.addEventListener(kind, end);
+  }
+  button.addEventListener("contextmenu", (event) => event.preventDefault()); // a long touch is a hold
+  button.addEventListener("click", (event) => {
+    if (event.detail === 0 && now.state) act.insert(STEP * direction, event.timeStamp);
+  });
+}
+
+/** Let the buttons say what can be done, and the bevel's which side it turns to. */
+export function refresh() {
+  const { undo, redo, moving, bevel } = now.state;
+  part("undo").disabled = !undo;
+  part("redo").disabled = !redo;
+  part("halt").disabled = moving === 0;
+  part("insert").classList.toggle("on", moving > 0);
+  part("retract").classList.toggle("on", moving < 0);
+  const side = bevel.side > 0 ? "▲ to +y" : "▼ to −y";
+  if (part("side").textContent !== side) part("side").textContent = side;
+}
+
+const PRESSED = {
+  flip: (event) => act.flip(event.timeStamp), undo: act.undo, redo: act.redo, reset: act.reset, halt, play: act.play,
+  replay: () => command({ do: "replay", times: Number(part("times").value) }),
+  "goto-scene": () => act.goTo(act.ownDepth()),
+};
+for (const [id, press] of Object.entries(PRESSED)) {
+  part(id).addEventListener("click", (event) => now.state && press(event));
+}
+holdButton(part("insert"), 1);
+holdButton(part("retract"), -1);
+part("goto").addEventListener("submit", (event) => {
+  event.preventDefault();
+  if (now.state) act.goTo(Number(part("goto-depth").value));
+});
+part("choices").addEventListener("change", () => command({ do: "show", insertion: part("choices").value }));
+
+listen("scene", (scene) => {
+  part("title").textContent = scene.title;
+  document.title = `${scene.title} · needlefit view`;
+  part("synthetic").hidden = !scene.synthetic;
+  part("choice").hidden = scene.choices.length < 2;
+  part("choices").replaceChildren(...scene.choices.map((one) => new Option(one, one)));
+  part("choices").value = scene.measured?.id ?? scene.choices[0] ?? "";
+  const to = act.ownDepth();
+  part("goto-scene").textContent = `To ${brief(to)} mm`;
+  part("goto-scene").title = scene.measured ? "The measured depth" : "The scene's depth";
+  part("speed").max = scene.limits.speed_mm_s;
+  part("goto-depth").max = scene.length_mm;
+  part("play").disabled = scene.steps === 0;
+});

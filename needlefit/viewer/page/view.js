@@ -1,0 +1,116 @@
+/** Which part of the constraint frame is seen: true millimetres, the same scale along x and y. */
+
+import { now } from "./store.js";
+
+const GUTTER = { left: 46, right: 10, top: 10, bottom: 38 }; // px, for the axes
+const MAGNIFICATION = 5;
+const SCALES = [0.5, 400]; // px per mm
+const [EDGE, AHEAD] = [0.3, 0.2]; // parts of the window from its middle, when and where to while the tip is followed
+const TIP_WINDOW = 45; // mm seen across while the tip is followed
+
+/** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
+export const view = { x: 0, y: 0, scale: 5, magnified: 1, fit: "whole", box: { left: 0, top: 0, width: 1, height: 1 } };
+
+let changed = true;
+
+/** Whether the window has changed since this was last asked. */
+export function takeChange() {
+  const was = changed;
+  changed = false;
+  return was;
+}
+
+export const touch = () => (changed = true);
+export const toPx = (x) => view.box.left + view.box.width / 2 + (x - view.x) * view.scale;
+export const toPy = (y) => view.box.top + view.box.height / 2 - (y - view.y) * view.scale * view.magnified;
+export const fromPx = (px) => view.x + (px - view.box.left - view.box.width / 2) / view.scale;
+export const fromPy = (py) => view.y - (py - view.box.top - view.box.height / 2) / (view.scale * view.magnified);
+
+/** Give the window a canvas of so many px. */
+export function resize(width, height) {
+  view.box = {
+    left: GUTTER.left, top: GUTTER.top,
+    width: Math.max(width - GUTTER.left - GUTTER.right, 10),
+    height: Math.max(height - GUTTER.top - GUTTER.bottom, 10),
+  };
+  fit(view.fit);
+}
+
+/** Show the whole needle, the tissue, or follow the tip; null leaves it as it is. */
+export function fit(which) {
+  view.fit = which;
+  changed = true;
+  if (!now.scene || !now.state || !which) return;
+  if (which === "tip") {
+    view.scale = limited(view.box.width / TIP_WINDOW);
+    view.x = now.state.tip.x;
+    view.y = now.state.tip.y;
+    return;
+  }
+  const [low, high, before, after] = which === "whole" ? wholeSpan() : tissueSpan();
+  const room = view.box.width - before - after;
+  view.scale = limited(room / (high - low));
+  view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
+  view.y = midHeight();
+}
+
+/** From the base at first contact to the deepest that the scene tells of; room in px for the base's handle. */
+function wholeSpan() {
+  return [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 12];
+}
+
+function tissueSpan() {
+  return [-0.12 * deepest(), 1.08 * deepest(), 8, 8];
+}
+
+function deepest() {
+  const { depth_mm: depth, boundaries_mm: tops, measured } = now.scene;
+  return Math.max(depth, now.state.depth_mm, (tops.at(-1) ?? 0) + 5, measured?.depth_mm ?? 0);
+}
+
+/** The middle of what must be seen; the axis stays in the middle while that is seen anyway. */
+function midHeight() {
+  const heights = [...now.state.y, ...(now.scene.measured?.y ?? []), 0];
+  const low = Math.min(...heights);
+  const high = Math.max(...heights);
+  const half = (0.4 * view.box.height) / (view.scale * view.magnified);
+  return high < half && low > -half ? 0 : (low + high) / 2;
+}
+
+/** While the tip is followed: jump ahead of it once it nears the edge; the tissue is not drawn anew each time. */
+export function follow() {
+  if (view.fit !== "tip") return;
+  const { x, y } = now.state.tip;
+  const across = (x - view.x) * view.scale / view.box.width;
+  const up = (y - view.y) * view.scale * view.magnified / view.box.height;
+  if (Math.abs(across) < EDGE && Math.abs(up) < EDGE) return;
+  view.x = x + Math.sign(across) * AHEAD * view.box.width / view.scale;
+  view.y = y;
+  changed = true;
+}
+
+/** Zoom by a factor about a point on the canvas (px), by default the middle. */
+export function zoom(factor, px = toPx(view.x), py = toPy(view.y)) {
+  const [x, y] = [fromPx(px), fromPy(py)];
+  view.scale = limited(view.scale * factor);
+  view.x += x - fromPx(px);
+  view.y += y - fromPy(py);
+  if (view.fit !== "tip") view.fit = null;
+  changed = true;
+}
+
+/** Shift the picture by so many px. */
+export function pan(px, py) {
+  view.x -= px / view.scale;
+  view.y += py / (view.scale * view.magnified);
+  view.fit = null;
+  changed = true;
+}
+
+/** Draw y as large as x, or five times as large. */
+export function magnify(on) {
+  view.magnified = on ? MAGNIFICATION : 1;
+  fit(view.fit);
+}
+
+const limited = (scale) => Math.min(Math.max(scale, SCALES[0]), SCALES[1]);

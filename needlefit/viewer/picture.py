@@ -1,0 +1,192 @@
+"""A trial as the page draws it: everything computed, in mm and C, ready for JSON."""
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics.control import Guide
+from needlefit.mechanics.load import Loads, loads
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.viewer.inputs import number_of
+from needlefit.viewer.overlay.band import NeedleBand
+from needlefit.viewer.overlay.measured import live_errors
+from needlefit.viewer.trial import Trial
+
+Floats = NDArray[np.float64]
+
+DIGITS = 4
+"""Of lengths in mm that are drawn."""
+
+BEFORE = 25
+"""Points of the needle drawn before the tissue."""
+
+DECADES = 100.0
+"""Factor either way to which a modulus can be slid from where it stood."""
+
+
+def scene_message(trial: Trial) -> dict[str, Any]:
+    """Return what stays: the needle, the layers, and what lies behind them."""
+    subject, scene = trial.subject, trial.scene
+    tissue = scene.tissue
+    first = scene.steps[0].bevel
+    measured = subject.measured
+    return {
+        "kind": "scene",
+        "needle": trial.name,
+        "title": subject.title,
+        "note": subject.note,
+        "subject": subject.name,
+        "synthetic": subject.synthetic,
+        "recording": trial.recorder.path.name,
+        "recorded": len(trial.source.steps) if trial.source else 0,
+        "length_mm": scene.needle.length,
+        "diameter_mm": subject.diameter,
+        "depth_mm": scene.depth,
+        "steps": len(scene.steps),
+        "layer_names": list(scene.layer_names),
+        "guide_names": list(trial.steering.names),
+        "boundaries_mm": tissue.boundaries.tolist(),
+        "spacing_mm": scene.rules.spacing,
+        "fitted": _parameters(tissue.mu, tissue.alpha) | {"offset_mm": first.offset},
+        "limits": _limits(scene),
+        "measured": measured and {
+            "id": measured.id,
+            "x": _rounded(measured.points[:, 0]),
+            "y": _rounded(measured.points[:, 1]),
+            "depth_mm": measured.depth,
+        },
+        "band": subject.spread is not None,
+        "slice": subject.scanned is not None,
+        "choices": list(subject.choices),
+    }  # fmt: skip
+
+
+def state_message(trial: Trial) -> dict[str, Any]:
+    """Return what changes from step to step."""
+    steering, now = trial.steering, trial.steering.now
+    shape, step, controls = now.shape, now.step, now.step.controls
+    s = _stations(shape)
+    needle = positions(shape, s)  # (K, 2)
+    load = loads(shape, now.tissue, trial.scene.needle, controls, trial.scene.rules)
+    return {
+        "kind": "state",
+        "step": steering.number,
+        "time_s": trial.time() if steering.number else 0.0,
+        "depth_mm": step.depth,
+        "x": _rounded(needle[:, 0]),
+        "y": _rounded(needle[:, 1]),
+        "constraints": [_rounded(column) for column in shape.constraints.T],
+        "tip_path": [_rounded(shape.constraints[:, 0]), _rounded(shape.tip_track[:, 0])],
+        "load": _load(load, shape),
+        "forces": _forces(load, trial),
+        "base": {
+            "x": round(float(needle[0, 0]), DIGITS),
+            "y": round(float(needle[0, 1]), DIGITS),
+            "slope": float(shape.slope[0]),
+            "input_y": controls.base_y,
+            "input_slope": controls.base_slope,
+        },
+        "guides": [_guide(guide, trial) for guide in controls.guides],
+        "tip": {
+            "x": round(float(needle[-1, 0]), DIGITS),
+            "y": round(float(needle[-1, 1]), DIGITS),
+            "slope": float(shape.slope[-1]),
+            "deflection_mm": shape.deflection,
+            "held": controls.tip is not None,
+        },
+        "bevel": {"side": step.bevel.side, "offset_mm": step.bevel.offset},
+        **_parameters(now.tissue.mu, now.tissue.alpha),
+        "max_slope": float(np.abs(shape.slope).max()),
+        "undo": trial.can_undo,
+        "redo": trial.can_redo,
+        "errors": _errors(trial, shape),
+        "solver": {
+            "steps": steering.solved,
+            "rate_per_s": steering.solved / steering.seconds if steering.seconds else 0.0,
+            "failed": steering.failures,
+        },
+    }
+
+
+def band_message(trial_step: int, band: NeedleBand) -> dict[str, Any]:
+    """Return the band of the needle after a step."""
+    edges = {"x": band.x, "low": band.low, "high": band.high}
+    return {"kind": "band", "step": trial_step, "failed": band.failed} | {
+        key: _rounded(values) for key, values in edges.items()
+    }
+
+
+def _rounded(values: Floats) -> list[float]:
+    found: list[float] = np.round(values, DIGITS).tolist()
+    return found
+
+
+def _stations(shape: NeedleShape) -> Floats:
+    """Return where the needle is drawn: evenly before the tissue, at its nodes within."""
+    start = float(shape.x[0])
+    return np.unique(np.concatenate([np.linspace(start, min(0.0, shape.depth), BEFORE), shape.x]))
+
+
+def _parameters(mu: Floats, alpha: Floats) -> dict[str, Any]:
+    layers = [{"mu_pa": m * 1e6, "alpha": a} for m, a in zip(mu.tolist(), alpha.tolist(), strict=True)]
+    return {"layers": layers}
+
+
+def _limits(scene: Scene) -> dict[str, Any]:
+    """Return how far the page's sliders go; its number fields take what the model takes."""
+    mu, alpha, offset = scene.tissue.mu * 1e6, scene.tissue.alpha, scene.steps[0].bevel.offset
+    return {
+        "mu_pa": [float(mu.min()) / DECADES, float(mu.max()) * DECADES],
+        "alpha": [min(-10.0, float(alpha.min()) - 5), max(10.0, float(alpha.max()) + 5)],
+        "offset_mm": [0.0, max(0.3, 3 * offset)],
+        "base_y_mm": [-30.0, 30.0],
+        "speed_mm_s": 100.0,
+        "depth_mm": scene.needle.length,
+    }
+
+
+def _load(load: Loads, shape: NeedleShape) -> dict[str, list[float]]:
+    if not len(load.s):
+        return {"x": [], "y": [], "n_per_mm": []}
+    at = positions(shape, load.s)
+    return {"x": _rounded(at[:, 0]), "y": _rounded(at[:, 1]), "n_per_mm": np.round(load.load, 6).tolist()}
+
+
+def _forces(load: Loads, trial: Trial) -> dict[str, Any]:
+    guides = zip(trial.steering.now.step.controls.guides, load.guides, strict=True)
+    return {
+        "tip_n": load.tip_force,
+        "base_n": load.base.force,
+        "base_nmm": load.base.moment,
+        "guides_n": {str(number_of(guide, trial.steering.names)): hold.force for guide, hold in guides},
+    }
+
+
+def _guide(guide: Guide, trial: Trial) -> dict[str, Any]:
+    return {
+        "item": number_of(guide, trial.steering.names),
+        "name": guide.name,
+        "x": guide.x,
+        "y": guide.y,
+        "slope": guide.slope or 0.0,
+        "turns_freely": guide.slope is None,
+        "in_tissue": guide.in_tissue,
+    }
+
+
+def _errors(trial: Trial, shape: NeedleShape) -> dict[str, Any] | None:
+    measured = trial.subject.measured
+    found = live_errors(measured, shape) if measured else None
+    if found is None:
+        return None
+    return {
+        "te_mm": found.te,
+        "ipe_mean_mm": found.ipe_mean,
+        "ipe_max_mm": found.ipe_max,
+        "edp_percent": found.edp,
+        "upto_mm": found.upto,
+        "whole": found.whole,
+        "floor_mm": found.floor,
+    }

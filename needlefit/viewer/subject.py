@@ -1,0 +1,52 @@
+"""What is shown: a needle with its tissue and steps, and what lies over it."""
+
+from dataclasses import dataclass
+
+from needlefit.project.records.scene import SceneRecord
+from needlefit.validation.placed import DIAMETER
+from needlefit.viewer.overlay.band import Spread
+from needlefit.viewer.overlay.measured import Measured
+from needlefit.viewer.overlay.slice import Scanned
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What a name on the command line means, ready to be taken in hand.
+
+    Attributes
+    ----------
+    name : str
+        Opens it again.
+    title : str
+    note : str
+        Where the parameters come from, and what cannot be shown and why; sentences.
+    record : SceneRecord
+        All that the needle needs.
+    first_cell : float
+        Depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do.
+    synthetic : bool
+        Whether it is about synthetic data.
+    measured : Measured or None
+    spread : Spread or None
+        Draws of the parameters, for the band of a fit.
+    scanned : Scanned or None
+        The scan in which the needle was measured.
+    choices : tuple of str
+        Insertions that can be shown instead.
+    """
+
+    name: str
+    title: str
+    note: str
+    record: SceneRecord
+    first_cell: float
+    synthetic: bool = False
+    measured: Measured | None = None
+    spread: Spread | None = None
+    scanned: Scanned | None = None
+    choices: tuple[str, ...] = ()
+
+    @property
+    def diameter(self) -> float:
+        """Of the needle as it is drawn, mm."""
+        return self.record.needle.outer_diameter_mm or DIAMETER

@@ -1,0 +1,87 @@
+"""The needles of all windows."""
+
+import secrets
+from collections.abc import Callable
+from datetime import datetime
+from pathlib import Path
+
+from needlefit.errors import ModelError
+from needlefit.viewer.recording import Recording
+from needlefit.viewer.subject import Subject
+from needlefit.viewer.trial import Trial
+
+MOST = 32
+"""Needles that are kept; of more, those whose windows closed longest ago are let go, but no recording."""
+
+
+class Trials:
+    """Every window has a needle of its own; a page that comes back finds the one it had.
+
+    Parameters
+    ----------
+    subject : Subject
+        What a new window shows.
+    folder : Path
+        Where recordings are written.
+    reopen : callable
+        Name of an insertion -> the subject that shows it.
+    source : Recording, optional
+        What a new window can replay.
+    """
+
+    def __init__(
+        self,
+        subject: Subject,
+        folder: Path,
+        reopen: Callable[[str], Subject],
+        source: Recording | None = None,
+    ) -> None:
+        self._subject, self._folder, self._reopen, self._source = subject, folder, reopen, source
+        self._all: dict[str, Trial] = {}
+        self._steered: set[str] = set()
+
+    def open(self, name: str) -> Trial:
+        """Return the needle of this name, or a new one where there is none."""
+        trial = self._all.get(name) or self._begin(self._subject, self._source)
+        self._steered.add(trial.name)
+        return trial
+
+    def known(self, name: str) -> Trial | None:
+        """Return the needle of this name, if there is one."""
+        return self._all.get(name)
+
+    def close(self, trial: Trial) -> None:
+        """Say that no window steers a needle any more; it is there until too many others are."""
+        self._steered.discard(trial.name)
+        if trial.name in self._all:  # the youngest of those that nobody steers
+            self._all[trial.name] = self._all.pop(trial.name)
+
+    def another(self, trial: Trial, insertion: str) -> Trial:
+        """Return a new needle for the same window, beside another insertion."""
+        if insertion not in trial.subject.choices:
+            raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
+        return self._instead(trial, self._begin(self._reopen(insertion), None))
+
+    def again(self, trial: Trial, source: Recording) -> Trial:
+        """Return a new needle for the same window, at first contact, for a replay."""
+        return self._instead(trial, self._begin(trial.subject, source))
+
+    def written(self) -> list[Path]:
+        """Return the recordings that hold something."""
+        return [trial.recorder.path for trial in self._all.values() if trial.steering.number]
+
+    def _instead(self, trial: Trial, new: Trial) -> Trial:
+        self.close(trial)
+        self._steered.add(new.name)
+        return new
+
+    def _begin(self, subject: Subject, source: Recording | None) -> Trial:
+        name = secrets.token_hex(4)
+        stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in subject.name).strip("-")
+        path = self._folder / f"{stem}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
+        self._all[name] = Trial(name, subject, path, source)
+        for old in [one for one in self._all if one not in self._steered and one != name]:
+            if len(self._all) <= MOST:
+                break
+            del self._all[old]
+        return self._all[name]

@@ -1,0 +1,296 @@
+"""The server of the interactive simulation, as windows and strangers meet it."""
+
+import asyncio
+import json
+from contextlib import asynccontextmanager
+
+import aiohttp
+import pytest
+
+from needlefit.viewer.door import BURST, LARGEST, Door, Pace
+from needlefit.viewer.messages import read as read_message
+from needlefit.viewer.opening import open_subject
+from needlefit.viewer.recording import read
+from needlefit.viewer.replay import replay
+from needlefit.viewer.server import serve
+from needlefit.viewer.trials import Trials
+
+
+class Page:
+    """A window as the server sees it: messages out, answers in."""
+
+    def __init__(self, socket) -> None:
+        self.socket, self.id, self.scene = socket, 0, None
+
+    async def say(self, do: str, **said) -> dict:
+        """Return the state that answers a message; whatever comes before it is kept."""
+        self.id += 1
+        await self.socket.send_str(json.dumps({"do": do, "id": self.id, **said}))
+        self.refused = None
+        while True:
+            answer = json.loads((await self.socket.receive(timeout=10)).data)
+            if answer["kind"] == "scene":
+                self.scene = answer
+            elif answer["kind"] == "refused":
+                self.refused = answer["what"]
+            elif answer["kind"] == "state" and answer["answers"] == self.id:
+                return answer
+
+
+class House:
+    """A running server, its door, and a client."""
+
+    def __init__(self, door: Door, client: aiohttp.ClientSession, trials: Trials) -> None:
+        self.door, self.client, self.trials = door, client, trials
+        self.base = f"http://127.0.0.1:{door.port}"
+
+    async def connect(self, **headers):
+        return await self.client.ws_connect(f"{self.base}/ws", headers={"Origin": self.base} | headers)
+
+    async def page(self, needle: str | None = None) -> Page:
+        page = Page(await self.connect())
+        page.first = await page.say("hello", token=self.door.token, needle=needle)
+        return page
+
+
+@asynccontextmanager
+async def house(folder, name: str = "study2"):
+    subject = open_subject(name)
+    trials = Trials(subject, folder, lambda insertion: open_subject(subject.name, insertion))
+    opened: asyncio.Future = asyncio.get_running_loop().create_future()
+    end = asyncio.Event()
+    server = asyncio.create_task(serve(trials, 0, opened.set_result, end.wait))
+    async with aiohttp.ClientSession() as client:
+        yield House(await opened, client, trials)
+    end.set()
+    await server
+
+
+def visit(test):
+    """Run an asynchronous test."""
+
+    def run(*args, **kwargs):
+        asyncio.run(asyncio.wait_for(test(*args, **kwargs), 30))
+
+    run.__name__, run.__doc__ = test.__name__, test.__doc__
+    run.__signature__ = __import__("inspect").signature(test)
+    return run
+
+
+@visit
+async def test_a_window_steers_its_needle(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        assert page.first["depth_mm"] == 0 and page.scene["subject"] == "study2"
+        state = await page.say("change", insert_mm=30, set=[["base_y_mm", None, 0.5]])
+        assert (state["depth_mm"], state["base"]["y"], state["step"]) == (30, 0.5, 1)
+        assert len(state["x"]) == len(state["y"]) > 50
+        state = await page.say("change", set=[["bevel_side", None, -1]], insert_mm=500)
+        assert state["bevel"]["side"] == -1 and 149 < state["depth_mm"] < 150
+        assert (await page.say("undo"))["depth_mm"] == 30
+        assert (await page.say("redo"))["depth_mm"] > 149
+        assert (await page.say("reset"))["depth_mm"] == 0
+        assert (await page.say("undo"))["depth_mm"] > 149
+
+
+@visit
+async def test_a_needle_moves_only_while_its_page_asks_for_frames(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        assert (await page.say("move", speed_mm_s=100, to_mm=8))["depth_mm"] == 0
+        await asyncio.sleep(0.05)
+        first = await page.say("frame")
+        assert 3 < first["depth_mm"] <= 8 and first["step"] == 1
+        await asyncio.sleep(0.05)
+        last = await page.say("frame")
+        assert last["depth_mm"] == 8 and last["moving"] == 0
+        assert (await page.say("frame"))["step"] == last["step"]
+        await page.say("move", speed_mm_s=-100)
+        await asyncio.sleep(0.03)
+        halted = await page.say("halt")  # no frame was asked for since
+        assert (halted["moving"], halted["depth_mm"]) == (0, 8)
+        assert (await page.say("undo"))["depth_mm"] == 0  # the whole stroke is one gesture
+
+
+@visit
+async def test_what_is_recorded_is_there_at_every_moment_and_replays(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        path = tmp_path / page.scene["recording"]
+        assert not path.exists()
+        for n in range(1, 6):
+            state = await page.say("change", insert_mm=3.3, set=[["base_slope", None, 0.001 * n]])
+            steps = list(replay(read(path)))
+            assert len(steps) == n + 1
+            assert steps[-1].moment.shape.deflection == state["tip"]["deflection_mm"]
+        again = await page.say("replay", times=1000)
+        assert again["playing"] and page.scene["recording"] != path.name
+        await asyncio.sleep(0.02)
+        done = await page.say("frame")
+        assert done["tip"] == state["tip"] and not done["playing"]
+
+
+@visit
+async def test_two_windows_have_two_needles_and_a_page_that_comes_back_finds_its_own(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        one, two = await server.page(), await server.page()
+        await one.say("change", insert_mm=10)
+        assert (await two.say("change", insert_mm=20))["depth_mm"] == 20
+        assert (await one.say("frame"))["depth_mm"] == 10
+        await one.socket.close()
+        back = await server.page(one.scene["needle"])
+        assert back.first["depth_mm"] == 10 and back.scene["recording"] == one.scene["recording"]
+        assert back.first["undo"]
+
+
+@visit
+async def test_a_needle_has_one_window_the_newest(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        one = await server.page()
+        await one.say("change", insert_mm=10)
+        two = await server.page(one.scene["needle"])
+        assert two.first["depth_mm"] == 10
+        assert json.loads((await one.socket.receive()).data) == {"kind": "taken"}
+        assert (await one.socket.receive()).type is aiohttp.WSMsgType.CLOSE
+        assert (await two.say("change", insert_mm=1))["depth_mm"] == 11
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "needle",
+        "[1]",
+        '{"do": "dance", "id": 9}',
+        '{"do": "change"}',
+        '{"do": "change", "id": 9, "set": [["base_y_mm", null, NaN]]}',
+        '{"do": "change", "id": 9, "set": [["base_y_mm", null, Infinity]]}',
+        '{"do": "change", "id": 9, "set": [["base_y_mm", null, 1e999]]}',
+        '{"do": "change", "id": 9, "set": [["base_y_mm", null, "1"]]}',
+        '{"do": "change", "id": 9, "set": [["base_y_mm", null, true]]}',
+        '{"do": "change", "id": 9, "set": [["base_y_mm", 1, 1]]}',
+        '{"do": "change", "id": 9, "set": [["mu_pa", null, 1]]}',
+        '{"do": "change", "id": 9, "set": [["guide_x_mm", 33, 1]]}',
+        '{"do": "change", "id": 9, "set": [["base_y_mm", null]]}',
+        '{"do": "change", "id": 9, "set": 7}',
+        '{"do": "change", "id": 9, "set": ' + str([["base_y_mm", 0, 1]] * 65).replace("'", '"') + "}",
+        "[" * 5000,
+        '{"do": "change", "id": 9, "set": [["base_y_mm", null, ' + "9" * 400 + "]]}",
+    ],
+)
+def test_a_faulty_message_is_told_so(text: str) -> None:
+    assert read_message(text).fault
+
+
+@visit
+async def test_what_is_refused_changes_nothing(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        before = await page.say("change", insert_mm=30)
+        for do, said in (
+            ("change", {"set": [["base_y_mm", None, float("inf")]]}),
+            ("change", {"insert_mm": float("nan")}),
+            ("change", {"set": [["return_to", None, 0]]}),
+            ("change", {"set": [["mu_pa", 1, -3]]}),
+            ("change", {"set": [["guide_x_mm", 1, -140], ["guide_y_mm", 1, 0]]}),
+            ("move", {"speed_mm_s": "fast"}),
+            ("move", {"speed_mm_s": 1e9}),
+            ("show", {"insertion": "../../etc"}),
+            ("no such thing", {}),
+        ):
+            state = await page.say(do, **said)
+            assert page.refused, (do, said)
+            assert state | {"answers": 0, "time_s": 0} == before | {"answers": 0, "time_s": 0}
+
+
+@visit
+async def test_strangers_are_kept_out(tmp_path) -> None:
+    """Another page in the same browser, a name bent to this machine, a wrong token."""
+    async with house(tmp_path) as server:
+        for headers in ({"Origin": "http://evil.example"}, {"Origin": ""}, {"Host": "evil.example"}):
+            with pytest.raises(aiohttp.WSServerHandshakeError):
+                await server.connect(**headers)
+        async with server.client.get(server.base, headers={"Host": "evil.example"}) as answer:
+            assert answer.status == 421
+        for token in ("", "wrong", None, 7, server.door.token[:-1]):
+            socket = await server.connect()
+            await socket.send_json({"do": "hello", "id": 0, "token": token})
+            assert (await socket.receive()).data == 4401
+        for headers in ({}, {"Authorization": "Bearer wrong", "Origin": server.base}):
+            async with server.client.post(f"{server.base}/export/inputs.csv", headers=headers) as answer:
+                assert answer.status == 403
+        for path in ("/page/../server.py", "/page/%2e%2e/server.py", "/page/"):
+            async with server.client.get(server.base + path) as answer:
+                assert answer.status in (403, 404)
+        async with server.client.get(server.base) as answer:
+            assert server.door.token not in await answer.text()
+            assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+
+
+@visit
+async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("change", insert_mm=10)
+        await page.socket.send_str("x" * (LARGEST + 1))
+        assert (await page.socket.receive()).data == 1009
+        back = await server.page(page.scene["needle"])
+        assert back.first["depth_mm"] == 10
+        with pytest.raises(ConnectionError):
+            for _ in range(int(3 * BURST)):
+                await back.socket.send_str('{"do": "frame", "id": 1}')
+            while (await back.socket.receive(timeout=10)).type is aiohttp.WSMsgType.TEXT:
+                pass
+            raise ConnectionError
+        assert back.socket.close_code in (1008, 1006)
+        assert (await server.page(page.scene["needle"])).first["depth_mm"] == 10
+
+
+def test_a_pause_allows_a_burst_and_no_more() -> None:
+    pace = Pace()
+    assert BURST <= sum(pace.allows() for _ in range(int(2 * BURST))) < 1.2 * BURST
+
+
+@visit
+async def test_inputs_can_be_taken_away_as_they_were_recorded(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("change", insert_mm=10)
+        headers = {"Authorization": f"Bearer {server.door.token}", "Origin": server.base}
+        url, needle = f"{server.base}/export", {"needle": page.scene["needle"]}
+        async with server.client.post(f"{url}/inputs.csv", headers=headers, json=needle) as answer:
+            assert await answer.read() == (tmp_path / page.scene["recording"]).read_bytes()
+        async with server.client.post(f"{url}/shape.exe", headers=headers, json=needle) as answer:
+            assert answer.status == 404
+        async with server.client.post(f"{url}/inputs.csv", headers=headers, json={"needle": "x"}) as answer:
+            assert answer.status == 404
+
+
+@visit
+async def test_a_recording_that_cannot_be_written_ends_with_a_message(tmp_path) -> None:
+    folder = tmp_path / "view"
+    async with house(folder) as server:
+        page = await server.page()
+        await page.say("change", insert_mm=10)
+        path = folder / page.scene["recording"]
+        kept = path.read_bytes()
+        path.unlink()
+        path.mkdir()
+        await page.say("change", insert_mm=1)
+        assert "cannot be written" in page.refused
+        path.rmdir()
+        path.write_bytes(kept)
+        await page.say("change", insert_mm=1)
+        assert "has ended" in page.refused
+        assert path.read_bytes() == kept
+
+
+@visit
+async def test_another_insertion_is_another_needle(tmp_path) -> None:
+    async with house(tmp_path, "twin/phantom1-02") as server:
+        page = await server.page()
+        assert page.scene["measured"]["id"] == "phantom1-02" and page.scene["synthetic"]
+        state = await page.say("change", set=[["depth_mm", None, page.scene["depth_mm"]]])
+        assert state["errors"]["whole"] and 0 < state["errors"]["te_mm"] < 5
+        first = page.scene["needle"]
+        await page.say("show", insertion="phantom1-05")
+        assert page.scene["measured"]["id"] == "phantom1-05" and page.scene["needle"] != first
