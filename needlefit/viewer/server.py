@@ -16,6 +16,7 @@ from needlefit.viewer.door import HEADERS, LARGEST, LOOPBACK, Door, Pace
 from needlefit.viewer.export import KINDS, export
 from needlefit.viewer.messages import Message, read
 from needlefit.viewer.overlay.band import band
+from needlefit.viewer.overlay.slice import slice_of
 from needlefit.viewer.picture import band_message
 from needlefit.viewer.trial import Trial
 from needlefit.viewer.trials import Trials
@@ -48,6 +49,7 @@ class Server:
         app.router.add_get("/", _index)
         app.router.add_get("/ws", self._attend)
         app.router.add_post("/export/{kind}", self._export)
+        app.router.add_post("/slice", self._slice)
         app.router.add_static("/page", PAGE)
         app.on_shutdown.append(self._leave)
         return app
@@ -141,6 +143,18 @@ class Server:
         except (NeedlefitError, OSError) as error:
             raise web.HTTPUnprocessableEntity(text=str(error)) from error
         return web.Response(body=found, content_type=KINDS[kind])
+
+    async def _slice(self, request: web.Request) -> web.Response:
+        """Return the scan's slice in the bending plane."""
+        scanned = (await self._asked(request)).subject.scanned
+        if scanned is None:
+            raise web.HTTPNotFound(text="there is no scan of this insertion")
+        try:
+            found = await asyncio.to_thread(slice_of, scanned)
+        except (NeedlefitError, OSError) as error:
+            raise web.HTTPUnprocessableEntity(text=str(error)) from error
+        extent = ",".join(f"{edge:.4f}" for edge in found.extent)
+        return web.Response(body=found.png, content_type="image/png", headers={"X-Extent-Mm": extent})
 
     async def _asked(self, request: web.Request) -> Trial:
         """Return the trial that a request is about."""
