@@ -1,5 +1,7 @@
 """A needle's shape as a table."""
 
+from pathlib import Path
+
 import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicHermiteSpline
@@ -8,6 +10,7 @@ from needlefit.mechanics.load import lateral_load
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
 from needlefit.mechanics.shape import positions
+from needlefit.reporting.files import require_folder, write_csv
 
 _SAME = 1e-6  # mm: a node so near a whole millimetre stands for it
 
@@ -46,6 +49,18 @@ def shape_table(scene: Scene, moment: Moment) -> pd.DataFrame:
             "layer": layer,
         }
     )
+
+
+def write_shape(scene: Scene, moment: Moment, path: Path) -> None:
+    """Write the table of a shape, .csv.
+
+    Raises
+    ------
+    ConfigError
+        If the folder of `path` does not exist.
+    """
+    require_folder(path)
+    write_csv(shape_table(scene, moment), path)
 
 
 def _stations(nodes: np.ndarray) -> np.ndarray:

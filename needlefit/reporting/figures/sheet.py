@@ -16,7 +16,7 @@ from needlefit.mechanics.control import Controls
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
 from needlefit.reporting.figures.acting import LOAD, acting, profile, round_up, told
-from needlefit.reporting.figures.style import WIDTH
+from needlefit.reporting.figures.style import WIDTH, label_origin
 from needlefit.reporting.figures.world import TIP, legend_handles, needle_line, window
 from needlefit.reporting.names import PAPER, RIVAL_COLOURS
 
@@ -42,11 +42,14 @@ class Beside:
         A measured needle.
     low, high : (K, 2) arrays, optional
         The edges of the 95 % band of fitted ones.
+    synthetic : bool
+        Whether the data are; the picture then says so.
     """
 
     measured: Floats | None = None
     low: Floats | None = None
     high: Floats | None = None
+    synthetic: bool = False
 
     @property
     def curves(self) -> tuple[Floats, ...]:
@@ -122,6 +125,7 @@ def lay_out(
         handles=handles, loc="outside upper left", ncols=_COLUMNS, handletextpad=0.4, handlelength=1.4,
         columnspacing=1.2, title=title, alignment="left", title_fontsize=8,
     )  # fmt: skip
+    label_origin(figure, beside.synthetic)
     arrow = _LONGEST * span / force if force > 0 else 0.0
     return Sheet(figure, axes, scene, beside, inches, per_mm, arrow, lines)
 
