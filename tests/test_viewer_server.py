@@ -113,6 +113,26 @@ async def test_a_needle_moves_only_while_its_page_asks_for_frames(tmp_path) -> N
 
 
 @visit
+async def test_inputs_change_while_the_needle_goes_in(tmp_path) -> None:
+    """b, the bevel's side and the base change during a stroke, which goes on, and is undone with them."""
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("move", speed_mm_s=50, to_mm=20)
+        moved = [["bevel_offset_mm", None, 0.02], ["bevel_side", None, -1], ["base_y_mm", None, 0.3]]
+        for change in moved:
+            await asyncio.sleep(0.02)
+            assert (await page.say("frame"))["moving"] == 50
+            assert (await page.say("change", set=[change], gesture=77))["moving"] == 50
+        while (state := await page.say("frame"))["moving"]:
+            await asyncio.sleep(0.01)
+        assert state["depth_mm"] == 20 and state["bevel"] == {"side": -1, "offset_mm": 0.02}
+        assert (await page.say("undo"))["step"] == state["step"] + 1
+        assert (await page.say("frame"))["depth_mm"] == 0
+        await page.say("move", speed_mm_s=50)
+        assert (await page.say("change", insert_mm=1))["moving"] == 0  # the hand takes over
+
+
+@visit
 async def test_what_is_recorded_is_there_at_every_moment_and_replays(tmp_path) -> None:
     async with house(tmp_path) as server:
         page = await server.page()

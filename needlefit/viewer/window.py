@@ -62,7 +62,7 @@ class Window:
     def _do(self, message: Message) -> None:
         if message.fault:
             raise message.fault
-        if message.do not in ("frame", "hello"):
+        if message.do not in ("frame", "hello") and not self._beside(message):
             self._motion = None  # a hand on the needle takes over from what goes on by itself
         match message.do:
             case "change":
@@ -85,6 +85,11 @@ class Window:
             case "reset":
                 self.trial.reset()
 
+    def _beside(self, message: Message) -> bool:
+        """Whether a message steers a needle that is being inserted, and does not insert it itself."""
+        inserts = "insert_mm" in message.said or any(c.name == "depth_mm" for c in message.changes)
+        return message.do == "change" and isinstance(self._motion, Stroke) and not inserts
+
     def _change(self, message: Message) -> None:
         if any(change.name == "return_to" for change in message.changes):
             raise ModelError("`return_to` is written by the program", expected="undo, redo or reset")
@@ -93,8 +98,9 @@ class Window:
             now, reach = self.trial.steering.now.step.depth, self.trial.steering.reach()
             depth = min(max(now + message.number("insert_mm"), 0.0), max(reach, now))
             changes = (*changes, Change("depth_mm", None, depth))
-        if changes:
-            self.trial.act(changes, message.gesture)
+        if changes:  # what is done during a stroke is undone with it
+            gesture = self._motion.gesture if isinstance(self._motion, Stroke) else message.gesture
+            self.trial.act(changes, gesture)
 
     def _stroke(self, message: Message) -> tuple[float, int, float | None]:
         to = None if message.said.get("to_mm") is None else message.number("to_mm")

@@ -2,7 +2,7 @@
 
 import { degrees, slope } from "./numbers.js";
 import { change, command, move, newGesture, wanted } from "./steering.js";
-import { listen, now } from "./store.js";
+import { now } from "./store.js";
 
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
 const STEP = { base_mm: 0.1, turn_deg: 0.1, offset_mm: 0.005 };
@@ -10,7 +10,6 @@ const CLEAR = 2; // mm that a new guide keeps from its neighbours
 
 const speedField = document.getElementById("speed");
 let lastNudge = { what: null, at: -Infinity, gesture: 0 };
-let guidesEver = 0;
 
 /** Speed of insertion, mm/s. */
 export const speed = () => Math.abs(Number(speedField.value)) || 10;
@@ -35,13 +34,13 @@ export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", n
 
 /** Move the base by so many steps. */
 export function nudgeBase(steps, at) {
-  const y = wanted("base_y_mm", null, now.state.base.y) + steps * STEP.base_mm;
+  const y = wanted("base_y_mm", null, now.state.base.input_y) + steps * STEP.base_mm;
   change([["base_y_mm", null, y]], { gesture: going("base"), at });
 }
 
 /** Turn the base by so many steps. */
 export function nudgeTurn(steps, at) {
-  const angle = degrees(wanted("base_slope", null, now.state.base.slope)) + steps * STEP.turn_deg;
+  const angle = degrees(wanted("base_slope", null, now.state.base.input_slope)) + steps * STEP.turn_deg;
   change([["base_slope", null, slope(angle)]], { gesture: going("turn"), at });
 }
 
@@ -54,10 +53,8 @@ export function nudgeOffset(steps, at) {
 
 /** Put a guide on the needle at x (mm), where it changes nothing yet; by default between base and skin. */
 export function addGuide(x = freePlace(), at = performance.now()) {
-  guidesEver = Math.max(guidesEver, ...now.state.guides.map(({ item }) => item)) + 1;
-  change([
-    ["guide_x_mm", guidesEver, x], ["guide_y_mm", guidesEver, needleAt(x)], ["guide_turns_freely", guidesEver, 1],
-  ], { at });
+  const item = freeNumber();
+  change([["guide_x_mm", item, x], ["guide_y_mm", item, needleAt(x)], ["guide_turns_freely", item, 1]], { at });
 }
 
 /** Hold the tip where it is, or let go of it. */
@@ -80,6 +77,14 @@ export function needleAt(x) {
   return ys[after - 1] + share * (ys[after] - ys[after - 1]);
 }
 
+/** The first number that no guide has; the scene's own guides keep theirs. */
+function freeNumber() {
+  const taken = now.state.guides.map(({ item }) => item);
+  let item = now.scene.guide_names.length + 1;
+  while (taken.includes(item)) item += 1;
+  return item;
+}
+
 /** A place before the skin, halfway in the widest gap that guides leave. */
 function freePlace() {
   const taken = now.state.guides.map(({ x }) => x).filter((x) => x < 0);
@@ -94,5 +99,3 @@ function going(what) {
   lastNudge = { what, at, gesture };
   return gesture;
 }
-
-listen("scene", () => (guidesEver = 0));

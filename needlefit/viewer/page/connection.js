@@ -5,6 +5,7 @@ import { now, take, tell } from "./store.js";
 const FIRST_WAIT = 0.25; // s
 const LONGEST_WAIT = 5; // s
 const KEPT = 256; // times of inputs not yet answered
+const STRANGER = 4401; // closed by the server: it does not know the token
 
 let socket = null;
 let timer = 0;
@@ -36,7 +37,7 @@ export function open() {
     line.send(JSON.stringify({ do: "hello", id: 0, token: token(), needle: needle() }));
   };
   line.onmessage = (event) => hear(line, JSON.parse(event.data));
-  line.onclose = () => line === socket && lost();
+  line.onclose = ({ code }) => line === socket && lost(code);
 }
 
 /** Send an input that happened at `at` (ms, as events have it). Returns its id, or null without a line. */
@@ -84,10 +85,10 @@ function hear(line, message) {
   take(message);
 }
 
-function lost() {
+function lost(code) {
   now.connected = false;
-  tell("line", { open: false, why: "lost", wait });
-  again();
+  tell("line", { open: false, why: code === STRANGER ? "stranger" : "lost", wait });
+  if (code !== STRANGER) again();
 }
 
 function again() {

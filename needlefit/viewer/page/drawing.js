@@ -50,9 +50,9 @@ function paintForeground(state) {
   within(before, () => {
     if (shown.band && now.band) paintBand(before, now.band, now.band.step !== state.step);
     if (shown.load) paintLoad(before, state);
-    if (shown.path) paintPath(before, state);
     paintNeedle(before, state);
     paintTip(before, state);
+    if (shown.path) paintPath(before, state);
     if (shown.points) paintPoints(before, state);
     if (shown.measured && now.scene.measured) paintMeasured(before, now.scene.measured);
     paintGuides(before, state);
@@ -93,7 +93,7 @@ listen("band", invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {
-  if (fitted === now.scene) return; // a new needle is shown as the reader last asked to see one
-  fitted = now.scene;
+  if (fitted === now.scene.subject) return;
+  fitted = now.scene.subject;
   fit(view.fit ?? "whole");
 });

@@ -4,6 +4,7 @@ import { newGesture } from "./steering.js";
 
 const template = document.getElementById("field-template");
 const STEPS = 1000; // of a slider
+const THUMB = 16; // px, which the slider's thumb takes of its length
 const LINEAR = [(x) => x, (x) => x];
 const LOGARITHMIC = [Math.log, Math.exp];
 let made = 0;
@@ -48,7 +49,7 @@ export function setHome(field, home) {
   field.home = home;
   field.back.hidden = field.mark.hidden = home === null;
   if (home === null) return;
-  field.mark.style.left = `${100 * field.share(home)}%`;
+  field.mark.style.left = `calc(${THUMB / 2}px + ${field.share(home)} * (100% - ${THUMB}px))`;
   field.back.title = `back to ${field.write(home)} ${field.unit}`.trim();
   markHome(field);
 }

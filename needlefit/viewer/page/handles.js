@@ -30,7 +30,7 @@ function all() {
     if (!guide.turns_freely) handles.push({ at: turn, cursor: "grab", drag: turnGuide(guide, place) });
     handles.push({ at: place, cursor: "move", drag: dragGuide(guide) });
   }
-  handles.push({ at: base.turn, cursor: "grab", drag: turnBase(base.place) });
+  handles.push({ at: base.turn, cursor: "grab", drag: turnBase(state, base.place) });
   handles.push({ at: base.place, cursor: "ns-resize", drag: dragBase(state) });
   return handles;
 }
@@ -48,7 +48,7 @@ export function handleAt(px, py, kind = "mouse") {
 
 const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
 
-const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.y + rise(from, to)]];
+const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.input_y + rise(from, to)]];
 
 const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.y + rise(from, to)]];
 
@@ -58,7 +58,10 @@ const dragGuide = ({ item, x, y }) => (from, to) => [
 ];
 
 /** The base's ring stands behind it: it points away from where the needle goes. */
-const turnBase = (place) => (_, to) => [["base_slope", null, slopeAlong(to, place)]];
+const turnBase = ({ base }, place) => (_, to) => {
+  const stage = base.slope - base.input_slope; // what the stage's own axis adds
+  return [["base_slope", null, slopeAlong(to, place) - stage]];
+};
 
 /** A guide's ring stands beside it: the guide's direction is across. */
 const turnGuide = ({ item }, place) => (_, to) => {

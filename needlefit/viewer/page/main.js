@@ -12,6 +12,7 @@ import * as panel from "./panel.js";
 import "./pointers.js";
 import * as readouts from "./readouts.js";
 import * as status from "./status.js";
+import { askFrame } from "./steering.js";
 import { listen, now } from "./store.js";
 import "./toolbar.js";
 import * as transport from "./transport.js";
@@ -37,6 +38,7 @@ function tellOne(t) {
 listen("refused", () => TOLD.forEach((one) => (one.step = null))); // fields go back to what is
 
 frames.start((fresh, t) => {
+  if (now.state) askFrame(); // the needle goes on while this frame is drawn
   paint(fresh);
   if (now.state) tellOne(t);
 });

@@ -21,6 +21,7 @@ function refuse({ what, expected, mend }) {
 const BANNERS = {
   lost: ({ wait }) => [`Not connected to the needle. Trying again ${wait < 1 ? "at once" : `in ${wait.toFixed(0)} s`}; until then inputs are not sent.`, "Try now"],
   bye: ({ what }) => [`The program has stopped${what ? `: ${what}` : ""}. Its recording is kept. The page looks for it until it is back.`, "Try now"],
+  stranger: () => ["The program does not know this page's token. Open the address as it was printed when the program began.", "Try again"],
   taken: () => ["This needle is held by another window. Inputs here are not sent.", "Take it back"],
 };
 

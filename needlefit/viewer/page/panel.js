@@ -29,7 +29,6 @@ function build(scene) {
   buildTissue(scene);
   buildBase(scene);
   buildTip();
-  part("home-all").hidden = scene.fitted === null;
 }
 
 function buildBevel({ limits, fitted }) {
@@ -37,7 +36,7 @@ function buildBevel({ limits, fitted }) {
   const offset = () => now.state.bevel.offset_mm;
   const here = inputField("bevel-fields", ["bevel_offset_mm", null], { ...about, name: "b from here on" }, offset);
   const whole = inputField("bevel-fields", ["offset_throughout_mm", null], { ...about, name: "b throughout" }, offset);
-  for (const field of [here, whole]) setHome(field, fitted?.offset_mm ?? null);
+  for (const field of [here, whole]) setHome(field, fitted.offset_mm);
 }
 
 function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }) {
@@ -46,16 +45,16 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }
     const layer = () => now.state.layers[i];
     const mu = { name: `${called} μ`, unit: "Pa", write: brief, limits: limits.mu_pa, logarithmic: true };
     const alpha = { name: `${called} α`, unit: "", write: (value) => value.toFixed(2), limits: limits.alpha };
-    setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted?.mu_pa[i] ?? null);
-    setHome(inputField("tissue-fields", ["alpha", i + 1], alpha, () => layer().alpha), fitted?.alpha[i] ?? null);
+    setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted.layers[i].mu_pa);
+    setHome(inputField("tissue-fields", ["alpha", i + 1], alpha, () => layer().alpha), fitted.layers[i].alpha);
   }
 }
 
 function buildBase({ limits }) {
   const y = { name: "y", unit: "mm", write: asMm, limits: limits.base_y_mm };
-  inputField("base-fields", ["base_y_mm", null], y, () => now.state.base.y);
+  inputField("base-fields", ["base_y_mm", null], y, () => now.state.base.input_y);
   const angle = { name: "slope", unit: "°", write: asDegrees, limits: [-10, 10] };
-  inputField("base-fields", ["base_slope", null], angle, () => now.state.base.slope, ANGLE);
+  inputField("base-fields", ["base_slope", null], angle, () => now.state.base.input_slope, ANGLE);
 }
 
 function buildTip() {
@@ -75,8 +74,8 @@ export function refresh() {
 }
 
 function allHome(event) {
-  const { mu_pa: mus, alpha: alphas, offset_mm: offset } = now.scene.fitted;
-  const set = mus.flatMap((mu, i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alphas[i]]]);
+  const { layers, offset_mm: offset } = now.scene.fitted;
+  const set = layers.flatMap(({ mu_pa: mu, alpha }, i) => [["mu_pa", i + 1, mu], ["alpha", i + 1, alpha]]);
   change([...set, ["offset_throughout_mm", null, offset]], { at: event.timeStamp });
 }
 

@@ -3,8 +3,6 @@
 import { degrees, signed } from "./numbers.js";
 import { listen, now } from "./store.js";
 
-const list = document.getElementById("readouts");
-
 /** What is read of the needle: a name, a unit, and how it is written from a state. */
 const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
@@ -25,36 +23,39 @@ const ERRORS = [
   ["noise floor", "mm", (e) => e.floor_mm?.toFixed(3) ?? "–"],
 ];
 
-let shownErrors = false;
-let texts = [];
+const needle = fill(document.getElementById("readouts"), NEEDLE);
+const errors = fill(document.getElementById("errors"), ERRORS);
+const against = document.getElementById("against");
 
-function build(errors) {
-  shownErrors = errors;
-  list.replaceChildren();
-  texts = NEEDLE.map(([name, unit]) => entry(name, unit));
-  if (errors) texts.push(...ERRORS.map(([name, unit]) => entry(name, unit, "error")));
+/** Put the names and units of readouts into a list; returns where their numbers stand. */
+function fill(list, readouts) {
+  return readouts.map(([name, unit]) => {
+    const [row, term, value, number, small] = ["div", "dt", "dd", "span", "small"].map((tag) => document.createElement(tag));
+    term.textContent = name;
+    small.textContent = unit;
+    number.textContent = "–";
+    value.append(number, " ", small);
+    row.append(term, value);
+    list.append(row);
+    return number;
+  });
 }
 
-function entry(name, unit, kind = "") {
-  const [row, term, value, number, small] = ["div", "dt", "dd", "span", "small"].map((tag) => document.createElement(tag));
-  row.className = kind;
-  term.textContent = name;
-  small.textContent = unit;
-  value.append(number, " ", small);
-  row.append(term, value);
-  list.append(row);
-  number.textContent = "–";
-  return number;
+function write(numbers, readouts, from) {
+  readouts.forEach(([, , say], i) => tell(numbers[i], from ? say(from) : "–"));
+}
+
+function tell(part, text) {
+  if (part.textContent !== text) part.textContent = text;
 }
 
 /** Write what has changed. */
 export function refresh() {
-  const { state } = now;
-  if ((state.errors !== null) !== shownErrors) build(state.errors !== null);
-  const said = NEEDLE.map(([, , write]) => write(state));
-  if (state.errors) said.push(...ERRORS.map(([, , write]) => write(state.errors)));
-  said.forEach((text, i) => texts[i].textContent !== text && (texts[i].textContent = text));
-  if (state.errors) list.dataset.upto = comparedUpTo(state.errors);
+  const { state, scene } = now;
+  write(needle, NEEDLE, state);
+  if (!scene.measured) return;
+  write(errors, ERRORS, state.errors);
+  tell(against, `against ${scene.measured.id}${state.errors ? `, ${comparedUpTo(state.errors)}` : ""}`);
 }
 
 /** Up to where errors compare: whole, or the part of the measured needle that the needle has reached. */
@@ -62,4 +63,4 @@ export function comparedUpTo({ whole, upto_mm: upto }) {
   return whole ? "over the whole insertion" : `over the first ${upto.toFixed(1)} mm`;
 }
 
-listen("scene", () => build(false));
+listen("scene", ({ measured }) => (document.getElementById("compared").hidden = measured === null));

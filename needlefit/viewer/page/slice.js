@@ -5,20 +5,20 @@ import { listen, now, tell } from "./store.js";
 
 let held = null; // {image, extent} of the scene it belongs to
 
-/** The slice as {image, extent}, or null while there is none. */
+/** The slice, its edges in mm (left, right, bottom, top), as {image, extent}, or null while there is none. */
 export const slice = () => held;
 
 listen("scene", async (scene) => {
   held = null;
   if (!scene.slice) return;
-  const answer = await fetch(scene.slice.url, {
+  const answer = await fetch("/slice", {
     method: "POST",
     headers: { Authorization: `Bearer ${token()}`, "Content-Type": "application/json" },
     body: JSON.stringify({ needle: needle() }),
   });
-  if (!answer.ok) return tell("notice", { what: "The scan's slice did not come." });
+  if (!answer.ok) return tell("notice", { what: `No slice of the scan: ${await answer.text()}` });
   const image = await createImageBitmap(await answer.blob());
   if (now.scene !== scene) return; // another one is shown by now
-  held = { image, extent: scene.slice.extent_mm };
+  held = { image, extent: answer.headers.get("X-Extent-MM").split(",").map(Number) };
   tell("slice", held);
 });

@@ -3,9 +3,14 @@
 import { send } from "./connection.js";
 import { listen, now } from "./store.js";
 
+const SHORTEST = 4; // ms between two changes: a fast mouse must not flood the line
+
 let flight = null; // id of the change that has no answer yet
+let frame = null; // id of the frame that has no answer yet
+let sentLast = -Infinity; // ms
+let timer = 0;
 let waiting = []; // changes that are not sent yet, one for each gesture
-let held = false; // whether a hand holds a move
+let held = null; // the gesture of a move that a hand holds
 let gestures = Date.now() % 1e9; // a page that was loaded again goes on with numbers of its own
 const asked = new Map(); // what was asked for and is not answered yet
 
@@ -25,11 +30,20 @@ export function wanted(name, item, otherwise) {
  * @param how gesture, insert (mm, relative), at (ms, when the hand did it)
  */
 export function change(set, { gesture = newGesture(), insert = 0, at = performance.now() } = {}) {
+  gesture = held ?? gesture; // what is steered while the needle moves is undone with the move
   for (const [name, item, value] of set) asked.set(key(name, item), { value, id: Infinity });
   const last = waiting.at(-1);
   if (last?.gesture === gesture) merge(last, set, insert);
   else waiting.push({ gesture, set: [...set], insert, at });
-  if (flight === null) sendNext();
+  sendSoon();
+}
+
+function sendSoon() {
+  clearTimeout(timer);
+  if (flight !== null || !waiting.length) return;
+  const left = sentLast + SHORTEST - performance.now();
+  if (left > 0) timer = setTimeout(sendNext, left);
+  else sendNext();
 }
 
 function merge(last, set, insert) {
@@ -42,6 +56,8 @@ function merge(last, set, insert) {
 }
 
 function sendNext() {
+  clearTimeout(timer);
+  sentLast = performance.now();
   const { gesture, set, insert, at } = waiting.shift();
   const message = { do: "change", gesture, set };
   if (insert) message.insert_mm = insert;
@@ -60,32 +76,39 @@ export function command(message, at = performance.now()) {
 
 /** Insert (retract, if negative) at a speed, mm/s: on to a depth, or as long as it is held. */
 export function move(speed, to = null) {
-  held = to === null;
-  const message = { do: "move", gesture: newGesture(), speed_mm_s: speed };
+  const gesture = newGesture();
+  held = to === null ? gesture : null;
+  const message = { do: "move", gesture, speed_mm_s: speed };
   command(to === null ? message : { ...message, to_mm: to });
 }
 
 /** Stop whatever moves. */
 export function halt() {
-  held = false;
+  held = null;
   if (now.connected) command({ do: "halt" });
 }
 
 /** Let go of a move that a hand holds; one that goes on to a depth goes on. */
 export function letGo() {
-  if (held) halt();
+  if (held !== null) halt();
+}
+
+/** Ask for the next frame of what goes on by itself; a page that is hidden asks for none, and its needle stands. */
+export function askFrame() {
+  if (frame === null && now.connected && (now.state.moving || now.state.playing)) frame = send({ do: "frame" });
 }
 
 function heard({ answers }) {
   for (const [name, { id }] of asked) if (id <= answers) asked.delete(name);
+  if (frame !== null && answers >= frame) frame = null;
   if (flight === null || answers < flight) return;
   flight = null;
-  if (waiting.length) sendNext();
+  sendSoon();
 }
 
 function forget() {
-  flight = null;
-  held = false;
+  flight = frame = held = null;
+  clearTimeout(timer);
   waiting = [];
   asked.clear();
 }

@@ -27,7 +27,7 @@ for (const button of document.querySelectorAll("[data-zoom]")) {
 }
 
 listen("scene", ({ measured, band, slice }) => {
-  const there = { measured: measured !== null, band, slice: slice !== null };
+  const there = { measured: measured !== null, band, slice };
   for (const button of shows) button.hidden = there[button.dataset.show] === false;
 });
 listen("view", pressed);

@@ -69,6 +69,7 @@ part("choices").addEventListener("change", () => command({ do: "show", insertion
 
 listen("scene", (scene) => {
   part("title").textContent = scene.title;
+  part("title").title = scene.note;
   document.title = `${scene.title} · needlefit view`;
   part("synthetic").hidden = !scene.synthetic;
   part("choice").hidden = scene.choices.length < 2;
@@ -78,6 +79,5 @@ listen("scene", (scene) => {
   part("goto-scene").textContent = `To ${brief(to)} mm`;
   part("goto-scene").title = scene.measured ? "The measured depth" : "The scene's depth";
   part("speed").max = scene.limits.speed_mm_s;
-  part("goto-depth").max = scene.length_mm;
-  part("play").disabled = scene.steps === 0;
+  part("goto-depth").max = scene.limits.depth_mm;
 });

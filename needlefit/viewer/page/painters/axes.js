@@ -3,10 +3,11 @@
 import { palette } from "../palette.js";
 import { brief, roundStep } from "../numbers.js";
 import { fromPx, fromPy, toPx, toPy, view } from "../view.js";
+import { label } from "./strokes.js";
 
 const FONT = "11px system-ui, sans-serif";
 const TICK = 5; // px
-const APART = 70; // px between ticks, at least
+const APART = 48; // px between ticks, at least
 
 /** Draw ticks and names outside the box, and the scale bar inside. */
 export function paintAxes(context) {
@@ -22,7 +23,7 @@ export function paintAxes(context) {
 }
 
 /** The step of ticks that stand apart far enough, at a scale in px per mm: 1, 2 or 5 times a power of ten. */
-const stepAt = (scale) => [1, 2, 2.5, 5].map((times) => roundStep(APART / scale) * times).find((one) => one * scale >= APART);
+const stepAt = (scale) => roundStep((2.5 * APART) / scale); // 2.5: no further apart than that
 
 function ticks(low, high, step) {
   const first = Math.ceil(low / step);
@@ -54,7 +55,7 @@ function paintAcross(context) {
   context.textAlign = "right";
   context.textBaseline = "middle";
   context.beginPath();
-  for (const y of ticks(fromPy(top + height), fromPy(top), stepAt(1.4 * scale))) {
+  for (const y of ticks(fromPy(top + height), fromPy(top), stepAt(scale))) {
     const py = Math.round(toPy(y)) + 0.5;
     context.moveTo(left - TICK, py);
     context.lineTo(left, py);
@@ -81,9 +82,5 @@ function paintScaleBar(context) {
   context.fillRect(right - 1.5, py - 4, 1.5, 6);
   context.textAlign = "center";
   context.textBaseline = "bottom";
-  context.lineWidth = 3;
-  context.strokeStyle = palette.halo;
-  const text = `${brief(length)} mm${view.magnified === 1 ? "" : " along x"}`;
-  context.strokeText(text, (start + right) / 2, py - 5);
-  context.fillText(text, (start + right) / 2, py - 5);
+  label(context, `${brief(length)} mm${view.magnified === 1 ? "" : " along x"}`, (start + right) / 2, py - 5);
 }

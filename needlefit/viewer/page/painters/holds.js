@@ -3,7 +3,7 @@
 import { guidePlace, basePlace } from "../handles.js";
 import { palette } from "../palette.js";
 import { thickness } from "./needle.js";
-import { ring, straight, turned } from "./strokes.js";
+import { label, ring, straight, turned } from "./strokes.js";
 
 const HANDLE = 7; // px
 
@@ -65,9 +65,5 @@ function write(context, item, [px, py], below) {
   context.font = "600 12px system-ui, sans-serif";
   context.textAlign = "center";
   context.textBaseline = "middle";
-  context.strokeStyle = palette.halo;
-  context.lineWidth = 3;
-  context.strokeText(item, px, py + below);
-  context.fillStyle = palette.guide;
-  context.fillText(item, px, py + below);
+  label(context, item, px, py + below, palette.guide);
 }

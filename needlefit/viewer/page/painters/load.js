@@ -3,6 +3,8 @@
 import { brief, roundStep } from "../numbers.js";
 import { palette } from "../palette.js";
 import { toPx, toPy, view } from "../view.js";
+import { thickness } from "./needle.js";
+import { label } from "./strokes.js";
 
 const TALLEST = 64; // px
 const LOWEST = 18; // px
@@ -33,13 +35,13 @@ export function paintLoad(context, { load: { x, y, n_per_mm: load } }) {
   paintKey(context);
 }
 
-/** Where the load's ends are drawn, px: from each point along the shaft's normal. */
+/** Where the load's ends are drawn, px: along the shaft's normal, from its surface on. */
 function ends(px, py, load) {
-  const last = px.length - 1;
+  const [last, surface] = [px.length - 1, thickness() / 2];
   return px.map((_, i) => {
     const [before, after] = [Math.max(i - 1, 0), Math.min(i + 1, last)];
     const [dx, dy] = [px[after] - px[before], py[after] - py[before]];
-    const size = (load[i] * perNewton) / (Math.hypot(dx, dy) || 1);
+    const size = (load[i] * perNewton + Math.sign(load[i]) * surface) / (Math.hypot(dx, dy) || 1);
     return [px[i] + dy * size, py[i] - dx * size];
   });
 }
@@ -61,6 +63,5 @@ function paintKey(context) {
   context.font = "11px system-ui, sans-serif";
   context.textAlign = "left";
   context.textBaseline = "middle";
-  context.fillStyle = palette.label;
-  context.fillText(`${brief(size)} N/mm`, px + 10, py + (size * perNewton) / 2);
+  label(context, `${brief(size)} N/mm`, px + 10, py + (size * perNewton) / 2);
 }

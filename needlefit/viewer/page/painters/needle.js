@@ -3,47 +3,62 @@
 import { palette } from "../palette.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { line, ring, turned } from "./strokes.js";
+import { line, ring, straight, turned } from "./strokes.js";
 
 const THINNEST = 2; // px
 const CROSS = 3; // px
-const LONGEST_BEVEL = 3; // diameters
+const LONGEST_BEVEL = 2.5; // diameters
+const TUBE = 5; // px; from here on its core is seen
 
 /** How thick the needle is drawn, px. */
 export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THINNEST);
 
-/** Draw the shaft as a tube with a light core, up to where the bevel begins. */
-export function paintNeedle(context, { x, y }) {
+/** Draw the shaft as a tube with a light core, and the bevel: its point lies where it turns the cut to. */
+export function paintNeedle(context, { x, y, bevel }) {
   const width = thickness();
+  const shaft = shortened(x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3));
   context.lineJoin = "round";
   context.lineCap = "butt";
-  line(context, x, y, palette.needle, width);
-  if (width > 5) line(context, x, y, palette.core, 0.35 * width);
+  for (const [colour, part] of [[palette.needle, 1], [palette.core, 0.35]]) {
+    if (part < 1 && width < TUBE) continue;
+    context.strokeStyle = colour;
+    context.lineWidth = part * width;
+    context.beginPath();
+    for (const [px, py] of shaft.points) context.lineTo(px, py);
+    context.stroke();
+  }
+  paintBevel(context, shaft, Math.max(width, 3) / 2, bevel.side);
 }
 
-/** Draw the tip: its point lies on the side to which the bevel turns the cut, its face looks to the other. */
+/** The needle's points (px) without its last `length` px, and its tip. */
+function shortened(px, py, length) {
+  const tip = [px.at(-1), py.at(-1)];
+  const points = px.map((one, i) => [one, py[i]]).filter(([x, y]) => Math.hypot(x - tip[0], y - tip[1]) > length);
+  const [x, y] = points.at(-1) ?? tip;
+  const share = 1 - length / (Math.hypot(x - tip[0], y - tip[1]) || 1);
+  points.push([x + share * (tip[0] - x), y + share * (tip[1] - y)]);
+  return { points, tip };
+}
+
+/** The cut face is drawn as a line of its own: it looks away from the side of the point. */
+function paintBevel(context, { points, tip }, half, side) {
+  const [x, y] = points.at(-1);
+  const size = Math.hypot(tip[0] - x, tip[1] - y) || 1;
+  const [dx, dy] = [(tip[0] - x) / size, (tip[1] - y) / size];
+  const at = ([px, py], to) => [px + to * dy * half, py - to * dx * half]; // canvas y runs downwards
+  const [back, near, point] = [at([x, y], -side), at([x, y], side), at(tip, side)];
+  context.fillStyle = palette.needle;
+  context.beginPath();
+  for (const corner of [back, near, point]) context.lineTo(...corner);
+  context.fill();
+  straight(context, back, point, palette.tip, 2);
+}
+
+/** Draw to which side the bevel turns the cut, and whether the tip is held. */
 export function paintTip(context, { tip, bevel }) {
-  const half = Math.max(thickness() / 2, 2);
-  const length = 2 * LONGEST_BEVEL * half;
   const [px, py] = [toPx(tip.x), toPy(tip.y)];
   turned(context, px, py, Math.atan(tip.slope * view.magnified), () => {
-    const up = -bevel.side; // canvas y runs downwards
-    context.beginPath();
-    context.moveTo(-length, -up * half);
-    context.lineTo(0, up * half);
-    context.lineTo(1, up * half);
-    context.lineTo(1, -up * (half + 1));
-    context.lineTo(-length, -up * (half + 1));
-    context.closePath();
-    context.fillStyle = palette.soft;
-    context.fill();
-    context.beginPath();
-    context.moveTo(-length, -up * half);
-    context.lineTo(0, up * half);
-    context.strokeStyle = palette.tip;
-    context.lineWidth = 2;
-    context.stroke();
-    paintTurn(context, up * (half + 9));
+    paintTurn(context, -bevel.side * (Math.max(thickness() / 2, 2) + 9)); // canvas y runs downwards
   });
   if (tip.held) ring(context, px, py, 11, palette.tip, "transparent");
 }

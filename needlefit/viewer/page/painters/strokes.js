@@ -1,5 +1,6 @@
 /** Lines and shapes on the canvas, given in mm. */
 
+import { palette } from "../palette.js";
 import { toPx, toPy } from "../view.js";
 
 /** Begin a path along points (x, y). */
@@ -46,4 +47,13 @@ export function turned(context, px, py, angle, draw) {
   context.rotate(-angle);
   draw();
   context.restore();
+}
+
+/** Write on the picture, set off from what lies behind. */
+export function label(context, text, px, py, colour = palette.label) {
+  context.strokeStyle = palette.halo;
+  context.lineWidth = 3;
+  context.strokeText(text, px, py);
+  context.fillStyle = colour;
+  context.fillText(text, px, py);
 }

@@ -1,9 +1,10 @@
 /** What stands still: air, layers, the scan's slice, skin and the undeformed axis. */
 
+import { grouped } from "../numbers.js";
 import { palette, shades } from "../palette.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
-import { grouped } from "../numbers.js";
+import { label } from "./strokes.js";
 
 const FONT = "12px system-ui, sans-serif";
 const APART = 14; // px between a name and its layer's edges
@@ -77,14 +78,6 @@ function paintNames(context, layers) {
   }
   const skin = toPx(0);
   if (skin > left + 40) turnedLabel(context, "skin", skin - 6, top + height - 10);
-}
-
-function label(context, text, px, py) {
-  context.strokeStyle = palette.halo;
-  context.lineWidth = 3;
-  context.strokeText(text, px, py);
-  context.fillStyle = palette.label;
-  context.fillText(text, px, py);
 }
 
 function turnedLabel(context, text, px, py) {
