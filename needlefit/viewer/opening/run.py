@@ -28,6 +28,9 @@ DRAWS = 100
 FITTED = "fitted"
 """The rival whose parameters are shown."""
 
+_UNSEEN = "which never saw it; its layers lie where it was measured to cross them"
+_SEEN = "on this needle too"
+
 
 def open_run(named: Named) -> Subject:
     """Return an insertion with the parameters of a run, by default the first that its fit never saw.
@@ -71,8 +74,8 @@ class _Role:
 def _roles(results: Results) -> dict[str, _Role]:
     """Return the role of every insertion of a run by its id, those first that a fit never saw."""
     folds: list[Mapping[str, Any]] = results.run["folds"]
-    held = {id_: _Role(fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]}
-    tuned = {id_: _Role(fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]}
+    held = {id_: _Role(fold["name"], _UNSEEN) for fold in folds for id_ in fold["validate"]}
+    tuned = {id_: _Role(fold["name"], _SEEN) for fold in folds for id_ in fold["tune"]}
     return held | {id_: role for id_, role in tuned.items() if id_ not in held}
 
 
