@@ -45,6 +45,12 @@ def require_result(folder: Path) -> None:
         )
 
 
+def require_folder(path: Path) -> None:
+    """Raise ConfigError unless the folder of a file to write exists."""
+    if not path.parent.is_dir():
+        raise ConfigError("there is no such folder", where=str(path.parent), mend="make it first")
+
+
 def all_files(folder: Path) -> list[Path]:
     """Return every file of a folder and of those in it."""
     return sorted(path for path in folder.rglob("*") if path.is_file())

@@ -13,6 +13,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.tubes import tube, write_ply
 from needlefit.mechanics.scene import Entry
 from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.reporting.files import require_folder
 from needlefit.reporting.names import PAPER, RIVAL_COLOURS, rgb
 from needlefit.validation.placed import DIAMETER, Band, PlacedNeedle
 from needlefit.validation.results import Results
@@ -137,5 +138,4 @@ def _check(path: Path) -> None:
             expected="a name that ends in .mrk.json or .ply",
             mend=f"write to {path.stem or 'needle'}.mrk.json",
         )
-    if not path.parent.is_dir():
-        raise ConfigError("there is no such folder", where=str(path.parent), mend="make it first")
+    require_folder(path)

@@ -138,7 +138,7 @@ class Server:
         try:
             trial.recorder.begin()
             found = await asyncio.get_running_loop().run_in_executor(
-                self._pool, export, trial.recorder.path, trial.subject.name, kind
+                self._pool, export, trial.recorder.path, kind
             )
         except (NeedlefitError, OSError) as error:
             raise web.HTTPUnprocessableEntity(text=str(error)) from error

@@ -11,9 +11,10 @@ from matplotlib.figure import Figure
 from needlefit.mechanics.control import Controls
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.reporting.figures.steps import paint_steps, write_failure
+from needlefit.reporting.figures.steps import paint_steps
 from needlefit.reporting.figures.style import WIDTH, draw, snug, stretch
 from needlefit.reporting.figures.tissue import layer_labels, shades
+from needlefit.reporting.figures.world import write_failure
 from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
 
 _TALLEST = 5.5  # inches: a needle that bends further is drawn narrower

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from needlefit.errors import ConfigError
-from needlefit.reporting.files import write_csv
+from needlefit.reporting.files import require_folder, write_csv
 from needlefit.reporting.names import GREY, INK, SYNTHETIC
 
 WIDTH = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
@@ -20,7 +20,7 @@ _METADATA: dict[str, dict[str, None]] = {
     ".svg": {"Date": None},
     ".png": {"Software": None},
 }
-_LOOK = {
+LOOK = {
     "font.family": "DejaVu Sans",  # ships with matplotlib
     "font.size": 7.5,
     "axes.titlesize": 7.5,
@@ -80,9 +80,8 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
             expected="a name that ends in .pdf, .png or .svg",
             mend=f"write to {path.stem or 'figure'}.pdf",
         )
-    if not path.parent.is_dir():
-        raise ConfigError("there is no such folder", where=str(path.parent), mend="make it first")
-    with matplotlib.style.context(["default", _LOOK]):
+    require_folder(path)
+    with matplotlib.style.context(["default", LOOK]):
         figure = paint()
         FigureCanvasAgg(figure)
         figure.savefig(path, format=suffix[1:], metadata=_METADATA[suffix])

@@ -1,0 +1,90 @@
+"""What `simulate` prints: where the needle ends, and where it stood after each step."""
+
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+from needlefit.cli import screen
+
+if TYPE_CHECKING:
+    from needlefit.mechanics.scene import Entry, Scene
+    from needlefit.mechanics.shape import NeedleShape
+
+
+def summary(scene: "Scene", shapes: "Sequence[NeedleShape]") -> dict[str, Any]:
+    """Return what `--json` prints, of the last step that was tried and, in `steps`, of each; lengths in mm.
+
+    `shapes` end with the last step, or with the one that failed.
+    """
+    pairs = zip(scene.steps, shapes, strict=False)
+    steps = [{"depth_mm": step.depth} | _summary_of_step(scene.entry, shape) for step, shape in pairs]
+    for step, before in zip(steps[:0:-1], steps[-2::-1], strict=True):
+        step["iterations"] -= before["iterations"]  # a shape counts from first contact
+    unreached = dict.fromkeys(steps[0], None) | {"converged": False, "status": "not reached", "iterations": 0}
+    left = [unreached | {"depth_mm": step.depth} for step in scene.steps[len(shapes) :]]
+    return steps[-1] | {
+        "max_slope": max(float(abs(shape.slope).max()) for shape in shapes),
+        "boundaries_mm": scene.tissue.boundaries,
+        "constraints_mm": shapes[-1].constraints,
+        "iterations": shapes[-1].iterations,
+        "steps": steps + left,
+    }
+
+
+def _summary_of_step(entry: "Entry", shape: "NeedleShape") -> dict[str, Any]:
+    from needlefit.mechanics.shape import positions
+
+    slope = float(shape.slope[-1])
+    return {
+        "deflection_mm": shape.deflection,
+        "tip_slope": slope,
+        "tip_mm": entry.to_world(positions(shape, shape.x[-1:]))[0],
+        "tip_angle_deg": math.degrees(entry.angle + math.atan(slope)),
+        "converged": shape.converged,
+        "status": shape.status,
+        "iterations": shape.iterations,
+    }
+
+
+def show_summary(title: str, answer: dict[str, Any]) -> None:
+    """Print a summary in lines under a title."""
+    x, y = answer["tip_mm"]
+    interfaces = ", ".join(f"{depth:g}" for depth in answer["boundaries_mm"]) or "none"
+    state = "yes" if answer["converged"] else f"NO: {answer['status']}"
+    rows = [
+        ("depth", f"{answer['depth_mm']:g} mm"),
+        ("deflection", f"{_found(answer['deflection_mm'])} mm, tip in the constraint frame"),
+        ("tip", f"({_found(x)}, {_found(y)}) mm in the world"),
+        ("boundaries", interfaces + (" mm" if interfaces != "none" else "")),
+        ("converged", f"{state} ({answer['iterations']} Newton iterations)"),
+    ]
+    if "replayed" in answer:
+        rows.append(("replayed", _replayed(**answer["replayed"])))
+    screen.say(title)
+    if len(answer["steps"]) > 1:
+        for n, step in enumerate(answer["steps"], start=1):
+            screen.say(f"  {f'step {n}':<11} {_line(step)}")
+    for label, text in rows:
+        screen.say(f"  {label:<11} {text}")
+
+
+def _replayed(steps: int, off_mm: float) -> str:
+    said = f"{steps} step{'' if steps == 1 else 's'}, the tip "
+    return said + (
+        f"up to {off_mm:.1g} mm from where it was recorded" if off_mm else "as recorded, bit for bit"
+    )
+
+
+def _found(value: float) -> str:
+    """Return a length in print; a dash where the needle was not found."""
+    return f"{value:z.3f}" if math.isfinite(value) else "–"
+
+
+def _line(step: dict[str, Any]) -> str:
+    """Return a step in one line."""
+    depth = f"{step['depth_mm']:g} mm deep"
+    if not step["converged"]:
+        return f"{depth}: {step['status'] if step['status'] == 'not reached' else 'NO: ' + step['status']}"
+    x, y = step["tip_mm"]
+    deflection, angle = step["deflection_mm"], step["tip_angle_deg"]
+    return f"{depth}, deflection {deflection:z.3f} mm, tip ({x:z.3f}, {y:z.3f}) mm at {angle:z.2f}°"

@@ -1,0 +1,90 @@
+"""What `simulate` carried out: a scene, or a recording of one that was steered by hand."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from needlefit.cli import scene_files, screen
+from needlefit.cli.plausibility import doubts
+from needlefit.cli.scene_files import Inserted
+
+if TYPE_CHECKING:
+    from needlefit.mechanics.scene import Scene
+    from needlefit.mechanics.shape import NeedleShape
+    from needlefit.project.records.scene import SceneRecord
+
+Write = Callable[[Path], bool | None]
+
+
+@dataclass(frozen=True)
+class Simulated:
+    """A needle at the end of its way.
+
+    Attributes
+    ----------
+    title : str
+    scene : Scene
+        Its steps are those that `shapes` belong to.
+    shapes : tuple of NeedleShape
+        After each step, up to the one that failed.
+    files : mapping of str to callable
+        By option, what writes such a file; False where there is no needle to write.
+    more : dict
+        What else `--json` says.
+    """
+
+    title: str
+    scene: "Scene"
+    shapes: "tuple[NeedleShape, ...]"
+    files: Mapping[str, Write]
+    more: dict[str, Any]
+
+
+def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
+    """Carry out a scene's steps; `where` is named in errors."""
+    _warn(record)
+    from needlefit.mechanics.scene import Scene, insert
+
+    screen.compile_ahead()
+    scene = Scene.from_record(record, where)
+    done = Inserted(record.title or name, scene, insert(scene), record.needle.outer_diameter_mm)
+    files: dict[str, Write] = {
+        "plot": partial(scene_files.write_picture, done),
+        "csv": partial(scene_files.write_table, done),
+        "slicer": partial(scene_files.write_curves, done),
+        "animation": partial(scene_files.write_animation, done),
+    }
+    return Simulated(done.title, scene, done.shapes, files, {})
+
+
+def of_recording(path: Path, upto: int | None) -> Simulated:
+    """Carry out a recording, or its steps up to number `upto`."""
+    from needlefit.viewer import export
+    from needlefit.viewer.outcome import carry_out
+    from needlefit.viewer.recording import read
+
+    recording = read(path)
+    if upto is not None:
+        if upto > len(recording.steps):
+            raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
+        recording = replace(recording, steps=recording.steps[:upto])
+    _warn(recording.head.scene)
+    screen.compile_ahead()
+    done = carry_out(recording)
+    files: dict[str, Write] = {
+        "plot": partial(export.write_picture, done),
+        "csv": partial(export.write_table, done),
+        "slicer": partial(export.write_curve, done),
+        "animation": partial(export.write_animation, done),
+    }
+    more = {"replayed": {"steps": len(recording.steps), "off_mm": done.off}}
+    return Simulated(done.title, done.scene, (done.moment.shape,), files, more)
+
+
+def _warn(record: "SceneRecord") -> None:
+    for doubt in doubts(record):
+        screen.note(f"needlefit: warning: {doubt}")

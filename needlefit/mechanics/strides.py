@@ -1,0 +1,34 @@
+"""A scene's insertion as it goes on: what is seen on the way from one step's end to the next."""
+
+import math
+from collections.abc import Iterator
+
+from needlefit.mechanics.control import Step
+from needlefit.mechanics.plan import lattice_of
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.session import Moment, Session
+
+
+def strides(scene: Scene, stride: float = 0.5) -> Iterator[tuple[float, Moment]]:
+    """Yield how far the tip has gone (mm, back and forth) and the needle, from first contact on.
+
+    The depths of the steps are among the places where it is seen, the others at most `stride` mm apart; it
+    ends before a stride that fails.
+    """
+    first = scene.steps[0]
+    lattice = lattice_of(scene.steps, scene.rules)
+    session = Session(
+        scene.needle, scene.tissue, first.bevel, lattice.first_cell, first.controls, scene.rules
+    )
+    gone = 0.0
+    yield gone, session.now
+    for step in scene.steps:
+        start = session.depth
+        count = max(1, math.ceil(abs(step.depth - start) / stride))
+        for n in range(1, count + 1):
+            part = n / count
+            depth = step.depth if n == count else start + part * (step.depth - start)
+            if not session.go(Step(depth, step.bevel, step.controls)).converged:
+                return
+            yield gone + part * abs(step.depth - start), session.now
+        gone += abs(step.depth - start)

@@ -1,0 +1,95 @@
+"""How the forces on a needle are drawn, and told."""
+
+import math
+import textwrap
+
+import numpy as np
+from matplotlib.axes import Axes
+from numpy.typing import NDArray
+
+from needlefit.mechanics.control import Step
+from needlefit.mechanics.load import Loads, loads
+from needlefit.mechanics.scene import Entry, Scene
+from needlefit.mechanics.session import Moment
+from needlefit.mechanics.shape import positions
+from needlefit.reporting.figures.steps import changes
+from needlefit.reporting.figures.world import TIP
+
+Floats = NDArray[np.float64]
+
+LOAD = "#CC79A7"
+_LINE = 84  # letters that fit above a drawing, beside what is said of the tip
+_BETWEEN = "  ·  "
+_ARROW = {
+    "arrowstyle": "-|>,head_width=0.12,head_length=0.3",
+    "color": TIP,
+    "lw": 0.8,
+    "shrinkA": 0,
+    "shrinkB": 0,
+}
+
+
+def acting(scene: Scene, moment: Moment) -> Loads:
+    """Return what acts on the needle."""
+    return loads(moment.shape, moment.tissue, scene.needle, moment.step.controls, scene.rules)
+
+
+def profile(entry: Entry, moment: Moment, found: Loads, per_mm: float) -> Floats:
+    """Return the outline in the world of the load along the shaft: from the needle to where it pulls.
+
+    `per_mm` is the load that a drawn millimetre stands for, N/mm.
+    """
+    if len(found.s) == 0 or per_mm == 0:
+        return np.empty((0, 2))
+    needle = positions(moment.shape, found.s)
+    pulled = needle + np.column_stack((np.zeros(len(needle)), found.load / per_mm))
+    return entry.to_world(np.concatenate((needle, pulled[::-1])))
+
+
+def draw_load(axes: Axes, outline: Floats) -> None:
+    """Shade the load along the shaft."""
+    if len(outline):
+        axes.fill(*outline.T, color=LOAD, alpha=0.45, lw=0, zorder=1.8)
+
+
+def draw_tip_force(axes: Axes, entry: Entry, moment: Moment, length: float) -> None:
+    """Draw the tip force as an arrow of that `length` (mm, + toward C's y) from the tip."""
+    if abs(length) < 1e-3:
+        return
+    tip = positions(moment.shape, moment.shape.x[-1:])[0]
+    start, end = entry.to_world([tip, (tip[0], tip[1] + length)])
+    axes.annotate("", end, start, arrowprops=_ARROW, zorder=7)
+
+
+def told(entry: Entry, moment: Moment, found: Loads) -> tuple[list[str], str]:
+    """Return what is written above a drawing: where the needle stands and what holds it; and of its tip."""
+    step, frame = moment.step, "" if entry == Entry() else " in C"
+    stands = [f"{step.depth:.4g} mm deep", *changes(None, step, frame), f"b {step.bevel.offset:g} mm"]
+    held = [
+        f"base {_force(found.base.force)}, {_signed(f'{found.base.moment:+z.2f}')} N mm",
+        *_guides(step, found),
+    ]
+    lines = [line for parts in (stands, held) for line in textwrap.wrap(_BETWEEN.join(parts), _LINE)]
+    tip = f"tip {_signed(f'{moment.shape.deflection:+z.2f}')} mm{frame}\ntip force {_force(found.tip_force)}"
+    return lines, tip
+
+
+def round_up(value: float) -> float:
+    """Return the smallest of 1, 2, 5, 10, ... (of any power of ten) that is not below a positive value."""
+    ten = 10.0 ** math.floor(math.log10(value))
+    return next(float(f"{step * ten:.1g}") for step in (1, 2, 5, 10) if step * ten >= value * (1 - 1e-9))
+
+
+def _guides(step: Step, found: Loads) -> list[str]:
+    pairs = zip(step.controls.guides, found.guides, strict=True)
+    return [
+        f"{guide.name or f'guide {n}'} {_force(hold.force)}" for n, (guide, hold) in enumerate(pairs, start=1)
+    ]
+
+
+def _force(newton: float) -> str:
+    return _signed(f"{newton:+z.3f} N")
+
+
+def _signed(text: str) -> str:
+    return text.replace("-", "−")

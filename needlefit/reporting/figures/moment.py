@@ -1,0 +1,76 @@
+"""A picture of one moment of an insertion, in true millimetres: the needle and what acts on it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from needlefit.mechanics.scene import Entry, Scene
+from needlefit.mechanics.session import Moment
+from needlefit.reporting.figures.acting import acting, draw_load, draw_tip_force, profile, told
+from needlefit.reporting.figures.sheet import BAND, PATH, Beside, Sheet, lay_out
+from needlefit.reporting.figures.style import draw, snug
+from needlefit.reporting.figures.world import TIP, draw_layers, draw_needle
+from needlefit.reporting.names import PAPER
+
+_ALONE = Beside()
+
+
+def draw_moment(
+    title: str, scene: Scene, moment: Moment, path: Path, beside: Beside = _ALONE, whole: bool | None = None
+) -> None:
+    """Draw one moment, mm in both directions alike, to a .pdf, .png or .svg file.
+
+    Parameters
+    ----------
+    title : str
+    scene : Scene
+        Needle, entry, rules and names of layers; tissue and inputs are the moment's.
+    moment : Moment
+    path : Path
+    beside : Beside
+    whole : bool, optional
+        As of `lay_out`.
+
+    Raises
+    ------
+    ConfigError
+        If the ending of `path` is another one, or its folder does not exist.
+    """
+
+    def figure() -> Figure:
+        sheet = lay_out(title, scene, [moment], beside, whole)
+        paint(sheet, moment)
+        snug(sheet.figure)
+        return sheet.figure
+
+    draw(path, figure)
+
+
+def paint(sheet: Sheet, moment: Moment) -> None:
+    """Paint one moment on a sheet, in place of whatever is on it."""
+    axes, scene = sheet.axes, replace(sheet.scene, tissue=moment.tissue)
+    for old in (*axes.lines, *axes.patches, *axes.texts):
+        old.remove()
+    draw_layers(axes, scene, sheet.inches)
+    _draw_beside(axes, scene.entry, sheet.beside)
+    found = acting(scene, moment)
+    draw_load(axes, profile(scene.entry, moment, found, sheet.per_mm))
+    path = np.column_stack((moment.shape.constraints[:, 0], moment.shape.tip_track[:, 0]))
+    axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **PATH)
+    draw_needle(axes, scene, moment.step, moment.shape)
+    draw_tip_force(axes, scene.entry, moment, found.tip_force * sheet.arrow)
+    lines, tip = told(scene.entry, moment, found)
+    below = [""] * (sheet.lines - len(lines))
+    axes.set_title("\n".join([*lines, *below]), loc="left", pad=4)
+    axes.set_title("\n".join([tip, *[""] * (sheet.lines - 2)]), loc="right", pad=4, color=TIP)
+
+
+def _draw_beside(axes: Axes, entry: Entry, beside: Beside) -> None:
+    if beside.low is not None and beside.high is not None:
+        band = entry.to_world(np.concatenate((beside.low, beside.high[::-1])))
+        axes.fill(*band.T, color=BAND, alpha=0.5, lw=0, zorder=1.5)
+    if beside.measured is not None:
+        axes.plot(*entry.to_world(beside.measured).T, color=PAPER, lw=1.1, zorder=2.8)

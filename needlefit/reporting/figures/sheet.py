@@ -1,0 +1,156 @@
+"""The sheet on which moments of an insertion are drawn: what stays from one to the next."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from numpy.typing import NDArray
+
+from needlefit.mechanics.control import Controls
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.session import Moment
+from needlefit.reporting.figures.acting import LOAD, acting, profile, round_up, told
+from needlefit.reporting.figures.style import WIDTH, label_origin
+from needlefit.reporting.figures.world import TIP, legend_handles, needle_line, window
+from needlefit.reporting.names import PAPER, RIVAL_COLOURS
+
+Floats = NDArray[np.float64]
+
+BAND = RIVAL_COLOURS["linear_curvature"]
+PATH: dict[str, Any] = {"color": TIP, "lw": 0.5, "ls": (0, (3, 2))}
+_OUTSIDE = 0.22  # share of the depth shown before the entry, where nothing but the inserted part is shown
+_HIGHEST = 0.1  # share of the drawing's length that the largest load takes
+_LONGEST = 0.08  # and the largest tip force
+_FLATTEST = 0.2  # least height over width
+_TALLEST = 8.0  # inches
+_COLUMNS = 5  # of the legend
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What a needle is compared with, in its constraint frame C, mm.
+
+    Attributes
+    ----------
+    measured : (K, 2) array, optional
+        A measured needle.
+    low, high : (K, 2) arrays, optional
+        The edges of the 95 % band of fitted ones.
+    synthetic : bool
+        Whether the data are; the picture then says so.
+    """
+
+    measured: Floats | None = None
+    low: Floats | None = None
+    high: Floats | None = None
+    synthetic: bool = False
+
+    @property
+    def curves(self) -> tuple[Floats, ...]:
+        """All that is there."""
+        return tuple(curve for curve in (self.measured, self.low, self.high) if curve is not None)
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """Axes in the world, mm in both directions alike, and the scales of forces.
+
+    Attributes
+    ----------
+    figure : Figure
+    axes : Axes
+    scene : Scene
+    beside : Beside
+    inches : float
+        On paper, of a millimetre.
+    per_mm : float
+        Lateral load that a drawn millimetre stands for, N/mm; 0 where there is none to draw.
+    arrow : float
+        Length of the arrow of a tip force of one newton, mm.
+    lines : int
+        Kept for what is written above the drawing.
+    """
+
+    figure: Figure
+    axes: Axes
+    scene: Scene
+    beside: Beside
+    inches: float
+    per_mm: float
+    arrow: float
+    lines: int
+
+
+def lay_out(
+    title: str, scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool | None = None
+) -> Sheet:
+    """Return an empty sheet on which each of the moments has room.
+
+    Parameters
+    ----------
+    title : str
+    scene : Scene
+    moments : sequence of Moment
+    beside : Beside
+    whole : bool, optional
+        The needle from its base on, or only as far as it is inserted; by default whole where more than the
+        bevel steers it.
+    """
+    if whole is None:
+        whole = any(moment.step.controls != Controls() for moment in moments)
+    found = [acting(scene, moment) for moment in moments]
+    points = _shown(scene, moments, beside, whole)
+    span = float(np.ptp(points, axis=0).max())
+    load = max(float(np.abs(one.load).max(initial=0.0)) for one in found)
+    force = max(abs(one.tip_force) for one in found)
+    per_mm = round_up(load / (_HIGHEST * span)) if load > 0 else 0.0
+    pairs = list(zip(moments, found, strict=True))
+    points = np.concatenate([points, *(profile(scene.entry, *pair, per_mm) for pair in pairs)])
+    x, y = window(points, _FLATTEST * span)
+    inches = min((WIDTH - 0.6) / (x[1] - x[0]), _TALLEST / (y[1] - y[0]))
+    lines = max(len(told(scene.entry, *pair)[0]) for pair in pairs)
+    guides = any(moment.step.controls.guides for moment in moments)
+    handles = _handles(beside, per_mm, guides)
+    above = 0.75 + 0.14 * (lines + math.ceil(len(handles) / _COLUMNS))
+    figure = Figure(figsize=(inches * (x[1] - x[0]) + 0.6, inches * (y[1] - y[0]) + above))
+    axes = figure.add_subplot()
+    axes.set(xlim=x, ylim=y, xlabel="x in the world (mm)", ylabel="y in the world (mm)", aspect=1)
+    figure.legend(
+        handles=handles, loc="outside upper left", ncols=_COLUMNS, handletextpad=0.4, handlelength=1.4,
+        columnspacing=1.2, title=title, alignment="left", title_fontsize=8,
+    )  # fmt: skip
+    label_origin(figure, beside.synthetic)
+    arrow = _LONGEST * span / force if force > 0 else 0.0
+    return Sheet(figure, axes, scene, beside, inches, per_mm, arrow, lines)
+
+
+def _shown(scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool) -> Floats:
+    """Return points in the world that a drawing of all these moments must hold, (K, 2) mm."""
+    deepest = max(moment.shape.depth for moment in moments)
+    start = -scene.needle.length if whole or deepest == 0 else -_OUTSIDE * deepest
+    drawn = [scene.entry.to_world([[0.0, 0.0], [deepest, 0.0]])]
+    for moment in moments:
+        marks = [(guide.x, guide.y) for guide in moment.step.controls.guides]
+        drawn += [needle_line(scene.entry, moment.shape), scene.entry.to_world(np.reshape(marks, (-1, 2)))]
+    points = np.concatenate([*drawn, *map(scene.entry.to_world, beside.curves)])
+    shown: Floats = points[scene.entry.to_frame(points)[:, 0] >= start]
+    return shown
+
+
+def _handles(beside: Beside, per_mm: float, guides: bool) -> list[Line2D | Patch]:
+    """Return what the legend shows."""
+    handles: list[Line2D | Patch] = [*legend_handles(guides), Line2D([], [], label="path of the tip", **PATH)]
+    if per_mm:
+        said = f"lateral load, {per_mm:g} N/mm to the mm"
+        handles.append(Patch(color=LOAD, alpha=0.45, lw=0, label=said))
+    if beside.measured is not None:
+        handles.append(Line2D([], [], color=PAPER, lw=1.1, label="measured"))
+    if beside.low is not None:
+        handles.append(Patch(color=BAND, alpha=0.5, lw=0, label="95 % band"))
+    return handles

@@ -1,0 +1,123 @@
+"""A scene as it lies in the world: its layers, and what is seen of a needle in them."""
+
+from itertools import pairwise
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from needlefit.mechanics.control import Step
+from needlefit.mechanics.scene import Entry, Scene
+from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.reporting.figures.tissue import layer_labels, shades
+from needlefit.reporting.names import GREY, INK
+
+Floats = NDArray[np.float64]
+Span = tuple[float, float]
+
+BASE, GUIDE, CONSTRAINT, TIP = INK, "#009E73", "#0072B2", "#C8102E"
+_FAR = 1e4  # mm: further than any panel reaches
+
+
+def needle_line(entry: Entry, shape: NeedleShape) -> Floats:
+    """Return the needle from base to tip in the world, (300, 2) mm."""
+    return entry.to_world(positions(shape, np.linspace(shape.x[0], shape.depth, 300)))
+
+
+def base_point(scene: Scene, step: Step) -> Floats:
+    """Return where a step brings the base, in the world: known whether there is a solution or not."""
+    held = step.controls
+    y = held.base_y + held.stage_slope * step.depth
+    return scene.entry.to_world([[step.depth - scene.needle.length, y]])
+
+
+def window(points: Floats, least: float) -> tuple[Span, Span]:
+    """Return limits in x and y that show all points (K, 2) with a margin; none spans less than `least` mm."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    room = np.maximum(high - low, least)
+    flat = room < 0.2 * room.max()  # a flat drawing needs room for what is written beside the needle
+    margin = np.where(flat, 0.3, 0.05) * room
+    margin[0] = max(margin[0], 0.25 * room[1] - 0.5 * room[0])  # and a steep one for what is above
+    margin += 0.5 * (room - (high - low))
+    (left, bottom), (right, top) = low - margin, high + margin
+    return (float(left), float(right)), (float(bottom), float(top))
+
+
+def draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
+    """Shade the layers; with a `scale` (inches per mm) write on them what they are."""
+    edges = np.array([0.0, *scene.tissue.boundaries, _FAR])
+    for i, ((top, bottom), shade) in enumerate(zip(pairwise(edges), shades(scene.tissue), strict=True)):
+        corners = [(top, -_FAR), (bottom, -_FAR), (bottom, _FAR), (top, _FAR)]
+        axes.fill(*scene.entry.to_world(corners).T, color=shade, lw=0, zorder=0)
+        line = scene.entry.to_world([(top, -_FAR), (top, _FAR)]).T
+        axes.plot(*line, color="white" if i else INK, lw=1.2 if i else 0.6, zorder=0.5)
+    axes.plot(*scene.entry.to_world([(-_FAR, 0), (_FAR, 0)]).T, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
+    if scale is not None:
+        _label_layers(axes, scene, edges, scale)
+
+
+def _label_layers(axes: Axes, scene: Scene, edges: Floats, scale: float) -> None:
+    """Write on each layer that has room what it is."""
+    room = {i: _room(axes, scene.entry, depths) for i, depths in enumerate(pairwise(edges))}
+    places = {i: place for i, place in room.items() if place is not None}
+    labels = layer_labels(scene, {i: length * scale for i, (_, length) in places.items()})
+    along = _runs_along(scene.entry)
+    for i, ((x, y), _) in places.items():
+        axes.text(
+            x, y, labels[i], fontsize=6.5, linespacing=1.3,
+            ha="left" if along else "center", va="center" if along else "bottom",
+        )  # fmt: skip
+
+
+def _runs_along(entry: Entry) -> int:
+    """Return the axis of the panel's edge that the layers meet: 0 the lower one, 1 the left one."""
+    return 0 if abs(np.cos(entry.angle)) >= abs(np.sin(entry.angle)) else 1
+
+
+def _room(axes: Axes, entry: Entry, depths: Span) -> tuple[Span, float] | None:
+    """Return where a layer meets the panel's edge, and how long a line it can hold there, mm."""
+    limits, along = (axes.get_xlim(), axes.get_ylim()), _runs_along(entry)
+    cos, sin = np.cos(entry.angle), np.sin(entry.angle)
+    (low, high), across = limits[along], limits[1 - along]
+    level = across[0] + 0.05 * (across[1] - across[0])
+    tops = entry.to_world([[depth, 0.0] for depth in depths])  # the boundaries run from there on
+    drift = (level - tops[:, 1 - along]) * (-sin / cos if along == 0 else -cos / sin)  # along (-sin, cos)
+    start, end = np.clip(np.sort(tops[:, along] + drift), low, high)
+    if end - start <= 0.03 * (high - low):
+        return None
+    middle = float(start + end) / 2
+    roomy = 1.0 if along == 0 else 2.5 if abs(cos) < 0.1 else 0.0  # lines are wider than high
+    return ((middle, level) if along == 0 else (level, middle)), float(end - start) * roomy
+
+
+def draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> None:
+    """Draw a needle, its constraint points, and what holds it; or say why there is no needle."""
+    entry = scene.entry
+    for guide in step.controls.guides:
+        x, y = entry.to_world([[guide.x, guide.y]])[0]
+        axes.plot(x, y, "o", color=GUIDE, ms=5, mec="white", mew=0.5, zorder=5)
+    axes.plot(*base_point(scene, step)[0], "o", color=BASE, ms=5, zorder=5)
+    if not shape.converged:
+        write_failure(axes, shape)
+        return
+    axes.plot(*entry.to_world(shape.constraints).T, "x", color=CONSTRAINT, ms=2.8, mew=0.6, zorder=2)
+    needle = needle_line(entry, shape)
+    axes.plot(*needle.T, color=INK, lw=1.1, zorder=3)
+    axes.plot(*needle[-1], "o", color=TIP, ms=4, mec="white", mew=0.4, zorder=6)
+
+
+def write_failure(axes: Axes, shape: NeedleShape) -> None:
+    """Write across a panel without a needle why there is none."""
+    axes.text(
+        0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
+        fontsize=8.5, color=TIP, zorder=6, bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
+    )  # fmt: skip
+
+
+def legend_handles(guides: bool) -> list[Line2D]:
+    """Return what the legend shows of the marks that `draw_needle` makes."""
+    said = [("base", BASE, "o", 5.0), ("constraint points", CONSTRAINT, "x", 2.8), ("tip", TIP, "o", 4.0)]
+    if guides:
+        said.insert(1, ("guide or template", GUIDE, "o", 5.0))
+    return [Line2D([], [], color=c, marker=m, ms=s, lw=0, mew=0.6, label=label) for label, c, m, s in said]

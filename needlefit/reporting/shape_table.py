@@ -1,0 +1,70 @@
+"""A needle's shape as a table."""
+
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+from scipy.interpolate import CubicHermiteSpline
+
+from needlefit.mechanics.load import lateral_load
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.session import Moment
+from needlefit.mechanics.shape import positions
+from needlefit.reporting.files import require_folder, write_csv
+
+_SAME = 1e-6  # mm: a node so near a whole millimetre stands for it
+
+
+def shape_table(scene: Scene, moment: Moment) -> pd.DataFrame:
+    """Return a row for every node and every whole millimetre of the needle, base first.
+
+    Columns
+    -------
+    s_mm
+        Beam coordinate: arc length from the entry, negative before it.
+    x_mm, y_mm, slope
+        In the constraint frame C; y is the deflection, the slope dy/ds of the model.
+    world_x_mm, world_y_mm
+        In the scene's world.
+    load_n_per_mm
+        Lateral load of the tissue, + toward y.
+    layer
+        From 1; none before the tissue.
+    """
+    shape, tissue = moment.shape, moment.tissue
+    s = _stations(shape.x)
+    place = positions(shape, s)
+    world = scene.entry.to_world(place)
+    layer = pd.array(1 + np.searchsorted(tissue.boundaries, s), dtype="Int64")
+    layer[s < 0] = pd.NA
+    return pd.DataFrame(
+        {
+            "s_mm": s,
+            "x_mm": place[:, 0],
+            "y_mm": place[:, 1],
+            "slope": CubicHermiteSpline(shape.x, shape.u, shape.slope)(s, 1),
+            "world_x_mm": world[:, 0],
+            "world_y_mm": world[:, 1],
+            "load_n_per_mm": lateral_load(shape, tissue, s, scene.rules),
+            "layer": layer,
+        }
+    )
+
+
+def write_shape(scene: Scene, moment: Moment, path: Path) -> None:
+    """Write the table of a shape, .csv.
+
+    Raises
+    ------
+    ConfigError
+        If the folder of `path` does not exist.
+    """
+    require_folder(path)
+    write_csv(shape_table(scene, moment), path)
+
+
+def _stations(nodes: np.ndarray) -> np.ndarray:
+    """Return the nodes and, between them, every whole millimetre."""
+    whole = np.arange(np.ceil(nodes[0]), nodes[-1])
+    near = np.abs(whole[:, None] - nodes).min(axis=1) < _SAME
+    return np.union1d(nodes, whole[~near])
