@@ -28,8 +28,7 @@ DRAWS = 100
 FITTED = "fitted"
 """The rival whose parameters are shown."""
 
-_UNSEEN = "which never saw it; its layers lie where it was measured to cross them"
-_SEEN = "on this needle too"
+_CROSSED = "Its layers lie where it was measured to cross them. "
 
 
 def open_run(named: Named) -> Subject:
@@ -54,7 +53,8 @@ def open_run(named: Named) -> Subject:
         dataset, insertion, medium, _values(results, role.fold, named.path), results.run["recipe"]["seed"]
     )
     draws = results.draws[results.draws["fold"] == role.fold]
-    said = f"Parameters: fitted by {results.name}, {role.said}. {_told(draws)}"
+    crossed = _CROSSED if len(insertion.boundaries) else ""
+    said = f"Parameters: fitted by {results.name}, {role.said}. {crossed}{_told(draws)}"
     subject = subject_of(shown, named.name, said, tuple(roles))
     if draws.empty:
         return subject
@@ -74,8 +74,8 @@ class _Role:
 def _roles(results: Results) -> dict[str, _Role]:
     """Return the role of every insertion of a run by its id, those first that a fit never saw."""
     folds: list[Mapping[str, Any]] = results.run["folds"]
-    held = {id_: _Role(fold["name"], _UNSEEN) for fold in folds for id_ in fold["validate"]}
-    tuned = {id_: _Role(fold["name"], _SEEN) for fold in folds for id_ in fold["tune"]}
+    held = {id_: _Role(fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]}
+    tuned = {id_: _Role(fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]}
     return held | {id_: role for id_, role in tuned.items() if id_ not in held}
 
 
