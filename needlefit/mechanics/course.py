@@ -23,7 +23,8 @@ def course(
     """
     steps: list[Step] = []
     cut = rays(position)
-    for ray, end in zip(cut, [*(ray.start for ray in cut[1:]), last.depth], strict=True):
+    ends = [ray.start for ray in cut[1:]] + [last.depth] * bool(cut)  # before the first cell there are none
+    for ray, end in zip(cut, ends, strict=True):
         step = Step(end, *meant(ray))
         if not steps or _permanent(ray.start, lattice):
             if steps and (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):

@@ -48,7 +48,7 @@ def find_subject(name: str) -> Named:
     found = _at(front) if is_path(front) else _called(front, insertion)
     if found is not None and found.kind != "scene":
         return Named(found.kind, found.name, found.path, insertion)
-    if front and not is_path(front):
+    if front and not is_path(front) and not Path(name).exists():
         raise unknown_name("dataset or run", front, _with_insertions())
     raise ConfigError(
         "holds no scene, run or dataset",

@@ -102,11 +102,7 @@ def state_message(trial: Trial) -> dict[str, Any]:
         "undo": trial.can_undo,
         "redo": trial.can_redo,
         "errors": _errors(trial, shape),
-        "solver": {
-            "steps": steering.solved,
-            "rate_per_s": steering.solved / steering.seconds if steering.seconds else 0.0,
-            "failed": steering.failures,
-        },
+        "solver": {"steps": steering.solved, "rate_per_s": trial.speed, "failed": steering.failed},
     }
 
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
-from time import perf_counter
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment, Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.viewer.inputs import PARAMETERS, Change, changed
+from needlefit.viewer.speed import sustained
 
 
 class Steering:
@@ -30,17 +30,17 @@ class Steering:
     ----------
     number : int
         Steps so far; 0 at first contact.
-    seconds : float
-        Time spent solving.
     solved : int
-        Equilibria solved in it.
+        Equilibria solved in them.
+    failed : int
+        Steps that were refused, as no needle was found.
     """
 
     def __init__(self, scene: Scene, first_cell: float) -> None:
         named = tuple(_named(step, names_of(scene)) for step in scene.steps)
         self.scene = replace(scene, steps=named)
         self.names = names_of(scene)
-        self.number, self.seconds, self.solved = 0, 0.0, 0
+        self.number, self.solved, self.failed = 0, 0, 0
         first = named[0]
         self._session = Session(
             scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules
@@ -58,14 +58,13 @@ class Steering:
         """Depth of the first constraint point, mm."""
         return self._session.lattice.first_cell
 
-    @property
-    def failures(self) -> int:
-        """Steps that failed since the tissue was last changed."""
-        return self._session.failures.total()
-
     def course(self) -> tuple[Step, ...]:
         """Return the shortest steps that lead to where the needle stands."""
         return self._session.course()
+
+    def speed(self) -> float:
+        """Return how many steps a second this needle can make, at the depth that the scene ends at."""
+        return sustained(self._session, min(self.scene.depth, self.reach()))
 
     def reach(self) -> float:
         """Return how deep the needle can go as it is held now, mm; the base then almost touches."""
@@ -104,8 +103,7 @@ class Steering:
 
     def _gone_on(self, changes: Sequence[Change]) -> Session:
         """Return the session after a step; the one there is stays as it was if that fails."""
-        began, before = perf_counter(), self._session.solved
-        session = self._session
+        session, before = self._session, self._session.solved
         parameters = [change for change in changes if change.name in PARAMETERS]
         if parameters:
             session = self._retold(parameters)
@@ -115,19 +113,20 @@ class Steering:
         if step != session.last:
             shape = session.go(step)
             if not shape.converged:
+                self.failed += 1
                 raise ModelError(
                     f"the model finds no needle there ({shape.status})",
                     expected="a load that tissue and needle can bear",
                     mend="move less at a time",
                 )
         self.solved += session.solved - before
-        self.seconds += perf_counter() - began
         return session
 
     def _retold(self, parameters: Sequence[Change]) -> Session:
         offset = next((c.value for c in parameters if c.name == "offset_throughout_mm"), None)
         session = self._session.retold(_with(self._session.tissue, parameters), offset)
         if session.failures:
+            self.failed += 1
             raise ModelError(
                 f"with these parameters the insertion so far fails {session.depth:.1f} mm deep",
                 expected="a load that tissue and needle can bear",

@@ -28,6 +28,11 @@ class Trial:
         Of the recording, written as the needle moves.
     source : Recording, optional
         One to carry out again.
+
+    Attributes
+    ----------
+    speed : float
+        Steps a second that its needle can make here.
     """
 
     def __init__(self, name: str, subject: Subject, path: Path, source: Recording | None = None) -> None:
@@ -36,6 +41,7 @@ class Trial:
         self.steering = Steering(self.scene, subject.first_cell)
         scene = subject.record.model_dump(mode="json", by_alias=True)
         self.recorder = Recorder(path, head_of(subject.name, subject.first_cell, scene))
+        self.speed = self.steering.speed()
         self._began: float | None = None
         self._lost = False
         self._past: list[int] = []

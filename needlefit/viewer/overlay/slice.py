@@ -8,7 +8,6 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.volumes import ScanVolume, volume_of
 from needlefit.imaging.views import OUTSIDE, in_bending_plane
 from needlefit.imaging.volume import installed, read
-from needlefit.reporting.figures.pictures import png
 
 BESIDE = 25.0
 """How far the slice reaches to both sides of the needle, mm."""
@@ -59,6 +58,8 @@ def slice_of(one: Scanned) -> Slice:
     DataError
         If the scan cannot be read.
     """
+    from needlefit.reporting.figures.pictures import png  # the page is there before a slice is asked for
+
     insertion = one.insertion
     shaft = insertion.frame.to_world(np.array([[-OUTSIDE, 0.0, 0.0]]))
     needle = insertion.patient.to_local(np.concatenate([shaft, insertion.centerline]))

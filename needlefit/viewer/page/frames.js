@@ -19,7 +19,8 @@ channel.port1.onmessage = () => {
 
 listen("state", ({ answers }) => {
   fresh = true;
-  oldestInput ??= answered(answers);
+  const input = answered(answers);
+  oldestInput ??= input;
 });
 
 /** Call `paint(fresh, t)` in every frame from now on and keep a record of it. */

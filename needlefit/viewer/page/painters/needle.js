@@ -6,7 +6,7 @@ import { toPx, toPy, view } from "../view.js";
 import { line, ring, straight, turned } from "./strokes.js";
 
 const THINNEST = 2; // px
-const CROSS = 3; // px
+const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
 const TUBE = 5; // px; from here on its core is seen
 
@@ -82,15 +82,16 @@ export function paintPath(context, { tip_path: [x, y] }) {
 
 /** Draw the points that hold the needle in the tissue, as crosses. */
 export function paintPoints(context, { constraints: [x, y] }) {
+  const half = Math.min(Math.max(CROSS.of * now.scene.spacing_mm * view.scale, CROSS.least), CROSS.most);
   context.strokeStyle = palette.points;
-  context.lineWidth = 1.4;
+  context.lineWidth = half > 2 ? 1.4 : 1;
   context.beginPath();
   for (let i = 0; i < x.length; i += 1) {
     const [px, py] = [toPx(x[i]), toPy(y[i])];
-    context.moveTo(px - CROSS, py - CROSS);
-    context.lineTo(px + CROSS, py + CROSS);
-    context.moveTo(px - CROSS, py + CROSS);
-    context.lineTo(px + CROSS, py - CROSS);
+    context.moveTo(px - half, py - half);
+    context.lineTo(px + half, py + half);
+    context.moveTo(px - half, py + half);
+    context.lineTo(px + half, py - half);
   }
   context.stroke();
 }

@@ -1,0 +1,274 @@
+"""Whether `needlefit view` is real time: its own page, in a headless browser that draws by software.
+
+    python benchmarks/view.py [SUBJECT] [--seconds 60] [--minutes 0] [--seed 1] [--json]
+
+Serves SUBJECT (default: the measured insertion twin/phantom2-05, elements of 1 mm) and steers its page as a
+hand would, by events that go through the browser: the insertion key is held, then the other one, while the
+pointer drags the base up and down. For --seconds every animation frame is told by the page itself:
+
+frames      late: further from the one before than 1.5 of 1/60 s, each counted as the frames that fell out;
+            stale: shown while the needle moved, without a state of its own.
+latency     from the time stamp of the input event to when the browser had drawn the first frame that shows
+            its effect (a message posted in that frame and heard after it).
+solver      steps a second as the page shows them, measured by the server as it opens; and of 60 s without a
+            pause, in this process.
+
+With --minutes, random input of every kind for so long: memory of server and page (after collecting garbage),
+errors of the page, and whether the recording, replayed, ends with the very needle that the page shows.
+The browser is the one that is installed (`chromium`), the driver Playwright's.
+"""
+
+import argparse
+import json
+import math
+import os
+import random
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import numpy as np
+from playwright.sync_api import Page, sync_playwright
+
+FRAME = 1000 / 60
+LATE = 1.5
+SIZE = {"width": 1280, "height": 800}
+FLAGS = ["--no-sandbox", "--disable-gpu"]
+KINDS = ("drag", "wheel", "insert", "retract", "flip", "b", "mu", "guide", "undo", "redo", "reset", "to")
+
+
+@contextmanager
+def served(subject: str, out: Path) -> Iterator[tuple[str, int]]:
+    """Yield the address of a server in a process of its own, and that process."""
+    command = [sys.executable, "-m", "needlefit", "view", subject, "--no-browser", "--out", str(out)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
+    try:
+        yield process.stdout.readline().strip(), process.pid
+    finally:
+        process.send_signal(signal.SIGINT)
+        process.wait(20)
+
+
+@contextmanager
+def opened(address: str) -> Iterator[Page]:
+    """Yield the page in a headless browser."""
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=shutil.which("chromium"), args=FLAGS)
+        page = browser.new_page(viewport=SIZE)
+        page.faults = []
+        page.on("pageerror", lambda error: page.faults.append(str(error)))
+        page.goto(address)
+        while not page.evaluate("window.needlefit?.state"):
+            page.wait_for_timeout(50)
+        yield page
+        browser.close()
+
+
+def place(page: Page, what: str) -> tuple[float, float]:
+    """Return where `base` or `tip` stands in the window, pixels."""
+    return tuple(
+        page.evaluate(
+            """async (what) => {
+                const { toPx, toPy } = await import("/page/view.js");
+                const box = document.getElementById("canvas").getBoundingClientRect();
+                const at = window.needlefit.state[what];
+                return [box.left + toPx(at.x), box.top + toPy(at.y)];
+            }""",
+            what,
+        )
+    )
+
+
+def drive(page: Page, seconds: float) -> None:
+    """Insert and retract by the keys, and drag the base about its place meanwhile."""
+    page.focus("#canvas")
+    x, y = place(page, "base")
+    page.mouse.move(x, y)
+    page.mouse.down()
+    began, held = time.monotonic(), None
+    while (t := time.monotonic() - began) < seconds:
+        wanted = "ArrowRight" if t % 8 < 4 else "ArrowLeft"
+        if wanted != held:
+            if held:
+                page.keyboard.up(held)
+            page.keyboard.down(wanted)
+            held = wanted
+        page.mouse.move(place(page, "base")[0], y + 25 * math.sin(2 * math.pi * t / 3))
+        time.sleep(0.012)
+    page.keyboard.up(held)
+    page.mouse.up()
+
+
+def frames(page: Page) -> list[dict]:
+    """Return what the page told of its frames, in order."""
+    return sorted(page.evaluate("window.needlefit.frames"), key=lambda frame: frame["t"])
+
+
+def real_time(subject: str, seconds: float) -> dict:
+    """Return how many frames were missed, and how long a hand waits."""
+    with (
+        tempfile.TemporaryDirectory() as out,
+        served(subject, Path(out)) as (address, _),
+        opened(address) as page,
+    ):
+        drive(page, 3.0)  # everything is compiled and cached
+        start = page.evaluate("performance.now()")
+        drive(page, seconds)
+        told = [one for one in frames(page) if start <= one["t"] <= start + 1000 * seconds]
+        solver = page.evaluate("window.needlefit.state.solver")
+    t = np.array([one["t"] for one in told])
+    fell_out = np.maximum(np.rint(np.diff(t) / FRAME) - 1, 0)[np.diff(t) > LATE * FRAME].sum()
+    latency = np.array([one["latency_ms"] for one in told if one["latency_ms"] is not None])
+    due = (t[-1] - t[0]) / FRAME
+    return {
+        "frames": len(told),
+        "late_percent": 100 * float(fell_out) / due,
+        "stale_percent": 100 * sum(not one["fresh"] for one in told) / len(told),
+        "longest_ms": float(np.diff(t).max()),
+        "latency_ms": {f"p{p}": float(np.percentile(latency, p)) for p in (50, 95, 99)},
+        "inputs": len(latency),
+        "shown_steps_per_s": solver["rate_per_s"],
+        "steps": solver["steps"],
+    }
+
+
+def sustained(subject: str, seconds: float = 60.0) -> float:
+    """Return equilibria a second of one core, step by step from Python."""
+    from needlefit.mechanics.scene import Scene
+    from needlefit.viewer.inputs import Change
+    from needlefit.viewer.opening import open_subject
+    from needlefit.viewer.steering import Steering
+
+    shown = open_subject(subject)
+    steering = Steering(Scene.from_record(shown.record), shown.first_cell)
+    steering.apply([Change("depth_mm", None, 40.0)])
+    began, before, n = time.perf_counter(), steering.solved, 0
+    while time.perf_counter() - began < seconds:
+        n += 1
+        steering.apply(
+            [Change("depth_mm", None, 40 + 8 * math.sin(n / 200)), Change("base_y_mm", None, n % 99)]
+        )
+    return (steering.solved - before) / (time.perf_counter() - began)
+
+
+def wander(page: Page, rng: random.Random) -> None:
+    """Do one thing at random."""
+    page.keyboard.press("Escape")
+    kind = rng.choice(KINDS)
+    if kind == "drag":
+        x, y = place(page, rng.choice(("base", "tip")))
+        page.mouse.move(x, y)
+        page.mouse.down()
+        for _ in range(rng.randrange(30)):
+            page.mouse.move(x + rng.uniform(-5, 5), y + rng.uniform(-30, 30))
+        page.mouse.up()
+    elif kind == "wheel":
+        page.mouse.move(640, 300)
+        page.mouse.wheel(0, rng.choice((-100, 100)) * rng.randrange(1, 8))
+    elif kind in ("insert", "retract"):
+        page.focus("#canvas")
+        key = "ArrowRight" if kind == "insert" else "ArrowLeft"
+        page.keyboard.down(key)
+        page.wait_for_timeout(rng.randrange(1500))
+        page.keyboard.up(key)
+    elif kind in ("b", "mu"):
+        slider = page.locator("#bevel-fields .slider, #tissue-fields .slider")
+        slider.nth(rng.randrange(slider.count())).focus()
+        for _ in range(rng.randrange(20)):
+            page.keyboard.press(rng.choice(("ArrowLeft", "ArrowRight", "PageUp", "PageDown")))
+    elif kind == "guide":
+        remove = page.locator("#guides .remove")
+        (remove.first if remove.count() > 3 else page.locator("#add-guide")).click()
+    elif kind == "to":
+        page.fill("#goto-depth", f"{rng.uniform(0, 90):.2f}")
+        page.press("#goto-depth", "Enter")
+        page.wait_for_timeout(300)
+    else:
+        button = page.locator(f"#{kind}")
+        if button.is_enabled():
+            button.click()
+
+
+def memory(page: Page, server: int) -> dict:
+    """Return what server and page hold, MB."""
+    devtools = page.context.new_cdp_session(page)
+    devtools.send("HeapProfiler.collectGarbage")
+    heap = devtools.send("Runtime.getHeapUsage")["usedSize"]
+    nodes = devtools.send("Memory.getDOMCounters")
+    devtools.detach()
+    status = Path(f"/proc/{server}/status").read_text()
+    resident = int(re.search(r"VmRSS:\s+(\d+)", status).group(1)) / 1024
+    return {"server_mb": resident, "page_mb": heap / 2**20, "nodes": nodes["nodes"]}
+
+
+def endure(subject: str, minutes: float, seed: int) -> dict:
+    """Return what random input for so long does to memory, and whether the recording holds all of it."""
+    rng, told = random.Random(seed), []
+    with (
+        tempfile.TemporaryDirectory() as out,
+        served(subject, Path(out)) as (address, pid),
+        opened(address) as page,
+    ):
+        began, n = time.monotonic(), 0
+        while (t := time.monotonic() - began) < 60 * minutes:
+            if t >= 60 * minutes * len(told) / 10:
+                told.append({"minutes": t / 60, "actions": n} | memory(page, pid))
+                print(told[-1], file=sys.stderr)
+            wander(page, rng)
+            n += 1
+        page.wait_for_timeout(1000)
+        state, scene = page.evaluate("[window.needlefit.state, window.needlefit.scene]")
+        told.append({"minutes": t / 60, "actions": n} | memory(page, pid))
+        ends = replayed(Path(out) / "view" / scene["recording"])
+        return {
+            "actions": n,
+            "steps": state["step"],
+            "memory": told,
+            "faults": page.faults,
+            "recorded_steps": ends[0],
+            "recording_ends_there": ends[1] == state["tip"]["deflection_mm"] and ends[0] == state["step"],
+            "largest_difference_mm": ends[2],
+        }
+
+
+def replayed(path: Path) -> tuple[int, float, float]:
+    """Return the steps of a recording, where it ends, and how far it ever is from what was recorded, mm."""
+    from needlefit.viewer.recording import read
+    from needlefit.viewer.replay import replay
+
+    worst, last = 0.0, None
+    for last in replay(read(path)):
+        worst = max(worst, last.off)
+    return last.recorded.number if last.recorded else 0, last.moment.shape.deflection, worst
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("subject", nargs="?", default="twin/phantom2-05")
+    parser.add_argument("--seconds", type=float, default=60.0)
+    parser.add_argument("--minutes", type=float, default=0.0)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--json", action="store_true")
+    asked = parser.parse_args()
+    found = {"cores": os.cpu_count(), "load": os.getloadavg()[0]}
+    if asked.minutes:
+        found |= endure(asked.subject, asked.minutes, asked.seed)
+    else:
+        found |= real_time(asked.subject, asked.seconds)
+        found["sustained_steps_per_s"] = sustained(asked.subject, asked.seconds)
+    if asked.json:
+        print(json.dumps(found, indent=2))
+        return
+    for key, value in found.items():
+        print(f"{key:24} {value}")
+
+
+if __name__ == "__main__":
+    main()

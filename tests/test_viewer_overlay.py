@@ -1,0 +1,228 @@
+"""What lies over the needle, against what is known of it: errors, bands, and a scan made for it."""
+
+import dataclasses
+import io
+import math
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pandas as pd
+import pytest
+from inference_cases import TRUTH, dataset, insertion, measure, medium
+from scipy.spatial import cKDTree
+
+from needlefit.datasets.volumes import ScanVolume, volume_of, write_volumes
+from needlefit.errors import DataError
+from needlefit.geometry.compare import compare
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import Frame, align_rigid, entry_frame
+from needlefit.imaging import volume as scans
+from needlefit.imaging.volume import Volume, to_patient, write
+from needlefit.inference.as_scene import as_scene
+from needlefit.inference.comparison import scored_points
+from needlefit.inference.predict import predict
+from needlefit.mechanics.control import Guide
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.tissue import Tissue
+from needlefit.viewer.overlay.band import Spread, band, spread_of
+from needlefit.viewer.overlay.measured import live_errors, measured_of
+from needlefit.viewer.overlay.slice import Scanned, scanned, slice_of
+
+PLAN = insertion(40.0, [17.5], (1, 2))
+MEASURED = measure(TRUTH, medium(), PLAN)
+OFF = {**TRUTH, "mu1_pa": 2e5, "bevel_mm": 0.1}
+
+
+def straight(depth: float, status: str = "converged") -> NeedleShape:
+    x, none = np.array([depth - 150.0, depth]), np.zeros(2)
+    return NeedleShape(x, none, none, np.zeros((1, 2)), np.zeros((1, 2)), status, 0)  # type: ignore[arg-type]
+
+
+def oblique(angle: float, depth: float = 40.0):
+    """A measured needle that runs straight at an angle to the entry axis."""
+    s = np.linspace(0, depth, 9)
+    planar = s[:, None] * [math.cos(angle), math.sin(angle)]
+    return dataclasses.replace(insertion(depth), planar=planar)
+
+
+def of(one, pose="known", floor=0.2, shape=None, drop=0.0):
+    return measured_of(dataset([one], pose=pose, drop=drop), one, floor, shape or straight(one.depth))
+
+
+@pytest.mark.parametrize(("depth", "whole"), [(12.5, False), (39.999, False), (40.0, True), (55.0, False)])
+def test_errors_up_to_the_depth_in_common(depth, whole):
+    angle, upto = 0.05, min(depth, 40.0)
+    found = live_errors(of(oblique(angle)), straight(depth))
+    chord = 2 * upto * math.sin(angle / 2)
+    assert found.te == pytest.approx(chord) and found.ipe_max == pytest.approx(chord)
+    assert found.ipe_mean == pytest.approx(chord / 2)
+    assert found.edp == pytest.approx(100 * chord / (upto * math.sin(angle)))
+    assert (found.upto, found.whole, found.floor) == (upto, whole, 0.2)
+
+
+def test_at_the_measured_depth_errors_are_those_of_a_study():
+    shape = predict(OFF, medium(), dataset([MEASURED]).needle, MEASURED)
+    expected = compare(*scored_points("known", 0.0, MEASURED, lambda s: positions(shape, s)))
+    found = live_errors(of(MEASURED), shape)
+    assert (found.te, found.ipe_mean, found.ipe_max) == (expected.te, expected.mean, expected.maximum)
+    assert found.edp == expected.edp
+
+
+def test_what_cannot_be_compared_has_no_errors():
+    one = of(oblique(0.05), floor=math.nan)
+    assert live_errors(one, straight(0.5)) is None
+    assert live_errors(one, straight(40.0, "over-compressed")) is None
+    assert live_errors(one, straight(40.0)).floor is None
+    shifted = dataclasses.replace(oblique(0.0), planar=np.add(oblique(0.0).planar, [0.0, 0.3]))
+    found = live_errors(of(shifted), straight(40.0))
+    assert found.te == pytest.approx(0.3) and found.edp is None  # no deflection to divide by
+
+
+def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_whole():
+    turned = MEASURED.planar @ [[0.0, 1.0], [-1.0, 0.0]] + [30.0, -4.0]
+    free = dataclasses.replace(MEASURED, planar=turned)
+    shape = predict(OFF, medium(), dataset([free]).needle, free)
+    one = of(free, "free", shape=shape, drop=5.0)
+    expected = compare(*scored_points("free", 5.0, free, lambda s: positions(shape, s)))
+    assert live_errors(one, shape).te == expected.te
+    assert live_errors(one, straight(30.0)) is None
+    onto = positions(shape, one.s)
+    assert np.linalg.norm(one.points - onto, axis=1).max() < 0.3  # from 30 mm away
+    np.testing.assert_allclose(align_rigid(one.points, onto), one.points, atol=1e-9)
+    assert arc_length(one.points)[-1] == pytest.approx(35.0, abs=0.05)
+
+
+SCENE = Scene.from_record(as_scene(TRUTH, medium(), dataset([PLAN]), PLAN))
+
+
+def spread(count: int = 60) -> Spread:
+    rng = np.random.default_rng(3)
+    factors = np.exp(0.2 * rng.normal(size=(count, 3)))
+    names = ["mu1_pa", "mu2_pa", "bevel_mm"]
+    draws = {name: TRUTH[name] * factors[:, n] for n, name in enumerate(names)}
+    return spread_of(pd.DataFrame({**draws, "alpha1": 1.0, "alpha2": -1.0}), (1, 2))
+
+
+def led() -> Session:
+    """A needle as a hand leads it: the bevel flips, the base moves, a guide is set."""
+    first = SCENE.steps[0]
+    session = Session(SCENE.needle, SCENE.tissue, first.bevel, 0.7, rules=SCENE.rules)
+    session.step(15.0)
+    session.step(10.0, bevel=dataclasses.replace(first.bevel, side=-1, offset=0.02))
+    session.step(-3.0, base=(0.8, 0.01))
+    session.step(5.0, guides=(Guide(-20.0, 0.3, 0.0),))
+    return session
+
+
+def test_the_band_holds_the_needles_of_all_draws_led_as_the_hand_led():
+    session, drawn = led(), spread()
+    found = band(drawn, SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 0.7)
+    s = np.linspace(0.0, session.depth, len(found.x))
+    heights, x = [], []
+    for mu, alpha, offset in zip(drawn.mu, drawn.alpha, drawn.offset, strict=True):
+        tissue = Tissue(mu, alpha, SCENE.tissue.boundaries, SCENE.tissue.thickness)
+        points = positions(session.retold(tissue, offset).now.shape, s)
+        x.append(points[:, 0])
+        heights.append(points[:, 1])
+    low, high = np.percentile(heights, (2.5, 97.5), axis=0)
+    np.testing.assert_allclose(found.low, low, atol=1e-6)
+    np.testing.assert_allclose(found.high, high, atol=1e-6)
+    np.testing.assert_allclose(found.x, np.median(x, axis=0), atol=1e-6)
+    assert found.failed == 0 and np.all(np.diff(found.high - found.low)[-10:] > 0)  # widest at the tip
+
+
+def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
+    same = spread(5)
+    same = Spread(same.mu[[0] * 5], same.alpha, same.offset[[0] * 5].copy())
+    same.offset[3] = np.nan
+    args = (SCENE.needle, SCENE.tissue, SCENE.steps, SCENE.rules, 1.0)
+    found = band(same, *args)
+    assert found.failed == 1
+    np.testing.assert_allclose(found.low, found.high, atol=1e-9)
+    tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0])
+    bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.offset[0]))
+    alone = follow(SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules)
+    assert found.low[-1] == pytest.approx(alone.deflection, abs=1e-6)
+    assert band(Spread(same.mu, same.alpha, same.offset * np.nan), *args) is None
+
+
+def test_before_first_contact_there_is_no_band():
+    session = Session(SCENE.needle, SCENE.tissue, SCENE.steps[0].bevel)
+    assert band(spread(5), SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 1.0) is None
+
+
+def bent(s: np.ndarray) -> np.ndarray:
+    """The planar needle of the scan."""
+    return np.column_stack([s, 0.004 * s**2])
+
+
+@pytest.fixture(scope="module")
+def scan(tmp_path_factory: pytest.TempPathFactory):
+    """An insertion, and the volume in which it was seen: bright along the needle, turned in the world."""
+    frame = entry_frame(np.array([5.0, -3.0, 8.0]), np.array([0.8, 0.6, 0.0]), np.array([0.0, 0.3, 1.0]))
+    turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
+    patient = Frame(np.array([40.0, -20.0, 11.0]), turn)
+    flat = bent(np.linspace(0.0, 30.0, 61))
+    centerline = frame.to_world(np.column_stack([flat, np.zeros(len(flat))]))
+    one = dataclasses.replace(
+        insertion(30.0), frame=frame, patient=patient, centerline=centerline, planar=flat
+    )
+    around = patient.to_local(centerline)
+    low, high = around.min(axis=0) - 12.0, around.max(axis=0) + 12.0
+    size = np.ceil((high - low) / 0.8).astype(int)
+    volume = Volume(np.zeros(size[::-1], dtype=np.float32), low, np.full(3, 0.8), np.eye(3))
+    dense = bent(np.linspace(-8.0, 30.0, 400))
+    dense[dense[:, 0] < 0, 1] = 0.0  # straight before the entry
+    axis = patient.to_local(frame.to_world(np.column_stack([dense, np.zeros(len(dense))])))
+    voxels = to_patient(volume, np.argwhere(np.ones(size)))
+    near = cKDTree(axis).query(voxels, distance_upper_bound=4.0)[0]
+    bright = 40.0 + 2500.0 * np.exp(-0.5 * (near / 0.7) ** 2)
+    values = np.ascontiguousarray(bright.reshape(size).T.astype(np.float32))
+    volume = dataclasses.replace(volume, values=values)
+    path = tmp_path_factory.mktemp("scan") / "one.nrrd"
+    write(volume, path)
+    return Scanned(ScanVolume(path), one)
+
+
+def test_the_needle_lies_on_its_shadow_in_the_slice(scan):
+    found = slice_of(scan)
+    picture = matplotlib.image.imread(io.BytesIO(found.png))  # the top row first
+    left, right, bottom, top = found.extent
+    height, width = picture.shape[:2]
+    columns = left + (np.arange(width) + 0.5) * (right - left) / width
+    rows = top - (np.arange(height) + 0.5) * (top - bottom) / height
+    needle = np.where(picture[..., 3] > 0, np.maximum(picture[..., 0] - 0.6, 0.0), 0.0)  # what is bright
+    for x in (2.0, 10.0, 18.0, 27.0):
+        column = needle[:, np.argmin(np.abs(columns - x))]
+        middle = np.sum(rows * column) / np.sum(column)
+        assert middle == pytest.approx(bent(np.array([x]))[0, 1], abs=0.1)
+    assert picture[0, 0, 3] == 0.0  # clear outside of the volume
+    assert top - bottom == pytest.approx(50.0 + 3.6, abs=0.7)
+
+
+def test_a_dataset_says_where_its_scans_lie_and_what_is_lacking_is_told(scan, tmp_path, monkeypatch):
+    whole = dataclasses.replace(dataset([scan.insertion]), path=tmp_path / "dataset.toml")
+    assert scanned(whole, scan.insertion) == (None, "")  # nothing was promised
+    write_volumes(tmp_path, {"other": ScanVolume(Path("x")), scan.insertion.id: scan.volume})
+    found, lacking = scanned(whole, scan.insertion)
+    assert lacking == "" and found.volume == ScanVolume(scan.volume.path.resolve())
+    monkeypatch.setattr("needlefit.viewer.overlay.slice.installed", lambda: False)
+    assert "pip install 'needlefit[ct]'" in scanned(whole, scan.insertion)[1]
+    monkeypatch.undo()
+    (tmp_path / "volumes.csv").write_text(f"id,volume,series\n{scan.insertion.id},scans/a,2\n")
+    assert volume_of(whole, scan.insertion.id) == ScanVolume(tmp_path / "scans/a", "2")
+    found, lacking = scanned(whole, scan.insertion)
+    assert found is None and f"not at {tmp_path / 'scans/a'} any more" in lacking
+    (tmp_path / "volumes.csv").write_text("id,file\na,b\n")
+    with pytest.raises(DataError, match="volume"):
+        volume_of(whole, "a")
+
+
+def test_the_packages_that_read_scans_are_looked_for(monkeypatch):
+    assert scans.installed()
+    monkeypatch.setattr(scans, "find_spec", lambda name: None if name == "pydicom" else object())
+    assert not scans.installed()
