@@ -14,6 +14,7 @@ from needlefit.verification import stop as stop_module
 from needlefit.verification.cases import NEEDLE, Case, layers
 from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most, worst
 from needlefit.verification.checks import (
+    balance,
     cantilever,
     collocation,
     compiled,
@@ -267,6 +268,12 @@ def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
     worst = [row for row in verify(1, refinement.CHECKS).rows if "random" in row.title]
     clean = 1e-4  # mm, see the table
     assert max(row.measured for row in worst) > clean
+
+
+def test_a_load_that_the_shape_does_not_bear_is_noticed(monkeypatch):
+    true = simulate_module.compile_tissue
+    monkeypatch.setattr("needlefit.mechanics.load.compile_tissue", lambda tissue: true(stiffer(tissue)))
+    assert failing(balance) == titles(balance)
 
 
 def test_an_unsymmetric_bevel_is_noticed(monkeypatch):

@@ -64,7 +64,7 @@ def draw_tip_force(axes: Axes, entry: Entry, moment: Moment, length: float) -> N
 def told(entry: Entry, moment: Moment, found: Loads) -> tuple[list[str], str]:
     """Return what is written above a drawing: where the needle stands and what holds it; and of its tip."""
     step, frame = moment.step, "" if entry == Entry() else " in C"
-    stands = [f"{step.depth:.4g} mm deep", *changes(None, step, frame), f"b {step.bevel.offset:g} mm"]
+    stands = [f"{step.depth:.4g} mm deep", *changes(None, step, frame), f"b {step.bevel.offset:.3g} mm"]
     held = [
         f"base {_force(found.base.force)}, {_signed(f'{found.base.moment:+z.2f}')} N mm",
         *_guides(step, found),

@@ -11,6 +11,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from needlefit.errors import ConfigError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
+from needlefit.reporting.figures.acting import round_up
 from needlefit.reporting.figures.moment import paint
 from needlefit.reporting.figures.sheet import Beside, lay_out
 from needlefit.reporting.figures.style import LOOK, snug
@@ -22,8 +23,12 @@ RATE = 10
 MOST = 150
 """Frames of an animation; one that would take more goes faster, and says so."""
 
-_SPEEDS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-_DOTS = 110  # to the inch
+STAYS = 10
+"""Frames for which the end stays, before a GIF begins anew."""
+
+DOTS = 110
+"""To the inch."""
+
 _ALONE = Beside()
 Timed = tuple[float, Moment]
 
@@ -67,7 +72,7 @@ def animate(
         # from here on nothing may move but what moves, and no frame is laid out again
         with matplotlib.rc_context({"figure.constrained_layout.use": False}):
             sheet.figure.set_layout_engine(None)
-            with writer.saving(sheet.figure, str(path), _DOTS):
+            with writer.saving(sheet.figure, str(path), DOTS):
                 for moment in shown:
                     paint(sheet, moment)
                     writer.grab_frame()
@@ -87,13 +92,13 @@ def sampled(moments: Iterable[Timed], times: Sequence[float]) -> list[Moment]:
 
 def _speed(duration: float) -> float:
     """Return how many times as fast as it was a recording is shown."""
-    needed = duration * RATE / (MOST - 1)
-    return next((float(speed) for speed in _SPEEDS if speed >= needed), needed)
+    needed = duration * RATE / (MOST - STAYS)
+    return round_up(needed) if needed > 1 else 1.0
 
 
 def _times(duration: float, speed: float) -> list[float]:
-    """Return the times of the frames, s; the last is not before the end."""
-    return [n * speed / RATE for n in range(math.ceil(duration * RATE / speed - 1e-9) + 1)]
+    """Return the times of the frames, s; the last ones are not before the end."""
+    return [n * speed / RATE for n in range(math.ceil(duration * RATE / speed - 1e-9) + STAYS)]
 
 
 def _writer(path: Path) -> AbstractMovieWriter:

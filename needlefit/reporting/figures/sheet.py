@@ -13,7 +13,8 @@ from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Controls
-from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.load import Loads
+from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.session import Moment
 from needlefit.reporting.figures.acting import LOAD, acting, profile, round_up, told
 from needlefit.reporting.figures.style import WIDTH, label_origin
@@ -110,8 +111,9 @@ def lay_out(
     load = max(float(np.abs(one.load).max(initial=0.0)) for one in found)
     force = max(abs(one.tip_force) for one in found)
     per_mm = round_up(load / (_HIGHEST * span)) if load > 0 else 0.0
+    arrow = _LONGEST * span / force if force > 0 else 0.0
     pairs = list(zip(moments, found, strict=True))
-    points = np.concatenate([points, *(profile(scene.entry, *pair, per_mm) for pair in pairs)])
+    points = np.concatenate([points, *(_forces(scene.entry, *pair, per_mm, arrow) for pair in pairs)])
     x, y = window(points, _FLATTEST * span)
     inches = min((WIDTH - 0.6) / (x[1] - x[0]), _TALLEST / (y[1] - y[0]))
     lines = max(len(told(scene.entry, *pair)[0]) for pair in pairs)
@@ -126,7 +128,6 @@ def lay_out(
         columnspacing=1.2, title=title, alignment="left", title_fontsize=8,
     )  # fmt: skip
     label_origin(figure, beside.synthetic)
-    arrow = _LONGEST * span / force if force > 0 else 0.0
     return Sheet(figure, axes, scene, beside, inches, per_mm, arrow, lines)
 
 
@@ -141,6 +142,12 @@ def _shown(scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool)
     points = np.concatenate([*drawn, *map(scene.entry.to_world, beside.curves)])
     shown: Floats = points[scene.entry.to_frame(points)[:, 0] >= start]
     return shown
+
+
+def _forces(entry: Entry, moment: Moment, found: Loads, per_mm: float, arrow: float) -> Floats:
+    """Return points that a drawing of the forces must hold, (K, 2) mm."""
+    pulled = [(moment.shape.depth, moment.shape.deflection + arrow * found.tip_force)]
+    return np.concatenate([profile(entry, moment, found, per_mm), entry.to_world(pulled)])
 
 
 def _handles(beside: Beside, per_mm: float, guides: bool) -> list[Line2D | Patch]:

@@ -1,0 +1,258 @@
+"""A moment of an insertion as a table and a picture, and moments as an animation."""
+
+import io
+import json
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from PIL import Image
+from test_viewer_recording import recorded
+
+from needlefit.errors import ConfigError
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
+from needlefit.mechanics.load import lateral_load, loads
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.scene import Entry, Scene, insert
+from needlefit.mechanics.session import Moment
+from needlefit.mechanics.shape import positions
+from needlefit.mechanics.strides import strides
+from needlefit.mechanics.tissue import Tissue
+from needlefit.reporting.figures import animation
+from needlefit.reporting.figures import moment as moment_figure
+from needlefit.reporting.figures.acting import round_up, told
+from needlefit.reporting.figures.animation import sampled
+from needlefit.reporting.figures.moment import draw_moment, paint
+from needlefit.reporting.figures.sheet import Beside, lay_out
+from needlefit.reporting.shape_table import shape_table, write_shape
+from needlefit.viewer.export import KINDS, export
+from needlefit.viewer.inputs import Change
+from needlefit.viewer.opening import open_subject
+from needlefit.viewer.recording import Recorded, Recorder, head_of
+from needlefit.viewer.steering import Steering
+
+NEEDLE = Needle(150.0, 1.0e4)
+TISSUE = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
+HELD = Controls(1.0, guides=(Guide(-20.0, 0.4), Guide(6.5, 0.1, None, in_tissue=True, name="ring")))
+
+
+def scene(entry: Entry = Entry(), controls: Controls = HELD) -> Scene:
+    steps = (Step(20.0, Bevel(0.085), controls), Step(15.25, Bevel(0.085, -1), controls))
+    return Scene(NEEDLE, TISSUE, steps, entry=entry)
+
+
+def end(of: Scene) -> Moment:
+    return Moment(insert(of)[-1], of.steps[-1], of.tissue)
+
+
+UP = np.array([0.0, 2.0])
+TURNED = Entry(30.0, -7.0, 0.5)
+
+
+# ---- the table ----
+
+
+def test_the_table_has_a_row_for_every_node_and_millimetre() -> None:
+    one = scene(TURNED)
+    moment = end(one)
+    table = shape_table(one, moment)
+    s = table["s_mm"].to_numpy()
+    assert (s[0], s[-1]) == (15.25 - 150, 15.25) and (np.diff(s) > 1e-6).all()
+    assert np.isin(moment.shape.x, s).all() and np.diff(s).max() <= 1.0
+    nodes = table[np.isin(s, moment.shape.x)]
+    np.testing.assert_array_equal(nodes["y_mm"], moment.shape.u)
+    np.testing.assert_allclose(nodes["slope"], moment.shape.slope, atol=1e-12)
+    place = positions(moment.shape, s)
+    np.testing.assert_array_equal(table[["x_mm", "y_mm"]], place)
+    np.testing.assert_array_equal(table[["world_x_mm", "world_y_mm"]], TURNED.to_world(place))
+    np.testing.assert_array_equal(table["load_n_per_mm"], lateral_load(moment.shape, TISSUE, s))
+    assert table["layer"].isna().sum() == (s < 0).sum()
+    assert (table["layer"][s >= 0] == np.where(s[s >= 0] <= 12.0, 1, 2)).all()
+
+
+def test_the_table_is_read_back(tmp_path) -> None:
+    write_shape(scene(), end(scene()), tmp_path / "shape.csv")
+    found = pd.read_csv(tmp_path / "shape.csv")
+    assert list(found.columns) == [
+        "s_mm", "x_mm", "y_mm", "slope", "world_x_mm", "world_y_mm", "load_n_per_mm", "layer",
+    ]  # fmt: skip
+    np.testing.assert_allclose(found["y_mm"], shape_table(scene(), end(scene()))["y_mm"], atol=1e-7)
+    with pytest.raises(ConfigError, match="no such folder"):
+        write_shape(scene(), end(scene()), tmp_path / "none" / "shape.csv")
+
+
+# ---- the picture ----
+
+
+@pytest.mark.parametrize("entry", [Entry(), TURNED, Entry(0.0, 0.0, -2.3)])
+def test_a_picture_shows_all_of_the_needle_in_true_millimetres(entry: Entry) -> None:
+    one = scene(entry)
+    moment = end(one)
+    measured = positions(moment.shape, np.linspace(0.0, 15.0, 9)) + UP
+    sheet = lay_out("Held", one, [moment], Beside(measured, measured - UP / 4, measured + UP / 4))
+    paint(sheet, moment)
+    assert sheet.axes.get_aspect() == 1
+    drawn = np.concatenate([line.get_xydata() for line in sheet.axes.lines])
+    ends = entry.to_world(positions(moment.shape, moment.shape.x[[0, -1]]))
+    guides = entry.to_world([[guide.x, guide.y] for guide in HELD.guides])
+    for point in (*ends, *guides, *entry.to_world(measured), *entry.to_world(moment.shape.constraints)):
+        assert np.abs(drawn - point).max(axis=1).min() < 1e-9
+        assert sheet.axes.get_xlim()[0] < point[0] < sheet.axes.get_xlim()[1]
+        assert sheet.axes.get_ylim()[0] < point[1] < sheet.axes.get_ylim()[1]
+
+
+def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
+    one = scene()
+    moment = end(one)
+    sheet = lay_out("Held", one, [moment], Beside())
+    paint(sheet, moment)
+    found = loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
+    outlines = [patch.get_xy() for patch in sheet.axes.patches]
+    needle = positions(moment.shape, found.s)
+    (load,) = (outline for outline in outlines if len(outline) == 2 * len(found.s) + 1)  # closed
+    pulled = load[len(found.s) : -1][::-1] - needle
+    np.testing.assert_allclose(pulled[:, 1] * sheet.per_mm, found.load, atol=1e-9)
+    (legend,) = sheet.figure.legends
+    said = [text.get_text() for text in legend.get_texts()]
+    assert f"lateral load, {sheet.per_mm:g} N/mm to the mm" in said
+    arrow = np.array(sheet.axes.texts[-1].xy) - sheet.axes.texts[-1].xyann
+    assert arrow[1] == pytest.approx(found.tip_force * sheet.arrow)
+
+
+def test_the_inserted_part_alone_is_shown_where_nothing_but_the_bevel_steers() -> None:
+    plain = scene(controls=Controls())
+    for whole, start in ((None, -4.0), (False, -4.0), (True, -140.0)):
+        sheet = lay_out("Free", plain, [end(plain)], Beside(), whole)
+        assert sheet.axes.get_xlim()[0] == pytest.approx(start, abs=8.0)
+
+
+def test_what_is_written_above_is_what_acts() -> None:
+    moment = end(scene())
+    found = loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
+    lines, tip = told(Entry(), moment, found)
+    assert lines[0].startswith("15.25 mm deep  ·  bevel right  ·  base +1 mm")
+    forces = [found.base.force, *(hold.force for hold in found.guides)]
+    base, guide, ring = (f"{force:+.3f} N" for force in forces)
+    said = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
+    assert lines[1] == said.replace("-", "−")
+    assert tip.endswith(f"tip force {found.tip_force:+.3f} N".replace("-", "−"))
+
+
+@pytest.mark.parametrize(
+    ("value", "rounded"), [(0.013, 0.02), (1.0, 1.0), (2.1, 5.0), (5.1, 10.0), (0.5, 0.5), (700.0, 1000.0)]
+)
+def test_scales_are_round(value: float, rounded: float) -> None:
+    assert round_up(value) == rounded
+
+
+def test_a_picture_has_the_same_bytes_each_time(tmp_path) -> None:
+    for name in ("a.svg", "b.svg"):
+        draw_moment("Held", scene(), end(scene()), tmp_path / name, Beside(synthetic=True))
+    assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
+
+
+def test_a_picture_before_first_contact_has_no_load(tmp_path) -> None:
+    one = replace(scene(), steps=(Step(0.0, Bevel(0.1)),))
+    sheet = lay_out("Before", one, [end(one)], Beside())
+    paint(sheet, end(one))
+    assert sheet.per_mm == 0 and sheet.axes.get_xlim()[0] < -100
+
+
+# ---- on the way ----
+
+
+def small(monkeypatch) -> None:
+    """Make animations of ten frames at the most, the last two alike."""
+    for name, value in (("MOST", 10), ("STAYS", 2), ("DOTS", 15)):
+        monkeypatch.setattr(animation, name, value)
+
+
+def test_strides_end_where_the_steps_do() -> None:
+    one = scene()
+    gone, moments = zip(*strides(one), strict=True)
+    assert gone[0] == 0 and gone[-1] == pytest.approx(20 + 4.75) and max(np.diff(gone)) <= 0.5 + 1e-12
+    np.testing.assert_allclose(moments[-1].shape.u, insert(one)[-1].u, atol=1e-7)
+    assert [moment.step.depth for moment in moments if moment.step in one.steps] == [20.0, 15.25]
+    torn = replace(one, steps=(*one.steps, Step(20.0, Bevel(60.0), Controls(tip=TrackedTip(500.0)))))
+    assert list(strides(torn))[-1][1].step.depth <= 20.0
+
+
+def test_each_frame_shows_the_last_moment_before_it() -> None:
+    moments = [(0.0, "a"), (0.1, "b"), (0.15, "c"), (0.35, "d")]
+    assert sampled(moments, [0.0, 0.1, 0.2, 0.3, 0.4]) == ["a", "b", "c", "c", "d"]
+
+
+@pytest.mark.parametrize(("seconds", "speed", "lasts"), [(0.3, 1, 0.5), (1200.0, 2000, 0.8), (40.0, 50, 1.0)])
+def test_an_animation_keeps_time_or_says_that_it_does_not(
+    seconds, speed, lasts, tmp_path, monkeypatch
+) -> None:
+    """And the end stays for a while; frames that are alike are kept as one that is shown longer."""
+    titles = []
+    monkeypatch.setattr(animation, "lay_out", lambda *all_: titles.append(all_[0]) or lay_out(*all_))
+    monkeypatch.setattr(
+        animation, "paint", lambda sheet, moment: drawn.append(moment) or paint(sheet, moment)
+    )
+    small(monkeypatch)
+    drawn = []
+    moments = [(seconds * gone / 24.75, moment) for gone, moment in strides(scene(), 12.0)]
+    animation.animate("Held", scene(), moments, seconds, tmp_path / "a.gif")
+    assert titles == ["Held" if speed == 1 else f"Held ({speed} times as fast)"]
+    assert len(drawn) - 1 <= animation.MOST and drawn[-1] is moments[-1][1]  # the first for the layout
+    with Image.open(tmp_path / "a.gif") as film:
+        times = [film.seek(n) or film.info["duration"] for n in range(film.n_frames)]
+    assert len(times) <= len(moments)
+    assert sum(times) == pytest.approx(1e3 * lasts, abs=101)
+
+
+def test_an_animation_needs_an_encoder_and_a_name_that_it_knows(tmp_path, monkeypatch) -> None:
+    moments = list(strides(scene(), 20.0))
+    for name, fault in (("a.avi", "`.avi`"), ("a", "no ending"), ("none/a.gif", "no such folder")):
+        with pytest.raises(ConfigError, match=fault):
+            animation.animate("Held", scene(), moments, 1.0, tmp_path / name)
+    monkeypatch.setattr(animation.FFMpegWriter, "isAvailable", lambda: False)
+    with pytest.raises(ConfigError, match="ffmpeg") as missing:
+        animation.animate("Held", scene(), moments, 1.0, tmp_path / "a.mp4")
+    assert "apt install ffmpeg" in missing.value.mend and "a.gif" in missing.value.mend
+
+
+@pytest.mark.skipif(not animation.FFMpegWriter.isAvailable(), reason="ffmpeg is not installed")
+def test_an_animation_can_be_a_film(tmp_path) -> None:
+    animation.animate("Held", scene(), list(strides(scene(), 20.0)), 1.0, tmp_path / "a.mp4")
+    assert b"ftyp" in (tmp_path / "a.mp4").read_bytes()[:32]
+
+
+# ---- of a recording ----
+
+
+def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch) -> None:
+    log = tmp_path / "log.csv"
+    last = recorded(log)[-1]
+    small(monkeypatch)
+    files = {kind: export(log, kind) for kind in KINDS}
+    table = pd.read_csv(io.BytesIO(files["shape.csv"]))
+    assert table["y_mm"].iloc[-1] == pytest.approx(last[-1], abs=1e-8)
+    (curve,) = json.loads(files["shape.mrk.json"])["markups"]
+    assert curve["controlPoints"][-1]["position"][1] == pytest.approx(last[-1], abs=1e-6)
+    assert files["picture.svg"].startswith(b"<?xml") and files["picture.png"].startswith(b"\x89PNG")
+    assert files["animation.gif"].startswith(b"GIF89a")
+    assert files["inputs.csv"] == log.read_bytes()
+    again = export(log, "picture.svg")
+    assert again == files["picture.svg"]
+
+
+def test_a_picture_of_a_measured_insertion_shows_it_and_says_that_it_is_synthetic(
+    tmp_path, monkeypatch
+) -> None:
+    subject = open_subject("twin/phantom2-01")
+    steering = Steering(Scene.from_record(subject.record), subject.first_cell)
+    change = Change("depth_mm", None, 20.0)
+    steering.apply([change])
+    head = head_of(subject.name, subject.first_cell, subject.record.model_dump(mode="json", by_alias=True))
+    Recorder(tmp_path / "log.csv", head).write(Recorded(1, 0.5, (change,), steering.now.shape.deflection))
+    shown = []
+    monkeypatch.setattr(moment_figure, "lay_out", lambda *all_: shown.append(all_) or lay_out(*all_))
+    export(tmp_path / "log.csv", "picture.svg")
+    ((_, _, _, beside, _),) = shown
+    assert beside.synthetic
+    np.testing.assert_array_equal(beside.measured, subject.measured.points)

@@ -1,0 +1,363 @@
+"""The page in a real browser, steered by pointer, keys and touch."""
+
+import re
+import shutil
+import signal
+import subprocess
+import sys
+import time
+
+import numpy as np
+import pytest
+
+from needlefit.viewer.recording import read
+from needlefit.viewer.replay import replay
+
+BROWSERS = ("chromium", "chromium-browser", "google-chrome")
+FOUND = next((path for name in BROWSERS if (path := shutil.which(name))), None)
+pytestmark = pytest.mark.skipif(
+    FOUND is None, reason=f"no browser is installed (none of {', '.join(BROWSERS)})"
+)
+
+PATIENCE = 15.0
+
+
+class Server:
+    """`needlefit view` in a process of its own."""
+
+    def __init__(self, out, subject: str = "twin/phantom2-05") -> None:
+        command = [sys.executable, "-m", "needlefit", "view", subject, "--no-browser", "--out", str(out)]
+        self.folder = out / "view"
+        self.process = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)
+        self.address = self.process.stdout.readline().strip()
+
+    def end(self, how: int = signal.SIGTERM) -> None:
+        self.process.send_signal(how)
+        self.process.wait(20)
+        self.process.stdout.close()
+
+
+@pytest.fixture(scope="module")
+def server(tmp_path_factory):
+    running = Server(tmp_path_factory.mktemp("view"))
+    yield running
+    running.end()
+
+
+@pytest.fixture(scope="module")
+def chromium():
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path=FOUND, args=["--no-sandbox", "--disable-gpu"])
+        yield browser
+        browser.close()
+
+
+@pytest.fixture
+def page(server, chromium):
+    """A window of its own, with a new needle; a fault of its scripts fails the test."""
+    with opened(chromium, server) as window:
+        yield window
+
+
+class opened:  # noqa: N801 - reads as a verb
+    """A page in a context of its own."""
+
+    def __init__(self, chromium, server, **settings) -> None:
+        self.context = chromium.new_context(**({"viewport": {"width": 1280, "height": 800}} | settings))
+        self.page, self.faults = self.context.new_page(), []
+        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
+        self.page.goto(server.address)
+
+    def __enter__(self):
+        until(self.page, "state => state && window.needlefit.connected")
+        return self.page
+
+    def __exit__(self, *_) -> None:
+        self.context.close()
+        assert self.faults == []
+
+
+def until(page, true: str, seconds: float = PATIENCE):
+    """Wait until a function of the page's state holds, and return the state."""
+    end = time.monotonic() + seconds
+    while time.monotonic() < end:
+        if page.evaluate(f"({true})(window.needlefit?.state)"):
+            return page.evaluate("window.needlefit.state")
+        page.wait_for_timeout(20)
+    raise AssertionError(f"never: {true}; {page.evaluate('window.needlefit.state')}")
+
+
+def go_to(page, depth: float):
+    page.fill("#speed", "1000")
+    page.fill("#goto-depth", str(depth))
+    page.press("#goto-depth", "Enter")
+    return until(page, f"state => Math.abs(state.depth_mm - {depth}) < 1e-6 && !state.moving")
+
+
+def place(page, what: str) -> tuple[float, float]:
+    """Return where something of the state stands in the window, pixels."""
+    script = """async (what) => {
+        const { toPx, toPy } = await import("/page/view.js");
+        const box = document.getElementById("canvas").getBoundingClientRect();
+        const at = window.needlefit.state[what] ?? window.needlefit.state.guides[0];
+        return [box.left + toPx(at.x), box.top + toPy(at.y)];
+    }"""
+    return tuple(page.evaluate(script, what))
+
+
+def drag(page, what: str, dx: float, dy: float) -> None:
+    x, y = place(page, what)
+    page.mouse.move(x, y)
+    page.mouse.down()
+    for n in range(1, 6):
+        page.mouse.move(x + dx * n / 5, y + dy * n / 5)
+    page.mouse.up()
+
+
+def shown(page, text: str) -> None:
+    """Wait until something that is seen says so."""
+    page.get_by_text(text).first.wait_for(state="visible", timeout=1000 * PATIENCE)
+
+
+def test_the_needle_goes_in_and_out_by_button_key_and_wheel(page) -> None:
+    assert until(page, "state => true")["depth_mm"] == 0
+    page.locator("#insert").hover()
+    page.mouse.down()
+    until(page, "state => state.depth_mm > 2")
+    page.mouse.up()
+    state = until(page, "state => !state.moving")
+    page.focus("#canvas")
+    page.keyboard.down("ArrowRight")
+    state = until(page, f"state => state.depth_mm > {state['depth_mm'] + 2}")
+    page.keyboard.up("ArrowRight")
+    deep = until(page, "state => !state.moving")["depth_mm"]
+    page.mouse.move(*place(page, "tip"))
+    page.mouse.wheel(0, -100)
+    wheeled = until(page, f"state => Math.abs(state.depth_mm - {deep}) > 0.5")["depth_mm"]
+    page.keyboard.down("ArrowLeft")
+    until(page, f"state => state.depth_mm < {wheeled - 1}")
+    page.keyboard.up("ArrowLeft")
+    until(page, "state => !state.moving")
+
+
+def test_the_base_is_dragged_in_millimetres_and_one_undo_takes_it_back(page) -> None:
+    go_to(page, 30)
+    scale = page.evaluate("import('/page/view.js').then(({ view }) => view.scale)")
+    drag(page, "base", 0, -5 * scale)
+    state = until(page, "state => state.base.y > 4")
+    assert state["base"]["y"] == pytest.approx(5, abs=1.5 / scale)
+    assert state["y"][0] == pytest.approx(state["base"]["y"])
+    page.keyboard.press("Control+z")
+    until(page, "state => state.base.y === 0 && state.depth_mm === 30")
+    page.keyboard.press("Control+y")
+    until(page, f"state => state.base.y === {state['base']['y']}")
+
+
+def test_the_bevel_turns_over_and_the_needle_with_it(page) -> None:
+    side = go_to(page, 20)["bevel"]["side"]
+    before = go_to(page, 25)["tip"]["slope"]
+    page.focus("#canvas")
+    page.keyboard.press("f")
+    assert until(page, f"state => state.bevel.side === {-side}")["tip"]["slope"] == before
+    after = go_to(page, 30)
+    assert side * (after["tip"]["slope"] - before) < 0
+
+
+def test_a_guide_is_added_dragged_and_taken_away(page) -> None:
+    go_to(page, 20)
+    page.click("#add-guide")
+    guide = until(page, "state => state.guides.length === 1")["guides"][0]
+    drag(page, "guide", 0, -20)
+    moved = until(page, "state => state.guides[0].y > 0.5")
+    assert moved["guides"][0]["x"] == pytest.approx(guide["x"], abs=1)
+    at = np.interp(moved["guides"][0]["x"], moved["x"], moved["y"])
+    assert at == pytest.approx(moved["guides"][0]["y"], abs=0.02)
+    page.get_by_role("button", name=re.compile("turns freely")).click()
+    until(page, f"state => state.guides[0].turns_freely === {str(not guide['turns_freely']).lower()}")
+    page.get_by_role("button", name=re.compile("[Rr]emove")).click()
+    until(page, "state => state.guides.length === 0")
+
+
+def test_the_errors_are_those_of_the_study_at_the_measured_depth(page) -> None:
+    """And follow the sliders, which tell the whole insertion again."""
+    page.fill("#speed", "1000")
+    page.click("#goto-scene")
+    state = until(page, "state => state.errors?.whole")
+    measured = page.evaluate("window.needlefit.scene.measured")
+    tip = np.array([state["tip"]["x"] - measured["x"][-1], state["tip"]["y"] - measured["y"][-1]])
+    assert state["errors"]["te_mm"] == pytest.approx(np.linalg.norm(tip), abs=1e-3)
+    shown(page, f"{state['errors']['te_mm']:.2f}")
+    field = page.locator("#bevel-fields").get_by_label(re.compile("throughout")).first
+    field.fill("0.01")
+    field.press("Enter")
+    after = until(page, "state => state.bevel.offset_mm === 0.01")
+    assert after["errors"]["te_mm"] != state["errors"]["te_mm"] and after["depth_mm"] == state["depth_mm"]
+
+
+def test_a_replay_in_the_page_ends_with_the_same_needle(page) -> None:
+    go_to(page, 12)
+    drag(page, "base", 0, -20)
+    state = go_to(page, 18)
+    page.select_option("#times", "5")
+    page.click("#replay")
+    until(page, "state => state.playing || state.depth_mm < 18")
+    again = until(page, "state => !state.playing && state.depth_mm === 18")
+    assert again["y"] == state["y"] and again["step"] == state["step"]
+
+
+def test_what_is_refused_is_said_aloud_and_nothing_moves(page) -> None:
+    go_to(page, 20)
+    page.fill("#goto-depth", "200")
+    page.press("#goto-depth", "Enter")
+    page.fill("#goto-depth", "20")
+    page.press("#goto-depth", "Enter")
+    until(page, "state => !state.moving")
+    field = page.locator("#tissue-fields .number").first
+    field.fill("-5")
+    field.press("Enter")
+    page.locator("[role=alert]:not([hidden])", has_text=re.compile("mu|above 0")).first.wait_for()
+    assert page.evaluate("window.needlefit.state.layers[0].mu_pa") > 0
+
+
+def test_a_page_that_lost_the_line_says_so_and_finds_its_needle_again(server, chromium) -> None:
+    context = chromium.new_context(viewport={"width": 1280, "height": 800})
+    window, lines = context.new_page(), []
+
+    def through(line) -> None:
+        line.connect_to_server()
+        lines.append(line)
+
+    window.route_web_socket(re.compile("/ws"), through)
+    window.goto(server.address)
+    until(window, "state => state && window.needlefit.connected")
+    state = go_to(window, 15)
+    lines[-1].close(code=1011)
+    until(window, "() => !window.needlefit.connected || true")
+    until(window, "state => window.needlefit.connected")
+    deadline = time.monotonic() + PATIENCE
+    while len(lines) < 2 and time.monotonic() < deadline:
+        window.wait_for_timeout(50)
+    assert len(lines) == 2
+    back = until(window, "state => window.needlefit.connected && state.depth_mm === 15")
+    assert back["y"] == state["y"] and back["undo"]
+    window.reload()
+    assert until(window, "state => window.needlefit?.connected && state?.depth_mm === 15")["y"] == state["y"]
+    context.close()
+
+
+def test_a_killed_server_loses_no_step(tmp_path, chromium) -> None:
+    server = Server(tmp_path, "study2")
+    with opened(chromium, server) as page:
+        state = go_to(page, 17)
+        drag(page, "base", 0, -20)
+        state = until(page, "state => state.base.y > 0.1")
+        page.wait_for_timeout(200)
+        state = page.evaluate("window.needlefit.state")
+        server.end(signal.SIGKILL)
+        shown(page, "Not connected to the needle")
+    (path,) = server.folder.glob("*.csv")
+    *_, last = replay(read(path))
+    assert last.recorded.number == state["step"] and last.off == 0
+    assert last.moment.shape.deflection == state["tip"]["deflection_mm"]
+
+
+def test_two_windows_do_not_touch_each_other(page, server, chromium) -> None:
+    with opened(chromium, server) as other:
+        go_to(page, 10)
+        go_to(other, 25)
+        assert page.evaluate("window.needlefit.state.depth_mm") == 10
+        names = [one.evaluate("window.needlefit.scene.recording") for one in (page, other)]
+        assert names[0] != names[1]
+
+
+def test_touch_drags_the_base(server, chromium) -> None:
+    with opened(chromium, server, has_touch=True) as page:
+        touch = page.context.new_cdp_session(page)
+        x, y = place(page, "base")
+        for n, kind in enumerate(("touchStart", "touchMove", "touchMove", "touchEnd")):
+            points = [] if kind == "touchEnd" else [{"x": x, "y": y - 10 * n}]
+            touch.send("Input.dispatchTouchEvent", {"type": kind, "touchPoints": points})
+        assert until(page, "state => state.base.y > 0.5")["step"] >= 1
+
+
+def test_everything_that_can_be_used_has_a_name_and_a_place_in_the_order(page) -> None:
+    page.click("#add-guide")
+    until(page, "state => state.guides.length === 1")
+    page.wait_for_timeout(300)
+    tree = page.context.new_cdp_session(page).send("Accessibility.getFullAXTree")["nodes"]
+    roles = {"button", "slider", "spinbutton", "textbox", "combobox", "application", "checkbox"}
+    used = [node for node in tree if not node["ignored"] and node["role"]["value"] in roles]
+    assert len(used) > 30
+    assert [node for node in used if not node.get("name", {}).get("value", "").strip()] == []
+    page.locator("body").click(position={"x": 2, "y": 2})
+    reached = []
+    for _ in range(12):
+        page.keyboard.press("Tab")
+        reached.append(page.evaluate("[...document.querySelectorAll('*')].indexOf(document.activeElement)"))
+    assert reached == sorted(reached) and len(set(reached)) == len(reached)
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_text_stands_out_in_both_colour_schemes(server, chromium, scheme: str) -> None:
+    """Contrast of at least 4.5 to 1 (WCAG AA) of every text against what lies behind it."""
+    with opened(chromium, server, color_scheme=scheme) as page:
+        page.wait_for_timeout(300)
+        rows = page.evaluate(CONTRASTS)
+        assert len(rows) > 30
+        assert [row for row in rows if row[1] < 4.5] == []
+        dark = page.evaluate("getComputedStyle(document.body).backgroundColor")
+        assert (sum(map(int, re.findall(r"\d+", dark)[:3])) < 200) == (scheme == "dark")
+
+
+CONTRASTS = """() => {
+    const luminance = (rgb) => {
+        const [r, g, b] = rgb.map((c) => c / 255);
+        const linear = (c) => (c <= 0.04045 ? c / 12.92 : ((c + 0.055) / 1.055) ** 2.4);
+        return 0.2126 * linear(r) + 0.7152 * linear(g) + 0.0722 * linear(b);
+    };
+    const numbers = (text) => text.match(/[\\d.]+/g).map(Number);
+    const behind = (element) => {
+        for (let one = element; one; one = one.parentElement) {
+            const colour = numbers(getComputedStyle(one).backgroundColor);
+            if (colour.length === 3 || colour[3] === 1) return colour.slice(0, 3);
+        }
+        return [255, 255, 255];
+    };
+    const walker = document.createTreeWalker(document.body, NodeFilter.SHOW_TEXT);
+    const rows = [];
+    while (walker.nextNode()) {
+        const element = walker.currentNode.parentElement;
+        const text = walker.currentNode.textContent.trim();
+        if (!text || !element.checkVisibility()) continue;
+        if (element.closest(".unseen, .skip, :disabled, dialog, canvas")) continue;
+        const colour = numbers(getComputedStyle(element).color).slice(0, 3);
+        const [one, other] = [colour, behind(element)].map(luminance);
+        rows.push([text, (Math.max(one, other) + 0.05) / (Math.min(one, other) + 0.05)]);
+    }
+    return rows;
+}"""
+
+
+def test_at_200_percent_nothing_is_cut_off(server, chromium) -> None:
+    """A window of 1280 x 800 zoomed to 200 % has 640 x 400 pixels of the page's own."""
+    settings = {"viewport": {"width": 640, "height": 400}, "device_scale_factor": 2}
+    with opened(chromium, server, **settings) as page:
+        assert page.evaluate("document.documentElement.scrollWidth") <= 640
+        for name in ("Insert", "Retract", "Flip bevel", "Undo", "Play scene", "Replay recording"):
+            button = page.get_by_role("button", name=re.compile(name)).first
+            button.scroll_into_view_if_needed()
+            box = button.bounding_box()
+            assert box["x"] >= 0 and box["x"] + box["width"] <= 640, name
+        box = page.locator("#canvas").bounding_box()
+        assert box["width"] > 500 and box["height"] > 200
+
+
+def test_an_export_is_a_file(page) -> None:
+    go_to(page, 10)
+    with page.expect_download() as download:
+        page.get_by_role("button", name=re.compile(r"inputs|recording.*csv", re.I)).first.click()
+    path = download.value.path()
+    *_, last = replay(read(path))
+    assert last.moment.step.depth == 10
