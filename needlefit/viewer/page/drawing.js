@@ -48,9 +48,9 @@ function paintBackground() {
 function paintForeground(state) {
   before.clearRect(0, 0, picture.clientWidth, picture.clientHeight);
   within(before, () => {
+    paintNeedle(before, state);
     if (shown.band && now.band) paintBand(before, now.band, now.band.step !== state.step);
     if (shown.load) paintLoad(before, state);
-    paintNeedle(before, state);
     paintTip(before, state);
     if (shown.path) paintPath(before, state);
     if (shown.points) paintPoints(before, state);

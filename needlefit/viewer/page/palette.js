@@ -1,7 +1,7 @@
 /** The picture's colours, as the style sheet names them for light and for dark. */
 
 const NAMES = [
-  "air", "gutter", "ink", "quiet", "grid", "edge", "needle", "core", "points", "path", "tip", "guide", "load",
+  "air", "gutter", "ink", "quiet", "grid", "edge", "needle", "points", "path", "tip", "guide", "load",
   "measured", "band", "halo", "soft", "stiff", "label",
 ];
 

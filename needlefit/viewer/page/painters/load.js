@@ -12,36 +12,43 @@ const LEAST = 1e-6; // N/mm; less is drawn as nothing
 
 let perNewton = null; // px per N/mm
 
-/** Draw the load normal to the shaft, toward the side to which it pushes. */
+/** Draw the load normal to the shaft, on the side to which it pushes. */
 export function paintLoad(context, { load: { x, y, n_per_mm: load } }) {
   const greatest = load.reduce((most, one) => Math.max(most, Math.abs(one)), 0);
   if (greatest < LEAST || x.length < 2) return;
   rescale(greatest);
   const [px, py] = [x.map(toPx), y.map(toPy)];
-  const end = ends(px, py, load);
-  context.beginPath();
-  context.moveTo(px[0], py[0]);
-  for (const [ex, ey] of end) context.lineTo(ex, ey);
-  for (let i = px.length - 1; i >= 0; i -= 1) context.lineTo(px[i], py[i]);
-  context.fillStyle = palette.load;
+  const surface = beside(px, py, load, 0);
+  const ends = beside(px, py, load, perNewton);
+  const [areas, edges] = [new Path2D(), new Path2D()];
+  for (const [from, to] of runs(load)) {
+    const curve = [surface[from], ...ends.slice(from, to), surface[to - 1]];
+    curve.forEach((place, i) => (i ? edges.lineTo(...place) : edges.moveTo(...place)));
+    curve.push(...surface.slice(from, to).reverse());
+    curve.forEach((place, i) => (i ? areas.lineTo(...place) : areas.moveTo(...place)));
+  }
+  context.fillStyle = context.strokeStyle = palette.load;
   context.globalAlpha = 0.32;
-  context.fill();
+  context.fill(areas);
   context.globalAlpha = 1;
-  context.beginPath();
-  for (const [ex, ey] of end) context.lineTo(ex, ey);
-  context.strokeStyle = palette.load;
-  context.lineWidth = 1.5;
-  context.stroke();
+  context.lineWidth = 1.25;
+  context.stroke(edges);
   paintKey(context);
 }
 
-/** Where the load's ends are drawn, px: along the shaft's normal, from its surface on. */
-function ends(px, py, load) {
+/** Where the load pushes to one side without a break: first point, and one behind the last. */
+function runs(load) {
+  const starts = load.map((_, i) => i).filter((i) => i === 0 || load[i] * load[i - 1] <= 0);
+  return starts.map((from, n) => [from, starts[n + 1] ?? load.length]);
+}
+
+/** Places beside the shaft, px: on its normal, as far from the surface that is pushed as the load is great. */
+function beside(px, py, load, scale) {
   const [last, surface] = [px.length - 1, thickness() / 2];
   return px.map((_, i) => {
     const [before, after] = [Math.max(i - 1, 0), Math.min(i + 1, last)];
     const [dx, dy] = [px[after] - px[before], py[after] - py[before]];
-    const size = (load[i] * perNewton + Math.sign(load[i]) * surface) / (Math.hypot(dx, dy) || 1);
+    const size = (load[i] * scale + Math.sign(load[i]) * surface) / (Math.hypot(dx, dy) || 1);
     return [px[i] + dy * size, py[i] - dx * size];
   });
 }

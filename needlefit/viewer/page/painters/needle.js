@@ -8,26 +8,38 @@ import { line, ring, straight, turned } from "./strokes.js";
 const THINNEST = 2; // px
 const CROSS = { of: 0.28, least: 1, most: 3.2 }; // half a cross: part of the spacing, px
 const LONGEST_BEVEL = 2.5; // diameters
-const TUBE = 5; // px; from here on its core is seen
+const TUBE = 7; // px; from here on one sees through it
+const RIM = 1.5; // px
 
 /** How thick the needle is drawn, px. */
 export const thickness = () => Math.max(now.scene.diameter_mm * view.scale, THINNEST);
 
-/** Draw the shaft as a tube with a light core, and the bevel: its point lies where it turns the cut to. */
+/**
+ * Draw the shaft and the bevel, whose point lies where it turns the cut to.
+ *
+ * The shaft is a tube that one sees through, with its centreline: what it is compared with is thinner than it.
+ */
 export function paintNeedle(context, { x, y, bevel }) {
   const width = thickness();
   const shaft = shortened(x.map(toPx), y.map(toPy), LONGEST_BEVEL * Math.max(width, 3));
+  const axis = new Path2D();
+  for (const [px, py] of shaft.points) axis.lineTo(px, py);
   context.lineJoin = "round";
   context.lineCap = "butt";
-  for (const [colour, part] of [[palette.needle, 1], [palette.core, 0.35]]) {
-    if (part < 1 && width < TUBE) continue;
-    context.strokeStyle = colour;
-    context.lineWidth = part * width;
-    context.beginPath();
-    for (const [px, py] of shaft.points) context.lineTo(px, py);
-    context.stroke();
+  stroke(context, axis, palette.needle, width);
+  if (width >= TUBE) {
+    context.globalCompositeOperation = "destination-out";
+    stroke(context, axis, "#000c", width - 2 * RIM);
+    context.globalCompositeOperation = "source-over";
+    stroke(context, axis, palette.needle, 1.5);
   }
   paintBevel(context, shaft, Math.max(width, 3) / 2, bevel.side);
+}
+
+function stroke(context, path, colour, width) {
+  context.strokeStyle = colour;
+  context.lineWidth = width;
+  context.stroke(path);
 }
 
 /** The needle's points (px) without its last `length` px, and its tip. */

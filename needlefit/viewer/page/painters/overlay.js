@@ -18,7 +18,7 @@ export function paintBand(context, { x, low, high }, pale) {
   for (let i = 0; i < x.length; i += 1) context.lineTo(toPx(x[i]), toPy(low[i]));
   for (let i = x.length - 1; i >= 0; i -= 1) context.lineTo(toPx(x[i]), toPy(high[i]));
   context.closePath();
-  context.globalAlpha = pale ? 0.16 : 0.38;
+  context.globalAlpha = pale ? 0.2 : 0.5;
   context.fillStyle = palette.band;
   context.fill();
   context.globalAlpha = 1;

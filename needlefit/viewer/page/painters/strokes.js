@@ -52,7 +52,8 @@ export function turned(context, px, py, angle, draw) {
 /** Write on the picture, set off from what lies behind. */
 export function label(context, text, px, py, colour = palette.label) {
   context.strokeStyle = palette.halo;
-  context.lineWidth = 3;
+  context.lineWidth = 4;
+  context.lineJoin = "round";
   context.strokeText(text, px, py);
   context.fillStyle = colour;
   context.fillText(text, px, py);
