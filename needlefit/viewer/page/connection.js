@@ -1,5 +1,6 @@
-/** The line to the server: one websocket that comes back by itself. */
+/** The line to the server, which comes back by itself; its socket is held by a thread of its own. */
 
+import { makeMailbox, take as takeText } from "./mailbox.js";
 import { now, take, tell } from "./store.js";
 
 const FIRST_WAIT = 0.25; // s
@@ -7,7 +8,9 @@ const LONGEST_WAIT = 5; // s
 const KEPT = 256; // times of inputs not yet answered
 const STRANGER = 4401; // closed by the server: it does not know the token
 
-let socket = null;
+const line = new Worker("/page/line.js", { type: "module" });
+const mailbox = makeMailbox();
+let opening = false; // whether a socket is open or will be
 let timer = 0;
 let wait = FIRST_WAIT;
 let lastId = 0;
@@ -27,18 +30,13 @@ export const needle = () => sessionStorage.getItem("needlefit.needle");
 /** Open the line, or open it anew at once. */
 export function open() {
   clearTimeout(timer);
-  if (socket && socket.readyState < WebSocket.CLOSING) return;
-  const address = new URL("/ws", location.href);
-  address.protocol = address.protocol.replace("http", "ws");
-  const line = new WebSocket(address);
-  socket = line;
-  line.onopen = () => {
-    lastId = 0;
-    sentAt.clear();
-    line.send(JSON.stringify({ do: "hello", id: 0, token: token(), needle: needle() }));
-  };
-  line.onmessage = (event) => hear(line, JSON.parse(event.data));
-  line.onclose = ({ code }) => line === socket && lost(code);
+  if (opening) return;
+  opening = true;
+  lastId = 0;
+  sentAt.clear();
+  const address = new URL("/ws", location.origin.replace("http", "ws")).href;
+  const hello = JSON.stringify({ do: "hello", id: 0, token: token(), needle: needle() });
+  line.postMessage({ address, hello, mailbox });
 }
 
 /** Send an input that happened at `at` (ms, as events have it). Returns its id, or null without a line. */
@@ -49,8 +47,14 @@ export function send(message, at = null) {
   }
   lastId += 1;
   if (at !== null) sentAt.set(lastId, at);
-  socket.send(JSON.stringify({ ...message, id: lastId }));
+  line.postMessage({ text: JSON.stringify({ ...message, id: lastId }) });
   return lastId;
+}
+
+/** Read what has come; also called before each frame. */
+export function receive() {
+  if (!mailbox) return;
+  for (let text = takeText(mailbox); text !== null; text = takeText(mailbox)) hear(JSON.parse(text));
 }
 
 /** When the oldest of the inputs happened that this answer is the first to cover; null if there is none. */
@@ -65,36 +69,43 @@ export function answered(id) {
   return oldest;
 }
 
-function hear(line, message) {
-  if (line !== socket) return;
+line.onmessage = ({ data }) => {
+  receive();
+  if (data.text) hear(JSON.parse(data.text));
+  if (data.closed) lost(data.closed);
+};
+
+function hear(message) {
+  if (!opening) return; // of a line that was given up
+  if (message.kind === "taken" || message.kind === "bye") return leave(message);
   if (message.kind === "scene") {
     sessionStorage.setItem("needlefit.needle", message.needle);
     wait = FIRST_WAIT;
     farewell = null;
     now.connected = true;
-    take(message);
-    tell("line", { open: true });
-    return;
-  }
-  if (message.kind === "taken" || message.kind === "bye") {
-    socket = null;
-    now.connected = false;
-    line.close();
-    if (message.kind === "bye") {
-      farewell = message.what;
-      again();
-    }
-    tell("line", { open: false, why: message.kind, what: farewell });
-    return;
   }
   take(message);
+  if (message.kind === "scene") tell("line", { open: true });
+}
+
+/** The server ends it: another window has the needle, or the program stops. */
+function leave({ kind, what = null }) {
+  line.postMessage({ close: true });
+  down({ why: kind, what });
+  if (kind === "taken") return;
+  farewell = what;
+  again();
 }
 
 function lost(code) {
-  now.connected = false;
   const why = code === STRANGER ? "stranger" : farewell === null ? "lost" : "bye";
-  tell("line", { open: false, why, wait, what: farewell });
+  down({ why, wait, what: farewell });
   if (code !== STRANGER) again();
+}
+
+function down(said) {
+  opening = now.connected = false;
+  tell("line", { open: false, ...said });
 }
 
 function again() {

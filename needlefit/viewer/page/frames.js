@@ -1,6 +1,6 @@
 /** The clock of the picture, and what each of its frames took. */
 
-import { answered } from "./connection.js";
+import { answered, receive } from "./connection.js";
 import { listen, now } from "./store.js";
 
 const KEPT = 8192;
@@ -10,12 +10,18 @@ let count = 0;
 let fresh = false;
 let oldestInput = null; // ms; of the inputs that the next frame is the first to show
 const channel = new MessageChannel();
-let toMark = null;
+let drawn = null; // the record of a frame that may not be painted yet
 
-channel.port1.onmessage = () => {
-  toMark.painted = performance.now();
-  if (toMark.input !== null) toMark.latency_ms = toMark.painted - toMark.input;
-};
+/** Whatever runs next after a frame's scripts finds it painted; what an event holds up is not the frame's time. */
+function mark() {
+  if (!drawn) return;
+  drawn.painted = performance.now();
+  if (drawn.input !== null) drawn.latency_ms = drawn.painted - drawn.input;
+  drawn = null;
+}
+
+channel.port1.onmessage = mark;
+for (const kind of ["keydown", "keyup", "pointerdown", "pointerup"]) addEventListener(kind, mark, { capture: true });
 
 listen("state", ({ answers }) => {
   fresh = true;
@@ -26,12 +32,14 @@ listen("state", ({ answers }) => {
 /** Call `paint(fresh, t)` in every frame from now on and keep a record of it. */
 export function start(paint) {
   const frame = (t) => {
+    mark();
+    receive();
     const record = { t, step: now.state?.step ?? null, fresh, latency_ms: null, painted: null, input: oldestInput };
     paint(fresh, t);
     fresh = false;
     oldestInput = null;
     now.frames[count++ % KEPT] = record;
-    toMark = record;
+    drawn = record;
     channel.port2.postMessage(null); // heard once the browser is done with this frame's scripts and layout
     requestAnimationFrame(frame);
   };
