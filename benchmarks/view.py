@@ -31,11 +31,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, TimeoutError, sync_playwright
 
 FRAME = 1000 / 60
 LATE = 1.5
@@ -191,9 +191,8 @@ def wander(page: Page, rng: random.Random) -> None:
         page.press("#goto-depth", "Enter")
         page.wait_for_timeout(300)
     else:
-        button = page.locator(f"#{kind}")
-        if button.is_enabled():
-            button.click()
+        with suppress(TimeoutError):  # there may be nothing to undo
+            page.locator(f"#{kind}").click(timeout=200)
 
 
 def memory(page: Page, server: int) -> dict:
@@ -223,6 +222,8 @@ def endure(subject: str, minutes: float, seed: int) -> dict:
                 print(told[-1], file=sys.stderr)
             wander(page, rng)
             n += 1
+        page.focus("#canvas")
+        page.keyboard.press("Space")  # what goes on by itself is stopped
         page.wait_for_timeout(1000)
         state, scene = page.evaluate("[window.needlefit.state, window.needlefit.scene]")
         told.append({"minutes": t / 60, "actions": n} | memory(page, pid))
