@@ -15,6 +15,7 @@ from needlefit.cli import main
 from needlefit.cli.several_layers import repeated
 from needlefit.datasets.check import check
 from needlefit.datasets.read import read as read_dataset
+from needlefit.datasets.volumes import ScanVolume, volume_of
 from needlefit.imaging.volume import Volume, read, write
 from needlefit.project.places import shipped
 
@@ -53,6 +54,7 @@ def test_a_scan_becomes_a_checked_dataset(done):
     assert insertion.sd is not None and (insertion.sd > 0).all() and insertion.sd.max() < 0.1
     assert insertion.pose_source == "stage"
     on_scan = insertion.patient.to_local(insertion.centerline)
+    assert volume_of(dataset, "sample") == ScanVolume(VOLUME.resolve())
     volume = read(VOLUME)
     low, high = (
         volume.origin,

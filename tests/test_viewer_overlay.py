@@ -64,6 +64,14 @@ def test_errors_up_to_the_depth_in_common(depth, whole):
     assert (found.upto, found.whole, found.floor) == (upto, whole, 0.2)
 
 
+def test_errors_grow_into_those_of_the_whole_needle():
+    """The measured curve is longer than its depth, as one is that does not begin in the plane of entry."""
+    one = of(dataclasses.replace(oblique(0.05), planar=1.03 * oblique(0.05).planar))
+    almost, there = (live_errors(one, straight(depth)) for depth in (40.0 - 1e-5, 40.0))
+    assert (almost.whole, there.whole) == (False, True)
+    assert almost.te == pytest.approx(there.te, abs=1e-4) and there.te > 1.2
+
+
 def test_at_the_measured_depth_errors_are_those_of_a_study():
     shape = predict(OFF, medium(), dataset([MEASURED]).needle, MEASURED)
     expected = compare(*scored_points("known", 0.0, MEASURED, lambda s: positions(shape, s)))
@@ -104,7 +112,8 @@ def spread(count: int = 60) -> Spread:
     factors = np.exp(0.2 * rng.normal(size=(count, 3)))
     names = ["mu1_pa", "mu2_pa", "bevel_mm"]
     draws = {name: TRUTH[name] * factors[:, n] for n, name in enumerate(names)}
-    return spread_of(pd.DataFrame({**draws, "alpha1": 1.0, "alpha2": -1.0}), (1, 2))
+    alphas = {f"alpha{n}": rng.uniform(-30.0, 30.0, count) for n in (1, 2)}  # so far that they tell
+    return spread_of(pd.DataFrame(draws | alphas), (1, 2))
 
 
 def led() -> Session:
@@ -137,13 +146,13 @@ def test_the_band_holds_the_needles_of_all_draws_led_as_the_hand_led():
 
 def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
     same = spread(5)
-    same = Spread(same.mu[[0] * 5], same.alpha, same.offset[[0] * 5].copy())
+    same = Spread(*(part[[0] * 5] for part in (same.mu, same.alpha, same.offset)))
     same.offset[3] = np.nan
     args = (SCENE.needle, SCENE.tissue, SCENE.steps, SCENE.rules, 1.0)
     found = band(same, *args)
     assert found.failed == 1
     np.testing.assert_allclose(found.low, found.high, atol=1e-9)
-    tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0])
+    tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], alpha=same.alpha[0])
     bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.offset[0]))
     alone = follow(SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules)
     assert found.low[-1] == pytest.approx(alone.deflection, abs=1e-6)

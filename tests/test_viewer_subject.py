@@ -103,6 +103,9 @@ def test_an_insertion_said_as_a_scene_is_the_needle_that_is_predicted(one, recor
         conditions(VALUES, record, dataset([one]).needle, one),
     )
     assert scene.steps == steps and dataclasses.replace(scene.rules, tolerance=sharp.tolerance) == sharp
+    for part in ("mu", "alpha", "boundaries", "thickness", "friction"):
+        assert np.array_equal(getattr(scene.tissue, part), getattr(tissue, part))
+    assert scene.tissue.law == tissue.law
     sharper = follow(scene.needle, scene.tissue, scene.steps, sharp)
     expected = follow(needle, tissue, steps, sharp)
     assert np.array_equal(sharper.u, expected.u) and np.array_equal(sharper.x, expected.x)

@@ -3,7 +3,7 @@
 import secrets
 from collections.abc import Callable
 from datetime import datetime
-from pathlib import Path
+from pathlib import Path, PurePath
 
 from needlefit.errors import ModelError
 from needlefit.viewer.recording import Recording
@@ -77,11 +77,16 @@ class Trials:
 
     def _begin(self, subject: Subject, source: Recording | None) -> Trial:
         name = secrets.token_hex(4)
-        stem = "".join(c if c.isalnum() or c in "-_" else "-" for c in subject.name).strip("-")
-        path = self._folder / f"{stem}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
+        path = self._folder / f"{_stem(subject.name)}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
         self._all[name] = Trial(name, subject, path, source)
         for old in [one for one in self._all if one not in self._steered and one != name]:
             if len(self._all) <= MOST:
                 break
             del self._all[old]
         return self._all[name]
+
+
+def _stem(subject: str) -> str:
+    """Return a subject's name as that of a file: of a path the last two parts."""
+    last = "-".join(PurePath(subject.removesuffix(".toml")).parts[-2:])
+    return "".join(c if c.isalnum() or c in "-_" else "-" for c in last).strip("-") or "needle"

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.insertion import Dataset
+from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import DataError
 from needlefit.inference.as_scene import layers_met
@@ -19,7 +19,7 @@ from needlefit.validation.packing import unpack
 from needlefit.validation.results import Results
 from needlefit.validation.stored import restore
 from needlefit.viewer.opening.insertion import Shown, choose, subject_of
-from needlefit.viewer.overlay.band import spread_of
+from needlefit.viewer.overlay.band import Spread, spread_of
 from needlefit.viewer.subject import Subject
 
 DRAWS = 100
@@ -27,6 +27,8 @@ DRAWS = 100
 
 FITTED = "fitted"
 """The rival whose parameters are shown."""
+
+_CROSSED = "Its layers lie where it was measured to cross them. "
 
 
 def open_run(named: Named) -> Subject:
@@ -46,18 +48,24 @@ def open_run(named: Named) -> Subject:
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
     insertion = choose(tuple(by_id[id_] for id_ in roles), named, f"insertion of run {named.name}")
     role = roles[insertion.id]
-    medium = MediumRecord.model_validate(results.run["medium"])
-    shown = Shown(
-        dataset, insertion, medium, _values(results, role.fold, named.path), results.run["recipe"]["seed"]
-    )
     draws = results.draws[results.draws["fold"] == role.fold]
-    said = f"Parameters: fitted by {results.name}, {role.said}. {_told(draws)}"
+    shown = Shown(
+        dataset=dataset,
+        insertion=insertion,
+        medium=MediumRecord.model_validate(results.run["medium"]),
+        values=_values(results, role.fold, named.path),
+        seed=results.run["recipe"]["seed"],
+    )
+    crossed = _CROSSED if len(insertion.boundaries) else ""
+    said = f"Parameters: fitted by {results.name}, {role.said}. {crossed}{_told(draws)}"
     subject = subject_of(shown, named.name, said, tuple(roles))
-    if draws.empty:
-        return subject
+    return subject if draws.empty else replace(subject, spread=_spread(draws, insertion))
+
+
+def _spread(draws: pd.DataFrame, insertion: Insertion) -> Spread:
+    """Return some of the draws, evenly spread over all, for the layers that an insertion meets."""
     chosen = draws.iloc[np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).astype(np.int64)]
-    layers = [layer for _, layer in layers_met(insertion)]
-    return replace(subject, spread=spread_of(chosen, layers))
+    return spread_of(chosen, [layer for _, layer in layers_met(insertion)])
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,7 @@ let socket = null;
 let timer = 0;
 let wait = FIRST_WAIT;
 let lastId = 0;
+let farewell = null; // what the program said when it stopped
 const sentAt = new Map();
 
 /** The token that the address brought; kept, so that a page opened without it still knows it. */
@@ -69,6 +70,7 @@ function hear(line, message) {
   if (message.kind === "scene") {
     sessionStorage.setItem("needlefit.needle", message.needle);
     wait = FIRST_WAIT;
+    farewell = null;
     now.connected = true;
     take(message);
     tell("line", { open: true });
@@ -78,8 +80,11 @@ function hear(line, message) {
     socket = null;
     now.connected = false;
     line.close();
-    tell("line", { open: false, why: message.kind, what: message.what ?? "" });
-    if (message.kind === "bye") again();
+    if (message.kind === "bye") {
+      farewell = message.what;
+      again();
+    }
+    tell("line", { open: false, why: message.kind, what: farewell });
     return;
   }
   take(message);
@@ -87,7 +92,8 @@ function hear(line, message) {
 
 function lost(code) {
   now.connected = false;
-  tell("line", { open: false, why: code === STRANGER ? "stranger" : "lost", wait });
+  const why = code === STRANGER ? "stranger" : farewell === null ? "lost" : "bye";
+  tell("line", { open: false, why, wait, what: farewell });
   if (code !== STRANGER) again();
 }
 

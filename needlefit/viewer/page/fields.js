@@ -12,8 +12,8 @@ let made = 0;
 /**
  * Make a field and put it at the end of `into`.
  *
- * `about` says its `name` and `unit`, how to `write` a value, and whom to `ask` for another:
- * ask(value, {gesture, at}). With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one.
+ * `about` says its `name` and `unit`, what it is a number `of` where the name alone does not tell, how to `write`
+ * a value, and whom to `ask` for another: ask(value, {gesture, at}). With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one.
  */
 export function makeField(into, about) {
   const part = template.content.firstElementChild.cloneNode(true);
@@ -59,17 +59,17 @@ function markHome({ back, write, value, home }) {
   back.disabled = home === null || value === null || write(home) === write(value);
 }
 
-function name({ part, number, slider, back, name: called, unit, limits }) {
+function name({ part, number, slider, back, of, name: called, unit, limits }) {
   made += 1;
   number.id = `field-${made}`;
   part.querySelector("label").htmlFor = number.id;
   part.querySelector(".name").textContent = called;
   part.querySelector(".unit").textContent = unit;
-  const spoken = unit ? `${called}, ${unit}` : called;
+  const spoken = [of, called].filter(Boolean).join(" ") + (unit && `, ${unit}`);
   number.setAttribute("aria-label", spoken);
   slider.setAttribute("aria-label", spoken);
   slider.max = STEPS;
-  back.setAttribute("aria-label", `${called} back to its initial value`);
+  back.setAttribute("aria-label", `${spoken}: back to its initial value`);
   if (limits) [number.min, number.max] = limits;
   else part.querySelector(".track").remove();
 }

@@ -18,16 +18,13 @@ function makeRow(item) {
   remove.setAttribute("aria-label", `Remove guide ${item}`);
   free.setAttribute("aria-label", `Needle turns freely in guide ${item}`);
   const field = (name, unit, digits, input, meant = (x) => x) => makeField(fields, {
-    name: `${name}`, unit, write: (value) => value.toFixed(digits),
+    of: `guide ${item}`, name, unit, write: (value) => value.toFixed(digits),
     ask: (value, how) => change([[input, item, meant(value)]], how),
   });
   const row = {
     part, free, x: field("x", "mm", 2, "guide_x_mm"), y: field("y", "mm", 3, "guide_y_mm"),
     slope: field("slope", "°", 2, "guide_slope", slope),
   };
-  for (const one of [row.x, row.y, row.slope]) {
-    one.number.setAttribute("aria-label", `guide ${item}, ${one.name}, ${one.unit}`);
-  }
   remove.addEventListener("click", () => take(item));
   free.addEventListener("click", () => {
     change([["guide_turns_freely", item, free.getAttribute("aria-pressed") === "true" ? 0 : 1]]);

@@ -32,7 +32,7 @@ const KEYS = [
   [["2"], "2", "show the tissue", () => show("tissue")],
   [["3"], "3", "follow the tip", () => show("tip")],
 ];
-const ALWAYS = [["Ctrl+Z", "undo"], ["Ctrl+Y, Ctrl+Shift+Z", "redo"], ["?", "this list"]];
+const ALWAYS = [["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
 
 function along(event, direction, fine) {
   if (fine) return act.insert(0.1 * direction, event.timeStamp);

@@ -51,16 +51,16 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }
 }
 
 function buildBase({ limits }) {
-  const y = { name: "y", unit: "mm", write: asMm, limits: limits.base_y_mm };
+  const y = { of: "base", name: "y", unit: "mm", write: asMm, limits: limits.base_y_mm };
   inputField("base-fields", ["base_y_mm", null], y, () => now.state.base.input_y);
-  const angle = { name: "slope", unit: "°", write: asDegrees, limits: [-10, 10] };
+  const angle = { of: "base", name: "slope", unit: "°", write: asDegrees, limits: [-10, 10] };
   inputField("base-fields", ["base_slope", null], angle, () => now.state.base.input_slope, ANGLE);
 }
 
 function buildTip() {
-  const y = { name: "deflection", unit: "mm", write: asMm };
+  const y = { of: "tip", name: "deflection", unit: "mm", write: asMm };
   inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.y);
-  const angle = { name: "slope", unit: "°", write: asDegrees };
+  const angle = { of: "tip", name: "slope", unit: "°", write: asDegrees };
   const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.slope, ANGLE);
   field.ask = (value, how) => change([["tip_y_mm", null, now.state.tip.y], ["tip_slope", null, slope(value)]], how);
 }

@@ -41,10 +41,10 @@ function holdButton(button, direction) {
 
 /** Let the buttons say what can be done, and the bevel's which side it turns to. */
 export function refresh() {
-  const { undo, redo, moving, bevel } = now.state;
+  const { undo, redo, moving, playing, bevel } = now.state;
   part("undo").disabled = !undo;
   part("redo").disabled = !redo;
-  part("halt").disabled = moving === 0;
+  part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
   const side = bevel.side > 0 ? "▲ to +y" : "▼ to −y";
