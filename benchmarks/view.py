@@ -142,9 +142,9 @@ def real_time(subject: str, seconds: float) -> dict:
 def sustained(subject: str, seconds: float = 60.0) -> float:
     """Return equilibria a second of one core, step by step from Python."""
     from needlefit.mechanics.scene import Scene
-    from needlefit.viewer.inputs import Change
+    from needlefit.viewer.hand.inputs import Change
+    from needlefit.viewer.hand.steering import Steering
     from needlefit.viewer.opening import open_subject
-    from needlefit.viewer.steering import Steering
 
     shown = open_subject(subject)
     steering = Steering(Scene.from_record(shown.record), shown.first_cell)
@@ -241,8 +241,8 @@ def endure(subject: str, minutes: float, seed: int) -> dict:
 
 def replayed(path: Path) -> tuple[int, float, float]:
     """Return the steps of a recording, where it ends, and how far it ever is from what was recorded, mm."""
-    from needlefit.viewer.recording import read
-    from needlefit.viewer.replay import replay
+    from needlefit.viewer.recording.log import read
+    from needlefit.viewer.recording.replay import replay
 
     worst, last = 0.0, None
     for last in replay(read(path)):

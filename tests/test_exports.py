@@ -26,11 +26,11 @@ from needlefit.reporting.figures.animation import sampled
 from needlefit.reporting.figures.moment import draw_moment, paint
 from needlefit.reporting.figures.sheet import Beside, lay_out
 from needlefit.reporting.shape_table import shape_table, write_shape
-from needlefit.viewer.export import KINDS, export
-from needlefit.viewer.inputs import Change
+from needlefit.viewer.exports.export import KINDS, export
+from needlefit.viewer.hand.inputs import Change
+from needlefit.viewer.hand.steering import Steering
 from needlefit.viewer.opening import open_subject
-from needlefit.viewer.recording import Recorded, Recorder, head_of
-from needlefit.viewer.steering import Steering
+from needlefit.viewer.recording.log import Recorded, Recorder, head_of
 
 NEEDLE = Needle(150.0, 1.0e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
