@@ -31,11 +31,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import numpy as np
-from playwright.sync_api import Page, sync_playwright
+from playwright.sync_api import Page, TimeoutError, sync_playwright
 
 FRAME = 1000 / 60
 LATE = 1.5
@@ -142,9 +142,9 @@ def real_time(subject: str, seconds: float) -> dict:
 def sustained(subject: str, seconds: float = 60.0) -> float:
     """Return equilibria a second of one core, step by step from Python."""
     from needlefit.mechanics.scene import Scene
-    from needlefit.viewer.inputs import Change
+    from needlefit.viewer.hand.inputs import Change
+    from needlefit.viewer.hand.steering import Steering
     from needlefit.viewer.opening import open_subject
-    from needlefit.viewer.steering import Steering
 
     shown = open_subject(subject)
     steering = Steering(Scene.from_record(shown.record), shown.first_cell)
@@ -191,9 +191,8 @@ def wander(page: Page, rng: random.Random) -> None:
         page.press("#goto-depth", "Enter")
         page.wait_for_timeout(300)
     else:
-        button = page.locator(f"#{kind}")
-        if button.is_enabled():
-            button.click()
+        with suppress(TimeoutError):  # there may be nothing to undo
+            page.locator(f"#{kind}").click(timeout=200)
 
 
 def memory(page: Page, server: int) -> dict:
@@ -223,6 +222,8 @@ def endure(subject: str, minutes: float, seed: int) -> dict:
                 print(told[-1], file=sys.stderr)
             wander(page, rng)
             n += 1
+        page.focus("#canvas")
+        page.keyboard.press("Space")  # what goes on by itself is stopped
         page.wait_for_timeout(1000)
         state, scene = page.evaluate("[window.needlefit.state, window.needlefit.scene]")
         told.append({"minutes": t / 60, "actions": n} | memory(page, pid))
@@ -240,8 +241,8 @@ def endure(subject: str, minutes: float, seed: int) -> dict:
 
 def replayed(path: Path) -> tuple[int, float, float]:
     """Return the steps of a recording, where it ends, and how far it ever is from what was recorded, mm."""
-    from needlefit.viewer.recording import read
-    from needlefit.viewer.replay import replay
+    from needlefit.viewer.recording.log import read
+    from needlefit.viewer.recording.replay import replay
 
     worst, last = 0.0, None
     for last in replay(read(path)):

@@ -26,11 +26,11 @@ from needlefit.reporting.figures.animation import sampled
 from needlefit.reporting.figures.moment import draw_moment, paint
 from needlefit.reporting.figures.sheet import Beside, lay_out
 from needlefit.reporting.shape_table import shape_table, write_shape
-from needlefit.viewer.export import KINDS, export
-from needlefit.viewer.inputs import Change
+from needlefit.viewer.exports.export import KINDS, export
+from needlefit.viewer.hand.inputs import Change
+from needlefit.viewer.hand.steering import Steering
 from needlefit.viewer.opening import open_subject
-from needlefit.viewer.recording import Recorded, Recorder, head_of
-from needlefit.viewer.steering import Steering
+from needlefit.viewer.recording.log import Recorded, Recorder, head_of
 
 NEEDLE = Needle(150.0, 1.0e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
@@ -130,13 +130,14 @@ def test_the_inserted_part_alone_is_shown_where_nothing_but_the_bevel_steers() -
 def test_what_is_written_above_is_what_acts() -> None:
     moment = end(scene())
     found = loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
-    lines, tip = told(Entry(), moment, found)
+    lines, tip = told(Entry(), moment, found, 90)
     assert lines[0].startswith("15.25 mm deep  ·  bevel right  ·  base +1 mm")
     forces = [found.base.force, *(hold.force for hold in found.guides)]
     base, guide, ring = (f"{force:+.3f} N" for force in forces)
     said = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
     assert lines[1] == said.replace("-", "−")
-    assert tip.endswith(f"tip force {found.tip_force:+.3f} N".replace("-", "−"))
+    assert len(told(Entry(), moment, found, 30)[0]) > 4
+    assert tip[1] == (f"tip force {found.tip_force:+.3f} N".replace("-", "−"))
 
 
 @pytest.mark.parametrize(

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import subprocess
 import sys
 import tarfile
@@ -53,6 +54,19 @@ def installed(built: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str
 def test_the_wheel_is_small(built):
     (wheel,) = built.glob("*.whl")
     assert wheel.stat().st_size <= TEN_MB
+
+
+def test_the_page_of_the_view_is_in_the_wheel_whole(installed):
+    """Whatever a file of the page names is there too: it needs no build, and nothing from elsewhere."""
+    place = Path("needlefit/viewer/page")
+    page = Path(installed["PYTHONPATH"]) / place
+    here = {path.relative_to(ROOT / place) for path in (ROOT / place).rglob("*") if path.is_file()}
+    assert {path.relative_to(page) for path in page.rglob("*") if path.is_file()} == here
+    named = re.compile(r"""(?:from|import|url\(|new Worker\(new URL\()\s*["'](\./|\.\./)([^"']+)["']""")
+    for path in page.rglob("*.js"):
+        for up, name in named.findall(path.read_text()):
+            assert (path.parent / up / name).is_file(), (path.name, name)
+    assert [p.name for p in page.rglob("*") if p.is_file() and "https://" in p.read_text()] == []
 
 
 def test_the_wheel_is_used_not_the_repository(installed, tmp_path):

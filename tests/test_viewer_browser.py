@@ -10,8 +10,8 @@ import time
 import numpy as np
 import pytest
 
-from needlefit.viewer.recording import read
-from needlefit.viewer.replay import replay
+from needlefit.viewer.recording.log import read
+from needlefit.viewer.recording.replay import replay
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FOUND = next((path for name in BROWSERS if (path := shutil.which(name))), None)

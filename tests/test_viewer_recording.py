@@ -10,10 +10,10 @@ from needlefit.mechanics.simulate import follow
 from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.scene import SceneRecord
-from needlefit.viewer.inputs import Change, changes_to
-from needlefit.viewer.recording import Recorded, Recorder, head_of, read
-from needlefit.viewer.replay import replay
-from needlefit.viewer.steering import Steering
+from needlefit.viewer.hand.inputs import Change, changes_to
+from needlefit.viewer.hand.steering import Steering
+from needlefit.viewer.recording.log import Recorded, Recorder, head_of, read
+from needlefit.viewer.recording.replay import replay
 
 RECORD = load(find("scene", "figure1"), SceneRecord)
 PLAIN = load(find("scene", "study2"), SceneRecord)

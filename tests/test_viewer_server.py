@@ -7,13 +7,13 @@ from contextlib import asynccontextmanager
 import aiohttp
 import pytest
 
-from needlefit.viewer.door import BURST, LARGEST, Door, Pace
-from needlefit.viewer.messages import read as read_message
 from needlefit.viewer.opening import open_subject
-from needlefit.viewer.recording import read
-from needlefit.viewer.replay import replay
-from needlefit.viewer.server import serve
-from needlefit.viewer.trials import Trials
+from needlefit.viewer.recording.log import read
+from needlefit.viewer.recording.replay import replay
+from needlefit.viewer.serving.door import BURST, LARGEST, Door, Pace
+from needlefit.viewer.serving.messages import read as read_message
+from needlefit.viewer.serving.server import serve
+from needlefit.viewer.serving.trials import Trials
 
 
 class Page:

@@ -1,4 +1,4 @@
-"""The files that `simulate` writes of a scene; of a recording `viewer/export.py` does."""
+"""The files that `simulate` writes of a scene; of a recording `viewer/exports/export.py` does."""
 
 from dataclasses import dataclass
 from pathlib import Path

@@ -63,9 +63,9 @@ def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
 
 def of_recording(path: Path, upto: int | None) -> Simulated:
     """Carry out a recording, or its steps up to number `upto`."""
-    from needlefit.viewer import export
-    from needlefit.viewer.outcome import carry_out
-    from needlefit.viewer.recording import read
+    from needlefit.viewer.exports import export
+    from needlefit.viewer.exports.outcome import carry_out
+    from needlefit.viewer.recording.log import read
 
     recording = read(path)
     if upto is not None:

@@ -15,8 +15,8 @@ from needlefit.cli import options, screen
 from needlefit.cli.completion import subjects
 
 if TYPE_CHECKING:
-    from needlefit.viewer.door import Door
-    from needlefit.viewer.trials import Trials
+    from needlefit.viewer.serving.door import Door
+    from needlefit.viewer.serving.trials import Trials
 
 
 def view(
@@ -69,7 +69,7 @@ def view(
 def _server() -> Callable[..., "Coroutine[None, None, None]"]:
     """Return what serves, if what that needs is installed."""
     try:
-        from needlefit.viewer.server import serve
+        from needlefit.viewer.serving.server import serve
     except ModuleNotFoundError as error:
         if error.name != "aiohttp":
             raise
@@ -85,8 +85,8 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
 def _trials(subject: str | None, inputs: Path | None, folder: Path) -> "Trials":
     from needlefit.viewer.opening import open_subject
     from needlefit.viewer.opening.recorded import open_recorded
-    from needlefit.viewer.recording import read
-    from needlefit.viewer.trials import Trials
+    from needlefit.viewer.recording.log import read
+    from needlefit.viewer.serving.trials import Trials
 
     source = None if inputs is None else read(inputs)
     shown = open_subject(subject) if source is None else open_recorded(source)

@@ -18,7 +18,6 @@ from needlefit.reporting.figures.world import TIP
 Floats = NDArray[np.float64]
 
 LOAD = "#CC79A7"
-_LINE = 84  # letters that fit above a drawing, beside what is said of the tip
 _BETWEEN = "  ·  "
 _ARROW = {
     "arrowstyle": "-|>,head_width=0.12,head_length=0.3",
@@ -61,17 +60,20 @@ def draw_tip_force(axes: Axes, entry: Entry, moment: Moment, length: float) -> N
     axes.annotate("", end, start, arrowprops=_ARROW, zorder=7)
 
 
-def told(entry: Entry, moment: Moment, found: Loads) -> tuple[list[str], str]:
-    """Return what is written above a drawing: where the needle stands and what holds it; and of its tip."""
+def told(entry: Entry, moment: Moment, found: Loads, letters: int) -> tuple[list[str], list[str]]:
+    """Return what is written above a drawing: where the needle stands and what holds it; and of its tip.
+
+    In lines, the first of at most so many letters.
+    """
     step, frame = moment.step, "" if entry == Entry() else " in C"
     stands = [f"{step.depth:.4g} mm deep", *changes(None, step, frame), f"b {step.bevel.offset:.3g} mm"]
     held = [
         f"base {_force(found.base.force)}, {_signed(f'{found.base.moment:+z.2f}')} N mm",
         *_guides(step, found),
     ]
-    lines = [line for parts in (stands, held) for line in textwrap.wrap(_BETWEEN.join(parts), _LINE)]
-    tip = f"tip {_signed(f'{moment.shape.deflection:+z.2f}')} mm{frame}\ntip force {_force(found.tip_force)}"
-    return lines, tip
+    lines = [line for parts in (stands, held) for line in textwrap.wrap(_BETWEEN.join(parts), letters)]
+    tip = f"tip {_signed(f'{moment.shape.deflection:+z.2f}')} mm{frame}"
+    return lines, [tip, f"tip force {_force(found.tip_force)}"]
 
 
 def round_up(value: float) -> float:

@@ -62,10 +62,14 @@ def paint(sheet: Sheet, moment: Moment) -> None:
     axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **PATH)
     draw_needle(axes, scene, moment.step, moment.shape)
     draw_tip_force(axes, scene.entry, moment, found.tip_force * sheet.arrow)
-    lines, tip = told(scene.entry, moment, found)
-    below = [""] * (sheet.lines - len(lines))
-    axes.set_title("\n".join([*lines, *below]), loc="left", pad=4)
-    axes.set_title("\n".join([tip, *[""] * (sheet.lines - 2)]), loc="right", pad=4, color=TIP)
+    lines, tip = told(scene.entry, moment, found, sheet.letters)
+    axes.set_title(_filled(lines, sheet.lines), loc="left", pad=4)
+    axes.set_title(_filled(tip, sheet.lines), loc="right", pad=4, color=TIP)
+
+
+def _filled(lines: list[str], count: int) -> str:
+    """Return so many lines, the last ones empty."""
+    return "\n".join([*lines, *[""] * (count - len(lines))])
 
 
 def _draw_beside(axes: Axes, entry: Entry, beside: Beside) -> None:

@@ -28,9 +28,11 @@ PATH: dict[str, Any] = {"color": TIP, "lw": 0.5, "ls": (0, (3, 2))}
 _OUTSIDE = 0.22  # share of the depth shown before the entry, where nothing but the inserted part is shown
 _HIGHEST = 0.1  # share of the drawing's length that the largest load takes
 _LONGEST = 0.08  # and the largest tip force
-_FLATTEST = 0.2  # least height over width
-_TALLEST = 8.0  # inches
-_COLUMNS = 5  # of the legend
+_FLATTEST, _STEEPEST = 0.2, 1.1  # height over width
+_TALLEST = 6.5  # inches
+_LETTER = 0.06  # inches, of 7.5 point type
+_TIP = 1.5  # inches, of what is said of the tip
+_COLUMN = 1.2  # inches, of the legend, on an average
 
 
 @dataclass(frozen=True)
@@ -74,8 +76,8 @@ class Sheet:
         Lateral load that a drawn millimetre stands for, N/mm; 0 where there is none to draw.
     arrow : float
         Length of the arrow of a tip force of one newton, mm.
-    lines : int
-        Kept for what is written above the drawing.
+    letters, lines : int
+        Room for what is written above the drawing, beside what is said of the tip.
     """
 
     figure: Figure
@@ -85,6 +87,7 @@ class Sheet:
     inches: float
     per_mm: float
     arrow: float
+    letters: int
     lines: int
 
 
@@ -115,20 +118,23 @@ def lay_out(
     pairs = list(zip(moments, found, strict=True))
     points = np.concatenate([points, *(_forces(scene.entry, *pair, per_mm, arrow) for pair in pairs)])
     x, y = window(points, _FLATTEST * span)
+    more = max(0.0, (y[1] - y[0]) / _STEEPEST - (x[1] - x[0]))
+    x = x[0] - more / 2, x[1] + more / 2
     inches = min((WIDTH - 0.6) / (x[1] - x[0]), _TALLEST / (y[1] - y[0]))
-    lines = max(len(told(scene.entry, *pair)[0]) for pair in pairs)
-    guides = any(moment.step.controls.guides for moment in moments)
-    handles = _handles(beside, per_mm, guides)
-    above = 0.75 + 0.14 * (lines + math.ceil(len(handles) / _COLUMNS))
-    figure = Figure(figsize=(inches * (x[1] - x[0]) + 0.6, inches * (y[1] - y[0]) + above))
+    width, height = inches * (x[1] - x[0]), inches * (y[1] - y[0])
+    letters, columns = int((width - _TIP) / _LETTER), int(width / _COLUMN)
+    lines = max(len(told(scene.entry, *pair, letters)[0]) for pair in pairs)
+    handles = _handles(beside, per_mm, any(moment.step.controls.guides for moment in moments))
+    above = 0.75 + 0.14 * (lines + math.ceil(len(handles) / columns))
+    figure = Figure(figsize=(width + 0.6, height + above))
     axes = figure.add_subplot()
     axes.set(xlim=x, ylim=y, xlabel="x in the world (mm)", ylabel="y in the world (mm)", aspect=1)
     figure.legend(
-        handles=handles, loc="outside upper left", ncols=_COLUMNS, handletextpad=0.4, handlelength=1.4,
+        handles=handles, loc="outside upper left", ncols=columns, handletextpad=0.4, handlelength=1.4,
         columnspacing=1.2, title=title, alignment="left", title_fontsize=8,
     )  # fmt: skip
     label_origin(figure, beside.synthetic)
-    return Sheet(figure, axes, scene, beside, inches, per_mm, arrow, lines)
+    return Sheet(figure, axes, scene, beside, inches, per_mm, arrow, letters, lines)
 
 
 def _shown(scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool) -> Floats:

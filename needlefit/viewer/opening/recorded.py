@@ -4,7 +4,7 @@ from dataclasses import replace
 
 from needlefit.errors import NeedlefitError
 from needlefit.viewer.opening import open_subject
-from needlefit.viewer.recording import Recording
+from needlefit.viewer.recording.log import Recording
 from needlefit.viewer.subject import Subject
 
 

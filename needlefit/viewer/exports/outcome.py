@@ -5,9 +5,9 @@ from dataclasses import dataclass, replace
 
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
-from needlefit.viewer.recording import Recording
-from needlefit.viewer.replay import begin, replay
-from needlefit.viewer.steering import Steering
+from needlefit.viewer.hand.steering import Steering
+from needlefit.viewer.recording.log import Recording
+from needlefit.viewer.recording.replay import begin, replay
 
 
 @dataclass(frozen=True)

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from needlefit.mechanics.plan import NEAR
-from needlefit.viewer.inputs import Change, changes_to
-from needlefit.viewer.recording import Recorded
-from needlefit.viewer.replay import keep_for_returns, last_returns
-from needlefit.viewer.trial import Trial
+from needlefit.viewer.hand.inputs import Change, changes_to
+from needlefit.viewer.recording.log import Recorded
+from needlefit.viewer.recording.replay import keep_for_returns, last_returns
+from needlefit.viewer.serving.trial import Trial
 
 LONGEST = 0.1
 """Time that one frame may carry the needle on, s: after a pause it does not leap."""

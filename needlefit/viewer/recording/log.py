@@ -19,7 +19,7 @@ from needlefit.datasets.formats.toml import dumps
 from needlefit.errors import DataError, ModelError
 from needlefit.project.load import check
 from needlefit.project.records.recording import RecordingRecord
-from needlefit.viewer.inputs import Change
+from needlefit.viewer.hand.inputs import Change
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "deflection_mm")
 

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from needlefit.errors import ModelError
-from needlefit.viewer.inputs import Change
+from needlefit.viewer.hand.inputs import Change
 
 DOES = frozenset(
     ("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show")

@@ -5,13 +5,13 @@ from time import monotonic
 from typing import Any
 
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.viewer.inputs import Change
-from needlefit.viewer.messages import FASTEST, Message
-from needlefit.viewer.motions import LONGEST, Motion, Play, Replay, Stroke
-from needlefit.viewer.picture import scene_message, state_message
-from needlefit.viewer.recording import read
-from needlefit.viewer.trial import Trial
-from needlefit.viewer.trials import Trials
+from needlefit.viewer.hand.inputs import Change
+from needlefit.viewer.recording.log import read
+from needlefit.viewer.serving.messages import FASTEST, Message
+from needlefit.viewer.serving.motions import LONGEST, Motion, Play, Replay, Stroke
+from needlefit.viewer.serving.picture import scene_message, state_message
+from needlefit.viewer.serving.trial import Trial
+from needlefit.viewer.serving.trials import Trials
 
 Reply = dict[str, Any]
 

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needlefit.viewer.outcome import Outcome, carry_out, duration, timed
-from needlefit.viewer.recording import read
+from needlefit.viewer.exports.outcome import Outcome, carry_out, duration, timed
+from needlefit.viewer.recording.log import read
 
 if TYPE_CHECKING:
     from needlefit.reporting.figures.sheet import Beside

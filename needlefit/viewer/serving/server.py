@@ -12,17 +12,17 @@ from typing import Any
 from aiohttp import WSCloseCode, WSMsgType, web
 
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.viewer.door import HEADERS, LARGEST, LOOPBACK, Door, Pace
-from needlefit.viewer.export import KINDS, export
-from needlefit.viewer.messages import Message, read
+from needlefit.viewer.exports.export import KINDS, export
 from needlefit.viewer.overlay.band import band
 from needlefit.viewer.overlay.slice import slice_of
-from needlefit.viewer.picture import band_message
-from needlefit.viewer.trial import Trial
-from needlefit.viewer.trials import Trials
-from needlefit.viewer.window import Reply, Window
+from needlefit.viewer.serving.door import HEADERS, LARGEST, LOOPBACK, Door, Pace
+from needlefit.viewer.serving.messages import Message, read
+from needlefit.viewer.serving.picture import band_message
+from needlefit.viewer.serving.trial import Trial
+from needlefit.viewer.serving.trials import Trials
+from needlefit.viewer.serving.window import Reply, Window
 
-PAGE = Path(__file__).parent / "page"
+PAGE = Path(__file__).parent.parent / "page"
 
 PATIENCE = 10.0
 """Time in which a window must say its token, s."""

@@ -6,9 +6,9 @@ from datetime import datetime
 from pathlib import Path, PurePath
 
 from needlefit.errors import ModelError
-from needlefit.viewer.recording import Recording
+from needlefit.viewer.recording.log import Recording
+from needlefit.viewer.serving.trial import Trial
 from needlefit.viewer.subject import Subject
-from needlefit.viewer.trial import Trial
 
 MOST = 32
 """Needles that are kept; of more, those whose windows closed longest ago are let go, but no recording."""

@@ -10,8 +10,8 @@ from needlefit.mechanics.control import Step
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment, Session
 from needlefit.mechanics.tissue import Tissue
-from needlefit.viewer.inputs import PARAMETERS, Change, changed
-from needlefit.viewer.speed import sustained
+from needlefit.viewer.hand.inputs import PARAMETERS, Change, changed
+from needlefit.viewer.hand.speed import sustained
 
 
 class Steering:

@@ -9,10 +9,10 @@ from needlefit.mechanics.control import Guide
 from needlefit.mechanics.load import Loads, loads
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.viewer.inputs import number_of
+from needlefit.viewer.hand.inputs import number_of
 from needlefit.viewer.overlay.band import NeedleBand
 from needlefit.viewer.overlay.measured import live_errors
-from needlefit.viewer.trial import Trial
+from needlefit.viewer.serving.trial import Trial
 
 Floats = NDArray[np.float64]
 

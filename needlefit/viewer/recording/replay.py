@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
-from needlefit.viewer.recording import Recorded, Recording
-from needlefit.viewer.steering import Steering
+from needlefit.viewer.hand.steering import Steering
+from needlefit.viewer.recording.log import Recorded, Recording
 
 
 @dataclass(frozen=True)

@@ -6,9 +6,9 @@ from time import monotonic
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.scene import Scene
-from needlefit.viewer.inputs import Change
-from needlefit.viewer.recording import Recorded, Recorder, Recording, head_of
-from needlefit.viewer.steering import Steering
+from needlefit.viewer.hand.inputs import Change
+from needlefit.viewer.hand.steering import Steering
+from needlefit.viewer.recording.log import Recorded, Recorder, Recording, head_of
 from needlefit.viewer.subject import Subject
 
 MOST_UNDONE = 200

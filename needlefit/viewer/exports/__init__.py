@@ -1,0 +1,1 @@
+"""What can be taken away of a recording: its shape, its picture, its course."""

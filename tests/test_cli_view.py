@@ -1,0 +1,73 @@
+"""`needlefit view` from the shell: what it prints, how it ends, what it refuses."""
+
+import signal
+import subprocess
+import sys
+import urllib.request
+
+import pytest
+from test_cli import run
+from test_viewer_recording import recorded
+
+from needlefit.viewer.opening.recorded import open_recorded
+from needlefit.viewer.recording.log import read
+
+
+def test_it_serves_its_page_and_ends_when_told(tmp_path):
+    command = [sys.executable, "-m", "needlefit", "view", "study2", "--no-browser", "--out", str(tmp_path)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        address = process.stdout.readline()
+        page, token = address.strip().split("#token=")
+        with urllib.request.urlopen(page) as answer:
+            text = answer.read().decode()
+        process.send_signal(signal.SIGINT)
+        out, _ = process.communicate(timeout=20)
+    assert page.startswith("http://127.0.0.1:") and len(token) >= 32
+    assert "<title>needlefit" in text and token not in text
+    assert (process.returncode, out) == (0, "")  # nothing was steered, so nothing recorded
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "code", "said"),
+    [
+        (("no_such_thing",), 3, "no_such_thing"),
+        (("twin/phantom2-99",), 3, "phantom2-09"),
+        (("study2", "--inputs", "log.csv"), 2, "leave it out"),
+        (("--inputs", "log.csv"), 3, "no such file"),
+        (("study2", "--port", "70000"), 2, "--port"),
+    ],
+)
+def test_what_cannot_be_shown_is_refused_before_anything_is_served(words, code, said, capsys, tmp_path):
+    assert run("view", *words, "--no-browser", "--out", str(tmp_path)) == code
+    assert said in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_port_that_is_taken_is_told(capsys):
+    import socket
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        assert run("view", "study2", "--no-browser", "--port", str(port)) == 3
+    assert f"port {port} cannot be used" in capsys.readouterr().err
+
+
+def test_a_missing_extra_is_named_with_the_line_that_installs_it(capsys, monkeypatch):
+    monkeypatch.setitem(sys.modules, "aiohttp", None)
+    for name in [name for name in sys.modules if name.startswith("needlefit.viewer.serving")]:
+        monkeypatch.delitem(sys.modules, name)
+    assert run("view", "study2", "--no-browser") == 3
+    assert "pip install 'needlefit[view]'" in capsys.readouterr().err
+
+
+def test_a_recording_opens_with_what_lay_beside_it(tmp_path):
+    path = tmp_path / "log.csv"
+    recorded(path)
+    shown = open_recorded(read(path))
+    assert (shown.name, shown.first_cell) == ("study2", 1.0)
+    path.write_text(path.read_text().replace('subject = "study2"', 'subject = "twin/phantom2-05"'))
+    changed = open_recorded(read(path))
+    assert changed.measured is None and "has changed since" in changed.note
+    path.write_text(path.read_text().replace('subject = "twin/phantom2-05"', 'subject = "gone"'))
+    assert "is not found" in open_recorded(read(path)).note
