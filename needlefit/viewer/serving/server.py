@@ -72,7 +72,7 @@ class Server:
 
     async def _attend(self, request: web.Request) -> web.WebSocketResponse:
         """Serve one window for as long as it is there."""
-        socket_ = web.WebSocketResponse(max_msg_size=LARGEST, heartbeat=20.0, compress=False)
+        socket_ = web.WebSocketResponse(timeout=2.0, max_msg_size=LARGEST, heartbeat=20.0, compress=False)
         await socket_.prepare(request)
         hello = await self._hello(socket_)
         if hello is None:
