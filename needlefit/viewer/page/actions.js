@@ -7,6 +7,7 @@ import { now } from "./store.js";
 const WITHIN = 1000; // ms; a key pressed again so soon goes on with what the one before began
 const STEP = { base_mm: 0.1, turn_deg: 0.1, offset_mm: 0.005 };
 const CLEAR = 2; // mm that a new guide keeps from its neighbours
+const REACH = 0.6; // of the needle's length: a new guide stands nearer than that, to let the needle go in
 
 const speedField = document.getElementById("speed");
 let lastNudge = { what: null, at: -Infinity, gesture: 0 };
@@ -30,7 +31,9 @@ export function goTo(depth) {
 export const ownDepth = () => now.scene.measured?.depth_mm ?? now.scene.depth_mm;
 
 /** Turn the bevel over. */
-export const flip = (at) => change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
+export function flip(at) {
+  change([["bevel_side", null, -wanted("bevel_side", null, now.state.bevel.side)]], { at });
+}
 
 /** Move the base by so many steps. */
 export function nudgeBase(steps, at) {
@@ -48,13 +51,15 @@ export function nudgeTurn(steps, at) {
 export function nudgeOffset(steps, at) {
   const offset = wanted("bevel_offset_mm", null, now.state.bevel.offset_mm) + steps * STEP.offset_mm;
   const [low, high] = now.scene.limits.offset_mm;
-  change([["bevel_offset_mm", null, Math.min(Math.max(offset, low), high)]], { gesture: going("offset"), at });
+  const within = Math.min(Math.max(offset, low), high);
+  change([["bevel_offset_mm", null, within]], { gesture: going("offset"), at });
 }
 
 /** Put a guide on the needle at x (mm), where it changes nothing yet; by default between base and skin. */
 export function addGuide(x = freePlace(), at = performance.now()) {
   const item = freeNumber();
-  change([["guide_x_mm", item, x], ["guide_y_mm", item, needleAt(x)], ["guide_turns_freely", item, 1]], { at });
+  const place = [["guide_x_mm", item, x], ["guide_y_mm", item, needleAt(x)]];
+  change([...place, ["guide_turns_freely", item, 1]], { at });
 }
 
 /** Hold the tip where it is, or let go of it. */
@@ -88,7 +93,8 @@ function freeNumber() {
 /** A place before the skin, halfway in the widest gap that guides leave. */
 function freePlace() {
   const taken = now.state.guides.map(({ x }) => x).filter((x) => x < 0);
-  const edges = [Math.max(now.state.base.x, -0.6 * now.scene.length_mm) + CLEAR, ...taken, -CLEAR].sort((a, b) => a - b);
+  const first = Math.max(now.state.base.x, -REACH * now.scene.length_mm) + CLEAR;
+  const edges = [first, ...taken, -CLEAR].sort((one, other) => one - other);
   const gaps = edges.slice(1).map((edge, i) => [edge - edges[i], (edge + edges[i]) / 2]);
   return Math.round(gaps.reduce((widest, gap) => (gap[0] > widest[0] ? gap : widest))[1] * 10) / 10;
 }

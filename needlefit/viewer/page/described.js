@@ -15,16 +15,19 @@ export function inWords() {
   const held = guides.length === 1 ? "1 guide" : `${guides.length} guides`;
   const sentences = [
     `The needle is ${state.depth_mm.toFixed(1)} mm deep, of ${scene.length_mm.toFixed(0)} mm.`,
-    `Its tip is deflected ${signed(tip.deflection_mm, 2)} mm${tip.held ? " and held there" : ""}, at ${signed(degrees(tip.slope), 1)} degrees.`,
+    `Its tip is deflected ${signed(tip.deflection_mm, 2)} mm${tip.held ? " and held there" : ""}, at ${angle(tip)}.`,
     `The bevel turns the cut toward ${bevel.side > 0 ? "+y" : "−y"}, b is ${bevel.offset_mm.toFixed(3)} mm.`,
-    `The base stands at y ${signed(base.y, 2)} mm, at ${signed(degrees(base.slope), 1)} degrees; ${held}.`,
+    `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
     `Tip force ${signed(state.forces.tip_n, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
   ];
   if (errors) {
-    sentences.push(`Against the measured needle ${comparedUpTo(errors)}: mean in-plane error ${errors.ipe_mean_mm.toFixed(2)} mm, tip error ${errors.te_mm?.toFixed(2) ?? "not defined"} mm.`);
+    const [mean, tipError] = [errors.ipe_mean_mm.toFixed(2), errors.te_mm.toFixed(2)];
+    sentences.push(`Against the measured needle ${comparedUpTo(errors)}: IPE mean ${mean} mm, TE ${tipError} mm.`);
   }
   return sentences.join(" ");
 }
+
+const angle = ({ slope }) => `${signed(degrees(slope), 1)} degrees`;
 
 /** Keep the text alternative true. */
 export function refresh() {

@@ -1,4 +1,4 @@
-/** The picture: a background that is drawn when the view or the tissue changes, and a foreground of every frame. */
+/** The picture: a background, drawn when the view or the tissue changes, and a foreground of every frame. */
 
 import { paintAxes } from "./painters/axes.js";
 import { paintBase, paintGuides } from "./painters/holds.js";

@@ -60,7 +60,8 @@ function keep(blob, name) {
 }
 
 for (const [file, called] of Object.entries(FILES)) {
-  const button = Object.assign(document.createElement("button"), { type: "button", textContent: called, disabled: true });
+  const button = document.createElement("button");
+  Object.assign(button, { type: "button", textContent: called, disabled: true });
   button.dataset.file = file;
   button.addEventListener("click", () => save(file, button));
   group.append(button);

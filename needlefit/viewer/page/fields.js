@@ -12,16 +12,19 @@ let made = 0;
 /**
  * Make a field and put it at the end of `into`.
  *
- * `about` says its `name` and `unit`, what it is a number `of` where the name alone does not tell, how to `write`
- * a value, and whom to `ask` for another: ask(value, {gesture, at}). With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one.
+ * `about` says its `name` and `unit`, what it is a number `of` where the name alone does not tell, how to
+ * `write` a value, and whom to `ask` for another: ask(value, {gesture, at}). With `limits` [low, high] it has
+ * a slider too, if `logarithmic` a logarithmic one.
  */
 export function makeField(into, about) {
   const part = template.content.firstElementChild.cloneNode(true);
-  const [number, slider, mark, back] = [".number", ".slider", ".mark", ".home"].map((one) => part.querySelector(one));
+  const parts = [".number", ".slider", ".mark", ".home"];
+  const [number, slider, mark, back] = parts.map((one) => part.querySelector(one));
   const [to, from] = about.logarithmic ? LOGARITHMIC : LINEAR;
   const [low, high] = (about.limits ?? [0, 1]).map(to);
   const field = {
-    ...about, part, number, slider, mark, back, value: null, home: null, editing: false, gesture: newGesture(),
+    ...about, part, number, slider, mark, back,
+    value: null, home: null, editing: false, gesture: newGesture(),
     share: (value) => Math.min(Math.max((to(value) - low) / (high - low), 0), 1),
     at: (share) => from(low + share * (high - low)),
   };

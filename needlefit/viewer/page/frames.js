@@ -12,7 +12,7 @@ let oldestInput = null; // ms; of the inputs that the next frame is the first to
 const channel = new MessageChannel();
 let drawn = null; // the record of a frame that may not be painted yet
 
-/** Whatever runs next after a frame's scripts finds it painted; what an event holds up is not the frame's time. */
+/** Whatever runs next after a frame finds it painted; a message alone may be held up by an event. */
 function mark() {
   if (!drawn) return;
   drawn.painted = performance.now();
@@ -21,7 +21,7 @@ function mark() {
 }
 
 channel.port1.onmessage = mark;
-for (const kind of ["keydown", "keyup", "pointerdown", "pointerup"]) addEventListener(kind, mark, { capture: true });
+for (const kind of ["keydown", "keyup", "pointerdown", "pointerup"]) addEventListener(kind, mark, true);
 
 listen("state", ({ answers }) => {
   fresh = true;
@@ -34,7 +34,8 @@ export function start(paint) {
   const frame = (t) => {
     mark();
     receive();
-    const record = { t, step: now.state?.step ?? null, fresh, latency_ms: null, painted: null, input: oldestInput };
+    const step = now.state?.step ?? null;
+    const record = { t, step, fresh, input: oldestInput, latency_ms: null, painted: null };
     paint(fresh, t);
     fresh = false;
     oldestInput = null;

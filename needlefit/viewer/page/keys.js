@@ -10,14 +10,14 @@ import { pressed } from "./toolbar.js";
 const dialog = document.getElementById("keys");
 let holding = null; // the key that holds a move
 
-/** Keys as the browser calls them, what is written for them, what they do. Large is with Shift. */
+/** Keys as the browser calls them, what is written for them, and what they do. */
 const KEYS = [
-  [["ArrowRight"], "→", "insert, held; with Shift by 0.1 mm", (e, large) => along(e, 1, large)],
-  [["ArrowLeft"], "←", "retract, held; with Shift by 0.1 mm", (e, large) => along(e, -1, large)],
-  [["ArrowUp"], "↑", "base up by 0.1 mm; with Shift by 1 mm", (e, large) => act.nudgeBase(large ? 10 : 1, e.timeStamp)],
-  [["ArrowDown"], "↓", "base down, likewise", (e, large) => act.nudgeBase(large ? -10 : -1, e.timeStamp)],
-  [[",", "<", ";"], ",", "turn the base clockwise by 0.1°; with Shift by 1°", (e, large) => act.nudgeTurn(large ? -10 : -1, e.timeStamp)],
-  [[".", ">", ":"], ".", "turn it counterclockwise, likewise", (e, large) => act.nudgeTurn(large ? 10 : 1, e.timeStamp)],
+  [["ArrowRight"], "→", "insert, held; with Shift by 0.1 mm", (e) => along(e, 1)],
+  [["ArrowLeft"], "←", "retract, held; with Shift by 0.1 mm", (e) => along(e, -1)],
+  [["ArrowUp"], "↑", "base up by 0.1 mm; with Shift by 1 mm", (e) => act.nudgeBase(steps(e), e.timeStamp)],
+  [["ArrowDown"], "↓", "base down, likewise", (e) => act.nudgeBase(-steps(e), e.timeStamp)],
+  [[",", "<", ";"], ",", "turn the base right by 0.1°; with Shift by 1°", (e) => act.nudgeTurn(-steps(e), e.timeStamp)],
+  [[".", ">", ":"], ".", "turn it left, likewise", (e) => act.nudgeTurn(steps(e), e.timeStamp)],
   [["f", "F"], "F", "flip the bevel", (e) => e.repeat || act.flip(e.timeStamp)],
   [["[", "{"], "[", "b from here on less by 0.005 mm", (e) => act.nudgeOffset(-1, e.timeStamp)],
   [["]", "}"], "]", "b from here on more by 0.005 mm", (e) => act.nudgeOffset(1, e.timeStamp)],
@@ -32,10 +32,11 @@ const KEYS = [
   [["2"], "2", "show the tissue", () => show("tissue")],
   [["3"], "3", "follow the tip", () => show("tip")],
 ];
+const steps = (event) => (event.shiftKey ? 10 : 1);
 const ALWAYS = [["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
 
-function along(event, direction, fine) {
-  if (fine) return act.insert(0.1 * direction, event.timeStamp);
+function along(event, direction) {
+  if (event.shiftKey) return act.insert(0.1 * direction, event.timeStamp);
   if (event.repeat || holding) return;
   holding = event.key;
   act.hold(direction);
@@ -55,7 +56,7 @@ function down(event) {
   const found = KEYS.find(([keys]) => keys.includes(event.key));
   if (!found) return;
   event.preventDefault();
-  found[3](event, event.shiftKey);
+  found[3](event);
 }
 
 function history(event) {

@@ -1,8 +1,8 @@
 /**
  * Texts from one thread to another through shared memory.
  *
- * After a key is pressed a browser draws before it delivers messages. What lies in here is read at the beginning
- * of that very frame, so that the picture answers one frame sooner.
+ * After a key is pressed a browser draws before it delivers messages. What lies in here is read at the
+ * beginning of that very frame, so that the picture answers one frame sooner.
  */
 
 const SIZE = 1 << 22; // bytes that may wait

@@ -13,15 +13,26 @@ let fading = 0;
 /** Say what was refused and how to mend it, until it is read. */
 function refuse({ what, expected, mend }) {
   const parts = [what, expected && `Expected: ${expected}.`, mend && `To mend it: ${mend}.`].filter(Boolean);
-  refusal.replaceChildren(...parts.map((part, i) => Object.assign(document.createElement(i ? "span" : "strong"), { textContent: part })));
+  refusal.replaceChildren(...parts.map((part, i) => written(i ? "span" : "strong", part)));
   clearTimeout(fading);
   fading = setTimeout(() => refusal.replaceChildren(), LASTS);
 }
 
+const written = (tag, textContent) => Object.assign(document.createElement(tag), { textContent });
+const soon = (wait) => (wait < 1 ? "at once" : `in ${wait.toFixed(0)} s`);
+
+/** What is said while there is no line, and on the button. */
 const BANNERS = {
-  lost: ({ wait }) => [`Not connected to the needle. Trying again ${wait < 1 ? "at once" : `in ${wait.toFixed(0)} s`}; until then inputs are not sent.`, "Try now"],
-  bye: ({ what }) => [`The program has stopped${what ? `: ${what}` : ""}. Its recording is kept. The page looks for it until it is back.`, "Try now"],
-  stranger: () => ["The program does not know this page's token. Open the address as it was printed when the program began.", "Try again"],
+  lost: ({ wait }) => [
+    `Not connected to the needle. Trying again ${soon(wait)}; until then inputs are not sent.`, "Try now",
+  ],
+  bye: ({ what }) => [
+    `The program has stopped${what ? `: ${what}` : ""}. Its recording is kept. The page looks for it still.`,
+    "Try now",
+  ],
+  stranger: () => [
+    "The program does not know this page's token. Open the address as it was printed when it began.", "Try again",
+  ],
   taken: () => ["This needle is held by another window. Inputs here are not sent.", "Take it back"],
 };
 
@@ -36,6 +47,6 @@ listen("line", (line) => {
 });
 listen("refused", refuse);
 listen("notice", refuse);
-listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle.", mend: "wait until it is back" }));
+listen("unsent", () => refuse({ what: "Not sent: there is no line to the needle." }));
 refusal.addEventListener("click", () => refusal.replaceChildren());
 act.addEventListener("click", () => !now.connected && open());

@@ -8,6 +8,7 @@ import { listen, now } from "./store.js";
 
 const part = (id) => document.getElementById(id);
 const asMm = (value) => value.toFixed(3);
+const asPower = (value) => value.toFixed(2);
 const asDegrees = (value) => value.toFixed(2);
 
 let fields = []; // [field, () => value], of the scene that is shown
@@ -34,9 +35,9 @@ function build(scene) {
 function buildBevel({ limits, fitted }) {
   const about = { unit: "mm", write: asMm, limits: limits.offset_mm };
   const offset = () => now.state.bevel.offset_mm;
-  const here = inputField("bevel-fields", ["bevel_offset_mm", null], { ...about, name: "b from here on" }, offset);
-  const whole = inputField("bevel-fields", ["offset_throughout_mm", null], { ...about, name: "b throughout" }, offset);
-  for (const field of [here, whole]) setHome(field, fitted.offset_mm);
+  for (const [name, input] of [["b from here on", "bevel_offset_mm"], ["b throughout", "offset_throughout_mm"]]) {
+    setHome(inputField("bevel-fields", [input, null], { ...about, name }, offset), fitted.offset_mm);
+  }
 }
 
 function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }) {
@@ -44,7 +45,7 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }
     const called = names[i] || `layer ${i + 1}`;
     const layer = () => now.state.layers[i];
     const mu = { name: `${called} μ`, unit: "Pa", write: brief, limits: limits.mu_pa, logarithmic: true };
-    const alpha = { name: `${called} α`, unit: "", write: (value) => value.toFixed(2), limits: limits.alpha };
+    const alpha = { name: `${called} α`, unit: "", write: asPower, limits: limits.alpha };
     setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted.layers[i].mu_pa);
     setHome(inputField("tissue-fields", ["alpha", i + 1], alpha, () => layer().alpha), fitted.layers[i].alpha);
   }
@@ -62,7 +63,9 @@ function buildTip() {
   inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.y);
   const angle = { of: "tip", name: "slope", unit: "°", write: asDegrees };
   const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.slope, ANGLE);
-  field.ask = (value, how) => change([["tip_y_mm", null, now.state.tip.y], ["tip_slope", null, slope(value)]], how);
+  field.ask = (value, how) => { // a direction is held at a place
+    change([["tip_y_mm", null, now.state.tip.y], ["tip_slope", null, slope(value)]], how);
+  };
 }
 
 /** Let every field say what is, or what was asked for last. */

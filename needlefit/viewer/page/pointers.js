@@ -72,7 +72,8 @@ function up(event) {
 
 /** Two taps at one place on the needle put a guide there. */
 function tapped(event, [px, py]) {
-  const twice = event.timeStamp - lastTap.at < TWICE.within && Math.hypot(px - lastTap.px, py - lastTap.py) < TWICE.apart;
+  const near = Math.hypot(px - lastTap.px, py - lastTap.py) < TWICE.apart;
+  const twice = near && event.timeStamp - lastTap.at < TWICE.within;
   lastTap = twice ? { at: -Infinity, px, py } : { at: event.timeStamp, px, py };
   if (!twice || !now.state || handleAt(px, py, event.pointerType)) return;
   const x = fromPx(px);

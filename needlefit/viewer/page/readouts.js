@@ -16,7 +16,7 @@ const NEEDLE = [
 
 /** What is read of the comparison with a measured needle. */
 const ERRORS = [
-  ["TE", "mm", (e) => e.te_mm?.toFixed(3) ?? "–"],
+  ["TE", "mm", (e) => e.te_mm.toFixed(3)],
   ["IPE mean", "mm", (e) => e.ipe_mean_mm.toFixed(3)],
   ["IPE max", "mm", (e) => e.ipe_max_mm.toFixed(3)],
   ["EDP", "%", (e) => e.edp_percent?.toFixed(2) ?? "–"],
@@ -30,7 +30,8 @@ const against = document.getElementById("against");
 /** Put the names and units of readouts into a list; returns where their numbers stand. */
 function fill(list, readouts) {
   return readouts.map(([name, unit]) => {
-    const [row, term, value, number, small] = ["div", "dt", "dd", "span", "small"].map((tag) => document.createElement(tag));
+    const tags = ["div", "dt", "dd", "span", "small"];
+    const [row, term, value, number, small] = tags.map((tag) => document.createElement(tag));
     term.textContent = name;
     small.textContent = unit;
     number.textContent = "–";

@@ -19,6 +19,8 @@ export function refresh() {
   write("latency", latency === null ? "" : `input to picture ${latency.toFixed(0)} ms`);
   if (!now.state) return;
   const { steps, rate_per_s: rate, failed } = now.state.solver;
-  write("solver", `${grouped(steps)} solver steps${rate ? `, ${grouped(rate)} a second` : ""}${failed ? `, ${failed} failed` : ""}`);
+  const speed = rate && `${grouped(rate)} a second`;
+  const told = [`${grouped(steps)} solver steps`, speed, failed && `${failed} failed`];
+  write("solver", told.filter(Boolean).join(", "));
   write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
 }

@@ -93,9 +93,10 @@ export function letGo() {
   if (held !== null) halt();
 }
 
-/** Ask for the next frame of what goes on by itself; a page that is hidden asks for none, and its needle stands. */
+/** Ask for the next frame of what goes on by itself; a hidden page asks for none, and its needle stands. */
 export function askFrame() {
-  if (frame === null && now.connected && (now.state.moving || now.state.playing)) frame = send({ do: "frame" });
+  const { moving, playing } = now.state;
+  if (frame === null && now.connected && (moving || playing)) frame = send({ do: "frame" });
 }
 
 function heard({ answers }) {

@@ -52,7 +52,8 @@ export function refresh() {
 }
 
 const PRESSED = {
-  flip: (event) => act.flip(event.timeStamp), undo: act.undo, redo: act.redo, reset: act.reset, halt, play: act.play,
+  undo: act.undo, redo: act.redo, reset: act.reset, play: act.play, halt,
+  flip: (event) => act.flip(event.timeStamp),
   replay: () => command({ do: "replay", times: Number(part("times").value) }),
   "goto-scene": () => act.goTo(act.ownDepth()),
 };

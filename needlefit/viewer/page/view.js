@@ -5,11 +5,13 @@ import { now } from "./store.js";
 const GUTTER = { left: 46, right: 10, top: 10, bottom: 38 }; // px, for the axes
 const MAGNIFICATION = 5;
 const SCALES = [0.5, 400]; // px per mm
-const [EDGE, AHEAD] = [0.3, 0.2]; // parts of the window from its middle, when and where to while the tip is followed
+const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
-export const view = { x: 0, y: 0, scale: 5, magnified: 1, fit: "whole", box: { left: 0, top: 0, width: 1, height: 1 } };
+export const view = {
+  x: 0, y: 0, scale: 5, magnified: 1, fit: "whole", box: { left: 0, top: 0, width: 1, height: 1 },
+};
 
 let changed = true;
 
@@ -54,7 +56,7 @@ export function fit(which) {
   view.y = midHeight();
 }
 
-/** From the base at first contact to the deepest that the scene tells of; room in px for the base's handle. */
+/** From the base at first contact to the deepest that is told of; room in px for the base's handle. */
 function wholeSpan() {
   return [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 12];
 }
@@ -77,7 +79,7 @@ function midHeight() {
   return high < half && low > -half ? 0 : (low + high) / 2;
 }
 
-/** While the tip is followed: jump ahead of it once it nears the edge; the tissue is not drawn anew each time. */
+/** While the tip is followed: jump ahead once it nears the edge; the tissue is not drawn anew each time. */
 export function follow() {
   if (view.fit !== "tip") return;
   const { x, y } = now.state.tip;

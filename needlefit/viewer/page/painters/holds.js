@@ -32,7 +32,7 @@ function arrowHead(context, px, py, to) {
   context.fill();
 }
 
-/** Draw each guide: two jaws along its direction if it clamps, two points if the needle turns freely in it. */
+/** Draw each guide: two jaws along its direction if it clamps, two points if the needle turns in it. */
 export function paintGuides(context, state) {
   for (const guide of state.guides) {
     const { place, turn, angle } = guidePlace(guide);
@@ -40,7 +40,7 @@ export function paintGuides(context, state) {
     if (!guide.turns_freely) straight(context, place, turn, palette.guide, 1.5);
     turned(context, ...place, angle, () => {
       context.fillStyle = palette.guide;
-      for (const to of [-1, 1]) guide.turns_freely ? point(context, gap * to, to) : jaw(context, gap * to, to);
+      for (const to of [-1, 1]) (guide.turns_freely ? point : jaw)(context, gap * to, to);
     });
     if (!guide.turns_freely) ring(context, ...turn, HANDLE, palette.guide, palette.air);
     write(context, guide.item, place, gap + 24);

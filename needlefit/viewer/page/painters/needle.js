@@ -45,7 +45,8 @@ function stroke(context, path, colour, width) {
 /** The needle's points (px) without its last `length` px, and its tip. */
 function shortened(px, py, length) {
   const tip = [px.at(-1), py.at(-1)];
-  const points = px.map((one, i) => [one, py[i]]).filter(([x, y]) => Math.hypot(x - tip[0], y - tip[1]) > length);
+  const far = ([x, y]) => Math.hypot(x - tip[0], y - tip[1]) > length;
+  const points = px.map((one, i) => [one, py[i]]).filter(far);
   const [x, y] = points.at(-1) ?? tip;
   const share = 1 - length / (Math.hypot(x - tip[0], y - tip[1]) || 1);
   points.push([x + share * (tip[0] - x), y + share * (tip[1] - y)]);

@@ -33,7 +33,8 @@ function seenLayers() {
   return colours
     .map((shade, i) => ({
       shade, number: i + 1, name: names[i] || `layer ${i + 1}`, mu: now.state.layers[i].mu_pa,
-      from: Math.max(toPx(depths[i]), left), to: Math.min(toPx(depths[i + 1]), left + width), top: toPx(depths[i]),
+      top: toPx(depths[i]),
+      from: Math.max(toPx(depths[i]), left), to: Math.min(toPx(depths[i + 1]), left + width),
     }))
     .filter(({ from, to }) => to > from);
 }
