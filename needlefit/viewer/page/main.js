@@ -20,8 +20,8 @@ import * as transport from "./transport.js";
 const TOLD = [ // what is told beside the picture, and how often, ms
   { every: 100, refresh: readouts.refresh },
   { every: 100, refresh: transport.refresh },
-  { every: 100, refresh: panel.refresh },
-  { every: 100, refresh: guides.refresh },
+  { every: 200, refresh: panel.refresh },
+  { every: 200, refresh: guides.refresh },
   { every: 1000, refresh: described.refresh },
 ];
 const STATUS_EVERY = 500; // ms
