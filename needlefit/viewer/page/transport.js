@@ -70,7 +70,7 @@ part("choices").addEventListener("change", () => command({ do: "show", insertion
 
 listen("scene", (scene) => {
   part("title").textContent = scene.title;
-  part("title").title = scene.note;
+  part("note").textContent = scene.note;
   document.title = `${scene.title} · needlefit view`;
   part("synthetic").hidden = !scene.synthetic;
   part("choice").hidden = scene.choices.length < 2;
