@@ -9,7 +9,8 @@ pointer drags the base up and down. For --seconds every animation frame is told 
 frames      late: further from the one before than 1.5 of 1/60 s, each counted as the frames that fell out;
             stale: shown while the needle moved, without a state of its own.
 latency     from the time stamp of the input event to when the browser had drawn the first frame that shows
-            its effect (a message posted in that frame and heard after it).
+            its effect (a message posted in that frame and heard after it); of the wheel apart, which
+            the browser holds back before the page hears of it.
 solver      steps a second as the page shows them, measured by the server as it opens; and of 60 s without a
             pause, in this process.
 
@@ -30,7 +31,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -106,9 +107,28 @@ def drive(page: Page, seconds: float) -> None:
     page.mouse.up()
 
 
-def frames(page: Page) -> list[dict]:
-    """Return what the page told of its frames, in order."""
-    return sorted(page.evaluate("window.needlefit.frames"), key=lambda frame: frame["t"])
+def turn(page: Page, seconds: float) -> None:
+    """Insert and retract by the wheel."""
+    page.hover("#canvas", position={"x": 300, "y": 60})
+    began = time.monotonic()
+    while (t := time.monotonic() - began) < seconds:
+        page.mouse.wheel(0, 100 if t % 2 < 1 else -100)
+        time.sleep(0.05)
+
+
+def told(page: Page, steer: Callable[[Page, float], None], seconds: float) -> list[dict]:
+    """Return what the page told of its frames while it was steered, in order."""
+    start = page.evaluate("performance.now()")
+    steer(page, seconds)
+    frames = sorted(page.evaluate("window.needlefit.frames"), key=lambda frame: frame["t"])
+    return [frame for frame in frames if start <= frame["t"] <= start + 1000 * seconds]
+
+
+def waits(frames: list[dict]) -> dict[str, float]:
+    """Return percentiles of the time from an input to its picture, ms, and how many inputs there were."""
+    latency = np.array([frame["latency_ms"] for frame in frames if frame["latency_ms"] is not None])
+    found = {f"p{p}": round(float(np.percentile(latency, p)), 1) for p in (50, 95, 99)}
+    return found | {"inputs": len(latency)}
 
 
 def real_time(subject: str, seconds: float) -> dict:
@@ -119,21 +139,18 @@ def real_time(subject: str, seconds: float) -> dict:
         opened(address) as page,
     ):
         drive(page, 3.0)  # everything is compiled and cached
-        start = page.evaluate("performance.now()")
-        drive(page, seconds)
-        told = [one for one in frames(page) if start <= one["t"] <= start + 1000 * seconds]
+        frames = told(page, drive, seconds)
+        wheel = told(page, turn, seconds / 4)
         solver = page.evaluate("window.needlefit.state.solver")
-    t = np.array([one["t"] for one in told])
+    t = np.array([frame["t"] for frame in frames])
     fell_out = np.maximum(np.rint(np.diff(t) / FRAME) - 1, 0)[np.diff(t) > LATE * FRAME].sum()
-    latency = np.array([one["latency_ms"] for one in told if one["latency_ms"] is not None])
-    due = (t[-1] - t[0]) / FRAME
     return {
-        "frames": len(told),
-        "late_percent": 100 * float(fell_out) / due,
-        "stale_percent": 100 * sum(not one["fresh"] for one in told) / len(told),
+        "frames": len(frames),
+        "late_percent": 100 * float(fell_out) * FRAME / (t[-1] - t[0]),
+        "stale_percent": 100 * sum(not frame["fresh"] for frame in frames) / len(frames),
         "longest_ms": float(np.diff(t).max()),
-        "latency_ms": {f"p{p}": float(np.percentile(latency, p)) for p in (50, 95, 99)},
-        "inputs": len(latency),
+        "latency_ms": waits(frames),
+        "wheel_latency_ms": waits(wheel),
         "shown_steps_per_s": solver["rate_per_s"],
         "steps": solver["steps"],
     }
@@ -209,7 +226,7 @@ def memory(page: Page, server: int) -> dict:
 
 def endure(subject: str, minutes: float, seed: int) -> dict:
     """Return what random input for so long does to memory, and whether the recording holds all of it."""
-    rng, told = random.Random(seed), []
+    rng, held = random.Random(seed), []
     with (
         tempfile.TemporaryDirectory() as out,
         served(subject, Path(out)) as (address, pid),
@@ -217,21 +234,21 @@ def endure(subject: str, minutes: float, seed: int) -> dict:
     ):
         began, n = time.monotonic(), 0
         while (t := time.monotonic() - began) < 60 * minutes:
-            if t >= 60 * minutes * len(told) / 10:
-                told.append({"minutes": t / 60, "actions": n} | memory(page, pid))
-                print(told[-1], file=sys.stderr)
+            if t >= 60 * minutes * len(held) / 10:
+                held.append({"minutes": t / 60, "actions": n} | memory(page, pid))
+                print(held[-1], file=sys.stderr)
             wander(page, rng)
             n += 1
         page.focus("#canvas")
         page.keyboard.press("Space")  # what goes on by itself is stopped
         page.wait_for_timeout(1000)
         state, scene = page.evaluate("[window.needlefit.state, window.needlefit.scene]")
-        told.append({"minutes": t / 60, "actions": n} | memory(page, pid))
+        held.append({"minutes": t / 60, "actions": n} | memory(page, pid))
         ends = replayed(Path(out) / "view" / scene["recording"])
         return {
             "actions": n,
             "steps": state["step"],
-            "memory": told,
+            "memory": held,
             "faults": page.faults,
             "recorded_steps": ends[0],
             "recording_ends_there": ends[1] == state["tip"]["deflection_mm"] and ends[0] == state["step"],
