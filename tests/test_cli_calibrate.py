@@ -22,7 +22,7 @@ def reports(tmp_path, monkeypatch):
     return tmp_path / "reports"
 
 
-COMMAND = (sys.executable, "-m", "needlefit", "calibrate", "study2", "--replicates", "4", "-q")
+COMMAND = (sys.executable, "-m", "needlefit", "calibrate", "study2", "--replicates", "3", "-q")
 
 
 def calibrated(*words):
@@ -33,18 +33,18 @@ def calibrated(*words):
 def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(reports):
     whole = calibrated("--jobs", "1")
     assert whole.returncode == 5, whole.stderr  # too few
-    assert "4 replicates are too few to tell" in whole.stdout
+    assert "3 replicates are too few to tell" in whole.stdout
     assert "This proves the computation, not the model" in whole.stdout
-    assert "4 replicates of 1 insertion, 24 mm deep" in whole.stdout
+    assert "3 replicates of 1 insertion, 24 mm deep" in whole.stdout
     folder = reports / "calibrate-study2"
     assert {path.name for path in folder.iterdir()} == FILES
     rows = pd.read_csv(folder / "replicates.csv")
-    assert rows["replicate"].tolist() == [0, 1, 2, 3] and set(rows["origin"]) == {"synthetic"}
+    assert rows["replicate"].tolist() == [0, 1, 2] and set(rows["origin"]) == {"synthetic"}
     assert rows.filter(like="rank_").stack().between(0, 79).all()
     before = {path.name: path.read_bytes() for path in folder.iterdir() if path.name != "timing.json"}
     assert_made_again(folder)
     running = subprocess.Popen(
-        (sys.executable, "-m", "needlefit", "calibrate", "study2", "--replicates", "4", "-q")
+        (sys.executable, "-m", "needlefit", "calibrate", "study2", "--replicates", "3", "-q")
     )
     kept, deadline = reports / "calibrate-study2.partial", time.monotonic() + 60
     while time.monotonic() < deadline and not any(path.stat().st_size for path in kept.glob("*.jsonl")):

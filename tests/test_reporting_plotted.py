@@ -115,7 +115,7 @@ def test_levels_are_counted_toward_the_bevel_and_by_needles():
 def test_no_figure_is_drawn_but_from_a_table():
     """`style.draw` lays no table beside: it is for pictures of scans and scenes."""
     using = {name for name, tree in sources() if "draw" in imported(tree, style.__name__)}
-    assert using == {"figures/across.py", "figures/along.py", "figures/scene.py"}
+    assert using == {"figures/across.py", "figures/along.py", "figures/moment.py", "figures/scene.py"}
 
 
 def test_what_paints_a_figure_of_an_answer_sees_nothing_but_its_table():
