@@ -5,6 +5,7 @@ import json
 import socket
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ProcessPoolExecutor
+from contextlib import suppress
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -51,6 +52,7 @@ class Server:
         app.router.add_post("/export/{kind}", self._export)
         app.router.add_post("/slice", self._slice)
         app.router.add_static("/page", PAGE)
+        app.on_response_prepare.append(_sealed)
         app.on_shutdown.append(self._leave)
         return app
 
@@ -65,10 +67,7 @@ class Server:
                 raise web.HTTPForbidden(text="the token is missing or wrong: open the address as printed")
         if (request.method == "POST" or request.path == "/ws") and not self.door.from_page(request.headers):
             raise web.HTTPForbidden(text="only the page that this server gave out may ask for that")
-        response = await handler(request)
-        if not response.prepared:
-            response.headers.update(HEADERS)
-        return response
+        return await handler(request)
 
     async def _attend(self, request: web.Request) -> web.WebSocketResponse:
         """Serve one window for as long as it is there."""
@@ -85,9 +84,7 @@ class Server:
             await self._converse(window, socket_)
         finally:
             bands.cancel()
-            if self._sockets.get(window.trial.name) is socket_:
-                del self._sockets[window.trial.name]
-                self.trials.close(window.trial)
+            self._let_go(window.trial, socket_)
         return socket_
 
     async def _hello(self, socket_: web.WebSocketResponse) -> Message | None:
@@ -99,7 +96,7 @@ class Server:
         if message.do != "hello" or not self.door.knows(message.said.get("token")):
             await socket_.close(code=4401, message=b"the token is missing or wrong")
             return None
-        if len(self._sockets) >= MOST_WINDOWS:
+        if len(self._sockets) >= MOST_WINDOWS and message.text("needle") not in self._sockets:
             await socket_.close(code=WSCloseCode.TRY_AGAIN_LATER, message=b"too many windows are open")
             return None
         return message
@@ -120,13 +117,21 @@ class Server:
                 return
             message, trial = read(frame.data), window.trial
             if message.do == "show":  # reads a dataset: other windows go on meanwhile
-                replies = await asyncio.to_thread(lambda said: list(window.answer(said)), message)
-            else:
-                replies = list(window.answer(message))
+                with suppress(NeedlefitError):  # the answer says it
+                    await asyncio.to_thread(self.trials.prepare, trial, message.text("insertion"))
+            if self._sockets.get(trial.name) is not socket_:
+                return  # another window has taken the needle
+            replies = list(window.answer(message))
             if window.trial is not trial:
-                self._sockets.pop(trial.name, None)
+                self._let_go(trial, socket_)
                 self._sockets[window.trial.name] = socket_
             await _send(socket_, replies)
+
+    def _let_go(self, trial: Trial, socket_: web.WebSocketResponse) -> None:
+        """Note that a window steers a needle no more, unless another one has taken it."""
+        if self._sockets.get(trial.name) is socket_:
+            del self._sockets[trial.name]
+            self.trials.close(trial)
 
     async def _export(self, request: web.Request) -> web.Response:
         """Return a file made from a recording, by a process of its own: frames go on meanwhile."""
@@ -161,7 +166,7 @@ class Server:
         try:
             said = await request.json()
             trial = self.trials.known(said["needle"])
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, LookupError, TypeError):  # no JSON, of no known charset, or about no needle
             trial = None
         if trial is None:
             raise web.HTTPNotFound(text="there is no such needle: reload the page")
@@ -220,6 +225,10 @@ def _listen(port: int) -> socket.socket:
         ) from error
 
 
+async def _sealed(_: web.Request, response: web.StreamResponse) -> None:
+    response.headers.update(HEADERS)
+
+
 async def _index(_: web.Request) -> web.FileResponse:
     return web.FileResponse(PAGE / "index.html")
 
@@ -246,6 +255,6 @@ async def _send_bands(window: Window, socket_: web.WebSocketResponse) -> None:
                 band, spread, trial.scene.needle, steering.now.tissue, steering.course(),
                 trial.scene.rules, steering.first_cell,
             )  # fmt: skip
-            if found is not None and trial is window.trial:
+            if trial is window.trial:
                 await _send(socket_, [band_message(number[1], found)])
         await asyncio.sleep(BETWEEN_BANDS)
