@@ -13,8 +13,9 @@ from needlefit.viewer.opening import open_subject
 from needlefit.viewer.recording.log import read
 from needlefit.viewer.recording.replay import replay
 from needlefit.viewer.serving.door import BURST, LARGEST, Door, Pace
+from needlefit.viewer.serving.lines import MOST_WINDOWS
 from needlefit.viewer.serving.messages import read as read_message
-from needlefit.viewer.serving.server import MOST_WINDOWS, serve
+from needlefit.viewer.serving.server import serve
 from needlefit.viewer.serving.trials import MOST, Trials
 
 
