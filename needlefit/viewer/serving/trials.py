@@ -39,6 +39,7 @@ class Trials:
         self._subject, self._folder, self._reopen, self._source = subject, folder, reopen, source
         self._all: dict[str, Trial] = {}
         self._subjects: dict[str, Subject] = {}
+        self._paths: list[Path] = []
         self._steered: set[str] = set()
 
     def open(self, name: str) -> Trial:
@@ -81,8 +82,8 @@ class Trials:
         return self._instead(trial, self._begin(trial.subject, source))
 
     def written(self) -> list[Path]:
-        """Return the recordings that hold something."""
-        return [trial.recorder.path for trial in self._all.values() if trial.steering.number]
+        """Return the recordings that were begun."""
+        return [path for path in self._paths if path.exists()]
 
     def _instead(self, trial: Trial, other: Trial) -> Trial:
         """Give a window another needle; whoever steers the first says himself that he does no more."""
@@ -96,6 +97,7 @@ class Trials:
         name = secrets.token_hex(4)
         path = self._folder / f"{_stem(subject.name)}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
         self._all[name] = Trial(name, subject, path, source)
+        self._paths.append(path)
         for old in [one for one in self._all if one not in self._steered and one != name]:
             if len(self._all) <= MOST:
                 break
