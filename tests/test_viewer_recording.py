@@ -95,7 +95,11 @@ def test_a_recording_is_a_table_for_others(tmp_path) -> None:
     [
         ("1,0.2500,depth_mm", "1,0.2500,depth_m", "line .*: there is no input `depth_m`"),
         ("depth_mm,,12.34567", "depth_mm,,deep", "`deep`"),
-        ("depth_mm,,12.34567", "depth_mm,,nan", "depth_mm is nan"),
+        ("depth_mm,,12.34567", "depth_mm,,nan", "line .*: `nan`"),
+        ("1,0.2500,depth_mm", "1,inf,depth_mm", "line .*: `inf`"),
+        ("1,0.2500,depth_mm", "1,-0.1,depth_mm", "line .*: time_s is -0.1"),
+        ("2,0.5000,base_slope,,-0.01", "2,0.5000,base_y_mm,,-0.01", "line .*: a second base_y_mm in step 2"),
+        ("2,0.5000,base_y_mm,,0.1,", "2,0.5000,base_y_mm,,0.1,0.7", "line .*: deflection_mm"),
         ("5,1.2500,", "7,1.2500,", "step 7"),
         ("# first_cell_mm = 1.0", "# first_cell_mm = -1.0", "first_cell_mm"),
         ("# schema = 1", "# schema = ", "head is no TOML"),

@@ -7,11 +7,13 @@ Numbers are written so that reading gives the same bits.
 """
 
 import csv
+import math
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 from pathlib import Path
+from typing import NamedTuple
 
 from needlefit import __version__
 from needlefit.datasets.formats.text import read_text
@@ -102,10 +104,10 @@ def read(path: Path) -> Recording:
     head = _head(lines[:count], path)
     if count < len(lines) and lines[count].strip() != ",".join(COLUMNS):
         raise _wrong(path, count + 1, f"columns {lines[count].strip()}", ",".join(COLUMNS))
-    body = list(enumerate(lines[count + 1 :], start=count + 2))
-    if body and not body[-1][1].endswith("\n"):
-        body.pop()  # cut off while it was written
-    return Recording(head, tuple(_steps(body, path)), str(path))
+    if count < len(lines) - 1 and not lines[-1].endswith("\n"):
+        lines.pop()  # cut off while it was written
+    rows = (_row(text, line, path) for line, text in enumerate(lines[count + 1 :], start=count + 2))
+    return Recording(head, tuple(_steps(rows, path)), str(path))
 
 
 def _head_lines(head: RecordingRecord) -> str:
@@ -142,45 +144,81 @@ def _head(lines: Sequence[str], path: Path) -> RecordingRecord:
     return check(tables, RecordingRecord, str(path))
 
 
-def _steps(body: Sequence[tuple[int, str]], path: Path) -> Iterator[Recorded]:
-    rows = [(line, _cells(text, line, path)) for line, text in body]
-    groups = [list(group) for _, group in groupby(rows, key=lambda row: row[1]["step"])]
-    for number, group in enumerate(groups, start=1):
-        line, first = group[0]
-        if first["step"] != str(number):
-            raise _wrong(path, line, f"step {first['step']}", f"step {number}: none left out")
-        *before, last = (cells["deflection_mm"] for _, cells in group)
-        if not last and number == len(groups):
-            return  # its other rows were cut off
-        if any(before) or not last:
-            raise _wrong(path, line, "deflection_mm", "a number in the last row of a step, and only there")
-        changes = tuple(_change(cells, at, path) for at, cells in group)
-        time, deflection = (_number(text, line, path) for text in (first["time_s"], last))
-        yield Recorded(number, time, changes, deflection, line)
+class _Row(NamedTuple):
+    """A line of a log, its cells as they are written."""
+
+    line: int
+    step: str
+    time: str
+    name: str
+    item: str
+    value: str
+    deflection: str
 
 
-def _cells(text: str, line: int, path: Path) -> dict[str, str]:
+def _row(text: str, line: int, path: Path) -> _Row:
     (cells,) = csv.reader([text])
     if len(cells) != len(COLUMNS):
         raise _wrong(path, line, f"{len(cells)} cells", f"{len(COLUMNS)}: {','.join(COLUMNS)}")
-    return dict(zip(COLUMNS, cells, strict=True))
+    return _Row(line, *cells)
 
 
-def _change(cells: dict[str, str], line: int, path: Path) -> Change:
-    item = cells["item"]
-    if item and not item.isdecimal():
-        raise _wrong(path, line, f"item `{item}`", "the number of a guide or layer, or nothing")
+def _steps(rows: Iterable[_Row], path: Path) -> Iterator[Recorded]:
+    """Yield the steps; the last one is left out if its other rows were cut off."""
+    open_at = 0
+    for number, (_, group) in enumerate(groupby(rows, key=lambda row: row.step), start=1):
+        first, *_ = step = list(group)
+        if first.step != str(number):
+            raise _wrong(path, first.line, f"step {first.step}", f"step {number}: none left out")
+        *before, last = step
+        if open_at or any(row.deflection for row in before):
+            at = open_at or first.line
+            raise _wrong(path, at, "deflection_mm", "a number in the last row of a step, and only there")
+        if last.deflection:
+            time, deflection = _time(first, path), _number(last.deflection, last.line, path)
+            yield Recorded(number, time, _changes(step, path), deflection, first.line)
+        else:
+            open_at = first.line
+
+
+def _time(row: _Row, path: Path) -> float:
+    time = _number(row.time, row.line, path)
+    if time < 0:
+        raise _wrong(path, row.line, f"time_s is {row.time}", "seconds since the recording began")
+    return time
+
+
+def _changes(step: Sequence[_Row], path: Path) -> tuple[Change, ...]:
+    """Return the inputs of a step, each of which has one value."""
+    found: dict[tuple[str, int | None], Change] = {}
+    for row in step:
+        change = _change(row, path)
+        if (change.name, change.item) in found:
+            raise _wrong(
+                path, row.line, f"a second {row.name} in step {row.step}", "one value for each input"
+            )
+        found[change.name, change.item] = change
+    return tuple(found.values())
+
+
+def _change(row: _Row, path: Path) -> Change:
+    if row.item and not row.item.isdecimal():
+        raise _wrong(path, row.line, f"item `{row.item}`", "the number of a guide or layer, or nothing")
     try:
-        return Change(cells["input"], int(item) if item else None, _number(cells["value"], line, path))
+        value = _number(row.value, row.line, path)
+        return Change(row.name, int(row.item) if row.item else None, value)
     except ModelError as error:
-        raise _wrong(path, line, error.what, error.expected) from None
+        raise _wrong(path, row.line, error.what, error.expected) from None
 
 
 def _number(text: str, line: int, path: Path) -> float:
     try:
-        return float(text)
+        number = float(text)
     except ValueError:
-        raise _wrong(path, line, f"`{text}`", "a number") from None
+        number = math.nan
+    if not math.isfinite(number):
+        raise _wrong(path, line, f"`{text}`", "a finite number")
+    return number
 
 
 def _wrong(path: Path, line: int, what: str, expected: str) -> DataError:
