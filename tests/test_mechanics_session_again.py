@@ -79,6 +79,17 @@ def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
     assert abs(straight.deflection - again.deflection) > 1e-4
 
 
+def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> None:
+    under_way = Session(NEEDLE, SOFT, LEFT, 0.7)
+    under_way.step(insert=10.2)
+    under_way.step(bevel=RIGHT)
+    under_way.step(bevel=LEFT)
+    retold, untouched = under_way.retold(), Session(NEEDLE, SOFT, LEFT, 0.7)
+    untouched.step(insert=10.2)
+    assert_near(retold.step(insert=5.3), under_way.step(insert=5.3))
+    assert abs(untouched.step(insert=5.3).deflection - under_way.now.shape.deflection) > 1e-4
+
+
 def test_retold_is_the_insertion_into_the_other_tissue() -> None:
     guided = Controls(guides=(Guide(-20.0),))
     steps = (Step(10.0, LEFT), Step(18.4, RIGHT, guided), Step(25.0, LEFT, guided))

@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import contextmanager
 
 import numpy as np
 import pytest
@@ -56,28 +57,23 @@ def chromium():
 
 @pytest.fixture
 def page(server, chromium):
-    """A window of its own, with a new needle; a fault of its scripts fails the test."""
+    """A window of its own, with a new needle."""
     with opened(chromium, server) as window:
         yield window
 
 
-class opened:  # noqa: N801 - reads as a verb
-    """A page in a context of its own."""
-
-    def __init__(self, chromium, server, **settings) -> None:
-        self.context = chromium.new_context(**({"viewport": {"width": 1280, "height": 800}} | settings))
-        self.page, self.faults = self.context.new_page(), []
-        self.page.on("pageerror", lambda error: self.faults.append(str(error)))
-        self.page.goto(server.address)
-
-    def __enter__(self):
-        until(self.page, "state => state && window.needlefit.connected")
-        self.page.click("[data-fit=whole]")  # the base too
-        return self.page
-
-    def __exit__(self, *_) -> None:
-        self.context.close()
-        assert self.faults == []
+@contextmanager
+def opened(chromium, server, **settings):
+    """Yield a page in a context of its own; a fault of its scripts fails the test."""
+    context = chromium.new_context(**({"viewport": {"width": 1280, "height": 800}} | settings))
+    page, faults = context.new_page(), []
+    page.on("pageerror", lambda error: faults.append(str(error)))
+    page.goto(server.address)
+    until(page, "state => state && window.needlefit.connected")
+    page.click("[data-fit=whole]")  # the base too
+    yield page
+    context.close()
+    assert faults == []
 
 
 def until(page, true: str, seconds: float = PATIENCE):

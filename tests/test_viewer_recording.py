@@ -101,6 +101,7 @@ def test_a_recording_is_a_table_for_others(tmp_path) -> None:
         ("# schema = 1", "# schema = ", "head is no TOML"),
         ("depth_mm,,12.34567", "depth_mm,,500.0", "step 1 cannot be carried out"),
         ("return_to,,2.0", "return_to,,77.0", "step 7 cannot be carried out"),
+        ("3,0.7500,bevel_side,,-1.0", "3,0.7500,return_to,,2.0", "step 3 cannot be carried out"),
     ],
 )
 def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault) -> None:
@@ -132,6 +133,9 @@ def test_what_is_refused_has_not_happened() -> None:
         [("depth_mm", 151.0)],
         [("guide_x_mm", 1, -20.0)],
         [("mu_pa", 1, -5.0)],
+        [("mu_pa", 1, 1e300)],
+        [("base_y_mm", 1.0), ("base_y_mm", 2.0)],
+        [("return_to", 0.0), ("base_y_mm", 2.0)],
         [("mu_pa", 9, 5.0)],
         [("tip_y_mm", 500.0)],
         [("return_to", 5.0)],

@@ -1,7 +1,9 @@
 """The server of the interactive simulation, as windows and strangers meet it."""
 
 import asyncio
+import functools
 import json
+import threading
 from contextlib import asynccontextmanager
 
 import aiohttp
@@ -11,9 +13,10 @@ from needlefit.viewer.opening import open_subject
 from needlefit.viewer.recording.log import read
 from needlefit.viewer.recording.replay import replay
 from needlefit.viewer.serving.door import BURST, LARGEST, Door, Pace
+from needlefit.viewer.serving.lines import MOST_WINDOWS
 from needlefit.viewer.serving.messages import read as read_message
 from needlefit.viewer.serving.server import serve
-from needlefit.viewer.serving.trials import Trials
+from needlefit.viewer.serving.trials import MOST, Trials
 
 
 class Page:
@@ -69,11 +72,10 @@ async def house(folder, name: str = "study2"):
 def visit(test):
     """Run an asynchronous test."""
 
+    @functools.wraps(test)
     def run(*args, **kwargs):
         asyncio.run(asyncio.wait_for(test(*args, **kwargs), 30))
 
-    run.__name__, run.__doc__ = test.__name__, test.__doc__
-    run.__signature__ = __import__("inspect").signature(test)
     return run
 
 
@@ -91,6 +93,8 @@ async def test_a_window_steers_its_needle(tmp_path) -> None:
         assert (await page.say("redo"))["depth_mm"] > 149
         assert (await page.say("reset"))["depth_mm"] == 0
         assert (await page.say("undo"))["depth_mm"] > 149
+        assert (await page.say("undo"))["redo"]
+        assert not (await page.say("change", insert_mm=1))["redo"]  # another way was taken
 
 
 @visit
@@ -110,6 +114,9 @@ async def test_a_needle_moves_only_while_its_page_asks_for_frames(tmp_path) -> N
         halted = await page.say("halt")  # no frame was asked for since
         assert (halted["moving"], halted["depth_mm"]) == (0, 8)
         assert (await page.say("undo"))["depth_mm"] == 0  # the whole stroke is one gesture
+        await page.say("move", speed_mm_s=100)
+        await asyncio.sleep(0.3)
+        assert (await page.say("frame"))["depth_mm"] == pytest.approx(10)  # it does not leap after a pause
 
 
 @visit
@@ -151,6 +158,49 @@ async def test_what_is_recorded_is_there_at_every_moment_and_replays(tmp_path) -
 
 
 @visit
+async def test_a_replay_keeps_time_can_be_halted_and_goes_on(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        await page.say("change", insert_mm=5)
+        await asyncio.sleep(0.45)
+        await page.say("undo")
+        await asyncio.sleep(0.45)
+        last = await page.say("change", insert_mm=7)
+        assert (await page.say("replay", times=0.01))["playing"]
+        await asyncio.sleep(0.05)
+        assert (await page.say("frame"))["step"] == 1
+        halted = await page.say("halt")
+        assert halted["paused"] and not halted["playing"]
+        await asyncio.sleep(0.05)
+        assert (await page.say("frame"))["step"] == 1
+        recording = page.scene["recording"]
+        assert (await page.say("replay", times=1000))["playing"]
+        await asyncio.sleep(0.02)
+        done = await page.say("frame")
+        assert (done["tip"], done["step"], page.scene["recording"]) == (last["tip"], 3, recording)
+        assert (await page.say("undo"))["depth_mm"] == 0  # as recorded: the pauses part gestures
+        assert (await page.say("undo"))["depth_mm"] == 5
+
+
+@visit
+async def test_a_replay_that_was_left_can_be_begun_anew_whole(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        page = await server.page()
+        for _ in range(3):
+            last = await page.say("change", insert_mm=5)
+            await asyncio.sleep(0.02)
+        await page.say("replay", times=0.01)
+        await asyncio.sleep(0.01)
+        assert (await page.say("frame"))["step"] == 1
+        await page.say("frame")
+        await page.socket.close()
+        back = await server.page(page.scene["needle"])
+        await back.say("replay", times=1000)
+        await asyncio.sleep(0.02)
+        assert (await back.say("frame"))["tip"] == last["tip"]
+
+
+@visit
 async def test_two_windows_have_two_needles_and_a_page_that_comes_back_finds_its_own(tmp_path) -> None:
     async with house(tmp_path) as server:
         one, two = await server.page(), await server.page()
@@ -175,10 +225,51 @@ async def test_a_needle_has_one_window_the_newest(tmp_path) -> None:
         assert (await two.say("change", insert_mm=1))["depth_mm"] == 11
 
 
+@visit
+async def test_a_needle_taken_while_its_window_looks_for_another_has_one_window(tmp_path) -> None:
+    """A asks for another insertion, which takes a while; B takes A's needle, and then C takes it from B."""
+    read_on = threading.Event()
+    async with house(tmp_path, "twin/phantom1-02") as server:
+        reopen = server.trials._reopen
+        server.trials._reopen = lambda insertion: read_on.wait(10) and reopen(insertion)
+        one = await server.page()
+        await one.say("change", insert_mm=10)
+        await one.socket.send_str('{"do": "show", "id": 99, "insertion": "phantom1-05"}')
+        await asyncio.sleep(0.05)
+        two = await server.page(one.scene["needle"])
+        read_on.set()
+        await asyncio.sleep(0.3)
+        three = await server.page(one.scene["needle"])
+        assert json.loads((await two.socket.receive(timeout=5)).data) == {"kind": "taken"}
+        assert (await three.say("change", insert_mm=1))["depth_mm"] == 11
+
+
+@visit
+async def test_so_many_windows_and_no_more_but_each_finds_its_needle(tmp_path) -> None:
+    async with house(tmp_path) as server:
+        pages = [await server.page() for _ in range(MOST_WINDOWS)]
+        socket = await server.connect()
+        await socket.send_json({"do": "hello", "id": 0, "token": server.door.token})
+        assert (await socket.receive()).data == 1013
+        assert (await server.page(pages[3].scene["needle"])).first["depth_mm"] == 0
+
+
+def test_only_needles_that_nobody_steers_are_let_go(tmp_path) -> None:
+    subject = open_subject("study2")
+    trials = Trials(subject, tmp_path, lambda insertion: subject)
+    steered, left = trials.open(""), trials.open("")
+    trials.close(left)
+    for _ in range(MOST):
+        trials.close(trials.open(""))
+    assert trials.known(steered.name) is steered and trials.known(left.name) is None
+
+
 @pytest.mark.parametrize(
     "text",
     [
         "needle",
+        '{"do": [], "id": 9}',
+        '{"do": {}, "id": 9}',
         "[1]",
         '{"do": "dance", "id": 9}',
         '{"do": "change"}',
@@ -235,9 +326,11 @@ async def test_strangers_are_kept_out(tmp_path) -> None:
             socket = await server.connect()
             await socket.send_json({"do": "hello", "id": 0, "token": token})
             assert (await socket.receive()).data == 4401
-        for headers in ({}, {"Authorization": "Bearer wrong", "Origin": server.base}):
+        right = {"Authorization": f"Bearer {server.door.token}"}
+        wrong = {"Authorization": "Bearer wrong", "Origin": server.base}
+        for headers in ({}, wrong, right, right | {"Origin": "http://evil.example"}):
             async with server.client.post(f"{server.base}/export/inputs.csv", headers=headers) as answer:
-                assert answer.status == 403
+                assert answer.status == 403 and "Content-Security-Policy" in answer.headers
         for path in ("/page/../server.py", "/page/%2e%2e/server.py", "/page/"):
             async with server.client.get(server.base + path) as answer:
                 assert answer.status in (403, 404)
@@ -281,8 +374,11 @@ async def test_inputs_can_be_taken_away_as_they_were_recorded(tmp_path) -> None:
             assert await answer.read() == (tmp_path / page.scene["recording"]).read_bytes()
         async with server.client.post(f"{url}/shape.exe", headers=headers, json=needle) as answer:
             assert answer.status == 404
-        async with server.client.post(f"{url}/inputs.csv", headers=headers, json={"needle": "x"}) as answer:
-            assert answer.status == 404
+        for body in (b'{"needle": "x"}', b"{}", b"[]", b"7", b"", b"\xff"):
+            for kind in ("application/json", "text/plain; charset=nonsense"):
+                sent = headers | {"Content-Type": kind}
+                async with server.client.post(f"{url}/inputs.csv", headers=sent, data=body) as answer:
+                    assert answer.status == 404
 
 
 @visit
@@ -314,3 +410,5 @@ async def test_another_insertion_is_another_needle(tmp_path) -> None:
         first = page.scene["needle"]
         await page.say("show", insertion="phantom1-05")
         assert page.scene["measured"]["id"] == "phantom1-05" and page.scene["needle"] != first
+        back = await page.say("show", insertion="phantom1-02")
+        assert page.scene["needle"] == first and back["tip"] == state["tip"] and back["undo"]

@@ -128,13 +128,10 @@ class Session:
         ModelError
             If the needle does not reach that far, or would leave the tissue backwards.
         """
-        controls, depth = self.last.controls, self.last.depth + insert
-        if base is not None:
-            controls = replace(controls, base_y=base[0], base_slope=base[1])
-        if guides is not None:
-            controls = replace(controls, guides=guides)
-        if tip is not _AS_IT_IS:
-            controls = replace(controls, tip=tip)
+        given: dict[str, Any] = {} if base is None else {"base_y": base[0], "base_slope": base[1]}
+        given |= {} if guides is None else {"guides": guides}
+        given |= {} if tip is _AS_IT_IS else {"tip": tip}
+        depth, controls = self.last.depth + insert, replace(self.last.controls, **given)
         return self.go(Step(0.0 if abs(depth) < NEAR else depth, bevel or self.last.bevel, controls))
 
     def go(self, step: Step) -> NeedleShape:

@@ -44,6 +44,9 @@ FLAGS = ("guide_turns_freely", "guide_holds", "tip_held")
 MOST_GUIDES = 32
 """Numbers that guides can have."""
 
+STIFFEST = 1e15
+"""mu, Pa: beyond, rounding exceeds what the needle itself bears."""
+
 
 @dataclass(frozen=True)
 class Change:
@@ -68,9 +71,11 @@ class Change:
         kind = INPUTS[self.name]
         if (self.item is None) != (kind is None) or (self.item is not None and self.item < 1):
             wanted = f"the number of a {kind}, from 1" if kind else "no item"
-            raise ModelError(f"{self.name} has item {self.item}", expected=wanted)
+            raise ModelError(f"{self.name} has item {self.item!s:.20}", expected=wanted)
         if kind == "guide" and self.item is not None and self.item > MOST_GUIDES:
-            raise ModelError(f"guide {self.item}", expected=f"at most {MOST_GUIDES} guides")
+            raise ModelError(
+                f"guides have no number {self.item!s:.20}", expected=f"a number from 1 to {MOST_GUIDES}"
+            )
         self._check_value()
 
     def _check_value(self) -> None:
@@ -82,7 +87,12 @@ class Change:
         elif self.name == "bevel_side" and self.value not in (1, -1):
             expected = "+1 (y > 0) or -1"
         elif self.name.endswith("slope") and abs(self.value) >= 1:
-            expected = "between -1 and 1: less than 45 degrees"
+            raise ModelError(
+                f"{self.name} is {self.value:.3g}: {math.degrees(math.atan(self.value)):.1f} degrees",
+                expected="between -1 and 1: less than 45 degrees",
+            )
+        elif self.name == "mu_pa" and not 0 < self.value <= STIFFEST:
+            expected = f"above 0 Pa, up to {STIFFEST:g} Pa"
         elif self.name in ("bevel_offset_mm", "offset_throughout_mm", "depth_mm") and self.value < 0:
             expected = "0 or above"
         elif self.name == "return_to" and (self.value < 0 or self.value != int(self.value)):

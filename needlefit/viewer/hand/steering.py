@@ -79,9 +79,9 @@ class Steering:
         ModelError
             If the model does not take them, or finds no needle that does; then nothing has happened.
         """
-        if any(change.name == "return_to" for change in changes):
-            (change,) = changes
-            self._session = self._kept_at(int(change.value)).copy()
+        _check_together(changes)
+        if changes and changes[0].name == "return_to":
+            self._session = self._kept_at(int(changes[0].value)).copy()
         else:
             self._session = self._gone_on(changes)
         self.number += 1
@@ -135,6 +135,16 @@ class Steering:
         return session
 
 
+def _check_together(changes: Sequence[Change]) -> None:
+    """Raise ModelError unless changes can act together: one value for each input, a return by itself."""
+    inputs = [(change.name, change.item) for change in changes]
+    for name, item in inputs:
+        if inputs.count((name, item)) > 1:
+            raise ModelError(f"{name} has two values in one step", expected="one value for each input")
+        if name == "return_to" and len(inputs) > 1:
+            raise ModelError("return_to stands beside other inputs", expected="a step of its own")
+
+
 def names_of(scene: Scene) -> tuple[str, ...]:
     """Return what the guides of a scene are called, in the order of their numbers."""
     guides = [guide for step in scene.steps for guide in step.controls.guides]
@@ -154,7 +164,9 @@ def _with(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
         if change.item is None:
             continue
         if change.item > tissue.layers:
-            raise ModelError(f"layer {change.item}", expected=f"one of {tissue.layers} layers")
+            raise ModelError(
+                f"there is no layer {change.item!s:.20}", expected=f"one of {tissue.layers} layers"
+            )
         if change.name == "mu_pa":
             mu[change.item - 1] = change.value * 1e-6
         else:

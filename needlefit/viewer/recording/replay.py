@@ -1,6 +1,6 @@
 """A recording carried out again."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 from needlefit.errors import DataError, ModelError
@@ -74,7 +74,7 @@ def replay(recording: Recording, steering: Steering | None = None) -> Iterator[R
                 expected=error.expected,
                 mend=f"it was recorded by needlefit {recording.head.needlefit}; replay it with that version",
             ) from error
-        keep_for_returns(steering, recorded, last)
+        keep_for_returns(recorded, last, steering.keep, steering.forget)
         yield Replayed(recorded, moment)
 
 
@@ -83,10 +83,12 @@ def last_returns(steps: Sequence[Recorded]) -> dict[int, int]:
     return {int(c.value): step.number for step in steps for c in step.changes if c.name == "return_to"}
 
 
-def keep_for_returns(steering: Steering, recorded: Recorded, last: dict[int, int]) -> None:
+def keep_for_returns(
+    recorded: Recorded, last: dict[int, int], keep: Callable[[], None], forget: Callable[[int], None]
+) -> None:
     """Keep the needle as it stands after a step if a later one returns to it; forget what none returns to."""
     if recorded.number in last:
-        steering.keep()
+        keep()
     for change in recorded.changes:
         if change.name == "return_to" and last[int(change.value)] == recorded.number:
-            steering.forget(int(change.value))
+            forget(int(change.value))

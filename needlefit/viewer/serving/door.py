@@ -15,10 +15,10 @@ LOOPBACK = "127.0.0.1"
 LARGEST = 16 * 1024
 """Bytes of a message: the largest that the page sends has a few hundred."""
 
-FASTEST = 400.0
-"""Messages a second that a window may send; a page sends one for each frame or input that is answered."""
+FASTEST = 1000.0
+"""Messages a second that a window may send; a page sends up to 250 inputs, and one for each of its frames."""
 
-BURST = 800.0
+BURST = 2000.0
 """Messages that may come at once after a pause."""
 
 HEADERS = {

@@ -14,6 +14,10 @@ LONGEST = 0.1
 """Time that one frame may carry the needle on, s: after a pause it does not leap."""
 
 
+PAUSE = 0.4
+"""Time between two steps of a recording, s, from which on they are undone one by one."""
+
+
 class Motion(Protocol):
     """Goes on by `dt` seconds; returns whether there is more to come."""
 
@@ -73,19 +77,22 @@ class Play:
 
 
 class Replay:
-    """The steps of a recording, at its own times."""
+    """The steps of a recording, at its own times; steps without a pause between them are one gesture."""
 
     def __init__(self, steps: Sequence[Recorded], times: float) -> None:
-        self.speed, self._clock = times, 0.0
+        self.speed = abs(times)
         self._steps: Iterator[Recorded] = iter(steps)
         self._next = next(self._steps, None)
-        self._last = last_returns(steps)
+        self._clock = self._next.time if self._next else 0.0
+        self._last, self._gesture = last_returns(steps), -1  # a page's own gestures are above 0
 
     def advance(self, trial: Trial, dt: float) -> bool:
         """Go on; `Motion`."""
         self._clock += self.speed * dt
         while self._next and self._next.time <= self._clock:
-            trial.act(self._next.changes, 0)
-            keep_for_returns(trial.steering, self._next, self._last)
-            self._next = next(self._steps, None)
+            trial.act(self._next.changes, self._gesture)
+            keep_for_returns(self._next, self._last, trial.pin, trial.unpin)
+            before, self._next = self._next, next(self._steps, None)
+            if self._next and self._next.time - before.time > PAUSE:
+                self._gesture -= 1
         return self._next is not None

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.load import Loads, loads
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.shape import STEEP, NeedleShape, positions
 from needlefit.viewer.hand.inputs import number_of
 from needlefit.viewer.overlay.band import NeedleBand
 from needlefit.viewer.overlay.measured import live_errors
@@ -23,7 +23,7 @@ BEFORE = 25
 """Points of the needle drawn before the tissue."""
 
 DECADES = 100.0
-"""Factor either way to which a modulus can be slid from where it stood."""
+"""How far beyond the softest and the stiffest layer the sliders of all moduli reach, a factor."""
 
 
 def scene_message(trial: Trial) -> dict[str, Any]:
@@ -49,6 +49,7 @@ def scene_message(trial: Trial) -> dict[str, Any]:
         "guide_names": list(trial.steering.names),
         "boundaries_mm": tissue.boundaries.tolist(),
         "spacing_mm": scene.rules.spacing,
+        "steep": STEEP,
         "fitted": _parameters(tissue.mu, tissue.alpha) | {"offset_mm": first.offset},
         "limits": _limits(scene),
         "measured": measured and {
@@ -81,21 +82,11 @@ def state_message(trial: Trial) -> dict[str, Any]:
         "tip_path": [_rounded(shape.constraints[:, 0]), _rounded(shape.tip_track[:, 0])],
         "load": _load(load, shape),
         "forces": _forces(load, trial),
-        "base": {
-            "x": round(float(needle[0, 0]), DIGITS),
-            "y": round(float(needle[0, 1]), DIGITS),
-            "slope": float(shape.slope[0]),
-            "input_y": controls.base_y,
-            "input_slope": controls.base_slope,
-        },
+        "base": _end(needle[0], shape.slope[0])
+        | {"input_y": controls.base_y, "input_slope": controls.base_slope},
         "guides": [_guide(guide, trial) for guide in controls.guides],
-        "tip": {
-            "x": round(float(needle[-1, 0]), DIGITS),
-            "y": round(float(needle[-1, 1]), DIGITS),
-            "slope": float(shape.slope[-1]),
-            "deflection_mm": shape.deflection,
-            "held": controls.tip is not None,
-        },
+        "tip": _end(needle[-1], shape.slope[-1])
+        | {"deflection_mm": shape.deflection, "held": controls.tip is not None},
         "bevel": {"side": step.bevel.side, "offset_mm": step.bevel.offset},
         **_parameters(now.tissue.mu, now.tissue.alpha),
         "max_slope": float(np.abs(shape.slope).max()),
@@ -106,17 +97,23 @@ def state_message(trial: Trial) -> dict[str, Any]:
     }
 
 
-def band_message(trial_step: int, band: NeedleBand) -> dict[str, Any]:
-    """Return the band of the needle after a step."""
-    edges = {"x": band.x, "low": band.low, "high": band.high}
-    return {"kind": "band", "step": trial_step, "failed": band.failed} | {
-        key: _rounded(values) for key, values in edges.items()
-    }
+def band_message(step: int, band: NeedleBand | None) -> dict[str, Any]:
+    """Return the band of the needle after a step; without points where it has none."""
+    edges = (band.x, band.low, band.high) if band else (np.empty(0),) * 3
+    x, low, high = (_rounded(values) for values in edges)
+    failed = band.failed if band else 0
+    return {"kind": "band", "step": step, "x": x, "low": low, "high": high, "failed": failed}
 
 
 def _rounded(values: Floats) -> list[float]:
     found: list[float] = np.round(values, DIGITS).tolist()
     return found
+
+
+def _end(place: Floats, slope: float) -> dict[str, float]:
+    """Return where an end of the needle stands, and how it is turned."""
+    x, y = np.round(place, DIGITS).tolist()
+    return {"x": x, "y": y, "slope": float(slope)}
 
 
 def _stations(shape: NeedleShape) -> Floats:

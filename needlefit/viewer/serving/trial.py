@@ -33,6 +33,8 @@ class Trial:
     ----------
     speed : float
         Steps a second that its needle can make here.
+    kin : dict of str -> Trial
+        The last needle of the same window beside each insertion that it has shown, this one among them.
     """
 
     def __init__(self, name: str, subject: Subject, path: Path, source: Recording | None = None) -> None:
@@ -47,6 +49,13 @@ class Trial:
         self._past: list[int] = []
         self._future: list[int] = []
         self._gesture: int | None = None
+        self._pinned: set[int] = set()
+        self.kin = {self.beside: self}
+
+    @property
+    def beside(self) -> str:
+        """The insertion that lies beside the needle; empty where there is none."""
+        return self.subject.measured.id if self.subject.measured else ""
 
     @property
     def can_undo(self) -> bool:
@@ -80,15 +89,13 @@ class Trial:
         try:
             self._step(changes)
         except Exception:
-            if begins and number not in (*self._past, *self._future):
-                self.steering.forget(number)
+            self._forget([number])
             raise
         if begins:
             self._gesture = gesture
-            self._past.append(number)
-            self._forget(self._future)
-            self._forget(self._past[:-MOST_UNDONE])
-            self._past, self._future = self._past[-MOST_UNDONE:], []
+            left = [*self._future, *self._past[: 1 - MOST_UNDONE]]
+            self._past, self._future = [*self._past[1 - MOST_UNDONE :], number], []
+            self._forget(left)
 
     def undo(self) -> None:
         """Take the last gesture back."""
@@ -102,6 +109,16 @@ class Trial:
         """Return to first contact; that, too, can be undone."""
         self.act((Change("return_to", None, 0.0),))
 
+    def pin(self) -> None:
+        """Keep the needle as it stands, for a replay that returns to it."""
+        self._pinned.add(self.steering.number)
+        self.steering.keep()
+
+    def unpin(self, number: int) -> None:
+        """Let go of what was pinned at a step."""
+        self._pinned.discard(number)
+        self._forget([number])
+
     def _go(self, back: list[int], forth: list[int]) -> None:
         if not back:
             return
@@ -113,7 +130,7 @@ class Trial:
         self._gesture = None
 
     def _forget(self, numbers: Sequence[int]) -> None:
-        for number in numbers:
+        for number in set(numbers) - {*self._past, *self._future, *self._pinned}:
             self.steering.forget(number)
 
     def _step(self, changes: Sequence[Change]) -> None:

@@ -38,6 +38,8 @@ class Trials:
     ) -> None:
         self._subject, self._folder, self._reopen, self._source = subject, folder, reopen, source
         self._all: dict[str, Trial] = {}
+        self._subjects: dict[str, Subject] = {}
+        self._paths: list[Path] = []
         self._steered: set[str] = set()
 
     def open(self, name: str) -> Trial:
@@ -56,29 +58,46 @@ class Trials:
         if trial.name in self._all:  # the youngest of those that nobody steers
             self._all[trial.name] = self._all.pop(trial.name)
 
+    def prepare(self, trial: Trial, insertion: str) -> None:
+        """Read what it takes to show another insertion, so that `another` need not; may run beside it."""
+        if insertion in trial.subject.choices and insertion not in self._subjects:
+            self._subjects[insertion] = self._reopen(insertion)
+
     def another(self, trial: Trial, insertion: str) -> Trial:
-        """Return a new needle for the same window, beside another insertion."""
+        """Return the needle that the same window had beside another insertion, or a new one.
+
+        Raises
+        ------
+        ModelError
+            If the dataset has no such insertion.
+        """
         if insertion not in trial.subject.choices:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
-        return self._instead(trial, self._begin(self._reopen(insertion), None))
+        self.prepare(trial, insertion)
+        there = trial.kin.get(insertion)
+        return self._instead(trial, there or self._begin(self._subjects[insertion], None))
 
     def again(self, trial: Trial, source: Recording) -> Trial:
         """Return a new needle for the same window, at first contact, for a replay."""
         return self._instead(trial, self._begin(trial.subject, source))
 
     def written(self) -> list[Path]:
-        """Return the recordings that hold something."""
-        return [trial.recorder.path for trial in self._all.values() if trial.steering.number]
+        """Return the recordings that were begun."""
+        return [path for path in self._paths if path.exists()]
 
-    def _instead(self, trial: Trial, new: Trial) -> Trial:
-        self.close(trial)
-        self._steered.add(new.name)
-        return new
+    def _instead(self, trial: Trial, other: Trial) -> Trial:
+        """Give a window another needle; whoever steers the first says himself that he does no more."""
+        other.kin = trial.kin
+        other.kin[other.beside] = other
+        self._all[other.name] = other
+        self._steered.add(other.name)
+        return other
 
     def _begin(self, subject: Subject, source: Recording | None) -> Trial:
         name = secrets.token_hex(4)
         path = self._folder / f"{_stem(subject.name)}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
         self._all[name] = Trial(name, subject, path, source)
+        self._paths.append(path)
         for old in [one for one in self._all if one not in self._steered and one != name]:
             if len(self._all) <= MOST:
                 break

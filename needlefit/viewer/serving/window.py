@@ -6,8 +6,8 @@ from typing import Any
 
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.viewer.hand.inputs import Change
-from needlefit.viewer.recording.log import read
-from needlefit.viewer.serving.messages import FASTEST, Message
+from needlefit.viewer.recording.log import Recording, read
+from needlefit.viewer.serving.messages import FASTEST, MOST_TIMES, Message
 from needlefit.viewer.serving.motions import LONGEST, Motion, Play, Replay, Stroke
 from needlefit.viewer.serving.picture import scene_message, state_message
 from needlefit.viewer.serving.trial import Trial
@@ -27,6 +27,7 @@ class Window:
         self.trials, self.trial = trials, trial
         self.heard = 0
         self._motion: Motion | None = None
+        self._paused: Replay | None = None
         self._at = 0.0
 
     def answer(self, message: Message) -> Iterator[Reply]:
@@ -52,6 +53,7 @@ class Window:
             "answers": self.heard,
             "moving": motion.speed if isinstance(motion, Stroke) else 0,
             "playing": isinstance(motion, Play | Replay),
+            "paused": self._paused is not None,
         }
 
     def _refused(self, error: NeedlefitError) -> Reply:
@@ -63,7 +65,7 @@ class Window:
         if message.fault:
             raise message.fault
         if message.do not in ("frame", "hello") and not self._beside(message):
-            self._motion = None  # a hand on the needle takes over from what goes on by itself
+            self._take_over(message)
         match message.do:
             case "change":
                 self._change(message)
@@ -72,7 +74,8 @@ class Window:
             case "move":
                 self._start(Stroke(*self._stroke(message)))
             case "play":
-                self.trial.reset()
+                if self.trial.steering.number:
+                    self.trial.reset()
                 self._start(Play(self.trial, message.number("speed_mm_s", 10.0, FASTEST), message.id))
             case "replay":
                 self._replay(message)
@@ -84,6 +87,14 @@ class Window:
                 self.trial.redo()
             case "reset":
                 self.trial.reset()
+
+    def _take_over(self, message: Message) -> None:
+        """Stop what goes on by itself: a hand is on the needle. A replay that is only halted can go on."""
+        if message.do == "halt" and isinstance(self._motion, Replay):
+            self._paused = self._motion
+        elif message.do not in ("halt", "replay"):
+            self._paused = None
+        self._motion = None
 
     def _beside(self, message: Message) -> bool:
         """Whether a message steers a needle that is being inserted, and does not insert it itself."""
@@ -110,13 +121,14 @@ class Window:
         return speed, message.gesture or message.id, to
 
     def _replay(self, message: Message) -> None:
-        source, path = self.trial.source, self.trial.recorder.path
-        if self.trial.steering.number:
-            source = read(path)
-        if source is None or not source.steps:
-            raise ModelError("nothing has been recorded", expected="a needle that was moved")
+        times = message.number("times", 1.0, MOST_TIMES)
+        if self._paused:
+            self._start(self._paused)
+            self._paused.speed, self._paused = times, None
+            return
+        source = _to_replay(self.trial)
         self.trial = self.trials.again(self.trial, source)
-        self._start(Replay(source.steps, message.number("times", 1.0, FASTEST)))
+        self._start(Replay(source.steps, times))
 
     def _start(self, motion: Motion) -> None:
         self._motion, self._at = motion, monotonic()
@@ -126,6 +138,19 @@ class Window:
         dt, self._at = min(now - self._at, LONGEST), now
         if self._motion and not self._motion.advance(self.trial, dt):
             self._motion = None
+
+
+def _to_replay(trial: Trial) -> Recording:
+    """Return what a trial has recorded; while that is only a part of what it replays, the whole of that."""
+    source, done = trial.source, trial.steering.number
+    if done:
+        own = read(trial.recorder.path)
+        acts = [step.changes for step in own.steps]
+        if source is None or [step.changes for step in source.steps[:done]] != acts:
+            source = own
+    if source is None or not source.steps:
+        raise ModelError("nothing has been recorded", expected="a needle that was moved")
+    return source
 
 
 def _unwritten(error: OSError, trial: Trial) -> ModelError:
