@@ -197,9 +197,10 @@ def test_a_replay_in_the_page_ends_with_the_same_needle(page) -> None:
     go_to(page, 12)
     drag(page, "base", 0, -20)
     state = go_to(page, 18)
+    recording = page.evaluate("window.needlefit.scene.recording")
     page.select_option("#times", "5")
     page.click("#replay")
-    until(page, "state => state.playing || state.depth_mm < 18")
+    until(page, f"() => window.needlefit.scene.recording !== '{recording}'")  # it may be over at once
     again = until(page, "state => !state.playing && state.depth_mm === 18")
     assert again["y"] == state["y"] and again["step"] == state["step"]
 
