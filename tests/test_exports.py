@@ -2,7 +2,9 @@
 
 import io
 import json
+import re
 from dataclasses import replace
+from importlib.resources import files
 
 import numpy as np
 import pandas as pd
@@ -16,10 +18,10 @@ from needlefit.mechanics.load import lateral_load, loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Entry, Scene, insert
 from needlefit.mechanics.session import Moment
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import placed, positions
 from needlefit.mechanics.strides import strides
 from needlefit.mechanics.tissue import Tissue
-from needlefit.reporting.figures import animation
+from needlefit.reporting.figures import animation, look
 from needlefit.reporting.figures import moment as moment_figure
 from needlefit.reporting.figures.acting import round_up, told
 from needlefit.reporting.figures.animation import sampled
@@ -96,7 +98,12 @@ def test_a_picture_shows_all_of_the_needle_in_true_millimetres(entry: Entry) -> 
     drawn = np.concatenate([line.get_xydata() for line in sheet.axes.lines])
     ends = entry.to_world(positions(moment.shape, moment.shape.x[[0, -1]]))
     guides = entry.to_world([[guide.x, guide.y] for guide in HELD.guides])
-    for point in (*ends, *guides, *entry.to_world(measured), *entry.to_world(moment.shape.constraints)):
+    for point in (
+        *ends,
+        *guides,
+        *entry.to_world(measured),
+        *entry.to_world(placed(moment.shape, moment.shape.constraints)),
+    ):
         assert np.abs(drawn - point).max(axis=1).min() < 1e-9
         assert sheet.axes.get_xlim()[0] < point[0] < sheet.axes.get_xlim()[1]
         assert sheet.axes.get_ylim()[0] < point[1] < sheet.axes.get_ylim()[1]
@@ -158,6 +165,17 @@ def test_a_picture_before_first_contact_has_no_load(tmp_path) -> None:
     sheet = lay_out("Before", one, [end(one)], Beside())
     paint(sheet, end(one))
     assert sheet.per_mm == 0 and sheet.axes.get_xlim()[0] < -100
+
+
+def test_pictures_have_the_colours_of_the_page() -> None:
+    sheet = (files("needlefit.viewer") / "page" / "style.css").read_text()
+    for name, colour in look.COLOURS.items():
+        assert re.search(rf"--{name}: (#\w+);", sheet).group(1) == colour  # the first: by light
+
+
+@pytest.mark.parametrize(("entry", "axis"), [(Entry(), "y (mm)"), (TURNED, "y in the world (mm)")])
+def test_axes_say_whose_they_are(entry: Entry, axis: str) -> None:
+    assert lay_out("Held", scene(entry), [end(scene(entry))], Beside()).axes.get_ylabel() == axis
 
 
 # ---- on the way ----
@@ -230,16 +248,16 @@ def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch
     log = tmp_path / "log.csv"
     last = recorded(log)[-1]
     small(monkeypatch)
-    files = {kind: export(log, kind) for kind in KINDS}
-    table = pd.read_csv(io.BytesIO(files["shape.csv"]))
+    written = {kind: export(log, kind) for kind in KINDS}
+    table = pd.read_csv(io.BytesIO(written["shape.csv"]))
     assert table["y_mm"].iloc[-1] == pytest.approx(last[-1], abs=1e-8)
-    (curve,) = json.loads(files["shape.mrk.json"])["markups"]
+    (curve,) = json.loads(written["shape.mrk.json"])["markups"]
     assert curve["controlPoints"][-1]["position"][1] == pytest.approx(last[-1], abs=1e-6)
-    assert files["picture.svg"].startswith(b"<?xml") and files["picture.png"].startswith(b"\x89PNG")
-    assert files["animation.gif"].startswith(b"GIF89a")
-    assert files["inputs.csv"] == log.read_bytes()
+    assert written["picture.svg"].startswith(b"<?xml") and written["picture.png"].startswith(b"\x89PNG")
+    assert written["animation.gif"].startswith(b"GIF89a")
+    assert written["inputs.csv"] == log.read_bytes()
     again = export(log, "picture.svg")
-    assert again == files["picture.svg"]
+    assert again == written["picture.svg"]
 
 
 def test_a_picture_of_a_measured_insertion_shows_it_and_says_that_it_is_synthetic(

@@ -9,7 +9,7 @@ from needlefit.mechanics import reference
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.shape import NeedleShape, inserted_points, positions
+from needlefit.mechanics.shape import NeedleShape, inserted_points, placed, positions
 from needlefit.mechanics.simulate import equilibrium, follow, simulate
 from needlefit.mechanics.tissue import Tissue
 
@@ -165,6 +165,17 @@ def test_positions_of_a_straight_tilted_needle_are_exact() -> None:
     points = positions(shape, np.array([0.0, 30.0]))
     advance = points[1] - points[0]
     np.testing.assert_allclose(advance, [30.0 / np.sqrt(1.01), 3.0], rtol=1e-7)
+
+
+def test_points_are_drawn_as_far_from_the_needle_as_the_model_knows_them() -> None:
+    """A steep needle, 100 mm deep, falls short of its beam coordinate by 10 mm; its own points do so with it."""
+    shape = simulate(NEEDLE, Tissue(mu=[33.0], alpha=[1.0]), Bevel(0.2), 100.0)
+    needle = positions(shape, shape.x)
+    np.testing.assert_array_equal(placed(shape, np.column_stack((shape.x, shape.u))), needle)
+    assert shape.x[-1] - needle[-1, 0] > 5.0
+    offsets = np.array([0.3, -0.2])
+    beside = placed(shape, np.column_stack((shape.x[-2:], shape.u[-2:] + offsets)))
+    np.testing.assert_allclose(beside - needle[-2:], np.column_stack(([0.0, 0.0], offsets)), atol=1e-12)
 
 
 def test_inserted_points_begin_at_the_entry_and_end_at_the_tip() -> None:

@@ -234,5 +234,8 @@ def test_simulate_refuses_another_ending_or_folder(scene, tmp_path):
     code, path, said = scene(".stl", "phantom1")
     assert code == 3 and ".mrk.json or .ply" in said.err and not path.exists()
     with pytest.raises(ConfigError, match="no such folder"):
-        write_scene(Entry(), (), tmp_path / "none" / "needle.ply")
-    assert not write_scene(Entry(), (), tmp_path / "needle.ply") and not (tmp_path / "needle.ply").exists()
+        write_scene(Entry().placement, (), tmp_path / "none" / "needle.ply")
+    assert (
+        not write_scene(Entry().placement, (), tmp_path / "needle.ply")
+        and not (tmp_path / "needle.ply").exists()
+    )

@@ -33,7 +33,7 @@ def write_curves(done: Inserted, path: Path) -> bool:
     """Write the needle for 3D Slicer; False where there is none."""
     from needlefit.reporting.slicer import write_scene
 
-    return write_scene(done.scene.entry, done.shapes, path, done.diameter)
+    return write_scene(done.scene.entry.placement, done.shapes, path, done.diameter)
 
 
 def write_table(done: Inserted, path: Path) -> bool:

@@ -7,17 +7,22 @@ from typing import TYPE_CHECKING, Any
 from needlefit.cli import screen
 
 if TYPE_CHECKING:
+    from needlefit.geometry.placement import Placement
     from needlefit.mechanics.scene import Entry, Scene
     from needlefit.mechanics.shape import NeedleShape
 
 
-def summary(scene: "Scene", shapes: "Sequence[NeedleShape]") -> dict[str, Any]:
+def summary(
+    scene: "Scene", shapes: "Sequence[NeedleShape]", placement: "Placement | None" = None
+) -> dict[str, Any]:
     """Return what `--json` prints, of the last step that was tried and, in `steps`, of each; lengths in mm.
 
-    `shapes` end with the last step, or with the one that failed.
+    `shapes` end with the last step, or with the one that failed; `placement` is where a measured needle lies.
     """
     pairs = zip(scene.steps, shapes, strict=False)
-    steps = [{"depth_mm": step.depth} | _summary_of_step(scene.entry, shape) for step, shape in pairs]
+    steps = [
+        {"depth_mm": step.depth} | _summary_of_step(scene.entry, shape, placement) for step, shape in pairs
+    ]
     for step, before in zip(steps[:0:-1], steps[-2::-1], strict=True):
         step["iterations"] -= before["iterations"]  # a shape counts from first contact
     unreached = dict.fromkeys(steps[0], None) | {"converged": False, "status": "not reached", "iterations": 0}
@@ -31,14 +36,14 @@ def summary(scene: "Scene", shapes: "Sequence[NeedleShape]") -> dict[str, Any]:
     }
 
 
-def _summary_of_step(entry: "Entry", shape: "NeedleShape") -> dict[str, Any]:
+def _summary_of_step(entry: "Entry", shape: "NeedleShape", placement: "Placement | None") -> dict[str, Any]:
     from needlefit.mechanics.shape import positions
 
     slope = float(shape.slope[-1])
     return {
         "deflection_mm": shape.deflection,
         "tip_slope": slope,
-        "tip_mm": entry.to_world(positions(shape, shape.x[-1:]))[0],
+        "tip_mm": (placement or entry).to_world(positions(shape, shape.x[-1:]))[0],
         "tip_angle_deg": math.degrees(entry.angle + math.atan(slope)),
         "converged": shape.converged,
         "status": shape.status,
@@ -48,13 +53,12 @@ def _summary_of_step(entry: "Entry", shape: "NeedleShape") -> dict[str, Any]:
 
 def show_summary(title: str, answer: dict[str, Any]) -> None:
     """Print a summary in lines under a title."""
-    x, y = answer["tip_mm"]
     interfaces = ", ".join(f"{depth:g}" for depth in answer["boundaries_mm"]) or "none"
     state = "yes" if answer["converged"] else f"NO: {answer['status']}"
     rows = [
         ("depth", f"{answer['depth_mm']:g} mm"),
         ("deflection", f"{_found(answer['deflection_mm'])} mm, tip in the constraint frame"),
-        ("tip", f"({_found(x)}, {_found(y)}) mm in the world"),
+        ("tip", f"({', '.join(map(_found, answer['tip_mm']))}) mm in the world"),
         ("boundaries", interfaces + (" mm" if interfaces != "none" else "")),
         ("converged", f"{state} ({answer['iterations']} Newton iterations)"),
     ]

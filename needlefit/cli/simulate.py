@@ -44,7 +44,8 @@ def simulate(
         typer.Option(
             metavar="FILE",
             help="Write the needle for 3D Slicer: .mrk.json, a curve for every step, or .ply, a tube of the "
-            "last. Scene coordinates are taken as LPS, in the plane z = 0; mm.",
+            "last. Scene coordinates are taken as LPS, in the plane z = 0; a recording of a measured "
+            "insertion lies in its scan; mm.",
         ),
     ] = None,
     animation: Annotated[
@@ -84,7 +85,7 @@ def simulate(
 
 def _show(done: Simulated, json: bool) -> None:
     """Print where the needle ends; leave with an exit code of its own where it was not found."""
-    answer = summary(done.scene, done.shapes) | done.more
+    answer = summary(done.scene, done.shapes, done.placement) | done.more
     if json:
         screen.show_json(answer)
     else:

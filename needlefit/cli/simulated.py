@@ -13,6 +13,7 @@ from needlefit.cli.plausibility import doubts
 from needlefit.cli.scene_files import Inserted
 
 if TYPE_CHECKING:
+    from needlefit.geometry.placement import Placement
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.project.records.scene import SceneRecord
@@ -35,6 +36,8 @@ class Simulated:
         By option, what writes such a file; False where there is no needle to write.
     more : dict
         What else `--json` says.
+    placement : Placement or None
+        Where a measured needle lies; None of a scene, which says so itself.
     """
 
     title: str
@@ -42,6 +45,7 @@ class Simulated:
     shapes: "tuple[NeedleShape, ...]"
     files: Mapping[str, Write]
     more: dict[str, Any]
+    placement: "Placement | None" = None
 
 
 def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
@@ -82,7 +86,7 @@ def of_recording(path: Path, upto: int | None) -> Simulated:
         "animation": partial(export.write_animation, done),
     }
     more = {"replayed": {"steps": len(recording.steps), "off_mm": done.off}}
-    return Simulated(done.title, done.scene, (done.moment.shape,), files, more)
+    return Simulated(done.title, done.scene, (done.moment.shape,), files, more, done.placement)
 
 
 def _warn(record: "SceneRecord") -> None:

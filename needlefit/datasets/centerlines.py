@@ -131,10 +131,7 @@ def find_points(
 
 def patient_frame(record: FrameRecord) -> Frame:
     """Return the patient coordinates of scans that no row places otherwise, as a frame in the world."""
-    if record.lps_to_world is None:
-        return IN_PATIENT
-    motion = np.array(record.lps_to_world, dtype=np.float64)  # (3, 4)
-    return Frame(motion[:, 3], motion[:, :3])
+    return IN_PATIENT if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
 
 
 def _finite(points: Points, found: list[Fault]) -> Points | None:

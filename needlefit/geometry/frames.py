@@ -1,6 +1,7 @@
 """Rigid frames of the world, and the rigid motion that lays one planar curve on another."""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +28,17 @@ class Frame:
 
     origin: Floats
     rotation: Floats
+
+    @classmethod
+    def from_rows(cls, rows: ArrayLike) -> Self:
+        """Return the frame whose motion to the world is `rows` (3, 4): rotation, and shift in mm."""
+        motion = np.asarray(rows, dtype=np.float64)
+        return cls(motion[:, 3], motion[:, :3])
+
+    @property
+    def rows(self) -> Floats:
+        """Its motion to the world (3, 4), as `from_rows` takes it."""
+        return np.column_stack([self.rotation, self.origin])
 
     def to_local(self, points: ArrayLike) -> Floats:
         """Return world `points` (N, 3) in this frame."""

@@ -10,6 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.errors import ConfigError, ModelError
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.placement import Placement
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
@@ -39,6 +41,13 @@ class Entry:
     def from_record(cls, record: EntryRecord) -> Self:
         """Return the pose that a checked record describes."""
         return cls(record.x_mm, record.y_mm, math.radians(record.angle_deg))
+
+    @property
+    def placement(self) -> Placement:
+        """C in the plane z = 0 of the world, whose coordinates are taken as a patient's."""
+        cos, sin = math.cos(self.angle), math.sin(self.angle)
+        rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
+        return Placement(Frame(np.array([self.x, self.y, 0.0]), rotation))
 
     def to_world(self, points: ArrayLike) -> Floats:
         """Return points (K, 2) of C in the world, mm."""

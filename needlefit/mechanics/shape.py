@@ -55,6 +55,11 @@ class NeedleShape:
         return float(self.x[-1])
 
     @property
+    def tip_path(self) -> Floats:
+        """Depth and y of the tip as it stood at each constraint point, (M + 1, 2) mm."""
+        return np.column_stack((self.constraints[:, 0], self.tip_track[:, 0]))
+
+    @property
     def deflection(self) -> float:
         """Deflection of the tip in C, mm."""
         return float(self.u[-1])
@@ -90,6 +95,15 @@ def positions(shape: NeedleShape, s: Floats) -> Floats:
             expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
         )
     return kernel.positions(shape.x, shape.u, shape.slope, wanted)
+
+
+def placed(shape: NeedleShape, points: Floats) -> Floats:
+    """Return where points (K, 2), given by beam coordinate and y, lie beside the needle of `positions`.
+
+    What belongs to a beam coordinate is carried along x with that point of the needle and keeps its y: so its
+    distance from the needle is the one that the model knows.
+    """
+    return np.column_stack((positions(shape, points[:, 0])[:, 0], points[:, 1]))
 
 
 def inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:

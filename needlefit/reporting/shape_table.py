@@ -6,17 +6,21 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicHermiteSpline
 
+from needlefit.geometry.placement import Placement
 from needlefit.mechanics.load import lateral_load
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
 from needlefit.mechanics.shape import positions
 from needlefit.reporting.files import require_folder, write_csv
 
+_WORLD = ("world_x_mm", "world_y_mm", "world_z_mm")
 _SAME = 1e-6  # mm: a node so near a whole millimetre stands for it
 
 
-def shape_table(scene: Scene, moment: Moment) -> pd.DataFrame:
+def shape_table(scene: Scene, moment: Moment, placement: Placement | None = None) -> pd.DataFrame:
     """Return a row for every node and every whole millimetre of the needle, base first.
+
+    `placement` is where a measured needle lies.
 
     Columns
     -------
@@ -24,8 +28,8 @@ def shape_table(scene: Scene, moment: Moment) -> pd.DataFrame:
         Beam coordinate: arc length from the entry, negative before it.
     x_mm, y_mm, slope
         In the constraint frame C; y is the deflection, the slope dy/ds of the model.
-    world_x_mm, world_y_mm
-        In the scene's world.
+    world_x_mm, world_y_mm[, world_z_mm]
+        In the scene's world; of a placed needle in that of its dataset, with z.
     load_n_per_mm
         Lateral load of the tissue, + toward y.
     layer
@@ -34,7 +38,7 @@ def shape_table(scene: Scene, moment: Moment) -> pd.DataFrame:
     shape, tissue = moment.shape, moment.tissue
     s = _stations(shape.x)
     place = positions(shape, s)
-    world = scene.entry.to_world(place)
+    world = (placement or scene.entry).to_world(place)  # (K, 3) or (K, 2)
     layer = pd.array(1 + np.searchsorted(tissue.boundaries, s), dtype="Int64")
     layer[s < 0] = pd.NA
     return pd.DataFrame(
@@ -43,15 +47,14 @@ def shape_table(scene: Scene, moment: Moment) -> pd.DataFrame:
             "x_mm": place[:, 0],
             "y_mm": place[:, 1],
             "slope": CubicHermiteSpline(shape.x, shape.u, shape.slope)(s, 1),
-            "world_x_mm": world[:, 0],
-            "world_y_mm": world[:, 1],
+            **dict(zip(_WORLD, world.T, strict=False)),
             "load_n_per_mm": lateral_load(shape, tissue, s, scene.rules),
             "layer": layer,
         }
     )
 
 
-def write_shape(scene: Scene, moment: Moment, path: Path) -> None:
+def write_shape(scene: Scene, moment: Moment, path: Path, placement: Placement | None = None) -> None:
     """Write the table of a shape, .csv.
 
     Raises
@@ -60,7 +63,7 @@ def write_shape(scene: Scene, moment: Moment, path: Path) -> None:
         If the folder of `path` does not exist.
     """
     require_folder(path)
-    write_csv(shape_table(scene, moment), path)
+    write_csv(shape_table(scene, moment, placement), path)
 
 
 def _stations(nodes: np.ndarray) -> np.ndarray:

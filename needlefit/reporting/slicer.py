@@ -10,8 +10,8 @@ from needlefit.datasets.formats.markups import Markups
 from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
+from needlefit.geometry.placement import Placement
 from needlefit.geometry.tubes import tube, write_ply
-from needlefit.mechanics.scene import Entry
 from needlefit.mechanics.shape import NeedleShape, positions
 from needlefit.reporting.files import require_folder
 from needlefit.reporting.names import PAPER, RIVAL_COLOURS, rgb
@@ -48,9 +48,9 @@ def write_needles(results: Results, folder: Path) -> None:
 
 
 def write_scene(
-    entry: Entry, shapes: Sequence[NeedleShape], path: Path, diameter: float | None = None
+    placement: Placement, shapes: Sequence[NeedleShape], path: Path, diameter: float | None = None
 ) -> bool:
-    """Write a simulated needle, from its base to its tip, in the plane z = 0 of the scene's world.
+    """Write a simulated needle, from its base to its tip, in the patient coordinates in which it lies.
 
     A `.mrk.json` holds a curve for every step, a `.ply` the body after the last; a step that failed is left
     out. Return whether there was any to write.
@@ -61,12 +61,12 @@ def write_scene(
         If the ending of `path` is another one or its folder does not exist.
     """
     _check(path)
-    curves = [_simulated(entry, shape) for shape in shapes if shape.converged]
+    curves = [_simulated(placement, shape) for shape in shapes if shape.converged]
     if not curves:
         return False
     if path.suffix.lower() == ".ply":
         radius = (DIAMETER if diameter is None else diameter) / 2
-        write_ply(tube(curves[-1][0], radius, (-np.sin(entry.angle), np.cos(entry.angle), 0.0)), path)
+        write_ply(tube(curves[-1][0], radius, placement.across), path)
         return True
     steps = [f"needle, step {n}" for n in range(1, len(curves) + 1)] if len(shapes) > 1 else ["needle"]
     lists = [
@@ -115,13 +115,12 @@ def _bodies(needle: PlacedNeedle) -> Iterator[tuple[str, Floats, Floats]]:
         yield "band", axis, np.column_stack([half + radius, np.full(len(half), radius)])
 
 
-def _simulated(entry: Entry, shape: NeedleShape) -> tuple[Floats, Floats]:
-    """Return points (K, 3) from base to tip in the world, and their distances from the entry (K,), mm."""
+def _simulated(placement: Placement, shape: NeedleShape) -> tuple[Floats, Floats]:
+    """Return points (K, 3) from base to tip, LPS, and their distances from the entry (K,), mm."""
     before = np.linspace(shape.x[0], 0.0, BEFORE) if shape.x[0] < 0 else np.zeros(1)
     inserted = np.linspace(0.0, shape.depth, INSERTED)[1:] if shape.depth > 0 else np.empty(0)
     s = np.concatenate([before, inserted])
-    flat = entry.to_world(positions(shape, s))
-    return np.column_stack([flat, np.zeros(len(s))]), s
+    return placement.to_patient(positions(shape, s)), s
 
 
 def _labels(s: Floats) -> tuple[str, ...]:

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import align_rigid
+from needlefit.geometry.placement import Placement
 from needlefit.inference.comparison import curve_of, target
 from needlefit.inference.draws import from_posterior
 from needlefit.inference.identifiability.identify import Verdict
@@ -109,14 +110,9 @@ def place(job: Job, fold: Fold, known: Known, jobs: int = 1) -> dict[str, Placed
 
 
 def _place(stations: "_Stations", fold: str, role: str, known: Known, jobs: int) -> PlacedNeedle:
-    insertion, patient = stations.insertion, stations.insertion.patient
-    stated = stations.job.dataset.outer_diameter
-
-    def in_scan(points: Floats) -> Floats:
-        """Return points (K, 2) of C in the scan (K, 3)."""
-        flat = np.column_stack([points, np.zeros(len(points))])
-        return patient.to_local(insertion.frame.to_world(flat))
-
+    insertion, stated = stations.insertion, stations.job.dataset.outer_diameter
+    placement = Placement(insertion.frame, insertion.patient)
+    in_scan = placement.to_patient
     points = stations.points(np.array(known.fit.theta))
     fitted, band = None, None
     if np.isfinite(points).all():
@@ -127,10 +123,9 @@ def _place(stations: "_Stations", fold: str, role: str, known: Known, jobs: int)
             low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
             converged = draws is None or draws.converged
             band = Band(low, middle, high, "posterior" if draws else "linear", converged)
-    across = insertion.frame.rotation[:, 1] @ patient.rotation
     diameter = DIAMETER if stated is None else stated
-    measured = patient.to_local(insertion.centerline)
-    return PlacedNeedle(insertion.id, fold, role, measured, across, diameter, fitted, band)
+    measured = insertion.patient.to_local(insertion.centerline)
+    return PlacedNeedle(insertion.id, fold, role, measured, placement.across, diameter, fitted, band)
 
 
 @dataclass(frozen=True)
@@ -160,11 +155,14 @@ class _Stations:
 
     def laid(self, points: Floats) -> Floats:
         """Return a simulated needle (K, 2) as it lies in C: a free shape lies on the measured one."""
-        if self.job.dataset.pose == "known":
-            return points
-        planar = self.insertion.planar
-        measured = at_arc(planar, arc_length(planar)[-1] - (self.insertion.depth - self.s))
-        return align_rigid(points, measured)
+        return points if self.job.dataset.pose == "known" else on_measured(self.insertion, self.s, points)
+
+
+def on_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
+    """Return points (K, 2) of a simulated needle at beam coordinates `s` (K,), laid on the measured one."""
+    planar = insertion.planar
+    measured = at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
+    return align_rigid(points, measured)
 
 
 def _linear(stations: _Stations, known: Known) -> tuple[Floats, Floats, Floats] | None:

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass
 
+from needlefit.project.records.recording import PlacementRecord
 from needlefit.project.records.scene import SceneRecord
 from needlefit.validation.placed import DIAMETER
 from needlefit.viewer.overlay.band import Spread
@@ -24,6 +25,8 @@ class Subject:
         All that the needle needs.
     first_cell : float
         Depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do.
+    placement : PlacementRecord or None
+        Where a measured needle lies; None of a scene, which says so itself.
     synthetic : bool
         Whether it is about synthetic data.
     measured : Measured or None
@@ -40,6 +43,7 @@ class Subject:
     note: str
     record: SceneRecord
     first_cell: float
+    placement: PlacementRecord | None = None
     synthetic: bool = False
     measured: Measured | None = None
     spread: Spread | None = None

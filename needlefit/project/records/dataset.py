@@ -1,19 +1,15 @@
 """A dataset: where its insertions, centrelines and layer surfaces stand, and in which columns."""
 
-import math
 from itertools import pairwise
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from needlefit.project.records.record import FileRecord, Record
+from needlefit.project.records.rigid import RigidRows
 from needlefit.project.records.scene import NeedleRecord
 
 Scalar = str | float | int
-Row4 = tuple[float, float, float, float]
-
-RIGID = 1e-6
-"""Greatest deviation of a rotation's columns from unit length and from right angles."""
 
 
 class FrameRecord(Record):
@@ -29,16 +25,7 @@ class FrameRecord(Record):
     name: str = "world"
     pose: Literal["known", "free"] = "known"
     drop_proximal_mm: float = Field(default=0.0, ge=0)
-    lps_to_world: tuple[Row4, Row4, Row4] | None = None
-
-    @model_validator(mode="after")
-    def _rigid(self) -> Self:
-        if self.lps_to_world is not None and not _is_rigid(self.lps_to_world):
-            raise ValueError(
-                "lps_to_world must be three rows of a rotation and a shift (mm): no scale, no reflection, "
-                "e.g. [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]"
-            )
-        return self
+    lps_to_world: RigidRows | None = None
 
 
 class NoiseRecord(Record):
@@ -156,12 +143,3 @@ class DatasetRecord(SourceRecord):
         if self.frame.pose == "free" and any(medium.surfaces for medium in self.media.values()):
             raise ValueError('surfaces stand in the world: with frame.pose = "free" give boundaries_mm')
         return self
-
-
-def _is_rigid(rows: tuple[Row4, Row4, Row4]) -> bool:
-    (a, b, c, _), (d, e, f, _), (g, h, i, _) = rows
-    columns = ((a, d, g), (b, e, h), (c, f, i))
-    products = [sum(x * y for x, y in zip(p, q, strict=True)) for p in columns for q in columns]
-    square = all(abs(product - (n % 4 == 0)) <= RIGID for n, product in enumerate(products))
-    turned = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
-    return square and turned > 0 and all(math.isfinite(row[3]) for row in rows)

@@ -12,16 +12,15 @@ from needlefit.mechanics.load import Loads, loads
 from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.session import Moment
 from needlefit.mechanics.shape import positions
+from needlefit.reporting.figures import look
 from needlefit.reporting.figures.steps import changes
-from needlefit.reporting.figures.world import TIP
 
 Floats = NDArray[np.float64]
 
-LOAD = "#CC79A7"
 _BETWEEN = "  ·  "
 _ARROW = {
     "arrowstyle": "-|>,head_width=0.12,head_length=0.3",
-    "color": TIP,
+    "color": look.TIP,
     "lw": 0.8,
     "shrinkA": 0,
     "shrinkB": 0,
@@ -48,7 +47,7 @@ def profile(entry: Entry, moment: Moment, found: Loads, per_mm: float) -> Floats
 def draw_load(axes: Axes, outline: Floats) -> None:
     """Shade the load along the shaft."""
     if len(outline):
-        axes.fill(*outline.T, color=LOAD, alpha=0.45, lw=0, zorder=1.8)
+        axes.fill(*outline.T, zorder=1.8, **look.LOAD)
 
 
 def draw_tip_force(axes: Axes, entry: Entry, moment: Moment, length: float) -> None:

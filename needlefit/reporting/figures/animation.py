@@ -13,7 +13,7 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
 from needlefit.reporting.figures.acting import round_up
 from needlefit.reporting.figures.moment import paint
-from needlefit.reporting.figures.sheet import Beside, lay_out
+from needlefit.reporting.figures.sheet import Beside, Sheet, lay_out
 from needlefit.reporting.figures.style import LOOK, snug
 from needlefit.reporting.files import require_folder
 
@@ -66,16 +66,25 @@ def animate(
     with matplotlib.style.context(["default", LOOK]):
         said = title if speed == 1 else f"{title} ({speed:g} times as fast)"
         sheet = lay_out(said, scene, shown, beside)
-        FigureCanvasAgg(sheet.figure)
-        paint(sheet, shown[0])
-        snug(sheet.figure)
-        # from here on nothing may move but what moves, and no frame is laid out again
-        with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-            sheet.figure.set_layout_engine(None)
-            with writer.saving(sheet.figure, str(path), DOTS):
-                for moment in shown:
-                    paint(sheet, moment)
-                    writer.grab_frame()
+        _settle(sheet, shown[0])
+        _film(sheet, shown, writer, path)
+
+
+def _settle(sheet: Sheet, moment: Moment) -> None:
+    """Find the layout of a sheet."""
+    FigureCanvasAgg(sheet.figure)
+    paint(sheet, moment)
+    snug(sheet.figure)
+
+
+def _film(sheet: Sheet, shown: Iterable[Moment], writer: AbstractMovieWriter, path: Path) -> None:
+    """Write a frame for each moment; nothing moves but what moves, and no frame is laid out again."""
+    with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        sheet.figure.set_layout_engine(None)
+        with writer.saving(sheet.figure, str(path), DOTS):
+            for moment in shown:
+                paint(sheet, moment)
+                writer.grab_frame()
 
 
 def sampled(moments: Iterable[Timed], times: Sequence[float]) -> list[Moment]:

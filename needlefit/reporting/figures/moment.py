@@ -9,11 +9,12 @@ from matplotlib.figure import Figure
 
 from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.session import Moment
+from needlefit.mechanics.shape import placed
+from needlefit.reporting.figures import look
 from needlefit.reporting.figures.acting import acting, draw_load, draw_tip_force, profile, told
-from needlefit.reporting.figures.sheet import BAND, PATH, Beside, Sheet, lay_out
+from needlefit.reporting.figures.sheet import Beside, Sheet, lay_out
 from needlefit.reporting.figures.style import draw, snug
-from needlefit.reporting.figures.world import TIP, draw_layers, draw_needle
-from needlefit.reporting.names import PAPER
+from needlefit.reporting.figures.world import draw_layers, draw_needle
 
 _ALONE = Beside()
 
@@ -58,13 +59,13 @@ def paint(sheet: Sheet, moment: Moment) -> None:
     _draw_beside(axes, scene.entry, sheet.beside)
     found = acting(scene, moment)
     draw_load(axes, profile(scene.entry, moment, found, sheet.per_mm))
-    path = np.column_stack((moment.shape.constraints[:, 0], moment.shape.tip_track[:, 0]))
-    axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **PATH)
+    path = placed(moment.shape, moment.shape.tip_path)
+    axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **look.PATH)
     draw_needle(axes, scene, moment.step, moment.shape)
     draw_tip_force(axes, scene.entry, moment, found.tip_force * sheet.arrow)
     lines, tip = told(scene.entry, moment, found, sheet.letters)
     axes.set_title(_filled(lines, sheet.lines), loc="left", pad=4)
-    axes.set_title(_filled(tip, sheet.lines), loc="right", pad=4, color=TIP)
+    axes.set_title(_filled(tip, sheet.lines), loc="right", pad=4, color=look.TIP)
 
 
 def _filled(lines: list[str], count: int) -> str:
@@ -75,6 +76,8 @@ def _filled(lines: list[str], count: int) -> str:
 def _draw_beside(axes: Axes, entry: Entry, beside: Beside) -> None:
     if beside.low is not None and beside.high is not None:
         band = entry.to_world(np.concatenate((beside.low, beside.high[::-1])))
-        axes.fill(*band.T, color=BAND, alpha=0.5, lw=0, zorder=1.5)
+        axes.fill(*band.T, zorder=1.5, **look.BAND)
     if beside.measured is not None:
-        axes.plot(*entry.to_world(beside.measured).T, color=PAPER, lw=1.1, zorder=2.8)
+        measured = entry.to_world(beside.measured).T
+        axes.plot(*measured, zorder=2.8, **look.HALO)
+        axes.plot(*measured, zorder=3.5, **look.MEASURED)

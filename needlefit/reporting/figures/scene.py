@@ -10,12 +10,13 @@ from matplotlib.figure import Figure
 
 from needlefit.mechanics.control import Controls
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.shape import NeedleShape, placed, positions
+from needlefit.reporting.figures import look
 from needlefit.reporting.figures.steps import paint_steps
 from needlefit.reporting.figures.style import WIDTH, draw, snug, stretch
 from needlefit.reporting.figures.tissue import layer_labels, shades
 from needlefit.reporting.figures.world import write_failure
-from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
+from needlefit.reporting.names import GREY, INK
 
 _TALLEST = 5.5  # inches: a needle that bends further is drawn narrower
 _OUTSIDE = 0.22  # share of the depth drawn before the entry
@@ -95,14 +96,14 @@ def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
 
 def _draw_needle(axes: Axes, shape: NeedleShape, needle: np.ndarray) -> None:
     axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
-    axes.plot(*shape.constraints.T, "x", color=PAPER, ms=2.6, mew=0.6, zorder=2, label="constraint points")
-    axes.plot(needle[:, 0], needle[:, 1], color=RIVAL_COLOURS["fitted"], lw=1.8, zorder=3, label="needle")
+    axes.plot(*placed(shape, shape.constraints).T, zorder=2, label="constraint points", **look.POINTS)
+    axes.plot(*needle.T, zorder=3, label="needle", **look.NEEDLE)
     tip = needle[-1]
-    axes.plot(*tip, "o", color=RIVAL_COLOURS["fitted"], ms=3.5, zorder=4)
+    axes.plot(*tip, zorder=4, **look.TIP_MARK)
     outward = 1 if tip[1] >= 0 else -1
     axes.annotate(
         f"tip {tip[1]:+z.2f} mm".replace("-", "−"), tip, xytext=(4, 11 * outward), textcoords="offset points",
-        ha="right", va="center", color=RIVAL_COLOURS["fitted"],
+        ha="right", va="center", color=look.TIP,
     )  # fmt: skip
     axes.legend(
         loc="lower right", bbox_to_anchor=(1, 1), ncols=2, handlelength=1.2, borderaxespad=0.2, borderpad=0.1

@@ -3,7 +3,6 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -16,15 +15,14 @@ from needlefit.mechanics.control import Controls
 from needlefit.mechanics.load import Loads
 from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.session import Moment
-from needlefit.reporting.figures.acting import LOAD, acting, profile, round_up, told
+from needlefit.mechanics.shape import positions
+from needlefit.reporting.figures import look
+from needlefit.reporting.figures.acting import acting, profile, round_up, told
 from needlefit.reporting.figures.style import WIDTH, label_origin
-from needlefit.reporting.figures.world import TIP, legend_handles, needle_line, window
-from needlefit.reporting.names import PAPER, RIVAL_COLOURS
+from needlefit.reporting.figures.world import Span, legend_handles, needle_line, window
 
 Floats = NDArray[np.float64]
 
-BAND = RIVAL_COLOURS["linear_curvature"]
-PATH: dict[str, Any] = {"color": TIP, "lw": 0.5, "ls": (0, (3, 2))}
 _OUTSIDE = 0.22  # share of the depth shown before the entry, where nothing but the inserted part is shown
 _HIGHEST = 0.1  # share of the drawing's length that the largest load takes
 _LONGEST = 0.08  # and the largest tip force
@@ -109,17 +107,12 @@ def lay_out(
     if whole is None:
         whole = any(moment.step.controls != Controls() for moment in moments)
     found = [acting(scene, moment) for moment in moments]
+    pairs = list(zip(moments, found, strict=True))
     points = _shown(scene, moments, beside, whole)
     span = float(np.ptp(points, axis=0).max())
-    load = max(float(np.abs(one.load).max(initial=0.0)) for one in found)
-    force = max(abs(one.tip_force) for one in found)
-    per_mm = round_up(load / (_HIGHEST * span)) if load > 0 else 0.0
-    arrow = _LONGEST * span / force if force > 0 else 0.0
-    pairs = list(zip(moments, found, strict=True))
+    per_mm, arrow = _scales(found, span)
     points = np.concatenate([points, *(_forces(scene.entry, *pair, per_mm, arrow) for pair in pairs)])
-    x, y = window(points, _FLATTEST * span)
-    more = max(0.0, (y[1] - y[0]) / _STEEPEST - (x[1] - x[0]))
-    x = x[0] - more / 2, x[1] + more / 2
+    x, y = _limits(points, span)
     inches = min((WIDTH - 0.6) / (x[1] - x[0]), _TALLEST / (y[1] - y[0]))
     width, height = inches * (x[1] - x[0]), inches * (y[1] - y[0])
     letters, columns = int((width - _TIP) / _LETTER), int(width / _COLUMN)
@@ -128,13 +121,40 @@ def lay_out(
     above = 0.75 + 0.14 * (lines + math.ceil(len(handles) / columns))
     figure = Figure(figsize=(width + 0.6, height + above))
     axes = figure.add_subplot()
-    axes.set(xlim=x, ylim=y, xlabel="x in the world (mm)", ylabel="y in the world (mm)", aspect=1)
-    figure.legend(
-        handles=handles, loc="outside upper left", ncols=columns, handletextpad=0.4, handlelength=1.4,
-        columnspacing=1.2, title=title, alignment="left", title_fontsize=8,
-    )  # fmt: skip
+    axes.set(xlim=x, ylim=y, aspect=1, **_axis_labels(scene.entry))
+    _explain(figure, title, handles, columns)
     label_origin(figure, beside.synthetic)
     return Sheet(figure, axes, scene, beside, inches, per_mm, arrow, letters, lines)
+
+
+def _explain(figure: Figure, title: str, handles: Sequence[Line2D | Patch], columns: int) -> None:
+    """Write title and legend above the drawing."""
+    figure.legend(
+        handles=handles, loc="outside upper left", ncols=columns, handletextpad=0.4, handlelength=1.6,
+        columnspacing=1.2, title=title, alignment="left", title_fontsize=8,
+    )  # fmt: skip
+
+
+def _scales(found: Sequence[Loads], span: float) -> tuple[float, float]:
+    """Return the load that a drawn millimetre stands for (N/mm), and the length of one newton (mm)."""
+    load = max(float(np.abs(one.load).max(initial=0.0)) for one in found)
+    force = max(abs(one.tip_force) for one in found)
+    per_mm = round_up(load / (_HIGHEST * span)) if load > 0 else 0.0
+    return per_mm, _LONGEST * span / force if force > 0 else 0.0
+
+
+def _limits(points: Floats, span: float) -> tuple[Span, Span]:
+    """Return limits of x and y that show all points, and are not too narrow for what is written above."""
+    x, y = window(points, _FLATTEST * span)
+    more = max(0.0, (y[1] - y[0]) / _STEEPEST - (x[1] - x[0]))
+    return (x[0] - more / 2, x[1] + more / 2), y
+
+
+def _axis_labels(entry: Entry) -> dict[str, str]:
+    """Return what the axes are: C's own where the scene says no other world."""
+    if entry == Entry():
+        return {"xlabel": "x along the entry (mm)", "ylabel": "y (mm)"}
+    return {"xlabel": "x in the world (mm)", "ylabel": "y in the world (mm)"}
 
 
 def _shown(scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool) -> Floats:
@@ -152,18 +172,18 @@ def _shown(scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool)
 
 def _forces(entry: Entry, moment: Moment, found: Loads, per_mm: float, arrow: float) -> Floats:
     """Return points that a drawing of the forces must hold, (K, 2) mm."""
-    pulled = [(moment.shape.depth, moment.shape.deflection + arrow * found.tip_force)]
+    ((x, y),) = positions(moment.shape, moment.shape.x[-1:])
+    pulled = [(x, y + arrow * found.tip_force)]
     return np.concatenate([profile(entry, moment, found, per_mm), entry.to_world(pulled)])
 
 
 def _handles(beside: Beside, per_mm: float, guides: bool) -> list[Line2D | Patch]:
     """Return what the legend shows."""
-    handles: list[Line2D | Patch] = [*legend_handles(guides), Line2D([], [], label="path of the tip", **PATH)]
+    handles: list[Line2D | Patch] = [*legend_handles(guides), Line2D([], [], label="tip path", **look.PATH)]
     if per_mm:
-        said = f"lateral load, {per_mm:g} N/mm to the mm"
-        handles.append(Patch(color=LOAD, alpha=0.45, lw=0, label=said))
+        handles.append(Patch(label=f"lateral load, {per_mm:g} N/mm to the mm", **look.LOAD))
     if beside.measured is not None:
-        handles.append(Line2D([], [], color=PAPER, lw=1.1, label="measured"))
+        handles.append(Line2D([], [], label="measured", **look.MEASURED))
     if beside.low is not None:
-        handles.append(Patch(color=BAND, alpha=0.5, lw=0, label="95 % band"))
+        handles.append(Patch(label="95 % band", **look.BAND))
     return handles

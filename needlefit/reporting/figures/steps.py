@@ -9,9 +9,9 @@ from matplotlib.figure import Figure
 from needlefit.mechanics.control import Guide, Step
 from needlefit.mechanics.scene import Entry, Scene
 from needlefit.mechanics.shape import NeedleShape
+from needlefit.reporting.figures import look
 from needlefit.reporting.figures.style import WIDTH, snug, stretch
 from needlefit.reporting.figures.world import (
-    TIP,
     Span,
     base_point,
     draw_layers,
@@ -88,7 +88,7 @@ def _write_head(axes: Axes, head: Sequence[str], lines: int) -> None:
     """Write it above a panel: in one line with the tip at the right, or in so many lines."""
     if lines == 1:
         axes.set_title(_BETWEEN.join(head[:-1]), loc="left", pad=3)
-        axes.set_title(head[-1], loc="right", pad=3, color=TIP)
+        axes.set_title(head[-1], loc="right", pad=3, color=look.TIP)
     else:
         axes.set_title("\n".join([*head, *[""] * (lines - len(head))]), loc="left", pad=3)
 

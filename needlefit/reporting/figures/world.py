@@ -9,14 +9,14 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.scene import Entry, Scene
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.shape import NeedleShape, placed, positions
+from needlefit.reporting.figures import look
 from needlefit.reporting.figures.tissue import layer_labels, shades
 from needlefit.reporting.names import GREY, INK
 
 Floats = NDArray[np.float64]
 Span = tuple[float, float]
 
-BASE, GUIDE, CONSTRAINT, TIP = INK, "#009E73", "#0072B2", "#C8102E"
 _FAR = 1e4  # mm: further than any panel reaches
 
 
@@ -96,28 +96,28 @@ def draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> Non
     entry = scene.entry
     for guide in step.controls.guides:
         x, y = entry.to_world([[guide.x, guide.y]])[0]
-        axes.plot(x, y, "o", color=GUIDE, ms=5, mec="white", mew=0.5, zorder=5)
-    axes.plot(*base_point(scene, step)[0], "o", color=BASE, ms=5, zorder=5)
+        axes.plot(x, y, zorder=5, **look.GUIDE)
+    axes.plot(*base_point(scene, step)[0], zorder=5, **look.BASE)
     if not shape.converged:
         write_failure(axes, shape)
         return
-    axes.plot(*entry.to_world(shape.constraints).T, "x", color=CONSTRAINT, ms=2.8, mew=0.6, zorder=2)
+    axes.plot(*entry.to_world(placed(shape, shape.constraints)).T, zorder=2, **look.POINTS)
     needle = needle_line(entry, shape)
-    axes.plot(*needle.T, color=INK, lw=1.1, zorder=3)
-    axes.plot(*needle[-1], "o", color=TIP, ms=4, mec="white", mew=0.4, zorder=6)
+    axes.plot(*needle.T, zorder=3, **look.NEEDLE)
+    axes.plot(*needle[-1], zorder=6, **look.TIP_MARK)
 
 
 def write_failure(axes: Axes, shape: NeedleShape) -> None:
     """Write across a panel without a needle why there is none."""
     axes.text(
         0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
-        fontsize=8.5, color=TIP, zorder=6, bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
+        fontsize=8.5, color=look.TIP, zorder=6, bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
     )  # fmt: skip
 
 
 def legend_handles(guides: bool) -> list[Line2D]:
     """Return what the legend shows of the marks that `draw_needle` makes."""
-    said = [("base", BASE, "o", 5.0), ("constraint points", CONSTRAINT, "x", 2.8), ("tip", TIP, "o", 4.0)]
+    said = [("base", look.BASE), ("constraint points", look.POINTS), ("tip", look.TIP_MARK)]
     if guides:
-        said.insert(1, ("guide or template", GUIDE, "o", 5.0))
-    return [Line2D([], [], color=c, marker=m, ms=s, lw=0, mew=0.6, label=label) for label, c, m, s in said]
+        said.insert(1, ("guide or template", look.GUIDE))
+    return [Line2D([], [], label=label, **mark) for label, mark in said]

@@ -45,15 +45,16 @@ def write_table(outcome: Outcome, path: Path) -> None:
     """Write the shape as a table, .csv."""
     from needlefit.reporting.shape_table import write_shape
 
-    write_shape(outcome.scene, outcome.moment, path)
+    write_shape(outcome.scene, outcome.moment, path, outcome.placement)
 
 
 def write_curve(outcome: Outcome, path: Path) -> None:
     """Write the needle for 3D Slicer, .mrk.json or .ply."""
     from needlefit.reporting.slicer import write_scene
 
-    scene = outcome.recording.head.scene
-    write_scene(outcome.scene.entry, [outcome.moment.shape], path, scene.needle.outer_diameter_mm)
+    placement = outcome.placement or outcome.scene.entry.placement
+    diameter = outcome.recording.head.scene.needle.outer_diameter_mm
+    write_scene(placement, [outcome.moment.shape], path, diameter)
 
 
 def write_picture(outcome: Outcome, path: Path) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
+from needlefit.geometry.placement import Placement
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
 from needlefit.viewer.hand.steering import Steering
@@ -31,6 +32,12 @@ class Outcome:
     def title(self) -> str:
         """The scene's, or else its name."""
         return self.recording.head.scene.title or self.recording.head.subject
+
+    @property
+    def placement(self) -> Placement | None:
+        """Where a measured needle lies; None of a scene, which says so itself."""
+        placement = self.recording.head.placement
+        return None if placement is None else Placement.from_record(placement)
 
     @property
     def moment(self) -> Moment:

@@ -16,6 +16,7 @@ from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.streams import stream
 from needlefit.project.subjects import Named
+from needlefit.viewer.opening.placement import placement_of
 from needlefit.viewer.opening.start import beginning
 from needlefit.viewer.overlay.measured import measured_of
 from needlefit.viewer.overlay.slice import scanned
@@ -79,6 +80,7 @@ def subject_of(shown: Shown, name: str, said: str, choices: tuple[str, ...]) -> 
         note=f"{said} {lacking}".rstrip(),
         record=record,
         first_cell=lattice_of(scene.steps, scene.rules).first_cell,
+        placement=placement_of(dataset, insertion, shape),
         synthetic=dataset.origin == "synthetic",
         measured=measured_of(dataset, insertion, floor.te_mm, shape),
         scanned=scan,

@@ -17,6 +17,7 @@ def open_recorded(recording: Recording) -> Subject:
         "Opened from a recording.",
         head.scene,
         head.first_cell_mm,
+        head.placement,
     )
     try:
         found = open_subject(head.subject)

@@ -18,7 +18,7 @@ from needlefit.datasets.formats.text import read_text
 from needlefit.datasets.formats.toml import dumps
 from needlefit.errors import DataError, ModelError
 from needlefit.project.load import check
-from needlefit.project.records.recording import RecordingRecord
+from needlefit.project.records.recording import PlacementRecord, RecordingRecord
 from needlefit.viewer.hand.inputs import Change
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "deflection_mm")
@@ -188,7 +188,10 @@ def _wrong(path: Path, line: int, what: str, expected: str) -> DataError:
     return DataError(what, where=f"{path}, line {line}", expected=expected, mend=mend)
 
 
-def head_of(subject: str, first_cell: float, scene: dict[str, object]) -> RecordingRecord:
-    """Return the head of a new recording of a scene (as its record says it)."""
+def head_of(
+    subject: str, first_cell: float, scene: dict[str, object], placement: PlacementRecord | None = None
+) -> RecordingRecord:
+    """Return the head of a new recording of a scene (as its record says it), which lies at `placement`."""
     tables = {"schema": 1, "needlefit": __version__, "subject": subject, "first_cell_mm": first_cell}
-    return check(tables | {"scene": scene}, RecordingRecord, "recording")
+    lies = {} if placement is None else {"placement": placement.model_dump(mode="json")}
+    return check(tables | lies | {"scene": scene}, RecordingRecord, "recording")

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.load import Loads, loads
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import STEEP, NeedleShape, positions
+from needlefit.mechanics.shape import STEEP, NeedleShape, placed, positions
 from needlefit.viewer.hand.inputs import number_of
 from needlefit.viewer.overlay.band import NeedleBand
 from needlefit.viewer.overlay.measured import live_errors
@@ -78,8 +78,8 @@ def state_message(trial: Trial) -> dict[str, Any]:
         "depth_mm": step.depth,
         "x": _rounded(needle[:, 0]),
         "y": _rounded(needle[:, 1]),
-        "constraints": [_rounded(column) for column in shape.constraints.T],
-        "tip_path": [_rounded(shape.constraints[:, 0]), _rounded(shape.tip_track[:, 0])],
+        "constraints": [_rounded(column) for column in placed(shape, shape.constraints).T],
+        "tip_path": [_rounded(column) for column in placed(shape, shape.tip_path).T],
         "load": _load(load, shape),
         "forces": _forces(load, trial),
         "base": _end(needle[0], shape.slope[0])

@@ -42,7 +42,8 @@ class Trial:
         self.scene = Scene.from_record(subject.record, subject.name)
         self.steering = Steering(self.scene, subject.first_cell)
         scene = subject.record.model_dump(mode="json", by_alias=True)
-        self.recorder = Recorder(path, head_of(subject.name, subject.first_cell, scene))
+        head = head_of(subject.name, subject.first_cell, scene, subject.placement)
+        self.recorder = Recorder(path, head)
         self.speed = self.steering.speed()
         self._began: float | None = None
         self._lost = False

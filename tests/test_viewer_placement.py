@@ -1,0 +1,123 @@
+"""Where a steered needle lies in space: where the files of a run have it, and its log says so alone."""
+
+import json
+from pathlib import Path
+
+import needles
+import numpy as np
+import pandas as pd
+import pytest
+from test_cli import run as command
+from test_viewer_subject import FIT
+
+from needlefit.datasets.read import read as read_dataset
+from needlefit.errors import ConfigError
+from needlefit.geometry.placement import Placement
+from needlefit.inference.comparison import target
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import positions
+from needlefit.project.records.study import StudyRecord
+from needlefit.validation.job import Settings
+from needlefit.validation.placed import STATIONS
+from needlefit.validation.run import run
+from needlefit.validation.stored import store
+from needlefit.viewer.exports.outcome import carry_out
+from needlefit.viewer.hand.inputs import Change
+from needlefit.viewer.hand.steering import Steering
+from needlefit.viewer.opening import open_subject
+from needlefit.viewer.recording.log import Recorded, Recorder, head_of, read
+
+QUICK = "schema = 1\nstarts = 1\nevaluations = 10\ntolerance = 1e-3\n"
+ID, DEPTH = "needle-3", needles.DEPTHS[2]
+TURNED = "lps_to_world = [[0, -1, 0, 10], [1, 0, 0, 20], [0, 0, 1, 30]]"
+"""A quarter turn about z: of LPS (x, y, z), the world is (10 - y, 20 + x, 30 + z)."""
+
+
+def fitted(folder: Path, pose: str):
+    """Fit needles whose scan is turned in the world; return what the run found."""
+    file = needles.build(folder / "data" / "needles")
+    text = file.read_text().replace("[frame]", f"[frame]\n{TURNED}")
+    if pose == "free":
+        text = text.replace('pose = "known"', 'pose = "free"')
+        text = text.replace("drop_proximal_mm = 0.0", "drop_proximal_mm = 2.0")
+        text = text[: text.index("[media")] + f"[media.gel]\nboundaries_mm = [{needles.INTERFACE}]\n"
+    file.write_text(text)
+    for name, text in (("media/fit", FIT), ("recipes/short", QUICK)):
+        path = folder / "configs" / f"{name}.toml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    asked = {"dataset": "needles", "medium": "fit", "recipe": "short", "tune": {"specimens": ["piece1"]}}
+    study = StudyRecord.model_validate({"schema": 1, "validate": [{"specimens": ["piece2"]}], **asked})
+    results = run("small", study, Settings())
+    out = folder / "reports" / "small"
+    out.mkdir(parents=True)
+    store(results, out)
+    (out / "run.json").write_text(json.dumps(results.run))
+    return results
+
+
+def steered(path: Path) -> None:
+    """Record how the needle of the run is inserted to its measured depth."""
+    subject = open_subject("reports/small", ID)
+    scene = subject.record.model_dump(mode="json", by_alias=True)
+    steering = Steering(Scene.from_record(subject.record), subject.first_cell)
+    change = Change("depth_mm", None, DEPTH)
+    steering.apply([change])
+    head = head_of(subject.name, subject.first_cell, scene, subject.placement)
+    Recorder(path, head).write(Recorded(1, 0.5, (change,), steering.now.shape.deflection))
+
+
+@pytest.mark.parametrize("pose", ["known", "free"])
+def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, monkeypatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    results = fitted(tmp_path, pose)
+    steered(tmp_path / "log.csv")
+    outcome = carry_out(read(tmp_path / "log.csv"))
+    one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
+    s = target(pose, 2.0 if pose == "free" else 0.0, one, STATIONS).s
+    found = outcome.placement.to_patient(positions(outcome.moment.shape, s))
+    np.testing.assert_allclose(found, results.needles[ID].fitted, rtol=0, atol=1e-6)
+
+
+def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
+    tmp_path, monkeypatch, capsys
+) -> None:
+    """Without the data: the log holds where its needle lies."""
+    monkeypatch.chdir(tmp_path)
+    expected = fitted(tmp_path, "known").needles[ID].fitted
+    steered(tmp_path / "log.csv")
+    (tmp_path / "data").rename(tmp_path / "gone")
+    files = ("--csv", "a.csv", "--slicer", "a.mrk.json", "--plot", "a.svg", "--json")
+    assert command("simulate", "--inputs", "log.csv", *files) == 0
+    tip = json.loads(capsys.readouterr().out)["tip_mm"]
+    (curve,) = json.loads(Path("a.mrk.json").read_text())["markups"]
+    points = np.array([point["position"] for point in curve["controlPoints"]])
+    assert curve["coordinateSystem"] == "LPS"
+    np.testing.assert_allclose(points[-STATIONS:], expected, rtol=0, atol=1e-6)
+    table = pd.read_csv("a.csv")
+    x, y, z = expected[-1]
+    world = table[["world_x_mm", "world_y_mm", "world_z_mm"]].to_numpy()
+    np.testing.assert_allclose(world[-1], [10 - y, 20 + x, 30 + z], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(tip, world[-1], atol=1e-6)
+    np.testing.assert_allclose(world[:, 2], 0.0, atol=1e-9)  # the needles were made in the plane z = 0
+
+
+def test_a_placement_is_written_with_all_its_bits(tmp_path) -> None:
+    subject = open_subject("twin/phantom2-05")
+    scene = subject.record.model_dump(mode="json", by_alias=True)
+    head = head_of(subject.name, subject.first_cell, scene, subject.placement)
+    Recorder(tmp_path / "log.csv", head).begin()
+    assert read(tmp_path / "log.csv").head == head
+    frame = Placement.from_record(head.placement).frame
+    assert np.array_equal(frame.rows, np.array(subject.placement.entry_to_world))
+    assert np.linalg.norm(frame.origin) == pytest.approx(np.hypot(13.0, 3.0))
+
+
+def test_a_placement_that_is_no_rigid_motion_is_refused(tmp_path) -> None:
+    subject = open_subject("twin/phantom2-05")
+    scene = subject.record.model_dump(mode="json", by_alias=True)
+    Recorder(tmp_path / "log.csv", head_of("a", 1.0, scene, subject.placement)).begin()
+    text = (tmp_path / "log.csv").read_text().replace("lps_to_world = [[-0.", "lps_to_world = [[-1.")
+    (tmp_path / "log.csv").write_text(text)
+    with pytest.raises(ConfigError, match=r"placement.lps_to_world.*rotation"):
+        read(tmp_path / "log.csv")
