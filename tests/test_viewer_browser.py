@@ -70,6 +70,7 @@ def opened(chromium, server, **settings):
     page.on("pageerror", lambda error: faults.append(str(error)))
     page.goto(server.address)
     until(page, "state => state && window.needlefit.connected")
+    page.click("[data-fit=whole]")  # the base too
     yield page
     context.close()
     assert faults == []
@@ -196,9 +197,10 @@ def test_a_replay_in_the_page_ends_with_the_same_needle(page) -> None:
     go_to(page, 12)
     drag(page, "base", 0, -20)
     state = go_to(page, 18)
+    recording = page.evaluate("window.needlefit.scene.recording")
     page.select_option("#times", "5")
     page.click("#replay")
-    until(page, "state => state.playing || state.depth_mm < 18")
+    until(page, f"() => window.needlefit.scene.recording !== '{recording}'")  # it may be over at once
     again = until(page, "state => !state.playing && state.depth_mm === 18")
     assert again["y"] == state["y"] and again["step"] == state["step"]
 
@@ -215,6 +217,77 @@ def test_what_is_refused_is_said_aloud_and_nothing_moves(page) -> None:
     field.press("Enter")
     page.locator("[role=alert]:not([hidden])", has_text=re.compile("mu|above 0")).first.wait_for()
     assert page.evaluate("window.needlefit.state.layers[0].mu_pa") > 0
+
+
+def test_the_keys_of_the_page_work_wherever_they_are_not_needed(page) -> None:
+    """A slider keeps its arrows, a number all that is typed; the rest is the page's."""
+    side = go_to(page, 20)["bevel"]["side"]
+    slider = page.locator("#base-fields .slider").first
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    assert until(page, "state => state.base.input_y !== 0")["depth_mm"] == 20
+    page.keyboard.press("f")
+    until(page, f"state => state.bevel.side === {-side}")
+    page.keyboard.press("Control+z")
+    page.keyboard.press("Control+z")
+    until(page, f"state => state.bevel.side === {side} && state.base.input_y === 0")
+    page.fill("#speed", "")
+    page.press("#speed", "Tab")
+    shown(page, "No speed, mm/s: 1000 is kept.")
+    assert page.input_value("#speed") == "1000"
+
+
+def test_keys_add_to_the_very_value_also_beyond_the_slider(page) -> None:
+    held = go_to(page, 20)["tip"]["deflection_mm"]
+    field = page.locator("#bevel-fields .number").first
+    field.fill("5")
+    field.press("Enter")
+    until(page, "state => state.bevel.offset_mm === 5")
+    field.press("ArrowUp")
+    page.focus("#canvas")
+    page.keyboard.press("]")
+    until(page, "state => Math.abs(state.bevel.offset_mm - 5.01) < 1e-9")
+    page.keyboard.press("t")
+    tip = until(page, "state => state.tip.held")["tip"]
+    assert tip["deflection_mm"] == pytest.approx(held, abs=1e-12)
+
+
+def test_of_two_arrows_the_newest_counts_and_then_the_one_still_held(page) -> None:
+    page.focus("#canvas")
+    page.keyboard.down("ArrowRight")
+    until(page, "state => state.depth_mm > 2 && state.moving > 0")
+    page.keyboard.down("ArrowLeft")
+    until(page, "state => state.moving < 0")
+    page.keyboard.up("ArrowLeft")
+    until(page, "state => state.moving > 0")
+    page.keyboard.up("ArrowRight")
+    until(page, "state => !state.moving")
+
+
+def test_an_address_pasted_anew_connects_and_a_needle_that_is_gone_is_told_of(page) -> None:
+    go_to(page, 5)
+    address = page.url
+    page.evaluate("location.hash = 'token=another'")
+    shown(page, "does not know this page's token")
+    page.evaluate("sessionStorage.setItem('needlefit.needle', 'gone')")
+    page.goto(address)  # the hash alone differs: nothing is loaded
+    shown(page, "This is a new needle")
+    until(page, "state => window.needlefit.connected && state.depth_mm === 0")
+
+
+def test_what_the_server_tells_of_band_steepness_and_pause_is_shown(page) -> None:
+    go_to(page, 20)
+    tell = """message => import('/page/store.js').then(({ now, take }) => {
+        now.scene.steep = 0.3;
+        take(message.kind === 'state' ? { ...now.state, ...message } : message);
+    })"""
+    for edge in ([0.0, 1.0], []):  # and of no band none is left
+        page.evaluate(tell, {"kind": "band", "step": 1, "x": edge, "low": edge, "high": edge})
+        assert page.evaluate("window.needlefit.band !== null") is bool(edge)
+    page.evaluate(tell, {"kind": "state", "max_slope": 0.4, "paused": True})
+    shown(page, "above 0.3: the model assumes small slopes")
+    shown(page, "Go on with replay")
+    assert "small slopes" in page.locator("#said").text_content()
 
 
 def test_a_page_that_lost_the_line_says_so_and_finds_its_needle_again(server, chromium) -> None:
@@ -235,6 +308,7 @@ def test_a_page_that_lost_the_line_says_so_and_finds_its_needle_again(server, ch
     assert back["y"] == state["y"] and back["undo"]
     window.reload()
     assert until(window, "state => window.needlefit?.connected && state?.depth_mm === 15")["y"] == state["y"]
+    assert window.get_attribute("[data-fit=tissue]", "aria-pressed") == "true"  # beside a measured needle
     context.close()
 
 
@@ -341,8 +415,16 @@ def test_at_200_percent_nothing_is_cut_off(server, chromium) -> None:
             button.scroll_into_view_if_needed()
             box = button.bounding_box()
             assert box["x"] >= 0 and box["x"] + box["width"] <= 640, name
-        box = page.locator("#canvas").bounding_box()
-        assert box["width"] > 500 and box["height"] > 200
+            picture = page.locator("#canvas").bounding_box()
+            assert picture["y"] + picture["height"] > 100, f"the picture is out of sight at {name}"
+        assert picture["width"] > 500 and picture["height"] > 150
+        field = page.locator("#tissue-fields .number").nth(2)
+        field.fill("-5")
+        field.press("Enter")
+        said = page.locator("#refusal strong")
+        said.wait_for()
+        box, typed = said.bounding_box(), field.bounding_box()
+        assert box["y"] >= 0 and box["y"] + box["height"] <= min(400, typed["y"])
 
 
 def test_an_export_is_a_file(page) -> None:

@@ -1,5 +1,6 @@
 /** What buttons, keys and gestures ask for in the same words. */
 
+import { amount } from "./amounts.js";
 import { degrees, slope } from "./numbers.js";
 import { change, command, move, newGesture, wanted } from "./steering.js";
 import { now } from "./store.js";
@@ -9,11 +10,10 @@ const STEP = { base_mm: 0.1, turn_deg: 0.1, offset_mm: 0.005 };
 const CLEAR = 2; // mm that a new guide keeps from its neighbours
 const REACH = 0.6; // of the needle's length: a new guide stands nearer than that, to let the needle go in
 
-const speedField = document.getElementById("speed");
 let lastNudge = { what: null, at: -Infinity, gesture: 0 };
 
 /** Speed of insertion, mm/s. */
-export const speed = () => Math.abs(Number(speedField.value)) || 10;
+export const speed = amount(document.getElementById("speed"));
 
 /** Insert (1) or retract (-1) as long as it is held. */
 export const hold = (direction) => move(direction * speed());
@@ -50,12 +50,10 @@ export function nudgeTurn(steps, at) {
 /** Change b from here on by so many steps. */
 export function nudgeOffset(steps, at) {
   const offset = wanted("bevel_offset_mm", null, now.state.bevel.offset_mm) + steps * STEP.offset_mm;
-  const [low, high] = now.scene.limits.offset_mm;
-  const within = Math.min(Math.max(offset, low), high);
-  change([["bevel_offset_mm", null, within]], { gesture: going("offset"), at });
+  change([["bevel_offset_mm", null, Math.max(offset, 0)]], { gesture: going("offset"), at });
 }
 
-/** Put a guide on the needle at x (mm), where it changes nothing yet; by default between base and skin. */
+/** Put a guide on the needle at x (mm), where it changes next to nothing yet; by default between base and skin. */
 export function addGuide(x = freePlace(), at = performance.now()) {
   const item = freeNumber();
   const place = [["guide_x_mm", item, x], ["guide_y_mm", item, needleAt(x)]];
@@ -64,8 +62,7 @@ export function addGuide(x = freePlace(), at = performance.now()) {
 
 /** Hold the tip where it is, or let go of it. */
 export function toggleTip(at) {
-  const { held, y } = now.state.tip;
-  change([held ? ["tip_held", null, 0] : ["tip_y_mm", null, y]], { at });
+  change([["tip_held", null, now.state.tip.held ? 0 : 1]], { at });
 }
 
 export const undo = () => command({ do: "undo" });

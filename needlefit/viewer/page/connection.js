@@ -6,6 +6,8 @@ import { now, take, tell } from "./store.js";
 const FIRST_WAIT = 0.25; // s
 const LONGEST_WAIT = 5; // s
 const KEPT = 256; // times of inputs not yet answered
+const GONE =
+  "This is a new needle: the program no longer has the one that this page held. Its recording is kept.";
 const STRANGER = 4401; // closed by the server: it does not know the token
 
 const line = new Worker("/page/line.js", { type: "module" });
@@ -14,6 +16,7 @@ let opening = false; // whether a socket is open or will be
 let timer = 0;
 let wait = FIRST_WAIT;
 let lastId = 0;
+let greeted = false; // whether the server has said which needle this window holds
 let farewell = null; // what the program said when it stopped
 const sentAt = new Map();
 
@@ -32,6 +35,7 @@ export function open() {
   clearTimeout(timer);
   if (opening) return;
   opening = true;
+  greeted = false;
   lastId = 0;
   sentAt.clear();
   const address = new URL("/ws", location.origin.replace("http", "ws")).href;
@@ -78,14 +82,18 @@ line.onmessage = ({ data }) => {
 function hear(message) {
   if (!opening) return; // of a line that was given up
   if (message.kind === "taken" || message.kind === "bye") return leave(message);
-  if (message.kind === "scene") {
-    sessionStorage.setItem("needlefit.needle", message.needle);
-    wait = FIRST_WAIT;
-    farewell = null;
-    now.connected = true;
-  }
+  const gone = message.kind === "scene" && !greeted && ![null, message.needle].includes(needle());
+  if (message.kind === "scene") welcome(message.needle);
   take(message);
   if (message.kind === "scene") tell("line", { open: true });
+  if (gone) tell("notice", { what: GONE });
+}
+
+function welcome(name) {
+  sessionStorage.setItem("needlefit.needle", name);
+  greeted = now.connected = true;
+  wait = FIRST_WAIT;
+  farewell = null;
 }
 
 /** The server ends it: another window has the needle, or the program stops. */
@@ -107,6 +115,18 @@ function down(said) {
   opening = now.connected = false;
   tell("line", { open: false, ...said });
 }
+
+/** Another address of the program was opened in this window: begin anew with its token. */
+function readdressed() {
+  const before = sessionStorage.getItem("needlefit.token");
+  if (now.connected && token() === before) return;
+  line.postMessage({ close: true });
+  opening = now.connected = false;
+  wait = FIRST_WAIT;
+  open();
+}
+
+addEventListener("hashchange", readdressed);
 
 function again() {
   timer = setTimeout(open, 1000 * wait);

@@ -2,10 +2,11 @@
 
 import { degrees, signed } from "./numbers.js";
 import { comparedUpTo } from "./readouts.js";
+import { say } from "./speech.js";
+import { steepness } from "./steep.js";
 import { now } from "./store.js";
 
 const text = document.getElementById("described");
-const said = document.getElementById("said");
 
 /** The needle's state in a few sentences. */
 export function inWords() {
@@ -20,6 +21,7 @@ export function inWords() {
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
     `Tip force ${signed(state.forces.tip_n, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
   ];
+  if (steepness(state)) sentences.push(`Its steepest slope is ${steepness(state)}.`);
   if (errors) {
     const [mean, tipError] = [errors.ipe_mean_mm.toFixed(2), errors.te_mm.toFixed(2)];
     sentences.push(`Against the measured needle ${comparedUpTo(errors)}: IPE mean ${mean} mm, TE ${tipError} mm.`);
@@ -35,8 +37,5 @@ export function refresh() {
   if (text.textContent !== words) text.textContent = words;
 }
 
-/** Say it now. */
-export function describe() {
-  said.textContent = "";
-  requestAnimationFrame(() => (said.textContent = inWords()));
-}
+/** Say the needle's state now. */
+export const describe = () => say(inWords());

@@ -95,5 +95,5 @@ let fitted = null;
 listen("state", () => {
   if (fitted === now.scene.subject) return;
   fitted = now.scene.subject;
-  fit(view.fit ?? "whole");
+  fit(view.fit ?? (now.scene.measured ? "tissue" : "whole"));
 });

@@ -1,20 +1,23 @@
 /** A number that can be set: a name, a field, and where it has limits a slider with a mark. */
 
 import { newGesture } from "./steering.js";
+import { tell } from "./store.js";
 
 const template = document.getElementById("field-template");
 const STEPS = 1000; // of a slider
 const THUMB = 16; // px, which the slider's thumb takes of its length
 const LINEAR = [(x) => x, (x) => x];
-const LOGARITHMIC = [Math.log, Math.exp];
+const LOGARITHMIC = [(x) => Math.log(Math.max(x, Number.MIN_VALUE)), Math.exp];
+const ARROWS = { ArrowUp: 1, ArrowDown: -1 };
 let made = 0;
 
 /**
  * Make a field and put it at the end of `into`.
  *
  * `about` says its `name` and `unit`, what it is a number `of` where the name alone does not tell, how to
- * `write` a value, and whom to `ask` for another: ask(value, {gesture, at}). With `limits` [low, high] it has
- * a slider too, if `logarithmic` a logarithmic one.
+ * `write` a value and to `read` what is written, and whom to `ask` for another: ask(value, {gesture, at}).
+ * With `limits` [low, high] it has a slider too, if `logarithmic` a logarithmic one; what lies beyond them can
+ * be typed, and the slider then stands at its end. The arrows add a `step`, or if logarithmic multiply by it.
  */
 export function makeField(into, about) {
   const part = template.content.firstElementChild.cloneNode(true);
@@ -23,8 +26,8 @@ export function makeField(into, about) {
   const [to, from] = about.logarithmic ? LOGARITHMIC : LINEAR;
   const [low, high] = (about.limits ?? [0, 1]).map(to);
   const field = {
-    ...about, part, number, slider, mark, back,
-    value: null, home: null, editing: false, gesture: newGesture(),
+    read: Number, step: 1, ...about, part, number, slider, mark, back,
+    value: null, latest: 0, text: "", home: null, editing: false, gesture: newGesture(),
     share: (value) => Math.min(Math.max((to(value) - low) / (high - low), 0), 1),
     at: (share) => from(low + share * (high - low)),
   };
@@ -39,8 +42,8 @@ export function makeField(into, about) {
 /** Let a field say what is; what somebody is typing stays. */
 export function show(field, value) {
   if (value === field.value) return;
-  field.value = value;
-  const text = field.write(value);
+  field.value = field.latest = value;
+  const text = (field.text = field.write(value));
   if (!field.editing && field.number.value !== text) field.number.value = text;
   field.slider.value = Math.round(STEPS * field.share(value));
   field.slider.setAttribute("aria-valuetext", `${text} ${field.unit}`.trim());
@@ -73,11 +76,11 @@ function name({ part, number, slider, back, of, name: called, unit, limits }) {
   slider.setAttribute("aria-label", spoken);
   slider.max = STEPS;
   back.setAttribute("aria-label", `${spoken}: back to its initial value`);
-  if (limits) [number.min, number.max] = limits;
-  else part.querySelector(".track").remove();
+  if (!limits) part.querySelector(".track").remove();
 }
 
 function ask(field, value, event) {
+  field.latest = value;
   field.ask(value, { gesture: field.gesture, at: event.timeStamp });
   field.value = null; // what the server answers is shown even where it is what was
 }
@@ -86,17 +89,35 @@ function ask(field, value, event) {
 function wireNumber(field) {
   const { number } = field;
   number.addEventListener("input", () => (field.editing = true));
-  number.addEventListener("blur", () => (field.editing = false));
+  number.addEventListener("blur", () => giveBack(field));
   number.addEventListener("change", (event) => {
     field.gesture = newGesture();
     field.editing = false;
-    field.value = null;
-    if (number.value !== "") ask(field, Number(number.value), event);
+    if (number.value !== "") return ask(field, field.read(number.value), event);
+    tell("notice", { what: `No ${number.ariaLabel}: ${field.text} is kept.`, expected: "a number" });
+    giveBack(field);
   });
   number.addEventListener("keydown", (event) => {
-    if (event.key === "Escape") number.value = field.write(field.value);
-    if (event.key === "Escape" || event.key === "Enter") field.editing = false;
+    if (event.key in ARROWS) stepBy(field, ARROWS[event.key], event);
+    if (event.key === "Escape") giveBack(field);
+    if (event.key === "Enter") field.editing = false;
   });
+}
+
+/** What was typed and not asked for goes; what is stands there again. */
+function giveBack(field) {
+  field.editing = false;
+  if (field.value !== null) field.number.value = field.text;
+}
+
+/** One step up or down from what is typed, or else from the value itself, which may have more digits. */
+function stepBy(field, direction, event) {
+  event.preventDefault();
+  const { number, step, logarithmic } = field;
+  const from = field.editing && number.value !== "" ? field.read(number.value) : field.latest;
+  field.editing = false;
+  if (!event.repeat) field.gesture = newGesture();
+  ask(field, logarithmic ? from * step ** direction : from + step * direction, event);
 }
 
 /** A slider is heard while it moves; all of one movement is undone together. */

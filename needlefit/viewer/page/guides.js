@@ -2,6 +2,7 @@
 
 import { addGuide } from "./actions.js";
 import { makeField, show } from "./fields.js";
+import { numbered } from "./names.js";
 import { degrees, slope } from "./numbers.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
@@ -11,14 +12,14 @@ const none = document.getElementById("no-guides");
 const template = document.getElementById("guide-template");
 const rows = new Map(); // by number
 
-function makeRow(item) {
+function makeRow({ item, name: called = numbered(item) }) {
   const part = template.content.firstElementChild.cloneNode(true);
   const [free, remove, fields] = [".free", ".remove", ".fields"].map((one) => part.querySelector(one));
-  part.querySelector("strong").textContent = `guide ${item}`;
-  remove.setAttribute("aria-label", `Remove guide ${item}`);
-  free.setAttribute("aria-label", `Needle turns freely in guide ${item}`);
+  part.querySelector("strong").textContent = called;
+  remove.setAttribute("aria-label", `Remove ${called}`);
+  free.setAttribute("aria-label", `Needle turns freely in ${called}`);
   const field = (name, unit, digits, input, meant = (x) => x) => makeField(fields, {
-    of: `guide ${item}`, name, unit, write: (value) => value.toFixed(digits),
+    of: called, name, unit, step: 0.1, write: (value) => value.toFixed(digits),
     ask: (value, how) => change([[input, item, meant(value)]], how),
   });
   const row = {
@@ -49,9 +50,10 @@ export function refresh() {
   none.hidden = guides.length > 0;
 }
 
-function refreshRow({ item, x, y, slope: along, turns_freely: free }) {
+function refreshRow(guide) {
+  const { item, x, y, slope: along, turns_freely: free } = guide;
   if (!rows.has(item)) {
-    rows.set(item, makeRow(item));
+    rows.set(item, makeRow(guide));
     list.append(rows.get(item).part);
   }
   const row = rows.get(item);

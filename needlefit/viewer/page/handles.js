@@ -50,7 +50,7 @@ const rise = (from, to) => fromPy(to[1]) - fromPy(from[1]);
 
 const dragBase = ({ base }) => (from, to) => [["base_y_mm", null, base.input_y + rise(from, to)]];
 
-const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.y + rise(from, to)]];
+const dragTip = ({ tip }) => (from, to) => [["tip_y_mm", null, tip.deflection_mm + rise(from, to)]];
 
 const dragGuide = ({ item, x, y }) => (from, to) => [
   ["guide_x_mm", item, x + fromPx(to[0]) - fromPx(from[0])],

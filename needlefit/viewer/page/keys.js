@@ -1,14 +1,15 @@
 /** The keyboard: what each key does, and the list of it. */
 
 import * as act from "./actions.js";
-import { halt, letGo } from "./steering.js";
-import { now } from "./store.js";
-import { fit, zoom } from "./view.js";
 import { describe } from "./described.js";
+import { belongs } from "./focus.js";
+import { holds, press, release, releaseAll } from "./holding.js";
+import { halt } from "./steering.js";
+import { now } from "./store.js";
 import { pressed } from "./toolbar.js";
+import { fit, zoom } from "./view.js";
 
 const dialog = document.getElementById("keys");
-let holding = null; // the key that holds a move
 
 /** Keys as the browser calls them, what is written for them, and what they do. */
 const KEYS = [
@@ -23,7 +24,7 @@ const KEYS = [
   [["]", "}"], "]", "b from here on more by 0.005 mm", (e) => act.nudgeOffset(1, e.timeStamp)],
   [["g", "G"], "G", "add a guide", (e) => e.repeat || act.addGuide()],
   [["t", "T"], "T", "hold the tip, let go of it", (e) => e.repeat || act.toggleTip(e.timeStamp)],
-  [[" "], "space", "stop", () => halt()],
+  [[" "], "space", "stop", stop],
   [["p", "P"], "P", "play the scene", (e) => e.repeat || act.play()],
   [["d", "D"], "D", "say where the needle stands", () => describe()],
   [["+", "="], "+", "zoom in", () => zoom(1.25)],
@@ -36,10 +37,14 @@ const steps = (event) => (event.shiftKey ? 10 : 1);
 const ALWAYS = [["Ctrl+Z", "undo"], ["Ctrl+Y", "redo; Ctrl+Shift+Z does the same"], ["?", "this list"]];
 
 function along(event, direction) {
-  if (event.shiftKey) return act.insert(0.1 * direction, event.timeStamp);
-  if (event.repeat || holding) return;
-  holding = event.key;
-  act.hold(direction);
+  if (holds(event.key)) return; // it is repeated
+  if (event.shiftKey) act.insert(0.1 * direction, event.timeStamp);
+  else if (!event.repeat) press(event.key, direction);
+}
+
+function stop() {
+  releaseAll();
+  halt();
 }
 
 function show(which) {
@@ -48,11 +53,9 @@ function show(which) {
 }
 
 function down(event) {
-  if (dialog.open || !now.state) return;
+  if (dialog.open || !now.state || event.altKey || belongs(event)) return;
   if (event.ctrlKey || event.metaKey) return history(event);
-  if (event.altKey || typing(event.target)) return;
   if (event.key === "?") return dialog.showModal();
-  if (event.key === " " && event.target.closest("button, select, summary")) return; // it presses that
   const found = KEYS.find(([keys]) => keys.includes(event.key));
   if (!found) return;
   event.preventDefault();
@@ -61,18 +64,10 @@ function down(event) {
 
 function history(event) {
   const key = event.key.toLowerCase();
-  if (typing(event.target) || !["z", "y"].includes(key)) return;
+  if (!["z", "y"].includes(key)) return;
   event.preventDefault();
   key === "y" || event.shiftKey ? act.redo() : act.undo();
 }
-
-function up(event) {
-  if (event.key !== holding) return;
-  holding = null;
-  letGo();
-}
-
-const typing = (target) => target.matches("input, select, textarea");
 
 const list = document.getElementById("key-list");
 for (const [written, what] of [...KEYS.map(([, key, says]) => [key, says]), ...ALWAYS]) {
@@ -86,5 +81,5 @@ for (const [written, what] of [...KEYS.map(([, key, says]) => [key, says]), ...A
 }
 document.getElementById("help").addEventListener("click", () => dialog.showModal());
 addEventListener("keydown", down);
-addEventListener("keyup", up);
-addEventListener("blur", () => (holding = null));
+addEventListener("keyup", ({ key }) => release(key));
+addEventListener("blur", releaseAll);

@@ -7,7 +7,7 @@ export function signed(value, digits) {
   return (value < 0 ? "−" : "+") + size;
 }
 
-/** A number of so many significant digits, without exponent or idle zeros, as a field holds it. */
+/** A number of so many significant digits, without idle zeros, as a field holds it. */
 export function brief(value, digits = 4) {
   return String(Number(Number(value).toPrecision(digits)));
 }
@@ -16,6 +16,10 @@ export function brief(value, digits = 4) {
 export function grouped(value) {
   return Math.round(value).toString().replace(/\B(?=(\d{3})+$)/g, "\u2009");
 }
+
+/** A modulus, Pa, as it is read: in MPa. */
+export const asMpa = (pascal) => brief(pascal * 1e-6);
+export const fromMpa = (text) => Number(text) * 1e6;
 
 export const degrees = (slope) => (Math.atan(slope) * 180) / Math.PI;
 export const slope = (angle) => Math.tan((angle * Math.PI) / 180);

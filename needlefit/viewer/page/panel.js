@@ -2,7 +2,7 @@
 
 import * as act from "./actions.js";
 import { makeField, setHome, show } from "./fields.js";
-import { brief, degrees, slope } from "./numbers.js";
+import { asMpa, degrees, fromMpa, slope } from "./numbers.js";
 import { change, wanted } from "./steering.js";
 import { listen, now } from "./store.js";
 
@@ -33,7 +33,7 @@ function build(scene) {
 }
 
 function buildBevel({ limits, fitted }) {
-  const about = { unit: "mm", write: asMm, limits: limits.offset_mm };
+  const about = { unit: "mm", write: asMm, limits: limits.offset_mm, step: 0.005 };
   const offset = () => now.state.bevel.offset_mm;
   for (const [name, input] of [["b from here on", "bevel_offset_mm"], ["b throughout", "offset_throughout_mm"]]) {
     setHome(inputField("bevel-fields", [input, null], { ...about, name }, offset), fitted.offset_mm);
@@ -44,27 +44,28 @@ function buildTissue({ layer_names: names, boundaries_mm: tops, limits, fitted }
   for (let i = 0; i <= tops.length; i += 1) {
     const called = names[i] || `layer ${i + 1}`;
     const layer = () => now.state.layers[i];
-    const mu = { name: `${called} μ`, unit: "Pa", write: brief, limits: limits.mu_pa, logarithmic: true };
-    const alpha = { name: `${called} α`, unit: "", write: asPower, limits: limits.alpha };
+    const modulus = { unit: "MPa", write: asMpa, read: fromMpa, logarithmic: true, step: 1.05 };
+    const mu = { ...modulus, name: `${called} μ`, limits: limits.mu_pa };
+    const alpha = { name: `${called} α`, unit: "", write: asPower, limits: limits.alpha, step: 0.1 };
     setHome(inputField("tissue-fields", ["mu_pa", i + 1], mu, () => layer().mu_pa), fitted.layers[i].mu_pa);
     setHome(inputField("tissue-fields", ["alpha", i + 1], alpha, () => layer().alpha), fitted.layers[i].alpha);
   }
 }
 
 function buildBase({ limits }) {
-  const y = { of: "base", name: "y", unit: "mm", write: asMm, limits: limits.base_y_mm };
+  const y = { of: "base", name: "y", unit: "mm", write: asMm, limits: limits.base_y_mm, step: 0.1 };
   inputField("base-fields", ["base_y_mm", null], y, () => now.state.base.input_y);
-  const angle = { of: "base", name: "slope", unit: "°", write: asDegrees, limits: [-10, 10] };
+  const angle = { of: "base", name: "slope", unit: "°", write: asDegrees, limits: [-10, 10], step: 0.1 };
   inputField("base-fields", ["base_slope", null], angle, () => now.state.base.input_slope, ANGLE);
 }
 
 function buildTip() {
-  const y = { of: "tip", name: "deflection", unit: "mm", write: asMm };
-  inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.y);
-  const angle = { of: "tip", name: "slope", unit: "°", write: asDegrees };
+  const y = { of: "tip", name: "deflection", unit: "mm", write: asMm, step: 0.1 };
+  inputField("tip-fields", ["tip_y_mm", null], y, () => now.state.tip.deflection_mm);
+  const angle = { of: "tip", name: "slope", unit: "°", write: asDegrees, step: 0.1 };
   const field = inputField("tip-fields", ["tip_slope", null], angle, () => now.state.tip.slope, ANGLE);
   field.ask = (value, how) => { // a direction is held at a place
-    change([["tip_y_mm", null, now.state.tip.y], ["tip_slope", null, slope(value)]], how);
+    change([["tip_held", null, 1], ["tip_slope", null, slope(value)]], how);
   };
 }
 

@@ -1,6 +1,7 @@
 /** Mouse, pen and fingers on the picture: handles, background, wheel, pinch, double click. */
 
 import { addGuide, insert, needleAt } from "./actions.js";
+import { amount } from "./amounts.js";
 import { handleAt } from "./handles.js";
 import { change, newGesture } from "./steering.js";
 import { now } from "./store.js";
@@ -12,7 +13,7 @@ const ON_NEEDLE = 24; // px
 const TWICE = { within: 350, apart: 24 }; // ms and px between the taps of a double one
 
 const canvas = document.getElementById("canvas");
-const notch = document.getElementById("notch");
+const notch = amount(document.getElementById("notch"));
 const fingers = new Map(); // pointers that are down, and where
 let drag = null; // {handle, from, gesture, pointer}
 let lastTap = { at: -Infinity, px: 0, py: 0 };
@@ -90,7 +91,7 @@ function wheel(event) {
   if (!now.state) return;
   const notches = (event.deltaY || event.deltaX) / NOTCH[event.deltaMode];
   if (event.ctrlKey || event.metaKey) return zoom(Math.exp(-0.2 * notches), ...place(event));
-  const mm = (Number(notch.value) || 1) * (event.shiftKey ? FINE : 1);
+  const mm = notch() * (event.shiftKey ? FINE : 1);
   insert(-notches * mm, event.timeStamp);
 }
 

@@ -1,9 +1,10 @@
 /** The numbers below the picture, told often enough to read and no more. */
 
 import { degrees, signed } from "./numbers.js";
+import { steepness } from "./steep.js";
 import { listen, now } from "./store.js";
 
-/** What is read of the needle: a name, a unit, and how it is written from a state. */
+/** What is read of the needle: a name, a unit, how it is written from a state, and a remark on it. */
 const NEEDLE = [
   ["depth", "mm", (s) => s.depth_mm.toFixed(2)],
   ["tip deflection", "mm", (s) => signed(s.tip.deflection_mm, 2)],
@@ -11,7 +12,7 @@ const NEEDLE = [
   ["tip force", "N", (s) => signed(s.forces.tip_n, 3)],
   ["base force", "N", (s) => signed(s.forces.base_n, 3)],
   ["base moment", "N mm", (s) => signed(s.forces.base_nmm, 1)],
-  ["steepest slope", "", (s) => s.max_slope.toFixed(3)],
+  ["steepest slope", "", (s) => s.max_slope.toFixed(3), steepness],
 ];
 
 /** What is read of the comparison with a measured needle. */
@@ -29,7 +30,7 @@ const against = document.getElementById("against");
 
 /** Put the names and units of readouts into a list; returns where their numbers stand. */
 function fill(list, readouts) {
-  return readouts.map(([name, unit]) => {
+  return readouts.map(([name, unit, , remark]) => {
     const tags = ["div", "dt", "dd", "span", "small"];
     const [row, term, value, number, small] = tags.map((tag) => document.createElement(tag));
     term.textContent = name;
@@ -37,13 +38,18 @@ function fill(list, readouts) {
     number.textContent = "–";
     value.append(number, " ", small);
     row.append(term, value);
+    row.classList.toggle("wide", remark !== undefined);
     list.append(row);
-    return number;
+    return [number, small];
   });
 }
 
 function write(numbers, readouts, from) {
-  readouts.forEach(([, , say], i) => tell(numbers[i], from ? say(from) : "–"));
+  readouts.forEach(([, , say, remark], i) => {
+    const [number, beside] = numbers[i];
+    tell(number, from ? say(from) : "–");
+    if (remark) tell(beside, remark(from));
+  });
 }
 
 function tell(part, text) {

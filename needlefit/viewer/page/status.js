@@ -19,8 +19,7 @@ export function refresh() {
   write("latency", latency === null ? "" : `input to picture ${latency.toFixed(0)} ms`);
   if (!now.state) return;
   const { steps, rate_per_s: rate, failed } = now.state.solver;
-  const speed = rate && `${grouped(rate)} a second`;
-  const told = [`${grouped(steps)} solver steps`, speed, failed && `${failed} failed`];
-  write("solver", told.filter(Boolean).join(", "));
+  write("solver", `${grouped(steps)} solver steps${failed ? `, ${failed} failed` : ""}`);
+  write("solver-rate", rate ? `solver can do ${grouped(rate)} steps/s` : "");
   write("recording", now.scene?.recording ? `recording ${now.scene.recording}` : "");
 }

@@ -23,6 +23,6 @@ export function take(message) {
     now.scene = message;
     now.band = null;
   } else if (message.kind === "state") now.state = message;
-  else if (message.kind === "band") now.band = message;
+  else if (message.kind === "band") now.band = message.x.length ? message : null; // empty: there is none
   tell(message.kind, message);
 }

@@ -6,6 +6,7 @@ import { command, halt, letGo } from "./steering.js";
 import { listen, now } from "./store.js";
 
 const part = (id) => document.getElementById(id);
+const write = (id, text) => part(id).textContent === text || (part(id).textContent = text);
 const STEP = 1; // mm; what a mere click does, as assistive technology gives it
 
 /** A button that moves the needle as long as it is held, by pointer, space or enter. */
@@ -41,14 +42,15 @@ function holdButton(button, direction) {
 
 /** Let the buttons say what can be done, and the bevel's which side it turns to. */
 export function refresh() {
-  const { undo, redo, moving, playing, bevel } = now.state;
+  const { undo, redo, moving, playing, paused, bevel } = now.state;
   part("undo").disabled = !undo;
   part("redo").disabled = !redo;
   part("halt").disabled = !moving && !playing;
   part("insert").classList.toggle("on", moving > 0);
   part("retract").classList.toggle("on", moving < 0);
-  const side = bevel.side > 0 ? "▲ to +y" : "▼ to −y";
-  if (part("side").textContent !== side) part("side").textContent = side;
+  write("side", bevel.side > 0 ? "▲ to +y" : "▼ to −y");
+  write("replay", paused ? "Go on with replay" : "Replay recording");
+  part("replay").title = paused ? "From where it was stopped" : "Carry out the recording so far once more";
 }
 
 const PRESSED = {
@@ -79,6 +81,5 @@ listen("scene", (scene) => {
   const to = act.ownDepth();
   part("goto-scene").textContent = `To ${brief(to)} mm`;
   part("goto-scene").title = scene.measured ? "The measured depth" : "The scene's depth";
-  part("speed").max = scene.limits.speed_mm_s;
   part("goto-depth").max = scene.limits.depth_mm;
 });

@@ -2,15 +2,16 @@
 
 import { now } from "./store.js";
 
-const GUTTER = { left: 46, right: 10, top: 10, bottom: 38 }; // px, for the axes
+const GUTTER = { left: 56, right: 10, top: 10, bottom: 38 }; // px, for the axes
 const MAGNIFICATION = 5;
 const SCALES = [0.5, 400]; // px per mm
 const [EDGE, AHEAD] = [0.3, 0.2]; // from the middle, parts of the window: when it follows the tip, and how far
+const TALL = 0.8; // part of the window's height that needles may take
 const TIP_WINDOW = 45; // mm seen across while the tip is followed
 
 /** The window: its centre (mm), its scale (px per mm), its box on the canvas (px). */
 export const view = {
-  x: 0, y: 0, scale: 5, magnified: 1, fit: "whole", box: { left: 0, top: 0, width: 1, height: 1 },
+  x: 0, y: 0, scale: 5, magnified: 1, fit: null, box: { left: 0, top: 0, width: 1, height: 1 },
 };
 
 let changed = true;
@@ -51,9 +52,11 @@ export function fit(which) {
   }
   const [low, high, before, after] = which === "whole" ? wholeSpan() : tissueSpan();
   const room = view.box.width - before - after;
-  view.scale = limited(room / (high - low));
+  const [bottom, top] = heights();
+  const [along, across] = [room / (high - low), (TALL * view.box.height) / (top - bottom) / view.magnified];
+  view.scale = limited(Math.min(along, across));
   view.x = (low + high) / 2 + (after - before) / (2 * view.scale);
-  view.y = midHeight();
+  view.y = midHeight(bottom, top);
 }
 
 /** From the base at first contact to the deepest that is told of; room in px for the base's handle. */
@@ -61,8 +64,9 @@ function wholeSpan() {
   return [-now.scene.length_mm, deepest() + 4, Math.min(74, 0.1 * view.box.width + 20), 12];
 }
 
+/** From the skin; room in px for the key of the load before it. */
 function tissueSpan() {
-  return [-0.12 * deepest(), 1.08 * deepest(), 8, 8];
+  return [0, 1.08 * deepest(), 84, 8];
 }
 
 function deepest() {
@@ -70,12 +74,15 @@ function deepest() {
   return Math.max(depth, now.state.depth_mm, (tops.at(-1) ?? 0) + 5, measured?.depth_mm ?? 0);
 }
 
+/** Between which y all lies that must be seen. */
+function heights() {
+  const all = [...now.state.y, ...(now.scene.measured?.y ?? []), 0];
+  return [Math.min(...all), Math.max(...all)];
+}
+
 /** The middle of what must be seen; the axis stays in the middle while that is seen anyway. */
-function midHeight() {
-  const heights = [...now.state.y, ...(now.scene.measured?.y ?? []), 0];
-  const low = Math.min(...heights);
-  const high = Math.max(...heights);
-  const half = (0.4 * view.box.height) / (view.scale * view.magnified);
+function midHeight(low, high) {
+  const half = (TALL * view.box.height) / 2 / (view.scale * view.magnified);
   return high < half && low > -half ? 0 : (low + high) / 2;
 }
 

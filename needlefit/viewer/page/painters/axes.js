@@ -7,7 +7,7 @@ import { label } from "./strokes.js";
 
 const FONT = "11px system-ui, sans-serif";
 const TICK = 5; // px
-const APART = 48; // px between ticks, at least
+const APART = 48; // px between ticks, at least, where there is room for so few
 
 /** Draw ticks and names outside the box, and the scale bar inside. */
 export function paintAxes(context) {
@@ -22,8 +22,8 @@ export function paintAxes(context) {
   paintScaleBar(context);
 }
 
-/** The step of ticks that stand apart far enough, at a scale in px per mm: 1, 2 or 5 times a power of ten. */
-const stepAt = (scale) => roundStep((2.5 * APART) / scale); // 2.5: no further apart than that
+/** The step of ticks along so many px, at a scale in px per mm; it is rounded down, by 2.5 at most. */
+const stepAt = (scale, length) => roundStep((2.5 * Math.min(APART, length / 6)) / scale);
 
 function ticks(low, high, step) {
   const first = Math.ceil(low / step);
@@ -38,7 +38,7 @@ function paintAlong(context) {
   context.textAlign = "center";
   context.textBaseline = "top";
   context.beginPath();
-  for (const x of ticks(fromPx(left), fromPx(left + width), stepAt(view.scale))) {
+  for (const x of ticks(fromPx(left), fromPx(left + width), stepAt(view.scale, width))) {
     const px = Math.round(toPx(x)) + 0.5;
     context.moveTo(px, bottom);
     context.lineTo(px, bottom + TICK);
@@ -55,7 +55,7 @@ function paintAcross(context) {
   context.textAlign = "right";
   context.textBaseline = "middle";
   context.beginPath();
-  for (const y of ticks(fromPy(top + height), fromPy(top), stepAt(scale))) {
+  for (const y of ticks(fromPy(top + height), fromPy(top), stepAt(scale, height))) {
     const py = Math.round(toPy(y)) + 0.5;
     context.moveTo(left - TICK, py);
     context.lineTo(left, py);
@@ -66,8 +66,15 @@ function paintAcross(context) {
   context.translate(11, top + height / 2);
   context.rotate(-Math.PI / 2);
   context.textAlign = "center";
-  context.fillText(view.magnified === 1 ? "y (mm)" : `y (mm), drawn ${view.magnified}× as large as x`, 0, 0);
+  context.fillText(nameAcross(context, height), 0, 0);
   context.restore();
+}
+
+/** What stands along the axis, as long as there is room for. */
+function nameAcross(context, room) {
+  if (view.magnified === 1) return "y (mm)";
+  const long = `y (mm), drawn ${view.magnified}× as large as x`;
+  return context.measureText(long).width < room ? long : `y (mm), drawn ${view.magnified}×`;
 }
 
 /** A bar of a round length at the lower right; magnified, it holds along x alone. */
@@ -82,5 +89,7 @@ function paintScaleBar(context) {
   context.fillRect(right - 1.5, py - 4, 1.5, 6);
   context.textAlign = "center";
   context.textBaseline = "bottom";
-  label(context, `${brief(length)} mm${view.magnified === 1 ? "" : " along x"}`, (start + right) / 2, py - 5);
+  const text = `${brief(length)} mm${view.magnified === 1 ? "" : " along x"}`;
+  const middle = Math.min((start + right) / 2, right + 8 - context.measureText(text).width / 2);
+  label(context, text, middle, py - 5);
 }

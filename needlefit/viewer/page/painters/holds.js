@@ -1,11 +1,14 @@
 /** What holds the needle: the base on its stage, and guides as clamps. */
 
 import { guidePlace, basePlace } from "../handles.js";
+import { shortName } from "../names.js";
 import { palette } from "../palette.js";
+import { toPx, toPy } from "../view.js";
 import { thickness } from "./needle.js";
 import { label, ring, straight, turned } from "./strokes.js";
 
 const HANDLE = 7; // px
+const LINE = 15; // px, the height of a name
 
 /** Draw the hub, the rail along which the stage moves it, and the ring that turns it. */
 export function paintBase(context, state) {
@@ -43,7 +46,24 @@ export function paintGuides(context, state) {
       for (const to of [-1, 1]) (guide.turns_freely ? point : jaw)(context, gap * to, to);
     });
     if (!guide.turns_freely) ring(context, ...turn, HANDLE, palette.guide, palette.air);
-    write(context, guide.item, place, gap + 24);
+  }
+  writeNames(context, state.guides);
+}
+
+/** Under each guide its number, or the name that its scene gives it; of two that would overlap, the first. */
+function writeNames(context, guides) {
+  context.font = "600 12px system-ui, sans-serif";
+  context.textAlign = "center";
+  context.textBaseline = "middle";
+  const written = [];
+  for (const guide of guides.toSorted((one, other) => one.item - other.item)) {
+    const [px, py] = [toPx(guide.x), toPy(guide.y) + thickness() / 2 + 26];
+    const name = shortName(guide);
+    const half = context.measureText(name).width / 2 + 3;
+    const overlaps = (one) => Math.abs(one.px - px) < one.half + half && Math.abs(one.py - py) < LINE;
+    if (written.some(overlaps)) continue;
+    written.push({ px, py, half });
+    label(context, name, px, py, palette.guide);
   }
 }
 
@@ -59,11 +79,4 @@ function point(context, from, to) {
   context.lineTo(-7, from + 11 * to);
   context.lineTo(7, from + 11 * to);
   context.fill();
-}
-
-function write(context, item, [px, py], below) {
-  context.font = "600 12px system-ui, sans-serif";
-  context.textAlign = "center";
-  context.textBaseline = "middle";
-  label(context, item, px, py + below, palette.guide);
 }

@@ -1,6 +1,6 @@
 /** What stands still: air, layers, the scan's slice, skin and the undeformed axis. */
 
-import { grouped } from "../numbers.js";
+import { asMpa } from "../numbers.js";
 import { palette, shades } from "../palette.js";
 import { now } from "../store.js";
 import { toPx, toPy, view } from "../view.js";
@@ -74,7 +74,7 @@ function paintNames(context, layers) {
   for (const layer of layers) {
     const middle = (layer.from + layer.to) / 2;
     label(context, named ? layer.name : String(layer.number), middle, top + 18);
-    const mu = `μ ${grouped(layer.mu)} Pa`;
+    const mu = `μ ${asMpa(layer.mu)} MPa`;
     if (fits(mu, layer)) label(context, mu, middle, top + 34);
   }
   const skin = toPx(0);

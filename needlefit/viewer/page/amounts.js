@@ -1,0 +1,21 @@
+/** Fields of the page's own numbers, which no server checks: what is none gives way to the last that was. */
+
+import { tell } from "./store.js";
+
+/** Watch a field; returns a function that tells its number, also while another one is being typed. */
+export function amount(input) {
+  let last = input.value;
+  const valid = () => input.value !== "" && input.checkValidity();
+  const settle = () => {
+    if (valid()) last = input.value;
+    else if (input.value !== last) giveBack();
+  };
+  const giveBack = () => {
+    const expected = `a number, ${input.min} or above`;
+    tell("notice", { what: `No ${input.ariaLabel}: ${last} is kept.`, expected });
+    input.value = last;
+  };
+  input.addEventListener("change", settle);
+  input.addEventListener("blur", settle);
+  return () => Number(valid() ? input.value : last);
+}
