@@ -12,6 +12,8 @@ from needlefit.inference.sampling.independent import learned, unlearned
 from needlefit.inference.sampling.sample import sample
 from needlefit.project.records.recipe import SampleRecord
 
+pytestmark = pytest.mark.slow
+
 MOVES = ["stretch", "de", "snooker", "independent", SampleRecord().moves]
 
 

@@ -67,6 +67,7 @@ def test_the_shipped_twin_is_a_rebuild(rebuilt):
         assert file.read_bytes() == (TWIN / "layers" / file.name).read_bytes()
 
 
+@pytest.mark.slow
 def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processes(rebuilt, tmp_path):
     build(tmp_path, SEED, named(FEW[-1:]))
     alone = (tmp_path / "centerlines" / f"{FEW[-1]}.csv").read_bytes()

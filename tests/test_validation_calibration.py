@@ -56,12 +56,14 @@ def failures(found: dict[str, np.ndarray]) -> list[str]:
     return failing(coverage(found), ecdfs(found))
 
 
+@pytest.mark.slow
 def test_needles_of_the_model_itself_are_calibrated():
     found = run(small_job(), 25)
     assert set(found) == {"mu1_pa", "bevel_mm", "stiff_design", "stiff_fit", "tip_mm", "log_likelihood"}
     assert failures(found) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("control", CONTROLS)
 def test_every_control_is_noticed(control):
     assert failures(run(small_job(), ENOUGH[control], control=control))

@@ -154,6 +154,7 @@ def test_a_search_that_was_interrupted_foretells_nothing_and_one_that_ended_earl
     assert found.faults[0] == "no start of the search ended at a minimum (budget)"
 
 
+@pytest.mark.slow
 def test_what_is_foretold_without_sampling_is_the_posterior(job, tmp_path):
     """Weighed draws and walked ones have the same middle and width, in the stiff and the sloppy direction."""
     problem = job.problem(job.folds[0])

@@ -133,6 +133,7 @@ def test_an_interrupted_run_resumes_to_the_same_frames(project: Path) -> None:
     assert_same(again, whole)
 
 
+@pytest.mark.slow
 def test_an_interrupted_sampler_resumes_to_the_same_draws(project: Path) -> None:
     """Stopped within its second block of steps, after the searches."""
     whole = run("draws", study(), Settings(sample=True))

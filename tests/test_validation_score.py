@@ -184,6 +184,7 @@ def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(project: P
     assert printed.loc["bevel_mm", "fitted_metric"] == number(second["bevel_mm"])
 
 
+@pytest.mark.slow
 def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -> None:
     """With one evaluation a start ends where it began; the bevel alone is free in both searches."""
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
