@@ -3,11 +3,13 @@
 from pathlib import Path
 
 import numpy as np
+import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_datasets import block, without_checksums
 
 from needlefit.datasets.check import check
+from needlefit.datasets.formats import mat, text
 from needlefit.datasets.formats.csv import numbers, read_table
 from needlefit.errors import DataError
 
@@ -73,3 +75,11 @@ def test_check_answers_whatever_a_cell_holds(tmp_path, data):
             assert fault.where and fault.what and str(folder) in fault.where
     finally:
         path.write_text(original)
+
+
+@pytest.mark.parametrize("read", [mat.read_curves, text.read_text])
+def test_a_file_that_cannot_be_had_is_told_alike_by_every_reader(tmp_path, read):
+    with pytest.raises(DataError, match="there is no such file"):
+        read(tmp_path / "gone")
+    with pytest.raises(DataError, match="a file that you may read"):
+        read(tmp_path)  # a folder

@@ -1,16 +1,21 @@
 """MATLAB files: every N x 3 array in them, whatever it is nested in."""
 
 from collections.abc import Iterator
+from io import BytesIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.datasets.formats.content import content
 from needlefit.datasets.formats.points import Points
 from needlefit.errors import DataError
 
 Floats = NDArray[np.float64]
+
+SIGNATURE, PLACES = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
+"""Of HDF5, which MATLAB writes from version 7.3 on behind a head of its own; and where it may stand."""
 
 EXPECTED = "N x 3 arrays of numbers, mm, entry first"
 
@@ -25,10 +30,9 @@ def read_curves(path: Path) -> dict[str, Points]:
     DataError
         If the file is missing, is no MATLAB file, or holds no such array.
     """
-    if not path.is_file():
-        raise DataError("there is no such file", where=str(path), mend="check its name against dataset.toml")
+    data = content(path)
     try:
-        variables = _hdf(path) if _is_hdf(path) else _classic(path)
+        variables = _hdf(data) if _is_hdf(data) else _classic(data)
     except Exception as error:  # the readers raise whatever the bytes provoke
         raise DataError(
             f"cannot be read: {error}",
@@ -78,23 +82,22 @@ def _is_curve(value: NDArray[Any]) -> bool:
     return bool(real and value.ndim == 2 and value.shape[1] == 3 and value.shape[0] > 3)
 
 
-def _classic(path: Path) -> dict[str, Any]:
+def _classic(data: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
-    variables = loadmat(path, simplify_cells=True)
+    opened: Any = BytesIO(data)  # which it takes, though its stubs do not say so
+    variables = loadmat(opened, simplify_cells=True)
     return {key: value for key, value in variables.items() if not key.startswith("__")}
 
 
-def _is_hdf(path: Path) -> bool:
+def _is_hdf(data: bytes) -> bool:
+    return any(data.startswith(SIGNATURE, at) for at in PLACES)
+
+
+def _hdf(data: bytes) -> dict[str, Any]:
     import h5py
 
-    return bool(h5py.is_hdf5(path))
-
-
-def _hdf(path: Path) -> dict[str, Any]:
-    import h5py
-
-    with h5py.File(path, "r") as file:
+    with h5py.File(BytesIO(data), "r") as file:
         return {key: _hdf_value(file, file[key]) for key in file if not key.startswith("#")}
 
 
