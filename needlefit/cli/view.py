@@ -23,7 +23,7 @@ def view(
     subject: Annotated[
         str | None,
         typer.Argument(
-            metavar="[SCENE | RUN | RUN/ID | DATASET/ID]",
+            metavar="SCENE | RUN[/ID] | DATASET/ID",
             autocompletion=subjects,
             show_default=False,
             help="What to steer: a scene; a run's fit of an insertion, with its band; a measured insertion.",
