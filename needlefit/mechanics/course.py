@@ -4,7 +4,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from needlefit.mechanics.control import Bevel, Controls, Step
-from needlefit.mechanics.plan import NEAR, Lattice, Position, Ray, rays
+from needlefit.mechanics.plan import Lattice, Position, Ray, rays
 
 
 def course(
@@ -26,7 +26,7 @@ def course(
     ends = [ray.start for ray in cut[1:]] + [last.depth] * bool(cut)  # before the first cell there are none
     for ray, end in zip(cut, ends, strict=True):
         step = Step(end, *meant(ray))
-        if not steps or _permanent(ray.start, lattice):
+        if not steps or lattice.at(lattice.cell(ray.start), ray.start):
             if steps and (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
                 steps.pop()  # at a constraint point a new ray begins of itself
         elif (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
@@ -42,7 +42,3 @@ def course(
 def _turned(step: Step) -> Step:
     """Return a step to the same place that turns the bevel over: so inputs have changed, and nothing else."""
     return replace(step, bevel=replace(step.bevel, side=-step.bevel.side))
-
-
-def _permanent(depth: float, lattice: Lattice) -> bool:
-    return abs(lattice.depth(lattice.cell(depth)) - depth) <= NEAR

@@ -104,6 +104,10 @@ class Lattice:
         """Return x_m, mm."""
         return 0.0 if m == 0 else self.first_cell + (m - 1) * self.spacing
 
+    def at(self, m: int, depth: float) -> bool:
+        """Whether constraint point m lies at `depth`."""
+        return abs(self.depth(m) - depth) <= NEAR
+
     def cell(self, depth: float) -> int:
         """Return the number of the constraint point at `depth`, or of the next one deeper."""
         if depth <= NEAR:
@@ -149,7 +153,7 @@ def advance(position: Position, move: Move, lattice: Lattice) -> tuple[Position,
 
     def halt(depth: float, *, opens: bool = False) -> Stop:
         cell = lattice.cell(depth)
-        permanent = abs(lattice.depth(cell) - depth) <= NEAR
+        permanent = lattice.at(cell, depth)
         tip = lattice.depth(cell) if permanent else depth
         cut, number = (ray.cut, ray.number) if ray else (move.cut, -1)
         stops.append(Stop(tip, cell, permanent, number, opens, cut, move.held))

@@ -15,7 +15,8 @@ from needlefit.geometry.placement import Placement
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import NEAR, check_reach, lattice_of
+from needlefit.mechanics.plan import NEAR, Lattice, check_reach, lattice_of
+from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
@@ -106,6 +107,11 @@ class Scene:
         """Where the last step ends: inserted arc length, mm."""
         return self.steps[-1].depth
 
+    @property
+    def lattice(self) -> Lattice:
+        """The constraint points of the whole insertion."""
+        return lattice_of(self.steps, self.rules)
+
     @classmethod
     def from_record(cls, record: SceneRecord, where: str = "") -> Self:
         """Return the scene that a checked record describes; `where` is named in errors.
@@ -132,13 +138,22 @@ def insert(scene: Scene) -> tuple[NeedleShape, ...]:
 
     All of them have the constraint points of the whole insertion, so that each one is the next one's past.
     """
-    lattice = lattice_of(scene.steps, scene.rules)
+    lattice = scene.lattice
     shapes: list[NeedleShape] = []
     for n in range(1, len(scene.steps) + 1):
         shapes.append(follow(scene.needle, scene.tissue, scene.steps[:n], scene.rules, lattice))
         if not shapes[-1].converged:
             break
     return tuple(shapes)
+
+
+def at_contact(scene: Scene, first_cell: float) -> Session:
+    """Return the needle of a scene at first contact, held as its first step begins, to go on step by step.
+
+    `first_cell` (mm) is that of `scene.lattice` for who wants the needle that `insert` finds.
+    """
+    first = scene.steps[0]
+    return Session(scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules)
 
 
 def _step(whole: WholeStep, needle: Needle, entry: Entry, where: str) -> Step:

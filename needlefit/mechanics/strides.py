@@ -4,9 +4,8 @@ import math
 from collections.abc import Iterator
 
 from needlefit.mechanics.control import Step
-from needlefit.mechanics.plan import lattice_of
-from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Moment, Session
+from needlefit.mechanics.scene import Scene, at_contact
+from needlefit.mechanics.session import Moment
 
 
 def strides(scene: Scene, stride: float = 0.5) -> Iterator[tuple[float, Moment]]:
@@ -15,11 +14,7 @@ def strides(scene: Scene, stride: float = 0.5) -> Iterator[tuple[float, Moment]]
     The depths of the steps are among the places where it is seen, the others at most `stride` mm apart; it
     ends before a stride that fails.
     """
-    first = scene.steps[0]
-    lattice = lattice_of(scene.steps, scene.rules)
-    session = Session(
-        scene.needle, scene.tissue, first.bevel, lattice.first_cell, first.controls, scene.rules
-    )
+    session = at_contact(scene, scene.lattice.first_cell)
     gone = 0.0
     yield gone, session.now
     for step in scene.steps:

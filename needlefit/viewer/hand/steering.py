@@ -7,7 +7,7 @@ import numpy as np
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Step
-from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.scene import Scene, at_contact
 from needlefit.mechanics.session import Moment, Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.viewer.hand.inputs import PARAMETERS, Change, changed
@@ -37,14 +37,10 @@ class Steering:
     """
 
     def __init__(self, scene: Scene, first_cell: float) -> None:
-        named = tuple(_named(step, names_of(scene)) for step in scene.steps)
-        self.scene = replace(scene, steps=named)
         self.names = names_of(scene)
+        self.scene = replace(scene, steps=tuple(_named(step) for step in scene.steps))
         self.number, self.solved, self.failed = 0, 0, 0
-        first = named[0]
-        self._session = Session(
-            scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules
-        )
+        self._session = at_contact(self.scene, first_cell)
         self._kept: dict[int, Session] = {}
         self.keep()
 
@@ -151,10 +147,10 @@ def names_of(scene: Scene) -> tuple[str, ...]:
     return tuple(dict.fromkeys(guide.name or "guide" for guide in guides))
 
 
-def _named(step: Step, names: Sequence[str]) -> Step:
+def _named(step: Step) -> Step:
     """Return a step whose guides all have a name."""
     guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
-    return replace(step, controls=replace(step.controls, guides=guides)) if names else step
+    return replace(step, controls=replace(step.controls, guides=guides))
 
 
 def _with(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:

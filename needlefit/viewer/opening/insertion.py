@@ -7,7 +7,6 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import noise_floor
 from needlefit.datasets.read import read
 from needlefit.inference.as_scene import as_scene
-from needlefit.mechanics.plan import lattice_of
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import follow
 from needlefit.project.load import load
@@ -79,7 +78,7 @@ def subject_of(shown: Shown, name: str, said: str, choices: tuple[str, ...]) -> 
         title=title,
         note=f"{said} {lacking}".rstrip(),
         record=record,
-        first_cell=lattice_of(scene.steps, scene.rules).first_cell,
+        first_cell=scene.lattice.first_cell,
         placement=placement_of(dataset, insertion, shape),
         synthetic=dataset.origin == "synthetic",
         measured=measured_of(dataset, insertion, floor.te_mm, shape),

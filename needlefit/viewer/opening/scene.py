@@ -1,6 +1,5 @@
 """A scene as what is shown."""
 
-from needlefit.mechanics.plan import lattice_of
 from needlefit.mechanics.scene import Scene
 from needlefit.project.load import load
 from needlefit.project.places import label
@@ -19,5 +18,5 @@ def open_scene(named: Named) -> Subject:
     """
     record = load(named.path, SceneRecord)
     scene = Scene.from_record(record, label(named.path))
-    first_cell = lattice_of(scene.steps, scene.rules).first_cell
-    return Subject(named.name, record.title or named.path.stem, record.note, record, first_cell)
+    title = record.title or named.path.stem
+    return Subject(named.name, title, record.note, record, scene.lattice.first_cell)
