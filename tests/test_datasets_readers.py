@@ -9,9 +9,10 @@ from hypothesis import strategies as st
 from test_datasets import block, without_checksums
 
 from needlefit.datasets.check import check
-from needlefit.datasets.formats import mat, text
+from needlefit.datasets.formats import mat
 from needlefit.datasets.formats.csv import numbers, read_table
 from needlefit.errors import DataError
+from needlefit.project import reading
 
 anything = settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
@@ -77,9 +78,9 @@ def test_check_answers_whatever_a_cell_holds(tmp_path, data):
         path.write_text(original)
 
 
-@pytest.mark.parametrize("read", [mat.read_curves, text.read_text])
+@pytest.mark.parametrize("read", [mat.read_curves, reading.read_text])
 def test_a_file_that_cannot_be_had_is_told_alike_by_every_reader(tmp_path, read):
     with pytest.raises(DataError, match="there is no such file"):
         read(tmp_path / "gone")
-    with pytest.raises(DataError, match="a file that you may read"):
+    with pytest.raises(DataError, match="is a folder"):
         read(tmp_path)  # a folder

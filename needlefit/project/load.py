@@ -1,13 +1,13 @@
 """TOML file -> checked record; every fault names the file and the key."""
 
 import json
-import tomllib
 from pathlib import Path
 from typing import Any, TypeVar
 
 from pydantic import BaseModel, ValidationError
 
 from needlefit.errors import ConfigError
+from needlefit.project import reading
 from needlefit.project.places import label
 from needlefit.project.schema_faults import schema_faults, together
 
@@ -27,26 +27,7 @@ def load(path: Path, kind: type[R]) -> R:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """Return the tables of a TOML file; raise ConfigError with file and line if it cannot be read."""
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except FileNotFoundError:
-        raise ConfigError(
-            "there is no such file", where=label(path), mend="check the name and the path"
-        ) from None
-    except (OSError, UnicodeDecodeError) as error:
-        raise ConfigError(
-            f"cannot be read: {error}",
-            where=label(path),
-            expected="a UTF-8 text file",
-            mend="save it as UTF-8 text",
-        ) from None
-    except tomllib.TOMLDecodeError as error:
-        raise ConfigError(
-            f"is not valid TOML: {error}",
-            where=label(path),
-            expected="TOML: key = value, texts in quotes",
-            mend="correct the line named",
-        ) from None
+    return reading.read_toml(path, ConfigError, label(path))
 
 
 def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:

@@ -7,8 +7,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
+from needlefit.errors import DataError
 from needlefit.project import replace
 from needlefit.project.files import held, sha256
+from needlefit.project.reading import read_json
 
 _EXPECTED = "no such folder, an empty one, or one whose files are those of its {}"
 
@@ -41,8 +43,8 @@ def write_manifest(folder: Path, name: str, said: Mapping[str, Any]) -> None:
 def _foreign(name: str, folder: Path) -> str:
     """Return why a folder is not, or not only, what its manifest lists; empty if it is."""
     try:
-        listed = json.loads((folder / name).read_text(encoding="utf-8"))["files"]
-    except (OSError, ValueError, KeyError, TypeError):
+        listed = read_json(folder / name)["files"]
+    except (DataError, KeyError, TypeError):
         return f"it holds no {name} that can be read"
     for file in held(folder):
         if file == name:

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.points import LARGEST, Points
-from needlefit.datasets.formats.text import read_text
 from needlefit.datasets.schema import POINT, SD
 from needlefit.errors import DataError
+from needlefit.project.reading import read_text
 
 Floats = NDArray[np.float64]
 

@@ -13,9 +13,9 @@ from needlefit.datasets.formats.markups import (
     require_points,
     system_of,
 )
-from needlefit.datasets.formats.text import read_text
 from needlefit.errors import DataError
 from needlefit.geometry.patient import lps
+from needlefit.project.reading import read_text
 
 COLUMNS = (
     *("id", "x", "y", "z", "ow", "ox", "oy", "oz"),

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.formats.content import content
 from needlefit.datasets.formats.points import Points
 from needlefit.errors import DataError
+from needlefit.project.reading import read_bytes
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ def read_curves(path: Path) -> dict[str, Points]:
     DataError
         If the file is missing, is no MATLAB file, or holds no such array.
     """
-    data = content(path)
+    data = read_bytes(path)
     try:
         variables = _hdf(data) if _is_hdf(data) else _classic(data)
     except Exception as error:  # the readers raise whatever the bytes provoke

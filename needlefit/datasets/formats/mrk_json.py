@@ -16,9 +16,9 @@ from needlefit.datasets.formats.markups import (
     require_points,
     system_of,
 )
-from needlefit.datasets.formats.text import read_text
 from needlefit.errors import DataError
 from needlefit.geometry.patient import lps
+from needlefit.project.reading import read_json
 
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -80,12 +80,7 @@ def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, Look]]) -> None:
 
 
 def _lists(path: Path) -> Sequence[dict[str, Any]]:
-    try:
-        whole = json.loads(read_text(path))
-    except (ValueError, RecursionError) as error:
-        raise DataError(
-            f"is no JSON: {error}", where=str(path), expected="a markups file of 3D Slicer", mend=SAVE_AGAIN
-        ) from None
+    whole = read_json(path)
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
         raise DataError(

@@ -8,7 +8,6 @@ Numbers are written so that reading gives the same bits.
 
 import csv
 import math
-import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import groupby
@@ -16,10 +15,10 @@ from pathlib import Path
 from typing import NamedTuple
 
 from needlefit import __version__
-from needlefit.datasets.formats.text import read_text
 from needlefit.datasets.formats.toml import dumps
 from needlefit.errors import DataError, ModelError
 from needlefit.project.load import check
+from needlefit.project.reading import parse_toml, read_text
 from needlefit.project.records.recording import PlacementRecord, RecordingRecord
 from needlefit.viewer.hand.inputs import Change
 
@@ -126,15 +125,8 @@ def _rows(step: Recorded) -> Iterator[str]:
 
 
 def _head(lines: Sequence[str], path: Path) -> RecordingRecord:
-    try:
-        tables = tomllib.loads("".join(line[1:].removeprefix(" ") for line in lines))
-    except tomllib.TOMLDecodeError as error:
-        raise DataError(
-            f"its head is no TOML: {error}",
-            where=str(path),
-            expected="lines `# key = value` that say the scene",
-            mend="replay the file as it was recorded",
-        ) from None
+    head = "".join(line[1:].removeprefix(" ") for line in lines)
+    tables = parse_toml(head, f"{path}, its first lines", DataError)
     if not tables:
         raise DataError(
             "is no recording: it does not begin with the scene",

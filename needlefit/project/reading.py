@@ -1,0 +1,241 @@
+"""Read the bytes, text, JSON or TOML of a file that a stranger may have made.
+
+Only regular files are opened, and only up to a stated size: a device may never end.
+A message about a file that cannot be parsed names the line and the column, and prints none of the content.
+"""
+
+import json
+import os
+import re
+import stat
+import tomllib
+from collections.abc import Iterator
+from contextlib import contextmanager
+from io import BytesIO, TextIOWrapper
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from needlefit.errors import ConfigError, DataError
+
+MAX_CONFIG_BYTES = 8 * 2**20
+"""Size of a TOML file."""
+
+MAX_TEXT_BYTES = 256 * 2**20
+"""Size of a table, a list of markups or another text file."""
+
+MAX_LEVELS = 64
+"""Depth to which tables and lists of a TOML or JSON file may be nested."""
+
+SAVE_AS = 'save it as UTF-8 (in a spreadsheet: "CSV UTF-8")'
+
+_KINDS = (
+    (stat.S_ISDIR, "a folder"),
+    (stat.S_ISCHR, "a device"),
+    (stat.S_ISBLK, "a device"),
+    (stat.S_ISFIFO, "a named pipe"),
+    (stat.S_ISSOCK, "a socket"),
+)
+_INT64 = 2**63
+_PLACE = re.compile(r" \(at (line \d+, column \d+|end of document)\)$")
+
+Failure = type[DataError] | type[ConfigError]
+
+
+@contextmanager
+def opened(path: Path, max_bytes: int, error: Failure = DataError, where: str = "") -> Iterator[BinaryIO]:
+    """Open a regular file of at most `max_bytes` for reading.
+
+    Parameters
+    ----------
+    path : Path
+    max_bytes : int
+    error : type
+        What is raised: `ConfigError` for a file that configures, else `DataError`.
+    where : str
+        How messages name the file; its path if empty.
+
+    Raises
+    ------
+    DataError or ConfigError
+        If the file is missing, may not be read, is no regular file, or is larger.
+    """
+    where = where or str(path)
+    try:
+        _require_regular(path.stat().st_mode, error, where)  # some devices act on being opened
+        file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0)), "rb")
+    except FileNotFoundError:
+        raise error(
+            "there is no such file", where=where, mend="check the name and the path, or restore the file"
+        ) from None
+    except (OSError, ValueError) as fault:  # ValueError: a zero byte in the name
+        raise unreadable(fault, error, where) from None
+    with file:
+        status = os.fstat(file.fileno())
+        _require_regular(status.st_mode, error, where)  # it may have been exchanged in between
+        if status.st_size > max_bytes:
+            raise _too_large(status.st_size, max_bytes, error, where)
+        yield file
+
+
+def read_bytes(
+    path: Path, max_bytes: int = MAX_TEXT_BYTES, error: Failure = DataError, where: str = ""
+) -> bytes:
+    """Return the bytes of a file; else as `opened`."""
+    with opened(path, max_bytes, error, where) as file:
+        try:
+            data = file.read(max_bytes + 1)
+        except OSError as fault:
+            raise unreadable(fault, error, where or str(path)) from None
+    if len(data) > max_bytes:  # some file systems state no size
+        raise _too_large(len(data), max_bytes, error, where or str(path))
+    return data
+
+
+def read_text(
+    path: Path, max_bytes: int = MAX_TEXT_BYTES, error: Failure = DataError, where: str = ""
+) -> str:
+    """Return the text of a UTF-8 file, without a byte order mark; lines end as in Python.
+
+    Raises
+    ------
+    DataError or ConfigError
+        As `opened`, or if the file is not UTF-8.
+    """
+    data = read_bytes(path, max_bytes, error, where)
+    try:
+        return TextIOWrapper(BytesIO(data), encoding="utf-8-sig").read()
+    except UnicodeDecodeError as fault:
+        raise error(
+            f"cannot be read as text: the byte at position {fault.start} is not UTF-8",
+            where=where or str(path),
+            expected="UTF-8 text",
+            mend=SAVE_AS,
+        ) from None
+
+
+def read_json(
+    path: Path, max_bytes: int = MAX_TEXT_BYTES, error: Failure = DataError, where: str = ""
+) -> Any:  # noqa: ANN401 - whatever the file holds
+    """Return the value in a JSON file.
+
+    Raises
+    ------
+    DataError or ConfigError
+        As `read_text`, or if it is not JSON, nested beyond `MAX_LEVELS`, or holds a number too long to read.
+    """
+    return parse_json(read_text(path, MAX_TEXT_BYTES, error, where), where or str(path), error)
+
+
+def parse_json(text: str, where: str, error: Failure = DataError) -> Any:  # noqa: ANN401 - as `read_json`
+    """Return the value of a JSON text; `where` and else as `read_json`."""
+    try:
+        value = json.loads(text)
+    except json.JSONDecodeError as fault:
+        reason = f"{fault.msg}, line {fault.lineno}, column {fault.colno}"
+    except RecursionError:
+        reason = f"nested deeper than {MAX_LEVELS} levels"
+    except ValueError:
+        reason = "it holds a number of too many digits"
+    else:
+        reason = _nesting(value)
+        if not reason:
+            return value
+    raise error(
+        f"is not valid JSON: {reason}",
+        where=where,
+        expected="JSON",
+        mend="restore the file, or save it again from the program that made it",
+    )
+
+
+def read_toml(path: Path, error: Failure = ConfigError, where: str = "") -> dict[str, Any]:
+    """Return the tables of a TOML file.
+
+    Raises
+    ------
+    ConfigError or DataError
+        As `read_text`, or if it is not TOML, nested beyond `MAX_LEVELS`, or holds an integer beyond 64 bits.
+    """
+    return parse_toml(read_text(path, MAX_CONFIG_BYTES, error, where), where or str(path), error)
+
+
+def parse_toml(text: str, where: str, error: Failure = ConfigError) -> dict[str, Any]:
+    """Return the tables of a TOML text; `where` and else as `read_toml`."""
+    try:
+        tables = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as fault:
+        reason = _toml_reason(str(fault))
+    except RecursionError:
+        reason = f"nested deeper than {MAX_LEVELS} levels"
+    except ValueError:
+        reason = "it holds a number or a date that does not exist"
+    else:
+        reason = _nesting(tables) or _long_integer(tables)
+        if not reason:
+            return tables
+    raise error(
+        f"is not valid TOML: {reason}",
+        where=where,
+        expected="TOML: key = value, texts in quotes",
+        mend="correct the line named" if "line" in reason else "correct it",
+    )
+
+
+def unreadable(fault: OSError | ValueError, error: Failure, where: str) -> DataError | ConfigError:
+    """Return the error for a file that the operating system does not give."""
+    reason = (fault.strerror or type(fault).__name__) if isinstance(fault, OSError) else "its name is not valid"
+    return error(
+        f"cannot be read: {reason}",
+        where=where if where.isprintable() else repr(where),
+        expected="a file that you may read",
+        mend="check the path and its permissions",
+    )
+
+
+def _require_regular(mode: int, error: Failure, where: str) -> None:
+    if stat.S_ISREG(mode):
+        return
+    kind = next((name for test, name in _KINDS if test(mode)), "not a regular file")
+    raise error(f"is {kind}", where=where, expected="a regular file", mend="name a file")
+
+
+def _too_large(size: int, max_bytes: int, error: Failure, where: str) -> DataError | ConfigError:
+    return error(
+        f"is too large: {size / 2**20:.0f} MiB",
+        where=where,
+        expected=f"at most {max_bytes / 2**20:.0f} MiB",
+        mend="check that it is the file that you meant, or divide it",
+    )
+
+
+def _toml_reason(message: str) -> str:
+    """Return what tomllib says, without what it quotes of the file.
+
+    Behind "Expected" it quotes its own grammar.
+    """
+    place = _PLACE.search(message)
+    text = message[: place.start()] if place else message
+    kept = text if text.startswith("Expected ") or not {"'", '"'} & set(text) else ""
+    return ", ".join(part for part in (kept, place[1] if place else "") if part) or "no reason given"
+
+
+def _values(value: object) -> Iterator[tuple[object, int]]:
+    """Yield every value within a value, and its level, without recursion."""
+    waiting = [(value, 0)]
+    while waiting:
+        one, level = waiting.pop()
+        yield one, level
+        if level <= MAX_LEVELS and isinstance(one, dict | list):
+            inner = one.values() if isinstance(one, dict) else one
+            waiting.extend((each, level + 1) for each in inner)
+
+
+def _nesting(value: object) -> str:
+    deep = any(level > MAX_LEVELS for _, level in _values(value))
+    return f"nested deeper than {MAX_LEVELS} levels" if deep else ""
+
+
+def _long_integer(tables: object) -> str:
+    """Return what is wrong with an integer beyond TOML's 64 bits, which tomllib takes."""
+    long = any(isinstance(value, int) and not -_INT64 <= value < _INT64 for value, _ in _values(tables))
+    return "it holds an integer beyond 64 bits" if long else ""
