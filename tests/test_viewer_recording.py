@@ -102,7 +102,7 @@ def test_a_recording_is_a_table_for_others(tmp_path) -> None:
         ("2,0.5000,base_y_mm,,0.1,", "2,0.5000,base_y_mm,,0.1,0.7", "line .*: deflection_mm"),
         ("5,1.2500,", "7,1.2500,", "step 7"),
         ("# first_cell_mm = 1.0", "# first_cell_mm = -1.0", "first_cell_mm"),
-        ("# schema = 1", "# schema = ", "head is no TOML"),
+        ("# schema = 1", "# schema = ", "not valid TOML"),
         ("depth_mm,,12.34567", "depth_mm,,500.0", "step 1 cannot be carried out"),
         ("return_to,,2.0", "return_to,,77.0", "step 7 cannot be carried out"),
         ("3,0.7500,bevel_side,,-1.0", "3,0.7500,return_to,,2.0", "step 3 cannot be carried out"),
