@@ -91,7 +91,7 @@ def _kept(scan: Scan, recipe: ReconstructionRecord, batch: Batch) -> Reconstruct
     if batch.keep is None or not batch.resume or not _file(scan, batch.keep).is_file():
         return None
     try:
-        stamp, one = pickle.loads(_file(scan, batch.keep).read_bytes())
+        stamp, one = pickle.loads(_file(scan, batch.keep).read_bytes())  # noqa: S301
     except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, ValueError):
         return None
     return one if stamp == _stamp(scan, recipe) and isinstance(one, Reconstruction) else None

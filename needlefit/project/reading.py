@@ -183,7 +183,9 @@ def parse_toml(text: str, where: str, error: Failure = ConfigError) -> dict[str,
 
 def unreadable(fault: OSError | ValueError, error: Failure, where: str) -> DataError | ConfigError:
     """Return the error for a file that the operating system does not give."""
-    reason = (fault.strerror or type(fault).__name__) if isinstance(fault, OSError) else "its name is not valid"
+    reason = "its name is not valid"
+    if isinstance(fault, OSError):
+        reason = fault.strerror or type(fault).__name__
     return error(
         f"cannot be read: {reason}",
         where=where if where.isprintable() else repr(where),

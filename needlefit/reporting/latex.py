@@ -85,5 +85,5 @@ def _environment() -> Environment:
         lstrip_blocks=True,
         keep_trailing_newline=True,
         undefined=StrictUndefined,
-        autoescape=False,  # LaTeX, not HTML: `escape` does it
+        autoescape=False,  # noqa: S701 - LaTeX, not HTML: `escape` does it
     )
