@@ -117,7 +117,8 @@ def expected_left_out(alignment: Alignment, found: Floats) -> Floats:
     To first order that fit misses the marker by C_i Q_i^-1 r_i, where Q_i is the covariance of its residual
     r_i in the fit to all; so the miss has the covariance C_i Q_i^-1 C_i. `found` (P, 3), scan, mm.
     """
-    left = np.linalg.pinv(_residual_covariance(alignment, found), hermitian=True)
+    # Markers on a line leave an eigenvalue 0, which rounding may turn negative; the default 1e-15 keeps it.
+    left = np.linalg.pinv(_residual_covariance(alignment, found), rcond=1e-12, hermitian=True)
     missed = alignment.noise @ left @ alignment.noise
     expected: Floats = np.sqrt(np.trace(missed, axis1=1, axis2=2))
     return expected
