@@ -47,12 +47,15 @@ class _Guarded(TyperGroup):
         try:
             result = super().invoke(ctx)
             sys.stdout.flush()
-            return result
         except BaseException as error:
             code = failure.report(error, ctx.find_root().obj)
             if code is None:
                 raise
             raise typer.Exit(code) from None
+        invocation = ctx.find_root().obj
+        if invocation.strict and invocation.warned:
+            raise typer.Exit(failure.NOT_CONVERGED)
+        return result
 
 
 def build() -> typer.Typer:

@@ -9,8 +9,10 @@ from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import targets
 from needlefit.cli.execution import Execution, cores
 from needlefit.cli.interruption import stopping
+from needlefit.cli.invocation import Invocation
 from needlefit.cli.progress import progress
 from needlefit.cli.tune import fit_of
+from needlefit.cli.warn import warn_of
 
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
@@ -49,6 +51,7 @@ def calibrate(
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
     resume: options.Resume = False,
+    strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
@@ -71,7 +74,7 @@ def calibrate(
             str(execution.folder(folder)): _run(execution, (name, record), (folder, one), count, sample)
             for folder, one in runs.items()
         }
-    _end(found, json)
+    _end(execution.invocation, found, json)
 
 
 def _run(
@@ -122,7 +125,7 @@ def _suffix(control: "Control | None", sample: bool) -> str:
     return ("-sample" if sample else "") + (f"-{control}" if control else "")
 
 
-def _end(found: "dict[str, Calibration]", json: bool) -> None:
+def _end(invocation: Invocation, found: "dict[str, Calibration]", json: bool) -> None:
     """Show the results; end with an exit code if one is not what it should be."""
     from needlefit.reporting.calibration import as_json
     from needlefit.reporting.calibration_said import PROVES, layout, said
@@ -138,6 +141,8 @@ def _end(found: "dict[str, Calibration]", json: bool) -> None:
             screen.show_display(layout(one))
             screen.say(f"written: {folder}/")
         screen.say(PROVES)
+    for one in found.values():
+        warn_of(invocation, one.run)
     wrong = [folder for folder, one in found.items() if one.telling and not one.passes]
     for folder in wrong:
         screen.note(f"needlefit: {folder}: {said(found[folder])[0]}")

@@ -7,12 +7,14 @@ from pathlib import Path
 from needlefit.cli import screen, validate_inquiry, validate_tracks
 from needlefit.cli.execution import Execution, faults_of
 from needlefit.cli.show_validation import show_validation
+from needlefit.cli.warn import warn_of
 from needlefit.project.load import load
 from needlefit.project.places import EVERYTHING, find_studies, find_tunings
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.records.track_study import TrackStudyRecord
+from needlefit.project.result_warnings import KEY, as_rows, warnings_of
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.results import Results
 from needlefit.validation.studies import AnyStudy, lacking_data, load_study
@@ -53,7 +55,9 @@ class Carried:
         """Return the answers as plain values: of a single sort as they are, else by study."""
         from needlefit.reporting.tables import records, validation_table
 
-        table = records(validation_table(*self.scored)) if self.scored else []
+        warned = {one.name: as_rows(warnings_of(one.run)) for one in self.scored}
+        rows = [(one.name, row) for one in self.scored for row in records(validation_table(one))]
+        table = [{**row, KEY: warned[name]} for name, row in rows]
         others: dict[str, object] = {one.name: validate_inquiry.as_json(one) for one in self.answers}
         others |= {one.name: validate_tracks.as_json(one) for one in self.tracks}
         if not others:
@@ -109,5 +113,8 @@ def _run(execution: Execution, name: str, record: StudyRecord | FitRecord, json:
     written = execution.write(results)
     if not json:
         show_validation(results)
-        screen.say(f"written: {written}/\n")
+        screen.say(f"written: {written}/")
+    warn_of(execution.invocation, results.run)
+    if not json:
+        screen.say()
     return results

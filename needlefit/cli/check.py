@@ -16,6 +16,7 @@ def check(
             metavar="DATASET", autocompletion=datasets, help="data/<name>/dataset.toml or a path."
         ),
     ],
+    strict: options.Strict = False,
     json: options.Json = False,
     verbose: options.Verbose = False,
 ) -> None:

@@ -15,7 +15,7 @@ EXIT_CODES = {
     2: "usage",
     ConfigError.exit_code: "bad data or configuration",
     FitError.exit_code: "the solver failed",
-    NOT_CONVERGED: "not converged (result written, marked)",
+    NOT_CONVERGED: "not converged, or a warning with --strict (result written)",
     VERIFICATION_FAILED: "a verification failed",
     INTERRUPTED: "interrupted",
 }

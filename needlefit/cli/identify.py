@@ -10,6 +10,7 @@ from needlefit.cli.completion import targets
 from needlefit.cli.execution import Execution, cores
 from needlefit.cli.interruption import stopping
 from needlefit.cli.tune import fit_of
+from needlefit.cli.warn import warn
 
 if TYPE_CHECKING:
     from needlefit.validation.identify import Identification
@@ -31,6 +32,7 @@ def identify(
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
     resume: options.Resume = False,
+    strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
@@ -41,7 +43,7 @@ def identify(
     middle of the bounds, or with --fit at the fitted values. Fisher information, directions, profile
     likelihoods and contraction against the prior go to OUT/identify-<target>/.
     """
-    from needlefit.reporting.identification import as_json, write_identification
+    from needlefit.reporting.identification import as_json, warnings_of_both, write_identification
     from needlefit.validation.identify import identify_design
     from needlefit.validation.run import Settings
 
@@ -61,9 +63,10 @@ def identify(
         execution.forget(name)
     if json:
         screen.show_json(as_json(found, fitted))
-        return
-    _show(found, fitted)
-    screen.say(f"written: {execution.folder(name)}/")
+    else:
+        _show(found, fitted)
+        screen.say(f"written: {execution.folder(name)}/")
+    warn(execution.invocation, warnings_of_both(found, fitted))
 
 
 def _show(found: "Identification", fitted: "Results | None") -> None:

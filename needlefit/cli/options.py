@@ -16,6 +16,11 @@ def _set_verbose(context: typer.Context, value: bool) -> bool:
     return value
 
 
+def _set_strict(context: typer.Context, value: bool) -> bool:
+    context.find_root().obj.strict = value
+    return value
+
+
 Quiet = Annotated[bool, typer.Option("--quiet", "-q", callback=_set_quiet, help="No progress on stderr.")]
 Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", callback=_set_verbose, help="Tracebacks of errors.")
@@ -26,3 +31,7 @@ Jobs = Annotated[int | None, typer.Option(min=1, help="Threads (default: all cor
 Out = Annotated[Path, typer.Option(help="Folder that takes the folders of results.")]
 Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]
 Resume = Annotated[bool, typer.Option("--resume", help="Go on where an interrupted run stopped.")]
+Strict = Annotated[
+    bool,
+    typer.Option("--strict", callback=_set_strict, help="Exit code 5 after a warning; results are written."),
+]

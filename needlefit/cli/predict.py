@@ -11,6 +11,8 @@ from needlefit.cli.execution import cores
 from needlefit.cli.interruption import stopping
 from needlefit.cli.progress import progress
 from needlefit.cli.scene_options import Depth, Set, scene_record
+from needlefit.cli.warn import warn
+from needlefit.project.result_warnings import KEY, as_rows, stored
 
 
 def predict(
@@ -36,6 +38,7 @@ def predict(
     seed: options.Seed = None,
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
+    strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
@@ -50,6 +53,7 @@ def predict(
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.cli.tune import fit_of
         from needlefit.mechanics.scene import Scene
+        from needlefit.project.unit_warnings import unit_warnings
         from needlefit.reporting.files import require_result
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
         from needlefit.validation.forecast import forecast
@@ -71,13 +75,17 @@ def predict(
             raise typer.Exit(failure.INTERRUPTED)
         found = forecast(Scene.from_record(planned, where), draws, job)
         title, synthetic = planned.title or scene, job.dataset.origin == "synthetic"
-        said = {**work(job), "scene": planned.model_dump(mode="json", by_alias=True)}
+        warned = [*job.warnings, *unit_warnings(planned, where)]
+        said = {**work(job), "scene": planned.model_dump(mode="json", by_alias=True), **stored(warned)}
         write_forecast(found, folder, title, said, synthetic)
     if json:
-        screen.show_json({"target": name, "scene": scene, **tip(found), "written": str(folder)})
+        screen.show_json(
+            {"target": name, "scene": scene, **tip(found), KEY: as_rows(warned), "written": str(folder)}
+        )
     else:
         screen.show_display(forecast_layout(found, title, synthetic))
         screen.say(f"written: {folder}/")
+    warn(invocation, warned)
     if found.faults:
         screen.note(f"needlefit: {name}: the posterior has {unconverged(found)}")
         raise typer.Exit(failure.NOT_CONVERGED)

@@ -71,6 +71,7 @@ def reconstruct(
         int | None, typer.Option(min=1, help="Scans at once (default: 2); changes no result.")
     ] = None,
     resume: options.Resume = False,
+    strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Any
 
 from needlefit.cli import screen
 from needlefit.cli.show_validation import show_head
+from needlefit.project.result_warnings import KEY, as_rows, warnings_of
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -96,7 +97,8 @@ def as_json(results: "Results") -> dict[str, Any]:
     if results.posteriors:
         frames["posterior"] = percentiles_table(results)
     rows = {name: frame.to_dict("records") for name, frame in frames.items()}
-    return {**about, "interrupted": results.interrupted, **rows}
+    warnings = as_rows(warnings_of(results.run))
+    return {**about, "interrupted": results.interrupted, KEY: warnings, **rows}
 
 
 def waterfall(starts: "pd.DataFrame") -> str:

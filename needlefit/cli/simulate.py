@@ -1,5 +1,6 @@
 """`needlefit simulate`: one scene, or a recording of it; the needle's shape after each step."""
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Annotated
 
@@ -7,12 +8,16 @@ import typer
 
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import scenes
+from needlefit.cli.invocation import Invocation
 from needlefit.cli.scene_options import Depth, Set, scene_record
 from needlefit.cli.show_simulation import show_summary, summary
 from needlefit.cli.simulated import Simulated, of_recording, of_scene
+from needlefit.cli.warn import warn
+from needlefit.project.result_warnings import KEY, ResultWarning, as_rows
 
 
 def simulate(
+    context: typer.Context,
     scene: Annotated[
         str | None,
         typer.Argument(
@@ -31,6 +36,7 @@ def simulate(
     step: Annotated[
         int | None, typer.Option(metavar="N", min=0, help="Of a recording, stop after this step.")
     ] = None,
+    strict: options.Strict = False,
     json: options.Json = False,
     plot: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Draw the needle: .png, .pdf or .svg.")
@@ -80,25 +86,33 @@ def simulate(
     for option, path in (("plot", plot), ("csv", csv), ("slicer", slicer), ("animation", animation)):
         if path is not None and done.files[option](path) is not False:
             screen.note(f"{'drawn' if option == 'plot' else 'written'}: {path}")
-    _show(done, json)
+    _show(context.find_root().obj, done, json)
 
 
-def _show(done: Simulated, json: bool) -> None:
+def _show(invocation: Invocation, done: Simulated, json: bool) -> None:
     """Print where the needle ends; leave with an exit code of its own where it was not found."""
+    from needlefit.mechanics.shape import STEEP
+
     answer = summary(done.scene, done.shapes, done.placement) | done.more
+    warnings = [*done.warnings, *slope_warnings(answer["max_slope"], STEEP)]
+    answer |= {KEY: as_rows(warnings)}
     if json:
         screen.show_json(answer)
     else:
         show_summary(done.title, answer)
-    from needlefit.mechanics.shape import STEEP
-
-    if answer["max_slope"] > STEEP:
-        screen.note(
-            f"needlefit: warning: slopes reach {answer['max_slope']:.2f}: the model assumes small ones, "
-            f"up to about {STEEP:g}"
-        )
+    warn(invocation, warnings)
     if not answer["converged"]:
         steps = len(done.scene.steps)
         failed = f"step {len(done.shapes)} of {steps}" if steps > 1 else "the solution"
         screen.note(f"needlefit: {failed} did not converge ({answer['status']}); what it prints is no result")
         raise typer.Exit(failure.NOT_CONVERGED)
+
+
+def slope_warnings(max_slope: float, limit: float) -> Iterator[ResultWarning]:
+    """Yield a warning where slopes are beyond what the model assumes."""
+    if max_slope > limit:
+        yield ResultWarning(
+            "slope",
+            f"slopes reach {max_slope:.2f}: the model assumes small ones, up to about {limit:g}",
+            fix="check stiffness, bevel offset and depth",
+        )

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from needlefit.cli import scene_files, screen
-from needlefit.cli.plausibility import doubts
 from needlefit.cli.scene_files import Inserted
 
 if TYPE_CHECKING:
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.project.records.scene import SceneRecord
+    from needlefit.project.result_warnings import ResultWarning
 
 Write = Callable[[Path], bool | None]
 
@@ -38,6 +38,7 @@ class Simulated:
         What else `--json` says.
     placement : Placement or None
         Where a measured needle lies; None of a scene, which says so itself.
+    warnings : tuple of ResultWarning
     """
 
     title: str
@@ -46,12 +47,13 @@ class Simulated:
     files: Mapping[str, Write]
     more: dict[str, Any]
     placement: "Placement | None" = None
+    warnings: "tuple[ResultWarning, ...]" = ()
 
 
 def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
     """Carry out a scene's steps; `where` is named in errors."""
-    _warn(record)
     from needlefit.mechanics.scene import Scene, insert
+    from needlefit.project.unit_warnings import unit_warnings
 
     screen.compile_ahead()
     scene = Scene.from_record(record, where)
@@ -62,11 +64,13 @@ def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
         "slicer": partial(scene_files.write_curves, done),
         "animation": partial(scene_files.write_animation, done),
     }
-    return Simulated(done.title, scene, done.shapes, files, {})
+    warnings = tuple(unit_warnings(record, where))
+    return Simulated(done.title, scene, done.shapes, files, {}, warnings=warnings)
 
 
 def of_recording(path: Path, upto: int | None) -> Simulated:
     """Carry out a recording, or its steps up to number `upto`."""
+    from needlefit.project.unit_warnings import unit_warnings
     from needlefit.viewer.exports import export
     from needlefit.viewer.exports.outcome import carry_out
     from needlefit.viewer.recording.log import read
@@ -76,7 +80,6 @@ def of_recording(path: Path, upto: int | None) -> Simulated:
         if upto > len(recording.steps):
             raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
         recording = replace(recording, steps=recording.steps[:upto])
-    _warn(recording.head.scene)
     screen.compile_ahead()
     done = carry_out(recording)
     files: dict[str, Write] = {
@@ -86,9 +89,5 @@ def of_recording(path: Path, upto: int | None) -> Simulated:
         "animation": partial(export.write_animation, done),
     }
     more = {"replayed": {"steps": len(recording.steps), "off_mm": done.off}}
-    return Simulated(done.title, done.scene, (done.moment.shape,), files, more, done.placement)
-
-
-def _warn(record: "SceneRecord") -> None:
-    for doubt in doubts(record):
-        screen.note(f"needlefit: warning: {doubt}")
+    warnings = tuple(unit_warnings(recording.head.scene, str(path)))
+    return Simulated(done.title, done.scene, (done.moment.shape,), files, more, done.placement, warnings)

@@ -10,6 +10,7 @@ from needlefit.cli.completion import targets
 from needlefit.cli.execution import Execution, require_converged
 from needlefit.cli.interruption import stopping
 from needlefit.cli.show_tuning import as_json, show_tuning
+from needlefit.cli.warn import warn_of
 from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
@@ -29,6 +30,7 @@ def tune(
     jobs: options.Jobs = None,
     out: options.Out = Path("reports"),
     resume: options.Resume = False,
+    strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,
@@ -54,6 +56,7 @@ def tune(
         else:
             show_tuning(results)
             screen.say(f"written: {written}/")
+        warn_of(execution.invocation, results.run)
         if results.interrupted:
             raise execution.interrupted()
         execution.forget(name)

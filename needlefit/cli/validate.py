@@ -33,6 +33,7 @@ def validate(
         typer.Option("--reference", help="Also write OUT/reference/<study>/: evidence that is committed."),
     ] = False,
     resume: options.Resume = False,
+    strict: options.Strict = False,
     json: options.Json = False,
     quiet: options.Quiet = False,
     verbose: options.Verbose = False,

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING
 
 from needlefit.cli import screen
 from needlefit.cli.execution import Execution
+from needlefit.cli.warn import warn_of
+from needlefit.project.result_warnings import KEY, as_rows, warnings_of
 
 if TYPE_CHECKING:
     from needlefit.project.records.inquiry import InquiryRecord
@@ -20,7 +22,10 @@ def ask(execution: Execution, name: str, record: "InquiryRecord", json: bool) ->
     folder = write_answer(answer, execution.folder(name))
     if not json:
         _show(answer)
-        screen.say(f"written: {folder}/\n")
+        screen.say(f"written: {folder}/")
+    warn_of(execution.invocation, answer.run)
+    if not json:
+        screen.say()
     return answer
 
 
@@ -28,7 +33,8 @@ def as_json(answer: "Answer") -> dict[str, object]:
     """Return the frames of an answer as plain values."""
     from needlefit.reporting.tables import records
 
-    return {name: records(frame) for name, frame in answer.frames.items()}
+    warnings = as_rows(warnings_of(answer.run))
+    return {**{name: records(frame) for name, frame in answer.frames.items()}, KEY: warnings}
 
 
 def _show(answer: "Answer") -> None:

@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING
 
 from needlefit.cli import screen
 from needlefit.cli.execution import Execution
+from needlefit.cli.warn import warn_of
+from needlefit.project.result_warnings import KEY, as_rows, warnings_of
 
 if TYPE_CHECKING:
     from needlefit.project.records.track_study import TrackStudyRecord
@@ -22,6 +24,7 @@ def run_tracks(execution: Execution, name: str, record: "TrackStudyRecord", json
     folder = write_tracks(results, execution.folder(name))
     if not json:
         _show(results, folder)
+    warn_of(execution.invocation, results.run)
     return results
 
 
@@ -30,7 +33,8 @@ def as_json(results: "TrackResults") -> object:
     from needlefit.reporting.tables import records
     from needlefit.validation.tracks.summary import paired_runs
 
-    return records(paired_runs(results))
+    warnings = as_rows(warnings_of(results.run))
+    return [{**row, KEY: warnings} for row in records(paired_runs(results))]
 
 
 def _show(results: "TrackResults", folder: Path) -> None:

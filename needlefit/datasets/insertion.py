@@ -11,6 +11,7 @@ from needlefit.geometry.frames import Frame
 from needlefit.geometry.patient import IN_PATIENT
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
+from needlefit.project.result_warnings import ResultWarning
 
 Floats = NDArray[np.float64]
 
@@ -136,6 +137,8 @@ class Dataset:
         What its makers want known of data, needle and noise; reports print it.
     outer_diameter : float or None
         Of the needle, mm, where it is stated.
+    warnings : tuple of ResultWarning
+        What is suspicious in it, though it can be fitted.
     """
 
     name: str
@@ -151,3 +154,4 @@ class Dataset:
     digest: str
     notes: tuple[str, ...] = ()
     outer_diameter: float | None = None
+    warnings: tuple[ResultWarning, ...] = ()

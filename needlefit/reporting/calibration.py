@@ -3,6 +3,7 @@
 from pathlib import Path
 from typing import Any
 
+from needlefit.project.result_warnings import KEY, as_rows, warnings_of
 from needlefit.reporting import document
 from needlefit.reporting.calibration_said import PROVES, caption, layout, said
 from needlefit.reporting.document import Document, compile_pdf
@@ -39,7 +40,14 @@ def write_calibration(found: Calibration, folder: Path) -> list[Path]:
 def as_json(found: Calibration) -> dict[str, Any]:
     """Return the result for machines."""
     about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title}
-    return {**about, **_outcome(found), "said": said(found), "coverage": records(found.coverage)}
+    warnings = as_rows(warnings_of(found.run))
+    return {
+        **about,
+        **_outcome(found),
+        KEY: warnings,
+        "said": said(found),
+        "coverage": records(found.coverage),
+    }
 
 
 def _outcome(found: Calibration) -> dict[str, Any]:
@@ -58,6 +66,7 @@ def _page(found: Calibration, figure: Path) -> Document:
     synthetic = found.origin == "synthetic"
     blocks = (
         *([] if found.passes else [document.warning(said(found)[0])]),
+        *document.warnings_in(found.run, found.name),
         document.bullets(said(found)),
         document.table(layout(found), synthetic),
         document.figure(figure, caption(found), synthetic),

@@ -4,10 +4,7 @@ from needlefit.reporting.names import RIVAL_NAMES, rival_name
 from needlefit.reporting.numbers import MISSING
 from needlefit.reporting.tables import Row, records, study_label
 from needlefit.validation.results import BASELINES, Results
-from needlefit.validation.summary import paired
-
-_SURE = 2.0
-"""Standard errors up to which a difference may be chance."""
+from needlefit.validation.summary import beats_fit, paired
 
 _SETS = ("hand_tuned", "hand_tuned_b")
 
@@ -81,23 +78,18 @@ def _table(results: Results) -> dict[str, Row]:
 
 def _better(table: dict[str, Row]) -> dict[str, Row]:
     """Return the rivals that err less by over two standard errors, or by anything where none is known."""
-    return {name: row for name, row in table.items() if _ahead(row) and not _tied(row)}
+    return {name: row for name, row in table.items() if beats_fit(row)}
 
 
 def _close_said(results: Results, table: dict[str, Row]) -> str:
     """Return the rivals that err less, but by no more than chance gives, or nothing."""
-    close = {name: row for name, row in table.items() if _ahead(row) and _tied(row)}
+    close = {name: row for name, row in table.items() if _ahead(row) and not beats_fit(row)}
     said = "; ".join(f"{rival_name(name, results)} ({_gap(row)})" for name, row in close.items())
     return f"Not told apart from the fit, by less than two standard errors: {said}." if close else ""
 
 
 def _ahead(row: Row) -> bool:
     return (row["difference_mm"] or 0.0) < 0
-
-
-def _tied(row: Row) -> bool:
-    se = row["difference_se_mm"]
-    return se is not None and abs(row["difference_mm"]) <= _SURE * se
 
 
 def _after(sentence: str) -> str:

@@ -13,6 +13,7 @@ from typing import Any
 
 import typst
 
+from needlefit.project.result_warnings import warnings_of
 from needlefit.reporting.display import Display
 
 Block = dict[str, Any]
@@ -65,6 +66,11 @@ def bullets(items: Sequence[str]) -> Block:
 def warning(words: str) -> Block:
     """Return a paragraph that cannot be overlooked."""
     return {"kind": "warning", "text": _prose(words)}
+
+
+def warnings_in(run: Mapping[str, Any], name: str) -> list[Block]:
+    """Return a block for each warning that the run called `name` keeps."""
+    return [warning(f"WARNING: {name}: {one}.") for one in warnings_of(run)]
 
 
 def empty(words: str) -> Block:

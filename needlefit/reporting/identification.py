@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.plain import plain
+from needlefit.project.result_warnings import KEY, ResultWarning, as_rows, warnings_of
 from needlefit.reporting.figures.profiles import draw_profiles
 from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.identification_layout import directions_table, identification_table
@@ -94,6 +95,12 @@ def _store(written: Written, folder: Path) -> None:
     pack({**table, "directions": packed(written.directions)}, folder)
 
 
+def warnings_of_both(found: Identification, fitted: Results | None) -> tuple[ResultWarning, ...]:
+    """Return the warnings of the design, and of the fit if there is one, each once."""
+    runs = [found.run, *([] if fitted is None else [fitted.run])]
+    return tuple(dict.fromkeys(one for run in runs for one in warnings_of(run)))
+
+
 def as_json(found: Identification, fitted: Results | None) -> dict[str, Any]:
     """Return the verdict for machines."""
     about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title, "place": found.place}
@@ -104,6 +111,7 @@ def as_json(found: Identification, fitted: Results | None) -> dict[str, Any]:
         rows["fit"] = records(identification_table(fitted.identification, found.origin))
     return {
         **about,
+        KEY: as_rows(warnings_of_both(found, fitted)),
         "said": said,
         **rows,
         "directions": records(directions_table(found.expectation, found.origin)),

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 
+from needlefit.project.result_warnings import KEY
 from needlefit.reporting.contest import compared_said, losses_said, scored_role
 from needlefit.reporting.names import layers_name, medium_name
 from needlefit.reporting.numbers import fixed, symbol
@@ -10,7 +11,7 @@ from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate, reasons
 
-_SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned")
+_SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned", KEY)
 
 
 def in_short(results: Results) -> list[str]:

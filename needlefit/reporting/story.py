@@ -66,7 +66,7 @@ def cautions(results: list[Results]) -> list[Block]:
         for one in results
         if (faults := [fault for found in one.run.get("search_faults", {}).values() for fault in found])
     ]
-    return said
+    return said + [block for one in results for block in document.warnings_in(one.run, one.name)]
 
 
 def figure_of(figures: Figures, name: str, caption: str, synthetic: bool) -> list[Block]:

@@ -12,6 +12,7 @@ from needlefit.inference.identifiability.expect import Expectation, expect
 from needlefit.inference.identifiability.identify import with_noise
 from needlefit.inference.starts import Fit
 from needlefit.project.records.fit import FitRecord
+from needlefit.project.result_warnings import stored
 from needlefit.project.streams import stream
 from needlefit.validation import provenance
 from needlefit.validation.design import looked_at, planned
@@ -119,7 +120,8 @@ def identify_design(
             [{"fold": fold.name, **row} for row in told.points],
             columns=[*PROFILES, *(n for n in job.parameters.names if any(n in row for row in told.points))],
         ),
-        run={**provenance.work(job), "place": place, "values": dict(problem.values(theta))},
+        run={**provenance.work(job), "place": place, "values": dict(problem.values(theta))}
+        | stored(job.warnings),
     )
 
 

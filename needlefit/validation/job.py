@@ -19,6 +19,7 @@ from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.prior import MaterialRecord
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
 from needlefit.project.watching import Progress, Stop, never, silent
 from needlefit.validation import paper
@@ -60,7 +61,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Job:
-    """What `validation.run` works on."""
+    """What `validation.run` works on; `warnings` are about its data and what it selects of them."""
 
     name: str
     record: FitRecord | StudyRecord
@@ -70,6 +71,7 @@ class Job:
     recipe: RecipeRecord
     hand_tuned: Mapping[str, float] | None
     folds: tuple[Fold, ...]
+    warnings: tuple[ResultWarning, ...] = ()
 
     @property
     def searches(self) -> tuple[str, ...]:
@@ -144,7 +146,9 @@ def prepare(
     if recipe.likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)
         hand = None if hand is None else {**hand, NOISE_SCALE: 1.0}
-    job = Job(name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset))
+    job = Job(
+        name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset), dataset.warnings
+    )
     _check_layers(job)
     _check_reach(job)
     return job

@@ -18,6 +18,7 @@ from needlefit.project.streams import stream
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.division import division
+from needlefit.validation.fit_warnings import with_warnings
 from needlefit.validation.folds import Fold
 from needlefit.validation.heldout import drawn, foreseen
 from needlefit.validation.job import Job, Settings, prepare
@@ -73,7 +74,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
                 tabulate_foreseen(foreseen(job, fold, few), tables)
         if interrupted:
             break
-    return Results(
+    found = Results(
         name=name,
         title=record.title or name,
         question=record.question if isinstance(record, StudyRecord) else "",
@@ -88,6 +89,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=interrupted,
     )
+    return with_warnings(found, job)
 
 
 def _search(job: Job, fold: Fold, number: int, settings: Settings, checkpoint: Checkpoint) -> dict[str, Fit]:

@@ -1,7 +1,7 @@
 """Errors of single insertions, aggregated over insertions in the two ways that differ."""
 
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
@@ -102,6 +102,20 @@ def paired(results: Results, against: str = "fitted", role: str = "validate") ->
             }
         )
     return pd.DataFrame(rows, columns=_PAIRED)
+
+
+DISTINCT_SE = 2.0
+"""Standard errors up to which a difference may be chance."""
+
+
+def beats_fit(row: Mapping[str, Any] | pd.Series) -> bool:
+    """Whether a row of `paired` errs less than the fit, by over two standard errors where they are known."""
+    gap, se = (_number(row[key]) for key in ("difference_mm", "difference_se_mm"))
+    return gap < 0 and not abs(gap) <= DISTINCT_SE * se
+
+
+def _number(value: float | None) -> float:
+    return np.nan if value is None else float(value)
 
 
 def points(results: Results) -> pd.DataFrame:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Noise
 from needlefit.mechanics.needle import Needle
+from needlefit.project.result_warnings import ResultWarning
 
 Floats = NDArray[np.float64]
 
@@ -70,3 +71,4 @@ class TrackDataset:
     digest: str
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
+    warnings: tuple[ResultWarning, ...] = ()

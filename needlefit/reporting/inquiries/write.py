@@ -70,7 +70,8 @@ def cautions(answer: Answer) -> list[Block]:
         said.append(document.warning(f"SYNTHETIC DATA. {why}"))
     if answer.interrupted:
         said.append(document.warning("INTERRUPTED. Some of the work was left undone; what is here is part."))
-    return [*said, *(document.warning(f"NOT TO BE TRUSTED: {fault}.") for fault in answer.faults)]
+    said += [document.warning(f"NOT TO BE TRUSTED: {fault}.") for fault in answer.faults]
+    return said + document.warnings_in(answer.run, answer.name)
 
 
 def _run(answer: Answer) -> list[Block]:

@@ -53,6 +53,7 @@ def _story(results: TrackResults, drawn: Path) -> Document:
     synthetic = results.origin == "synthetic"
     blocks = (
         *(document.warning(f"NOT CONVERGED: {fault}.") for fault in results.faults),
+        *document.warnings_in(results.run, results.name),
         document.text(results.record.question),
         document.bullets([*in_short(results), *results.remarks]),
         document.heading("Runs foretold"),

@@ -17,6 +17,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError, FitError
 from needlefit.project.processes import in_processes
 from needlefit.project.records.fit import FitRecord
+from needlefit.project.result_warnings import stored
 from needlefit.validation import provenance
 from needlefit.validation.calibration.controls import Control
 from needlefit.validation.calibration.judged import coverage, ecdfs, failing
@@ -192,7 +193,7 @@ def _calibration(
         replicates=frame,
         coverage=coverage(ranks),
         ecdfs=ecdfs(ranks) if ranks else pd.DataFrame(),
-        run={**run, "replicates": len(frame)},
+        run={**run, "replicates": len(frame), **stored(job.warnings)},
         seconds=seconds,
         interrupted=interrupted,
     )

@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.records.inquiry import InquiryRecord
+from needlefit.project.result_warnings import ResultWarning, stored
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import open_checkpoint
 from needlefit.validation.inquiries.answer import Answer
@@ -68,11 +69,15 @@ def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -
         origin="synthetic" if any(one.origin == "synthetic" for one in datasets) else "measured",
         dataset_title="; ".join(dict.fromkeys(one.title or one.name for one in datasets)),
         frames=frames,
-        run={**work, "interrupted": interrupted, "faults": list(faults)},
+        run={**work, "interrupted": interrupted, "faults": list(faults), **stored(_warnings(plan))},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs},
         interrupted=interrupted,
         faults=faults,
     )
+
+
+def _warnings(plan: Plan) -> list[ResultWarning]:
+    return [one for job in plan.jobs for one in job.warnings]
 
 
 def _work(name: str, record: InquiryRecord, plan: Plan) -> dict[str, Any]:

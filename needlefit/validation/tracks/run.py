@@ -23,6 +23,7 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.track_study import TrackStudyRecord
+from needlefit.project.result_warnings import stored
 from needlefit.project.streams import stream
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.job import Settings
@@ -87,7 +88,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
         notes=dataset.notes,
         remarks=dataset.remarks,
         **tables.frames,
-        run=doing,
+        run={**doing, **stored(dataset.warnings)},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(dataset.path)},
         interrupted=len(tables.posteriors) < len(tasks),
         posteriors=tables.posteriors,

@@ -1,0 +1,53 @@
+"""Warnings: what is suspicious about data or a result, though it is read and computed all the same.
+
+A fault stops a run; a warning does not. It is printed under the result, kept under `warnings` in
+`run.json`, shown in the report and in `--json`, and with `--strict` it turns the exit code into 5.
+"""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+KEY = "warnings"
+"""Of `run.json` and of `--json`."""
+
+
+@dataclass(frozen=True)
+class ResultWarning:
+    """One warning, which is printed on one line.
+
+    Attributes
+    ----------
+    kind : str
+        Which check it comes from, such as "parameter_at_bound"; programs may rely on it.
+    what : str
+        What was found, in a clause without a full stop.
+    where : str
+        File and line or key, empty if there is none.
+    fix : str
+        What the user can do.
+    """
+
+    kind: str
+    what: str
+    where: str = ""
+    fix: str = ""
+
+    def __str__(self) -> str:
+        head = f"{self.where}: {self.what}" if self.where else self.what
+        return f"{head}; {self.fix}" if self.fix else head
+
+
+def as_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
+    """Return warnings as JSON values, each once, with the paths that this machine knows."""
+    return [asdict(one) for one in dict.fromkeys(warnings)]
+
+
+def stored(warnings: Iterable[ResultWarning]) -> dict[str, list[dict[str, str]]]:
+    """Return the entry of `run.json`; files stand there by their names alone, wherever they lie."""
+    return {KEY: as_rows(replace(one, where=one.where.rpartition("/")[2]) for one in warnings)}
+
+
+def warnings_of(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
+    """Return the warnings that a run keeps; an earlier version kept none."""
+    return tuple(ResultWarning(**row) for row in run.get(KEY, ()))

@@ -1,0 +1,84 @@
+"""What is suspicious about a finished fit: parameters at bounds, an empirical curve that is closer."""
+
+import math
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+
+from needlefit.inference.identifiability.identify import AT_BOUND
+from needlefit.inference.parameters import in_logarithm
+from needlefit.project.result_warnings import ResultWarning, stored, warnings_of
+from needlefit.validation.job import Job
+from needlefit.validation.results import BASELINES, Results
+from needlefit.validation.summary import beats_fit, paired
+
+_NAMES = {
+    "straight": "a straight line",
+    "constant_curvature": "a circular arc",
+    "linear_curvature": "a clothoid (curvature linear in arc length)",
+}
+
+
+def with_warnings(results: Results, job: Job) -> Results:
+    """Return results whose `run` also keeps the warnings about data, study and fit."""
+    found = [*warnings_of(results.run), *job.warnings]
+    found += [] if results.interrupted else [*bound_warnings(results), *baseline_warnings(results)]
+    return replace(results, run={**results.run, **stored(found)})
+
+
+def bound_warnings(results: Results) -> Iterator[ResultWarning]:
+    """Yield the parameters that a fit left at a bound, with how many folds did."""
+    table = results.parameters
+    free = table[(table["rival"] == "fitted") & (table["status"] == "free")]
+    folds = table["fold"].nunique()
+    for name, rows in free.groupby("parameter", sort=False):
+        ends = [end for _, row in rows.iterrows() if (end := _bound(str(name), row))]
+        if ends:
+            bounds = " and ".join(dict.fromkeys(ends))
+            of = f" in {len(ends)} of {folds} folds" if folds > 1 else ""
+            yield ResultWarning(
+                "parameter_at_bound",
+                f"the fitted {name} lies at its {bounds}{of}, so its value is no estimate",
+                fix="check bevel sides, units and layers of the data, or widen the bounds in the medium",
+            )
+
+
+def _bound(name: str, row: "pd.Series[float]") -> str:
+    """Return at which bound a fitted value lies, "" if at none."""
+    ends = [float(row[key]) for key in ("bound_low", "value", "bound_high")]
+    low, value, high = (math.log(end) if in_logarithm(name) else end for end in ends)
+    place = (value - low) / (high - low)
+    if place < AT_BOUND:
+        return f"lower bound, {ends[0]:g}"
+    return f"upper bound, {ends[2]:g}" if place > 1 - AT_BOUND else ""
+
+
+def baseline_warnings(results: Results) -> Iterator[ResultWarning]:
+    """Yield the empirical curve that is closest, if it is closer than the fit to what is scored.
+
+    Held-out insertions: by two standard errors. Insertions fitted to: by the noise floor as well, for a fit
+    allows for errors of the entry pose that the score counts.
+    """
+    held_out = bool((results.errors["role"] == "validate").any())
+    role = "validate" if held_out else "tune"
+    table = paired(results, role=role)
+    better = [row for _, row in table.iterrows() if row["rival"] in BASELINES and beats_fit(row)]
+    better = better if held_out else [row for row in better if -row["difference_mm"] > _floor(results)]
+    if better:
+        best = min(better, key=lambda row: float(row["difference_mm"]))
+        error, fit = best["ipe_mean_mm"], best["ipe_mean_mm"] - best["difference_mm"]
+        which = "held-out insertions" if held_out else "insertions fitted to"
+        yield ResultWarning(
+            "worse_than_baseline",
+            f"{_NAMES[str(best['rival'])]} is closer to the {which} than the fitted model "
+            f"(mean in-plane error {error:.3f} mm against {fit:.3f} mm)",
+            fix="do not rely on this model there; check bevel sides, layers and needle of the data",
+        )
+
+
+def _floor(results: Results) -> float:
+    """Return the mean in-plane error that measurement noise alone gives, mm; 0 where none is stated."""
+    floors = results.errors["floor_ipe_mean_mm"].to_numpy(dtype=np.float64)
+    return float(np.mean(floors[np.isfinite(floors)])) if np.isfinite(floors).any() else 0.0
