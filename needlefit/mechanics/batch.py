@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -15,6 +16,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.validity import Validity, validity_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -127,6 +129,7 @@ class NeedleShapes:
     status : (B,) array of int
         Into `simulate.STATUS`; 0: converged.
     iterations : (B,) array of int
+    scales : (B, 3) array
     """
 
     x: Floats
@@ -136,6 +139,7 @@ class NeedleShapes:
     tip_track: Floats
     status: Ints
     iterations: Ints
+    scales: Floats
 
     def __len__(self) -> int:
         return len(self.u)
@@ -143,7 +147,7 @@ class NeedleShapes:
     def __getitem__(self, i: int) -> NeedleShape:
         return NeedleShape(
             self.x[i], self.u[i], self.slope[i], self.constraints[i], self.tip_track[i],
-            STATUS[self.status[i]], int(self.iterations[i]),
+            STATUS[self.status[i]], int(self.iterations[i]), self.scales[i],
         )  # fmt: skip
 
     @classmethod
@@ -157,12 +161,23 @@ class NeedleShapes:
             np.array([shape.tip_track for shape in shapes]),
             np.array([STATUS.index(shape.status) for shape in shapes]),
             np.array([shape.iterations for shape in shapes]),
+            np.array([shape.scales for shape in shapes]),
         )
 
     @property
     def converged(self) -> NDArray[np.bool_]:
         """Whether each set reached the tolerance, (B,)."""
         return np.equal(self.status, 0)
+
+    @cached_property
+    def validity(self) -> Validity:
+        """How far each set strains what the model assumes, arrays (B,); NaN where it failed."""
+        return validity_of(self)
+
+    @property
+    def valid(self) -> NDArray[np.bool_]:
+        """Whether each set converged and keeps to what the model assumes, (B,)."""
+        return self.converged & self.validity.ok
 
     @property
     def failures(self) -> Counter[Status]:

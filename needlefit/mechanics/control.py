@@ -7,6 +7,7 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.finite import finite
+from needlefit.project.limits import MAX_GUIDES, MAX_ITERATIONS, MAX_NEEDLE_LENGTH_MM, MIN_ELEMENT_MM
 from needlefit.project.records.scene import BevelRecord, RulesRecord
 
 
@@ -105,6 +106,8 @@ class Controls:
                 f"{self.stage_slope}",
                 expected="finite numbers",
             )
+        if len(self.guides) > MAX_GUIDES:
+            raise ModelError(f"{len(self.guides)} guides", expected=f"at most {MAX_GUIDES}")
         ordered = tuple(sorted(self.guides, key=lambda guide: guide.x))
         for one, other in pairwise(ordered):
             if one.x == other.x:
@@ -140,10 +143,8 @@ class Step:
     def __post_init__(self) -> None:
         if not (finite(self.depth) and self.depth >= 0):
             raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
-
-
-SHORTEST_ELEMENT = 0.05
-"""mm; below, rounding exceeds the discretisation error and would be taken for an answer."""
+        if self.depth > MAX_NEEDLE_LENGTH_MM:
+            raise ModelError(f"depth is {self.depth:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm")
 
 
 @dataclass(frozen=True)
@@ -183,15 +184,19 @@ class Rules:
             raise ModelError(
                 f"switch is {self.switch}, tangent is {self.tangent}", expected="both from 0 to 1"
             )
+        if not 1 <= self.max_iterations <= MAX_ITERATIONS:
+            raise ModelError(
+                f"max_iterations is {self.max_iterations}", expected=f"from 1 to {MAX_ITERATIONS}"
+            )
         if not finite(self.spacing, self.element):
             raise ModelError(
                 f"constraint spacing is {self.spacing} mm, element size {self.element} mm",
                 expected="finite numbers",
             )
-        if 0 < min(self.element, self.spacing) < SHORTEST_ELEMENT:
+        if 0 < min(self.element, self.spacing) < MIN_ELEMENT_MM:
             raise ModelError(
                 f"elements of {min(self.element, self.spacing):g} mm",
-                expected=f"{SHORTEST_ELEMENT:g} mm or more: rounding grows as they shrink",
+                expected=f"{MIN_ELEMENT_MM:g} mm or more: rounding grows as they shrink",
                 mend="1 mm elements leave less than 0.001 mm at the tip, as `needlefit verify` shows",
             )
         ratio = self.spacing / self.element if self.element > 0 else 0.0

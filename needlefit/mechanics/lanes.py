@@ -20,9 +20,10 @@ from needlefit.mechanics.kernel.lanes.newton import LEFT, LaneInputs
 from needlefit.mechanics.kernel.lanes.passes import LANES
 from needlefit.mechanics.kernel.lanes.tables import Tables, tabulate
 from needlefit.mechanics.kernel.scalar import NON_FINITE, Newton
-from needlefit.mechanics.plan import NEAR, Lattice, Stop, lattice_of, moves_of, stops_of
+from needlefit.mechanics.plan import NEAR, Lattice, Stop, check_size, lattice_of, moves_of, stops_of
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import begin, compile_controls, follow, packed, read
+from needlefit.mechanics.validity import scales_each
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -102,6 +103,7 @@ def _prepare(batch: Batch) -> _Job:
         needle, steps = batch.led(int(np.argmax(valid)))
     lattice = lattice_of(steps, rules)
     moves = moves_of(steps, needle.length)
+    check_size(tuple(step.depth for step in steps), rules)
     stops = stops_of(moves, lattice)
     shared = None
     if _fit(batch, lattice, stops):
@@ -177,7 +179,7 @@ def _alone(job: _Job, i: int) -> NeedleShape:
         return follow(*batch.one(i), job.lattice)
     last = job.stops[-1]
     untouched = begin(batch.needle, batch.tissue, batch.steps, job.lattice, batch.rules)
-    return read(untouched, last, batch.steps[last.held].controls, NON_FINITE, 0)
+    return read(untouched, batch.tissue, last, batch.steps[last.held].controls, NON_FINITE, 0)
 
 
 def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Bools]:
@@ -206,9 +208,18 @@ def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Boo
         np.concatenate((front[:, :, 1], state[:, 0].T), axis=1),
         np.concatenate((front[:, :, 2], state[:, 1].T), axis=1),
         points, np.ascontiguousarray(track.transpose(2, 0, 1)),
-        np.zeros(count, np.int64), under_way.passes[:count].copy(),
+        np.zeros(count, np.int64), under_way.passes[:count].copy(), _scales(job, sets),
     )  # fmt: skip
     return shapes, under_way.at[:count] == LEFT
+
+
+def _scales(job: _Job, sets: Ints) -> Floats:
+    """Return what the validity of some sets is measured by, (B, 3) mm."""
+    batch, valid = job.batch, job.valid[sets]
+    mu = batch.tissue.mu if batch.mu is None else batch.mu[sets]
+    rigidity = batch.needle.flexural_rigidity if batch.rigidity is None else batch.rigidity[sets]
+    mu, rigidity = np.where(valid[:, None], mu, np.nan), np.where(valid, rigidity, np.nan)
+    return scales_each(mu, rigidity, batch.tissue, job.stops[-1].tip, batch.rules.spacing)
 
 
 def _own(shared: _Shared) -> tuple[Insertion, Tables]:

@@ -138,7 +138,7 @@ def linearize_along(
         iterations += used
         if status != CONVERGED:
             break
-    shape = read(under_way, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
+    shape = read(under_way, tissue, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
     if status != CONVERGED:
         return shape, _nothing(names, shape)
     whole, points = whole[: len(shape.x)], history.constraints[: len(shape.constraints)]

@@ -6,6 +6,7 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.finite import finite
+from needlefit.project.limits import MAX_NEEDLE_LENGTH_MM
 from needlefit.project.records.scene import NeedleRecord
 
 
@@ -29,6 +30,10 @@ class Needle:
             value = getattr(self, name)
             if not (finite(value) and value > 0):
                 raise ModelError(f"needle {name} is {value}", expected="a positive, finite number")
+        if self.length > MAX_NEEDLE_LENGTH_MM:
+            raise ModelError(
+                f"needle length is {self.length:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm"
+            )
 
     @classmethod
     def from_tube(

@@ -12,6 +12,7 @@ from functools import lru_cache
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Rules, Step
+from needlefit.project.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS
 
 NEAR = 1e-9
 """Two depths nearer than this are the same, mm."""
@@ -225,6 +226,39 @@ def lattice_of(steps: Sequence[Step], rules: Rules) -> Lattice:
         return Lattice(rules.first_cell, rules.spacing)
     depth = steps[-1].depth if steps else 0.0
     return Lattice.ending_at(depth, rules.spacing) if depth > NEAR else Lattice(rules.spacing, rules.spacing)
+
+
+@lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
+def element_solves(depths: tuple[float, ...], spacing: float, element: float) -> float:
+    """Return about how many elements an insertion solves for, and at most that many.
+
+    On the way in the tip halts once in every cell, else once or twice a step; each halt solves for the
+    elements between entry and tip.
+    """
+    total, here = 0.0, 0.0
+    for depth in depths:
+        cells = max(depth - here, 0.0) / spacing + 2
+        total += cells * (max(depth, here) if depth <= here else 0.5 * (depth + here)) / element + 2 * cells
+        here = depth
+    return total
+
+
+def check_size(depths: tuple[float, ...], rules: Rules) -> None:
+    """Raise ModelError where an insertion to these depths (mm), in order, would take minutes or gigabytes."""
+    deepest = max(depths, default=0.0)
+    if deepest > MAX_ELEMENTS * rules.element:
+        raise ModelError(
+            f"{deepest:g} mm of depth are {deepest / rules.element:.0f} elements of {rules.element:g} mm",
+            expected=f"at most {MAX_ELEMENTS} elements",
+            mend="insert less deep, or take a larger constraint spacing and longer elements",
+        )
+    solves = element_solves(depths, rules.spacing, rules.element)
+    if solves > 1.01 * MAX_ELEMENT_SOLVES:  # the deepest insertion is allowed, whatever its first cell
+        raise ModelError(
+            f"{len(depths)} steps are {solves:.3g} elements to be solved for in all equilibria",
+            expected=f"at most {MAX_ELEMENT_SOLVES:.3g}",
+            mend="take fewer steps, insert less deep, or take a larger constraint spacing",
+        )
 
 
 def check_reach(length: float, depth: float, controls: Controls) -> None:

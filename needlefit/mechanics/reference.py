@@ -17,6 +17,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice, Stop, lattice_of, plan
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.validity import scales_of
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -66,7 +67,8 @@ def follow(
         x_tip, u_tip, slope_tip = stop.tip, float(u[-2]), float(u[-1])
         track[stop.cell] = u_tip, slope_tip
     tips = np.array([track[m] for m in range(stop.cell + 1)])
-    return NeedleShape(nodes, u[0::2], u[1::2], points, tips, "converged", iterations)
+    scales = scales_of(tissue, needle.flexural_rigidity, stop.tip, C_int)
+    return NeedleShape(nodes, u[0::2], u[1::2], points, tips, "converged", iterations, scales)
 
 
 def mesh(

@@ -3,7 +3,7 @@
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Self
 
 import numpy as np
@@ -15,10 +15,9 @@ from needlefit.geometry.placement import Placement
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import NEAR, Lattice, check_reach, lattice_of
+from needlefit.mechanics.plan import NEAR, Lattice, check_reach, check_size, lattice_of
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.scene import EntryRecord, SceneRecord
 from needlefit.project.records.steps import GuideRecord
@@ -129,6 +128,8 @@ class Scene:
         with _naming(where, "law"):
             laws.power_terms(tissue.law, tissue.alpha)  # refused here, where the key is known
         steps = tuple(_step(whole, needle, entry, where) for whole in schedule(record))
+        with _naming(where, *_sizing(record)):
+            check_size(tuple(step.depth for step in steps), rules)
         names = tuple(layer.name for layer in record.layers)
         return cls(needle, tissue, steps, rules, entry, names)
 
@@ -137,12 +138,16 @@ def insert(scene: Scene) -> tuple[NeedleShape, ...]:
     """Return the needle's shape after each step in C, up to the first step that fails.
 
     All of them have the constraint points of the whole insertion, so that each one is the next one's past.
+    Their iterations are counted from first contact.
     """
-    lattice = scene.lattice
+    session = at_contact(scene, scene.lattice.first_cell)
     shapes: list[NeedleShape] = []
-    for n in range(1, len(scene.steps) + 1):
-        shapes.append(follow(scene.needle, scene.tissue, scene.steps[:n], scene.rules, lattice))
-        if not shapes[-1].converged:
+    iterations = session.now.shape.iterations
+    for step in scene.steps:
+        shape = session.go(step)
+        iterations += shape.iterations
+        shapes.append(replace(shape, iterations=iterations))
+        if not shape.converged:
             break
     return tuple(shapes)
 
@@ -173,6 +178,11 @@ def _step(whole: WholeStep, needle: Needle, entry: Entry, where: str) -> Step:
     with _naming(where, *_reaching(whole, needle, guides)):
         check_reach(needle.length, whole.depth_mm, controls)
         return Step(whole.depth_mm, Bevel.from_record(whole.bevel), controls)
+
+
+def _sizing(record: SceneRecord) -> list[str]:
+    """Return the keys that decide how many elements are solved for."""
+    return ["steps" if record.steps else "depth_mm", "rules.constraint_spacing_mm", "rules.element_mm"]
 
 
 def _at_one_x(guides: Sequence[tuple[str, Guide]]) -> list[str]:

@@ -9,15 +9,27 @@ from typing import Any, Generic, Self, TypeVar
 
 import numpy as np
 
+from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
 from needlefit.mechanics.course import course
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import NEAR, Lattice, Move, Position, Stop, advance, check_reach, rays
+from needlefit.mechanics.plan import (
+    NEAR,
+    Lattice,
+    Move,
+    Position,
+    Stop,
+    advance,
+    check_reach,
+    check_size,
+    rays,
+)
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack, read
 from needlefit.mechanics.tissue import Tissue
+from needlefit.project.limits import MAX_ELEMENTS, MAX_STEPS
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_RULES = Rules()
@@ -81,7 +93,8 @@ class Session:
         self._newton = Newton(rules.tolerance, rules.max_iterations)
         self._position = Position()
         self._bevels, self._controls = _Numbers[Bevel](), _Numbers[Controls]()
-        self._guides, self._rays = 4, math.ceil(needle.length / rules.spacing)
+        self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
+        self._guides, self._rays = 4, math.ceil(self._deepest / rules.spacing)
         self._under_way = self._begin()
         self._shape = self.go(self.last)
 
@@ -126,7 +139,8 @@ class Session:
         Raises
         ------
         ModelError
-            If the needle does not reach that far, or would leave the tissue backwards.
+            If the needle does not reach that far, would leave the tissue backwards, or has cut more rays than
+            `MAX_STEPS` and `MAX_ELEMENTS` allow.
         """
         given: dict[str, Any] = {} if base is None else {"base_y": base[0], "base_slope": base[1]}
         given |= {} if guides is None else {"guides": guides}
@@ -137,6 +151,7 @@ class Session:
     def go(self, step: Step) -> NeedleShape:
         """Bring the tip to the depth of `step` under its inputs; else as `step`."""
         check_reach(self.needle.length, step.depth, step.controls)
+        check_size((self.last.depth, step.depth), self.rules)
         return self._go(step)
 
     def copy(self) -> Self:
@@ -185,6 +200,7 @@ class Session:
         status, iterations = CONVERGED, 0
         self.solved += len(stops)
         if stops:  # there are none where only the bevel was turned
+            _check_rays(stops[-1].ray + 1)
             self._make_room(len(step.controls.guides), stops[-1].ray + 1)
             moving = self._moving(stops)
             kept = [part.copy() for part in moving]
@@ -196,7 +212,7 @@ class Session:
                 self._under_way, self._foundation, holds, packed, self._newton
             )
             self._stop = stops[-1]
-        shape = read(self._under_way, self._stop, step.controls, status, iterations)
+        shape = read(self._under_way, self.tissue, self._stop, step.controls, status, iterations)
         if status == CONVERGED:
             self._position, self.last, self._shape = position, step, shape
             self._bevels.forget(lambda: {move.cut, *(ray.cut for ray in rays(position))})
@@ -228,8 +244,18 @@ class Session:
         return kernel.begin(
             self.needle.flexural_rigidity, self.needle.length, self.lattice.first_cell,
             self.lattice.spacing, self.rules.element, self.rules.switch, self.rules.tangent,
-            self.tissue.boundaries, self.needle.length, self._guides, self._rays,
+            self.tissue.boundaries, self._deepest, self._guides, self._rays,
         )  # fmt: skip
+
+
+def _check_rays(count: int) -> None:
+    """Raise ModelError where a needle would have cut too many rays: each is kept, and may be cut again."""
+    if count > MAX_STEPS + MAX_ELEMENTS:
+        raise ModelError(
+            f"the needle has changed its course {count} times on its way",
+            expected=f"at most {MAX_STEPS + MAX_ELEMENTS} times",
+            mend="retract it, or begin anew",
+        )
 
 
 def _parts(now: kernel.Insertion) -> tuple[np.ndarray, ...]:

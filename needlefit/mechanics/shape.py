@@ -1,6 +1,7 @@
 """The answer of a simulation: the needle's shape in the constraint frame C."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Literal
 
 import numpy as np
@@ -8,12 +9,10 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.kernel import positions as kernel
+from needlefit.mechanics.validity import Validity, unknown_scales, validity_of
 
 Floats = NDArray[np.float64]
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
-
-STEEP = 0.3
-"""Greatest slope |u'| at which small ones may be assumed: the curvature is then 14 % off."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +33,8 @@ class NeedleShape:
         "converged", or why it is not; then what was not reached is NaN, the whole shape with it.
     iterations : int
         Newton iterations over all steps.
+    scales : (3,) array
+        What validity is measured by: see `validity.scales_of`; infinite where there is no tissue.
     """
 
     x: Floats
@@ -43,6 +44,17 @@ class NeedleShape:
     tip_track: Floats
     status: Status
     iterations: int
+    scales: Floats = field(default_factory=unknown_scales)
+
+    @cached_property
+    def validity(self) -> Validity:
+        """How far the shape strains what the model assumes; NaN where there is no solution."""
+        return validity_of(self)
+
+    @property
+    def valid(self) -> bool:
+        """Whether the shape converged and keeps to what the model assumes."""
+        return self.converged and bool(self.validity.ok)
 
     @property
     def converged(self) -> bool:

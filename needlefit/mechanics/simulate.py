@@ -16,9 +16,19 @@ from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
 from needlefit.mechanics.kernel.grid import GRIP, build_grid, constraint_depths, node_depths
 from needlefit.mechanics.kernel.scalar import CONVERGED, WIDTH, Newton, equilibrate
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, Move, Stop, check_reach, lattice_of, moves_of, stops_of
+from needlefit.mechanics.plan import (
+    Lattice,
+    Move,
+    Stop,
+    check_reach,
+    check_size,
+    lattice_of,
+    moves_of,
+    stops_of,
+)
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.validity import scales_of
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -96,7 +106,7 @@ def follow(
         iterations += used
         if status != CONVERGED:
             break
-    return read(under_way, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
+    return read(under_way, tissue, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
 
 
 def equilibrium(
@@ -119,6 +129,7 @@ def equilibrium(
     if not depth > 0:
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
     check_reach(needle.length, depth, controls)
+    check_size((depth,), rules)
     holds = compile_controls(controls)
     within = np.array([guide.x for guide in controls.within if guide.x <= depth - GRIP])
     nodes = node_depths(depth, depths[1], rules.spacing, rules.element, within)
@@ -137,14 +148,19 @@ def equilibrium(
         state[:] = np.nan
     nodes = np.concatenate((chain.front, grid.nodes))
     points = np.column_stack((depths, y))
-    return NeedleShape(nodes, state[:, 0], state[:, 1], points, state[-1:], STATUS[status], iterations)
+    scales = scales_of(tissue, needle.flexural_rigidity, depth, rules.spacing)
+    return NeedleShape(
+        nodes, state[:, 0], state[:, 1], points, state[-1:], STATUS[status], iterations, scales
+    )
 
 
 def begin(
     needle: Needle, tissue: Tissue, steps: Sequence[Step], lattice: Lattice, rules: Rules
 ) -> kernel.Insertion:
     """Return the needle before first contact, with room for all steps."""
-    deepest = max(step.depth for step in steps)
+    depths = tuple(step.depth for step in steps)
+    check_size(depths, rules)
+    deepest = max(depths)
     guides = max(len(step.controls.guides) for step in steps)
     rays = lattice.cell(deepest) + len(steps) + 1
     return kernel.begin(
@@ -197,7 +213,7 @@ def pack(stops: Sequence[Stop]) -> tuple[kernel.Stops, Ints]:
 
 
 def read(
-    under_way: kernel.Insertion, stop: Stop, controls: Controls, status: int, iterations: int
+    under_way: kernel.Insertion, tissue: Tissue, stop: Stop, controls: Controls, status: int, iterations: int
 ) -> NeedleShape:
     """Return the needle's shape at a stop; NaN where the solution failed on the way there."""
     if status == CONVERGED:
@@ -210,4 +226,5 @@ def read(
     points = np.empty((len(x), 2))
     points[:, 0], points[:, 1] = x, under_way.y[: stop.cell + 1]
     track = under_way.track[: stop.cell + 1].copy()
-    return NeedleShape(nodes, state[:, 0], state[:, 1], points, track, STATUS[status], iterations)
+    scales = scales_of(tissue, under_way.rigidity, stop.tip, under_way.spacing)
+    return NeedleShape(nodes, state[:, 0], state[:, 1], points, track, STATUS[status], iterations, scales)

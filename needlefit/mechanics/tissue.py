@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.errors import ModelError
+from needlefit.project.limits import MAX_LAYERS
 from needlefit.project.records.scene import LayerRecord
 
 Floats = NDArray[np.float64]
@@ -42,6 +43,8 @@ class Tissue:
 
     def __post_init__(self) -> None:
         n = np.size(self.mu)
+        if n > MAX_LAYERS:
+            raise ModelError(f"tissue has {n} layers", expected=f"at most {MAX_LAYERS}")
         for name, size in (("mu", n), ("alpha", n), ("thickness", n), ("friction", n), ("boundaries", n - 1)):
             object.__setattr__(self, name, _vector(name, getattr(self, name), size))
         if np.any(np.diff(self.boundaries) < 0) or np.any(self.boundaries < 0):

@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from needlefit.project.limits import MAX_REPLICATES
 from needlefit.project.records.fit import Reading, SelectionRecord
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.record import Record
@@ -46,6 +47,6 @@ class AdaptationRecord(InquiryRecord):
     old: SideRecord
     new: NewSideRecord
     between: BetweenRecord
-    orders: int = Field(default=6, ge=1)
+    orders: int = Field(default=6, ge=1, le=MAX_REPLICATES)
     counts: tuple[int, ...] | None = None
     margin_mm: float = Field(default=0.1, gt=0)

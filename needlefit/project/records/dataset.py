@@ -5,6 +5,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import MAX_LAYERS
 from needlefit.project.records.record import FileRecord, Record
 from needlefit.project.records.rigid import RigidRows
 from needlefit.project.records.scene import NeedleRecord
@@ -80,7 +81,7 @@ class SurfaceRecord(Record):
 
     file: str
     kind: Literal["sheet", "solid"]
-    into: int = Field(ge=1)
+    into: int = Field(ge=1, le=MAX_LAYERS)
 
     @property
     def own(self) -> bool:
@@ -96,7 +97,7 @@ class DatasetMediumRecord(Record):
     """The layers of a medium: as surfaces, or as depths along the needle, the same for every insertion."""
 
     surfaces: tuple[SurfaceRecord, ...] = ()
-    boundaries_mm: tuple[float, ...] | None = None
+    boundaries_mm: tuple[float, ...] | None = Field(default=None, max_length=MAX_LAYERS - 1)
     note: str = ""
 
     @model_validator(mode="after")

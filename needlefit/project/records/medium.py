@@ -4,6 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import MAX_LAYERS, MIN_ELEMENT_MM
 from needlefit.project.records.prior import PriorRecord
 from needlefit.project.records.record import FileRecord, Record
 
@@ -41,10 +42,10 @@ class MediumRecord(FileRecord):
 
     title: str = ""
     note: str = ""
-    layers: int = Field(ge=1)
+    layers: int = Field(ge=1, le=MAX_LAYERS)
     law: str = "ogden"
     thickness_mm: float = Field(default=40.0, gt=0)
-    constraint_spacing_mm: float = Field(default=1.0, gt=0)
+    constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM)
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
     tangent_part: float = Field(default=1.0, ge=0, le=1)
     first_cell_mm: float | None = Field(default=None, gt=0)

@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import MAX_CANDIDATES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM
 from needlefit.project.records.record import Record
 from needlefit.project.records.tuned import TunedInquiryRecord
 
@@ -23,9 +24,9 @@ class EntryRecord(Record):
     place_mm: Vector = (0.0, 0.0, 0.0)
     direction: Vector = (1.0, 0.0, 0.0)
     bending: Vector = (0.0, 1.0, 0.0)
-    angles_deg: tuple[float, ...] = Field(default=(0.0,), min_length=1)
-    depths_mm: tuple[float, ...] | None = None
-    layers: tuple[int, ...] | None = None
+    angles_deg: tuple[float, ...] = Field(default=(0.0,), min_length=1, max_length=MAX_CANDIDATES)
+    depths_mm: tuple[float, ...] | None = Field(default=None, max_length=MAX_CANDIDATES)
+    layers: tuple[int, ...] | None = Field(default=None, max_length=MAX_LAYERS)
     boundaries_mm: tuple[float, ...] = ()
 
     @model_validator(mode="after")
@@ -44,7 +45,7 @@ class QuantityRecord(Record):
 
     name: str
     entry: str
-    depth_mm: float = Field(gt=0)
+    depth_mm: float = Field(gt=0, le=MAX_NEEDLE_LENGTH_MM)
     angle_deg: float = 0.0
 
 
@@ -56,8 +57,8 @@ class NextInsertionRecord(TunedInquiryRecord):
 
     kind: Literal["next_insertion"]
     like: str
-    depths_mm: tuple[float, ...] = Field(min_length=1)
-    entries: tuple[EntryRecord, ...] = Field(min_length=1)
+    depths_mm: tuple[float, ...] = Field(min_length=1, max_length=MAX_CANDIDATES)
+    entries: tuple[EntryRecord, ...] = Field(min_length=1, max_length=MAX_CANDIDATES)
     quantities: tuple[QuantityRecord, ...] = ()
 
     @model_validator(mode="after")

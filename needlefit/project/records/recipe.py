@@ -4,6 +4,13 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import (
+    MAX_ENSEMBLES,
+    MAX_EVALUATIONS,
+    MAX_STARTS,
+    MAX_STORED_DRAWS,
+    MAX_WALKERS,
+)
 from needlefit.project.records.record import FileRecord, Record
 
 Minimized = Literal["posterior", "metric"]
@@ -46,11 +53,20 @@ class SampleRecord(Record):
     "0.9*de + 0.1*snooker".
     """
 
-    ensembles: int = Field(default=4, ge=1)
-    walkers: int = Field(default=16, ge=8)
+    ensembles: int = Field(default=4, ge=1, le=MAX_ENSEMBLES)
+    walkers: int = Field(default=16, ge=8, le=MAX_WALKERS)
     moves: str = "0.6*independent + 0.3*de + 0.1*stretch"
     steps: int = Field(default=20000, ge=2)
     every: int = Field(default=50, ge=2)
+
+    @model_validator(mode="after")
+    def _fits_in_memory(self) -> Self:
+        draws = self.ensembles * self.walkers * self.steps
+        if draws > MAX_STORED_DRAWS:
+            raise ValueError(
+                f"ensembles x walkers x steps is {draws}: at most {MAX_STORED_DRAWS} draws are kept in memory"
+            )
+        return self
 
 
 class RecipeRecord(FileRecord):
@@ -68,10 +84,10 @@ class RecipeRecord(FileRecord):
     algorithm: str = "leastsquares"
     metric: bool = False
     metric_algorithm: str = "bobyqa+neldermead"
-    starts: int = Field(default=16, ge=1)
+    starts: int = Field(default=16, ge=1, le=MAX_STARTS)
     approach: bool = True
     seed: int = Field(default=1, ge=0)
-    evaluations: int = Field(default=600, ge=1)
+    evaluations: int = Field(default=600, ge=1, le=MAX_EVALUATIONS)
     tolerance: float = Field(default=1e-4, gt=0)
     weights: WeightsRecord = WeightsRecord()
     likelihood: LikelihoodRecord = LikelihoodRecord()

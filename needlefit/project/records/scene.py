@@ -7,6 +7,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import MAX_GUIDES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM, MAX_STEPS, MIN_ELEMENT_MM
 from needlefit.project.records.record import FileRecord, Record
 from needlefit.project.records.steps import GuideRecord, StepRecord, check_tip
 
@@ -15,7 +16,7 @@ class NeedleRecord(Record):
     """A needle: its length and either its tube (diameters, modulus) or its flexural rigidity."""
 
     name: str = "needle"
-    length_mm: float = Field(gt=0)
+    length_mm: float = Field(gt=0, le=MAX_NEEDLE_LENGTH_MM)
     outer_diameter_mm: float | None = Field(default=None, gt=0)
     inner_diameter_mm: float = Field(default=0.0, ge=0)
     youngs_modulus_gpa: float | None = Field(default=None, gt=0)
@@ -59,8 +60,8 @@ class RulesRecord(Record):
     scene carry a needle that was fitted under them.
     """
 
-    constraint_spacing_mm: float = Field(default=1.0, gt=0)
-    element_mm: float | None = Field(default=None, gt=0)
+    constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM)
+    element_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
     tangent_part: float = Field(default=1.0, ge=0, le=1)
     first_cell_mm: float | None = Field(default=None, gt=0)
@@ -118,16 +119,16 @@ class SceneRecord(FileRecord):
 
     title: str = ""
     note: str = ""
-    depth_mm: float | None = Field(default=None, gt=0)
+    depth_mm: float | None = Field(default=None, gt=0, le=MAX_NEEDLE_LENGTH_MM)
     law: str = "ogden"
     needle: NeedleRecord
-    layers: tuple[LayerRecord, ...] = Field(min_length=1)
+    layers: tuple[LayerRecord, ...] = Field(min_length=1, max_length=MAX_LAYERS)
     bevel: BevelRecord
     rules: RulesRecord = RulesRecord()
     controls: ControlsRecord = ControlsRecord()
     entry: EntryRecord = EntryRecord()
-    guides: tuple[GuideRecord, ...] = ()
-    steps: tuple[StepRecord, ...] = ()
+    guides: tuple[GuideRecord, ...] = Field(default=(), max_length=MAX_GUIDES)
+    steps: tuple[StepRecord, ...] = Field(default=(), max_length=MAX_STEPS)
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:

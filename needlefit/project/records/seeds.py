@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field
 
+from needlefit.project.limits import MAX_REPLICATES, MAX_RESAMPLES, MAX_STARTS
 from needlefit.project.records.inquiry import InquiryRecord
 
 
@@ -19,7 +20,7 @@ class SeedsRecord(InquiryRecord):
     studies: tuple[str, ...] = Field(min_length=1)
     fits: tuple[str, ...] = ()
     generalising: tuple[str, ...] = ()
-    seeds: int = Field(default=20, ge=2)
+    seeds: int = Field(default=20, ge=2, le=MAX_REPLICATES)
     first: int = Field(default=1, ge=0)
-    starts: int | None = Field(default=None, ge=1)
-    resamples: int = Field(default=2000, ge=100)
+    starts: int | None = Field(default=None, ge=1, le=MAX_STARTS)
+    resamples: int = Field(default=2000, ge=100, le=MAX_RESAMPLES)

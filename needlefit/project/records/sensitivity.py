@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import MAX_STARTS, MIN_ELEMENT_MM
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.record import Record
 
@@ -20,7 +21,7 @@ class VariationRecord(Record):
     name: str
     constraint_switch: float | None = Field(default=None, ge=0, le=1)
     tangent_part: float | None = Field(default=None, ge=0, le=1)
-    constraint_spacing_mm: float | None = Field(default=None, gt=0)
+    constraint_spacing_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
     first_cell_mm: float | None = Field(default=None, gt=0)
     thickness_mm: float | None = Field(default=None, gt=0)
     rigidity_factor: float | None = Field(default=None, gt=0)
@@ -44,5 +45,5 @@ class SensitivityRecord(InquiryRecord):
     kind: Literal["sensitivity"]
     studies: tuple[str, ...] = Field(min_length=1)
     fits: tuple[str, ...] = ()
-    starts: int = Field(default=4, ge=1)
+    starts: int = Field(default=4, ge=1, le=MAX_STARTS)
     variations: tuple[VariationRecord, ...] = Field(min_length=1)

@@ -4,6 +4,7 @@ from typing import Literal
 
 from pydantic import Field, NonNegativeFloat
 
+from needlefit.project.limits import MAX_REPLICATES
 from needlefit.project.records.record import Record
 from needlefit.project.records.tuned import TunedInquiryRecord
 
@@ -16,8 +17,8 @@ class RecoveryRecord(Record):
     deviation of the logarithm, of alpha itself) about `mean`; all of this `replicates` times.
     """
 
-    specimens: int = Field(ge=3)
-    replicates: int = Field(ge=1)
+    specimens: int = Field(ge=3, le=MAX_REPLICATES)
+    replicates: int = Field(ge=1, le=MAX_REPLICATES)
     spreads: tuple[NonNegativeFloat, ...] = Field(min_length=1)
     mean: dict[str, float]
 

@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import MAX_NEEDLE_LENGTH_MM
 from needlefit.project.records.record import Record
 
 NAME = r"^[A-Za-z][A-Za-z0-9_-]*$"
@@ -43,7 +44,7 @@ class StepRecord(Record):
     A tracked tip is replaced as a whole: `tip_y_mm` without `tip_slope_deg` leaves its slope free.
     """
 
-    depth_mm: float = Field(ge=0)
+    depth_mm: float = Field(ge=0, le=MAX_NEEDLE_LENGTH_MM)
     offset_mm: float | None = Field(default=None, ge=0)
     side: Literal[1, -1] | None = None
     base_y_mm: float | None = None

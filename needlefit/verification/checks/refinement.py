@@ -10,9 +10,9 @@ import numpy as np
 from needlefit.mechanics.control import Rules, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import STEEP
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
+from needlefit.mechanics.validity import MAX_SLOPE
 from needlefit.project.load import load
 from needlefit.project.places import shipped
 from needlefit.project.records.scene import SceneRecord
@@ -45,13 +45,13 @@ def _random(rng: np.random.Generator) -> Outcome:
     steep = 0
     while len(errors) < RANDOM:
         if steep > RANDOM:
-            raise ArithmeticError(f"most insertions are steeper than {STEEP:g}")
+            raise ArithmeticError(f"most insertions are steeper than {MAX_SLOPE:g}")
         case = random_case(rng)
-        if worst(np.abs(case.shape(Rules()).slope)) > STEEP:
+        if worst(np.abs(case.shape(Rules()).slope)) > MAX_SLOPE:
             steep += 1
             continue
         errors.append(error(case.needle, case.tissue, case.steps, Rules()))
-    said = f"{steep} more drawn whose slopes exceed {STEEP:g}"
+    said = f"{steep} more drawn whose slopes exceed {MAX_SLOPE:g}"
     return Outcome((worst(errors), float(np.median(errors))), said)
 
 
@@ -60,7 +60,7 @@ CHECKS = (
     Check(Group.REFINEMENT, "The shipped scenes", (_LARGEST,), _scenes),
     Check(
         Group.REFINEMENT,
-        f"{RANDOM} random insertions, μ = 0.001 to 100 MPa, t = 5 to 80 mm, slopes to {STEEP:g}",
+        f"{RANDOM} random insertions, μ = 0.001 to 100 MPa, t = 5 to 80 mm, slopes to {MAX_SLOPE:g}",
         (_LARGEST, Quantity("median of the same", at_most(1e-4), "mm")),
         _random,
     ),

@@ -1,0 +1,222 @@
+"""Whether a solution keeps to what the model assumes: a needle may converge and still be no answer.
+
+The record stands beside the status of every solution. Each quantity is the worst of the whole needle, and
+each has a limit; docs/solver.md, "Validity of a solution", says where the limits come from.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.mechanics.tissue import Tissue
+
+Floats = NDArray[np.float64]
+Bools = NDArray[np.bool_]
+
+MAX_SLOPE = 0.3
+"""Greatest slope |u'| at which small ones may be assumed: the curvature is then 14 % off."""
+
+MAX_DEFLECTION_PER_LENGTH = 0.2
+"""Of a cantilever under an end force that is where its slope reaches 0.3; linear theory is then 3 % off."""
+
+MAX_SHORTENING_PER_LAYER = 0.5
+"""The needle's points lie nearer to the entry than the model takes them to be; beyond half of the thinnest
+layer, most of what belongs to that layer is counted to another one."""
+
+MAX_COMPRESSION = 0.5
+"""|e| / t; compression tests of soft tissue, on which its laws rest, end at about half of the thickness."""
+
+MAX_ROUNDING_MM = 1e-3
+"""Error of the arithmetic, mm; what files and tables are rounded to."""
+
+ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
+"""Of `Validity.rounding_mm`: fitted to the errors that `benchmarks/validity.py` measures."""
+
+
+class Solved(Protocol):
+    """What validity is read from: a `NeedleShape`, or the `NeedleShapes` of a batch (leading axes ...)."""
+
+    @property
+    def x(self) -> Floats:
+        """Depth of the nodes, (..., N), mm."""
+
+    @property
+    def u(self) -> Floats:
+        """Their deflection, (..., N), mm."""
+
+    @property
+    def slope(self) -> Floats:
+        """Their slope, (..., N)."""
+
+    @property
+    def constraints(self) -> Floats:
+        """Depth and y of the constraint points, (..., M + 1, 2), mm."""
+
+    @property
+    def tip_track(self) -> Floats:
+        """Deflection and slope of the tip at each of them, (..., M + 1, 2)."""
+
+    @property
+    def scales(self) -> Floats:
+        """What `scales_of` returns, (..., 3)."""
+
+
+@dataclass(frozen=True)
+class Validity:
+    """How far a solution strains the model's assumptions; of a batch with leading axes (...).
+
+    All are NaN where there is no solution, and such a one is not `ok`.
+
+    Attributes
+    ----------
+    max_slope : (...) array
+        Greatest |u'| of the needle, between its nodes too, and of its tip on the way.
+    deflection_per_length : (...) array
+        Range of the needle's deflections over its length.
+    shortening_per_layer : (...) array
+        How much nearer to the base the tip lies than the needle's length, over the thinnest layer that it
+        has entered (at least one constraint spacing); 0 where the tissue is one layer.
+    compression : (...) array
+        Greatest |e| / t at a constraint point.
+    rounding_mm : (...) array
+        Estimate, rather too large, of the error that the solver's arithmetic leaves, mm.
+    """
+
+    max_slope: Floats
+    deflection_per_length: Floats
+    shortening_per_layer: Floats
+    compression: Floats
+    rounding_mm: Floats
+
+    @property
+    def ok(self) -> Bools:
+        """Whether every quantity keeps to its limit, (...)."""
+        within = [np.less_equal(getattr(self, name), limit) for name, limit, _ in LIMITS]
+        return np.logical_and.reduce(within)
+
+    @property
+    def faults(self) -> tuple[str, ...]:
+        """What exceeds its limit, in words; of a single solution. Empty where there is none."""
+        return tuple(
+            f"{words} {float(value):.3g} (limit {limit:g})"
+            for name, limit, words in LIMITS
+            if (value := getattr(self, name)) > limit
+        )
+
+
+LIMITS: tuple[tuple[str, float, str], ...] = (
+    ("max_slope", MAX_SLOPE, "slope"),
+    ("deflection_per_length", MAX_DEFLECTION_PER_LENGTH, "deflection over length"),
+    ("shortening_per_layer", MAX_SHORTENING_PER_LAYER, "shortening over the thinnest layer"),
+    ("compression", MAX_COMPRESSION, "compression of the tissue"),
+    ("rounding_mm", MAX_ROUNDING_MM, "rounding error in mm"),
+)
+"""Attribute of `Validity`, its limit, and what it is called."""
+
+
+def validity_of(solved: Solved) -> Validity:
+    """Return how far a solution, or each of a batch, strains the model's assumptions."""
+    x, u, slope, scales = solved.x, solved.u, solved.slope, solved.scales
+    length = x[..., -1] - x[..., 0]
+    step = np.diff(x, axis=-1)
+    thinnest, thickness, reach = scales[..., 0], scales[..., 1], scales[..., 2]
+    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
+        steepest, squared = _slopes(u, slope, step)
+        steepest = np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1))
+        range_ = u.max(axis=-1) - u.min(axis=-1)
+        finest = step.min(axis=-1)
+        largest = np.abs(u).max(axis=-1)
+        # what rounds off in a beam element's stiffness, 12 EI / h^3, moves the length over which the tissue
+        # leaves the needle free; each constraint point inherits the error of those before it
+        grown = (np.minimum(reach, length) / finest) ** ROUNDING_ORDER * solved.tip_track.shape[-2]
+        return Validity(
+            steepest,
+            range_ / length,
+            squared / thinnest,
+            _compression(solved) / thickness,
+            ROUNDING_FACTOR * np.finfo(np.float64).eps * largest * grown,
+        )
+
+
+def _slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats]:
+    """Return the greatest |u'| of the cubics between nodes, and by how much the needle shortens, mm."""
+    begin, mean = slope[..., :-1], np.diff(u, axis=-1) / step
+    end = slope[..., 1:]
+    bend, curl = (
+        6 * mean - 4 * begin - 2 * end,
+        3 * (begin + end) - 6 * mean,
+    )  # u' = begin + t bend + t^2 curl
+    at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
+    turning = begin + np.where((at > 0) & (at < 1), at, 0.0) * (bend + at * curl)
+    steepest = np.maximum(np.abs(turning).max(axis=-1), np.abs(slope).max(axis=-1))
+    lost = sum(weight * _lost(begin + t * (bend + t * curl)) for t, weight in _GAUSS)
+    return steepest, (lost * step).sum(axis=-1)
+
+
+_GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
+
+
+def _lost(slope: Floats) -> Floats:
+    """Return 1 - cos(atan slope), to the last digit for small slopes."""
+    squared = slope * slope
+    root = np.sqrt(1 + squared)
+    found: Floats = squared / (root * (1 + root))
+    return found
+
+
+def _compression(solved: Solved) -> Floats:
+    """Return the greatest distance of the needle from a constraint point, mm."""
+    depths, y = solved.constraints[..., 0], solved.constraints[..., 1]
+    nodes = solved.x.reshape(-1, solved.x.shape[-1])[0]  # all have theirs in the same order
+    at = depths.reshape(-1, depths.shape[-1])[0]
+    before = np.clip(np.searchsorted(nodes, at - 1e-9), 1, len(nodes) - 1) - 1
+    start, span = solved.x[..., before], solved.x[..., before + 1] - solved.x[..., before]
+    t = np.clip((at - start) / span, 0.0, 1.0)
+    u0, u1 = solved.u[..., before], solved.u[..., before + 1]
+    s0, s1 = solved.slope[..., before], solved.slope[..., before + 1]
+    bend = 3 * (u1 - u0) - span * (2 * s0 + s1)
+    curl = 2 * (u0 - u1) + span * (s0 + s1)
+    needle = u0 + t * (span * s0 + t * (bend + t * curl))
+    found: Floats = np.abs(needle - y).max(axis=-1)
+    return found
+
+
+def scales_of(tissue: Tissue, rigidity: float, depth: float, spacing: float) -> Floats:
+    """Return the lengths (3,) that a needle at `depth` is measured by, mm.
+
+    The thinnest of the layers that it has entered, at least one constraint spacing (infinite for the only
+    layer); their least thickness t; the length 1 / beta over which the softest of them holds the needle.
+    """
+    thinnest, met = _layers_met(tissue, depth, spacing)
+    softest = float(tissue.mu[:met].min())
+    return np.array((thinnest, float(tissue.thickness[:met].min()), held_over(rigidity, softest)))
+
+
+def scales_each(batch_mu: Floats, rigidity: Floats, tissue: Tissue, depth: float, spacing: float) -> Floats:
+    """Return `scales_of` (B, 3) for sets that differ in mu (B, n) and rigidity (B,)."""
+    thinnest, met = _layers_met(tissue, depth, spacing)
+    found = np.empty((len(batch_mu), 3))
+    found[:, 0], found[:, 1] = thinnest, tissue.thickness[:met].min()
+    found[:, 2] = (4 * rigidity / (3 * batch_mu[:, :met].min(axis=1))) ** 0.25
+    return found
+
+
+def _layers_met(tissue: Tissue, depth: float, spacing: float) -> tuple[float, int]:
+    """Return the thinnest layer that a tip at `depth` has entered, mm, and how many these are."""
+    ends = tissue.boundaries.tolist()
+    met = 1 + sum(end < depth for end in ends)
+    widths = [end - top for top, end in zip([0.0, *ends], ends[:met], strict=False) if end > top]
+    return max(min(widths), spacing) if widths else math.inf, met
+
+
+def held_over(rigidity: float, mu: float) -> float:
+    """Return 1 / beta = (4 EI / k)^(1/4) with k = 3 mu, mm."""
+    return math.sqrt(math.sqrt(4 * rigidity / (3 * mu)))
+
+
+def unknown_scales() -> Floats:
+    """Return the scales of a shape without a tissue: nothing is measured by them."""
+    return np.full(3, np.inf)
