@@ -2,6 +2,7 @@
 
 import json
 import math
+import time
 
 import pytest
 from test_cli import run
@@ -186,15 +187,49 @@ def test_a_plot_is_drawn_the_same_twice(tmp_path, capsys):
     assert capsys.readouterr().out == ""  # it fails before it prints
 
 
-def test_steep_needles_are_warned_of(capsys):
-    assert run("simulate", "phantom1", "--json") == 0
+def test_a_needle_outside_the_model_is_named(capsys):
+    assert run("simulate", "phantom1", "--json", "--strict") == 0
+    inside = json.loads(capsys.readouterr().out)
+    assert inside["valid"] and inside["validity"]["ok"] and inside["validity"]["faults"] == []
+    assert 0.01 < inside["max_slope"] < 0.3 and "validity" not in [row["kind"] for row in inside["warnings"]]
+    steep = ("simulate", "phantom1", "--set", "bevel.offset_mm=1", "--json")
+    assert run(*steep) == 0
     captured = capsys.readouterr()
-    assert "warning" not in captured.err
-    assert 0.01 < json.loads(captured.out)["max_slope"] < 0.3
-    assert run("simulate", "phantom1", "--set", "bevel.offset_mm=5", "--json") == 0
-    captured = capsys.readouterr()
-    steep = json.loads(captured.out)["max_slope"]
-    assert steep > 0.3 and f"warning: slopes reach {steep:.2f}: the model assumes small ones" in captured.err
+    found = json.loads(captured.out)
+    assert found["converged"] and not found["valid"] and not found["validity"]["ok"]
+    assert found["max_slope"] > 0.3 and len(found["validity"]["faults"]) >= 1
+    assert "validity" in [row["kind"] for row in found["warnings"]] and "warning" in captured.err
+    assert run(*steep, "--strict") == 5
+
+
+def test_a_step_outside_the_model_marks_the_whole_insertion(capsys):
+    assert run("simulate", "figure1", "--set", "steps.1.offset_mm=3", "--json") == 0
+    found = json.loads(capsys.readouterr().out)
+    assert not found["valid"] and not found["steps"][0]["valid"]
+    assert found["max_slope"] == found["validity"]["max_slope"] > 0.3
+
+
+@pytest.mark.parametrize(
+    ("setting", "key"),
+    [
+        ("depth_mm=9e8", "depth_mm"),
+        ("needle.length_mm=1e7", "needle.length_mm"),
+        ("rules.element_mm=1e-6", "rules.element_mm"),
+        ("rules.constraint_spacing_mm=1e-3", "rules.constraint_spacing_mm"),
+    ],
+)
+def test_sizes_beyond_all_use_are_refused_at_once(setting, key, capsys):
+    assert run("simulate", "phantom2", "--set", setting) == 3
+    said = capsys.readouterr().err
+    assert f"`{key}`" in said and "expected" in said and f"{float(setting.partition('=')[2])}" in said
+
+
+def test_an_insertion_of_too_many_elements_is_refused_at_once(capsys):
+    sizes = ("needle.length_mm=2000", "depth_mm=1500", "rules.constraint_spacing_mm=0.1")
+    began = time.monotonic()
+    assert run("simulate", "phantom2", *(word for size in sizes for word in ("--set", size))) == 3
+    assert "`rules.constraint_spacing_mm`" in capsys.readouterr().err
+    assert time.monotonic() - began < 5
 
 
 def test_a_path_is_a_scene_too(tmp_path, monkeypatch, capsys):

@@ -275,19 +275,20 @@ def test_an_address_pasted_anew_connects_and_a_needle_that_is_gone_is_told_of(pa
     until(page, "state => window.needlefit.connected && state.depth_mm === 0")
 
 
-def test_what_the_server_tells_of_band_steepness_and_pause_is_shown(page) -> None:
+def test_what_the_server_tells_of_band_validity_and_pause_is_shown(page) -> None:
     go_to(page, 20)
     tell = """message => import('/page/store.js').then(({ now, take }) => {
-        now.scene.steep = 0.3;
         take(message.kind === 'state' ? { ...now.state, ...message } : message);
     })"""
     for edge in ([0.0, 1.0], []):  # and of no band none is left
         page.evaluate(tell, {"kind": "band", "step": 1, "x": edge, "low": edge, "high": edge})
         assert page.evaluate("window.needlefit.band !== null") is bool(edge)
-    page.evaluate(tell, {"kind": "state", "max_slope": 0.4, "paused": True})
-    shown(page, "above 0.3: the model assumes small slopes")
+    page.evaluate(
+        tell, {"kind": "state", "max_slope": 0.4, "faults": ["slope 0.4 (limit 0.3)"], "paused": True}
+    )
+    shown(page, "slope 0.4 (limit 0.3)")
     shown(page, "Go on with replay")
-    assert "small slopes" in page.locator("#said").text_content()
+    assert "slope 0.4" in page.locator("#said").text_content()
 
 
 def test_a_page_that_lost_the_line_says_so_and_finds_its_needle_again(server, chromium) -> None:

@@ -19,16 +19,23 @@ def summary(
 
     `shapes` end with the last step, or with the one that failed; `placement` is where a measured needle lies.
     """
+    from needlefit.mechanics.validity import worst_of
+
     pairs = zip(scene.steps, shapes, strict=False)
     steps = [
         {"depth_mm": step.depth} | _summary_of_step(scene.entry, shape, placement) for step, shape in pairs
     ]
     for step, before in zip(steps[:0:-1], steps[-2::-1], strict=True):
         step["iterations"] -= before["iterations"]  # a shape counts from first contact
-    unreached = dict.fromkeys(steps[0], None) | {"converged": False, "status": "not reached", "iterations": 0}
+    unreached = dict.fromkeys(steps[0], None) | {
+        "converged": False, "status": "not reached", "valid": False, "iterations": 0,
+    }  # fmt: skip
     left = [unreached | {"depth_mm": step.depth} for step in scene.steps[len(shapes) :]]
+    validity = worst_of([shape.validity for shape in shapes])
     return steps[-1] | {
-        "max_slope": max(float(abs(shape.slope).max()) for shape in shapes),
+        "max_slope": validity.max_slope,
+        "valid": all(shape.valid for shape in shapes),
+        "validity": validity.table(),
         "boundaries_mm": scene.tissue.boundaries,
         "constraints_mm": shapes[-1].constraints,
         "iterations": shapes[-1].iterations,
@@ -47,6 +54,7 @@ def _summary_of_step(entry: "Entry", shape: "NeedleShape", placement: "Placement
         "tip_angle_deg": math.degrees(entry.angle + math.atan(slope)),
         "converged": shape.converged,
         "status": shape.status,
+        "valid": shape.valid,
         "iterations": shape.iterations,
     }
 
@@ -61,6 +69,7 @@ def show_summary(title: str, answer: dict[str, Any]) -> None:
         ("tip", f"({', '.join(map(_found, answer['tip_mm']))}) mm in the world"),
         ("boundaries", interfaces + (" mm" if interfaces != "none" else "")),
         ("converged", f"{state} ({answer['iterations']} Newton iterations)"),
+        ("valid", _valid(answer)),
     ]
     if "replayed" in answer:
         rows.append(("replayed", _replayed(**answer["replayed"])))
@@ -70,6 +79,14 @@ def show_summary(title: str, answer: dict[str, Any]) -> None:
             screen.say(f"  {f'step {n}':<11} {_line(step)}")
     for label, text in rows:
         screen.say(f"  {label:<11} {text}")
+
+
+def _valid(answer: dict[str, Any]) -> str:
+    """Return whether the needle keeps to what the model assumes."""
+    if not answer["converged"]:
+        return "NO: no solution"
+    faults = answer["validity"]["faults"]
+    return f"NO: {'; '.join(faults)}" if faults else f"yes (slopes up to {answer['max_slope']:.3f})"
 
 
 def _replayed(steps: int, off_mm: float) -> str:

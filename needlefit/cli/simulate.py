@@ -1,6 +1,6 @@
 """`needlefit simulate`: one scene, or a recording of it; the needle's shape after each step."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Annotated
 
@@ -91,10 +91,8 @@ def simulate(
 
 def _show(invocation: Invocation, done: Simulated, json: bool) -> None:
     """Print where the needle ends; leave with an exit code of its own where it was not found."""
-    from needlefit.mechanics.shape import STEEP
-
     answer = summary(done.scene, done.shapes, done.placement) | done.more
-    warnings = [*done.warnings, *slope_warnings(answer["max_slope"], STEEP)]
+    warnings = [*done.warnings, *validity_warnings(answer["validity"]["faults"])]
     answer |= {KEY: as_rows(warnings)}
     if json:
         screen.show_json(answer)
@@ -108,11 +106,11 @@ def _show(invocation: Invocation, done: Simulated, json: bool) -> None:
         raise typer.Exit(failure.NOT_CONVERGED)
 
 
-def slope_warnings(max_slope: float, limit: float) -> Iterator[ResultWarning]:
-    """Yield a warning where slopes are beyond what the model assumes."""
-    if max_slope > limit:
+def validity_warnings(faults: Sequence[str]) -> Iterator[ResultWarning]:
+    """Yield a warning where a solution is outside what the model assumes."""
+    if faults:
         yield ResultWarning(
-            "slope",
-            f"slopes reach {max_slope:.2f}: the model assumes small ones, up to about {limit:g}",
+            "validity",
+            f"the solution is outside what the model assumes: {'; '.join(faults)}",
             fix="check stiffness, bevel offset and depth",
         )

@@ -5,8 +5,10 @@ each has a limit; docs/solver.md, "Validity of a solution", says where the limit
 """
 
 import math
+import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +22,7 @@ MAX_SLOPE = 0.3
 """Greatest slope |u'| at which small ones may be assumed: the curvature is then 14 % off."""
 
 MAX_DEFLECTION_PER_LENGTH = 0.2
-"""Of a cantilever under an end force that is where its slope reaches 0.3; linear theory is then 3 % off."""
+"""A cantilever under an end force then has a slope of 0.3 there, and linear theory is 4 % off."""
 
 MAX_SHORTENING_PER_LAYER = 0.5
 """The needle's points lie nearer to the entry than the model takes them to be; beyond half of the thinnest
@@ -94,8 +96,8 @@ class Validity:
     @property
     def ok(self) -> Bools:
         """Whether every quantity keeps to its limit, (...)."""
-        within = [np.less_equal(getattr(self, name), limit) for name, limit, _ in LIMITS]
-        return np.logical_and.reduce(within)
+        within: Bools = np.logical_and.reduce([getattr(self, name) <= limit for name, limit, _ in LIMITS])
+        return within
 
     @property
     def faults(self) -> tuple[str, ...]:
@@ -106,6 +108,11 @@ class Validity:
             if (value := getattr(self, name)) > limit
         )
 
+    def table(self) -> dict[str, Any]:
+        """Return a single solution's quantities as JSON values, with `ok` and `faults`."""
+        values = {name: float(getattr(self, name)) for name, _, _ in LIMITS}
+        return {"ok": bool(self.ok), **values, "faults": list(self.faults)}
+
 
 LIMITS: tuple[tuple[str, float, str], ...] = (
     ("max_slope", MAX_SLOPE, "slope"),
@@ -115,6 +122,14 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
     ("rounding_mm", MAX_ROUNDING_MM, "rounding error in mm"),
 )
 """Attribute of `Validity`, its limit, and what it is called."""
+
+
+def worst_of(solutions: Sequence[Validity]) -> Validity:
+    """Return the worst of each quantity over several single solutions; those that failed are left out."""
+    worst = {name: np.array([getattr(one, name) for one in solutions]) for name, _, _ in LIMITS}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", RuntimeWarning)  # all failed: NaN
+        return Validity(**{name: np.nanmax(values) for name, values in worst.items()})
 
 
 def validity_of(solved: Solved) -> Validity:
@@ -145,10 +160,8 @@ def _slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats]:
     """Return the greatest |u'| of the cubics between nodes, and by how much the needle shortens, mm."""
     begin, mean = slope[..., :-1], np.diff(u, axis=-1) / step
     end = slope[..., 1:]
-    bend, curl = (
-        6 * mean - 4 * begin - 2 * end,
-        3 * (begin + end) - 6 * mean,
-    )  # u' = begin + t bend + t^2 curl
+    # u' = begin + t bend + t^2 curl
+    bend, curl = 6 * mean - 4 * begin - 2 * end, 3 * (begin + end) - 6 * mean
     at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
     turning = begin + np.where((at > 0) & (at < 1), at, 0.0) * (bend + at * curl)
     steepest = np.maximum(np.abs(turning).max(axis=-1), np.abs(slope).max(axis=-1))

@@ -1,4 +1,4 @@
-"""How large an input may be: far above real use, and small enough that nothing runs for a minute or fills 2 GB.
+"""How large an input may be: far above real use, and small enough for a minute and 2 GB of memory.
 
 `benchmarks/bounds.py` measures the worst inputs that are still accepted.
 """

@@ -3,8 +3,8 @@
 import { degrees, signed } from "./numbers.js";
 import { comparedUpTo } from "./readouts.js";
 import { say } from "./speech.js";
-import { steepness } from "./steep.js";
 import { now } from "./store.js";
+import { exceeded } from "./validity.js";
 
 const text = document.getElementById("described");
 
@@ -21,7 +21,7 @@ export function inWords() {
     `The base stands at y ${signed(base.y, 2)} mm, at ${angle(base)}; ${held}.`,
     `Tip force ${signed(state.forces.tip_n, 2)} N, base force ${signed(state.forces.base_n, 2)} N.`,
   ];
-  if (steepness(state)) sentences.push(`Its steepest slope is ${steepness(state)}.`);
+  if (exceeded(state)) sentences.push(`The needle is ${exceeded(state)}.`);
   if (errors) {
     const [mean, tipError] = [errors.ipe_mean_mm.toFixed(2), errors.te_mm.toFixed(2)];
     sentences.push(`Against the measured needle ${comparedUpTo(errors)}: IPE mean ${mean} mm, TE ${tipError} mm.`);

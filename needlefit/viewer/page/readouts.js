@@ -1,8 +1,8 @@
 /** The numbers below the picture, told often enough to read and no more. */
 
 import { degrees, signed } from "./numbers.js";
-import { steepness } from "./steep.js";
 import { listen, now } from "./store.js";
+import { exceeded } from "./validity.js";
 
 /** What is read of the needle: a name, a unit, how it is written from a state, and a remark on it. */
 const NEEDLE = [
@@ -12,7 +12,7 @@ const NEEDLE = [
   ["tip force", "N", (s) => signed(s.forces.tip_n, 3)],
   ["base force", "N", (s) => signed(s.forces.base_n, 3)],
   ["base moment", "N mm", (s) => signed(s.forces.base_nmm, 1)],
-  ["steepest slope", "", (s) => s.max_slope.toFixed(3), steepness],
+  ["steepest slope", "", (s) => s.max_slope.toFixed(3), exceeded],
 ];
 
 /** What is read of the comparison with a measured needle. */

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.load import Loads, loads
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import STEEP, NeedleShape, placed, positions
+from needlefit.mechanics.shape import NeedleShape, placed, positions
 from needlefit.viewer.hand.inputs import number_of
 from needlefit.viewer.overlay.band import NeedleBand
 from needlefit.viewer.overlay.measured import live_errors
@@ -49,7 +49,6 @@ def scene_message(trial: Trial) -> dict[str, Any]:
         "guide_names": list(trial.steering.names),
         "boundaries_mm": tissue.boundaries.tolist(),
         "spacing_mm": scene.rules.spacing,
-        "steep": STEEP,
         "fitted": _parameters(tissue.mu, tissue.alpha) | {"offset_mm": first.offset},
         "limits": _limits(scene),
         "measured": measured and {
@@ -89,7 +88,8 @@ def state_message(trial: Trial) -> dict[str, Any]:
         | {"deflection_mm": shape.deflection, "held": controls.tip is not None},
         "bevel": {"side": step.bevel.side, "offset_mm": step.bevel.offset},
         **_parameters(now.tissue.mu, now.tissue.alpha),
-        "max_slope": float(np.abs(shape.slope).max()),
+        "max_slope": float(shape.validity.max_slope),
+        "faults": list(shape.validity.faults),
         "undo": trial.can_undo,
         "redo": trial.can_redo,
         "errors": _errors(trial, shape),

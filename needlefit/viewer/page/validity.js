@@ -1,0 +1,16 @@
+/** Where the needle is outside what the model assumes, words say so: beside the numbers, and once aloud. */
+
+import { say } from "./speech.js";
+import { listen } from "./store.js";
+
+let told = false; // of this needle
+
+/** Which limits of the model the needle exceeds, in words; empty where it exceeds none. */
+export const exceeded = ({ faults }) => (faults?.length ? `outside the model: ${faults.join("; ")}` : "");
+
+listen("scene", () => (told = false));
+listen("state", (state) => {
+  if (told || !exceeded(state)) return;
+  told = true;
+  say(`The needle is ${exceeded(state)}.`);
+});
