@@ -2,16 +2,18 @@
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
+from needlefit.project.caged import MEMORY_VARIABLE, stated_memory_bytes
 
 Floats = NDArray[np.float64]
 
 MOST_VOXELS = 2**30
-"""Largest volume that is read, 1024^3: 4 GB in memory. A header that claims more is refused."""
+"""Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size."""
 
 SMALLEST_SPACING, GREATEST_SPACING = 1e-3, 50.0
 """Spacings of real scans, mm; outside, the unit of the file is not mm."""
@@ -55,12 +57,18 @@ def check_grid(grid: Grid, where: str = "") -> None:
         If the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the
         axes are not perpendicular.
     """
-    _check_size(grid.size, where)
+    check_size(grid.size, where)
     _check_numbers(grid, where)
     if not (np.abs(grid.direction.T @ grid.direction - np.eye(3)) <= SQUARE).all():
         raise DataError(
             f"{SHEARED}: {_rounded(grid.direction.T)}", where=where, expected=STRAIGHT, mend=STRAIGHTEN
         )
+
+
+def described(grid: Grid) -> dict[str, list[Any]]:
+    """Return a grid as JSON; `Grid` of its parts as arrays gives it back to the bit."""
+    parts = {"origin": grid.origin, "spacing": grid.spacing, "direction": grid.direction}
+    return {"size": list(grid.size), **{name: array.tolist() for name, array in parts.items()}}
 
 
 def squared(direction: Floats) -> Floats:
@@ -70,7 +78,19 @@ def squared(direction: Floats) -> Floats:
     return nearest
 
 
-def _check_size(size: tuple[int, int, int], where: str) -> None:
+def max_voxels() -> int:
+    """Return the number of voxels of the largest volume that is read, as float32."""
+    stated = stated_memory_bytes()
+    return MOST_VOXELS if stated is None else stated // 4
+
+
+def check_size(size: tuple[int, int, int], where: str) -> None:
+    """See that there is a volume, and not more than is read.
+
+    Raises
+    ------
+    DataError
+    """
     shown, count = " x ".join(map(str, size)), math.prod(size)
     if min(size) < 2:
         raise DataError(
@@ -79,12 +99,13 @@ def _check_size(size: tuple[int, int, int], where: str) -> None:
             expected="at least two voxels along each axis",
             mend="export the whole volume, not one image of it",
         )
-    if count > MOST_VOXELS:
+    if count > max_voxels():
         raise DataError(
             f"its header claims {shown} voxels, {4 * count / 1e9:.3g} GB in memory",
             where=where,
-            expected=f"at most {MOST_VOXELS:.3g} voxels",
-            mend="crop the volume to the needle and its markers, or check where the file comes from",
+            expected=f"at most {max_voxels():.3g} voxels",
+            mend="crop the volume to the needle and its markers, or check where the file comes from; if it "
+            f"is right and memory allows, set {MEMORY_VARIABLE} to the GiB that it may take",
         )
 
 

@@ -1,24 +1,25 @@
 """NRRD, NIfTI and MetaImage files, through SimpleITK, which turns their coordinates to LPS."""
 
 import gzip
-import re
 import zlib
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.imaging.grid import SHEARED, SQUARE, STRAIGHT, STRAIGHTEN, Grid, check_grid, squared
-from needlefit.imaging.volume import READABLE, Volume
+from needlefit.imaging.grid import SHEARED, SQUARE, STRAIGHT, STRAIGHTEN, Grid, check_grid, described, squared
+from needlefit.imaging.headers.promise import cut_short, no_image
+from needlefit.imaging.volume import Volume
+from needlefit.project.caged import Results
 from needlefit.project.replace import replacing_file
 
 Floats = NDArray[np.float64]
 
 IMAGE_HOMES = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
-_POINTER = re.compile(r"\(0x[0-9a-f]+\)")
-"""SimpleITK puts addresses in memory into its messages."""
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
 _MILLIMETRES = {1: 1e3, 2: 1.0, 3: 1e-3}
 """One unit of a NIfTI header by its code (metre, millimetre, micrometre) in mm."""
@@ -29,8 +30,8 @@ _COMPRESSION = 1
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
 
 
-def read_image(path: Path) -> Volume:
-    """Return the volume in an NRRD, NIfTI or MetaImage file.
+def read_image(results: Results, path: str) -> dict[str, Any]:
+    """Read an NRRD, NIfTI or MetaImage file whose header passed: the array "values", and its grid.
 
     Raises
     ------
@@ -38,20 +39,22 @@ def read_image(path: Path) -> Volume:
         If the file is none, is cut short, has not three dimensions, does not say in which coordinate
         system it stands, or claims an absurd size.
     """
+    file = Path(path)
     reader = sitk.ImageFileReader()
-    reader.SetImageIO(IMAGE_HOMES.get(path.suffix.lower(), "NiftiImageIO"))
-    reader.SetFileName(str(path))
-    grid = _header(reader, path)
-    check_grid(grid, str(path))
+    reader.SetImageIO(IMAGE_HOMES.get(file.suffix.lower(), "NiftiImageIO"))
+    reader.SetFileName(path)
+    grid = _header(reader, file)
+    check_grid(grid, path)
     if reader.GetImageIO() == "NiftiImageIO":
-        _check_length(reader, path, grid)  # its reader takes what is missing for zeros
+        _check_length(reader, file, grid)  # its reader takes what is missing for zeros
+    values = results.new("values", grid.size[::-1], "float32")
     try:
         image = reader.Execute()
     except RuntimeError as error:
-        raise _cut_short(path) from error
-    values = sitk.GetArrayViewFromImage(image).astype(np.float32)
-    _check_finite(values, path)
-    return Volume(values, grid.origin, grid.spacing, squared(grid.direction))
+        raise cut_short(file) from error
+    values[...] = sitk.GetArrayViewFromImage(image)
+    _check_finite(values, file)
+    return described(replace(grid, direction=squared(grid.direction)))
 
 
 def write_image(volume: Volume, path: Path, description: str) -> None:
@@ -78,7 +81,7 @@ def _header(reader: sitk.ImageFileReader, path: Path) -> Grid:
     try:
         reader.ReadImageInformation()
     except RuntimeError as error:
-        raise _no_image(path, str(error)) from error
+        raise _no_information(path, str(error)) from error
     parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
     if reader.GetDimension() != 3 or parts != 1:
         size = " x ".join(map(str, reader.GetSize()))
@@ -135,9 +138,9 @@ def _check_length(reader: sitk.ImageFileReader, path: Path, grid: Grid) -> None:
     try:
         found = _unpacked(path, needed) if path.suffix.lower() == ".gz" else path.stat().st_size
     except (EOFError, OSError, zlib.error) as error:
-        raise _cut_short(path) from error
+        raise cut_short(path) from error
     if found < needed:
-        raise _cut_short(path)
+        raise cut_short(path)
 
 
 def _unpacked(path: Path, enough: int) -> int:
@@ -159,19 +162,13 @@ def _check_finite(values: NDArray[np.float32], path: Path) -> None:
         )
 
 
-def _no_image(path: Path, reason: str) -> DataError:
+def _no_information(path: Path, reason: str) -> DataError:
     """Return the error for a header that SimpleITK cannot read."""
     if "orthonormal" in reason:
         return DataError(SHEARED, where=str(path), expected=STRAIGHT, mend=STRAIGHTEN)
     if "number of domain axes" in reason:
         return _several(path, "more than three dimensions")
-    said = [line.strip() for line in reason.splitlines() if line.strip()]
-    return DataError(
-        f"cannot be read as a volume: {_POINTER.sub('', said[-1]) if said else 'no reason given'}",
-        where=str(path),
-        expected=READABLE,
-        mend="check that the file is whole and its name ends as its format wants; export it again",
-    )
+    return no_image(path, "SimpleITK does not take its header")
 
 
 def _several(path: Path, what: str) -> DataError:
@@ -180,13 +177,4 @@ def _several(path: Path, what: str) -> DataError:
         where=str(path),
         expected="three dimensions, one number a voxel",
         mend="export one time point, or one segment, as a volume of its own",
-    )
-
-
-def _cut_short(path: Path) -> DataError:
-    return DataError(
-        "its header is sound, but its voxels are damaged or not all there",
-        where=str(path),
-        expected="all voxels that the header promises, in this file or the one that it names",
-        mend="the file is cut short or damaged: copy or export it again",
     )

@@ -5,14 +5,16 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import SimpleITK as sitk
 
 from needlefit.errors import DataError
-from needlefit.imaging.image_files import IMAGE_HOMES
-from needlefit.imaging.volume import Volume, read
+from needlefit.imaging.headers.check import check_image_header
+from needlefit.imaging.headers.promise import whole
+from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, read
 
 MOST_LABELS = 64
 """A volume with more labels is a scan."""
+
+MAX_NAME_CHARS = 200
 
 EXPECTED = "a whole number of each voxel's layer, 0 outside the tissue, and no more than a few layers"
 NO_OVERLAP = 'in the Segment Editor set "Modify other segments" to "Overwrite all", and save it again'
@@ -45,7 +47,7 @@ def read_labels(path: Path) -> Labels:
     DataError
         If it is no volume, its segments overlap, one is empty, or its values are no labels.
     """
-    stated = _stated(path)
+    stated = _stated(path) if path.name.lower().endswith(IMAGE_SUFFIXES) and path.exists() else ()
     volume = read(path)
     present = _present(volume, path)
     if not stated:
@@ -71,17 +73,10 @@ def read_labels(path: Path) -> Labels:
 
 def _stated(path: Path) -> tuple[Segment, ...]:
     """Return the segments that the header names, in its order; DataError if they overlap."""
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO(IMAGE_HOMES.get(path.suffix.lower(), "NiftiImageIO"))
-    reader.SetFileName(str(path))
-    try:
-        reader.ReadImageInformation()
-    except RuntimeError:
-        return ()  # `read` says why
-    said = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
-    segments = _segments(said)
+    header = check_image_header(path)
+    segments = _segments(header.texts, path)
     values = [segment.value for segment in segments]
-    if segments and (reader.GetNumberOfComponents() > 1 or len(set(values)) < len(values)):
+    if segments and (len(header.size) > 3 or len(set(values)) < len(values)):
         raise DataError(
             f"its segments overlap: {', '.join(segment.name for segment in segments)}",
             where=str(path),
@@ -91,12 +86,15 @@ def _stated(path: Path) -> tuple[Segment, ...]:
     return segments
 
 
-def _segments(said: Mapping[str, str]) -> tuple[Segment, ...]:
+def _segments(said: Mapping[str, str], path: Path) -> tuple[Segment, ...]:
     count = 0
     while f"Segment{count}_ID" in said or f"Segment{count}_LabelValue" in said:
         count += 1
     return tuple(
-        Segment(int(said.get(f"Segment{n}_LabelValue", n + 1)), said.get(f"Segment{n}_Name", "").strip())
+        Segment(
+            whole(said.get(f"Segment{n}_LabelValue", f"{n + 1}"), 0, 2**16, path),
+            said.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
+        )
         for n in range(count)
     )
 
@@ -104,10 +102,11 @@ def _segments(said: Mapping[str, str]) -> tuple[Segment, ...]:
 def _present(volume: Volume, path: Path) -> list[int]:
     """Return the labels of a volume, increasing, without 0."""
     low, high = float(volume.values.min()), float(volume.values.max())
-    whole = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
-    if low < 0 or high >= 2**16 or not whole:
+    labels_only = all(np.array_equal(slice_, np.rint(slice_)) for slice_ in volume.values)
+    if low < 0 or high >= 2**16 or not labels_only:
+        fractions = "" if labels_only else ", with fractions"
         raise DataError(
-            f"its voxels run from {low:g} to {high:g}{'' if whole else ', with fractions'}: this is a scan",
+            f"its voxels run from {low:g} to {high:g}{fractions}: this is a scan",
             where=str(path),
             expected=EXPECTED,
             mend="give the segmentation, not the scan that it was made from",

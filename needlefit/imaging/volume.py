@@ -1,20 +1,33 @@
 """A CT volume in the patient's coordinates: the noun, its coordinates, and the files it comes from."""
 
-from collections.abc import Iterator
+import os
+import sys
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.grid import Grid, check_grid
+from needlefit.imaging.grid import Grid, check_grid, max_voxels
+from needlefit.project.caged import limits, read_caged
+from needlefit.project.reading import opened, unreadable
 
 Floats = NDArray[np.float64]
 
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
+PACKAGES = ("SimpleITK", "pydicom")
+READ_BYTES_PER_SECOND = 8 * 2**20
+"""A volume that is read more slowly, in processor time, is taken for one that never ends."""
+
+HEADER_SECONDS = 0.1
+UNPACKED_BYTES_PER_SECOND = 2**20
+"""The same for a DICOM header, and for compressed slices."""
+
 READABLE = (
     "a folder with a DICOM series, one file of it, NRRD (.nrrd), NIfTI (.nii, .nii.gz) or MetaImage (.mha)"
 )
@@ -101,13 +114,65 @@ def read(path: Path, series: str | None = None) -> Volume:
             "there is no such file or folder", where=str(path), expected=READABLE, mend="check the path"
         )
     with packages():
-        if path.is_file() and path.name.lower().endswith(IMAGE_SUFFIXES):
-            from needlefit.imaging.image_files import read_image
+        _require_packages()
+        if not path.is_dir() and path.name.lower().endswith(IMAGE_SUFFIXES):
+            return _read_image(path)
+        return _read_series(path, series)
 
-            return read_image(path)
-        from needlefit.imaging.dicom.read import read_series
 
-        return read_series(path, series)
+def _read_image(path: Path) -> Volume:
+    from needlefit.imaging.headers.check import check_image_header
+
+    header = check_image_header(path)
+    native = (
+        2 * header.content_bytes + header.float_bytes + header.packed_bytes
+    )  # a buffer, one to convert into
+    seconds = (header.content_bytes + header.packed_bytes) / READ_BYTES_PER_SECOND
+    allowed = limits(native, header.float_bytes, seconds)
+    found = read_caged("needlefit.imaging.image_files:read_image", path, allowed, {"path": str(path)})
+    return _volume(*found, path)
+
+
+def _read_series(path: Path, series: str | None) -> Volume:
+    folder = path
+    if not path.is_dir():
+        folder = path.parent
+        with opened(path, sys.maxsize):  # a regular file
+            pass
+    try:
+        sizes = [entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()]
+    except OSError as fault:
+        raise unreadable(fault, DataError, str(folder)) from None
+    seconds = len(sizes) * HEADER_SECONDS + sum(sizes) / UNPACKED_BYTES_PER_SECOND
+    allowed = limits(max(sizes, default=0), 4 * max_voxels(), seconds)
+    arguments = {"path": str(path), "series": series}
+    return _volume(*read_caged("needlefit.imaging.dicom.read:read_series", path, allowed, arguments), path)
+
+
+def _volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON
+    """Return the volume that a reader described and filled; DataError if the two do not agree."""
+    try:
+        origin, spacing, direction = (
+            np.array(parts[name], np.float64) for name in ("origin", "spacing", "direction")
+        )
+        values, remarks = arrays["values"], tuple(map(str, parts.get("remarks", ())))
+        if values.shape != tuple(parts["size"])[::-1] or direction.shape != (3, 3):
+            raise ValueError
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise DataError(
+            "the process that read it gave no volume",
+            where=str(path),
+            expected=READABLE,
+            mend="read it again",
+        ) from None
+    return Volume(values, origin, spacing, direction, remarks)
+
+
+def _require_packages() -> None:
+    """See that what reads scans is there, before a process is started for it."""
+    for name in PACKAGES:
+        if find_spec(name) is None:
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
 
 def write(volume: Volume, path: Path, description: str = "") -> None:
@@ -155,7 +220,7 @@ def write(volume: Volume, path: Path, description: str = "") -> None:
 
 def installed() -> bool:
     """Return whether the packages that read scans are there."""
-    return all(find_spec(name) is not None for name in ("SimpleITK", "pydicom"))
+    return all(find_spec(name) is not None for name in PACKAGES)
 
 
 @contextmanager

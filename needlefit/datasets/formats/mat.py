@@ -1,15 +1,19 @@
-"""MATLAB files: every N x 3 array in them, whatever it is nested in."""
+"""MATLAB files: every N x 3 array in them, whatever it is nested in.
+
+scipy and h5py read them, in a child process: scipy crashes on some damaged files.
+"""
 
 from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.formats.points import Points
 from needlefit.errors import DataError
+from needlefit.project.caged import READER_BYTES, Results, limits, read_caged, stated_memory_bytes
 from needlefit.project.reading import read_bytes
 
 Floats = NDArray[np.float64]
@@ -17,7 +21,27 @@ Floats = NDArray[np.float64]
 SIGNATURE, PLACES = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
 """Of HDF5, which MATLAB writes from version 7.3 on behind a head of its own; and where it may stand."""
 
+SHOWN = 20
+"""Variables that a message lists."""
+
+ELEMENTS = range(1, 19)
+COMPRESSED = 15
+"""Kinds of elements of versions 5 to 7: numbers, matrices, compressed ones, text."""
+
+HEAD_BYTES = 128
+VERSION = 124
+"""Length of the head of versions 5 to 7, and where in it stand the version and the order of bytes."""
+
+LEAST_BYTES = 20
+"""Of the head of one matrix of version 4."""
+
+EXPANSION = 8
+"""Memory that the content of a file may take, in sizes of the file."""
+
+READ_BYTES_PER_SECOND = 2**20
 EXPECTED = "N x 3 arrays of numbers, mm, entry first"
+READABLE = "a MATLAB .mat file"
+SAVE = "save it again, e.g. save(file, 'x', '-v7')"
 
 
 def read_curves(path: Path) -> dict[str, Points]:
@@ -31,26 +55,61 @@ def read_curves(path: Path) -> dict[str, Points]:
         If the file is missing, is no MATLAB file, or holds no such array.
     """
     data = read_bytes(path)
-    try:
-        variables = _hdf(data) if _is_hdf(data) else _classic(data)
-    except Exception as error:  # the readers raise whatever the bytes provoke
-        raise DataError(
-            f"cannot be read: {error}",
-            where=str(path),
-            expected="a MATLAB .mat file",
-            mend="save it again, e.g. save(file, 'x', '-v7')",
-        ) from None
-    found = {
-        name: Points(path, array) for key, value in variables.items() for name, array in _arrays(key, value)
-    }
+    if not _is_hdf(data):
+        _check_elements(data, path)
+    memory = stated_memory_bytes() or EXPANSION * len(data)
+    allowed = limits(memory, READER_BYTES + memory, len(data) / READ_BYTES_PER_SECOND)
+    variables, found = read_caged(
+        "needlefit.datasets.formats.mat:read_variables", path, allowed, {"path": str(path)}
+    )
     if not found:
         raise DataError(
-            f"holds no curve; its variables are {', '.join(variables) or '(none)'}",
+            f"holds no curve; its variables are {', '.join(map(str, variables[:SHOWN])) or '(none)'}",
             where=str(path),
             expected=EXPECTED,
             mend="save the points of the centreline as one N x 3 array",
         )
-    return found
+    return {name: Points(path, array) for name, array in found.items()}
+
+
+def read_variables(results: Results, path: str) -> list[str]:
+    """In the child: fill an array for every curve in a file; return the names of all variables."""
+    data = read_bytes(Path(path))
+    try:
+        variables = _hdf(data) if _is_hdf(data) else _classic(data)
+    except MemoryError:
+        raise
+    except Exception as error:  # the readers raise whatever the bytes provoke
+        raise _unreadable(Path(path), f"({type(error).__name__})") from None
+    for key, value in variables.items():
+        for name, array in _arrays(key, value):
+            results.new(name, array.shape, "float64")[...] = array
+    return list(variables)
+
+
+def _check_elements(data: bytes, path: Path) -> None:
+    """See that every element of a file of versions 5 to 7 ends within it.
+
+    Raises
+    ------
+    DataError
+        If one does not, or the file is too short for any version.
+    """
+    if len(data) < LEAST_BYTES:
+        raise _unreadable(path, "it is too short")
+    if 0 in data[:4] or len(data) < HEAD_BYTES:  # version 4 begins with a number
+        return
+    order: Literal["little", "big"] = "little" if data[VERSION + 2 : HEAD_BYTES] == b"IM" else "big"
+    place = HEAD_BYTES
+    while place + 8 <= len(data):
+        kind, size = (int.from_bytes(data[at : at + 4], order) for at in (place, place + 4))
+        if kind not in ELEMENTS or place + 8 + size > len(data):
+            raise _unreadable(path, f"the element at byte {place} is of no kind, or reaches beyond the end")
+        place += 8 + size + (0 if kind == COMPRESSED else -size % 8)
+
+
+def _unreadable(path: Path, reason: str) -> DataError:
+    return DataError(f"cannot be read: {reason}", where=str(path), expected=READABLE, mend=SAVE)
 
 
 def read_points(path: Path) -> Points:
@@ -98,13 +157,25 @@ def _hdf(data: bytes) -> dict[str, Any]:
     import h5py
 
     with h5py.File(BytesIO(data), "r") as file:
-        return {key: _hdf_value(file, file[key]) for key in file if not key.startswith("#")}
+        return {key: _hdf_value(file, _own(file, key)) for key in file if not key.startswith("#")}
+
+
+def _own(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
+    """Return a member of a group; ValueError if it lies in another file, which links may name."""
+    import h5py
+
+    item = group[key] if isinstance(group.get(key, getlink=True), h5py.HardLink) else None
+    if item is None or getattr(item, "external", None) or getattr(item, "is_virtual", False):
+        raise ValueError("not in this file")
+    return item
 
 
 def _hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no stubs
     """Return a struct as a dict, a cell array as a list, a matrix as MATLAB shows it (the file turns it)."""
     if hasattr(item, "keys"):
-        return {key: _hdf_value(file, item[key]) for key in item}
+        return {key: _hdf_value(file, _own(item, key)) for key in item}
+    if item.external or item.is_virtual:  # reached by a reference
+        raise ValueError("not in this file")
     if item.dtype == object:
         return [_hdf_value(file, file[reference]) for reference in np.ravel(item[()])]
     return np.asarray(item[()]).T

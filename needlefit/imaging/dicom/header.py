@@ -1,9 +1,11 @@
 """What the header of one DICOM file says of its slice; voxels are not touched."""
 
+import os
+import sys
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, BinaryIO
 
 import numpy as np
 import pydicom
@@ -12,6 +14,7 @@ from pydicom.errors import InvalidDicomError
 from pydicom.uid import UID, ImplicitVRLittleEndian
 
 from needlefit.errors import DataError
+from needlefit.project.reading import opened
 
 Floats = NDArray[np.float64]
 
@@ -25,6 +28,30 @@ TAGS = (
 )
 _SUFFIXES = (".dcm", ".ima", ".dicom")
 _PREAMBLE = 132
+SMALL_BYTES = 256
+"""So much more may be asked for than there is: a preamble, the head of an element behind the last."""
+
+
+class _Bounded:
+    """A file in which no element may reach beyond the end: pydicom would allocate what its length claims."""
+
+    def __init__(self, file: BinaryIO) -> None:
+        self._file, self._size = file, file.seek(0, os.SEEK_END)
+        file.seek(0)
+        self.tell = file.tell
+
+    def read(self, size: int = -1, /) -> bytes:
+        """Read bytes; EOFError if many more are asked for than there are."""
+        if size > max(self._size - self.tell(), 0) + SMALL_BYTES:
+            raise EOFError
+        return self._file.read(size)
+
+    def seek(self, target: int, whence: int = os.SEEK_SET, /) -> int:
+        """Go to a place; EOFError beyond the end, which files allow."""
+        place = self._file.seek(target, whence)
+        if place > self._size:
+            raise EOFError
+        return place
 
 
 @dataclass(frozen=True)
@@ -96,13 +123,14 @@ def read_header(file: Path) -> Slice | None:
             "ignore"
         )  # what pydicom doubts and we use is checked here, the rest is not ours
         try:
-            data = pydicom.dcmread(file, stop_before_pixels=True, specific_tags=list(TAGS))
+            with opened(file, sys.maxsize) as content:
+                data = pydicom.dcmread(_Bounded(content), stop_before_pixels=True, specific_tags=list(TAGS))
         except InvalidDicomError as error:
             if file.suffix.lower() in _SUFFIXES:
                 raise _damaged(file) from error
             return None
-        except PermissionError as error:
-            raise DataError("may not be read", where=str(file), mend="check its permissions") from error
+        except DataError:  # no file that may be read
+            raise
         except Exception as error:  # whatever the bytes provoke
             raise _damaged(file) from error
         storage = str(data.file_meta.get("MediaStorageSOPClassUID") or data.get("SOPClassUID") or "")

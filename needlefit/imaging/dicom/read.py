@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import SimpleITK as sitk
@@ -11,13 +12,17 @@ from needlefit.errors import DataError
 from needlefit.imaging.dicom.header import Slice
 from needlefit.imaging.dicom.series import find_series
 from needlefit.imaging.dicom.stack import stack, tilt_remarks
-from needlefit.imaging.volume import Volume
+from needlefit.imaging.grid import described
+from needlefit.project.caged import Results, allow_memory
+
+SLICE_BYTES_PER_PIXEL = 32
+"""A slice stands in memory packed, unpacked, and in double precision."""
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
 
 
-def read_series(path: Path, series: str | None = None) -> Volume:
-    """Return the volume of the one series that `path` means.
+def read_series(results: Results, path: str, series: str | None) -> dict[str, Any]:
+    """Read the one series that `path` means: the array "values", its grid, and remarks.
 
     Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
     was, so that no threshold and no edge finds them.
@@ -27,15 +32,21 @@ def read_series(path: Path, series: str | None = None) -> Volume:
     DataError
         If the series is not one sound stack, or a voxel cannot be read.
     """
-    slices, grid = stack(find_series(path, series))
+    slices, grid = stack(find_series(Path(path), series))
+    _allow(slices)
     columns, rows, count = grid.size
-    values = np.empty((count, rows, columns), dtype=np.float32)
+    values = results.new("values", (count, rows, columns), "float32")
     reader = sitk.ImageFileReader()
     reader.SetImageIO("GDCMImageIO")
     for item, plane in zip(slices, values, strict=True):
         plane[...] = _voxels(reader, item)
     _fill_padding(values, slices)
-    return Volume(values, grid.origin, grid.spacing, grid.direction, tilt_remarks(slices))
+    return {**described(grid), "remarks": tilt_remarks(slices)}
+
+
+def _allow(slices: Sequence[Slice]) -> None:
+    """Grant the memory of one slice, unpacked, to the readers that turn it over."""
+    allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
 
 
 def _voxels(reader: sitk.ImageFileReader, item: Slice) -> NDArray[np.float64]:

@@ -18,6 +18,7 @@ from needlefit.errors import DataError
 from needlefit.imaging.dicom.header import Slice
 from needlefit.imaging.dicom.series import LOCALIZER
 from needlefit.imaging.grid import SQUARE, Grid, check_grid, squared
+from needlefit.imaging.headers.promise import ImageHeader, check_expansion
 
 Floats = NDArray[np.float64]
 
@@ -268,3 +269,7 @@ def _check_lengths(slices: Sequence[Slice]) -> None:
                 expected="all its voxels",
                 mend="the file is cut short or damaged: copy it again, or export the series again",
             )
+    first, packed = slices[0], sum(item.file.stat().st_size for item in slices)
+    voxel_bytes = max(item.bits for item in slices) // 8
+    promised = ImageHeader((first.columns, first.rows, len(slices)), voxel_bytes, packed)
+    check_expansion(promised, first.file.parent)

@@ -1,0 +1,1 @@
+"""Headers of image files, checked before a native reader opens the file."""
