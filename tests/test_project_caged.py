@@ -1,4 +1,4 @@
-"""Readers in a child process: what they return, and what becomes of those that crash, hang or fill the memory."""
+"""Readers in a child process: what they return, and what becomes of those that crash or take too much."""
 
 import os
 import signal
@@ -146,7 +146,8 @@ def test_the_child_ends_with_its_parent(tmp_path, end):
     code = (
         f"import sys; sys.path[:0] = [{str(here)!r}, {str(here.parent)!r}]\n"
         "from pathlib import Path; from needlefit.project.caged import Limits, read_caged\n"
-        f"read_caged('caged_readers:writes_its_id_and_sleeps', Path('f'), Limits(), {{'path': {str(note)!r}}})"
+        "reader = 'caged_readers:writes_its_id_and_sleeps'\n"
+        f"read_caged(reader, Path('f'), Limits(), {{'path': {str(note)!r}}})"
     )
     parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.DEVNULL)
     while not (note.exists() and note.read_text()):

@@ -7,6 +7,7 @@ file, which the parent maps: nothing is copied, and nothing is unpickled. What e
 Linux limits memory and processor time; macOS limits the processor time, Windows the time alone.
 """
 
+import errno
 import json
 import math
 import mmap
@@ -391,6 +392,8 @@ def _attempt(request: dict[str, Any]) -> dict[str, Any]:
     except MemoryError:
         return {"kind": "memory"}
     except Exception as error:  # whatever the bytes provoke; its text may quote them
+        if isinstance(error, OSError) and error.errno == errno.ENOMEM:
+            return {"kind": "memory"}
         return {"kind": "raised", "name": type(error).__name__}
 
 
