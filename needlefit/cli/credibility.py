@@ -45,6 +45,7 @@ def credibility(
     """
     from needlefit.project.load import load
     from needlefit.project.places import find_run
+    from needlefit.project.reading import stored_values
     from needlefit.project.records.about import AboutRecord
     from needlefit.reporting.credibility.case import NOBODY, case
     from needlefit.reporting.credibility.entries import entries
@@ -53,11 +54,12 @@ def credibility(
 
     folder = find_run(run)
     stated = NOBODY if about is None else load(about, AboutRecord)
-    found = case(folder, evidence or (), stated, "" if about is None else about.name)
-    target = out / f"credibility-{found.name}"
-    require_result(target)
-    every = entries(found)
-    write_bundle(found, every, folder.resolve(), target)
+    with stored_values(folder):
+        found = case(folder, evidence or (), stated, "" if about is None else about.name)
+        target = out / f"credibility-{found.name}"
+        require_result(target)
+        every = entries(found)
+        write_bundle(found, every, folder.resolve(), target)
     if json:
         screen.show_json(as_json(found, every))
         return

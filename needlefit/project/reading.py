@@ -15,7 +15,7 @@ from io import BytesIO, TextIOWrapper
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from needlefit.errors import ConfigError, DataError
+from needlefit.errors import ConfigError, DataError, NeedlefitError
 
 MAX_CONFIG_BYTES = 8 * 2**20
 """Size of a TOML file."""
@@ -179,6 +179,32 @@ def parse_toml(text: str, where: str, error: Failure = ConfigError) -> dict[str,
         expected="TOML: key = value, texts in quotes",
         mend="correct the line named" if "line" in reason else "correct it",
     )
+
+
+@contextmanager
+def stored_values(where: Path | str) -> Iterator[None]:
+    """Turn what is raised where the values of a stored file are used into a DataError that names the file.
+
+    A file can hold what its declared form allows and its writer never wrote: an unknown word, a number that
+    overflows. Errors of needlefit, and of the system (a full disk), pass unchanged.
+
+    Raises
+    ------
+    DataError
+        For everything else; the first exception is its cause.
+    """
+    try:
+        yield
+    except (NeedlefitError, OSError):
+        raise
+    except Exception as fault:
+        raise DataError(
+            f"holds values that needlefit cannot use ({type(fault).__name__})",
+            where=str(where),
+            expected="the files of a run as needlefit wrote them",
+            mend="run it again, or take the files from a copy; if nobody changed them, this is an error of "
+            "needlefit: -v shows where",
+        ) from fault
 
 
 def unreadable(fault: OSError | ValueError, error: Failure, where: str) -> DataError | ConfigError:

@@ -1,18 +1,71 @@
-"""`run.json`: what a run was computed with."""
+"""`run.json`: what a run was computed with; and how a stored table is held against its declared form."""
 
 from pathlib import Path
 from typing import Any
 
+from pydantic import BaseModel, ValidationError
+
 from needlefit.errors import DataError
 from needlefit.project.reading import read_json
+from needlefit.project.records.stored import RunTable, StagesTable, TimingTable
 
-RUN_FILE = "run.json"
+RUN_FILE, TIMING_FILE = "run.json", "timing.json"
+
+MAX_RUN_BYTES = 32 * 2**20
+"""Size of a `run.json`; those of several studies together have some hundred kB."""
 
 
 def read_run(folder: Path) -> dict[str, Any]:
-    """Return what the run in a folder says of itself; DataError if its file is missing or damaged."""
+    """Return what the run in a folder was computed with: of one run, of several by name, or of stages.
+
+    Raises
+    ------
+    DataError
+        If its file is missing or damaged, or a value in it is of another type than needlefit writes.
+    """
     path = folder / RUN_FILE
-    table = read_json(path)
+    table = read_json(path, MAX_RUN_BYTES)
     if not isinstance(table, dict):
-        raise DataError("holds no table", where=str(path), mend="run it again")
+        raise DataError("holds no table", where=str(path), expected="a JSON object", mend="run it again")
+    if is_several(table):
+        for name, part in table.items():
+            require_form(part, RunTable, f"{path}, key {name}")
+    else:
+        require_form(table, StagesTable if "design" in table else RunTable, str(path))
     return table
+
+
+def read_timing(folder: Path) -> dict[str, Any]:
+    """Return times and durations of the run in a folder; empty if it has no `timing.json`.
+
+    Raises
+    ------
+    DataError
+        If the file is damaged.
+    """
+    path = folder / TIMING_FILE
+    if not path.is_file():
+        return {}
+    table = read_json(path, MAX_RUN_BYTES)
+    require_form(table, TimingTable, str(path))
+    return dict(table)
+
+
+def is_several(table: dict[str, Any]) -> bool:
+    """Return whether a `run.json` is that of several runs, by name: of a single one some values are words."""
+    return bool(table) and "design" not in table and all(isinstance(part, dict) for part in table.values())
+
+
+def require_form(table: object, form: type[BaseModel], where: str) -> None:
+    """Raise DataError, with the first key at fault, if a table read from a file has not its declared form."""
+    try:
+        form.model_validate(table)
+    except ValidationError as error:
+        fault = error.errors(include_url=False, include_input=False, include_context=False)[0]
+        key = ".".join(str(part) for part in fault["loc"][:6])
+        raise DataError(
+            f"is damaged: {fault['msg'][:200]}",
+            where=f"{where}, key `{key}`" if key else where,
+            expected="what needlefit wrote there",
+            mend="run it again, or take the file from a copy",
+        ) from None

@@ -9,12 +9,14 @@ import pandas as pd
 
 from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
 from needlefit.project.plain import plain
+from needlefit.project.records.stored import ForecastTable
+from needlefit.project.run_file import require_form
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.forecast import draw_forecast
 from needlefit.reporting.files import whole, write_json
 from needlefit.reporting.numbers import fixed
 from needlefit.validation.forecast import Forecast
-from needlefit.validation.packing import pack, packed, unpacked
+from needlefit.validation.packing import NAME, pack, packed, unpacked
 
 KIND = "forecast"
 """Of what a run stores."""
@@ -107,8 +109,9 @@ def write_foretold(foretold: Foretold, folder: Path) -> None:
         write_json(new / "run.json", foretold.run)
 
 
-def restored(table: Mapping[str, Any]) -> Foretold:
-    """Return what a run stored as `table`."""
+def restored(table: Mapping[str, Any], folder: Path) -> Foretold:
+    """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
+    require_form(table, ForecastTable, str(folder / NAME))
     return Foretold(table["title"], unpacked(table["table"]), table["run"])
 
 

@@ -8,14 +8,16 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.plain import plain
+from needlefit.project.records.stored import IdentificationTable
 from needlefit.project.result_warnings import KEY, ResultWarning, as_rows, warnings_of
+from needlefit.project.run_file import require_form
 from needlefit.reporting.figures.profiles import draw_profiles
 from needlefit.reporting.files import whole, write_csv, write_json
 from needlefit.reporting.identification_layout import directions_table, identification_table
 from needlefit.reporting.identification_said import design_said, verdict_said
 from needlefit.reporting.tables import records
 from needlefit.validation.identify import Identification
-from needlefit.validation.packing import pack, packed, unpacked
+from needlefit.validation.packing import NAME, pack, packed, unpacked
 from needlefit.validation.results import Results
 
 KIND = "identification"
@@ -77,8 +79,9 @@ def write_stages(written: Written, folder: Path) -> list[Path]:
     return sorted(folder.iterdir())
 
 
-def restored(table: Mapping[str, Any]) -> Written:
-    """Return what a run stored as `table`."""
+def restored(table: Mapping[str, Any], folder: Path) -> Written:
+    """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
+    require_form(table, IdentificationTable, str(folder / NAME))
     stages = {
         name: Stage(unpacked(stage["rows"]), unpacked(stage["profiles"]), stage["run"])
         for name, stage in table["stages"].items()

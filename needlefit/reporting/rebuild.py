@@ -7,8 +7,9 @@ from typing import Any
 
 from needlefit.errors import DataError
 from needlefit.project.places import PAPER_FITS, PAPER_STUDIES
+from needlefit.project.reading import stored_values
 from needlefit.project.records.study import StudyRecord
-from needlefit.project.run_file import read_run
+from needlefit.project.run_file import is_several, read_run
 from needlefit.reporting import forecast, identification
 from needlefit.reporting.calibration import write_calibration
 from needlefit.reporting.inquiries.write import write_answer
@@ -37,6 +38,11 @@ def rebuild(run: Path, folder: Path) -> Path:
     ConfigError
         If `folder` holds something that is no result.
     """
+    with stored_values(run):
+        return _again(run, folder)
+
+
+def _again(run: Path, folder: Path) -> Path:
     if _is_group(run):
         every = restored(run)
         results = [one for one in every if isinstance(one, Results)]
@@ -48,11 +54,10 @@ def rebuild(run: Path, folder: Path) -> Path:
     if is_answer(run):
         return write_answer(restore_answer(run), folder)
     table = unpack(run)
-    try:
-        again = _KINDS[table["kind"]]
-    except KeyError as error:
-        raise damaged(run / NAME, error) from None
-    again(table, run, folder)
+    kind = table.get("kind")
+    if not isinstance(kind, str) or kind not in _KINDS:
+        raise damaged(run / NAME, "it is of no kind of run that this version knows")
+    _KINDS[kind](table, run, folder)
     return folder
 
 
@@ -69,10 +74,12 @@ _KINDS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyType(
             calibration.restored_calibration(table, run), folder
         ),
         tracks.KIND: lambda table, run, folder: write_tracks(tracks.restored_tracks(table, run), folder),
-        identification.KIND: lambda table, _, folder: identification.write_stages(
-            identification.restored(table), folder
+        identification.KIND: lambda table, run, folder: identification.write_stages(
+            identification.restored(table, run), folder
         ),
-        forecast.KIND: lambda table, _, folder: forecast.write_foretold(forecast.restored(table), folder),
+        forecast.KIND: lambda table, run, folder: forecast.write_foretold(
+            forecast.restored(table, run), folder
+        ),
     }
 )
 """How each kind of run is written again, from the table that it stored."""
@@ -121,7 +128,7 @@ def _restored(run: Path) -> Results | Answer:
 def _parts(run: Path) -> dict[str, object]:
     """Return what was computed, by the name of its run, in the order of a report of several."""
     table = read_run(run)
-    if not all(isinstance(part, dict) for part in table.values()):  # of a single run some are words
+    if not is_several(table):
         return {}
     first = [name for name in (*PAPER_STUDIES, *PAPER_FITS) if name in table]
     return {name: table[name] for name in dict.fromkeys([*first, *table])}

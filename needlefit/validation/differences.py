@@ -16,14 +16,22 @@ import pandas as pd
 
 from needlefit.errors import DataError
 from needlefit.inference.parameters import in_logarithm
+from needlefit.project.reading import stored_values
 from needlefit.project.run_file import read_run
+from needlefit.validation.csv_tables import TableForm, read_table
 from needlefit.validation.difference import DRAWN, SHIFT, SLIGHT, Difference, changed
 from needlefit.validation.differences_beyond import beyond
 from needlefit.validation.inquiries.differences import answers_differ, asks
 
-_KEYS = ["fold", "role", "insertion", "rival", "boundaries"]
 _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "mean TE"}
 _FORETOLD = {"tip_crps_mm": "CRPS of the tip foretold", "shape_crps_mm": "CRPS of the shape foretold"}
+
+
+_PARAMETERS = TableForm(("fold", "parameter"), ("status",), ("value_used", "sd"), ("determined",))
+_SCORES = TableForm(("fold", "role", "insertion", "rival", "boundaries"), numbers=tuple(_ERRORS))
+_PREDICTIVE = TableForm(("fold", "insertion"), numbers=tuple(_FORETOLD))
+_TABLES = {"parameters": _PARAMETERS, "errors": _SCORES, "predictive": _PREDICTIVE}
+
 _STATES = (
     "interrupted",
     "budget_limited",
@@ -69,15 +77,18 @@ def differences(before: Path, after: Path) -> list[Difference]:
     Raises
     ------
     DataError
-        If a `run.json` is missing or damaged, or the runs are of different kinds.
+        If a `run.json` is missing, a file is damaged, or the runs are of different kinds.
     """
+    with stored_values(f"{before} or {after}"):
+        return _differences(before, after)
+
+
+def _differences(before: Path, after: Path) -> list[Difference]:
     runs = [_computed_with(folder) for folder in (before, after)]
     _require_alike(before, after, runs)
     if asks(runs[0]) is not None:
         return [*_inputs(*runs), *_states(*runs), *answers_differ(before, after)]
-    parameters, errors, foretold = (
-        (_table(before, name), _table(after, name)) for name in ("parameters", "errors", "predictive")
-    )
+    parameters, errors, foretold = ([_table(folder, one) for folder in (before, after)] for one in _TABLES)
     return [
         *_inputs(*runs),
         *_states(*runs),
@@ -90,7 +101,7 @@ def differences(before: Path, after: Path) -> list[Difference]:
 
 def _table(folder: Path, name: str) -> pd.DataFrame:
     path = folder / f"{name}.csv"
-    return pd.read_csv(path) if path.is_file() else pd.DataFrame()
+    return read_table(path, _TABLES[name]) if path.is_file() else pd.DataFrame()
 
 
 def _computed_with(folder: Path) -> dict[str, Any]:
@@ -151,8 +162,7 @@ def _states(before: Mapping[str, Any], after: Mapping[str, Any]) -> Iterator[Dif
 def _parameters(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     if before.empty or after.empty:
         return
-    keys = ["fold", "parameter"]
-    both = before.merge(after, on=keys, how="outer", suffixes=("_a", "_b"), sort=False)
+    both = before.merge(after, on=list(_PARAMETERS.keys), how="outer", suffixes=("_a", "_b"), sort=False)
     several = before["fold"].nunique() > 1
     for _, row in both.iterrows():
         name = f"{row['parameter']} ({row['fold']})" if several else str(row["parameter"])
@@ -187,7 +197,7 @@ def _errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     """Yield how mean errors changed on the insertions that both scored, by role and rival."""
     if before.empty or after.empty:
         return
-    both = before.merge(after, on=_KEYS, suffixes=("_a", "_b"), sort=False)
+    both = before.merge(after, on=list(_SCORES.keys), suffixes=("_a", "_b"), sort=False)
     for (role, rival, boundaries), rows in both.groupby(["role", "rival", "boundaries"], sort=False):
         for column, said in _ERRORS.items():
             yield from changed(f"{said}, {rival}, {role}, {boundaries} boundaries", rows, column)
@@ -200,6 +210,6 @@ def _errors(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
 def _foretold(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     if before.empty or after.empty:
         return
-    both = before.merge(after, on=["fold", "insertion"], suffixes=("_a", "_b"), sort=False)
+    both = before.merge(after, on=list(_PREDICTIVE.keys), suffixes=("_a", "_b"), sort=False)
     for column, said in _FORETOLD.items():
         yield from changed(said, both, column, DRAWN * float(both[f"{column}_a"].mean()))

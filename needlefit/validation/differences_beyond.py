@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pandas as pd
 
+from needlefit.validation.csv_tables import ANY, TableForm, read_table
 from needlefit.validation.difference import SHIFT, SLIGHT, Difference, changed
 
 APART = 0.1
@@ -17,17 +18,18 @@ NORMAL_95 = 2 * 1.959963984540054
 
 def beyond(before: Path, after: Path) -> Iterator[Difference]:
     """Yield the differences in tables that only such runs have, of those that are in both folders."""
-    for name, compare in _COMPARED.items():
+    for name, compared in _COMPARED.items():
         files = [folder / f"{name}.csv" for folder in (before, after)]
         if all(file.is_file() for file in files):
-            one, two = (pd.read_csv(file) for file in files)
+            form, compare = compared
+            one, two = (read_table(file, form) for file in files)
             yield from compare(one, two)
 
 
 def _identified(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     """Yield changed verdicts and deviations, by stage and parameter."""
     keys = [name for name in ("stage", "fold", "parameter") if name in before and name in after]
-    for _, row in before.merge(after, on=keys, suffixes=("_a", "_b"), sort=False).iterrows():
+    for _, row in before.merge(after, validate="1:1", on=keys, suffixes=("_a", "_b"), sort=False).iterrows():
         stage = f", {row['stage']}" if "stage" in keys else ""
         first, second = (_SAID[bool(row[f"determined_{run}"])] for run in "ab")
         if first != second:
@@ -70,7 +72,7 @@ def _covered(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     """Yield counts of a calibration that changed; it matters where one is now within chance, or out of it."""
     if "quantity" not in before or "quantity" not in after:  # of tip tracks, whose runs say it all
         return
-    both = before.merge(after, on=["quantity", "level"], suffixes=("_a", "_b"), sort=False)
+    both = before.merge(after, validate="1:1", on=["quantity", "level"], suffixes=("_a", "_b"), sort=False)
     for _, row in both.iterrows():
         counts = int(row["covered_a"]), int(row["covered_b"])
         matters = bool(row["passes_a"]) != bool(row["passes_b"])
@@ -82,15 +84,22 @@ def _covered(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
 
 def _tracks(before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:
     """Yield how errors of runs foretold changed, by role and rival."""
-    both = before.merge(after, on=["fit", "role", "run", "rival"], suffixes=("_a", "_b"), sort=False)
+    both = before.merge(
+        after, validate="1:1", on=["fit", "role", "run", "rival"], suffixes=("_a", "_b"), sort=False
+    )
     for (role, rival), rows in both.groupby(["role", "rival"], sort=False):
         for column, said in (("rms_mm", "error"), ("crps_mm", "CRPS"), ("aligned_rms_mm", "shape")):
             yield from changed(f"{said} of runs, {rival}, {role}", rows, column)
 
 
-_COMPARED: dict[str, Callable[[pd.DataFrame, pd.DataFrame], Iterator[Difference]]] = {
-    "identify": _identified,
-    "forecast": _forecast,
-    "coverage": _covered,
-    "runs": _tracks,
+_Compare = Callable[[pd.DataFrame, pd.DataFrame], Iterator[Difference]]
+_BAND = ("needle_median_mm", "needle_95_low_mm", "needle_95_high_mm")
+_RUNS = TableForm(("fit", "role", "run", "rival"), numbers=("rms_mm", "crps_mm", "aligned_rms_mm"))
+
+_COMPARED: dict[str, tuple[TableForm, _Compare]] = {
+    "identify": (TableForm(texts=("parameter",), numbers=("sd",), flags=("determined",)), _identified),
+    "forecast": (TableForm(numbers=_BAND), _forecast),
+    "coverage": (ANY, _covered),  # that of tip tracks has other columns
+    "runs": (_RUNS, _tracks),
 }
+"""What is read of each table, and what compares two of them."""

@@ -9,6 +9,7 @@ from needlefit.inference.sampling.posterior import load
 from needlefit.inference.starts import Watch
 from needlefit.inference.weighing.about_fit import by_importance
 from needlefit.project.plain import plain
+from needlefit.project.reading import stored_values
 from needlefit.project.run_file import read_run
 from needlefit.project.streams import stream
 from needlefit.validation.job import Job, Settings
@@ -36,7 +37,8 @@ def foreknown(job: Job, run: Path, settings: Settings, required: bool = False) -
     """
     if (run / POSTERIOR).is_file():
         require_same(job, run)
-        return from_posterior(load(run / POSTERIOR), job.parameters, DRAWS)
+        with stored_values(run / POSTERIOR):
+            return from_posterior(load(run / POSTERIOR), job.parameters, DRAWS)
     if required:
         raise ConfigError(
             f"holds no {POSTERIOR}",

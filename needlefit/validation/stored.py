@@ -4,7 +4,6 @@ The CSVs of a run are rounded and laid out for readers; this is what they were m
 stay in their own netCDF files beside it.
 """
 
-import json
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
@@ -14,9 +13,12 @@ import numpy as np
 
 from needlefit.inference.sampling.posterior import Posterior, load
 from needlefit.project.plain import plain
+from needlefit.project.reading import stored_values
 from needlefit.project.records.fit import FitRecord
+from needlefit.project.records.stored import ResultsTable
 from needlefit.project.records.study import StudyRecord
-from needlefit.validation.packing import NAME, damaged, pack, packed, unpack, unpacked
+from needlefit.project.run_file import read_timing, require_form
+from needlefit.validation.packing import NAME, pack, packed, unpack, unpacked
 from needlefit.validation.placed import Band, PlacedNeedle
 from needlefit.validation.results import COLUMNS, Results
 
@@ -50,20 +52,18 @@ def restore(folder: Path) -> Results:
         If it holds none, or what it holds is damaged or of another version.
     """
     table = unpack(folder)
-    try:
+    require_form(table, ResultsTable, str(folder / NAME))
+    with stored_values(folder / NAME):
         return _restored(table, folder)
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise damaged(folder / NAME, error) from None
 
 
 def _restored(table: Mapping[str, Any], folder: Path) -> Results:
-    timing = folder / "timing.json"
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
     frames: dict[str, Any] = {key: unpacked(table["frames"][key]) for key in COLUMNS}
     kind = StudyRecord if table["kind"] == "study" else FitRecord
     return Results(
         record=kind.model_validate(table["record"]),
-        timing=json.loads(timing.read_text(encoding="utf-8")) if timing.is_file() else {},
+        timing=read_timing(folder),
         posteriors=_posteriors(table["posteriors"], folder),
         needles={row["insertion"]: _needle(row) for row in table["needles"]},
         **about,

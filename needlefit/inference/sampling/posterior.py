@@ -1,5 +1,6 @@
 """The posterior: draws, what they say, and their file (netCDF in the InferenceData layout)."""
 
+import hashlib
 import json
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.convergence import Convergence
+from needlefit.project.reading import opened
 
 if TYPE_CHECKING:
     import xarray
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
+MAX_POSTERIOR_BYTES = 4 * 2**30
+"""Size of a file of draws; those of the paper's studies have some MB."""
+
 ENGINE: Literal["h5netcdf"] = "h5netcdf"
 
 
@@ -105,22 +110,76 @@ def save(posterior: Posterior, path: Path) -> None:
 
 
 def load(path: Path) -> Posterior:
-    """Read what `save` wrote; DataError if the file is no posterior."""
+    """Read what `save` wrote; DataError if the file is no posterior, or is damaged."""
     import xarray
 
+    with opened(path, MAX_POSTERIOR_BYTES):
+        pass
     try:
+        _require_held(path)
         with (
             xarray.open_dataset(path, group="posterior", engine=ENGINE) as draws,
             xarray.open_dataset(path, group="sample_stats", engine=ENGINE) as stats,
             xarray.open_dataset(path, group="convergence", engine=ENGINE) as found,
         ):
-            return _read(draws, stats, found)
-    except (OSError, KeyError, ValueError) as error:
-        raise DataError(
-            f"is no posterior of needlefit: {error}",
-            where=str(path),
-            mend="write it again with `needlefit tune TARGET --sample`",
-        ) from None
+            posterior = _read(draws, stats, found)
+            digest = draws.attrs.get("sha256")  # files from before have none
+    except Exception as error:  # of a damaged file HDF5 and xarray raise any type, RuntimeError among them
+        raise _unusable(path, f"is no posterior of needlefit ({type(error).__name__})") from error
+    if not _alike(posterior):
+        raise _unusable(path, "its arrays do not fit together")
+    if digest is not None and digest != _digest(posterior):
+        raise _unusable(path, "its content was changed: the digest does not match")
+    return posterior
+
+
+def _unusable(path: Path, what: str) -> DataError:
+    return DataError(
+        what,
+        where=str(path),
+        expected="the file as `needlefit tune TARGET --sample` wrote it",
+        mend="sample again with --sample, or take the file from a copy",
+    )
+
+
+def _require_held(path: Path) -> None:
+    """Raise ValueError if a file states more numbers than it has bytes: HDF5 would make them all up."""
+    import h5py
+
+    with h5py.File(path, "r") as file:
+        stated = list[int]()
+        file.visititems(lambda _, one: stated.append(one.nbytes) if isinstance(one, h5py.Dataset) else None)
+    if sum(stated) > path.stat().st_size:
+        raise ValueError("more numbers are stated than the file holds")
+
+
+def _alike(of: Posterior) -> bool:
+    """Return whether all arrays are of the same ensembles, draws, parameters and quantities."""
+    ensembles, quantities = len(of.acceptance), len(of.convergence.quantities)
+    numbers = (of.draws, of.log_posterior, of.acceptance, of.convergence.r_hat)
+    return (
+        ensembles > 0
+        and 0 < len(of.names) <= quantities
+        and of.log_posterior.shape == of.draws.shape[:2] == (ensembles, of.draws.shape[1])
+        and 0 < of.walkers <= of.draws.shape[1]
+        and of.acceptance.ndim == 1
+        and of.convergence.r_hat.shape == (quantities,)
+        and all(
+            getattr(of.convergence, field).shape == (ensembles, quantities) for field in _PER_CHAIN.values()
+        )
+        and all(array.dtype == np.float64 for array in numbers)
+        and bool(np.isfinite(of.draws).all())
+    )
+
+
+def _digest(of: Posterior) -> str:
+    """Return the SHA-256 of all that a posterior holds."""
+    rule = of.convergence
+    about = [of.names, of.walkers, of.moves, of.burn_in, of.failures, int(of.interrupted), of.failed]
+    found = hashlib.sha256(json.dumps([*about, rule.quantities, rule.steps, of.draws.shape]).encode("utf-8"))
+    for array in (of.draws, of.log_posterior, of.acceptance, rule.r_hat, rule.tau, rule.bulk, rule.tail):
+        found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
+    return found.hexdigest()
 
 
 def _datasets(of: Posterior) -> "dict[str, xarray.Dataset]":
@@ -157,6 +216,7 @@ def _attributes(of: Posterior) -> dict[str, str | int]:
         "failed_theta": json.dumps(of.failed),
         "interrupted": int(of.interrupted),
         "converged": int(of.converged),
+        "sha256": _digest(of),
     }
 
 

@@ -1,13 +1,14 @@
 """A calibration as one file, from which its tables, figure and report are made again."""
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from needlefit.project.plain import plain
+from needlefit.project.records.stored import CalibrationTable
+from needlefit.project.run_file import read_timing, require_form
 from needlefit.validation.calibration.run import Calibration
-from needlefit.validation.packing import pack, packed, unpacked
+from needlefit.validation.packing import NAME, pack, packed, unpacked
 
 KIND = "calibration"
 
@@ -26,8 +27,8 @@ def store_calibration(found: Calibration, folder: Path) -> Path:
 
 def restored_calibration(table: Mapping[str, Any], folder: Path) -> Calibration:
     """Return the calibration that a run stored as `table` in `folder`."""
-    timing = folder / "timing.json"
-    seconds = json.loads(timing.read_text(encoding="utf-8"))["seconds"] if timing.is_file() else 0.0
+    require_form(table, CalibrationTable, str(folder / NAME))
+    seconds = read_timing(folder).get("seconds", 0.0)
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
     about |= {key: tuple(table[key]) for key in _TUPLES}
     about |= {key: unpacked(table["frames"][key]) for key in _FRAMES}

@@ -1,6 +1,5 @@
 """What other commands left beside a run, or in folders that were named."""
 
-import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -8,9 +7,11 @@ from typing import Any
 import pandas as pd
 
 from needlefit.errors import DataError
+from needlefit.project.files import sha256
 from needlefit.project.run_file import RUN_FILE, read_run
 from needlefit.validation.credibility.evidence import FIGURES, TABLES, Evidence, Kind
 from needlefit.validation.credibility.sameness import identity, of_versions, unlike
+from needlefit.validation.csv_tables import read_table
 
 Runs = Mapping[str, Mapping[str, Any]]
 """`run.json` of each study or fit by its name, `-tune` left off."""
@@ -79,7 +80,7 @@ def _looked_at(
 ) -> Iterator[Evidence]:
     tables, lacking = _tables(folder, kind)
     drawn = [name for name in (FIGURES.get(kind, ""),) if name and (folder / name).is_file()]
-    digests = {name: _digest(folder / name) for name in (RUN_FILE, *tables, *drawn)}
+    digests = {name: sha256(folder / name) for name in (RUN_FILE, *tables, *drawn)}
     for of, objections in _objections(kind, table, runs, named):
         yield Evidence(kind, folder, of, table, tables, (*lacking, *objections), digests)
 
@@ -103,7 +104,8 @@ def _objections(
 
 def _targets(kind: Kind, table: Mapping[str, Any]) -> list[str]:
     if kind == "sensitivity":
-        return [*table["study"].get("studies", ()), *table["study"].get("fits", ())]
+        named = [*table["study"].get("studies", ()), *table["study"].get("fits", ())]
+        return [name for name in named if isinstance(name, str)]
     return [str(_work(kind, table)["name"]).removeprefix("identify-")]
 
 
@@ -130,11 +132,11 @@ def _tables(folder: Path, kind: Kind) -> tuple[dict[str, pd.DataFrame], list[str
         if not (folder / name).is_file():
             lacking.append(f"{name} is missing")
             continue
-        found[name] = pd.read_csv(folder / name)
+        try:
+            found[name] = read_table(folder / name)
+        except DataError as error:
+            lacking.append(f"{name} cannot be used: {error.what}")
+            continue
         without = [column for column in columns if column not in found[name]]
         lacking += [f"{name} lacks {', '.join(without)}"] if without else []
     return found, lacking
-
-
-def _digest(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from needlefit.validation.csv_tables import read_table
 from needlefit.validation.difference import SLIGHT, VISIBLE, Difference, changed
 from needlefit.validation.inquiries.kinds import KINDS
 
@@ -21,14 +22,14 @@ def answers_differ(before: Path, after: Path) -> Iterator[Difference]:
     """
     for path in sorted(before.glob("*.csv")):
         if (after / path.name).is_file():
-            yield from _table(path.stem, pd.read_csv(path), pd.read_csv(after / path.name))
+            yield from _table(path.stem, read_table(path), read_table(after / path.name))
 
 
 def asks(run: Mapping[str, Any]) -> str | None:
     """Return the kind of inquiry that a run answers, or None if it is no answer."""
     study = run.get("study")
     kind = study.get("kind") if isinstance(study, dict) else None
-    return kind if kind in KINDS else None
+    return kind if isinstance(kind, str) and kind in KINDS else None
 
 
 def _table(name: str, before: pd.DataFrame, after: pd.DataFrame) -> Iterator[Difference]:

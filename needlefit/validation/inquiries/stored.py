@@ -1,13 +1,15 @@
 """An answer as one file, from which its tables, figures and report are made again."""
 
-import json
 from pathlib import Path
 from typing import Any
 
 from needlefit.project.plain import plain
+from needlefit.project.reading import stored_values
+from needlefit.project.records.stored import AnswerTable
+from needlefit.project.run_file import read_timing, require_form
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.kinds import KINDS
-from needlefit.validation.packing import NAME, damaged, pack, packed, unpack, unpacked
+from needlefit.validation.packing import NAME, pack, packed, unpack, unpacked
 
 _PLAIN = ("name", "origin", "dataset_title", "interrupted", "faults", "run")
 
@@ -25,24 +27,22 @@ def store_answer(answer: Answer, folder: Path) -> Path:
 
 def is_answer(folder: Path) -> bool:
     """Return whether what a run left in `folder` is an answer."""
-    return (folder / NAME).is_file() and unpack(folder).get("kind") in KINDS
+    return (folder / NAME).is_file() and str(unpack(folder).get("kind")) in KINDS
 
 
 def restore_answer(folder: Path) -> Answer:
     """Return the answer that a run left in `folder`; DataError if it holds none, or a damaged one."""
     table = unpack(folder)
-    try:
+    require_form(table, AnswerTable, str(folder / NAME))
+    with stored_values(folder / NAME):
         return _restored(table, folder)
-    except (OSError, KeyError, TypeError, ValueError) as error:
-        raise damaged(folder / NAME, error) from None
 
 
 def _restored(table: dict[str, Any], folder: Path) -> Answer:
-    timing = folder / "timing.json"
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
     return Answer(
         record=KINDS[table["kind"]].record.model_validate(table["record"]),
         frames={name: unpacked(frame) for name, frame in table["frames"].items()},
-        timing=json.loads(timing.read_text(encoding="utf-8")) if timing.is_file() else {},
+        timing=read_timing(folder),
         **{**about, "faults": tuple(about["faults"])},
     )

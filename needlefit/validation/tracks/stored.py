@@ -3,15 +3,16 @@
 Draws of its posteriors stay in their own netCDF files beside it.
 """
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from needlefit.inference.sampling.posterior import load
 from needlefit.project.plain import plain
+from needlefit.project.records.stored import TracksTable
 from needlefit.project.records.track_study import TrackStudyRecord
-from needlefit.validation.packing import pack, packed, unpacked
+from needlefit.project.run_file import read_timing, require_form
+from needlefit.validation.packing import NAME, pack, packed, unpacked
 from needlefit.validation.tracks.results import TrackResults
 
 KIND = "tracks"
@@ -38,13 +39,13 @@ def store_tracks(results: TrackResults, folder: Path) -> Path:
 
 def restored_tracks(table: Mapping[str, Any], folder: Path) -> TrackResults:
     """Return the results that a run stored as `table` in `folder`."""
-    timing = folder / "timing.json"
+    require_form(table, TracksTable, str(folder / NAME))
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
     about |= {key: tuple(table[key]) for key in _TUPLES}
     about |= {key: unpacked(table["frames"][key]) for key in _FRAMES}
     return TrackResults(
         record=TrackStudyRecord.model_validate(table["record"]),
-        timing=json.loads(timing.read_text(encoding="utf-8")) if timing.is_file() else {},
+        timing=read_timing(folder),
         posteriors={fit: load(folder / posterior_file(fit)) for fit in table["posteriors"]},
         **about,
     )

@@ -13,6 +13,7 @@ from needlefit.datasets.read import read
 from needlefit.errors import DataError
 from needlefit.inference.as_scene import layers_met
 from needlefit.project.places import find
+from needlefit.project.reading import stored_values
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.subjects import Named
 from needlefit.validation.packing import unpack
@@ -41,6 +42,11 @@ def open_run(named: Named) -> Subject:
     ConfigError
         If it has no such insertion; the nearest are listed.
     """
+    with stored_values(named.path):
+        return _opened(named)
+
+
+def _opened(named: Named) -> Subject:
     _require_fit(named.path)
     results = restore(named.path)
     dataset = _unchanged(results, named.path)

@@ -1,0 +1,204 @@
+"""What needlefit's own files hold, checked whenever they are read again: `run.json` and stored results.
+
+Only what later commands use is declared; other keys may stand beside it. Every key of a `run.json` is
+optional, since each command writes its own.
+"""
+
+from typing import Annotated, Any, Literal, Self
+
+from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+
+PlainName = Annotated[str, StringConstraints(pattern=r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,199}$")]
+"""A name that becomes the name of a file or folder: no path, no dot first, no control characters."""
+
+ColumnType = Annotated[
+    str, StringConstraints(pattern=r"^(u?int(8|16|32|64)|float(32|64)|bool|str|string|object)$")
+]
+_SCALARS: frozenset[type] = frozenset({str, int, float, bool, type(None)})
+_CELLS: dict[str, frozenset[type]] = {
+    "bool": frozenset({bool}),
+    "str": frozenset({str, float, type(None)}),
+}
+"""Types of JSON that a column may hold; pandas would take any for them. A missing text is NaN or None."""
+
+Cell = str | int | float | bool | None
+Point = Annotated[list[float], Field(min_length=3, max_length=3)]
+
+
+class _Stored(BaseModel):
+    model_config = ConfigDict(strict=True, extra="ignore", frozen=True, protected_namespaces=())
+
+
+class _Dataset(_Stored):
+    name: str = ""
+    origin: str = ""
+    sha256: str = ""
+    needle: dict[str, Cell] | None = None
+    notes: list[str] = []
+
+
+class _Fold(_Stored):
+    name: str
+    tune: list[str]
+    validate_: list[str] = Field(default=[], alias="validate")
+
+
+class _Study(_Stored):
+    """What a run was asked for, as far as others look for it by that."""
+
+    kind: str | None = None
+    studies: list[str] = []
+    fits: list[str] | list[dict[str, Any]] = []
+
+
+class RunTable(_Stored):
+    """The `run.json` of one run: what it was computed with."""
+
+    name: str = ""
+    versions: dict[str, str] = {}
+    dataset: _Dataset | None = None
+    datasets: dict[str, _Dataset] = {}
+    study: _Study | None = None
+    medium: dict[str, Any] | None = None
+    recipe: dict[str, Any] | None = None
+    folds: list[_Fold] = []
+    rules: dict[str, Cell] = {}
+    search_faults: dict[str, list[str]] = {}
+    faults: list[str] = []
+    parts: list["RunTable"] = []
+    replicates: int = 0
+    not_calibrated: list[str] = []
+    control: str | None = None
+
+
+class TimingTable(_Stored):
+    """The `timing.json` of one run."""
+
+    seconds: float = Field(default=0.0, ge=0)
+    jobs: int = 1
+
+
+class StagesTable(_Stored):
+    """The `run.json` of an identification: a run for each of its stages."""
+
+    design: RunTable
+    fit: RunTable | None = None
+
+
+class FrameTable(_Stored):
+    """A frame: the type and the cells of each column."""
+
+    types: dict[str, ColumnType]
+    columns: dict[str, list[Any]]
+
+    @model_validator(mode="after")
+    def _rectangular(self) -> Self:
+        if self.types.keys() != self.columns.keys():
+            raise ValueError("types and columns are not of the same names")
+        if len({len(cells) for cells in self.columns.values()}) > 1:
+            raise ValueError("columns are of different lengths")
+        for name, cells in self.columns.items():
+            found = {type(cell) for cell in cells}
+            if not found <= _CELLS.get(self.types[name], _SCALARS):
+                raise ValueError(f"a cell of column {name} is not of its type, {self.types[name]}")
+        return self
+
+
+class _Band(_Stored):
+    low: list[Point]
+    middle: list[Point]
+    high: list[Point]
+    source: Literal["posterior", "linear"]
+    converged: bool
+
+    @model_validator(mode="after")
+    def _alike(self) -> Self:
+        if not len(self.low) == len(self.middle) == len(self.high) > 1:
+            raise ValueError("low, middle and high are of different lengths, or have no two points")
+        return self
+
+
+class _Needle(_Stored):
+    insertion: PlainName
+    fold: str
+    role: Literal["tune", "validate"]
+    measured: list[Point] = Field(min_length=2)
+    toward: Point
+    diameter: float
+    fitted: list[Point] | None
+    band: _Band | None
+
+
+class _Results(_Stored):
+    """What results of every kind have in common."""
+
+    name: PlainName
+    origin: Literal["measured", "synthetic"]
+    dataset_title: str
+    interrupted: bool
+    run: RunTable
+    frames: dict[PlainName, FrameTable]
+
+
+class ResultsTable(_Results):
+    """Stored results of a study or fit."""
+
+    kind: Literal["study", "fit"]
+    record: dict[str, Any]
+    title: str
+    question: str
+    needles: list[_Needle]
+    posteriors: list[str]
+
+
+class AnswerTable(_Results):
+    """Stored results of a study of another kind."""
+
+    kind: str
+    record: dict[str, Any]
+    faults: list[str]
+
+
+class TracksTable(_Results):
+    """Stored results of a study of tip tracks."""
+
+    kind: Literal["tracks"]
+    record: dict[str, Any]
+    notes: list[str]
+    remarks: list[str]
+    posteriors: list[PlainName]
+
+
+class CalibrationTable(_Results):
+    """Stored results of a calibration."""
+
+    kind: Literal["calibration"]
+    title: str
+    control: str | None
+    sampled: bool
+    insertions: list[str]
+    depths: list[float]
+
+
+class _Stage(_Stored):
+    rows: FrameTable
+    profiles: FrameTable
+    run: RunTable
+
+
+class IdentificationTable(_Stored):
+    """Stored results of an identification, by stage."""
+
+    kind: Literal["identification"]
+    origin: Literal["measured", "synthetic"]
+    stages: dict[Literal["design", "fit"], _Stage] = Field(min_length=1)
+    directions: FrameTable
+
+
+class ForecastTable(_Stored):
+    """A stored prediction."""
+
+    kind: Literal["forecast"]
+    title: str
+    table: FrameTable
+    run: RunTable
