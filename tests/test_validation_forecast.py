@@ -138,7 +138,7 @@ def test_a_posterior_of_other_data_is_refused(job, tmp_path):
     with pytest.raises(ConfigError, match="another likelihood"):
         require_same(replace(job, recipe=other), tmp_path)
     (tmp_path / "run.json").write_text("{")
-    with pytest.raises(DataError, match="cannot be read"):
+    with pytest.raises(DataError):
         require_same(job, tmp_path)
 
 

@@ -51,6 +51,15 @@ class _Study(_Stored):
     fits: list[str] | list[dict[str, Any]] = []
 
 
+class _Warning(_Stored):
+    model_config = ConfigDict(extra="forbid")
+
+    kind: str
+    what: str
+    where: str = ""
+    fix: str = ""
+
+
 class RunTable(_Stored):
     """The `run.json` of one run: what it was computed with."""
 
@@ -65,6 +74,7 @@ class RunTable(_Stored):
     rules: dict[str, Cell] = {}
     search_faults: dict[str, list[str]] = {}
     faults: list[str] = []
+    warnings: list[_Warning] = []
     parts: list["RunTable"] = []
     replicates: int = 0
     not_calibrated: list[str] = []
