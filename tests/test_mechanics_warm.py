@@ -1,15 +1,22 @@
-"""Compiling ahead: what runs afterwards is the same function in every process."""
+"""Compiling ahead: once, by one of the processes that begin at the same time."""
 
+import fcntl
+import subprocess
 import sys
+import time
+
+import pytest
 
 from needlefit.mechanics import warm as module
-from needlefit.mechanics.kernel import compiled
+from needlefit.mechanics.kernel.cache import folder, is_complete
 from needlefit.mechanics.warm import ROOMS, insert, warm
 
 
 def test_every_room_is_compiled_by_now_and_inserting_compiles_nothing_else():
-    assert all(compiled(room) for room in ROOMS)
+    assert all(is_complete(room) for room in ROOMS)
+    kept = set(folder().path.iterdir())
     insert(list(ROOMS))
+    assert set(folder().path.iterdir()) == kept
 
 
 def test_what_is_compiled_is_not_compiled_again(monkeypatch):
@@ -21,7 +28,7 @@ def test_what_is_compiled_is_not_compiled_again(monkeypatch):
 
 def test_another_process_compiles_what_is_missing(monkeypatch):
     asked = []
-    monkeypatch.setattr(module, "compiled", lambda room: room != "lanes")
+    monkeypatch.setattr(module, "is_complete", lambda room: room != "lanes")
     monkeypatch.setattr(module.subprocess, "run", lambda words, **options: asked.append(words))
     warm(*ROOMS)
     ((python, flag, program),) = asked
@@ -29,3 +36,36 @@ def test_another_process_compiles_what_is_missing(monkeypatch):
     monkeypatch.setattr(module, "insert", asked.append)
     exec(program)
     assert asked[1:] == [["lanes"]]
+
+
+WAIT = """
+import sys, time
+from pathlib import Path
+from needlefit.mechanics import warm
+with warm._alone(Path(sys.argv[1])):
+    print("held", flush=True)
+    time.sleep(60)
+"""
+
+
+def test_the_lock_goes_with_a_process_that_is_killed(tmp_path):
+    holder = subprocess.Popen(
+        [sys.executable, "-c", WAIT, str(tmp_path / "lock")], stdout=subprocess.PIPE, text=True
+    )
+    with holder:
+        assert holder.stdout is not None and holder.stdout.readline() == "held\n"
+        with (tmp_path / "lock").open("w") as file, pytest.raises(BlockingIOError):
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        holder.kill()
+        holder.wait()
+        begin = time.monotonic()
+        with module._alone(tmp_path / "lock"):
+            assert time.monotonic() - begin < 10
+
+
+def test_a_lock_that_cannot_be_had_keeps_nobody_waiting(tmp_path, monkeypatch):
+    monkeypatch.setattr(module, "WAIT_S", 0.3)
+    with module._alone(tmp_path / "lock"), module._alone(tmp_path / "lock"):
+        pass
+    with module._alone(tmp_path / "missing" / "lock"):
+        pass

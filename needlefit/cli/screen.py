@@ -24,13 +24,15 @@ def note(text: str) -> None:
 
 def compile_ahead(*rooms: str, quiet: bool = False) -> None:
     """Compile the model, or further rooms of its kernel, where they are not; say so, as it takes a while."""
-    from needlefit.mechanics.kernel import compiled
+    from needlefit.mechanics.kernel.cache import VARIABLE, folder, is_complete
 
     wanted = ("kernel", *rooms)
-    if all(compiled(room) for room in wanted):
+    if all(is_complete(room) for room in wanted):
         return
     if not quiet:
-        note("needlefit: compiling the model; this happens once and takes some seconds")
+        why = folder().why_temporary
+        once = f"in every run: {why}; set {VARIABLE} to another folder" if why else "once"
+        note(f"needlefit: compiling the model; this takes some seconds, {once}")
     from needlefit.mechanics.warm import warm
 
     warm(*wanted)

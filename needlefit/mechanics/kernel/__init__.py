@@ -4,43 +4,29 @@
 `foundation` evaluates the tissue's law; `positions` lays the beam in the plane. `lanes/` does the same for
 many parameter sets at once, `sensitivity/` adds exact derivatives.
 
-Numba keeps compiled functions on disk and tells whether one is stale by the file that it stands in alone,
-not by the files that it calls. Kept in a folder named after all sources of this package, no stale one is
-ever run, whichever file changed and whatever time an installer gave it.
+A function with `fastmath` lets the compiler fuse or reorder its sums, so its last digits depend on what it
+is compiled together with. A function that is called by another is compiled more than once (alone, and within
+each caller), and which copy runs depends on what else this process has compiled or loaded. All functions with
+`fastmath`, and all that call them, are therefore `forceinline`, up to those that Python calls: each of these
+holds all of its sums, and is the same function in the process that compiled it and in those that load it from
+the disk, in any order. Without `fastmath` the compiler changes no digit.
 """
 
-import hashlib
 import importlib
-import os
 import pkgutil
-from pathlib import Path
 from typing import Any
 
 import numba
+from numba.core.caching import FunctionCache
 
-
-def _cache_folder() -> Path:
-    """Return the folder of the compiled functions of exactly these sources."""
-    here = Path(__file__).parent
-    sources = b"".join(path.name.encode() + path.read_bytes() for path in sorted(here.rglob("*.py")))
-    caches = os.environ.get("NUMBA_CACHE_DIR") or Path(
-        os.environ.get("XDG_CACHE_HOME") or "~/.cache", "needlefit"
-    )
-    return Path(caches).expanduser() / hashlib.sha256(sources).hexdigest()[:16]
-
-
-_folder = _cache_folder()
-
-
-def compiled(room: str) -> bool:
-    """Return whether what moves a needle in a room (kernel, lanes, sensitivity) stands compiled on disk."""
-    return any(_folder.glob(f"{room}_*/insertion.advance*.nbi"))
-
+from needlefit.mechanics.kernel.cache import Cache, folder
 
 _config: Any = numba.config  # a module that makes its attributes at run time
-_before, _config.CACHE_DIR = _config.CACHE_DIR, str(_folder)
+_before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder().path)
 try:  # numba reads the setting when a function is declared
-    for _module in pkgutil.walk_packages(__path__, f"{__name__}."):
-        importlib.import_module(_module.name)
+    for _found in pkgutil.walk_packages(__path__, f"{__name__}."):
+        for _name, _value in vars(importlib.import_module(_found.name)).items():
+            if type(getattr(_value, "_cache", None)) is FunctionCache:
+                _value._cache = Cache(_value._cache, f"{_value.py_func.__module__}.{_name}")
 finally:
     _config.CACHE_DIR = _before

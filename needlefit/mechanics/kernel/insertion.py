@@ -98,7 +98,7 @@ def begin(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def advance(
     insertion: Insertion, foundation: Foundation, holds: Holds, stops: Stops, newton: Newton
 ) -> tuple[int, int, int]:

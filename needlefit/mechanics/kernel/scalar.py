@@ -45,7 +45,7 @@ class Newton(NamedTuple):
     max_iterations: int
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def equilibrate(
     state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, newton: Newton,
     trial: Floats, factor: Floats,
@@ -108,7 +108,7 @@ def copy(into: Floats, state: Floats) -> None:
         into[i, 0], into[i, 1] = state[i, 0], state[i, 1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def sweep(
     state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, factor: Floats,
     keep: Floats | None = None,

@@ -120,7 +120,7 @@ def _place(lanes: Lanes, inputs: LaneInputs, stops: Stops, s: int, tangent: floa
             y[l] = row[l] + ahead * (row[W + l] + row[2 * W + l])
 
 
-@njit(cache=True, nogil=True)
+@njit(cache=True, nogil=True, forceinline=True)
 def _carry(lanes: Lanes, grid: Grid, last: int, on_main: bool) -> None:
     """Guess the next stop from the last two, or, where there are none, from the shape as it is."""
     size, now = last + 1, lanes.size[3]

@@ -64,7 +64,7 @@ class Room(NamedTuple):
     entry: Floats  # (SUMS W,) of element 0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def equilibrate_lanes(
     state: Floats, y: Floats, at: Ints, passes: Ints, inputs: LaneInputs, grid: Grid, tables: Tables,
     last: int, ends: Floats, room: Room, newton: Newton,
@@ -119,7 +119,7 @@ def equilibrate_lanes(
             at[l] = LEFT
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _enter(
     grid: Grid, tables: Tables, inputs: LaneInputs, y: Floats, state: Floats, ends: Floats, room: Room,
     full: bool,
@@ -148,7 +148,7 @@ def _enter(
         excess[l] = sums[14 * W + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _eliminate(
     grid: Grid, tables: Tables, inputs: LaneInputs, y: Floats, state: Floats, last: int, room: Room,
     full: bool,
@@ -182,7 +182,7 @@ def _eliminate(
         last_chord(work, U(last + 1) * NODE)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _interval(
     grid: Grid, tables: Tables, inputs: LaneInputs, y: Floats, state: Floats, node: np.uint64, q: int,
     tangents: Floats, sums: Floats, full: bool,

@@ -68,7 +68,7 @@ def _eliminate(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def full_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
     table: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset,
@@ -144,7 +144,7 @@ def full_regular(
         work[own + R + l], work[own + R + W1 + l] = out[12], out[13]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def chord_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
     table: Floats, row: Offset, work: Floats, own: Offset,
@@ -200,7 +200,7 @@ def chord_regular(
         work[own + R + W1 + l] = f3 - g01 * f0 - g11 * f1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def full_interval(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, layer: Offset,
     table: Floats, row: Offset, tangents: Floats, kept: Offset, sums: Floats,
@@ -243,7 +243,7 @@ def full_interval(
         sums[W14 + l] = max(sums[W14 + l], max(s0, s1) - layers[layer + W6 + l])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def chord_interval(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, layer: Offset,
     table: Floats, row: Offset, tangents: Floats, kept: Offset, sums: Floats,
@@ -271,7 +271,7 @@ def chord_interval(
         sums[W14 + l] = max(sums[W14 + l], max(s0, s1) - layers[layer + W6 + l])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def full_sums(
     sums: Floats, bending: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset
 ) -> None:
@@ -303,7 +303,7 @@ def full_sums(
         work[own + R + l], work[own + R + W1 + l] = out[12], out[13]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def chord_sums(sums: Floats, work: Floats, own: Offset) -> None:
     """Hand on the right-hand side of an element whose intervals stand in `sums`."""
     before = own - NODE
@@ -317,7 +317,7 @@ def chord_sums(sums: Floats, work: Floats, own: Offset) -> None:
         work[own + R + W1 + l] = sums[W13 + l] - work[own + W1 + l] * f0 - work[own + W3 + l] * f1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def last_node(work: Floats, own: Offset) -> None:
     """Solve for the tip's node; S^-1 is kept for the half pass."""
     before = own - NODE
@@ -332,7 +332,7 @@ def last_node(work: Floats, own: Offset) -> None:
         work[own + EXCESS + l] = work[before + EXCESS + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def last_chord(work: Floats, own: Offset) -> None:
     """Solve for the tip's node with the S^-1 of the last full pass."""
     before = own - NODE
@@ -344,7 +344,7 @@ def last_chord(work: Floats, own: Offset) -> None:
         work[own + EXCESS + l] = work[before + EXCESS + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def back_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
     """Take over the tip's solution in the lanes that are at work.
 
@@ -357,7 +357,7 @@ def back_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floa
         state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
     """Substitute back to a node from the one after it."""
     for l in range(W1):
@@ -370,7 +370,7 @@ def back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) 
         state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
 def foresee(new: Floats, node: Floats, last: Floats, older: Floats) -> None:
     """Move a node (2 LANES,) as another, or it, moved from `older` to `last`; `new` may be `older`."""
     for l in range(2 * LANES):

@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def solve_rows(kind: Ints, end: int, factor: Floats, rows: Floats, held: Floats) -> None:
     """Solve K^T lam = load from tip to base, for a load on the tip's deflection and one on its slope.
 
@@ -37,7 +37,7 @@ def solve_rows(kind: Ints, end: int, factor: Floats, rows: Floats, held: Floats)
             b0, b1 = -(k20 * v0 + k30 * v1), -(k21 * v0 + k31 * v1)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def bend(points: Floats, foundation: Foundation, trend: Trend, grid: Grid, last: int) -> None:
     """Put weight times dk/dalpha e of each quadrature point into the last column of `points`."""
     weight, layer, limit, series = grid.weight, grid.layer, trend.limit, trend.series
@@ -53,7 +53,7 @@ def bend(points: Floats, foundation: Foundation, trend: Trend, grid: Grid, last:
         points[q, 3] = weight[q] * slope * away
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def gather(
     rows: Floats, points: Floats, by_constraint: Floats, by_layer: Floats, foundation: Foundation,
     grid: Grid, state: Floats, before: int, last: int, cell: int, rough: bool,
@@ -106,7 +106,7 @@ def gather(
             by_layer[here, 1, 2] += rub_v
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def carry_over(tip: Floats, pull: Floats, constraints: Floats, cell: int, columns: int) -> None:
     """Put what the constraint points' own derivatives do to the tip into `tip` (2, P)."""
     for p in range(columns):

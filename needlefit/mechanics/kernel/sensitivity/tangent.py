@@ -13,7 +13,7 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def differentiate_all(
     whole: Floats, room: Room, spots: int, foundation: Foundation, grid: Grid, chain: Chain, state: Floats,
     constraints: Floats, columns: Columns, last: int,
@@ -34,7 +34,7 @@ def differentiate_all(
     _solve(whole, room.factor, kind, end + 1, columns.total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def _load(
     whole: Floats, points: Floats, foundation: Foundation, grid: Grid, chain: Chain, state: Floats,
     constraints: Floats, columns: Columns, last: int,
@@ -74,7 +74,7 @@ def _load(
                     whole[at, component, at_friction + here] -= rub
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"})
+@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def _solve(whole: Floats, factor: Floats, kind: Ints, size: int, columns: int) -> None:
     """Solve K du = load in place, forward and back with the blocks that `scalar.sweep` left."""
     for i in range(size):

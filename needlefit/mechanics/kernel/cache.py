@@ -1,0 +1,166 @@
+"""Compiled functions on disk: in a folder of the user's own, each file whole and checked, or not used at all.
+
+Compiled code is kept as pickles and machine code. Reading it is as running the program itself, and it is
+trusted as the program's own code is: only from a folder that belongs to this user and that nobody else can
+write to. Where there is none, the functions are kept in a temporary folder, as long as the process lives.
+
+Numba's own cache has an index file beside each data file, reads them as they come, and tells whether one is
+stale by the file that the function stands in alone, not by the files that it calls. Here every compiled
+function is one file that begins with the digest of the rest and is put in place whole; what is damaged, cut
+off or cannot be written is compiled again. The folder is named after all sources of the kernel, the processor
+and the versions of Python and numba, so that nothing stale is ever run, whichever file changed.
+"""
+
+import atexit
+import hashlib
+import os
+import pickle
+import shutil
+import stat
+import sys
+import tempfile
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numba
+from llvmlite import binding
+from numba.core.caching import FunctionCache
+from numba.core.serialize import dumps
+
+VARIABLE = "NEEDLEFIT_CACHE_DIR"
+"""Environment variable: where to keep compiled functions. A temporary folder is handed to children by it."""
+
+DIGEST_BYTES = hashlib.sha256().digest_size
+
+
+@dataclass(frozen=True)
+class Folder:
+    """Where compiled functions are kept; `why_temporary` is empty if they stay there."""
+
+    path: Path
+    why_temporary: str = ""
+
+
+@cache
+def folder() -> Folder:
+    """Return the folder of the compiled functions of exactly these sources, on this processor."""
+    path = _caches() / _digest()
+    why = _unusable(path)
+    if not why:
+        return Folder(path)
+    temporary = Path(tempfile.mkdtemp(prefix="needlefit-"))
+    atexit.register(shutil.rmtree, temporary, ignore_errors=True)
+    os.environ[VARIABLE] = str(temporary)  # a process that this one starts need not compile again
+    (temporary / path.name).mkdir(mode=0o700)
+    return Folder(temporary / path.name, f"{path} {why}")
+
+
+def _caches() -> Path:
+    given = os.environ.get(VARIABLE) or os.environ.get("NUMBA_CACHE_DIR")
+    return Path(given or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "needlefit")).expanduser()
+
+
+def _digest() -> str:
+    here = Path(__file__).parent
+    sources = b"".join(path.name.encode() + path.read_bytes() for path in sorted(here.rglob("*.py")))
+    features = binding.get_host_cpu_features().flatten()
+    config: Any = numba.config  # a module that makes its attributes at run time
+    target = (binding.get_host_cpu_name(), features, config.CPU_NAME, config.CPU_FEATURES, config.OPT)
+    versions = (numba.__version__, sys.implementation.cache_tag)
+    return hashlib.sha256(sources + repr((target, versions)).encode()).hexdigest()[:16]
+
+
+def _unusable(path: Path) -> str:
+    """Return why compiled functions cannot be kept in `path`; make it if it is missing."""
+    try:
+        path.mkdir(mode=0o700, parents=True, exist_ok=True)
+        about = path.stat()
+        tempfile.TemporaryFile(dir=path).close()
+    except (OSError, RuntimeError) as error:  # RuntimeError: there is no home folder
+        return f"cannot be written to ({getattr(error, 'strerror', None) or error})"
+    if not hasattr(os, "geteuid"):  # Windows: a profile's folders are its user's own
+        return ""
+    if about.st_uid != os.geteuid():
+        return "belongs to another user"
+    return "can be written to by others" if stat.S_IMODE(about.st_mode) & 0o022 else ""
+
+
+class Cache(FunctionCache):
+    """What numba asks for a compiled function; it has none rather than fail."""
+
+    def __init__(self, numbas: FunctionCache, name: str) -> None:
+        vars(self).update(vars(numbas))
+        self._cache_file = _Files(name)  # type: ignore[assignment]
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401  numba's own types
+        """Return the function compiled for some types; None if it is not there, damaged or unreadable."""
+        try:
+            return super().load_overload(sig, target_context)  # type: ignore[no-untyped-call]
+        except Exception:  # whatever is wrong with the file, the function can be compiled
+            return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401  numba's own types
+        """Keep a function that was compiled; on a full disk it is compiled again by the next process."""
+        try:
+            super().save_overload(sig, data)  # type: ignore[no-untyped-call]
+        except OSError:
+            _not_kept.append(self._name)
+
+
+_not_kept: list[str] = []
+
+
+def is_complete(room: str) -> bool:
+    """Return whether what moves a needle in a room (kernel, lanes, sensitivity) is compiled on disk."""
+    return _stamp(room).is_file()
+
+
+def mark_complete(room: str) -> None:
+    """Say, once a needle was moved in a room, that all of it is on disk; not if a file is not."""
+    if not _not_kept:
+        with suppress(OSError):
+            _stamp(room).touch()
+
+
+def _stamp(room: str) -> Path:
+    return folder().path / f"{room}.complete"
+
+
+class _Files:
+    """The files of one function, one for each set of argument types."""
+
+    def __init__(self, name: str) -> None:
+        self._name = name
+
+    def load(self, key: object) -> Any:  # noqa: ANN401  numba's own types
+        path = self._path(key)
+        try:
+            content = path.read_bytes()
+        except OSError:
+            return None
+        digest, data = content[:DIGEST_BYTES], content[DIGEST_BYTES:]
+        if hashlib.sha256(data).digest() != digest:
+            return None
+        return pickle.loads(data)  # noqa: S301  from the user's own folder, see above
+
+    def save(self, key: object, value: object) -> None:
+        path, data = self._path(key), dumps(value)  # type: ignore[no-untyped-call]
+        with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
+            try:
+                file.write(hashlib.sha256(data).digest() + data)
+                file.close()
+                Path(file.name).replace(path)
+            except OSError:
+                Path(file.name).unlink(missing_ok=True)
+                raise
+
+    def flush(self) -> None:
+        for path in folder().path.glob(f"{self._name}.*.compiled"):
+            path.unlink(missing_ok=True)
+
+    def _path(self, key: object) -> Path:
+        types = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
+        return folder().path / f"{self._name}.{types}.compiled"

@@ -1,0 +1,152 @@
+"""Compiled functions are the same wherever they come from, and a cache that is bad is no cache."""
+
+import importlib
+import inspect
+import os
+import pkgutil
+import stat
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import numba
+import pytest
+from numba.core.dispatcher import Dispatcher
+
+from needlefit.mechanics import kernel
+from needlefit.mechanics.kernel import cache
+from needlefit.mechanics.kernel.grid import cell_of
+
+ARGUMENTS, CELL = (7.25, 0.5, 1.0), 8
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setattr(cache, "folder", lambda: cache.Folder(tmp_path))
+    monkeypatch.setattr(cache, "_not_kept", [])
+    return tmp_path
+
+
+def functions() -> Iterator[Dispatcher]:
+    for found in pkgutil.walk_packages(kernel.__path__, f"{kernel.__name__}."):
+        for value in vars(importlib.import_module(found.name)).values():
+            if isinstance(value, Dispatcher) and value.py_func.__module__ == found.name:
+                yield value
+
+
+def called_by(function: Dispatcher) -> set[Dispatcher]:
+    names, known = function.py_func.__code__.co_names, function.py_func.__globals__
+    found = [known.get(name) for name in names]
+    found += [getattr(room, name, None) for room in found if inspect.ismodule(room) for name in names]
+    return {one for one in found if isinstance(one, Dispatcher)} - {function}
+
+
+def test_sums_that_may_be_reordered_are_compiled_once_for_each_function_that_python_calls():
+    """Else the copy that runs, and the last digits with it, depend on what was compiled or loaded before."""
+    calls = {one: called_by(one) for one in functions()}
+    assert len(calls) > 60
+
+    def is_loose(one: Dispatcher) -> bool:
+        return bool(one.targetoptions.get("fastmath")) or any(map(is_loose, calls[one]))
+
+    inner = set().union(*calls.values())
+    loose = [one for one in calls if is_loose(one)]
+    assert len(loose) > 20
+    apart = [one for one in loose if one in inner and not one.targetoptions.get("forceinline")]
+    assert [one.py_func.__qualname__ for one in apart] == []
+
+
+def fresh() -> Dispatcher:
+    """Return a function as a new process has it: with nothing compiled."""
+    function = numba.njit(cache=True, nogil=True)(cell_of.py_func)
+    function._cache = cache.Cache(function._cache, "cell_of")
+    return function
+
+
+def hits(function: Dispatcher) -> int:
+    assert function(*ARGUMENTS) == CELL
+    return sum(function.stats.cache_hits.values())
+
+
+def test_a_compiled_function_is_one_file_that_the_next_process_loads(place):
+    assert hits(fresh()) == 0
+    (file,) = place.glob("*.compiled")
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+    assert hits(fresh()) == 1
+
+
+@pytest.mark.parametrize("damage", ["empty", "cut off", "garbage", "one bit", "a folder"])
+def test_a_damaged_file_is_compiled_again(place, damage):
+    hits(fresh())
+    (file,) = place.glob("*.compiled")
+    whole = file.read_bytes()
+    middle = len(whole) // 2
+    changed = {
+        "empty": b"",
+        "cut off": whole[:middle],
+        "garbage": bytes(range(256)) * 9,
+        "one bit": whole[:middle] + bytes([whole[middle] ^ 4]) + whole[middle + 1 :],
+    }
+    file.unlink()
+    file.mkdir() if damage == "a folder" else file.write_bytes(changed[damage])
+    assert hits(fresh()) == 0
+    if damage != "a folder":
+        assert hits(fresh()) == 1
+
+
+def test_a_room_is_complete_only_if_all_of_it_could_be_kept(place, monkeypatch):
+    cache.mark_complete("lanes")
+    assert cache.is_complete("lanes") and not cache.is_complete("kernel")
+    monkeypatch.setattr(cache, "_not_kept", ["one"])
+    cache.mark_complete("kernel")
+    assert not cache.is_complete("kernel")
+
+
+FULL = """
+import resource
+resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
+from needlefit.mechanics.kernel import cache
+from needlefit.mechanics.kernel.grid import cell_of
+print(cell_of(7.25, 0.5, 1.0), len(cache._not_kept), cache.folder().why_temporary)
+"""
+
+
+def test_on_a_full_disk_functions_run_as_they_were_compiled(tmp_path):
+    environment = {**os.environ, cache.VARIABLE: str(tmp_path)}
+    done = subprocess.run(
+        [sys.executable, "-c", FULL], env=environment, capture_output=True, text=True, check=True
+    )
+    assert done.stdout.split() == [str(CELL), "1"]
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
+def chosen(monkeypatch: pytest.MonkeyPatch, place: Path | str) -> cache.Folder:
+    monkeypatch.setenv(cache.VARIABLE, str(place))
+    return cache.folder.__wrapped__()
+
+
+def test_the_folder_is_the_user_s_own(tmp_path, monkeypatch):
+    found = chosen(monkeypatch, tmp_path / "new")
+    assert found == chosen(monkeypatch, tmp_path / "new")
+    assert found.path.parent == tmp_path / "new" and not found.why_temporary
+    assert stat.S_IMODE(found.path.stat().st_mode) == 0o700
+
+
+@pytest.mark.parametrize("fault", ["unwritable", "a file", "others write", "another user"])
+def test_where_there_is_none_a_temporary_one_is_used_and_handed_to_children(tmp_path, monkeypatch, fault):
+    path = chosen(monkeypatch, tmp_path).path
+    place: Path | str = tmp_path
+    if fault == "unwritable":
+        place = "/dev/null/cache"
+    elif fault == "a file":
+        path.rmdir()
+        path.touch()
+    elif fault == "others write":
+        path.chmod(0o770)
+    else:
+        monkeypatch.setattr(cache.os, "geteuid", lambda: path.stat().st_uid + 1)
+    found = chosen(monkeypatch, place)
+    assert found.why_temporary and tmp_path not in found.path.parents
+    assert stat.S_IMODE(found.path.stat().st_mode) == 0o700
+    assert os.environ[cache.VARIABLE] == str(found.path.parent)
