@@ -1,7 +1,9 @@
 """Layer boundaries as triangulated surfaces: read, write, build, and what is wrong with one."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from io import BytesIO
 from pathlib import Path
 from typing import Literal
 
@@ -15,8 +17,13 @@ from scipy.sparse.csgraph import connected_components
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame, unit
 from needlefit.geometry.plane import any_normal
+from needlefit.project.reading import read_bytes
 
 Kind = Literal["sheet", "solid"]
+
+MAX_MESH_BYTES = 256 * 2**20
+_ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
+READ_SUFFIXES = (".stl", ".ply", ".obj")
 
 DECIMALS = 4
 """Coordinates are written to 1e-4 mm."""
@@ -38,21 +45,56 @@ def read_surface(path: Path, kind: Kind, into: int) -> Surface:
     Raises
     ------
     DataError
-        If the file is missing or holds no triangles.
+        If the file is missing, is larger than `MAX_MESH_BYTES`, or holds no triangles of its own vertices.
     """
-    expected = "an STL, PLY or OBJ file of triangles, in mm"
-    if not path.is_file():
-        raise DataError("there is no such file", where=str(path), expected=expected)
+    ending = path.suffix.lower()
+    if ending not in READ_SUFFIXES:
+        raise _no_mesh(path, f"has the ending {ending!r}")
+    data = read_bytes(path, MAX_MESH_BYTES)
+    if ending == ".ply":
+        _check_ply(data, path)
     try:
-        # process=False: trimesh would drop non-finite vertices and hide the fault
-        mesh = trimesh.load_mesh(path, process=False)
-    except Exception as error:  # the readers of the formats raise whatever the bytes provoke
-        raise DataError(f"cannot be read: {error}", where=str(path), expected=expected) from None
+        mesh = _loaded(BytesIO(data), ending.lstrip("."))
+    except Exception as error:  # the readers of the formats raise whatever the bytes provoke, and quote them
+        raise _no_mesh(path, f"cannot be read ({type(error).__name__})") from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
-        raise DataError("holds no triangles", where=str(path), expected=expected)
+        raise _no_mesh(path, "holds no triangles")
+    if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
+        raise _no_mesh(path, f"a triangle names a vertex beyond the {len(mesh.vertices)} that there are")
     if np.isfinite(mesh.vertices).all():
         mesh.merge_vertices(merge_tex=True, merge_norm=True)  # an STL file repeats them for every triangle
     return Surface(path.stem, mesh, kind, into)
+
+
+def _loaded(data: BytesIO, kind: str) -> object:
+    """Return what trimesh makes of the bytes of a mesh; it opens no other file (materials, textures).
+
+    process=False: it would drop non-finite vertices and hide the fault.
+    """
+    return trimesh.load_mesh(data, file_type=kind, process=False, resolver=None, skip_materials=True)
+
+
+def _check_ply(data: bytes, path: Path) -> None:
+    """See that a PLY file has the rows that its header claims (trimesh counts only those of binary ones).
+
+    Edges are refused: what trimesh makes of them takes as much memory as their indices say.
+    """
+    head, _, rows = data.partition(b"end_header")
+    elements = [(name, int(count)) for name, count in _ELEMENT.findall(head)]
+    if any(name == b"edge" and count for name, count in elements):
+        raise _no_mesh(path, "holds edges beside its triangles")
+    claimed, there = sum(count for _, count in elements), rows.count(b"\n")
+    if b"ascii" in head and claimed > there:
+        raise _no_mesh(path, f"claims {claimed} vertices and triangles, and holds {there} rows")
+
+
+def _no_mesh(path: Path, what: str) -> DataError:
+    return DataError(
+        what,
+        where=str(path),
+        expected="an STL, PLY or OBJ file of triangles, in mm",
+        mend="export the surface again, as binary STL",
+    )
 
 
 def write_surface(surface: Surface, path: Path) -> None:

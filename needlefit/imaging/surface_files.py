@@ -10,8 +10,9 @@ from needlefit.datasets.layers import file_fault, mesh_faults
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.patient import SIGNS, System
-from needlefit.geometry.surfaces import Surface, moved, read_surface
+from needlefit.geometry.surfaces import MAX_MESH_BYTES, Surface, moved, read_surface
 from needlefit.imaging.scan import LayerSource
+from needlefit.project.reading import opened
 
 HEAD = 4096
 """Bytes at the beginning of a file in which its coordinate system is looked for."""
@@ -48,7 +49,7 @@ def space_of(path: Path) -> System | None:
 
     It stands in the header of an STL, in a comment of a PLY or OBJ, as `SPACE=LPS` or `SPACE=RAS`.
     """
-    with path.open("rb") as file:
+    with opened(path, MAX_MESH_BYTES) as file:
         match = _SPACE.search(file.read(HEAD))
     if match is None:
         return None

@@ -1,0 +1,255 @@
+"""Files that crash native readers, fill the memory or point elsewhere; and those that only look unusual."""
+
+import bz2
+import gzip
+import resource
+import shutil
+import struct
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+import SimpleITK as sitk
+from test_imaging_volume import VALUES, metaimage, nifti, nrrd
+
+from needlefit.datasets.formats.mat import read_curves
+from needlefit.errors import DataError, NeedlefitError
+from needlefit.imaging.headers.check import check_image_header
+from needlefit.imaging.headers.promise import MAX_EXPANSION
+from needlefit.imaging.label_volumes import read_labels
+from needlefit.imaging.volume import read
+from needlefit.project.caged import MEMORY_VARIABLE, Limits, read_caged
+
+CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
+NATIVE = [path for path in CORPUS if path.suffix in (".nrrd", ".mha", ".mhd")]
+MAX_SECONDS, MAX_KIB = 10, 2**20
+
+
+def reader(path):
+    return read_curves if path.suffix == ".mat" else read_labels if ".seg." in path.name else read
+
+
+@pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.name)
+def test_a_file_that_crashed_a_reader_is_a_data_error(path, tmp_path):
+    begin = time.monotonic()
+    with pytest.raises(DataError) as found:
+        reader(path)(shutil.copy(path, tmp_path))
+    assert str(tmp_path) in found.value.where and found.value.what and found.value.mend
+    assert time.monotonic() - begin < MAX_SECONDS
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < MAX_KIB
+
+
+@pytest.mark.parametrize("path", NATIVE[::8], ids=lambda path: path.name)
+def test_were_its_header_not_checked_the_crash_is_one_of_the_child(path):
+    with pytest.raises(DataError) as found:
+        read_caged("needlefit.imaging.image_files:read_image", path, Limits(), {"path": str(path)})
+    assert "SIG" in found.value.what
+
+
+@pytest.mark.parametrize("name", ["mem-dicom-2480.dcm", "mem-dicom-3904.dcm"])
+def test_a_slice_whose_element_claims_gigabytes(name, tmp_path):
+    """Two slices make a series, so that their voxels are read, too: one claims 2 GB in an element."""
+    content = next(path for path in CORPUS if path.name == name).read_bytes()
+    second = content.replace(rb"0.0\0.0\0.6 ", rb"0.0\0.0\1.2 ")
+    assert second != content
+    (tmp_path / "1.dcm").write_bytes(content)
+    (tmp_path / "2.dcm").write_bytes(second)
+    try:
+        assert read(tmp_path).values.shape == (2, 5, 6)
+    except DataError as error:
+        assert error.where.endswith(".dcm")
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < MAX_KIB
+
+
+def test_a_dicom_element_longer_than_its_file(tmp_path):
+    content = next(path for path in CORPUS if path.name == "mem-dicom-2480.dcm").read_bytes()
+    at = content.index(b"\x20\x00\x0e\x00UI")  # SeriesInstanceUID, explicit length
+    (tmp_path / "1.dcm").write_bytes(content[: at + 4] + b"OB\0\0" + struct.pack("<I", 2**31 - 2))
+    with pytest.raises(DataError) as found:
+        read(tmp_path / "1.dcm")
+    assert found.value.where.endswith("1.dcm")
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz"])
+def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name, monkeypatch):
+    """1 MiB of deflated zeros stand for 1 GiB of voxels, 3 GiB in memory."""
+    sizes, path = (1024, 1024, 512), tmp_path / name
+    size = " ".join(map(str, sizes))
+    packed = gzip.compress(bytes(2**20), 9) * 1024
+    if name == "a.nrrd":
+        nrrd(path, sizes=size, encoding="gzip", data=packed)
+    elif name == "a.mha":
+        metaimage(path, CompressedData="True", DimSize=size)
+        path.write_bytes(path.read_bytes() + packed)
+    else:
+        nifti(path, sizes=sizes)
+        path.write_bytes(path.read_bytes() + packed)
+    with pytest.raises(DataError) as found:
+        read(path)
+    assert MEMORY_VARIABLE in found.value.mend and f"{MAX_EXPANSION} times" in found.value.expected
+    monkeypatch.setenv(MEMORY_VARIABLE, "4")
+    assert check_image_header(path).content_bytes == 2**30  # the user takes the risk
+
+
+def test_a_bomb_that_promises_little(tmp_path):
+    """The reader takes what its header promises, whatever more the content unpacks to."""
+    packed = gzip.compress(VALUES.tobytes() + bytes(2**20), 9) + gzip.compress(bytes(2**20), 9) * 1024
+    path = nrrd(tmp_path / "a.nrrd", encoding="gzip", data=packed)
+    with suppress(DataError):
+        assert np.array_equal(read(path).values, VALUES)
+    assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < MAX_KIB
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "/etc/passwd",
+        "../v.raw",
+        "sub/v.raw",
+        "v%03d.raw 1 3 1",
+        "LIST",
+        "https://a/v.raw",
+        "..",
+        "C:v.raw",
+    ],
+)
+def test_voxels_lie_in_the_same_folder(tmp_path, name):
+    (tmp_path / "sub").mkdir()
+    for place in ("v.raw", "sub/v.raw"):
+        (tmp_path / place).write_bytes(VALUES.tobytes())
+    folder = tmp_path / "sub" if name.startswith("..") else tmp_path
+    for path in (
+        nrrd(folder / "a.nhdr", data=b"", data_file=name),
+        metaimage(folder / "a.mhd", ElementDataFile=name),
+    ):
+        with pytest.raises(DataError) as found:
+            read(path)
+        assert "folder" in found.value.expected and "passwd" not in found.value.what
+
+
+def test_voxels_in_a_device_or_folder(tmp_path):
+    (tmp_path / "v.raw").symlink_to("/dev/zero")
+    (tmp_path / "w.raw").mkdir()
+    for name, kind in (("v.raw", "device"), ("w.raw", "folder")):
+        with pytest.raises(DataError, match=kind):
+            read(metaimage(tmp_path / "a.mhd", ElementDataFile=name))
+
+
+LONG = "9" * 5000
+NRRD_FIELDS = (
+    "type",
+    "dimension",
+    "space",
+    "sizes",
+    "space_directions",
+    "endian",
+    "encoding",
+    "space_origin",
+)
+META_FIELDS = ("NDims", "TransformMatrix", "Offset", "ElementSpacing", "DimSize", "ElementType")
+
+
+@pytest.mark.parametrize(
+    "value", [LONG, "3" + "0" * 99, "-1", "1e308", "nan nan nan", "", "9 " * 500, "%s%n"]
+)
+@pytest.mark.parametrize("field", [*NRRD_FIELDS, *META_FIELDS])
+def test_a_header_with_a_value_that_cannot_be(tmp_path, field, value):
+    """The check refuses it, or the reader does; where both pass there is a volume."""
+    make, name = (nrrd, "a.nrrd") if field in NRRD_FIELDS else (metaimage, "a.mha")
+    path = make(tmp_path / name, **{field: value})
+    try:
+        assert read(path).values.size == VALUES.size
+    except DataError as error:
+        assert error.where == str(path) and "9999" not in str(error)
+
+
+@pytest.mark.parametrize("at", [0, 40, 42, 56, 70, 72, 76, 108, 112, 252, 344])
+@pytest.mark.parametrize("entry", [b"\xff\xff\xff\x7f", b"\xff\xff\xff\xff", b"\0\0\0\0", b"\0\0\x80\x7f"])
+def test_a_nifti_header_with_a_value_that_cannot_be(tmp_path, at, entry):
+    path = nifti(tmp_path / "a.nii")
+    content = path.read_bytes()
+    path.write_bytes(content[:at] + entry + content[at + 4 :])
+    try:
+        assert read(path).values.size == VALUES.size
+    except DataError as error:
+        assert error.where == str(path)
+
+
+@pytest.mark.parametrize("place", ["missing", "folder", "/dev/zero", "/dev/null", "socket.nrrd"])
+def test_what_is_no_file(tmp_path, place):
+    (tmp_path / "folder").mkdir()
+    path = tmp_path / place
+    if place.startswith("/dev"):
+        path = tmp_path / "link.nrrd"
+        path.symlink_to(place)
+    with pytest.raises(NeedlefitError):
+        read(path)
+    with pytest.raises(NeedlefitError):
+        read(Path(place) if place.startswith("/") else path)
+
+
+# What is unusual, and right
+
+
+def plain(path):
+    assert np.array_equal(read(path).values, VALUES)
+
+
+@pytest.mark.parametrize("encoding", ["raw", "gzip", "gz", "bzip2", "hex", "ascii", "txt"])
+def test_encodings_of_nrrd(tmp_path, encoding):
+    data = {
+        "gzip": gzip.compress(VALUES.tobytes()),
+        "gz": gzip.compress(VALUES.tobytes()),
+        "bzip2": bz2.compress(VALUES.tobytes()),
+        "hex": VALUES.tobytes().hex().encode(),
+        "ascii": " ".join(map(str, VALUES.ravel())).encode(),
+        "txt": "\n".join(map(str, VALUES.ravel())).encode(),
+    }.get(encoding, VALUES.tobytes())
+    path = nrrd(tmp_path / "a.nrrd", encoding=encoding, data=data)
+    image = sitk.ImageFileReader()
+    image.SetFileName(str(path))
+    try:
+        image.Execute()
+    except RuntimeError:  # this build of SimpleITK lacks the encoding
+        with pytest.raises(DataError):
+            read(path)
+    else:
+        plain(path)
+
+
+def test_headers_that_lie_beside_their_voxels(tmp_path):
+    (tmp_path / "my scan.raw").write_bytes(bytes(16) + VALUES.tobytes())
+    plain(nrrd(tmp_path / "a.nhdr", data=b"", data_file="my scan.raw", byte_skip=16))
+    plain(nrrd(tmp_path / "b.nhdr", data=b"", data_file="my scan.raw", byte_skip=-1))
+    for skip in (16, -1):
+        path = metaimage(tmp_path / "a.mhd", ElementDataFile="my scan.raw")
+        path.write_bytes(b"HeaderSize = %d\n" % skip + path.read_bytes())
+        plain(path)
+
+
+def test_what_programs_write_into_headers(tmp_path):
+    """Comments, texts of any length, line ends of Windows, and what other programs leave in them."""
+    path = nrrd(tmp_path / "a.nrrd", content="a scan", kinds="domain domain domain")
+    head, _, data = path.read_bytes().partition(b"\n\n")
+    more = [b"# made by hand", b"Segmentation_Terminology:=" + b"~^" * 5000, b"note:=a: b, caf\xc3\xa9 \xff"]
+    path.write_bytes(b"\n".join([head, *more]) + b"\n\n" + data)
+    plain(path)
+    path.write_bytes(b"\r\n".join(path.read_bytes()[: -len(data)].rstrip().split(b"\n")) + b"\r\n\r\n" + data)
+    plain(path)
+    path = metaimage(tmp_path / "a.mha")
+    path.write_bytes(b"Comment = " + b"x" * 1000 + b"
+Modality = MET_MOD_CT
+" + path.read_bytes())
+    plain(path)
+
+
+def test_a_volume_may_be_made_of_few_bytes(tmp_path):
+    """A segmentation of 1 MiB whose voxels are all alike packs 1000-fold."""
+    values = np.ones((64, 128, 128), np.uint8)
+    path = nrrd(
+        tmp_path / "a.nrrd", values, type="uint8", encoding="gzip", data=gzip.compress(values.tobytes())
+    )
+    assert path.stat().st_size < 5000
+    assert read(path).values.sum() == values.size
