@@ -81,8 +81,8 @@ def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name, monkeypatch):
     if name == "a.nrrd":
         nrrd(path, sizes=size, encoding="gzip", data=packed)
     elif name == "a.mha":
-        metaimage(path, CompressedData="True", DimSize=size)
-        path.write_bytes(path.read_bytes() + packed)
+        metaimage(path, DimSize=size)
+        path.write_bytes(b"CompressedData = True\n" + path.read_bytes() + packed)
     else:
         nifti(path, sizes=sizes)
         path.write_bytes(path.read_bytes() + packed)
@@ -239,9 +239,7 @@ def test_what_programs_write_into_headers(tmp_path):
     path.write_bytes(b"\r\n".join(path.read_bytes()[: -len(data)].rstrip().split(b"\n")) + b"\r\n\r\n" + data)
     plain(path)
     path = metaimage(tmp_path / "a.mha")
-    path.write_bytes(b"Comment = " + b"x" * 1000 + b"
-Modality = MET_MOD_CT
-" + path.read_bytes())
+    path.write_bytes(b"Comment = " + b"x" * 200 + b"\nModality = MET_MOD_CT\n" + path.read_bytes())
     plain(path)
 
 
