@@ -56,7 +56,7 @@ def predict(
         from needlefit.project.unit_warnings import unit_warnings
         from needlefit.reporting.files import require_result
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
-        from needlefit.validation.forecast import forecast
+        from needlefit.validation.forecast import forecast, outside_warnings
         from needlefit.validation.foreknown import foreknown
         from needlefit.validation.job import Settings, prepare
         from needlefit.validation.provenance import work
@@ -75,7 +75,7 @@ def predict(
             raise typer.Exit(failure.INTERRUPTED)
         found = forecast(Scene.from_record(planned, where), draws, job)
         title, synthetic = planned.title or scene, job.dataset.origin == "synthetic"
-        warned = [*job.warnings, *unit_warnings(planned, where)]
+        warned = [*job.warnings, *unit_warnings(planned, where), *outside_warnings(found)]
         said = {**work(job), "scene": planned.model_dump(mode="json", by_alias=True), **stored(warned)}
         write_forecast(found, folder, title, said, synthetic)
     if json:

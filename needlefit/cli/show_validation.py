@@ -47,7 +47,7 @@ def show_validation(results: "Results") -> None:
 def show_head(results: "Results") -> None:
     """Print what this is, what the data are, and what failed, in words that a reader cannot miss."""
     from needlefit.reporting.posterior import unconverged_said
-    from needlefit.reporting.sentences import failures_said
+    from needlefit.reporting.sentences import failures_said, validity_said
 
     screen.say(f"{results.name}: {results.title}" if results.title else results.name)
     if results.origin == "synthetic":
@@ -56,6 +56,6 @@ def show_head(results: "Results") -> None:
         screen.say(f"  measured data: {results.dataset_title}")
     if results.interrupted:
         screen.say("  INTERRUPTED: the best found so far")
-    for said in (failures_said(results), unconverged_said(results)):
+    for said in (failures_said(results), validity_said(results), unconverged_said(results)):
         if said:
             screen.say(f"  {said}")

@@ -32,9 +32,20 @@ ENTRY_SIDE = 0.2
 """Part of the scored points, from the entry side, whose line is x in a free comparison."""
 
 
-def curve_of(shape: NeedleShape) -> Curve:
-    """Return the curve of a simulated needle: beam coordinates (K,) -> points (K, 2) in C."""
-    return lambda s: positions(shape, s)
+@dataclass(frozen=True)
+class SimulatedCurve:
+    """The curve of a simulated needle: beam coordinates (K,) -> points (K, 2) in C."""
+
+    shape: NeedleShape
+
+    def __call__(self, s: Floats) -> Floats:
+        """Return the points at `s` (K,)."""
+        return positions(self.shape, s)
+
+
+def curve_of(shape: NeedleShape) -> SimulatedCurve:
+    """Return the curve of a simulated needle."""
+    return SimulatedCurve(shape)
 
 
 @dataclass(frozen=True)

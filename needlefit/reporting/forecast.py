@@ -42,6 +42,7 @@ def tip(forecast: Forecast) -> dict[str, Any]:
     row = {name: float(value) for name, value in forecast_table(forecast).iloc[-1].items()}
     draws = len(forecast.needle.means)
     about = {"from": forecast.source, "draws": draws, "failed_solves": forecast.failed}
+    about["outside_validity"] = forecast.outside
     return {"tip": row, **about, "not_converged": list(forecast.faults)}
 
 

@@ -18,6 +18,7 @@ from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.results import Results
 from needlefit.validation.tracks.results import TrackResults
 from needlefit.validation.tracks.summary import coverage, paired_runs
+from needlefit.validation.validity import KEY
 
 DECIMALS = 3
 """Of a length in mm."""
@@ -28,7 +29,7 @@ DIGITS = 3
 MOST = 500
 """Rows of a table that is kept: longer ones are what shorter ones were made of, and no one reviews them."""
 
-_COUNTED = ("searches", "evaluations", "failed_solves", "failed_solves_of_sampler", "recorded_failures")
+_COUNTED = ("searches", "evaluations", "failed_solves", "failed_solves_of_sampler", "recorded_failures", KEY)
 
 
 def write_reference(one: Results | Answer | TrackResults, folder: Path) -> Path:

@@ -10,8 +10,10 @@ from needlefit.reporting.parameters import held_fixed, undetermined
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate, reasons
+from needlefit.validation.validity import KEY as VALIDITY
+from needlefit.validation.validity import outside_words
 
-_SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned", KEY)
+_SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned", KEY, VALIDITY)
 
 
 def in_short(results: Results) -> list[str]:
@@ -59,6 +61,12 @@ def failures_said(results: Results) -> str:
     if recorded == failed + sampled:
         return f"{said}: {counts}; failures.csv holds their parameters."
     return f"{said}; failures.csv holds the parameters of the first {recorded}: {counts}."
+
+
+def validity_said(results: Results) -> str:
+    """Return how many simulations are outside what the model assumes; nothing if none is."""
+    words = outside_words(results.run)
+    return f"Outside what the model assumes: {words}." if words else ""
 
 
 def floor_said(results: Results) -> str:

@@ -121,14 +121,14 @@ def _question(results: Results, synthetic: bool) -> list[Block]:
 
 def _parameters(results: Results, figures: Figures, synthetic: bool) -> list[Block]:
     directions = details.directions_layout(results)
-    failed = sentences.failures_said(results)
+    said = [text for text in (sentences.failures_said(results), sentences.validity_said(results)) if text]
     return [
         document.heading("Parameters"),
         document.text(sentences.undetermined_said(results)),
         document.table(details.parameters_layout([results]), synthetic),
         document.table(directions, synthetic),
         *_posterior(results, figures, synthetic),
-        *([document.text(failed)] if failed else []),
+        *map(document.text, said),
         *figure_of(figures, "waterfall", captions.WATERFALL, synthetic),
     ]
 

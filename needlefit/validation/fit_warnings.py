@@ -13,6 +13,7 @@ from needlefit.project.result_warnings import ResultWarning, stored, warnings_of
 from needlefit.validation.job import Job
 from needlefit.validation.results import BASELINES, Results
 from needlefit.validation.summary import beats_fit, paired
+from needlefit.validation.validity import validity_warnings
 
 _NAMES = {
     "straight": "a straight line",
@@ -24,6 +25,7 @@ _NAMES = {
 def with_warnings(results: Results, job: Job) -> Results:
     """Return results whose `run` also keeps the warnings about data, study and fit."""
     found = [*warnings_of(results.run), *job.warnings]
+    found += validity_warnings(results.run)
     found += [] if results.interrupted else [*bound_warnings(results), *baseline_warnings(results)]
     return replace(results, run={**results.run, **stored(found)})
 

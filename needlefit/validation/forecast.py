@@ -5,7 +5,7 @@ and tip. The *measurement's* adds what a scan of it would err by: the errors tha
 points and of the entry pose. Neither knows what the model misses.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -23,6 +23,7 @@ from needlefit.mechanics.shape import positions
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
 from needlefit.validation.job import Job
 
@@ -50,6 +51,8 @@ class Forecast:
     source : "posterior" or "importance"
     failed : int
         Draws of which the solve failed; they are left out.
+    outside : int
+        Draws whose needle is outside what the model assumes; they are kept.
     faults : tuple of str
         Why the posterior of the draws is not to be trusted; empty if it is.
     """
@@ -60,6 +63,7 @@ class Forecast:
     measured: Mixture
     source: Source
     failed: int
+    outside: int = 0
     faults: tuple[str, ...] = ()
 
 
@@ -81,7 +85,8 @@ def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
     rng = stream(job.recipe.seed, job.name, "forecast")
     s = np.linspace(0.0, scene.depth, STATIONS)
     curves = [_curve(scene, job.parameters.values(theta), job, s, rng) for theta in draws.thetas]
-    solved = np.array([curve for curve in curves if curve is not None])  # (B, K, 2)
+    kept = [curve for curve in curves if curve is not None]
+    solved = np.array([points for points, _ in kept])  # (B, K, 2)
     if not len(solved):
         raise ModelError(
             f"none of {len(curves)} draws of the parameters can be solved for this scene",
@@ -97,14 +102,26 @@ def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
         measured=Mixture(y, factor * _measurement(s, job.dataset)),
         source=draws.source,
         failed=len(curves) - len(solved),
+        outside=sum(not valid for _, valid in kept),
         faults=draws.faults,
     )
 
 
+def outside_warnings(forecast: Forecast) -> Iterator[ResultWarning]:
+    """Yield a warning where draws give needles outside what the model assumes."""
+    if forecast.outside:
+        yield ResultWarning(
+            "validity",
+            f"{forecast.outside} of {len(forecast.needle.means)} predicted needles are outside what the "
+            "model assumes (slopes, shortening, compression, rounding)",
+            fix="read the bands with care; `needlefit simulate` of the scene names what is exceeded",
+        )
+
+
 def _curve(
     scene: Scene, values: Mapping[str, float], job: Job, s: Floats, rng: np.random.Generator
-) -> Floats | None:
-    """Return the points (K, 2) of one draw's needle at arc lengths `s`; None where the solve fails."""
+) -> tuple[Floats, bool] | None:
+    """Return the points (K, 2) of one draw's needle at arc lengths `s`, and its validity; or None."""
     layers = range(1, scene.tissue.layers + 1)
     typical = [(one.depth_sd, one.boundary_sd) for one in job.dataset.insertions]
     entry_sd, boundary_sd = np.sqrt(np.mean(np.square(typical), axis=0))
@@ -121,7 +138,7 @@ def _curve(
         for step in scene.steps
     )
     shape = follow(scene.needle, tissue, steps, rules(job.medium))
-    return positions(shape, s + deep) if shape.converged else None
+    return (positions(shape, s + deep), shape.valid) if shape.converged else None
 
 
 def _measurement(s: Floats, dataset: Dataset) -> Floats:

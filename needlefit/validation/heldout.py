@@ -95,10 +95,15 @@ STATIONS = 41
 
 @dataclass(frozen=True)
 class Foreseen:
-    """What was foretold of one needle: the row of `PREDICTIVE`, and those of `BANDS`."""
+    """What was foretold of one needle: the row of `PREDICTIVE`, and those of `BANDS`.
+
+    `solved` needles were simulated, one a draw, `outside` of them outside what the model assumes.
+    """
 
     row: Row
     band: tuple[Row, ...]
+    solved: int
+    outside: int
 
 
 def foretold(job: Job, fold: Fold, draws: Draws) -> Iterator[Row]:
@@ -113,7 +118,8 @@ def foreseen(job: Job, fold: Fold, draws: Draws) -> Iterator[Foreseen]:
         chance = stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         seen = evidence(job.dataset, insertion, how=job.recipe.likelihood)
         curves = [_curve(job, theta, insertion, seen, chance) for theta in draws.thetas]
-        solved = np.array([curve for curve in curves if curve is not None])
+        kept = [curve for curve in curves if curve is not None]
+        solved = np.array([heights for heights, _ in kept])
         if len(solved) >= LEAST:
             covariance, measured = factor**2 * _errors(job, seen), seen.measured[:, 1]
             mixture = Mixture(solved, np.sqrt(np.diag(covariance)))
@@ -121,13 +127,18 @@ def foreseen(job: Job, fold: Fold, draws: Draws) -> Iterator[Foreseen]:
             row |= _judged(mixture, measured, worst_level(mixture, covariance, measured, chance))
             where = {"fold": fold.name, "insertion": insertion.id}
             band = ({**where, **point} for point in _band(mixture, seen.measured))
-            yield Foreseen({name: row[name] for name in PREDICTIVE}, tuple(band))
+            yield Foreseen(
+                {name: row[name] for name in PREDICTIVE},
+                tuple(band),
+                len(kept),
+                sum(not valid for _, valid in kept),
+            )
 
 
 def _curve(
     job: Job, theta: Floats, insertion: Insertion, seen: Evidence, rng: np.random.Generator
-) -> Floats | None:
-    """Return y (K,) of one draw's needle at the measured points; None where a solve fails."""
+) -> tuple[Floats, bool] | None:
+    """Return y (K,) of one draw's needle at the measured points, and its validity; None if a solve fails."""
     values = job.parameters.values(theta)
     deep = insertion.depth_sd * rng.normal()
     wrong = rng.normal(size=MOST_LAYERS)
@@ -144,7 +155,7 @@ def _curve(
     if seen.pose == "free":
         points = align_rigid(points, seen.measured)
     heights: Floats = points[:, 1]
-    return heights
+    return heights, shape.valid
 
 
 def _errors(job: Job, seen: Evidence) -> Floats:

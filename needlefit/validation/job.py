@@ -7,11 +7,14 @@ from pathlib import Path
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, noise_floor
 from needlefit.datasets.read import read
-from needlefit.errors import ConfigError
+from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.material_prior import with_material
 from needlefit.inference.parameters import Parameters, with_noise_scale
+from needlefit.inference.predict import rules as mesh
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
+from needlefit.mechanics.plan import check_size, element_solves
+from needlefit.project.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
@@ -151,6 +154,7 @@ def prepare(
     )
     _check_layers(job)
     _check_reach(job)
+    _check_size(job)
     return job
 
 
@@ -194,6 +198,30 @@ def _check_reach(job: Job) -> None:
                 expected=f"below {job.dataset.needle.length - insertion.depth:g} mm",
                 mend="lessen the guide's distance or its upper bound",
             )
+
+
+def _check_size(job: Job) -> None:
+    """Refuse, before hours of work, insertions of which a single evaluation would take a minute."""
+    rules, total = mesh(job.medium), 0.0
+    for insertion in job.insertions:
+        try:
+            check_size((insertion.depth,), rules)
+        except ModelError as error:
+            raise ConfigError(
+                f"insertion {insertion.id}: {error.what}",
+                where=f"medium {job.record.medium}, key constraint_spacing_mm",
+                expected=error.expected,
+                mend=error.mend,
+            ) from None
+        conditions = 1 + 2 * len(insertion.sequence) if job.recipe.likelihood.depths != "fixed" else 1
+        total += conditions * element_solves((insertion.depth,), rules.spacing, rules.element)
+    if total > MAX_EVALUATION_ELEMENT_SOLVES:
+        raise ConfigError(
+            f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",
+            where=f"medium {job.record.medium}, key constraint_spacing_mm",
+            expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
+            mend="select fewer insertions, or take a larger constraint spacing",
+        )
 
 
 def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:

@@ -11,6 +11,7 @@ from needlefit.project.records.medium import MediumRecord
 from needlefit.validation.job import Job
 from needlefit.validation.summary import reasons
 from needlefit.validation.tabulate import Tables
+from needlefit.validation.validity import KEY
 
 PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
 """Whose versions decide the result of a study."""
@@ -96,6 +97,7 @@ def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:
         "failed_solves": sum(search["failed_solves"] for search in every),
         **(sampled if tables.posteriors else {}),
         "search_faults": tables.search_faults,
+        KEY: tables.counts.table(),
         "recorded_failures": reasons(tables.frame("failures")),
         "interrupted": interrupted,
         "budget_limited": False,  # every budget is counted in evaluations, none in time

@@ -54,8 +54,8 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
     work = provenance.work(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
     floors = {insertion.id: job.floor(insertion) for insertion in job.insertions}
-    scorer = Scorer(job.dataset, job.record.reading, floors)
     tables, interrupted = Tables(job.parameters.names), False
+    scorer = Scorer(job.dataset, job.record.reading, floors, tables.counts)
     needles: dict[str, PlacedNeedle] = {}
     for number, fold in enumerate(job.folds):
         fits = _search(job, fold, number, settings, checkpoint)

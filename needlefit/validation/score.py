@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -12,12 +12,13 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import layers_of, other_reading
 from needlefit.geometry.compare import compare
-from needlefit.inference.comparison import Curve, curve_of, scored_points
+from needlefit.inference.comparison import Curve, SimulatedCurve, curve_of, scored_points
 from needlefit.inference.predict import predict
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.project.records.fit import Reading
 from needlefit.project.records.medium import MediumRecord
 from needlefit.validation.planned import planned_layers
+from needlefit.validation.validity import ValidityCounts
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
@@ -65,11 +66,14 @@ class Scorer:
         Which count of layers holds for an insertion that ends at a boundary.
     floors : mapping
         The noise floor of every insertion, by id.
+    counts : ValidityCounts
+        Keeps the validity of every simulation that is scored.
     """
 
     dataset: Dataset
     reading: Reading
     floors: Mapping[str, NoiseFloor]
+    counts: ValidityCounts = field(default_factory=ValidityCounts)
 
     def score(self, place: Row, insertion: Insertion, rival: Rival) -> tuple[list[Row], list[Row]]:
         """Return the rows of `errors` and of `shapes`; `place` holds fold, role and rival."""
@@ -80,6 +84,8 @@ class Scorer:
             if curve is None:
                 errors.append({**row, **_FAILED})
                 continue
+            if isinstance(curve, SimulatedCurve):
+                self.counts.score(where, curve.shape.validity)
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
             simulated, measured = scored_points(pose, drop, insertion, curve)
             errors.append({**row, **self._errors(insertion, simulated, measured)})

@@ -23,6 +23,7 @@ from needlefit.inference.identifiability.identify import (
     identify,
     practically_equal,
 )
+from needlefit.inference.outside import outside
 from needlefit.inference.parameters import Theta
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
@@ -33,6 +34,7 @@ from needlefit.validation.identification import confirmed, identified, sampled_c
 from needlefit.validation.job import Job
 from needlefit.validation.results import COLUMNS
 from needlefit.validation.score import Rival, Row, Scorer, curve_rival, model_rival
+from needlefit.validation.validity import ValidityCounts
 
 
 @dataclass
@@ -55,6 +57,7 @@ class Tables:
     posteriors: dict[str, Posterior] = field(default_factory=dict)
     verdicts: dict[str, Verdict] = field(default_factory=dict)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
+    counts: ValidityCounts = field(default_factory=ValidityCounts)
 
     def frame(self, name: str) -> pd.DataFrame:
         """Return one frame; without rows it still has its columns."""
@@ -77,6 +80,8 @@ def tabulate(
         problem = job.problem(fold, name)
         place = {"fold": fold.name, "fit": name}
         tables.starts += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
+        ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
+        tables.counts.starts.add(len(ends), int(outside(problem, ends).sum()))
         for start in fit.starts:
             tables.failures += _failure_rows({**place, "start": start.index}, problem, start.failed)
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
@@ -123,6 +128,7 @@ def tabulate_draws(job: Job, fold: Fold, draws: Draws, tables: Tables) -> None:
         "certified": not draws.faults,
     }
     tables.draws += [{**about, **job.parameters.values(theta)} for theta in draws.thetas]
+    tables.counts.draws.add(len(draws.thetas), int(outside(job.problem(fold), draws.thetas).sum()))
 
 
 def tabulate_foreseen(foreseen: Iterable[Foreseen], tables: Tables) -> None:
@@ -130,6 +136,7 @@ def tabulate_foreseen(foreseen: Iterable[Foreseen], tables: Tables) -> None:
     for one in foreseen:
         tables.predictive.append(one.row)
         tables.bands += one.band
+        tables.counts.predicted.add(one.solved, one.outside)
 
 
 def rivals(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, Rival]:

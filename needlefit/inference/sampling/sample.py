@@ -30,6 +30,7 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.snapshots import Block, Failed, Snapshots
 from needlefit.inference.sampling.walkers import begin
 from needlefit.inference.starts import Watch
+from needlefit.project.limits import MAX_STORED_NUMBERS
 from needlefit.project.records.recipe import SampleRecord
 
 Floats = NDArray[np.float64]
@@ -111,6 +112,13 @@ def _check(problem: Density, settings: SampleRecord) -> None:
     if not problem.names:
         raise ConfigError("nothing is free: there is no posterior to sample")
     shares(settings.moves)
+    stored = settings.ensembles * settings.walkers * settings.steps * len(problem.names)
+    if stored > MAX_STORED_NUMBERS:
+        raise ConfigError(
+            f"ensembles x walkers x steps x free parameters is {stored}",
+            where="recipe, key `sample.steps`",
+            expected=f"at most {MAX_STORED_NUMBERS} numbers, which are kept in memory",
+        )
     if settings.walkers < 2 * len(problem.names):
         raise ConfigError(
             f"{settings.walkers} walkers cannot explore {len(problem.names)} free parameters",
@@ -182,8 +190,10 @@ def _posterior(task: _Task, chain: _Chain, found: Convergence | None, interrupte
     if found is None:  # stopped just after a lesson: what there is
         first = min(first, chain.steps // 2)
     thetas, density = chain.thetas[:, first:], chain.log_density[:, first:]
-    rows = [task.problem.values(theta) for theta in thetas.reshape(-1, len(names))]
-    values = np.array([[row[name] for name in names] for row in rows])
+    values = np.empty((thetas.size // len(names), len(names)))
+    for n, theta in enumerate(thetas.reshape(-1, len(names))):  # one by one: a list of all takes gigabytes
+        row = task.problem.values(theta)
+        values[n] = [row[name] for name in names]
     ensembles = len(thetas)
     return Posterior(
         names=names,

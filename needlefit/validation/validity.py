@@ -1,0 +1,98 @@
+"""How many simulations behind a result are outside what the model assumes: counted, never penalised."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from needlefit.mechanics.validity import LIMITS, Validity
+from needlefit.project.result_warnings import ResultWarning
+
+KEY = "validity"
+"""Of `run.json`."""
+
+FITTED = ("fitted", "fitted_metric")
+"""Rivals of which a warning is given; how far a published set strains the model is counted only."""
+
+SHOWN_ROWS = 20
+"""Scored simulations outside that are listed; the others are counted."""
+
+_WORDS = {
+    "scored": "scored simulations",
+    "starts": "ends of starts",
+    "draws": "draws of the posterior",
+    "predicted": "predictions of held-out insertions",
+}
+
+
+@dataclass
+class Count:
+    """Simulations, and how many of them are outside."""
+
+    simulations: int = 0
+    outside: int = 0
+
+    def add(self, simulations: int, outside: int) -> None:
+        """Count more of them."""
+        self.simulations += simulations
+        self.outside += outside
+
+
+@dataclass
+class ValidityCounts:
+    """What one run simulated, and how much of it is outside what the model assumes.
+
+    Attributes
+    ----------
+    starts : Count
+        Ends of all starts of all searches: one is outside if any of its insertions is.
+    draws : Count
+        Of the posterior, sampled or weighed about the fit; the same.
+    predicted : Count
+        Needles predicted of held-out insertions, one for each draw.
+    scored : list of dict
+        Fold, role, rival, insertion and boundaries of every scored simulation, with `faults` (empty: inside).
+    """
+
+    starts: Count = field(default_factory=Count)
+    draws: Count = field(default_factory=Count)
+    predicted: Count = field(default_factory=Count)
+    scored: list[dict[str, Any]] = field(default_factory=list)
+
+    def score(self, place: Mapping[str, Any], validity: Validity) -> None:
+        """Count a scored simulation."""
+        self.scored.append({**place, "faults": list(validity.faults)})
+
+    def table(self) -> dict[str, Any]:
+        """Return the counts as JSON values."""
+        beyond = [row for row in self.scored if row["faults"]]
+        counts = {"scored": Count(len(self.scored), len(beyond))}
+        counts |= {name: getattr(self, name) for name in ("starts", "draws", "predicted")}
+        table: dict[str, Any] = {name: vars(count) for name, count in counts.items()}
+        table["limits"] = {name: limit for name, limit, _ in LIMITS}
+        table["fitted_outside"] = sum(row["rival"] in FITTED for row in beyond)
+        table["scored_outside"] = beyond[:SHOWN_ROWS]
+        return table
+
+
+def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
+    """Yield a warning where what was fitted, drawn or predicted is outside what the model assumes."""
+    table = run.get(KEY, {})
+    fitted = table.get("fitted_outside", 0)
+    parts = [f"{fitted} scored simulations of the fit"] if fitted else []
+    parts += _shares(table, ("draws", "predicted"))
+    if parts:
+        yield ResultWarning(
+            "validity",
+            f"outside what the model assumes (slopes, shortening, compression, rounding): {', '.join(parts)}",
+            fix="read these numbers with care; `validity` in run.json names the limits and the insertions",
+        )
+
+
+def outside_words(run: Mapping[str, Any]) -> str:
+    """Return how many simulations of a run are outside, in a clause; nothing where none is."""
+    return ", ".join(_shares(run.get(KEY, {}), tuple(_WORDS)))
+
+
+def _shares(table: Mapping[str, Any], names: Sequence[str]) -> list[str]:
+    counts = [(name, table[name]) for name in names if name in table and table[name]["outside"]]
+    return [f"{count['outside']} of {count['simulations']} {_WORDS[name]}" for name, count in counts]

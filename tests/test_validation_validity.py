@@ -1,0 +1,96 @@
+"""What fits keep of solutions outside the model's assumptions: counts, warnings, never a penalty."""
+
+import json
+
+import numpy as np
+import pytest
+from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layers
+
+from needlefit.datasets.noise import NoiseFloor
+from needlefit.errors import ConfigError, NeedlefitError
+from needlefit.inference.outside import outside
+from needlefit.inference.predict import predict
+from needlefit.project.limits import MAX_LAYERS
+from needlefit.project.records.medium import MediumRecord
+from needlefit.project.records.recipe import RecipeRecord, SampleRecord
+from needlefit.project.records.scene import SceneRecord
+from needlefit.project.result_warnings import warnings_of
+from needlefit.validation.score import Scorer, model_rival
+from needlefit.validation.validity import ValidityCounts, outside_words, validity_warnings
+
+STEEP = {**TRUTH, "bevel_mm": 0.9}
+
+
+def test_parameter_sets_are_outside_where_any_of_their_needles_is():
+    problem = two_layers(count=2)
+    thetas = [problem.parameters.theta({**TRUTH, "bevel_mm": b}) for b in (0.02, 0.08, 0.5, 0.9)]
+    found = outside(problem, thetas)
+    for theta, beyond in zip(thetas, found, strict=True):
+        shapes = problem.shapes(theta)
+        assert beyond == any(shape.converged and not shape.valid for shape in shapes)
+    assert not found[0] and found[-1]
+    assert outside(problem, []).shape == (0,)
+    assert all(np.isfinite(problem.objective(theta)) for theta in thetas)  # nothing is penalised
+
+
+def test_scored_simulations_are_counted_and_named():
+    one = insertion(41.0, (25.0,), (1, 2))
+    data = dataset([one])
+    scorer = Scorer(data, "listed", {one.id: NoiseFloor(0.1, 0.11, 0.3, 0.25)})
+    for rival, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
+        place = {"fold": "all", "role": "tune", "rival": rival}
+        scorer.score(place, one, model_rival(values, medium(), data))
+    assert predict(STEEP, medium(), NEEDLE, one).converged
+    table = json.loads(json.dumps(scorer.counts.table()))
+    assert table["scored"] == {"simulations": 3, "outside": 2}
+    assert table["fitted_outside"] == 1
+    assert [row["rival"] for row in table["scored_outside"]] == ["fitted", "hand_tuned"]
+    (row,) = [row for row in table["scored_outside"] if row["rival"] == "fitted"]
+    assert row["insertion"] == one.id and row["faults"]
+    (warning,) = validity_warnings({"validity": table})
+    assert warning.kind == "validity" and "1 " in warning.what
+    assert "2 of 3" in outside_words({"validity": table})
+
+
+def test_a_run_inside_its_limits_says_nothing():
+    counts = ValidityCounts()
+    counts.draws.add(400, 0)
+    assert list(validity_warnings({"validity": counts.table()})) == []
+    assert outside_words({"validity": counts.table()}) == ""
+    assert outside_words({}) == "" and list(validity_warnings({})) == []  # an earlier version's run
+    counts.draws.add(400, 3)
+    assert len(list(validity_warnings({"validity": counts.table()}))) == 1
+    assert warnings_of({}) == ()
+
+
+BASE = {"schema": 1, "layers": 1, "parameters": {}}
+
+
+@pytest.mark.parametrize(
+    ("record", "key", "tables"),
+    [
+        (MediumRecord, "layers", BASE | {"layers": MAX_LAYERS + 1}),
+        (MediumRecord, "constraint_spacing_mm", BASE | {"constraint_spacing_mm": 0.001}),
+        (RecipeRecord, "starts", {"schema": 1, "starts": 10**9}),
+        (RecipeRecord, "evaluations", {"schema": 1, "evaluations": 10**12}),
+        (SampleRecord, "walkers", {"walkers": 10**7}),
+        (SampleRecord, "steps", {"ensembles": 50, "walkers": 1000, "steps": 20000}),
+        (SceneRecord, "depth_mm", {"schema": 1, "depth_mm": 9e8}),
+    ],
+)
+def test_one_key_cannot_ask_for_gigabytes(record, key, tables):
+    from needlefit.project.load import check
+
+    with pytest.raises(ConfigError) as caught:
+        check(tables, record, "a file")
+    assert key in caught.value.what
+
+
+def test_a_chain_of_too_many_numbers_is_refused_before_it_begins():
+    from needlefit.inference.sampling.sample import sample
+
+    problem = two_layers(count=1)
+    many = SampleRecord(ensembles=10, walkers=40, steps=10_000)
+    many = many.model_copy(update={"steps": 10**7})  # past the schema, as a program may
+    with pytest.raises(NeedlefitError):
+        sample(problem, np.array(problem.lower), many, np.random.default_rng(1))
