@@ -60,6 +60,21 @@ class _Warning(_Stored):
     fix: str = ""
 
 
+class _Count(_Stored):
+    simulations: int = 0
+    outside: int = 0
+
+
+class _Validity(_Stored):
+    """How many simulations are outside what the model assumes."""
+
+    scored: _Count = _Count()
+    starts: _Count = _Count()
+    draws: _Count = _Count()
+    predicted: _Count = _Count()
+    fitted_outside: int = 0
+
+
 class RunTable(_Stored):
     """The `run.json` of one run: what it was computed with."""
 
@@ -75,6 +90,7 @@ class RunTable(_Stored):
     search_faults: dict[str, list[str]] = {}
     faults: list[str] = []
     warnings: list[_Warning] = []
+    validity: _Validity = _Validity()
     parts: list["RunTable"] = []
     replicates: int = 0
     not_calibrated: list[str] = []
