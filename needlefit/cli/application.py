@@ -1,6 +1,5 @@
 """The table of commands, and what every command has in common: how it fails."""
 
-import sys
 from collections.abc import Callable
 from typing import Annotated
 
@@ -46,7 +45,6 @@ class _Guarded(TyperGroup):
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
         try:
             result = super().invoke(ctx)
-            sys.stdout.flush()
         except BaseException as error:
             code = failure.report(error, ctx.find_root().obj)
             if code is None:

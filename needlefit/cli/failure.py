@@ -1,6 +1,5 @@
 """How a command fails: what stands on stderr, and the exit code."""
 
-import os
 import sys
 import traceback
 
@@ -23,9 +22,6 @@ EXIT_CODES = {
 
 def report(error: BaseException, invocation: Invocation) -> int | None:
     """Say what went wrong and return the exit code; None leaves the error to typer."""
-    if isinstance(error, BrokenPipeError):
-        _forget_stdout()
-        return 0  # the reader has had enough: nothing failed
     if isinstance(error, KeyboardInterrupt):
         print("needlefit: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -33,14 +29,37 @@ def report(error: BaseException, invocation: Invocation) -> int | None:
         return None
     if invocation.verbose:
         traceback.print_exception(error)
-    if isinstance(error, OSError):
-        error = _of_system(error)
+    error = _explained(error)
     if isinstance(error, NeedlefitError):
         print(f"needlefit: {error}", file=sys.stderr)
         return error.exit_code
     hint = "" if invocation.verbose else " (-v shows where)"
     print(f"needlefit: unexpected {type(error).__name__}: {error}{hint}", file=sys.stderr)
     return UNEXPECTED
+
+
+def _explained(error: BaseException) -> BaseException:
+    """Return an error of Python's of which it is known what a user can do, as one that says so."""
+    if isinstance(error, OSError):
+        return _of_system(error)
+    if isinstance(error, MemoryError):
+        return ConfigError(
+            "there is not enough memory for this",
+            expected="inputs and results that fit into the memory of this machine",
+            mend="use fewer --jobs, smaller or fewer inputs, or a machine with more memory",
+        )
+    if isinstance(error, RecursionError):
+        return ConfigError(
+            "an input is nested too deeply", expected="a few levels", mend="check the files that were named"
+        )
+    if isinstance(error, UnicodeEncodeError):
+        return ConfigError(
+            "a name or text holds characters that are not valid Unicode",
+            where=ascii(error.object[max(error.start - 40, 0) : error.end + 40]),
+            expected="names of files, folders and data that can be written as UTF-8",
+            mend="rename it",
+        )
+    return error
 
 
 def _of_system(error: OSError) -> ConfigError:
@@ -60,8 +79,3 @@ def _is_typers(error: BaseException) -> bool:
         or hasattr(error, "show")
         or type(error).__name__ in ("Exit", "Abort")
     )
-
-
-def _forget_stdout() -> None:
-    """Let the flush at the interpreter's end go nowhere instead of failing again."""
-    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

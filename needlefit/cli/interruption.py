@@ -5,7 +5,7 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from types import FrameType
 
 from needlefit.cli.failure import INTERRUPTED
@@ -22,13 +22,19 @@ def stopping() -> Iterator[Callable[[], bool]]:
     def on_signal(number: int, frame: FrameType | None) -> None:
         if pressed.is_set():
             if sys.stderr.isatty():
-                os.write(2, _SHOW_CURSOR)
+                _write(_SHOW_CURSOR)
             os._exit(INTERRUPTED)  # threads that are still computing would hold up any softer way out
         pressed.set()
-        os.write(2, _ONCE)  # print() may not be entered again from inside a print()
+        _write(_ONCE)
 
     before = signal.signal(signal.SIGINT, on_signal)
     try:
         yield pressed.is_set
     finally:
         signal.signal(signal.SIGINT, before)
+
+
+def _write(text: bytes) -> None:
+    """Write to stderr, if anybody still reads it; print() may not be entered again from inside a print()."""
+    with suppress(OSError):
+        os.write(2, text)

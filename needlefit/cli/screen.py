@@ -39,8 +39,12 @@ def compile_ahead(*rooms: str, quiet: bool = False) -> None:
 
 
 def show_json(value: object) -> None:
-    """Print a value as JSON; numbers that JSON has not (NaN, infinity) become null."""
-    print(json.dumps(plain(value), indent=2, ensure_ascii=False, allow_nan=False))
+    """Print a value as JSON; numbers that JSON has not (NaN, infinity) become null.
+
+    Where stdout has not all characters they are escaped, as JSON can.
+    """
+    escaped = not (sys.stdout.encoding or "").lower().startswith("utf")
+    print(json.dumps(plain(value), indent=2, ensure_ascii=escaped, allow_nan=False))
 
 
 def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFrame, not imported here
