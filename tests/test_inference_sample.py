@@ -174,7 +174,7 @@ def test_a_run_goes_on_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
         assert stopped == 1
     save(draw(kept=tmp_path / "kept"), tmp_path / "again.nc")
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
-    assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [f"{n:05d}.h5" for n in range(3)]
+    assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [f"{n:05d}.kept" for n in range(3)]
 
 
 @pytest.mark.parametrize("stopped", [5, 11, 40])
@@ -194,11 +194,24 @@ def test_what_was_learned_from_is_burn_in(monkeypatch):
 
 def test_what_is_lost_of_the_snapshots_is_walked_again(tmp_path):
     whole = draw(kept=tmp_path)
-    (tmp_path / "00001.h5").unlink()  # the third is of no use then
+    (tmp_path / "00001.kept").unlink()  # the third is of no use then
     assert np.array_equal(draw(kept=tmp_path).draws, whole.draws)
-    (tmp_path / "00001.h5").write_text("half")
-    with pytest.raises(DataError, match="damaged snapshot"):
-        draw(kept=tmp_path)
+
+
+@pytest.mark.parametrize("damage", ["cut", "flipped", "empty"])
+def test_a_damaged_snapshot_is_set_aside_and_walked_again(tmp_path, damage):
+    whole, lines = draw(kept=tmp_path), []
+    torn = tmp_path / "00001.kept"
+    data = bytearray(torn.read_bytes())
+    data[-100] ^= 1
+    torn.write_bytes({"cut": data[:200], "flipped": data, "empty": b""}[damage])
+    before = torn.read_bytes()
+    kept = Snapshots(tmp_path, lines.append)
+    again = sample(box(gaussian), (0.4, -0.2), settings(), np.random.default_rng(1), None, kept)
+    assert np.array_equal(again.draws, whole.draws)
+    assert (tmp_path / "00001.kept.torn-1").read_bytes() == before
+    assert len(lines) == 1 and "00001.kept.torn-1" in lines[0]
+    assert sorted(path.name for path in tmp_path.glob("*.kept")) == [f"{n:05d}.kept" for n in range(3)]
 
 
 def test_too_few_walkers_and_nothing_free_are_errors():

@@ -7,8 +7,6 @@ import pytest
 from needlefit.errors import ConfigError
 from needlefit.project import places
 from needlefit.project.init import copy_project
-from needlefit.project.replace import replacing
-from needlefit.synthetic.replace import replacing_twin
 
 STUDY = "schema = 1\nvalidate = [{}]\n"
 
@@ -124,84 +122,6 @@ def test_init_copies_once_and_never_overwrites(tmp_path, monkeypatch):
     assert places.find("scene", "chicken") == tmp_path / "mine/configs/scenes/chicken.toml"
     with pytest.raises(ConfigError, match="exists already"):
         copy_project(tmp_path / "mine")
-
-
-def twin(folder: Path, title: str = "") -> None:
-    """Write what marks a folder as a twin that was built, in small."""
-    (folder / "layers").mkdir(parents=True, exist_ok=True)
-    (folder / "layers" / "top.stl").write_text("")
-    (folder / "truth.toml").write_text("")
-    (folder / "dataset.toml").write_text(
-        f'name = "twin"\ntitle = "{title}"\norigin = "synthetic"\n[checksums]\n"layers/top.stl" = ""\n'
-    )
-
-
-def test_a_twin_replaces_a_twin_and_an_empty_folder(tmp_path):
-    folder = tmp_path / "mine"
-    folder.mkdir()
-    for title in ("first", "second"):
-        with replacing_twin(folder) as fresh:
-            twin(fresh, title)
-    assert "second" in (folder / "dataset.toml").read_text()
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-
-
-@pytest.mark.parametrize(
-    ("name", "text"),
-    [
-        ("notes.txt", "mine"),
-        ("layers/mine.stl", "mine"),
-        (".hidden", "mine"),
-        ("dataset.toml", 'name = "twin"\norigin = "measured"\n'),
-        ("dataset.toml", 'name = "mine"\norigin = "synthetic"\n'),
-        ("truth.toml", None),
-        ("dataset.toml", None),
-    ],
-)
-def test_nothing_but_a_twin_is_ever_replaced(name, text, tmp_path):
-    folder = tmp_path / "mine"
-    twin(folder)
-    if text is None:
-        (folder / name).unlink()
-    else:
-        (folder / name).write_text(text)
-    before = {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
-    with pytest.raises(ConfigError, match="is not replaced"), replacing_twin(folder):
-        pytest.fail("began to build")
-    assert {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()} == before
-
-
-def test_a_file_put_there_while_a_twin_is_built_stays(tmp_path):
-    folder = tmp_path / "mine"
-    twin(folder)
-    with pytest.raises(ConfigError, match=r"notes\.txt"), replacing_twin(folder) as fresh:
-        twin(fresh)
-        (folder / "notes.txt").write_text("mine")
-    assert (folder / "notes.txt").read_text() == "mine"
-
-
-def test_a_build_that_fails_leaves_the_old_folder(tmp_path):
-    folder = tmp_path / "mine"
-    folder.mkdir()
-    (folder / "old").write_text("")
-    with pytest.raises(RuntimeError), replacing(folder) as fresh:
-        (fresh / "half").write_text("")
-        raise RuntimeError
-    assert [path.name for path in tmp_path.iterdir()] == ["mine"]
-    assert [path.name for path in folder.iterdir()] == ["old"]
-
-
-def test_the_shipped_twin_may_be_replaced_and_a_template_not(tmp_path):
-    import shutil
-
-    from needlefit.datasets.template import template
-
-    shutil.copytree(places.shipped() / "data" / "twin", tmp_path / "twin")
-    with replacing_twin(tmp_path / "twin") as fresh:
-        twin(fresh)
-    template(tmp_path / "mine")
-    with pytest.raises(ConfigError, match="is not replaced"), replacing_twin(tmp_path / "mine"):
-        pytest.fail("began to build")
 
 
 def test_of_few_names_all_are_listed_and_of_many_the_nearest(project):

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import pytest
 
+from needlefit.errors import ConfigError
 from needlefit.project.replace import replacing, replacing_file
 
 pytest.importorskip("fcntl")
@@ -63,13 +64,29 @@ def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(verb
     assert set(tmp_path.iterdir()) == {tmp_path / "out", *mine}
 
 
-def test_the_only_copy_is_never_removed(tmp_path):
+def test_the_only_copy_goes_back_to_its_place(tmp_path):
     """Killed between two renamings: the earlier folder stands in the scratch folder alone."""
     process = writing(tmp_path / "out", "replacing")
     (scratch,) = tmp_path.iterdir()
     (scratch / "old").mkdir()
+    (scratch / "old" / "notes.txt").write_text("mine")
     end(process, signal.SIGKILL)
-    with replacing(tmp_path / "out") as fresh:
-        assert (scratch / "old").is_dir()
+    with pytest.raises(ConfigError, match=r"notes\.txt"), replacing(tmp_path / "out") as fresh:
         (fresh / "whole").touch()
-    assert (scratch / "old").is_dir()
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
+    assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
+
+
+def test_a_result_that_was_exchanged_and_holds_what_is_foreign_is_never_removed(tmp_path):
+    """Killed after the exchange, before anybody looked at what was replaced."""
+    write(tmp_path / "out", "replacing")
+    process = writing(tmp_path / "out", "replacing")
+    (scratch,) = tmp_path.glob(".out.*")
+    (scratch / "old").mkdir()
+    (scratch / "old" / "notes.txt").write_text("mine")
+    end(process, signal.SIGKILL)
+    write(tmp_path / "out", "replacing")
+    assert (scratch / "old" / "notes.txt").read_text() == "mine"
+    (scratch / "old" / "notes.txt").unlink()
+    write(tmp_path / "out", "replacing")
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]

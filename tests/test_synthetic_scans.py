@@ -25,7 +25,6 @@ from needlefit.synthetic import design
 from needlefit.synthetic.ct.insertion import acquire, expose, whole_needle
 from needlefit.synthetic.ct.setup import SAMPLE, WHOLE, stated_markers
 from needlefit.synthetic.design import insertions, named
-from needlefit.synthetic.replace import replacing_scans
 from needlefit.synthetic.scans import render_insertion, write_scans
 from needlefit.synthetic.twin import SEED, synthesize
 
@@ -308,17 +307,7 @@ def test_scans_replace_scans_and_nothing_else(tmp_path):
     before = files(out)
     refused = needlefit("sample", "--out", out, "-q")
     assert refused.exit_code == 3 and files(out) == before
-    assert "mine.txt, which scans of the twin do not" in refused.stderr
-
-
-@pytest.mark.parametrize(
-    "content", ["", "id,scan\na,a.nrrd\n", "id,scan,origin\na,a.nrrd,measured\n", "\xff"]
-)
-def test_scans_of_others_are_never_replaced(tmp_path, content):
-    (tmp_path / "scans.csv").write_text(content, encoding="latin-1")
-    with pytest.raises(ConfigError, match="is not replaced"), replacing_scans(tmp_path):
-        pass
-    assert (tmp_path / "scans.csv").read_text(encoding="latin-1") == content
+    assert "volumes/sample/mine.txt" in refused.stderr
 
 
 # ---- processes

@@ -13,7 +13,6 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.geometry.surfaces import sheet
 from needlefit.inference.predict import predict
-from needlefit.inference.starts import Start
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import inserted_points
 from needlefit.mechanics.simulate import simulate
@@ -24,7 +23,6 @@ from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.reporting.sentences import failures_said
 from needlefit.reporting.write import write
-from needlefit.validation.checkpoint import open_checkpoint
 from needlefit.validation.folds import folds
 from needlefit.validation.planned import planned_layers
 from needlefit.validation.results import COLUMNS, Results
@@ -191,17 +189,6 @@ def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(project: Pat
     assert run("violent", study(), stopped).interrupted
     again = run("violent", study(), Settings(checkpoint=kept, resume=True))
     pd.testing.assert_frame_equal(again.failures, results.failures, check_exact=True)
-
-
-def test_a_torn_line_is_no_start(tmp_path: Path) -> None:
-    checkpoint = open_checkpoint(tmp_path / "c", False, {"n": 1})
-    start = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
-    checkpoint.keep("fold/fit", start)
-    file = next((tmp_path / "c").glob("*.jsonl"))
-    with file.open("a") as stream:
-        stream.write('{"index": 1, "theta0": [0.')
-    checkpoint.keep("fold/fit", dataclasses.replace(start, index=2))
-    assert sorted(checkpoint.finished("fold/fit")) == [0, 2]
 
 
 def test_leaving_specimens_out_never_splits_one(project: Path) -> None:

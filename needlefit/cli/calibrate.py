@@ -7,7 +7,7 @@ import typer
 
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import targets
-from needlefit.cli.execution import Execution, cores
+from needlefit.cli.execution import Execution, cores, remark
 from needlefit.cli.interruption import stopping
 from needlefit.cli.invocation import Invocation
 from needlefit.cli.progress import progress
@@ -99,6 +99,7 @@ def _run(
             sample=sample,
             progress=report,
             stop=execution.stop,
+            note=remark,
         )
         found = repeat(*fit, settings, count, control)
     if found.interrupted:

@@ -44,20 +44,20 @@ def credibility(
     is not counted; nothing is graded. Results go to OUT/credibility-RUN/.
     """
     from needlefit.project.load import load
+    from needlefit.project.ownership import require_replaceable
     from needlefit.project.places import find_run
     from needlefit.project.reading import stored_values
     from needlefit.project.records.about import AboutRecord
     from needlefit.reporting.credibility.case import NOBODY, case
     from needlefit.reporting.credibility.entries import entries
     from needlefit.reporting.credibility.write import as_json, write_bundle
-    from needlefit.reporting.files import require_result
 
     folder = find_run(run)
     stated = NOBODY if about is None else load(about, AboutRecord)
     with stored_values(folder):
         found = case(folder, evidence or (), stated, "" if about is None else about.name)
         target = out / f"credibility-{found.name}"
-        require_result(target)
+        require_replaceable(target)
         every = entries(found)
         write_bundle(found, every, folder.resolve(), target)
     if json:

@@ -1,7 +1,6 @@
 """Running studies and fits: settings, progress, Ctrl-C, where results and checkpoints go."""
 
 import os
-import shutil
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
@@ -48,19 +47,11 @@ class Execution:
         ConfigError
             If they cannot, or would replace something that needlefit did not write.
         """
-        from needlefit.reporting.files import require_result
+        from needlefit.project.ownership import require_own_checkpoint, require_replaceable
 
-        try:
-            self.out.mkdir(parents=True, exist_ok=True)
-            writable = os.access(self.out, os.W_OK)
-        except OSError:
-            writable = False
-        if not writable:
-            raise ConfigError(
-                "cannot be written to", where=str(self.out), mend="choose another folder with --out"
-            )
         for name in names:
-            require_result(self.folder(name))
+            require_replaceable(self.folder(name))
+            require_own_checkpoint(self.checkpoint(name))
             if not (self.sample or replaces_posterior) and any(self.folder(name).glob("posterior*.nc")):
                 raise ConfigError(
                     "holds a sampled posterior, which this run would replace by none",
@@ -109,6 +100,7 @@ class Execution:
             sample=self.sample,
             progress=report,
             stop=self.stop,
+            note=remark,
         )
 
     def write(self, results: "Results") -> Path:
@@ -122,12 +114,19 @@ class Execution:
 
     def forget(self, name: str) -> None:
         """Remove the checkpoint of a run that is complete."""
-        shutil.rmtree(self.checkpoint(name), ignore_errors=True)
+        from needlefit.project.partial import forget
+
+        forget(self.checkpoint(name), remark)
 
     def interrupted(self) -> typer.Exit:
         """Say how to go on; return the exit to raise."""
         screen.note(f"needlefit: interrupted; to go on: {self.invocation.resuming()}")
         return typer.Exit(failure.INTERRUPTED)
+
+
+def remark(line: str) -> None:
+    """Print a line about what was found on the way, that is no result, to stderr."""
+    screen.note(f"needlefit: {line}")
 
 
 def cores() -> int:

@@ -37,12 +37,12 @@ def material(
     from needlefit.datasets.compression import read_compression
     from needlefit.inference.material_prior import Foundation
     from needlefit.inference.population import fit_material
-    from needlefit.reporting.files import require_result
+    from needlefit.project.ownership import require_replaceable
     from needlefit.reporting.material import Report, as_json, layout, write_material
     from needlefit.reporting.material_said import summary
 
     name = f"material-{file.stem}"
-    require_result(out / name)
+    require_replaceable(out / name)
     stated = None if foundation is None else Foundation(*foundation)
     test = read_compression(file, stress)
     report = Report(name, test, fit_material(test), stated)

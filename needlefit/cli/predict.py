@@ -53,8 +53,8 @@ def predict(
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.cli.tune import fit_of
         from needlefit.mechanics.scene import Scene
+        from needlefit.project.ownership import require_replaceable
         from needlefit.project.unit_warnings import unit_warnings
-        from needlefit.reporting.files import require_result
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
         from needlefit.validation.forecast import forecast, outside_warnings
         from needlefit.validation.foreknown import foreknown
@@ -64,7 +64,7 @@ def predict(
         where, planned = scene_record(scene, depth, set_ or [])
         name, record = fit_of(target)
         folder = out / f"predict-{name.removesuffix('-tune')}-{Path(scene).stem}"
-        require_result(folder)
+        require_replaceable(folder)
         screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
         with progress(invocation.quiet) as report:
             settings = Settings(seed=seed, jobs=jobs or cores(), progress=report, stop=stop)

@@ -1,6 +1,5 @@
 """`needlefit reconstruct`: scans of inserted needles -> a checked dataset."""
 
-import shutil
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
@@ -10,7 +9,7 @@ import typer
 from needlefit.cli import failure, options, screen
 from needlefit.cli.completion import reconstructions
 from needlefit.cli.completion import scans as complete_scans
-from needlefit.cli.execution import cores
+from needlefit.cli.execution import cores, remark
 from needlefit.cli.interruption import stopping
 from needlefit.cli.progress import progress
 from needlefit.errors import DataError
@@ -22,6 +21,9 @@ if TYPE_CHECKING:
 
 MOST_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
+
+EACH_ITS_OWN = "each file"
+"""In the stamp of the checkpoint: each reconstruction in it has a stamp of what decided it."""
 
 
 def reconstruct(
@@ -95,17 +97,21 @@ def reconstruct(
         from needlefit.imaging.assemble import About
         from needlefit.imaging.batch import Batch, Failure, reconstruct_all
         from needlefit.project.load import load
+        from needlefit.project.ownership import require_own_checkpoint, require_replaceable
+        from needlefit.project.partial import claim, forget
         from needlefit.project.places import find
         from needlefit.project.records.reconstruction import ReconstructionRecord
-        from needlefit.reporting.reconstructed import require_replaceable, write_reconstructed
+        from needlefit.reporting.reconstructed import write_reconstructed
 
         require_replaceable(out)
+        keep = out.resolve().with_name(f"{out.resolve().name}.partial")
+        require_own_checkpoint(keep)
         wanted = _scans(scans, medium, {name: value for name, value in named.items() if value})
         record = load(find("reconstruction", recipe), ReconstructionRecord)
-        keep = out.resolve().with_name(f"{out.resolve().name}.partial")
+        lock = claim(keep, EACH_ITS_OWN, resume, remark)
         with progress(invocation.quiet) as report:
             found = reconstruct_all(
-                wanted, record, Batch(jobs or min(MOST_JOBS, cores()), keep, resume, report, stop)
+                wanted, record, Batch(jobs or min(MOST_JOBS, cores()), keep, resume, report, stop, remark)
             )
             if len(found) < len(wanted):
                 screen.note(f"needlefit: interrupted; to go on: {invocation.resuming()}")
@@ -120,7 +126,9 @@ def reconstruct(
     if failed and ones:
         screen.note(f"needlefit: what is finished is kept in {keep}; to go on: {invocation.resuming()}")
     else:
-        shutil.rmtree(keep, ignore_errors=True)
+        forget(keep, remark)
+    if lock is not None:
+        lock.release()
     if failed:
         raise typer.Exit(DataError.exit_code)
 

@@ -28,13 +28,13 @@ def twin_build(
     The same seed gives the same bytes. DIR is replaced only if it holds a twin, and
     nothing else.
     """
+    from needlefit.project.replace import replacing
     from needlefit.synthetic.build import build
-    from needlefit.synthetic.replace import replacing_twin
     from needlefit.synthetic.twin import SEED
 
     seed = SEED if seed is None else seed
     screen.compile_ahead(quiet=quiet)
-    with replacing_twin(out) as fresh, progress(context.find_root().obj.quiet) as report:
+    with replacing(out) as fresh, progress(context.find_root().obj.quiet) as report:
         build(fresh, seed, jobs=jobs or cores(), progress=report)
     screen.say(f"{out}: synthetic dataset, seed {seed}")
 
@@ -58,13 +58,13 @@ def twin_ct(
     A volume is some 20 MB. The same seed gives the same bytes. DIR is replaced only if it holds such
     scans, and nothing else.
     """
+    from needlefit.project.replace import replacing
     from needlefit.synthetic.design import named
-    from needlefit.synthetic.replace import replacing_scans
     from needlefit.synthetic.scans import write_scans
     from needlefit.synthetic.twin import SEED
 
     seed, plan = SEED if seed is None else seed, named(ids or ())
     screen.compile_ahead(quiet=quiet)
-    with replacing_scans(out) as fresh, progress(context.find_root().obj.quiet) as report:
+    with replacing(out) as fresh, progress(context.find_root().obj.quiet) as report:
         write_scans(fresh, plan, seed, form, jobs or cores(), report)
     screen.say(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

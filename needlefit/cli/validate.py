@@ -55,6 +55,8 @@ def validate(
         todo = works(study)
         execution.prepare([*(work.name for work in todo if not work.sampled), *_together(study)])
         execution.prepare([work.name for work in todo if work.sampled], replaces_posterior=True)
+        if reference:
+            execution.prepare([f"reference/{work.name}" for work in todo], replaces_posterior=True)
         done = carry_out(execution, todo, json)
         if _together(study):
             _write_all(execution, study, done, json)

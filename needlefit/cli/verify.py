@@ -28,12 +28,12 @@ def verify(
     Every figure is measured now; none is stored. Prints the table and writes it as CSV, JSON
     and PDF to OUT/verification/. Exit code 6 where a row fails.
     """
-    from needlefit.reporting.files import require_result
+    from needlefit.project.ownership import require_replaceable
     from needlefit.reporting.verification import refinements, summary, table, write_verification
     from needlefit.verification.run import verify as measure
 
     folder = out / FOLDER
-    require_result(folder)
+    require_replaceable(folder)
     invocation = context.find_root().obj
     screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
     started = time.perf_counter()

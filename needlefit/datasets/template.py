@@ -10,11 +10,10 @@ from needlefit.datasets.conversion import read_source
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.datasets.write import write_dataset
-from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import sheet
 from needlefit.project.records.dataset import DatasetRecord
-from needlefit.project.replace import replacing
+from needlefit.project.replace import new_folder, require_new
 
 FILL_IN = "TO FILL IN"
 
@@ -48,22 +47,18 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
 
     Raises
     ------
+    ConfigError
+        If `folder` holds something.
     DataError
-        If `folder` holds something, or the source has faults.
+        If the source has faults.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise DataError(
-            "exists already",
-            where=str(folder),
-            expected="a new or empty folder",
-            mend="choose another folder",
-        )
+    require_new(folder)
     if source is None:
-        with replacing(folder) as fresh:
+        with new_folder(folder) as fresh:
             _finish(_example(fresh), EXAMPLE_NOTE)
         return folder / "dataset.toml"
     read = read_source(source)
-    with replacing(folder) as fresh:
+    with new_folder(folder) as fresh:
         curves = {name: points.written() for name, points in read.curves.items()}
         faults = _finish(_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
         if faults:

@@ -108,6 +108,34 @@ def write_surface(surface: Surface, path: Path) -> None:
     path.write_bytes(trimesh.exchange.stl.export_stl_ascii(mesh).encode("ascii", "replace"))
 
 
+@dataclass(frozen=True)
+class Triangles:
+    """A surface in plain values: vertices (V, 3), mm, and faces (F, 3), numbers of vertices."""
+
+    name: str
+    vertices: NDArray[np.float64]
+    faces: NDArray[np.int64]
+    kind: Kind
+    into: int
+
+
+def to_triangles(surface: Surface) -> Triangles:
+    """Return a surface in plain values."""
+    mesh = surface.mesh
+    vertices, faces = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64)
+    return Triangles(surface.name, vertices, faces, surface.kind, surface.into)
+
+
+def from_triangles(plain: Triangles) -> Surface:
+    """Return the surface of plain values; ValueError if a face names no vertex."""
+    if plain.vertices.shape[1:] != (3,) or plain.faces.shape[1:] != (3,):
+        raise ValueError("no triangles")
+    if plain.faces.size and not (plain.faces.min() >= 0 and plain.faces.max() < len(plain.vertices)):
+        raise ValueError("a face names a vertex that is not there")
+    mesh = trimesh.Trimesh(plain.vertices, plain.faces, process=False)
+    return Surface(plain.name, mesh, plain.kind, plain.into)
+
+
 def moved(surface: Surface, frame: Frame) -> Surface:
     """Return a surface of `frame` in the world."""
     vertices = frame.to_world(surface.mesh.vertices)

@@ -1,24 +1,30 @@
 """Many scans, one after the other or side by side; one that fails loses nothing of the others."""
 
 import hashlib
-import pickle
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib.metadata import version
 from pathlib import Path
 
-from needlefit.errors import NeedlefitError
+from needlefit.errors import DataError, NeedlefitError
+from needlefit.geometry.surfaces import Surface, Triangles, from_triangles, to_triangles
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.scan import Scan
+from needlefit.project.encode import Arrays, Hook, Hooks, decode, encode
+from needlefit.project.kept import Kept, read_kept, set_aside, write_kept
 from needlefit.project.processes import in_processes
 from needlefit.project.records.reconstruction import ReconstructionRecord
-from needlefit.project.replace import replacing_file
-from needlefit.project.watching import Progress, Stop, never, silent
+from needlefit.project.watching import Note, Progress, Stop, never, silent, unheard
 
 WHOLE = (".nrrd", ".nii", ".nii.gz", ".mha")
 """Endings of volumes that are one file."""
+
+KIND = "reconstruction"
+"""Of the files in which finished ones are kept."""
+
+_HOOKS: Hooks = {Surface: Hook(to_triangles, from_triangles, Triangles)}
 
 PACKAGES = ("numpy", "scipy", "SimpleITK", "pydicom", "scikit-image", "trimesh")
 
@@ -47,6 +53,8 @@ class Batch:
         Told which scan was finished, how many are, and of how many.
     stop : callable
         Whether to begin no further scan.
+    note : callable
+        Given a line about what is kept and damaged.
     """
 
     jobs: int = 1
@@ -54,6 +62,7 @@ class Batch:
     resume: bool = False
     progress: Progress = silent
     stop: Stop = never
+    note: Note = unheard
 
 
 def reconstruct_all(
@@ -88,24 +97,39 @@ def attempt(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction | Failur
 
 
 def _kept(scan: Scan, recipe: ReconstructionRecord, batch: Batch) -> Reconstruction | None:
+    """Return what is kept of a scan; None if nothing, of another scan or recipe, or damaged."""
     if batch.keep is None or not batch.resume or not _file(scan, batch.keep).is_file():
         return None
+    file = _file(scan, batch.keep)
     try:
-        stamp, one = pickle.loads(_file(scan, batch.keep).read_bytes())  # noqa: S301
-    except (pickle.UnpicklingError, EOFError, AttributeError, ImportError, ValueError):
+        kept = read_kept(file, KIND, _stamp(scan, recipe))
+        return None if kept is None else replace(_decoded(kept, file), scan=scan)
+    except DataError:
+        batch.note(f"{file} was damaged: it is now {set_aside(file).name}; {scan.id} is reconstructed again")
         return None
-    return one if stamp == _stamp(scan, recipe) and isinstance(one, Reconstruction) else None
 
 
 def _keep(one: Reconstruction, recipe: ReconstructionRecord, batch: Batch) -> None:
     if batch.keep is None:
         return
-    with replacing_file(_file(one.scan, batch.keep)) as fresh:
-        fresh.write_bytes(pickle.dumps((_stamp(one.scan, recipe), one)))
+    arrays: Arrays = {}
+    values = {KIND: encode(one, _HOOKS, arrays)}
+    write_kept(_file(one.scan, batch.keep), KIND, _stamp(one.scan, recipe), Kept(values, arrays))
+
+
+def _decoded(kept: Kept, file: Path) -> Reconstruction:
+    """Return the reconstruction that a file keeps; DataError if it keeps none."""
+    try:
+        one = decode(Reconstruction, kept.values.get(KIND), _HOOKS, kept.arrays)
+    except (ValueError, TypeError, IndexError, OverflowError) as error:
+        raise DataError(f"holds no reconstruction: {error}", where=str(file)) from None
+    if not isinstance(one, Reconstruction):
+        raise DataError("holds no reconstruction", where=str(file))
+    return one
 
 
 def _file(scan: Scan, keep: Path) -> Path:
-    return keep / f"{scan.id}.pickle"
+    return keep / f"{scan.id}.kept"
 
 
 def _stamp(scan: Scan, recipe: ReconstructionRecord) -> str:

@@ -1,10 +1,10 @@
 """Only what `needlefit check` passes becomes a dataset; the rest is told, and costs the others nothing."""
 
 import re
-import shutil
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 from needlefit.datasets.check import check
 from needlefit.datasets.faults import Fault, as_error
@@ -31,20 +31,25 @@ def assemble_sound(
     """
     left, failures = list(ones), list[Failure]()
     while left:
-        assemble(folder, left, recipe, about)
-        faults = check(folder)
+        faults = _faults(left, recipe, about)
         if not faults:
+            assemble(folder, left, recipe, about)
             return tuple(left), tuple(failures)
         blamed = [_owner(fault, left) for fault in faults]
         if None in blamed:
-            raise as_error([_of_all(fault, folder) for fault in faults], Path(about.name))
+            raise as_error(faults, Path(about.name))
         told = list(zip(blamed, faults, strict=True))
         for one in [one for one in left if one in blamed]:
             left.remove(one)
             failures.append(Failure(one.scan, _error(one, [fault for owner, fault in told if owner is one])))
-        shutil.rmtree(folder)
-        folder.mkdir()
     return (), tuple(failures)
+
+
+def _faults(ones: Sequence[Reconstruction], recipe: ReconstructionRecord, about: About) -> list[Fault]:
+    """Return the faults of the dataset that some insertions make, not of the folder where it is tried."""
+    with TemporaryDirectory(prefix="needlefit-") as trial:
+        assemble(Path(trial), ones, recipe, about)
+        return [_of_all(fault, Path(trial)) for fault in check(Path(trial))]
 
 
 def _owner(fault: Fault, ones: Sequence[Reconstruction]) -> Reconstruction | None:

@@ -5,6 +5,9 @@ from pathlib import Path
 
 from needlefit.errors import ConfigError
 from needlefit.project.places import PARTS, shipped
+from needlefit.project.replace import new_folder
+
+_IGNORED = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
 
 
 def copy_project(folder: Path) -> list[Path]:
@@ -30,7 +33,6 @@ def copy_project(folder: Path) -> list[Path]:
             mend="choose another folder",
         )
     for part, target in zip(PARTS, targets, strict=True):
-        shutil.copytree(
-            shipped() / part, target, ignore=shutil.ignore_patterns(".*", "__pycache__", "*.partial")
-        )
+        with new_folder(target) as fresh:
+            shutil.copytree(shipped() / part, fresh, ignore=_IGNORED, dirs_exist_ok=True)
     return targets

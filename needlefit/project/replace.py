@@ -1,11 +1,39 @@
-"""Writing a folder, or one file, whole or not at all."""
+"""Writing a folder, or one file, whole or not at all, in the place of nothing that is not needlefit's own."""
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+import ctypes
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import IO
 
 from needlefit.errors import ConfigError
-from needlefit.project.scratch import NEW, OLD, scratch
+from needlefit.project.ownership import (
+    foreign,
+    held,
+    not_replaced,
+    not_writable,
+    require_replaceable,
+    write_stamp,
+)
+
+try:
+    import fcntl
+except ImportError:  # Windows: what is left stays, since nothing says safely that its owner is gone
+    fcntl = None  # type: ignore[assignment]
+
+NEW, OLD = "new", "old"
+"""In a scratch folder: where something is written; and the result that waits to be put in its place, or was
+replaced. What lies in `OLD` is removed only when it is known to be needlefit's own."""
+
+LOCK = "lock"
+"""A file in it that its process holds locked; the lock goes with the process, however that ends."""
+
+_MARK = "a scratch folder of needlefit\n"
+_AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
 @contextmanager
@@ -13,64 +41,62 @@ def replacing(folder: Path) -> Iterator[Path]:
     """Yield an empty folder, of the same name, that takes the place of `folder` when the block ends well.
 
     It stands beside `folder` until then, so that a failure leaves nothing behind and the old one as it was;
-    what a killed process left the next one removes. What may be replaced the caller decides before. A block
-    that writes nothing replaces nothing.
+    what a killed process left the next one removes. It gets the stamp of `ownership`. A block that writes
+    nothing replaces nothing.
 
     Raises
     ------
     ConfigError
-        If nothing can be written there.
+        If nothing can be written there, or `folder` holds anything foreign, at the begin or at the end.
     """
     folder = folder.resolve()
+    require_replaceable(folder)
     with scratch(folder) as beside:
-        fresh, old = beside / NEW / folder.name, beside / OLD
+        fresh = beside / NEW / folder.name
         fresh.mkdir()
         yield fresh
-        if not any(fresh.iterdir()):
-            return
-        if not folder.exists():
-            fresh.rename(folder)
-            return
-        folder.rename(old)
-        try:
-            fresh.rename(folder)
-        except BaseException:
-            old.rename(folder)
-            raise
+        if any(fresh.iterdir()):
+            write_stamp(fresh)
+            _put(fresh, folder, beside / OLD)
 
 
 @contextmanager
-def replacing_own(folder: Path, why_not: Callable[[Path], str], expected: str) -> Iterator[Path]:
-    """Yield what `replacing` does, for a folder that is empty or of which `why_not` finds nothing to say.
+def new_folder(folder: Path) -> Iterator[Path]:
+    """Yield what `replacing` does, for a folder that is missing or empty; it gets no stamp: it is the user's.
 
     Raises
     ------
     ConfigError
-        As `require_own`, before and after: nothing of anybody's is ever deleted.
+        If nothing can be written there, or `folder` holds something.
     """
-    require_own(folder, why_not, expected)
-    with replacing(folder) as fresh:
+    folder = folder.resolve()
+    require_new(folder)
+    with scratch(folder) as beside:
+        fresh = beside / NEW / folder.name
+        fresh.mkdir()
         yield fresh
-        require_own(folder, why_not, expected)  # it takes a while: somebody may have put a file there
+        require_new(folder)
+        fresh.rename(folder)  # fails where somebody was quicker
 
 
-def require_own(folder: Path, why_not: Callable[[Path], str], expected: str) -> None:
-    """Raise ConfigError if `folder` must not be replaced: `why_not` says why, `expected` what may be."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
+def require_new(folder: Path) -> None:
+    """Raise ConfigError if `folder` holds something, or is a file."""
+    if folder.is_dir() and not any(folder.iterdir()):
         return
-    why = why_not(folder) if folder.is_dir() else "it is a file"
-    if why:
+    if folder.exists() or folder.is_symlink():
         raise ConfigError(
-            f"is not replaced: {why}",
+            "exists already",
             where=str(folder),
-            expected=expected,
-            mend="choose another folder with --out, or move yours away",
+            expected="a new or empty folder",
+            mend="choose another folder",
         )
 
 
 @contextmanager
 def replacing_file(file: Path) -> Iterator[Path]:
     """Yield a path, of the same name, whose file takes the place of `file` when the block ends well.
+
+    It is for files that the user names, and for those within needlefit's own folders.
 
     Raises
     ------
@@ -82,3 +108,127 @@ def replacing_file(file: Path) -> Iterator[Path]:
         fresh = beside / NEW / file.name
         yield fresh
         fresh.replace(file)
+
+
+@contextmanager
+def scratch(place: Path) -> Iterator[Path]:
+    """Yield a folder beside `place`, on the same disk, with an empty folder `NEW`; it goes when it is left.
+
+    Raises
+    ------
+    ConfigError
+        If nothing can be written there.
+    """
+    made = _made(place)
+    try:
+        with _locked(made):
+            (made / NEW).mkdir()
+            yield made
+    finally:
+        if not (made / OLD).exists():  # else it holds what was not seen to be needlefit's own
+            shutil.rmtree(made, ignore_errors=True)
+
+
+def _put(fresh: Path, folder: Path, old: Path) -> None:
+    """Put `fresh` in the place of `folder`, which is looked at again once nobody can add to it."""
+    try:
+        fresh.rename(folder)  # where there is none, or an empty one
+        return
+    except OSError as fault:
+        if fault.errno not in (errno.ENOTEMPTY, errno.EEXIST):
+            raise
+    fresh.rename(old)
+    _exchange(old, folder)
+    faults = foreign(old)
+    if faults:  # put there while this was computed
+        _exchange(old, folder)
+        old.rename(fresh)
+        raise not_replaced(folder, faults)
+    shutil.rmtree(old)
+
+
+def _exchange(one: Path, other: Path) -> None:
+    """Exchange two folders; where the system can do it, at once: there is never none."""
+    if _exchanged(one, other):
+        return
+    aside = one.with_name(f"{one.name}.aside")
+    one.rename(aside)
+    other.rename(one)
+    try:
+        aside.rename(other)
+    except BaseException:
+        one.rename(other)
+        aside.rename(one)
+        raise
+
+
+def _exchanged(one: Path, other: Path) -> bool:
+    """Exchange two folders at once; False where the system or the disk cannot."""
+    try:
+        rename = ctypes.CDLL(None, use_errno=True).renameat2
+    except (AttributeError, OSError, TypeError):
+        return False
+    done = rename(_AT_FDCWD, os.fsencode(one), _AT_FDCWD, os.fsencode(other), _RENAME_EXCHANGE)
+    return bool(done == 0)
+
+
+def _made(place: Path) -> Path:
+    prefix = f".{place.name}.needlefit-"
+    try:
+        place.parent.mkdir(parents=True, exist_ok=True)
+        with suppress(OSError, ConfigError):
+            _remove_left(place, prefix)
+        return Path(tempfile.mkdtemp(prefix=prefix, dir=place.parent))
+    except OSError as error:
+        raise not_writable(place, error.strerror or type(error).__name__) from None
+
+
+@contextmanager
+def _locked(folder: Path) -> Iterator[None]:
+    """Hold the lock of a scratch folder; it gets its name when it is held, lest another process takes it."""
+    with (folder / f"{LOCK}.new").open("w", encoding="ascii") as file:
+        file.write(_MARK)
+        file.flush()
+        if fcntl is not None:
+            with suppress(
+                OSError
+            ):  # a disk without locks: the folder has none then, and nobody else removes it
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                Path(file.name).rename(folder / LOCK)
+        yield
+
+
+def _remove_left(place: Path, prefix: str) -> None:
+    """Remove the scratch folders of `place` whose process has ended; the only copy of a result goes back."""
+    for folder in place.parent.iterdir():
+        lock = folder / LOCK
+        if not folder.name.startswith(prefix) or folder.is_symlink() or not lock.is_file():
+            continue
+        with suppress(OSError), lock.open("r+", encoding="ascii") as file:
+            if file.read(len(_MARK)) == _MARK and free(file) and _only_scratch(folder):
+                _remove_one(folder, place)
+
+
+def _only_scratch(folder: Path) -> bool:
+    return {path.name for path in folder.iterdir()} <= {LOCK, f"{LOCK}.new", NEW, OLD, f"{OLD}.aside"}
+
+
+def _remove_one(folder: Path, place: Path) -> None:
+    """Remove a scratch folder; what waits in it to be replaced only if it is needlefit's own."""
+    for kept in (folder / OLD, folder / f"{OLD}.aside"):
+        if kept.exists() and not place.exists():
+            kept.rename(place)  # killed between two renamings
+        if kept.exists() and held(kept) and foreign(kept):
+            return
+    shutil.rmtree(folder)
+
+
+def free(file: IO[str]) -> bool:
+    """Whether nobody holds the lock of a file; if so it is held here until the file is closed."""
+    if fcntl is None:
+        return False
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True

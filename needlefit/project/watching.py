@@ -7,6 +7,9 @@ Progress = Callable[[str, int, int], None]
 
 Stop = Callable[[], bool]
 
+Note = Callable[[str], None]
+"""Given a line that the user should read, and that is no result: what was damaged and computed again."""
+
 
 def silent(_what: str, _done: int, _of: int) -> None:
     """Tell nobody."""
@@ -15,3 +18,7 @@ def silent(_what: str, _done: int, _of: int) -> None:
 def never() -> bool:
     """Say that nobody wants to stop."""
     return False
+
+
+def unheard(_line: str) -> None:
+    """Pass a line to nobody."""

@@ -3,12 +3,13 @@
 from pathlib import Path
 from typing import Any
 
+from needlefit.project.replace import replacing
 from needlefit.project.result_warnings import KEY, as_rows, warnings_of
 from needlefit.reporting import document
 from needlefit.reporting.calibration_said import PROVES, caption, layout, said
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.ranks import draw_ranks
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.tables import records
 from needlefit.validation.calibration.run import Calibration
 from needlefit.validation.calibration.stored import store_calibration
@@ -24,9 +25,9 @@ def write_calibration(found: Calibration, folder: Path) -> list[Path]:
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with whole(folder) as new:
+    with replacing(folder) as new:
         for name in ("replicates", "coverage"):
             write_csv(getattr(found, name).assign(origin=found.origin), new / f"{name}.csv")
         figure = draw_ranks(found, new / "ranks.pdf")

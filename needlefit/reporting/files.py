@@ -1,8 +1,7 @@
-"""How the files of a run are written: complete or not there at all, the same bytes every time."""
+"""How the tables of a run are written: the same bytes every time."""
 
 import json
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +9,6 @@ import pandas as pd
 
 from needlefit.errors import ConfigError
 from needlefit.project.plain import plain
-from needlefit.project.replace import replacing
 
 
 def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
@@ -22,27 +20,6 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write values as JSON, NaN and infinity as null, keys in order."""
     text = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
-
-
-@contextmanager
-def whole(folder: Path) -> Iterator[Path]:
-    """Give a new folder, and put it in the place of `folder` once it is complete."""
-    require_result(folder)
-    with replacing(folder) as new:
-        yield new
-
-
-def require_result(folder: Path) -> None:
-    """Raise ConfigError if `folder` holds something that needlefit did not write."""
-    if not folder.exists() or (folder.is_dir() and not any(folder.iterdir())):
-        return
-    if not (folder / "run.json").is_file():
-        raise ConfigError(
-            "exists and holds no result of needlefit, so it is not replaced",
-            where=str(folder),
-            expected="a new or empty folder, or one that holds run.json",
-            mend="choose another place with --out, or remove it",
-        )
 
 
 def require_folder(path: Path) -> None:

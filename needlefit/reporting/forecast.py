@@ -10,10 +10,11 @@ import pandas as pd
 from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
 from needlefit.project.plain import plain
 from needlefit.project.records.stored import ForecastTable
+from needlefit.project.replace import replacing
 from needlefit.project.run_file import require_form
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.forecast import draw_forecast
-from needlefit.reporting.files import whole, write_json
+from needlefit.reporting.files import write_json
 from needlefit.reporting.numbers import fixed
 from needlefit.validation.forecast import Forecast
 from needlefit.validation.packing import NAME, pack, packed, unpacked
@@ -103,7 +104,7 @@ def write_forecast(
 def write_foretold(foretold: Foretold, folder: Path) -> None:
     """Write the files of a prediction; else as `write_forecast`."""
     table = foretold.table
-    with whole(folder) as new:
+    with replacing(folder) as new:
         draw_forecast(table, foretold.title, float(table["s_mm"].max()), new / "forecast.pdf")
         packs = {"title": foretold.title, "table": packed(table), "run": plain(foretold.run)}
         pack({"kind": KIND, **packs}, new)

@@ -9,10 +9,11 @@ import pandas as pd
 
 from needlefit.project.plain import plain
 from needlefit.project.records.stored import IdentificationTable
+from needlefit.project.replace import replacing
 from needlefit.project.result_warnings import KEY, ResultWarning, as_rows, warnings_of
 from needlefit.project.run_file import require_form
 from needlefit.reporting.figures.profiles import draw_profiles
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.identification_layout import directions_table, identification_table
 from needlefit.reporting.identification_said import design_said, verdict_said
 from needlefit.reporting.tables import records
@@ -52,7 +53,7 @@ def write_identification(found: Identification, fitted: Results | None, folder: 
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     stages = {"design": Stage(found.identification, found.profiles, found.run)}
     if fitted is not None:
@@ -64,7 +65,7 @@ def write_identification(found: Identification, fitted: Results | None, folder: 
 def write_stages(written: Written, folder: Path) -> list[Path]:
     """Write the files of a verdict; else as `write_identification`."""
     origin, last = written.origin, list(written.stages)[-1]
-    with whole(folder) as new:
+    with replacing(folder) as new:
         tables = [
             identification_table(stage.rows, origin).assign(stage=name)
             for name, stage in written.stages.items()

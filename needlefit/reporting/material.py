@@ -13,9 +13,10 @@ from needlefit.datasets.formats.toml import dumps
 from needlefit.inference.material import ALPHA_RANGE, SpecimenFit
 from needlefit.inference.material_prior import Foundation, prior_of_material
 from needlefit.inference.population import Material
+from needlefit.project.replace import replacing
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.material import draw_curves, draw_profiles
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.material_said import prior_note, summary, verdict
 from needlefit.reporting.material_tables import curves, profiles, table
 from needlefit.reporting.numbers import number
@@ -59,10 +60,10 @@ def write_material(report: Report, folder: Path) -> list[Path]:
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     material = report.material
-    with whole(folder) as new:
+    with replacing(folder) as new:
         write_csv(pd.DataFrame(table(material)), new / "material.csv")
         draw_curves(report.test.measure, curves(material), new / "curves.pdf")
         draw_profiles(profiles(material), new / "profiles.pdf")

@@ -9,20 +9,16 @@ from needlefit.imaging.assemble import About
 from needlefit.imaging.batch import PACKAGES, Failure
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.imaging.sound import assemble_sound
-from needlefit.project.manifest import replacing_own, require_own, write_manifest
 from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.replace import replacing
 from needlefit.project.watching import Progress
+from needlefit.reporting.files import write_json
 from needlefit.reporting.quality import write_quality
 from needlefit.reporting.reconstructions import write_tables
 from needlefit.reporting.slicer_scan import write_scan
 from needlefit.validation.provenance import versions
 
-MANIFEST = "reconstruction.json"
-
-
-def require_replaceable(folder: Path) -> None:
-    """Raise ConfigError if `folder` holds anything but an earlier reconstruction that nobody touched."""
-    require_own(folder, MANIFEST)
+ABOUT = "reconstruction.json"
 
 
 def write_reconstructed(
@@ -37,16 +33,16 @@ def write_reconstructed(
     Where none can be held nothing is written, and what was there stays.
 
     The dataset, and where its scans lie; `reconstruction.csv`, `markers.csv`, `crossings.csv`;
-    `quality/<id>.pdf`; `slicer/`; and `reconstruction.json`: versions, recipe, and the SHA-256 of every file.
+    `quality/<id>.pdf`; `slicer/`; and `reconstruction.json`: versions and recipe.
 
     Raises
     ------
     DataError
         If the dataset has a fault that belongs to no single scan.
     ConfigError
-        If `folder` holds what is not its own.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing_own(folder, MANIFEST) as fresh:
+    with replacing(folder) as fresh:
         kept, failures = assemble_sound(fresh, ones, recipe, about)
         if not kept:
             return kept, failures
@@ -56,7 +52,7 @@ def write_reconstructed(
             progress(f"{one.scan.id}: quality page", done, len(kept))
             write_quality(one, fresh / "quality" / f"{one.scan.id}.pdf")
             write_scan(one, fresh / "slicer", recipe.needle.diameter_mm)
-        write_manifest(fresh, MANIFEST, _said(recipe))
+        write_json(fresh / ABOUT, _said(recipe))
     return kept, failures
 
 

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.project.replace import replacing
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.parameters import parameters_table
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.inquiries.answer import Answer
@@ -38,9 +39,9 @@ def write_reference(one: Results | Answer | TrackResults, folder: Path) -> Path:
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with whole(folder) as new:
+    with replacing(folder) as new:
         for name, frame in _frames(one).items():
             if 0 < len(frame) <= MOST:
                 write_csv(rounded(frame).assign(origin=one.origin), new / f"{name}.csv")

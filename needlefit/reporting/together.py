@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from pathlib import Path
 
+from needlefit.project.replace import replacing
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
-from needlefit.reporting.files import all_files, whole, write_json
+from needlefit.reporting.files import all_files, write_json
 from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.reporting.inquiries.write import cautions
 from needlefit.reporting.overview import overview
@@ -25,9 +26,9 @@ def write_all(
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with whole(folder) as new:
+    with replacing(folder) as new:
         write_tables(studies, tunings or studies, new)
         drawn = draw_scores(studies, new)
         beyond = [block for answer in answers for block in _told(answer, new)]

@@ -11,11 +11,12 @@ from typing import Any
 import pandas as pd
 
 from needlefit.mechanics.control import Rules
+from needlefit.project.replace import replacing
 from needlefit.reporting.captions import CONVERGENCE
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import by_name, set_page
 from needlefit.reporting.figures.convergence import convergence
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.numbers import MISSING, number, typeset
 from needlefit.validation.provenance import versions
 from needlefit.verification.check import Bound, Row
@@ -91,9 +92,9 @@ def write_verification(verification: Verification, folder: Path, timing: Mapping
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with whole(folder) as new:
+    with replacing(folder) as new:
         rows, studies = table(verification), refinements(verification)
         write_csv(pd.DataFrame(rows), new / "verification.csv")
         write_json(new / "verification.json", {"summary": summary(verification), "rows": rows})

@@ -5,12 +5,13 @@ from pathlib import Path
 
 import pandas as pd
 
+from needlefit.project.replace import replacing
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.profiles import draw_profiles
-from needlefit.reporting.files import all_files, whole, write_csv, write_json
+from needlefit.reporting.files import all_files, write_csv, write_json
 from needlefit.reporting.identification_layout import identification_table
 from needlefit.reporting.latex import latex
 from needlefit.reporting.macros import macros
@@ -37,9 +38,9 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with whole(folder) as new:
+    with replacing(folder) as new:
         _frames(results, new)
         write_tables([results], [results], new)
         drawn = _draw(results, new)

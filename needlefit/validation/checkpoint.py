@@ -2,31 +2,42 @@
 
 import hashlib
 import json
-import shutil
 from collections.abc import Mapping
-from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from needlefit.errors import ConfigError
+from needlefit.errors import DataError, FitError
 from needlefit.inference.sampling.snapshots import Snapshots
 from needlefit.inference.starts import Start, from_dict, to_dict
+from needlefit.project.kept import MAX_KEPT_BYTES, set_aside
+from needlefit.project.partial import Lock, claim, digest_of
+from needlefit.project.reading import parse_json, read_bytes
 from needlefit.project.replace import replacing_file
+from needlefit.project.watching import Note, unheard
+
+_DIGEST_CHARACTERS = 16
 
 
 @dataclass(frozen=True)
 class Checkpoint:
     """A folder: finished starts, one file per search, and a folder of the sampler's snapshots per fold.
 
-    Whatever else is finished piece by piece is kept as rows of JSON values. None keeps nothing.
+    Whatever else is finished piece by piece is kept as rows of JSON values, each behind a digest of it. None
+    keeps nothing. What is damaged is set aside, `note` is given a line about it, and the rest is used.
     """
 
     folder: Path | None
+    note: Note = unheard
+    lock: Lock | None = field(default=None, repr=False, compare=False)
 
     def finished(self, search: str) -> dict[int, Start]:
-        """Return the starts of one search that are kept; a line torn by a kill is not one."""
-        starts = (from_dict(row) for row in self.rows(search))
+        """Return the starts of one search that are kept whole."""
+        try:
+            starts = [from_dict(row) for row in self.rows(search)]
+        except FitError:  # rows of something else, however whole
+            self._set_aside(search, [])
+            return {}
         return {start.index: start for start in starts}
 
     def keep(self, search: str, start: Start) -> None:
@@ -34,37 +45,44 @@ class Checkpoint:
         self.keep_row(search, to_dict(start))
 
     def rows(self, of: str) -> list[dict[str, Any]]:
-        """Return the rows that are kept of some work; a line torn by a kill is none."""
+        """Return the rows that are kept of some work; a line torn by a kill, or changed since, is none."""
         if self.folder is None or not self._file(of).is_file():
             return []
-        found = []
-        for line in self._file(of).read_text(encoding="utf-8").splitlines():
-            with suppress(json.JSONDecodeError):
-                found.append(json.loads(line))
-        return found
+        lines = [line for line in read_bytes(self._file(of), MAX_KEPT_BYTES).split(b"\n") if line]
+        found = [(line, _row(line)) for line in lines]
+        if any(row is None for _, row in found):
+            self._set_aside(of, [line for line, row in found if row is not None])
+        return [row for _, row in found if row is not None]
 
     def keep_row(self, of: str, row: Mapping[str, Any]) -> None:
         """Add a row; every float survives exactly."""
         if self.folder is None:
             return
-        with self._file(of).open("a", encoding="utf-8") as file:
-            file.write("\n" + json.dumps(row) + "\n")  # the line before may be torn
+        text = json.dumps(row).encode("ascii")
+        with self._file(of).open("ab") as file:
+            file.write(b"\n" + _digest(text) + b" " + text + b"\n")  # the line before may be torn
 
     def snapshots(self, fold: str) -> Snapshots:
         """Return where the sampler of one fold keeps its steps."""
-        return Snapshots(None if self.folder is None else self.folder / f"{_key(fold)}.posterior")
+        folder = None if self.folder is None else self.folder / f"{_key(fold)}.posterior"
+        return Snapshots(folder, self.note)
 
     def _file(self, search: str) -> Path:
         assert self.folder is not None
         return self.folder / f"{_key(search)}.jsonl"
 
+    def _set_aside(self, of: str, whole: list[bytes]) -> None:
+        """Give the damaged file another name, and keep its whole lines under the old one."""
+        file = self._file(of)
+        aside = set_aside(file)
+        with replacing_file(file) as fresh:
+            fresh.write_bytes(b"".join(line + b"\n" for line in whole))
+        self.note(f"{file} was damaged: it is now {aside.name}; {len(whole)} whole rows of it are used")
 
-def _key(name: str) -> str:
-    """Return a name for files: a fold may be named anything."""
-    return hashlib.sha256(name.encode()).hexdigest()[:16]
 
-
-def open_checkpoint(folder: Path | None, resume: bool, work: Mapping[str, Any]) -> Checkpoint:
+def open_checkpoint(
+    folder: Path | None, resume: bool, work: Mapping[str, Any], note: Note = unheard
+) -> Checkpoint:
     """Return the checkpoint in `folder` for the given work; without `resume` an old one is emptied.
 
     Parameters
@@ -73,27 +91,36 @@ def open_checkpoint(folder: Path | None, resume: bool, work: Mapping[str, Any]) 
     resume : bool
     work : mapping
         All that decides the result, as JSON values: a checkpoint of other work is refused.
+    note : callable
+        Given a line about each part that was damaged.
 
     Raises
     ------
     ConfigError
-        If the checkpoint belongs to other work.
+        If the checkpoint belongs to other work, or another process uses it, or the folder holds anything that
+        needlefit did not write.
     """
     if folder is None:
         return Checkpoint(None)
-    digest = hashlib.sha256(json.dumps(work, sort_keys=True).encode()).hexdigest()
-    stamp = folder / "work.sha256"
-    if resume and stamp.is_file():
-        if stamp.read_text(encoding="ascii") != digest:
-            raise ConfigError(
-                "the interrupted run was of other work",
-                where=str(folder),
-                expected="the same data, configuration, seed and versions",
-                mend="run again without --resume, which starts afresh",
-            )
-        return Checkpoint(folder)
-    shutil.rmtree(folder, ignore_errors=True)
-    folder.mkdir(parents=True)
-    with replacing_file(stamp) as path:  # half a stamp would be taken for that of other work
-        path.write_text(digest, encoding="ascii")
-    return Checkpoint(folder)
+    return Checkpoint(folder, note, claim(folder, digest_of(work), resume, note))
+
+
+def _row(line: bytes) -> dict[str, Any] | None:
+    """Return the row in a line; None if it is not as it was written."""
+    digest, _, text = line.partition(b" ")
+    if digest != _digest(text):
+        return None
+    try:
+        row = parse_json(text.decode("ascii"), "")
+    except (DataError, UnicodeDecodeError):
+        return None
+    return row if isinstance(row, dict) else None
+
+
+def _digest(text: bytes) -> bytes:
+    return hashlib.sha256(text).hexdigest()[:_DIGEST_CHARACTERS].encode("ascii")
+
+
+def _key(name: str) -> str:
+    """Return a name for files: a fold may be named anything."""
+    return hashlib.sha256(name.encode()).hexdigest()[:16]

@@ -24,7 +24,7 @@ from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
-from needlefit.project.watching import Progress, Stop, never, silent
+from needlefit.project.watching import Note, Progress, Stop, never, silent, unheard
 from needlefit.validation import paper
 from needlefit.validation.folds import Fold, folds
 
@@ -51,6 +51,8 @@ class Settings:
         Called with a label, what is done, and of how much.
     stop : callable
         Asked often; True ends the run early, marked `interrupted`.
+    note : callable
+        Given a line about what was damaged in the checkpoint.
     """
 
     seed: int | None = None
@@ -60,6 +62,7 @@ class Settings:
     sample: bool = False
     progress: Progress = silent
     stop: Stop = never
+    note: Note = unheard
 
 
 @dataclass(frozen=True)

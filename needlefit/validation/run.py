@@ -52,7 +52,7 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
     begin = time.time()
     job = prepare(name, record, settings)
     work = provenance.work(job)
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
     floors = {insertion.id: job.floor(insertion) for insertion in job.insertions}
     tables, interrupted = Tables(job.parameters.names), False
     scorer = Scorer(job.dataset, job.record.reading, floors, tables.counts)

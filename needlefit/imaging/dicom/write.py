@@ -10,9 +10,8 @@ from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
 from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
 from pydicom.valuerep import DSfloat
 
-from needlefit.errors import DataError
 from needlefit.imaging.volume import Volume, to_patient
-from needlefit.project.replace import replacing
+from needlefit.project.replace import new_folder, require_new
 
 _LEVELS = 2**16 - 1
 _NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "needlefit")
@@ -25,16 +24,10 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
 
     Raises
     ------
-    DataError
+    ConfigError
         If the folder is there and not empty: a second series in it would make both unreadable.
     """
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise DataError(
-            "is there already and not empty",
-            where=str(folder),
-            expected="a new or empty folder for the series",
-            mend="choose another folder, or remove what is in it",
-        )
+    require_new(folder)
     numbers, slope, intercept = _whole_numbers(volume.values)
     series = _series(volume, description, slope, intercept)
     content = hashlib.sha256(series.to_json().encode())
@@ -42,7 +35,7 @@ def write_series(volume: Volume, folder: Path, description: str) -> None:
     for array in (volume.origin, volume.spacing, volume.direction):
         content.update(np.asarray(array, dtype="<f8").tobytes())
     digest = content.hexdigest()
-    with replacing(folder) as fresh:
+    with new_folder(folder) as fresh:
         for k, plane in enumerate(numbers):
             file = fresh / f"{k + 1:05d}.dcm"
             corner = to_patient(volume, [[0.0, 0.0, k]])[0]

@@ -1,19 +1,18 @@
 """What a sampler has done so far, block by block of steps, so that a killed run goes on to the same bytes."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 from typing import Any
 
-import h5py
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.ensembles import State
-from needlefit.project.replace import replacing_file
+from needlefit.project.kept import Kept, read_kept, set_aside, write_kept
+from needlefit.project.watching import Note, unheard
 
 Floats = NDArray[np.float64]
 Failed = tuple[tuple[tuple[float, ...], ...], ...]
@@ -57,63 +56,74 @@ class Block:
 
 @dataclass(frozen=True)
 class Snapshots:
-    """A folder of HDF5 files, one for each block of a run; None keeps nothing."""
+    """A folder of files, one for each block of a run; None keeps nothing."""
 
     folder: Path | None = None
+    note: Note = unheard
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks that are kept, from the first on.
+        """Yield the blocks that are kept, from the first on, up to one that is damaged.
 
-        Raises
-        ------
-        DataError
-            If one cannot be read: none is written but whole.
+        That one is set aside and those after it are removed: they would go on from a state that is lost.
         """
         for number in count():
             if self.folder is None or not self._file(number).is_file():
                 return
-            yield _read(self._file(number))
+            try:
+                block = _read(self._file(number))
+            except DataError:
+                self._end_at(number)
+                return
+            yield block
 
     def keep(self, number: int, block: Block) -> None:
         """Keep a block: written aside and renamed, so that a kill leaves it whole or not at all."""
-        if self.folder is None:
-            return
-        with replacing_file(self._file(number)) as path:
-            _write(path, block)
+        if self.folder is not None:
+            kind, key, *rest = block.random
+            values = {"random": [kind, *rest], "failures": block.failures, "failed": block.failed}
+            arrays = {name: getattr(block, name) for name in _ARRAYS}
+            kept = Kept(values, {**arrays, "random": np.asarray(key, dtype=np.int64)})
+            write_kept(self._file(number), _KIND, "", kept)
 
     def _file(self, number: int) -> Path:
         assert self.folder is not None
-        return self.folder / f"{number:05d}.h5"
+        return self.folder / f"{number:05d}.kept"
+
+    def _end_at(self, number: int) -> None:
+        aside = set_aside(self._file(number))
+        for after in count(number + 1):
+            if not self._file(after).is_file():
+                break
+            self._file(after).unlink()
+        self.note(f"{self._file(number)} was damaged: it is now {aside.name}; the sampler goes on from there")
 
 
-def _write(path: Path, block: Block) -> None:
-    kind, key, *rest = block.random
-    with h5py.File(path, "w") as file:
-        file["coordinates"] = block.coordinates
-        file["log_density"] = block.log_density
-        file["accepted"] = block.accepted
-        file["random"] = key
-        file.attrs["random"] = json.dumps([kind, *rest])
-        file.attrs["failures"] = block.failures
-        file.attrs["failed"] = json.dumps(block.failed)
+_KIND = "snapshot"
+_ARRAYS = ("coordinates", "log_density", "accepted")
 
 
 def _read(path: Path) -> Block:
+    """Return the block in a file; DataError if it is damaged."""
+    kept = read_kept(path, _KIND, "")
     try:
-        with h5py.File(path, "r") as file:
-            kind, *rest = json.loads(file.attrs["random"])
-            return Block(
-                coordinates=file["coordinates"][()],
-                log_density=file["log_density"][()],
-                accepted=file["accepted"][()],
-                random=(kind, file["random"][()], *rest),
-                failures=int(file.attrs["failures"]),
-                failed=_thetas(json.loads(file.attrs["failed"])),
-            )
-    except (OSError, KeyError, ValueError) as error:
-        raise DataError(
-            f"is a damaged snapshot: {error}", where=str(path), mend="run again without --resume"
-        ) from None
+        if kept is None or not _fits(kept):
+            raise ValueError
+        kind, *rest = kept.values["random"]
+        return Block(
+            **{name: kept.arrays[name] for name in _ARRAYS},
+            random=(str(kind), kept.arrays["random"].astype(np.uint32), *rest),
+            failures=int(kept.values["failures"]),
+            failed=_thetas(kept.values["failed"]),
+        )
+    except (KeyError, TypeError, ValueError) as error:
+        raise DataError(f"is no block of a sampler: {error!r}", where=str(path)) from None
+
+
+def _fits(kept: Kept) -> bool:
+    """Whether the arrays of a block have the shapes that belong together."""
+    ensembles, steps, walkers, _ = kept.arrays["coordinates"].shape
+    of = (kept.arrays["log_density"].shape, kept.arrays["accepted"].shape)
+    return of == ((ensembles, steps, walkers), (ensembles, walkers)) and steps > 0
 
 
 def _thetas(lists: list[list[list[float]]]) -> Failed:

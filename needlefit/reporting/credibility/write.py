@@ -6,12 +6,13 @@ from typing import Any
 
 import pandas as pd
 
+from needlefit.project.replace import replacing
 from needlefit.project.run_file import RUN_FILE
 from needlefit.reporting.credibility.assessed import SHOWN
 from needlefit.reporting.credibility.case import Case
 from needlefit.reporting.credibility.entries import Entry
 from needlefit.reporting.credibility.page import DISCLAIMER, page
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.tables import Row
 from needlefit.reporting.write import write_report
 from needlefit.validation.packing import NAME
@@ -29,9 +30,9 @@ def write_bundle(case: Case, entries: list[Entry], run: Path, folder: Path) -> P
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with whole(folder) as new:
+    with replacing(folder) as new:
         write_report(page(case, entries), new, "credibility")
         write_csv(pd.DataFrame(rows(entries), columns=list(COLUMNS)), new / "credibility.csv")
         write_json(new / RUN_FILE, _provenance(case, run))

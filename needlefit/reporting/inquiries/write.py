@@ -2,11 +2,12 @@
 
 from pathlib import Path
 
+from needlefit.project.replace import replacing
 from needlefit.reporting import document
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
 from needlefit.reporting.document import Block, Document
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.inquiries.page import Figures
 from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.reporting.latex import latex
@@ -29,10 +30,10 @@ def write_answer(answer: Answer, folder: Path) -> Path:
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     page = PAGES[answer.kind]
-    with whole(folder) as new:
+    with replacing(folder) as new:
         for name, frame in answer.frames.items():
             write_csv(frame.assign(origin=answer.origin), new / f"{name}.csv")
         tables = page.layouts(answer)

@@ -3,10 +3,11 @@
 from pathlib import Path
 
 from needlefit.inference.sampling.posterior import save
+from needlefit.project.replace import replacing
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.tracks import draw_tracks
-from needlefit.reporting.files import whole, write_csv, write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.tracks.layouts import (
     coverage_layout,
     depths_layout,
@@ -31,9 +32,9 @@ def write_tracks(results: TrackResults, folder: Path) -> Path:
     Raises
     ------
     ConfigError
-        If `folder` exists and holds something that is no result.
+        If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with whole(folder) as new:
+    with replacing(folder) as new:
         frames = {"runs": results.runs, "parameters": results.parameters}
         frames |= {"paired": paired_runs(results), "coverage": coverage(results)}
         frames["depths"] = by_depth(results)

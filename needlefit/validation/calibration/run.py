@@ -120,7 +120,7 @@ def calibrate(
     job = experiment.job
     asked = {"sampled": settings.sample, "control": control, "draws": DRAWS}
     run = {**provenance.work(job), **asked, "stiff_design": dict(experiment.stiff)}
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, run)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, run, settings.note)
     known = {row["replicate"]: row for row in checkpoint.rows(ROWS) if row["replicate"] < replicates}
     left = [number for number in range(replicates) if number not in known]
     label = f"{name}: replicates"

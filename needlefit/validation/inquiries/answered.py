@@ -58,7 +58,7 @@ def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -
     """
     begin = time.time()
     work = _work(name, record, plan)
-    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work)
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
     rows, interrupted = piecewise(plan.pieces, name, settings, checkpoint)
     frames = {frame: _frame(rows.get(frame, []), columns) for frame, columns in plan.columns.items()}
     faults = () if interrupted else plan.conclude(frames)

@@ -72,7 +72,8 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
     for one in tasks:
         require_scored(one, record.placed_by_mm)
     doing = {**work(name, record, dataset, tasks), "draws": DRAWS}
-    checkpoint, tables = open_checkpoint(settings.checkpoint, settings.resume, doing), _Tables()
+    checkpoint = open_checkpoint(settings.checkpoint, settings.resume, doing, settings.note)
+    tables = _Tables()
     for one in tasks:
         posterior = _posterior(name, one, settings, checkpoint)
         if posterior is None or posterior.interrupted:

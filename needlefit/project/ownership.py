@@ -1,0 +1,205 @@
+"""Which folders needlefit may replace or remove: those that carry its stamp, and hold nothing foreign.
+
+The stamp, `needlefit.json`, lists the files that were written with it and their SHA-256. Any other file, a
+listed one that was changed since, and every link are foreign: they are somebody's work. In a checkpoint,
+which grows while a run goes on, the stamp stands for the few names that a run uses there.
+"""
+
+import json
+import os
+import re
+import stat
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Literal
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.earlier import earlier_files
+from needlefit.project.files import sha256
+from needlefit.project.reading import read_json
+
+STAMP = "needlefit.json"
+FORMAT = 1
+
+Holds = Literal["result", "checkpoint"]
+
+UNLISTED = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
+"""What a file manager leaves in a folder that it shows; nobody's work."""
+
+TIMES = "timing.json"
+"""The one file of a result that differs from run to run; without its digest the stamp does not."""
+
+LISTED_NAMES = 5
+"""Foreign files that a message names."""
+
+_CHECKPOINT = re.compile(
+    r"(lock|work\.sha256|[0-9a-f]{16}\.jsonl|[0-9a-f]{16}\.posterior/\d{5}\.(kept|h5)|[^/]+\.kept)(\.torn-\d+)?"
+    r"|([^/]+/)?\.[^/]+\.needlefit-[^/]+/.*"
+)
+"""Files of a checkpoint: those of runs and of reconstructions, what was damaged, and, as a kill leaves them,
+those that were not written whole."""
+
+
+def write_stamp(folder: Path) -> None:
+    """Write the stamp of a result: all that lies in `folder` is from here on known to be needlefit's."""
+    files = {name: None if name == TIMES else sha256(folder / name) for name in held(folder) if name != STAMP}
+    _write(folder / STAMP, {"holds": "result", "files": files})
+
+
+def checkpoint_stamp(work: str) -> str:
+    """Return the text of a checkpoint's stamp; `work` is the digest of what it is of."""
+    return _text({"holds": "checkpoint", "work": work})
+
+
+def read_stamp(folder: Path) -> dict[str, Any]:
+    """Return what the stamp of a folder says.
+
+    Raises
+    ------
+    DataError
+        If there is none, or it is damaged.
+    """
+    path = folder / STAMP
+    table = {} if path.is_symlink() else read_json(path)
+    if isinstance(table, dict) and table.get("program") == "needlefit" and table.get("format") == FORMAT:
+        return table
+    raise DataError("is no stamp of needlefit", where=str(path), expected=f"one of format {FORMAT}")
+
+
+def foreign(folder: Path, holds: Holds = "result") -> list[str]:
+    """Return what lies in a folder that needlefit did not write, each with the reason; empty if nothing does.
+
+    Links are not followed.
+
+    Raises
+    ------
+    ConfigError
+        If the folder cannot be looked into.
+    """
+    names = [name for name in held(folder) if Path(name).name not in UNLISTED]
+    if not names:
+        return []
+    if holds == "checkpoint":
+        return _foreign_in_checkpoint(folder, names)
+    try:
+        listed = read_stamp(folder).get("files")
+    except DataError:
+        listed = None
+    if isinstance(listed, dict):
+        return [fault for name in names if name != STAMP and (fault := _fault(folder, name, listed))]
+    ours = frozenset() if (folder / STAMP).is_file() else earlier_files(folder)
+    return [name for name in names if name not in ours or not _is_file(folder / name)]
+
+
+def require_replaceable(folder: Path) -> None:
+    """Raise ConfigError unless a result may be written to `folder`: missing, empty, or needlefit's own."""
+    folder = folder.resolve()
+    _require_own(folder, "result")
+    require_writable(folder.parent)
+
+
+def require_own_checkpoint(folder: Path) -> None:
+    """Raise ConfigError unless a checkpoint may be kept in `folder`; else as `require_replaceable`."""
+    _require_own(folder.resolve(), "checkpoint")
+    require_writable(folder.resolve().parent)
+
+
+def not_replaced(folder: Path, faults: list[str]) -> ConfigError:
+    """Return what is raised of a folder that holds what is foreign."""
+    more = len(faults) - LISTED_NAMES
+    named = ", ".join(faults[:LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
+    return ConfigError(
+        f"is not replaced: needlefit did not write all that lies there: {named}",
+        where=str(folder),
+        expected=f"no such folder, an empty one, or one that holds only what its {STAMP} lists, unchanged",
+        mend="move those files away, or choose another folder with --out",
+    )
+
+
+def require_writable(folder: Path) -> None:
+    """Raise ConfigError unless files can be written in `folder`, or in the nearest one above that exists."""
+    while not folder.exists() and folder != folder.parent:
+        folder = folder.parent
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        raise not_writable(folder, "you may not write there" if folder.is_dir() else "it is a file")
+
+
+def not_writable(place: Path, reason: str) -> ConfigError:
+    """Return what is raised of a place where nothing can be written."""
+    return ConfigError(
+        f"cannot be written to: {reason}",
+        where=str(place),
+        expected="a folder in which you may write",
+        mend="choose another one with --out, or check its permissions",
+    )
+
+
+def held(folder: Path) -> list[str]:
+    """Return the files in a folder and those below, and links to whatever, relative to it, sorted.
+
+    Raises
+    ------
+    ConfigError
+        If a folder cannot be looked into.
+    """
+    return sorted(path.relative_to(folder).as_posix() for path in _entries(folder))
+
+
+def _entries(folder: Path) -> Iterator[Path]:
+    def fail(fault: OSError) -> None:
+        reason = fault.strerror or type(fault).__name__
+        raise ConfigError(
+            f"cannot be looked into: {reason}", where=str(fault.filename), mend="check its permissions"
+        )
+
+    for place, folders, files in os.walk(folder, onerror=fail):  # follows no link
+        yield from (Path(place, name) for name in files)
+        yield from (Path(place, name) for name in folders if Path(place, name).is_symlink())
+
+
+def _require_own(folder: Path, holds: Holds) -> None:
+    if not folder.exists() and not folder.is_symlink():
+        return
+    faults = foreign(folder, holds) if folder.is_dir() else ["it is a file"]
+    if faults:
+        raise not_replaced(folder, faults)
+
+
+def _foreign_in_checkpoint(folder: Path, names: list[str]) -> list[str]:
+    """Return all names where there is no stamp, however damaged; else those that no run gives."""
+    if not any(_is_file(folder / name) for name in (STAMP, "work.sha256")):
+        return names
+    return [
+        name
+        for name in names
+        if name != STAMP and not (_CHECKPOINT.fullmatch(name) and _is_file(folder / name))
+    ]
+
+
+def _fault(folder: Path, name: str, listed: dict[str, Any]) -> str:
+    """Return what is foreign about a file; empty if it is as it was written."""
+    path = folder / name
+    if name not in listed or not _is_file(path):
+        return name
+    if name == TIMES:
+        return ""
+    try:
+        return "" if sha256(path) == listed[name] else f"{name} (changed since it was written)"
+    except OSError:
+        return name
+
+
+def _is_file(path: Path) -> bool:
+    try:
+        return stat.S_ISREG(path.lstat().st_mode)
+    except OSError:
+        return False
+
+
+def _write(path: Path, table: dict[str, Any]) -> None:
+    path.write_bytes(_text(table).encode("utf-8"))
+
+
+def _text(table: dict[str, Any]) -> str:
+    head = {"program": "needlefit", "format": FORMAT}
+    return json.dumps({**head, **table}, indent=2, ensure_ascii=True) + "\n"

@@ -1,0 +1,217 @@
+"""What needlefit wrote may be replaced; whatever else lies in a folder stays, and is named."""
+
+import json
+import os
+import shutil
+
+import pytest
+
+from needlefit.errors import ConfigError
+from needlefit.project import replace
+from needlefit.project.ownership import STAMP, foreign, require_own_checkpoint, require_replaceable
+from needlefit.project.places import shipped
+from needlefit.project.replace import new_folder, replacing
+
+
+def write(folder, text="one"):
+    with replacing(folder) as fresh:
+        (fresh / "part").mkdir()
+        (fresh / "part" / "a.csv").write_text(text)
+        (fresh / "timing.json").write_text(text)
+
+
+def everything(folder):
+    return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def test_what_nobody_touched_is_replaced_and_has_the_same_stamp(tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    first = (folder / STAMP).read_bytes()
+    assert json.loads(first)["files"].keys() == {"part/a.csv", "timing.json"}
+    (folder / "timing.json").write_text("later")  # the one file that differs from run to run
+    (folder / "part" / ".DS_Store").write_text("left by a file manager")
+    write(folder)
+    assert (folder / STAMP).read_bytes() == first
+    write(folder, "two")
+    assert (folder / "part" / "a.csv").read_text() == "two"
+    (folder / "part" / "a.csv").unlink()
+    write(folder, "three")
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}
+
+
+@pytest.mark.parametrize(
+    "file", ["part/a.csv", "notes.txt", ".hidden", "new/b.csv", "part/thesis.docx", STAMP]
+)
+def test_what_somebody_added_or_changed_is_kept_and_named(file, tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    (folder / file).parent.mkdir(exist_ok=True)
+    (folder / file).write_text("mine")
+    before = everything(tmp_path)
+    with pytest.raises(ConfigError) as error:
+        write(folder, "two")
+    assert file in str(error.value) and "--out" in error.value.mend
+    assert everything(tmp_path) == before
+
+
+def test_links_are_kept_and_not_followed(tmp_path):
+    mine, folder = tmp_path / "mine", tmp_path / "out"
+    mine.mkdir()
+    (mine / "a.csv").write_text("mine")
+    write(folder)
+    shutil.rmtree(folder / "part")
+    (folder / "part").symlink_to(mine)
+    with pytest.raises(ConfigError, match="part"):
+        write(folder, "two")
+    (folder / "part").unlink()
+    (folder / "part").mkdir()
+    (folder / "part" / "a.csv").symlink_to(mine / "a.csv")
+    with pytest.raises(ConfigError, match=r"part/a\.csv"):
+        write(folder, "two")
+    assert (mine / "a.csv").read_text() == "mine"
+
+
+def test_a_stamp_that_lists_files_elsewhere_removes_none(tmp_path):
+    (tmp_path / "mine.txt").write_text("mine")
+    folder = tmp_path / "out"
+    write(folder)
+    stamp = json.loads((folder / STAMP).read_text())
+    stamp["files"] |= {"../mine.txt": None, str(tmp_path / "mine.txt"): None}
+    (folder / STAMP).write_text(json.dumps(stamp))
+    write(folder, "two")
+    assert (tmp_path / "mine.txt").read_text() == "mine"
+
+
+@pytest.mark.parametrize("files", [["thesis.docx"], {"thesis.docx": None}, {"thesis.docx": 0}, None])
+def test_a_stamp_without_a_digest_owns_nothing(files, tmp_path):
+    (tmp_path / "thesis.docx").write_text("mine")
+    stamp = {"program": "needlefit", "format": 1, "holds": "result", "files": files}
+    (tmp_path / STAMP).write_text(json.dumps(stamp))
+    assert any(one.startswith("thesis.docx") for one in foreign(tmp_path))
+
+
+def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
+    for exchanges in (True, False):
+        if not exchanges:  # as on a system that cannot exchange two folders at once
+            monkeypatch.setattr(replace, "_exchanged", lambda *_: False)
+        folder = tmp_path / f"out{exchanges}"
+        write(folder)
+        with pytest.raises(ConfigError, match=r"notes\.txt"), replacing(folder) as fresh:
+            (fresh / "new.csv").write_text("new")
+            (folder / "notes.txt").write_text("mine")
+        assert {path.name for path in folder.iterdir()} == {"part", "timing.json", STAMP, "notes.txt"}
+        (folder / "notes.txt").unlink()
+        write(folder, "two")
+        assert (folder / "part" / "a.csv").read_text() == "two"
+    assert {path.name for path in tmp_path.iterdir()} == {"outTrue", "outFalse"}
+
+
+def test_the_foreign_result_stays_in_reach_even_if_it_cannot_go_back(tmp_path, monkeypatch):
+    folder, calls = tmp_path / "out", []
+
+    def exchange(one, other):
+        calls.append(one)
+        if len(calls) == 2:
+            raise OSError("disk full")
+        one.rename(one.with_name("third"))
+        other.rename(one)
+        one.with_name("third").rename(other)
+
+    write(folder)
+    monkeypatch.setattr(replace, "_exchange", exchange)
+    with pytest.raises(OSError, match="disk full"), replacing(folder) as fresh:
+        (fresh / "new.csv").write_text("new")
+        (folder / "notes.txt").write_text("mine")
+    assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
+    monkeypatch.undo()
+    write(folder)
+    assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
+
+
+def test_two_that_begin_where_nothing_is_both_end_whole(tmp_path):
+    with replacing(tmp_path / "out") as first:
+        (first / "a.csv").write_text("first")
+        write(tmp_path / "out", "second")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
+    assert not foreign(tmp_path / "out")
+
+
+def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
+    folder = tmp_path / "study3"
+    (folder / "slicer").mkdir(parents=True)
+    for name in ("errors.pdf", "results.json.gz", "posterior_2.nc", "numbers.tex", "timing.json"):
+        (folder / name).write_text("ours")
+    (folder / "run.json").write_text("{}")
+    (folder / "errors.csv").write_text("fold,insertion\nall,n1\nall,n2\n")
+    (folder / "slicer" / "n1.mrk.json").write_text("ours")
+    (folder / "slicer" / "n2.band.ply").write_text("ours")
+    assert foreign(folder) == []
+    mine = [
+        "notes.md",
+        "thesis.docx",
+        "my_errors.csv",
+        "slicer/mine.mrk.json",
+        "slicer/n1.txt",
+        "sub/errors.csv",
+    ]
+    for name in mine:
+        (folder / name).parent.mkdir(exist_ok=True)
+        (folder / name).write_text("mine")
+    assert foreign(folder) == sorted(mine)
+    for name in mine:
+        (folder / name).unlink()
+    write(folder)
+    assert (folder / STAMP).is_file()
+
+
+def test_the_evidence_in_the_repository_and_the_shipped_data_may_be_replaced():
+    known = [*(shipped() / "reports" / "reference").glob("*/"), shipped() / "data/twin"]
+    known.append(shipped() / "data/sample_scan")
+    assert {str(folder): foreign(folder) for folder in known if folder.is_dir()} == {
+        str(folder): [] for folder in known if folder.is_dir()
+    }
+
+
+def test_files_that_have_no_place_are_none_of_ours(tmp_path):
+    (tmp_path / "file").write_text("mine")
+    for check in (require_replaceable, require_own_checkpoint):
+        with pytest.raises(ConfigError, match="it is a file"):
+            check(tmp_path / "file")
+        with pytest.raises(ConfigError):
+            check(tmp_path / "file" / "out")
+    (tmp_path / "link").symlink_to(tmp_path / "nowhere")
+    with pytest.raises(ConfigError, match="exists already"), new_folder(tmp_path / "file"):
+        pytest.fail("began")
+
+
+def test_a_folder_of_somebody_is_no_checkpoint(tmp_path):
+    (tmp_path / "0123456789abcdef.jsonl").write_text("mine")
+    with pytest.raises(ConfigError, match="0123456789abcdef"):
+        require_own_checkpoint(tmp_path)
+    (tmp_path / STAMP).write_text(json.dumps({"program": "needlefit", "format": 1, "work": "a"}))
+    require_own_checkpoint(tmp_path)
+    (tmp_path / "data.csv").write_text("mine")
+    with pytest.raises(ConfigError, match=r"data\.csv"):
+        require_own_checkpoint(tmp_path)
+
+
+def test_a_read_only_place_is_refused_before_the_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(os, "access", lambda path, mode: False)  # permissions do not bind root
+    for check in (require_replaceable, require_own_checkpoint):
+        with pytest.raises(ConfigError, match="cannot be written"):
+            check(tmp_path / "deep" / "out")
+    with pytest.raises(ConfigError, match="cannot be written"), replacing(tmp_path / "out"):
+        pytest.fail("began")
+
+
+def test_a_new_folder_gets_no_stamp_and_replaces_nothing(tmp_path):
+    (tmp_path / "empty").mkdir()
+    with new_folder(tmp_path / "empty") as fresh:
+        (fresh / "dataset.toml").write_text("")
+    assert [path.name for path in (tmp_path / "empty").iterdir()] == ["dataset.toml"]
+    with pytest.raises(ConfigError, match="exists already"), new_folder(tmp_path / "late") as fresh:
+        (fresh / "dataset.toml").write_text("")
+        (tmp_path / "late").mkdir()
+        (tmp_path / "late" / "mine").write_text("mine")
+    assert [path.name for path in (tmp_path / "late").iterdir()] == ["mine"]
