@@ -37,10 +37,12 @@ def material(
     from needlefit.datasets.compression import read_compression
     from needlefit.inference.material_prior import Foundation
     from needlefit.inference.population import fit_material
+    from needlefit.project.names import require_file_name
     from needlefit.project.ownership import require_replaceable
     from needlefit.reporting.material import Report, as_json, layout, write_material
     from needlefit.reporting.material_said import summary
 
+    require_file_name(file.stem, str(file))
     name = f"material-{file.stem}"
     require_replaceable(out / name)
     stated = None if foundation is None else Foundation(*foundation)

@@ -53,6 +53,7 @@ def predict(
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
         from needlefit.cli.tune import fit_of
         from needlefit.mechanics.scene import Scene
+        from needlefit.project.names import require_file_name
         from needlefit.project.ownership import require_replaceable
         from needlefit.project.unit_warnings import unit_warnings
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
@@ -63,6 +64,7 @@ def predict(
 
         where, planned = scene_record(scene, depth, set_ or [])
         name, record = fit_of(target)
+        require_file_name(Path(scene).stem, scene)
         folder = out / f"predict-{name.removesuffix('-tune')}-{Path(scene).stem}"
         require_replaceable(folder)
         screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)

@@ -97,12 +97,14 @@ def reconstruct(
         from needlefit.imaging.assemble import About
         from needlefit.imaging.batch import Batch, Failure, reconstruct_all
         from needlefit.project.load import load
+        from needlefit.project.names import require_file_name
         from needlefit.project.ownership import require_own_checkpoint, require_replaceable
         from needlefit.project.partial import claim, forget
         from needlefit.project.places import find
         from needlefit.project.records.reconstruction import ReconstructionRecord
         from needlefit.reporting.reconstructed import write_reconstructed
 
+        require_file_name(out.resolve().name, str(out))
         require_replaceable(out)
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)

@@ -18,6 +18,7 @@ from needlefit.datasets.formats.csv import read_table
 from needlefit.errors import DataError
 from needlefit.mechanics.compression import Measure
 from needlefit.project.files import sha256
+from needlefit.project.names import EXPECTED, name_fault
 
 Floats = NDArray[np.float64]
 
@@ -70,6 +71,9 @@ def read_compression(path: Path, stated: Measure | None = None) -> CompressionTe
     if "" in who:
         row = int(np.flatnonzero(who == "")[0])
         found.append(Fault(table.where(row), f"{columns.sample} is empty", "a name", "name the specimen"))
+    for n, name in enumerate(who):
+        if fault := name_fault(str(name)):
+            found.append(Fault(table.where(n), f"specimen is {str(name)!r}: {fault}", EXPECTED, "rename it"))
     if found:
         raise as_error(found, path)
     records = [

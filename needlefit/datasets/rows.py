@@ -25,6 +25,7 @@ from needlefit.datasets.schema import (
     InsertionRow,
 )
 from needlefit.geometry.frames import Frame
+from needlefit.project.names import EXPECTED, name_fault
 from needlefit.project.records.dataset import DatasetRecord, InsertionsRecord
 
 UNIT = 1e-3
@@ -148,6 +149,9 @@ def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterato
             "letters, digits, `.`, `_`, `-`: it names a file",
             "rename it, and its centreline with it",
         )
+    fault = name_fault(row.specimen)
+    if fault:
+        yield Fault(where, f"specimen is {row.specimen!r}: {fault}", EXPECTED, "rename it")
     if row.medium not in record.media:
         listed = ", ".join(record.media) or "(none)"
         mend = "correct it, or add a table [media.NAME] to dataset.toml"

@@ -12,6 +12,7 @@ from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import sheet
+from needlefit.project.names import require_file_name
 from needlefit.project.records.dataset import DatasetRecord
 from needlefit.project.replace import new_folder, require_new
 
@@ -53,6 +54,7 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
         If the source has faults.
     """
     require_new(folder)
+    require_file_name(folder.resolve().name, str(folder))
     if source is None:
         with new_folder(folder) as fresh:
             _finish(_example(fresh), EXAMPLE_NOTE)

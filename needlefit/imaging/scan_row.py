@@ -14,6 +14,7 @@ from needlefit.datasets.schema import BEVEL, DIRECTION, ENTRY, ID, Floats
 from needlefit.geometry.frames import PARALLEL, unit
 from needlefit.imaging.scan import LayerSource, Scan, Stage
 from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
+from needlefit.project.names import EXPECTED, name_fault
 
 STAGE = (*ENTRY, *DIRECTION, "pose_shift_sd_mm", "pose_angle_sd_deg")
 COUNTS = ("layers", "layers_alternative")
@@ -131,6 +132,8 @@ def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
     """Say what is wrong with a row by itself; with its numbers only if all could be read."""
     for name in ("id", "medium"):
         yield from name_faults(name, row.text[name], row.where)
+    for name, given in (("specimen", row.text["specimen"]), ("scan", Path(row.text["scan"]).name)):
+        yield from label_faults(name, given, row.where)
     for name, words in CHOICES.items():
         if row.text[name] and row.text[name] not in words:
             expected = f"{' or '.join(words)}, or an empty cell: {words[0]}"
@@ -146,6 +149,13 @@ def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
     if given and not ID.fullmatch(given):
         expected = "A-Z, a-z, digits, `.`, `_`, `-`, the first a letter or digit: it names files"
         yield Fault(where, f"{name} is {given!r}", expected, "rename it")
+
+
+def label_faults(name: str, given: str, where: str) -> Iterator[Fault]:
+    """Say that a name cannot stand in tables."""
+    fault = name_fault(given)
+    if fault:
+        yield Fault(where, f"{name} is {given!r}: {fault}", EXPECTED, "rename it")
 
 
 def unlaid(where: str, mend: str) -> Fault:

@@ -17,6 +17,7 @@ from needlefit.imaging.scan_row import (
     DOCUMENTED,
     NUMBERS,
     ScanRow,
+    label_faults,
     layer_source,
     name_faults,
     row_faults,
@@ -98,6 +99,8 @@ def scans_of(
     sources = [layer_source(text, Path()) for text in layers]
     found += [source for source in sources if isinstance(source, Fault)]
     found += name_faults("medium", medium, "medium")
+    for volume in volumes:
+        found += label_faults("scan", volume.name, repr(str(volume)))
     ids = [id_of(volume) for volume in volumes]
     found += _repeated(ids, [str(volume) for volume in volumes])
     if found:

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Literal
 
 from needlefit.errors import ConfigError
+from needlefit.project.names import require_file_name
 
 Kind = Literal["scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction"]
 
@@ -99,6 +100,7 @@ def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
         path = Path(name)
         if not path.is_file():
             raise _missing("study or fit", name)
+        require_file_name(path.stem, name)
         return ("study" if _is_study(path) else "fit"), path
     found = [kind for kind in ("study", "fit") if name in names(kind)]
     if len(found) == 2:
@@ -135,6 +137,7 @@ def find_studies(name: str) -> list[tuple[str, Path]]:
     path = find("study", name)
     if path.parent.name == "fits" and not _is_study(path):
         raise _no_study(name)
+    require_file_name(path.stem, name)
     return [(path.stem, path)]
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import MAPPED, Table, missing_columns, numbers
 from needlefit.datasets.tracks.track import Track
+from needlefit.project.names import EXPECTED, name_fault
 from needlefit.project.records.tip_tracks import TrackDatasetRecord
 
 Floats = NDArray[np.float64]
@@ -106,6 +107,8 @@ def _faults(run: _Rows, table: Table, record: TrackDatasetRecord) -> Iterator[Fa
     first, depth = table.where(int(run.rows[0])), run.values["depth_mm"]
     if not run.id:
         yield Fault(first, "a reading has no id", "the run that it belongs to", "fill the cell")
+    elif fault := name_fault(run.id):
+        yield Fault(first, f"id is {run.id!r}: {fault}", EXPECTED, "rename the run")
     if run.medium not in record.media:
         known = ", ".join(record.media)
         mend = "correct it, or add a table [media.NAME] to dataset.toml"

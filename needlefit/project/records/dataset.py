@@ -6,6 +6,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from needlefit.project.limits import MAX_LAYERS
+from needlefit.project.names import Name
 from needlefit.project.records.record import FileRecord, Record
 from needlefit.project.records.rigid import RigidRows
 from needlefit.project.records.scene import NeedleRecord
@@ -113,7 +114,7 @@ class DatasetMediumRecord(Record):
 class SourceRecord(FileRecord):
     """What was measured, by whom, under what terms, and where it lies: the head of every `dataset.toml`."""
 
-    name: str
+    name: Name
     title: str = ""
     origin: Literal["measured", "synthetic"]
     license: str
@@ -132,7 +133,7 @@ class DatasetRecord(SourceRecord):
     noise: NoiseRecord = NoiseRecord()
     insertions: InsertionsRecord
     centerlines: CenterlinesRecord
-    media: dict[str, DatasetMediumRecord] = {}
+    media: dict[Name, DatasetMediumRecord] = {}
     checksums: dict[str, str] = {}
 
     @model_validator(mode="after")

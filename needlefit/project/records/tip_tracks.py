@@ -5,6 +5,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.names import Name
 from needlefit.project.records.dataset import NoiseRecord, Scalar, SourceRecord
 from needlefit.project.records.record import Record
 from needlefit.project.records.scene import NeedleRecord
@@ -30,7 +31,7 @@ class TrackMediumRecord(Record):
 
     layers: tuple[int, ...] = (1,)
     boundaries_mm: tuple[float, ...] = ()
-    specimen: str = ""
+    specimen: Name = ""
     note: str = ""
 
     @model_validator(mode="after")
@@ -53,5 +54,5 @@ class TrackDatasetRecord(SourceRecord):
     needle: NeedleRecord
     noise: NoiseRecord = NoiseRecord()
     tip_tracks: TipTracksRecord
-    media: dict[str, TrackMediumRecord] = Field(min_length=1)
+    media: dict[Name, TrackMediumRecord] = Field(min_length=1)
     checksums: dict[str, str] = {}

@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.names import FileName
 from needlefit.project.records.record import FileRecord, Record
 
 
@@ -18,7 +19,7 @@ class RunsRecord(Record):
 class TrackFitRecord(Record):
     """One fit, of the runs that `tune` selects, and the runs that are foretold from it."""
 
-    name: str
+    name: FileName
     medium: str
     tune: RunsRecord
     validate_: RunsRecord = Field(alias="validate")

@@ -6,6 +6,7 @@ from typing import Any
 
 import pandas as pd
 
+from needlefit.project.names import spreadsheet_text
 from needlefit.project.replace import replacing
 from needlefit.project.run_file import RUN_FILE
 from needlefit.reporting.credibility.assessed import SHOWN
@@ -34,7 +35,7 @@ def write_bundle(case: Case, entries: list[Entry], run: Path, folder: Path) -> P
     """
     with replacing(folder) as new:
         write_report(page(case, entries), new, "credibility")
-        write_csv(pd.DataFrame(rows(entries), columns=list(COLUMNS)), new / "credibility.csv")
+        write_csv(_cells(rows(entries)), new / "credibility.csv")
         write_json(new / RUN_FILE, _provenance(case, run))
     return folder
 
@@ -49,6 +50,12 @@ def rows(entries: list[Entry]) -> list[Row]:
             table.append({**head, "of": one.of, "found": one.words, **source, "gap": ""})
         table += [{**head, **dict.fromkeys(COLUMNS[2:-1], ""), "gap": gap} for gap in entry.gaps]
     return table
+
+
+def _cells(table: list[Row]) -> pd.DataFrame:
+    """Return the rows for a file that may be opened in a spreadsheet: some words are those of people."""
+    safe = [{name: spreadsheet_text(str(cell)) for name, cell in row.items()} for row in table]
+    return pd.DataFrame(safe, columns=list(COLUMNS))
 
 
 def as_json(case: Case, entries: list[Entry]) -> dict[str, Any]:
