@@ -1,0 +1,254 @@
+"""Every command, with files of the user at every place that it writes: all of them are there afterwards."""
+
+import dataclasses
+import shutil
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+import typer
+from compression_cases import gel_file
+from credibility_cases import leave, results
+from reporting_results import study
+from test_cli import run
+from test_cli_verify import GOOD
+from test_viewer_recording import recorded
+
+from needlefit.cli.application import build
+from needlefit.project.ownership import STAMP, write_stamp
+from needlefit.project.places import find, shipped
+from needlefit.verification import run as verification
+from needlefit.viewer.hand.inputs import Change
+
+SCANS = str(shipped() / "data" / "sample_scan" / "scans.csv")
+STUDY = """\
+schema = 1
+title = "Mine"
+dataset = "twin"
+medium = "phantom2"
+recipe = "small"
+tune = { insertions = ["phantom2-01", "phantom2-02"] }
+validate = [{ insertions = ["phantom2-03"] }]
+"""
+FOREIGN = (
+    "notes.md",
+    "thesis.docx",
+    "errors_mine.csv",
+    "slicer/mine.mrk.json",
+    "quality/mine.pdf",
+    "sub/a/b.csv",
+)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A command line, the folders that it replaces or removes, and whether it is quick as it stands."""
+
+    words: tuple[str, ...]
+    folders: tuple[str, ...] = ()
+    quick: bool = True
+    code: int = 0
+
+
+def studies(name: str) -> tuple[str, ...]:
+    return (f"out/{name}", f"out/{name}.partial")
+
+
+CASES = {
+    "simulate": Case(
+        ("simulate", "study2", "--plot", "out/n.pdf", "--csv", "out/n.csv", "--slicer", "out/n.mrk.json")
+    ),
+    "view": Case(("view", "study2", "--no-browser", "--out", "out")),
+    "check": Case(("check", "twin")),
+    "diff": Case(("diff", "./out/run", "./out/run")),
+    "paper": Case(("paper",)),
+    "tune": Case(("tune", "mine", "--out", "out", "-q"), studies("mine-tune")),
+    "validate": Case(
+        ("validate", "mine", "--reference", "--out", "out", "-q"),
+        (*studies("mine"), "out/reference/mine"),
+    ),
+    "identify": Case(("identify", "mine", "--out", "out", "-q"), studies("identify-mine"), quick=False),
+    "calibrate": Case(
+        ("calibrate", "mine", "--replicates", "2", "--jobs", "1", "--out", "out", "-q"),
+        studies("calibrate-mine"),
+        quick=False,
+        code=5,
+    ),
+    "predict": Case(
+        ("predict", "mine", "--scene", "study2", "--out", "out", "-q"),
+        ("out/predict-mine-study2",),
+        quick=False,
+    ),
+    "report": Case(("report", "./out/run", "--out", "out/again"), ("out/again",)),
+    "verify": Case(("verify", "--out", "out", "-q"), ("out/verification",)),
+    "credibility": Case(("credibility", "./out/run", "--out", "out", "-q"), ("out/credibility-run",)),
+    "material": Case(("material", "gel.csv", "--out", "out"), ("out/material-gel",)),
+    "reconstruct": Case(
+        ("reconstruct", SCANS, "--out", "out/rr", "-q"), ("out/rr", "out/rr.partial"), quick=False
+    ),
+    "init": Case(("init", "out/project"), ("out/project/data", "out/project/configs", "out/project/studies")),
+    "twin build": Case(("twin", "build", "--out", "out/twin", "-q"), ("out/twin",)),
+    "twin ct": Case(
+        ("twin", "ct", "sample", "--out", "out/ct", "-q", "--jobs", "1"), ("out/ct",), quick=False
+    ),
+    "new dataset": Case(("new", "dataset", "out/data"), ("out/data",)),
+}
+REFUSED = [(name, folder) for name, case in CASES.items() for folder in case.folders]
+
+
+def commands(group: typer.core.TyperGroup, before: str = "") -> Iterator[str]:
+    for name, command in group.commands.items():
+        if isinstance(command, typer.core.TyperGroup):
+            yield from commands(command, f"{before}{name} ")
+        else:
+            yield f"{before}{name}"
+
+
+def test_every_command_has_a_case_here():
+    assert set(CASES) == set(commands(typer.main.get_command(build())))
+
+
+def everything(folder: Path) -> dict[str, bytes]:
+    return {str(path): path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
+
+
+def plant(folder: Path) -> dict[str, bytes]:
+    for name in FOREIGN:
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(f"mine: {folder / name}\n".encode())
+    return {str(folder / name): (folder / name).read_bytes() for name in FOREIGN}
+
+
+class Stub:
+    """Stands for the fitting."""
+
+    @staticmethod
+    def run(name, record, settings):
+        from needlefit.validation.checkpoint import open_checkpoint
+
+        open_checkpoint(settings.checkpoint, settings.resume, {"n": 1}).keep_row("a", {"b": 1})
+        return dataclasses.replace(study(1), name=name, record=record)
+
+
+async def steer(trials, port, ready, until):
+    """Stand for the server: one needle is steered by one step."""
+    trial = trials.open("a")
+    trial.act([Change("depth_mm", None, 10.0)])
+
+
+@pytest.fixture
+def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "studies").mkdir()
+    (tmp_path / "studies/mine.toml").write_text(STUDY)
+    (tmp_path / "configs/recipes").mkdir(parents=True)
+    (tmp_path / "configs/recipes/small.toml").write_text(find("recipe", "quick").read_text())
+    gel_file(tmp_path / "gel.csv")
+    (tmp_path / "out").mkdir()
+    return tmp_path
+
+
+@pytest.fixture
+def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("needlefit.validation.run.run", Stub.run)
+    monkeypatch.setattr(
+        "needlefit.reporting.write._draw", lambda *_: {}
+    )  # seconds, and other tests' business
+    for name in ("compile_pdf", "compile_html"):
+        monkeypatch.setattr(f"needlefit.reporting.write.{name}", lambda _: b"a page")
+    monkeypatch.setattr(verification, "find_checks", lambda: GOOD)
+    monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
+    monkeypatch.setattr("needlefit.synthetic.build.build", lambda folder, *_, **__: (folder / "a").touch())
+
+
+def leave_run(folder: Path, command: str) -> None:
+    """Leave what the commands read that are about a run."""
+    made = results() if command == "credibility" else study(1)
+    leave(dataclasses.replace(made, name=folder.name), folder.parent)
+
+
+@pytest.mark.parametrize(("command", "place"), REFUSED)
+@pytest.mark.parametrize("whose", ["the user's", "a result"])
+def test_what_holds_foreign_files_is_refused_before_the_work(command, place, whose, project, stubs, capsys):
+    """The folder is the user's own, or one that needlefit wrote and the user added to."""
+    folder = project / place
+    if "./out/run" in CASES[command].words:
+        leave_run(project / "out/run", command)
+    plant(folder)
+    if whose == "a result":
+        shutil.rmtree(folder)
+        (folder / "slicer").mkdir(parents=True)
+        (folder / "slicer" / "a.ply").touch()
+        write_stamp(folder)
+        plant(folder)
+    before = everything(project)
+    assert run(*CASES[command].words) == 3
+    assert everything(project) == before
+    said = capsys.readouterr().err
+    assert any(name in said for name in FOREIGN) or "exists already" in said
+    assert str(folder) in said or place in said
+
+
+def beside(project: Path) -> dict[str, bytes]:
+    """Plant files everywhere but in the folders that a command replaces."""
+    found = plant(project) | plant(project / "out") | plant(project / "out/other")
+    for place in (
+        "out/mine.partial.torn-1",
+        "out/rr.torn-1",
+        "out/view",
+        "out/.rr.needlefit-mine",
+        "out/reference",
+    ):
+        found |= plant(project / place)
+    for name in ("out/n.ply", "out/n.png", "out/run.json", f"out/{STAMP}", "out/lock", "out/project.csv"):
+        (project / name).write_bytes(b"mine")
+        found[str(project / name)] = b"mine"
+    return found
+
+
+def carry_out(command: str, project: Path) -> None:
+    case, planted = CASES[command], beside(project)
+    if "./out/run" in case.words:
+        leave_run(project / "out/run", command)
+    # the second time what it wrote is replaced
+    for _ in range(1 if command in ("init", "new dataset") else 2):
+        assert run(*case.words) == case.code
+    for place in case.folders:
+        assert place.endswith(".partial") or any((project / place).iterdir())
+    assert not any((project / place).exists() for place in case.folders if place.endswith(".partial"))
+    after = everything(project)
+    assert {path: after.get(path) for path in planted} == planted
+
+
+@pytest.mark.parametrize("command", [name for name, case in CASES.items() if case.quick])
+def test_what_lies_beside_stays(command, project, stubs):
+    carry_out(command, project)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("command", [name for name in CASES if name not in ("twin build", "verify", "view")])
+def test_what_lies_beside_stays_where_all_is_computed(command, project):
+    carry_out(command, project)
+
+
+@pytest.mark.parametrize("place", ["out/mine-tune", "out/mine-tune.partial"])
+def test_a_file_that_is_put_there_while_it_runs_stays(place, project, stubs, monkeypatch, capsys):
+    def run_and_plant(name, record, settings):
+        results = Stub.run(name, record, settings)
+        plant(project / place)
+        return results
+
+    monkeypatch.setattr("needlefit.validation.run.run", run_and_plant)
+    partial = place.endswith(".partial")
+    assert run(*CASES["tune"].words) == (0 if partial else 3)
+    assert all((project / place / name).is_file() for name in FOREIGN)
+    assert "notes.md" in capsys.readouterr().err
+    assert (project / "out/mine-tune/run.json").is_file() == partial
+
+
+def test_a_recording_is_never_overwritten(project, stubs, monkeypatch):
+    recorded(project / "log.csv")
+    before = (project / "log.csv").read_bytes()
+    assert run("view", "--inputs", "log.csv", "--no-browser", "--out", "out") == 0
+    assert (project / "log.csv").read_bytes() == before
