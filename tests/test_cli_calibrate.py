@@ -11,6 +11,7 @@ from made_again import assert_made_again
 from test_cli import run
 
 FILES = {
+    "needlefit.json",
     *("coverage.csv", "ranks.csv", "ranks.pdf", "replicates.csv", "report.pdf", "run.json", "timing.json"),
     "results.json.gz",
 }

@@ -89,7 +89,11 @@ def test_a_report_is_made_again_from_what_was_stored(project, once):
     again = project / "reports/small-again"
     shutil.copytree(project / "reports/small", again)
     (again / "errors.csv").unlink()
-    (again / "report.pdf").write_bytes(b"spoilt")
+    (again / "report.pdf").write_bytes(b"somebody's")
+    refused = needlefit("report", "small", "--out", str(again), folder=project)
+    assert refused.returncode == 3 and "report.pdf" in refused.stderr
+    assert (again / "report.pdf").read_bytes() == b"somebody's"
+    (again / "report.pdf").unlink()
     done = needlefit("report", "small", "--out", str(again), folder=project)
     assert done.returncode == 0, done.stderr
     assert contents(again) == once

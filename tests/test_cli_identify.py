@@ -11,7 +11,15 @@ from test_cli import run
 
 from needlefit.validation import job
 
-FILES = {"directions.csv", "identify.csv", "profiles.csv", "profiles.pdf", "results.json.gz", "run.json"}
+FILES = {
+    "directions.csv",
+    "identify.csv",
+    "needlefit.json",
+    "profiles.csv",
+    "profiles.pdf",
+    "results.json.gz",
+    "run.json",
+}
 
 
 @pytest.fixture

@@ -18,7 +18,7 @@ from needlefit.validation.job import Settings, prepare
 
 FILES = {
     "curves.csv", "curves.pdf", "material.csv", "material.json", "prior.toml", "profiles.csv", "profiles.pdf",
-    "run.json",
+    "run.json", "needlefit.json",
 }  # fmt: skip
 
 

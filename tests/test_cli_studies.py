@@ -174,7 +174,7 @@ def test_a_folder_of_somebody_else_is_refused_before_anything_runs(stub, capsys)
     Path("reports/mine").mkdir(parents=True)
     Path("reports/mine/thesis.tex").write_text("years of work")
     assert run("validate", "mine") == 3
-    assert "holds no result" in capsys.readouterr().err
+    assert "thesis.tex" in capsys.readouterr().err
     Path("file").write_text("")
     assert run("tune", "gel", "--out", "file/below") == 3
     assert "cannot be written to" in capsys.readouterr().err

@@ -13,7 +13,7 @@ from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Qu
 
 FILES = {
     "convergence.csv", "convergence.pdf", "report.pdf", "run.json", "timing.json",
-    "verification.csv", "verification.json",
+    "verification.csv", "verification.json", "needlefit.json",
 }  # fmt: skip
 H = (4.0, 2.0, 1.0)
 NORMS = {"deflection": 4, "slope": 3, "deflection at the nodes": 4, "slope at the nodes": 4}

@@ -247,7 +247,13 @@ def test_the_command_writes_the_same_bytes_claims_nothing_and_prints_json(
     assert "reports/credibility-study1/" in capsys.readouterr().out
     folder = tmp_path / "reports/credibility-study1"
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert set(first) == {"credibility.pdf", "credibility.html", "credibility.csv", "run.json"}
+    assert set(first) == {
+        "credibility.pdf",
+        "credibility.html",
+        "credibility.csv",
+        "run.json",
+        "needlefit.json",
+    }
     assert run(*wanted, "--json") == 0
     answer = json.loads(capsys.readouterr().out)
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == first

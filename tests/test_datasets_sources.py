@@ -15,7 +15,7 @@ from needlefit.datasets.noise import noise_floor
 from needlefit.datasets.read import read
 from needlefit.datasets.template import template
 from needlefit.datasets.write import write_dataset
-from needlefit.errors import DataError
+from needlefit.errors import ConfigError, DataError
 
 SHIPPED = Path(__file__).parent.parent / "data"
 
@@ -174,7 +174,7 @@ def test_the_template_passes_check_and_says_that_it_is_made_up(tmp_path):
     dataset = read(file)
     assert dataset.origin == "synthetic" and "made-up" in file.read_text()
     assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
-    with pytest.raises(DataError, match="exists already"):
+    with pytest.raises(ConfigError, match="exists already"):
         template(tmp_path / "mine")
 
 

@@ -25,7 +25,15 @@ EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
     *(f"{name}.{kind}" for name in FIGURES for kind in ("pdf", "csv")),
-    *("numbers.tex", "report.pdf", "report.html", "results.json.gz", "run.json", "timing.json"),
+    *(
+        "numbers.tex",
+        "report.pdf",
+        "report.html",
+        "results.json.gz",
+        "run.json",
+        "timing.json",
+        "needlefit.json",
+    ),
 }
 
 

@@ -26,7 +26,8 @@ def report(
     """Write tables, figures and report of a RUN again, without fitting anything.
 
     From the stored results, exact to the last digit: as after an update that draws figures differently, or
-    where files were changed or lost. `all` is made again from the runs beside it.
+    where files were lost. A file that was changed is never replaced: remove it first. `all` is made again
+    from the runs beside it.
     """
     from needlefit.project.places import find_run
     from needlefit.reporting.rebuild import rebuild

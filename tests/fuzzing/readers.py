@@ -137,7 +137,7 @@ def _difference(folder: Path) -> object:
 
 
 def _manifest(folder: Path) -> object:
-    return _late("project.manifest.require_own")(folder, "MANIFEST.json")
+    return _late("project.ownership.require_replaceable")(folder)
 
 
 # ---- texts

@@ -397,12 +397,12 @@ def run_files() -> list[Seed]:
 
 def manifests() -> list[Seed]:
     """A folder that lists its own files."""
-    from needlefit.project.manifest import write_manifest
+    from needlefit.project.ownership import write_stamp
 
     def write(folder: Path) -> None:
         (folder / "out").mkdir()
         (folder / "out" / "a.csv").write_text("a,b\n1,2\n")
-        write_manifest(folder / "out", "MANIFEST.json", {"made_by": "needlefit"})
+        write_stamp(folder / "out")
 
     return [written(write, "out")]
 
