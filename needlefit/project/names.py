@@ -5,9 +5,6 @@ formatting characters make a name look like another one.
 """
 
 import unicodedata
-from typing import Annotated
-
-from pydantic import AfterValidator
 
 from needlefit.errors import ConfigError
 
@@ -56,24 +53,3 @@ def require_file_name(name: str, where: str) -> None:
 def spreadsheet_text(text: str) -> str:
     """Return free text as a cell that no spreadsheet runs: behind an apostrophe where it would."""
     return f"'{text}" if unicodedata.normalize("NFKC", text.lstrip())[:1] in FORMULA else text
-
-
-def _checked(name: str) -> str:
-    fault = name_fault(name)
-    if fault:
-        raise ValueError(f"{name!r} is refused: {fault}")
-    return name
-
-
-def _checked_of_file(name: str) -> str:
-    fault = file_name_fault(name)
-    if fault:
-        raise ValueError(f"{name!r} is refused: {fault}")
-    return name
-
-
-Name = Annotated[str, AfterValidator(_checked)]
-"""A key of a TOML file that reaches tables."""
-
-FileName = Annotated[str, AfterValidator(_checked_of_file)]
-"""A key of a TOML file that names files, too."""

@@ -6,8 +6,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from needlefit.project.limits import MAX_LAYERS
-from needlefit.project.names import Name
-from needlefit.project.records.record import FileRecord, Record
+from needlefit.project.records.record import FileRecord, Name, Record
 from needlefit.project.records.rigid import RigidRows
 from needlefit.project.records.scene import NeedleRecord
 

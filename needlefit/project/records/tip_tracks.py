@@ -5,9 +5,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from needlefit.project.names import Name
 from needlefit.project.records.dataset import NoiseRecord, Scalar, SourceRecord
-from needlefit.project.records.record import Record
+from needlefit.project.records.record import Name, Record
 from needlefit.project.records.scene import NeedleRecord
 
 

@@ -4,8 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.project.names import FileName
-from needlefit.project.records.record import FileRecord, Record
+from needlefit.project.records.record import FileName, FileRecord, Record
 
 
 class RunsRecord(Record):
