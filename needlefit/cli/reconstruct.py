@@ -13,6 +13,7 @@ from needlefit.cli.execution import cores, remark
 from needlefit.cli.interruption import stopping
 from needlefit.cli.progress import progress
 from needlefit.errors import DataError
+from needlefit.project.reading import is_there
 
 if TYPE_CHECKING:
     from needlefit.imaging.batch import Failure
@@ -140,7 +141,7 @@ def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan
     from needlefit.imaging.scans import read_scans, scans_of
     from needlefit.project.places import find, names
 
-    if len(scans) == 1 and not scans[0].exists() and str(scans[0]) in names("scans"):
+    if len(scans) == 1 and not is_there(scans[0]) and str(scans[0]) in names("scans"):
         scans = [find("scans", str(scans[0]))]
     if not any(path.suffix.lower() == ".csv" for path in scans):
         return scans_of(scans, medium=medium, **named)

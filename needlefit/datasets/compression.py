@@ -19,6 +19,7 @@ from needlefit.errors import DataError
 from needlefit.mechanics.compression import Measure
 from needlefit.project.files import sha256
 from needlefit.project.names import EXPECTED, name_fault
+from needlefit.project.reading import is_file
 
 Floats = NDArray[np.float64]
 
@@ -60,7 +61,7 @@ def read_compression(path: Path, stated: Measure | None = None) -> CompressionTe
     DataError
         Listing every fault: missing or doubtful columns, cells, strains for stretches, tension, cycles.
     """
-    if not path.is_file():
+    if not is_file(path):
         raise DataError("there is no such file", where=str(path), mend="check the path")
     table, found = read_table(path), list[Fault]()
     columns = find_columns(table, stated, found)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.formats.csv import Table, numbers
+from needlefit.datasets.formats.csv import Table, columns_there, numbers
 from needlefit.mechanics.compression import MEASURES, Measure
 
 Floats = NDArray[np.float64]
@@ -146,7 +146,7 @@ def _no_stress(names: list[str], where: str, found: list[Fault]) -> None:
 
 
 def _lacking(what: str, names: list[str]) -> str:
-    return f"no columns give the {what}; there are {', '.join(names)}"
+    return f"no columns give the {what}; there are {columns_there(names)}"
 
 
 def _measure(column: str, stated: Measure | None, where: str, found: list[Fault]) -> Measure | None:

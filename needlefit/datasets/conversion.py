@@ -14,6 +14,7 @@ from needlefit.datasets.formats.csv import read_curve, read_table
 from needlefit.datasets.formats.points import Points
 from needlefit.datasets.schema import POINT, SD
 from needlefit.errors import DataError
+from needlefit.project.reading import is_file
 
 READS = (
     "--from reads a CSV with the columns x_mm, y_mm, z_mm, sd_mm if known and, for more than one curve, id "
@@ -61,7 +62,7 @@ def read_source(path: Path) -> Source:
     try:
         curves, remarks = READERS[suffix](path)
     except DataError as error:
-        mend = "check the path" if not path.is_file() else error.mend or READS
+        mend = "check the path" if not is_file(path) else error.mend or READS
         raise DataError(error.what, where=error.where, expected=error.expected, mend=mend) from None
     found = [fault for name, points in curves.items() for fault in _unusable(name, points)]
     if found:

@@ -12,6 +12,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import Surface, read_surface, surface_faults
+from needlefit.project.reading import is_file
 from needlefit.project.records.dataset import DatasetRecord, SurfaceRecord
 
 SMALLEST_SURFACE, LARGEST_SURFACE = 1.0, 2000.0
@@ -68,7 +69,7 @@ def _read(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | No
 def file_fault(error: DataError, path: Path) -> Fault:
     """Return the fault of a surface's file that could not be read, and how to mend it."""
     fault = from_error(error)
-    return fault if fault.mend else replace(fault, mend=RESTORE if not path.is_file() else EXPORT)
+    return fault if fault.mend else replace(fault, mend=RESTORE if not is_file(path) else EXPORT)
 
 
 def mesh_faults(surface: Surface, path: Path) -> Iterator[Fault]:

@@ -9,6 +9,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.project.files import sha256
 from needlefit.project.load import read_toml
+from needlefit.project.reading import is_file
 from needlefit.project.records.dataset import SourceRecord
 
 
@@ -65,7 +66,7 @@ def checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
     faults = []
     for name, expected in checksums.items():
         file = folder / name
-        if not file.is_file():
+        if not is_file(file):
             faults.append(
                 Fault(
                     str(file),

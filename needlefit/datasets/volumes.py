@@ -8,6 +8,7 @@ from pathlib import Path
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import missing_columns, read_table
 from needlefit.datasets.insertion import Dataset
+from needlefit.project.reading import is_file
 
 NAME = "volumes.csv"
 COLUMNS = ("id", "volume", "series")
@@ -39,7 +40,7 @@ def volume_of(dataset: Dataset, id_: str) -> ScanVolume | None:
         If the table that says so has a fault.
     """
     path = dataset.path.parent / NAME
-    if not path.is_file():
+    if not is_file(path):
         return None
     table, found = read_table(path), list[Fault]()
     if missing_columns(table, COLUMNS[:2], found):

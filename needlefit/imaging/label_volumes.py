@@ -10,6 +10,7 @@ from needlefit.errors import DataError
 from needlefit.imaging.headers.check import check_image_header
 from needlefit.imaging.headers.promise import whole
 from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, read
+from needlefit.project.reading import is_there
 
 MOST_LABELS = 64
 """A volume with more labels is a scan."""
@@ -47,7 +48,7 @@ def read_labels(path: Path) -> Labels:
     DataError
         If it is no volume, its segments overlap, one is empty, or its values are no labels.
     """
-    stated = _stated(path) if path.name.lower().endswith(IMAGE_SUFFIXES) and path.exists() else ()
+    stated = _stated(path) if path.name.lower().endswith(IMAGE_SUFFIXES) and is_there(path) else ()
     volume = read(path)
     present = _present(volume, path)
     if not stated:

@@ -15,6 +15,7 @@ from needlefit.geometry.frames import PARALLEL, unit
 from needlefit.imaging.scan import LayerSource, Scan, Stage
 from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
 from needlefit.project.names import EXPECTED, name_fault
+from needlefit.project.reading import is_file, is_there
 
 STAGE = (*ENTRY, *DIRECTION, "pose_shift_sd_mm", "pose_angle_sd_deg")
 COUNTS = ("layers", "layers_alternative")
@@ -69,12 +70,12 @@ def layer_source(text: str, folder: Path, where: str = "") -> LayerSource | Faul
     match = _AS.fullmatch(text)
     file = match["file"].strip() if match else text
     path, place = folder / file, where or str(folder / file)
-    if not path.is_file() and "=" in file:
+    if not is_file(path) and "=" in file:
         what, expected = f"the layer {text!r} is not understood", "file, file=sheet:2 or file=solid:3"
         return Fault(
             place, what, expected, "say the kind and the layer that it leads into, or leave both out"
         )
-    if not path.is_file():
+    if not is_file(path):
         return Fault(
             place, f"there is no file {path}", "a surface or segmentation of layers", "check the path"
         )
@@ -168,11 +169,11 @@ def _file_faults(row: ScanRow) -> Iterator[Fault]:
     volume = row.path("scan")
     if volume is None:
         yield Fault(row.where, "scan is empty", READABLE, "give the path of the volume")
-    elif not volume.exists():
+    elif not is_there(volume):
         yield Fault(row.where, f"there is no scan {volume}", READABLE, _relative(row))
     for name in ("mask", "markers", "fiducials"):
         path = row.path(name)
-        if path is not None and not path.is_file():
+        if path is not None and not is_file(path):
             yield Fault(row.where, f"there is no file {path}", f"the {name} of this scan", _relative(row))
     if row.text["fiducials"] and not row.text["markers"]:
         yield unlaid(row.where, "fill the cell under markers")

@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats.csv import Table, numbers, read_table
+from needlefit.datasets.formats.csv import Table, columns_there, numbers, read_table
 from needlefit.datasets.schema import as_id
 from needlefit.imaging.scan import Scan
 from needlefit.imaging.scan_row import (
@@ -25,6 +25,7 @@ from needlefit.imaging.scan_row import (
     unlaid,
 )
 from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE
+from needlefit.project.reading import is_file, is_there
 
 NO_VOLUME = Fault("", "there is no such file or folder", READABLE, "check the path")
 
@@ -82,14 +83,14 @@ def scans_of(
         Listing every file that is missing, every layer that is not understood, names that are alike or name
         no file, and fiducials without markers.
     """
-    found = [replace(NO_VOLUME, where=str(volume)) for volume in volumes if not volume.exists()]
+    found = [replace(NO_VOLUME, where=str(volume)) for volume in volumes if not is_there(volume)]
     given = {
         "the known places of the markers": markers,
         "the markers as placed in the scan": fiducials,
         "the needle's voxels": mask,
     }
     for expected, path in given.items():
-        if path is not None and not path.is_file():
+        if path is not None and not is_file(path):
             found.append(Fault(str(path), "there is no such file", expected, "check the path"))
     if fiducials and not markers:
         found.append(unlaid(str(fiducials), "name the file of their known places, too: --markers"))
@@ -133,12 +134,9 @@ def _column_faults(table: Table) -> Iterator[Fault]:
     """Yield columns that nothing is known of: a name mistyped would silently leave its cells out."""
     where = f"{table.path}:1"
     if "scan" not in table.cells:
-        yield Fault(
-            where,
-            "column `scan` is missing",
-            f"the path of each volume: {READABLE}",
-            "add the column",
-        )
+        expected = f"the path of each volume: {READABLE}; there are {columns_there(table.cells.columns)}"
+        yield Fault(where, "column `scan` is missing", expected, "add the column")
+        return
     for name in table.cells:
         if name not in COLUMNS:
             near = difflib.get_close_matches(str(name), COLUMNS, n=1, cutoff=0.5)

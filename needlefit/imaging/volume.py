@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.grid import Grid, check_grid, max_voxels
 from needlefit.project.caged import limits, read_caged
-from needlefit.project.reading import opened, unreadable
+from needlefit.project.reading import is_there, opened, unreadable
 
 Floats = NDArray[np.float64]
 
@@ -109,7 +109,7 @@ def read(path: Path, series: str | None = None) -> Volume:
         If the packages that read scans are not installed.
     """
     path = Path(path)
-    if not path.exists():
+    if not is_there(path):
         raise DataError(
             "there is no such file or folder", where=str(path), expected=READABLE, mend="check the path"
         )

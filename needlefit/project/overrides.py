@@ -9,6 +9,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel
 
 from needlefit.errors import ConfigError
+from needlefit.project.reading import parse_toml
 
 
 def override(
@@ -34,7 +35,7 @@ def override(
                 expected=f"one of {', '.join(near)}",
                 mend="use one of these keys; layers, guides and steps are numbered from 1",
             )
-        _assign(changed, key.split("."), _parsed(text))
+        _assign(changed, key.split("."), _parsed(text, f"{where}, --set {key}"))
     return changed
 
 
@@ -75,9 +76,12 @@ def _assign(tables: dict[str, Any], path: list[str], value: object) -> None:
     table[path[-1]] = value
 
 
-def _parsed(text: str) -> object:
-    """Return a TOML value; what is none (`ogden`) is a string."""
+def _parsed(text: str, where: str) -> object:
+    """Return a TOML value; what is none (`ogden`) is a string. ConfigError as `parse_toml`."""
     try:
-        return tomllib.loads(f"value = {text}")["value"]
+        tomllib.loads(f"value = {text}")
     except tomllib.TOMLDecodeError:
         return text
+    except (RecursionError, ValueError):
+        pass  # `parse_toml` says why
+    return parse_toml(f"value = {text}", where)["value"]

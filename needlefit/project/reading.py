@@ -123,7 +123,7 @@ def read_json(
     DataError or ConfigError
         As `read_text`, or if it is not JSON, nested beyond `MAX_LEVELS`, or holds a number too long to read.
     """
-    return parse_json(read_text(path, MAX_TEXT_BYTES, error, where), where or str(path), error)
+    return parse_json(read_text(path, max_bytes, error, where), where or str(path), error)
 
 
 def parse_json(text: str, where: str, error: Failure = DataError) -> Any:  # noqa: ANN401 - as `read_json`
@@ -205,6 +205,19 @@ def stored_values(where: Path | str) -> Iterator[None]:
             mend="run it again, or take the files from a copy; if nobody changed them, this is an error of "
             "needlefit: -v shows where",
         ) from fault
+
+
+def is_there(path: Path) -> bool:
+    """Return whether there is a file or folder; False also where the name is too long or cannot be one."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False
+
+
+def is_file(path: Path) -> bool:
+    """Return whether there is a regular file; else as `is_there`."""
+    return is_there(path) and path.is_file()
 
 
 def unreadable(fault: OSError | ValueError, error: Failure, where: str) -> DataError | ConfigError:

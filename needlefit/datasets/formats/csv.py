@@ -2,7 +2,8 @@
 
 import csv
 import io
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -17,6 +18,14 @@ from needlefit.errors import DataError
 from needlefit.project.reading import read_text
 
 Floats = NDArray[np.float64]
+
+MAX_TABLE_BYTES = 64 * 2**20
+MAX_COLUMNS, MAX_CELLS = 1000, 4_000_000
+"""A table beyond these would take more than a gigabyte of memory."""
+
+SHOWN_CHARS, SHOWN_COLUMNS = 60, 30
+_NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")
+"""What may be the name of a column."""
 
 SHOWN = 5
 """Bad cells of one column that are listed one by one; the rest is counted."""
@@ -94,7 +103,7 @@ def numbers(
     empty = (text == "").to_numpy()
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
     for row in bad[:SHOWN]:
-        problem = "is empty" if empty[row] else f"is {text.iloc[row]!r}"
+        problem = "is empty" if empty[row] else f"is {text.iloc[row][:SHOWN_CHARS]!r}"
         found.append(
             Fault(
                 table.where(row),
@@ -163,7 +172,7 @@ def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], men
             Fault(
                 f"{table.path}:1",
                 f"column `{column}` is missing",
-                f"a column of that name; there are {', '.join(map(str, table.cells.columns))}",
+                f"a column of that name; there are {columns_there(table.cells.columns)}",
                 mend,
             )
         )
@@ -173,13 +182,15 @@ def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], men
 def _rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return every line that is not blank: its number and its cells."""
     # pandas would forget on which line a row stood
-    reader = csv.reader(io.StringIO(read_text(path)), skipinitialspace=True)
-    rows, end = [], 0
+    reader = csv.reader(io.StringIO(read_text(path, MAX_TABLE_BYTES)), skipinitialspace=True)
+    rows: list[tuple[int, list[str]]] = []
+    end = 0
     try:
         for cells in reader:
             begin, end = end + 1, reader.line_num
             if any(cell.strip() for cell in cells):
                 rows.append((begin, [cell.strip() for cell in cells]))
+                _check_extent(len(rows), len(rows[0][1]), f"{path}:{begin}")
     except csv.Error as error:
         raise DataError(
             f"cannot be read: {error}",
@@ -188,6 +199,24 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
             mend="save it again as CSV",
         ) from None
     return rows
+
+
+def _check_extent(rows: int, columns: int, where: str) -> None:
+    """See that the cells, empty ones included, fit into memory."""
+    if columns > MAX_COLUMNS or rows * columns > MAX_CELLS:
+        raise DataError(
+            f"is too large: row {rows} of {columns} columns",
+            where=where,
+            expected=f"at most {MAX_COLUMNS} columns, and {MAX_CELLS:,} cells",
+            mend="check that it is the file that you meant, or divide it",
+        )
+
+
+def columns_there(columns: Iterable[object]) -> str:
+    """Name the columns of a table for a message; only what may be a name, since it may be any file."""
+    names = [name for name in map(str, columns) if _NAME.fullmatch(name)]
+    shown = ", ".join(names[:SHOWN_COLUMNS]) + ", ..." * (len(names) > SHOWN_COLUMNS)
+    return shown if len(names) > 1 else "no names of columns"
 
 
 def _check_header(header: list[str], where: str) -> None:
@@ -202,7 +231,7 @@ def _check_header(header: list[str], where: str) -> None:
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
         raise DataError(
-            f"has more than one column `{'`, `'.join(twice)}`",
+            f"has more than one column `{'`, `'.join(name[:SHOWN_CHARS] for name in twice[:SHOWN])}`",
             where=where,
             expected="a name for every column",
             mend="rename or remove one of them",

@@ -11,7 +11,7 @@ from needlefit.errors import DataError
 from needlefit.imaging.grid import check_size, max_voxels
 from needlefit.imaging.volume import READABLE
 from needlefit.project.caged import MEMORY_VARIABLE, stated_memory_bytes
-from needlefit.project.reading import opened
+from needlefit.project.reading import is_there, opened
 
 MAX_HEADER_BYTES = 4 * 2**20
 MAX_LINE_CHARS = 2048
@@ -88,7 +88,7 @@ def size_beside(path: Path, name: str) -> int:
             expected="the plain name of one file in the same folder",
             mend="save the volume as one file (.nrrd, .nii.gz, .mha)",
         )
-    if not (path.parent / name).exists():
+    if not is_there(path.parent / name):
         raise DataError(
             f"its header is sound, but its voxels are not all there: there is no file {name}",
             where=str(path),

@@ -8,6 +8,7 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.volumes import ScanVolume, volume_of
 from needlefit.imaging.views import OUTSIDE, in_bending_plane
 from needlefit.imaging.volume import installed, read
+from needlefit.project.reading import is_there
 
 BESIDE = 25.0
 """How far the slice reaches to both sides of the needle, mm."""
@@ -42,7 +43,7 @@ def scanned(dataset: Dataset, insertion: Insertion) -> tuple[Scanned | None, str
         return None, ""
     if not installed():
         return None, "No slice of the scan: it takes pip install 'needlefit[ct]'."
-    if not volume.path.exists():
+    if not is_there(volume.path):
         return None, f"No slice of the scan: it is not at {volume.path} any more, where volumes.csv has it."
     return Scanned(volume, insertion), ""
 

@@ -102,7 +102,7 @@ def read(path: Path) -> Recording:
     count = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))
     head = _head(lines[:count], path)
     if count < len(lines) and lines[count].strip() != ",".join(COLUMNS):
-        raise _wrong(path, count + 1, f"columns {lines[count].strip()}", ",".join(COLUMNS))
+        raise _wrong(path, count + 1, "other columns", ",".join(COLUMNS))
     if count < len(lines) - 1 and not lines[-1].endswith("\n"):
         lines.pop()  # cut off while it was written
     rows = (_row(text, line, path) for line, text in enumerate(lines[count + 1 :], start=count + 2))
