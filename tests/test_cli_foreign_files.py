@@ -2,6 +2,8 @@
 
 import dataclasses
 import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +15,13 @@ from credibility_cases import leave, results
 from reporting_results import study
 from test_cli import run
 from test_cli_verify import GOOD
+from test_validation_checkpoint import HOLDS
 from test_viewer_recording import recorded
 
 from needlefit.cli.application import build
-from needlefit.project.ownership import STAMP, write_stamp
+from needlefit.project.ownership import STAMP, foreign, write_stamp
 from needlefit.project.places import find, shipped
+from needlefit.validation.checkpoint import open_checkpoint
 from needlefit.verification import run as verification
 from needlefit.viewer.hand.inputs import Change
 
@@ -125,8 +129,6 @@ class Stub:
 
     @staticmethod
     def run(name, record, settings):
-        from needlefit.validation.checkpoint import open_checkpoint
-
         open_checkpoint(settings.checkpoint, settings.resume, {"n": 1}).keep_row("a", {"b": 1})
         return dataclasses.replace(study(1), name=name, record=record)
 
@@ -252,3 +254,47 @@ def test_a_recording_is_never_overwritten(project, stubs, monkeypatch):
     before = (project / "log.csv").read_bytes()
     assert run("view", "--inputs", "log.csv", "--no-browser", "--out", "out") == 0
     assert (project / "log.csv").read_bytes() == before
+
+
+def test_a_second_run_into_the_same_folder_is_refused(project, stubs, capsys):
+    pytest.importorskip("fcntl")
+    words = [sys.executable, "-c", HOLDS, "out/mine-tune.partial"]
+    with subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE) as first:
+        assert first.stdout.readline() == b"holds\n"
+        for more in ((), ("--resume",)):
+            assert run(*CASES["tune"].words, *more) == 3
+            said = capsys.readouterr().err
+            assert f"process {first.pid}" in said and "mine-tune.partial" in said
+        assert not (project / "out/mine-tune").exists()
+        first.stdin.close()
+    assert run(*CASES["tune"].words) == 0
+
+
+@pytest.mark.parametrize("when", ["before a row is kept", "before the results are written"])
+def test_the_folder_is_removed_while_it_is_written(when, project, stubs, monkeypatch, capsys):
+    def run_and_remove(name, record, settings):
+        checkpoint = open_checkpoint(settings.checkpoint, settings.resume, {"n": 1})
+        if when.startswith("before a row"):
+            shutil.rmtree(project / "out")
+        checkpoint.keep_row("a", {"b": 1})
+        shutil.rmtree(project / "out")
+        return dataclasses.replace(study(1), name=name, record=record)
+
+    monkeypatch.setattr("needlefit.validation.run.run", run_and_remove)
+    code = run(*CASES["tune"].words)
+    said = capsys.readouterr().err
+    if when.startswith("before a row"):
+        assert code == 3 and "mine-tune.partial" in said
+    else:
+        assert code == 0 and foreign(project / "out/mine-tune") == []
+    assert "Traceback" not in said and "unexpected" not in said
+
+
+def test_the_folder_is_removed_while_the_results_are_written(project, stubs, monkeypatch, capsys):
+    def remove(_: object) -> bytes:
+        shutil.rmtree(project / "out")
+        return b"a page"
+
+    monkeypatch.setattr("needlefit.reporting.write.compile_pdf", remove)
+    assert run(*CASES["tune"].words) == 3
+    assert "unexpected" not in capsys.readouterr().err

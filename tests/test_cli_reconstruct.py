@@ -1,6 +1,7 @@
 """`needlefit reconstruct` as its users meet it: the sample scan, whole and spoiled in every way."""
 
 import json
+import pickle
 import re
 import shutil
 from itertools import pairwise
@@ -119,6 +120,37 @@ def test_one_failure_loses_nothing_and_resume_mends_it(tmp_path, capsys):
     assert run(*words, "-q", "--resume") == 0
     assert [one.id for one in read_dataset(tmp_path / "out").insertions] == ["torn", "whole"]
     assert not (tmp_path / "out.partial").exists()
+    again = (*words[:-1], tmp_path / "again" / "out")
+    assert run(*again, "-q") == 0
+    assert files(tmp_path / "again" / "out") == files(tmp_path / "out")  # resumed, or done at once
+
+
+def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
+    class Bomb:
+        def __reduce__(self):
+            return (Path.touch, (tmp_path / "was_run",))
+
+    (tmp_path / "torn.nrrd").write_bytes(VOLUME.read_bytes()[:40_000])
+    shutil.copy(VOLUME, tmp_path / "whole.nrrd")
+    words = ("reconstruct", tmp_path / "torn.nrrd", tmp_path / "whole.nrrd", "--out", tmp_path / "out", "-q")
+    assert run(*words) == 3
+    keep = tmp_path / "out.partial"
+    for name in ("torn.kept", "whole.kept"):
+        (keep / name).write_bytes(pickle.dumps(Bomb()))
+    capsys.readouterr()
+    assert run(*words, "--resume") == 3  # torn.nrrd still is
+    said = capsys.readouterr().err
+    assert said.count("was damaged") == 2 and "torn.kept.torn-1" in said and "whole.kept.torn-1" in said
+    assert not (tmp_path / "was_run").exists()
+    assert {path.name for path in keep.iterdir()} == {
+        *("lock", "needlefit.json", "whole.kept", "torn.kept.torn-1", "whole.kept.torn-1"),
+    }
+    (keep / "whole.pickle").write_bytes(
+        pickle.dumps(Bomb())
+    )  # as earlier versions kept it: not ours any more
+    assert run(*words, "--resume") == 3
+    assert "whole.pickle" in capsys.readouterr().err and (keep / "whole.pickle").is_file()
+    assert not (tmp_path / "was_run").exists()
 
 
 # What may be wrong, one thing at a time: a function that makes the words of the command in a folder.

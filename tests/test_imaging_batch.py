@@ -1,5 +1,6 @@
 """Many scans: one that fails costs the others nothing, and what is finished is not done again."""
 
+import random
 import shutil
 from dataclasses import replace
 
@@ -100,4 +101,29 @@ def test_one_slice_stands_for_its_series(sample, tmp_path, monkeypatch):
     done = []
     monkeypatch.setattr(batch, "reconstruct", lambda scan, recipe: done.append(scan.id) or one)
     reconstruct_all([scan], RECIPE, Batch(keep=keep, resume=True))
+    assert done == ["sample"]
+
+
+def test_whatever_byte_of_what_is_kept_is_changed_it_is_seen(sample, tmp_path, monkeypatch):
+    (one,) = reconstruct_all([sample], RECIPE, Batch(keep=tmp_path))
+    file, chance, done = tmp_path / "sample.kept", random.Random(1), []
+    whole = file.read_bytes()
+    monkeypatch.setattr(batch, "reconstruct", lambda scan, recipe: done.append(scan.id) or one)
+    (again,) = reconstruct_all([sample], RECIPE, Batch(keep=tmp_path, resume=True))
+    assert done == [] and type(again.registration.fre) is float
+    assert [surface.name for surface in again.layers.surfaces] == [s.name for s in one.layers.surfaces]
+    for number in range(20):
+        data = bytearray(whole)
+        data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
+        file.write_bytes(data)
+        reconstruct_all([sample], RECIPE, Batch(keep=tmp_path, resume=True))
+        assert len(done) == number + 1
+
+
+def test_numbers_of_a_scan_count_to_the_last_digit(sample, tmp_path, monkeypatch):
+    (one,) = reconstruct_all([sample], RECIPE, Batch(keep=tmp_path))
+    done = []
+    monkeypatch.setattr(batch, "reconstruct", lambda scan, recipe: done.append(scan.id) or one)
+    moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))
+    reconstruct_all([moved], RECIPE, Batch(keep=tmp_path, resume=True))
     assert done == ["sample"]

@@ -3,6 +3,8 @@
 import json
 import os
 import shutil
+import tempfile
+from pathlib import Path
 
 import pytest
 
@@ -197,7 +199,7 @@ def test_a_folder_of_somebody_is_no_checkpoint(tmp_path):
 
 
 def test_a_read_only_place_is_refused_before_the_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(os, "access", lambda path, mode: False)  # permissions do not bind root
+    monkeypatch.setattr(os, "access", lambda *_, **__: False)  # as of a disk mounted read-only
     for check in (require_replaceable, require_own_checkpoint):
         with pytest.raises(ConfigError, match="cannot be written"):
             check(tmp_path / "deep" / "out")
@@ -215,3 +217,25 @@ def test_a_new_folder_gets_no_stamp_and_replaces_nothing(tmp_path):
         (tmp_path / "late").mkdir()
         (tmp_path / "late" / "mine").write_text("mine")
     assert [path.name for path in (tmp_path / "late").iterdir()] == ["mine"]
+
+
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="permissions are asked for as another user, in a fork")
+def test_a_folder_of_another_user_is_refused_before_the_work():
+    folder = Path(tempfile.mkdtemp())  # of which, unlike pytest's, others can see what is in it
+    folder.chmod(0o755 if os.getuid() == 0 else 0o555)
+    child = os.fork()
+    if child == 0:
+        code = 1
+        try:
+            if os.getuid() == 0:
+                os.setresuid(65534, 65534, 65534)
+            with replacing(folder / "out"):
+                code = 2
+        except ConfigError:
+            code = 3
+        finally:
+            os._exit(code)
+    assert os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) == 3
+    assert list(folder.iterdir()) == []
+    folder.chmod(0o755)
+    folder.rmdir()

@@ -1,6 +1,7 @@
 """Many scans, one after the other or side by side; one that fails loses nothing of the others."""
 
 import hashlib
+import json
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -134,7 +135,9 @@ def _file(scan: Scan, keep: Path) -> Path:
 
 def _stamp(scan: Scan, recipe: ReconstructionRecord) -> str:
     """Return a digest of all that decides a reconstruction; of files their size and time."""
-    parts = [repr(scan), recipe.model_dump_json(), *(version(name) for name in ("needlefit", *PACKAGES))]
+    arrays: Arrays = {}
+    plain = json.dumps([encode(scan, _HOOKS, arrays), [[name, one.tolist()] for name, one in arrays.items()]])
+    parts = [plain, recipe.model_dump_json(), *(version(name) for name in ("needlefit", *PACKAGES))]
     for path in sorted(set(_files(scan))):
         status = path.stat()
         parts.append(f"{path} {status.st_size} {status.st_mtime_ns}")

@@ -120,7 +120,8 @@ def require_writable(folder: Path) -> None:
     """Raise ConfigError unless files can be written in `folder`, or in the nearest one above that exists."""
     while not folder.exists() and folder != folder.parent:
         folder = folder.parent
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+    effective = os.access in os.supports_effective_ids
+    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
         raise not_writable(folder, "you may not write there" if folder.is_dir() else "it is a file")
 
 

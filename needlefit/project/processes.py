@@ -1,5 +1,8 @@
 """Work on several items at once, each in a process of its own, which can be stopped between items.
 
+The standard library pickles what travels between the processes. It travels through pipes between processes of
+this program, into which nobody else can write; no file is ever unpickled.
+
 This module imports nothing heavy, so that a new process can be told of its one thread before numpy comes in.
 """
 
