@@ -23,7 +23,7 @@ class FrameRecord(Record):
     and shift (mm) side by side; without it the two are one.
     """
 
-    name: str = "world"
+    name: Name = "world"
     pose: Literal["known", "free"] = "known"
     drop_proximal_mm: float = Field(default=0.0, ge=0)
     lps_to_world: RigidRows | None = None

@@ -5,7 +5,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from needlefit.project.limits import MAX_CANDIDATES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM
-from needlefit.project.records.record import Record
+from needlefit.project.records.record import Name, Record
 from needlefit.project.records.tuned import TunedInquiryRecord
 
 Vector = tuple[float, float, float]
@@ -20,7 +20,7 @@ class EntryRecord(Record):
     `boundaries_mm`: then place and angle tell nothing, and there is one angle.
     """
 
-    name: str
+    name: Name
     place_mm: Vector = (0.0, 0.0, 0.0)
     direction: Vector = (1.0, 0.0, 0.0)
     bending: Vector = (0.0, 1.0, 0.0)
@@ -43,7 +43,7 @@ class EntryRecord(Record):
 class QuantityRecord(Record):
     """The tip's deflection of an insertion at an entry: what one may wish to know."""
 
-    name: str
+    name: Name
     entry: str
     depth_mm: float = Field(gt=0, le=MAX_NEEDLE_LENGTH_MM)
     angle_deg: float = 0.0

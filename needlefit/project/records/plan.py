@@ -5,7 +5,7 @@ from typing import Literal, Self
 
 from pydantic import Field, PositiveFloat, model_validator
 
-from needlefit.project.records.record import Record
+from needlefit.project.records.record import Name, Record
 from needlefit.project.records.tuned import TunedInquiryRecord
 
 Range = tuple[float, float]
@@ -39,7 +39,7 @@ class EntranceRecord(Record):
 class ObstacleRecord(Record):
     """A circle in the plane that the needle shall pass by, with `margin_mm` to spare."""
 
-    name: str
+    name: Name
     centre_mm: Point
     radius_mm: float = Field(gt=0)
     margin_mm: float = Field(default=0.0, ge=0)

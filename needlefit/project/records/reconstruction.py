@@ -4,13 +4,13 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.project.records.record import FileRecord, Record
+from needlefit.project.records.record import FileRecord, Name, Record
 
 
 class ScannedNeedleRecord(Record):
     """The needle that was scanned; diameter and bevel are also what the tip's edge model takes."""
 
-    name: str = ""
+    name: Name = ""
     length_mm: float = Field(default=150.0, gt=0)
     diameter_mm: float = Field(default=1.27, gt=0)
     inner_diameter_mm: float = Field(default=0.0, ge=0)

@@ -8,14 +8,14 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from needlefit.project.limits import MAX_GUIDES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM, MAX_STEPS, MIN_ELEMENT_MM
-from needlefit.project.records.record import FileRecord, Record
+from needlefit.project.records.record import FileRecord, Name, Record
 from needlefit.project.records.steps import GuideRecord, StepRecord, check_tip
 
 
 class NeedleRecord(Record):
     """A needle: its length and either its tube (diameters, modulus) or its flexural rigidity."""
 
-    name: str = "needle"
+    name: Name = "needle"
     length_mm: float = Field(gt=0, le=MAX_NEEDLE_LENGTH_MM)
     outer_diameter_mm: float | None = Field(default=None, gt=0)
     inner_diameter_mm: float = Field(default=0.0, ge=0)
@@ -38,7 +38,7 @@ class NeedleRecord(Record):
 class LayerRecord(Record):
     """One tissue layer; `top_mm` is the depth of its upper boundary along C's x axis (first layer: 0)."""
 
-    name: str = ""
+    name: Name = ""
     top_mm: float = Field(ge=0)
     mu_pa: float = Field(gt=0)
     alpha: float

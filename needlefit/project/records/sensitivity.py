@@ -6,7 +6,7 @@ from pydantic import Field, model_validator
 
 from needlefit.project.limits import MAX_STARTS, MIN_ELEMENT_MM
 from needlefit.project.records.inquiry import InquiryRecord
-from needlefit.project.records.record import Record
+from needlefit.project.records.record import Name, Record
 
 
 class VariationRecord(Record):
@@ -18,7 +18,7 @@ class VariationRecord(Record):
     """
 
     of: str
-    name: str
+    name: Name
     constraint_switch: float | None = Field(default=None, ge=0, le=1)
     tangent_part: float | None = Field(default=None, ge=0, le=1)
     constraint_spacing_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
