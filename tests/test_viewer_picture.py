@@ -87,3 +87,11 @@ def test_points_are_told_beside_the_needle_that_they_hold(told) -> None:
     assert 100.0 - tip > 1.0
     assert state["constraints"][0][-1] == state["tip_path"][0][-1] == tip == state["x"][-1]
     assert state["tip_path"][1][-1] == pytest.approx(state["tip"]["y"], abs=1e-4)
+
+
+def test_the_page_is_given_what_the_model_does_not_assume(told) -> None:
+    """The needle's slope is greatest between base and guide, where no node stands."""
+    guide = {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}
+    flat, steep = (told(NEEDLE, guide, {"base_y_mm": y}) for y in (2.0, 6.0))
+    assert flat["max_slope"] == pytest.approx(1.5 * 2.0 / 20.0) and flat["faults"] == []
+    assert steep["max_slope"] == pytest.approx(1.5 * 6.0 / 20.0) and len(steep["faults"]) == 1
