@@ -89,9 +89,8 @@ def test_points_are_told_beside_the_needle_that_they_hold(told) -> None:
     assert state["tip_path"][1][-1] == pytest.approx(state["tip"]["y"], abs=1e-4)
 
 
-def test_the_page_is_given_what_the_model_does_not_assume(told) -> None:
+@pytest.mark.parametrize(("y", "faults"), [(2.0, 0), (6.0, 1)])
+def test_the_page_is_given_the_limits_that_are_exceeded(told, y, faults) -> None:
     """The needle's slope is greatest between base and guide, where no node stands."""
-    guide = {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}
-    flat, steep = (told(NEEDLE, guide, {"base_y_mm": y}) for y in (2.0, 6.0))
-    assert flat["max_slope"] == pytest.approx(1.5 * 2.0 / 20.0) and flat["faults"] == []
-    assert steep["max_slope"] == pytest.approx(1.5 * 6.0 / 20.0) and len(steep["faults"]) == 1
+    found = told(NEEDLE, {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}, {"base_y_mm": y})
+    assert found["max_slope"] == pytest.approx(1.5 * y / 20.0) and len(found["faults"]) == faults
