@@ -239,3 +239,31 @@ def test_a_folder_of_another_user_is_refused_before_the_work():
     assert list(folder.iterdir()) == []
     folder.chmod(0o755)
     folder.rmdir()
+
+
+@pytest.mark.parametrize("lock", ["", "123 0123456789abcdef\n", "12"])
+def test_a_checkpoint_that_ended_before_its_stamp_is_begun_again(lock, tmp_path):
+    folder = tmp_path / "run.partial"
+    half = folder / f".{STAMP}.needlefit-abc"
+    (half / "new").mkdir(parents=True)
+    (folder / "lock").write_text(lock)
+    (half / "lock").write_text("a scratch folder of needlefit\n")
+    (half / "new" / STAMP).write_text('{"prog')
+    require_own_checkpoint(folder)
+
+
+@pytest.mark.parametrize("file", ["lock", "notes.txt"])
+def test_somebody_else_s_folder_with_a_lock_is_no_checkpoint(file, tmp_path):
+    folder = tmp_path / "run.partial"
+    folder.mkdir()
+    (folder / "lock").write_text("")
+    (folder / file).write_text("mine\n")
+    with pytest.raises(ConfigError):
+        require_own_checkpoint(folder)
+
+
+def test_scratch_that_stayed_in_a_new_result_is_no_part_of_it(tmp_path):
+    with replacing(tmp_path / "out") as fresh:
+        (fresh / "a.csv").write_text("one")
+        (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}

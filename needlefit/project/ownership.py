@@ -16,9 +16,12 @@ from typing import Any, Literal
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.earlier import earlier_files
 from needlefit.project.files import sha256
-from needlefit.project.reading import read_json
+from needlefit.project.reading import read_bytes, read_json
 
 STAMP = "needlefit.json"
+STAMPS = (STAMP, "work.sha256")
+"""Of a checkpoint: now, and in earlier versions."""
+
 FORMAT = 1
 
 Holds = Literal["result", "checkpoint"]
@@ -38,6 +41,13 @@ _CHECKPOINT = re.compile(
 )
 """Files of a checkpoint: those of runs and of reconstructions, what was damaged, and, as a kill leaves them,
 those that were not written whole."""
+
+
+_BEGUN = re.compile(r"lock|\.needlefit\.json\.needlefit-[^/]+/(lock|lock\.new|new/needlefit\.json)")
+"""Files of a checkpoint that has no stamp yet."""
+
+_LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 64
+"""What the lock of a checkpoint holds: nothing at first, then the process that has it, perhaps cut short."""
 
 
 def write_stamp(folder: Path) -> None:
@@ -167,9 +177,13 @@ def _require_own(folder: Path, holds: Holds) -> None:
 
 
 def _foreign_in_checkpoint(folder: Path, names: list[str]) -> list[str]:
-    """Return all names where there is no stamp, however damaged; else those that no run gives."""
-    if not any(_is_file(folder / name) for name in (STAMP, "work.sha256")):
-        return names
+    """Return all names where there is no stamp, however damaged; else those that no run gives.
+
+    A run that ended before its stamp was written leaves its lock, and the stamp half written beside it.
+    """
+    if not any(_is_file(folder / name) for name in STAMPS):
+        begun = all(_BEGUN.fullmatch(name) and _is_file(folder / name) for name in names)
+        return [] if begun and _is_lock(folder / "lock") else names
     return [
         name
         for name in names
@@ -188,6 +202,15 @@ def _fault(folder: Path, name: str, listed: dict[str, Any]) -> str:
         return "" if sha256(path) == listed[name] else f"{name} (changed since it was written)"
     except OSError:
         return name
+
+
+def _is_lock(path: Path) -> bool:
+    """Return whether a file is a lock as `partial` writes it."""
+    try:
+        text = read_bytes(path, _MAX_LOCK_BYTES)
+    except DataError:
+        return False
+    return _LOCK_TEXT.fullmatch(text) is not None
 
 
 def _is_file(path: Path) -> bool:

@@ -14,6 +14,7 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.project.kept import set_aside
 from needlefit.project.ownership import (
     STAMP,
+    STAMPS,
     checkpoint_stamp,
     foreign,
     held,
@@ -120,8 +121,11 @@ def _work_of(folder: Path) -> str | None:
 
 
 def _empty(folder: Path) -> None:
-    """Remove all but the lock from a checkpoint in which nothing is foreign."""
-    for path in folder.iterdir():
+    """Remove all but the lock from a checkpoint in which nothing is foreign; the stamp last.
+
+    Until then it says that what is left is needlefit's own.
+    """
+    for path in sorted(folder.iterdir(), key=lambda path: path.name in STAMPS):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
         elif path.name != LOCK:

@@ -32,6 +32,9 @@ replaced. What lies in `OLD` is removed only when it is known to be needlefit's 
 LOCK = "lock"
 """A file in it that its process holds locked; the lock goes with the process, however that ends."""
 
+_SCRATCH = ".needlefit-"
+"""In the name of a scratch folder, behind that of its place."""
+
 _MARK = "a scratch folder of needlefit\n"
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
@@ -56,8 +59,16 @@ def replacing(folder: Path) -> Iterator[Path]:
         fresh.mkdir()
         yield fresh
         if any(fresh.iterdir()):
+            _remove_scratch(fresh)
             write_stamp(fresh)
             _put(fresh, folder, beside / OLD)
+
+
+def _remove_scratch(folder: Path) -> None:
+    """Remove scratch folders that stayed in a new result when the disk failed; OSError if it fails again."""
+    for left in sorted(folder.rglob(f".*{_SCRATCH}*")):
+        if (left / NEW).is_dir() or (left / LOCK).is_file() or (left / f"{LOCK}.new").is_file():
+            shutil.rmtree(left)
 
 
 @contextmanager
@@ -173,7 +184,7 @@ def _exchanged(one: Path, other: Path) -> bool:
 
 
 def _made(place: Path) -> Path:
-    prefix = f".{place.name}.needlefit-"
+    prefix = f".{place.name}{_SCRATCH}"
     try:
         place.parent.mkdir(parents=True, exist_ok=True)
         with suppress(OSError, ConfigError):

@@ -25,7 +25,6 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
-from needlefit.project.threads import one_thread
 from needlefit.validation.job import Job
 
 Floats = NDArray[np.float64]
@@ -68,7 +67,6 @@ class Forecast:
     faults: tuple[str, ...] = ()
 
 
-@one_thread
 def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
     """Return where the needle of a planned insertion will be.
 

@@ -1,0 +1,123 @@
+"""The commands that are spoiled, each with inputs so small that a run takes a second or two."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+SHIPPED = Path(__file__).resolve().parents[2]
+SCANS = SHIPPED / "data" / "sample_scan" / "scans.csv"
+
+RECIPE = """\
+schema = 1
+algorithm = "leastsquares"
+starts = 2
+seed = 1
+evaluations = 60
+tolerance = 1e-2
+
+[sample]
+walkers = 8
+steps = 60
+every = 20
+"""
+
+FIT = """\
+schema = 1
+dataset = "twin"
+medium = "chicken"
+recipe = "tiny"
+
+[tune]
+insertions = ["chicken-04", "chicken-10"]
+"""
+
+STUDY = """\
+schema = 1
+title = "Tiny"
+paper_study = 2
+dataset = "twin"
+medium = "phantom2"
+recipe = "tiny"
+hand_tuned = "study2"
+tune = { insertions = ["phantom2-16"] }
+validate = [{ insertions = ["phantom2-15"] }]
+"""
+
+ANALYSIS = """\
+schema = 1
+kind = "left_out"
+title = "Tiny"
+question = "Does a run that was spoiled resume?"
+fits = ["tiny_fit"]
+groups = ["insertion"]
+"""
+
+INPUTS: Mapping[str, str] = {
+    "configs/recipes/tiny.toml": RECIPE,
+    "configs/fits/tiny_fit.toml": FIT,
+    "studies/tiny.toml": STUDY,
+    "studies/tiny_left_out.toml": ANALYSIS,
+}
+
+FOREIGN: Mapping[str, str] = {
+    "reports/notes.txt": "mine\n",
+    "reports/tiny_fit.partial-mine/data.csv": "a,b\n1,2\n",
+    "reports/.hidden": "mine\n",
+    "mydata.txt": "mine\n",
+    ".mydata.needlefit-mine/keep.txt": "mine\n",
+}
+"""Files of a user beside all that is written; none may change."""
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command, where its result goes, and what makes another result stand there before it.
+
+    Attributes
+    ----------
+    words : tuple of str
+    out : str
+        The folder of the result.
+    earlier : tuple of tuples of str
+        Commands run before, the last of which leaves another result in `out`.
+    resumes : bool
+        Whether it goes on with `--resume`; others are run again.
+    """
+
+    words: tuple[str, ...]
+    out: str
+    earlier: tuple[tuple[str, ...], ...]
+    resumes: bool = True
+
+
+_TUNE = ("tune", "tiny_fit", "--sample", "--jobs", "1", "-q")
+_VALIDATE = ("validate", "tiny", "--jobs", "1", "-q")
+_ANALYSE = ("validate", "tiny_left_out", "--jobs", "1", "-q")
+_RECONSTRUCT = ("reconstruct", str(SCANS), "--out", "mydata", "--jobs", "1", "-q")
+_TWIN = ("twin", "build", "--out", "mytwin", "--jobs", "1", "-q")
+
+COMMANDS: Mapping[str, Command] = {
+    "tune --sample": Command(_TUNE, "reports/tiny_fit", ((*_TUNE, "--seed", "2"),)),
+    "validate": Command(_VALIDATE, "reports/tiny", ((*_VALIDATE, "--seed", "2"),)),
+    "analysis": Command(_ANALYSE, "reports/tiny_left_out", ((*_ANALYSE, "--seed", "2"),)),
+    "report": Command(
+        ("report", "tiny", "--out", "reports/again", "-q"),
+        "reports/again",
+        (
+            (*_VALIDATE, "--seed", "2"),
+            ("report", "tiny", "--out", "reports/again", "-q"),
+            _VALIDATE,
+        ),
+        resumes=False,
+    ),
+    "reconstruct": Command(_RECONSTRUCT, "mydata", ((*_RECONSTRUCT, "--title", "Before"),)),
+    "twin build": Command(_TWIN, "mytwin", ((*_TWIN, "--seed", "2"),), resumes=False),
+}
+"""Every kind of command that writes a folder, by its name."""
+
+
+def write_inputs(folder: Path) -> None:
+    """Write the project's files and somebody's own."""
+    for name, text in (INPUTS | FOREIGN).items():  # type: ignore[operator]
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)

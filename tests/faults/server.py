@@ -1,0 +1,223 @@
+"""Commands run in forks of a process that has imported and compiled everything: a second less each.
+
+    python -m faults.server
+
+Asked on stdin, a line of JSON a command (`words`, `folder`, `fault`: kind and number of the step, or null);
+answers with the exit code (negative: the signal), the number of steps, and what was printed.
+"""
+
+import importlib
+import json
+import os
+import pkgutil
+import shutil
+import subprocess
+import sys
+import tempfile
+import traceback
+from collections.abc import Callable
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+STARTS_WITH = dict.fromkeys(("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"), "1")
+TESTS = Path(__file__).resolve().parents[1]
+
+
+class Server:
+    """The warm process, seen from the one that asks."""
+
+    def __init__(self) -> None:
+        path = os.pathsep.join([str(TESTS), str(TESTS.parent), os.environ.get("PYTHONPATH", "")])
+        self._process = subprocess.Popen(
+            [sys.executable, "-m", "faults.server"],
+            stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE,
+            env=os.environ | STARTS_WITH | {"PYTHONPATH": path, "PYTHONHASHSEED": "0", "MPLBACKEND": "agg"},
+            text=True,
+        )
+
+    def __enter__(self) -> "Server":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        assert self._process.stdin is not None and self._process.stdout is not None
+        self._process.stdin.close()
+        self._process.wait()
+        self._process.stdout.close()
+
+    def run(
+        self, words: tuple[str, ...], folder: Path, fault: tuple[str, int] | None = None
+    ) -> dict[str, Any]:
+        """Run `needlefit WORDS` in a folder; return `code`, `steps` (a list), `out` and `err`."""
+        assert self._process.stdin is not None and self._process.stdout is not None
+        asked = {"words": words, "folder": str(folder), "fault": fault}
+        self._process.stdin.write(json.dumps(asked) + "\n")
+        self._process.stdin.flush()
+        return json.loads(self._process.stdout.readline())
+
+
+def warm() -> None:
+    """Import what any command may, and load what is compiled."""
+    import needlefit
+
+    for module in pkgutil.walk_packages(needlefit.__path__, "needlefit."):
+        if module.name != "needlefit.__main__":
+            importlib.import_module(module.name)
+    for name in ("matplotlib.pyplot", "typst", "h5netcdf", "xarray", "emcee", "nlopt", "trimesh", "jinja2"):
+        importlib.import_module(name)
+    from needlefit.mechanics.warm import ROOMS, insert
+    from needlefit.mechanics.warm import warm as compile_ahead
+
+    compile_ahead(*ROOMS)
+    insert(list(ROOMS))
+    if not os.environ.get("NEEDLEFIT_FAULTS_DRAW"):
+        _draw_nothing()
+
+
+def _draw_nothing() -> None:
+    """Write figures and reports as stubs: drawing takes most of a run, and changes none of its steps."""
+    import typst
+    from matplotlib.figure import Figure
+
+    def saved(_: Figure, file: Any, *args: object, **kwargs: object) -> None:
+        if hasattr(file, "write"):
+            file.write(b"<svg/>")
+        else:
+            Path(file).write_bytes(b"%figure")
+
+    def compiled(_: str, **options: object) -> bytes:
+        return _SVG if options.get("format") == "svg" else b"%report"
+
+    Figure.savefig = saved  # type: ignore[method-assign]
+    typst.compile = compiled  # type: ignore[assignment]
+
+
+_SVG = b'<svg width="10pt"><image xlink:href="data:image/svg+xml;base64,PHN2Zy8+"/></svg>'
+
+
+def _make_small_twin() -> None:
+    """Let `twin build` make one insertion of its 47, and that once: it is written by the same steps."""
+    from needlefit.synthetic import build, design
+    from needlefit.synthetic.twin import SEED
+
+    plan, built = design.named(("phantom2-16",)), _once(build._built)
+    build._built = lambda scratch, seed, recipe, planned: built(planned.id, scratch, SEED, recipe, planned)
+    build.build = partial(build.build, plan=plan)
+    with tempfile.TemporaryDirectory() as folder:
+        build.build(Path(folder))
+
+
+def _reconstruct_once() -> None:
+    """Let `reconstruct` find what it found the first time: it writes nothing while it looks."""
+    from faults.commands import SCANS
+    from needlefit.imaging import batch
+    from needlefit.imaging.scans import read_scans
+    from needlefit.project.load import load
+    from needlefit.project.places import find
+    from needlefit.project.records.reconstruction import ReconstructionRecord
+
+    found = _once(batch.reconstruct)
+    batch.reconstruct = lambda scan, recipe: found(scan.id, scan, recipe)
+    for scan in read_scans(SCANS):
+        batch.reconstruct(scan, load(find("reconstruction", "default"), ReconstructionRecord))
+
+
+_PREPARE: dict[str, Callable[[], None]] = {"twin": _make_small_twin, "reconstruct": _reconstruct_once}
+"""What is done before the first of some commands."""
+
+
+def _once(work: Callable[..., Any]) -> Callable[..., Any]:
+    """Return a function of a key and arguments that does the work once for each key."""
+    done: dict[object, Any] = {}
+
+    def looked_up(key: object, *args: Any) -> Any:
+        if key not in done:
+            done[key] = work(*args)
+        return done[key]
+
+    return looked_up
+
+
+def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
+    """Run a command in this fork, which ends with it."""
+    from faults.injection import Injector, install
+    from needlefit.cli import main
+
+    for number, name in ((1, "out"), (2, "err")):
+        os.dup2(os.open(printed / name, os.O_WRONLY | os.O_CREAT | os.O_TRUNC), number)
+    os.chdir(asked["folder"])
+    kind, at = asked["fault"] or ("kill", 0)
+    injector = Injector(Path(asked["folder"]).resolve(), at, kind)
+    injector.steps = _Told(answer)
+    install(injector)
+    _count_exchanges(injector)
+    code = 0
+    try:
+        main(asked["words"])
+    except SystemExit as ending:
+        code = ending.code if isinstance(ending.code, int) else 1
+    except BaseException:
+        traceback.print_exc()
+        code = 1
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)
+
+
+def _count_exchanges(injector: Any) -> None:
+    """Count the exchange of two folders, a call of the system's that Python does not have."""
+    from needlefit.project import replace
+
+    real = replace._exchanged
+
+    def exchanged(one: Path, other: Path) -> bool:
+        injector.step("rename", other)
+        return real(one, other)
+
+    replace._exchanged = exchanged
+
+
+class _Told(list):
+    """Steps that the server hears of at once, since this process may be killed at any of them."""
+
+    def __init__(self, descriptor: int) -> None:
+        super().__init__()
+        self._descriptor, self._write = descriptor, os.write
+
+    def append(self, step: str) -> None:
+        super().append(step)
+        self._write(self._descriptor, (step.replace("\n", " ") + "\n").encode())
+
+
+def _answer(asked: dict[str, Any], printed: Path) -> dict[str, Any]:
+    with tempfile.TemporaryFile() as steps:
+        process = os.fork()
+        if process == 0:
+            _child(asked, printed, steps.fileno())
+        _, status, used = os.wait4(process, 0)
+        steps.seek(0)
+        listed = steps.read().decode().splitlines()
+    texts = {name: (printed / name).read_text(errors="replace") for name in ("out", "err")}
+    seconds = used.ru_utime + used.ru_stime
+    return {"code": os.waitstatus_to_exitcode(status), "steps": listed, "seconds": seconds, **texts}
+
+
+def main() -> None:
+    """Answer until stdin ends."""
+    answers = os.fdopen(os.dup(1), "w", buffering=1)
+    os.dup2(2, 1)
+    warm()
+    printed = Path(tempfile.mkdtemp(prefix="needlefit-faults-"))
+    try:
+        for line in sys.stdin:
+            asked = json.loads(line)
+            if prepare := _PREPARE.pop(asked["words"][0], None):
+                prepare()
+            answers.write(json.dumps(_answer(asked, printed)) + "\n")
+    finally:
+        shutil.rmtree(printed, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main()
