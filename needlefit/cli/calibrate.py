@@ -13,6 +13,7 @@ from needlefit.cli.invocation import Invocation
 from needlefit.cli.progress import progress
 from needlefit.cli.tune import fit_of
 from needlefit.cli.warn import warn_of
+from needlefit.project.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
     from needlefit.project.records.fit import FitRecord
@@ -34,7 +35,10 @@ def calibrate(
         ),
     ],
     replicates: Annotated[
-        int | None, typer.Option(min=1, help="How many truths are drawn (default: 500; with --sample 100).")
+        int | None,
+        typer.Option(
+            min=1, max=MAX_REPLICATES, help="How many truths are drawn (default: 500; with --sample 100)."
+        ),
     ] = None,
     sample: Annotated[
         bool,
