@@ -84,3 +84,42 @@ def test_a_file_that_cannot_be_had_is_told_alike_by_every_reader(tmp_path, read)
         read(tmp_path / "gone")
     with pytest.raises(DataError, match="is a folder"):
         read(tmp_path)  # a folder
+
+
+SECRET = [
+    "root:x:0:0:root:/root:/bin/bash\nuser:x:1:1:,,,:/home:/bin/sh\n",
+    "hunter2\ncorrect horse\n",
+    "-----BEGIN KEY-----\nMIIEvQIBADANBg,kqhkiG9w0B\n",
+    '{"token": "hunter2,x:0"}\n{"token": "x:0"}\n',
+]
+
+
+@pytest.mark.parametrize("name", ["insertions.csv", "centerlines/b.csv"])
+@pytest.mark.parametrize("content", SECRET)
+def test_a_table_that_is_another_file_is_not_printed(tmp_path, name, content):
+    folder = tmp_path / "block"
+    without_checksums(block(folder))
+    (tmp_path / "secret").write_text(content)
+    (folder / name).unlink()
+    (folder / name).symlink_to(tmp_path / "secret")
+    found = check(folder)
+    text = "".join(f"{fault.where} {fault.what} {fault.expected} {fault.mend}" for fault in found)
+    assert found and not any(word in text for word in ("hunter2", "x:0", "MIIE", "BEGIN", "token"))
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        ",".join(f"c{n}" for n in range(2000)) + "\n",
+        "a" + "," * 900 + "\n" + "1\n" * 5000,
+        'a,b\n1,"' + "x" * 200_000 + '"\n',
+        "x" * 70 * 2**20,
+    ],
+    ids=["columns", "cells", "field", "size"],
+)
+def test_a_table_has_bounds(tmp_path, content):
+    path = tmp_path / "t.csv"
+    path.write_text(content)
+    with pytest.raises(DataError) as found:
+        read_table(path)
+    assert found.value.where.startswith(str(path)) and len(str(found.value)) < 1000

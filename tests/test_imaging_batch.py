@@ -3,17 +3,21 @@
 import random
 import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from needlefit.imaging import batch
 from needlefit.imaging.batch import Batch, Failure, reconstruct_all
+from needlefit.imaging.headers.nrrd import check_nrrd
+from needlefit.imaging.headers.promise import ImageHeader
 from needlefit.imaging.scans import read_scans
 from needlefit.imaging.volume import read, write
 from needlefit.project.places import shipped
 from needlefit.project.records.reconstruction import ReconstructionRecord
 
+CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
 RECIPE = ReconstructionRecord(schema=1)
 
 
@@ -37,6 +41,24 @@ def test_a_scan_that_fails_is_told_and_the_others_are_there(sample, tmp_path):
     assert found[0].scan.id == "torn" and str(torn) in str(found[0].error)
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
     assert told[-1][1:] == (3, 3)
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, monkeypatch, jobs):
+    """The header passes, and the native reader of both processes crashes on what follows."""
+    header = next(path for path in CORPUS if path.name == "crash-labels-1-900.seg.nrrd")
+    crashing = tmp_path / "crashing.nrrd"
+    crashing.write_bytes(header.read_bytes())
+
+    def passes(path):
+        return ImageHeader((4, 3, 2), 2, 48) if path == crashing else check_nrrd(path)
+
+    monkeypatch.setattr("needlefit.imaging.headers.check.check_nrrd", passes)
+    scans = [replace(sample, id="crashing", volume=crashing), sample]
+    found = reconstruct_all(scans, RECIPE, Batch(jobs=jobs))
+    assert isinstance(found[0], Failure) and str(crashing) in str(found[0].error)
+    assert ("SIG" in str(found[0].error)) == (jobs == 1)  # another process has its own check
+    assert found[1].depth == pytest.approx(25.0, abs=0.3)
 
 
 def test_what_nobody_foresaw_in_one_scan_is_its_failure(sample, monkeypatch):
