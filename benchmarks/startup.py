@@ -64,7 +64,7 @@ def run(code: str, cache: str) -> dict[str, float]:
     begin = time.perf_counter()
     found = subprocess.run(
         [sys.executable, "-c", code],
-        env={**os.environ, "NUMBA_CACHE_DIR": cache}, check=True, stdout=subprocess.PIPE,
+        env={**os.environ, "NEEDLEFIT_CACHE_DIR": cache}, check=True, stdout=subprocess.PIPE,
     )  # fmt: skip
     times = json.loads(found.stdout)
     return {**times, "process": time.perf_counter() - begin}

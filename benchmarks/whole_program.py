@@ -39,7 +39,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as folder:
         environment = dict(os.environ)
         if arguments.cold:
-            environment["NUMBA_CACHE_DIR"] = f"{folder}/numba"
+            environment["NEEDLEFIT_CACHE_DIR"] = f"{folder}/numba"
         where = Path(folder)
         times = [seconds([*program, "--help"], where, environment) for _ in range(arguments.help_runs)]
         figures["help_seconds_median"] = statistics.median(times)

@@ -1,20 +1,17 @@
 """Compiled functions are the same wherever they come from, and a cache that is bad is no cache."""
 
-import importlib
 import inspect
 import os
-import pkgutil
 import stat
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import numba
 import pytest
+from kernel_functions import kernel_functions
 from numba.core.dispatcher import Dispatcher
 
-from needlefit.mechanics import kernel
 from needlefit.mechanics.kernel import cache
 from needlefit.mechanics.kernel.grid import cell_of
 
@@ -28,13 +25,6 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def functions() -> Iterator[Dispatcher]:
-    for found in pkgutil.walk_packages(kernel.__path__, f"{kernel.__name__}."):
-        for value in vars(importlib.import_module(found.name)).values():
-            if isinstance(value, Dispatcher) and value.py_func.__module__ == found.name:
-                yield value
-
-
 def called_by(function: Dispatcher) -> set[Dispatcher]:
     names, known = function.py_func.__code__.co_names, function.py_func.__globals__
     found = [known.get(name) for name in names]
@@ -44,7 +34,7 @@ def called_by(function: Dispatcher) -> set[Dispatcher]:
 
 def test_sums_that_may_be_reordered_are_compiled_once_for_each_function_that_python_calls():
     """Else the copy that runs, and the last digits with it, depend on what was compiled or loaded before."""
-    calls = {one: called_by(one) for one in functions()}
+    calls = {one: called_by(one) for one in kernel_functions()}
     assert len(calls) > 60
 
     def is_loose(one: Dispatcher) -> bool:

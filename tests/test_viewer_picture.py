@@ -87,3 +87,10 @@ def test_points_are_told_beside_the_needle_that_they_hold(told) -> None:
     assert 100.0 - tip > 1.0
     assert state["constraints"][0][-1] == state["tip_path"][0][-1] == tip == state["x"][-1]
     assert state["tip_path"][1][-1] == pytest.approx(state["tip"]["y"], abs=1e-4)
+
+
+@pytest.mark.parametrize(("y", "faults"), [(2.0, 0), (6.0, 1)])
+def test_the_page_is_given_the_limits_that_are_exceeded(told, y, faults) -> None:
+    """The needle's slope is greatest between base and guide, where no node stands."""
+    found = told(NEEDLE, {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}, {"base_y_mm": y})
+    assert found["max_slope"] == pytest.approx(1.5 * y / 20.0) and len(found["faults"]) == faults

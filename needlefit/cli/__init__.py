@@ -6,11 +6,13 @@ from collections.abc import Sequence
 from needlefit.cli import failure, streams
 from needlefit.cli.application import build
 from needlefit.cli.invocation import Invocation
+from needlefit.project.threads import begin_with_one_thread
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and leave the interpreter with its exit code."""
     streams.install()
+    begin_with_one_thread()
     words = tuple(sys.argv[1:] if arguments is None else arguments)
     try:
         build()(args=list(words), prog_name="needlefit", obj=Invocation(words))

@@ -18,7 +18,6 @@ from needlefit.imaging.registration.suspicion import check_frame
 from needlefit.imaging.scan_row import DOCUMENTED
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord
-from needlefit.project.threads import one_thread
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -35,7 +34,6 @@ RENAME = "name the columns x_mm, y_mm, z_mm in the file's first line"
 READS = "a CSV with the columns x_mm, y_mm, z_mm, or a .fcsv or .mrk.json of 3D Slicer"
 
 
-@one_thread
 def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> Markers:
     """Return the balls of `recipe.markers.diameter_mm` in a scan.
 

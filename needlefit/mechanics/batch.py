@@ -13,10 +13,12 @@ from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Rules, Step
 from needlefit.mechanics.kernel import positions as kernel
 from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.plan import element_solves
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import Validity, validity_of
+from needlefit.project.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -76,9 +78,22 @@ class Batch:
         if self.guide_x is not None and any(len(step.controls.before) != 1 for step in self.steps):
             raise ModelError("guide_x is given", expected="exactly one guide before the tissue in every step")
         object.__setattr__(self, "steps", tuple(self.steps))
+        self._check_size()
 
     def __len__(self) -> int:
         return len(next(v for v in (getattr(self, name) for name in VARYING) if v is not None))
+
+    def _check_size(self) -> None:
+        """Raise ModelError where all sets together would take minutes or gigabytes."""
+        depths, element = tuple(step.depth for step in self.steps), self.rules.element
+        solves = len(self) * element_solves(depths, self.rules.spacing, element)
+        nodes = len(self) * max(depths, default=0.0) / element
+        if solves > MAX_BATCH_ELEMENT_SOLVES or nodes > MAX_BATCH_NODES:
+            raise ModelError(
+                f"a batch of {len(self)} sets is {solves:.3g} elements to be solved for, {nodes:.3g} nodes",
+                expected=f"at most {MAX_BATCH_ELEMENT_SOLVES:.3g}, and {MAX_BATCH_NODES:.3g} nodes",
+                mend="divide the sets among several batches, one call after the other",
+            )
 
     def one(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:
         """Return set i as the arguments of `simulate.follow`."""

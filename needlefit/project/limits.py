@@ -15,6 +15,15 @@ MAX_ELEMENTS = 5000
 MAX_ELEMENT_SOLVES = 12_500_000
 """Elements solved for in all equilibria of an insertion; one to `MAX_ELEMENTS` without a halt has as many."""
 
+MAX_BATCH_ELEMENT_SOLVES = 200_000_000
+"""The same of all parameter sets of a batch."""
+
+MAX_BATCH_NODES = 20_000_000
+"""Nodes of all shapes of a batch: 1.1 GB."""
+
+MAX_STRIDES = 5000
+"""Places on its way at which an insertion is shown."""
+
 MAX_EVALUATION_ELEMENT_SOLVES = 50_000_000
 """The same of all insertions that one evaluation of a fit simulates."""
 

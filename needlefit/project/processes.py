@@ -6,7 +6,6 @@ this program, into which nobody else can write; no file is ever unpickled.
 This module imports nothing heavy, so that a new process can be told of its one thread before numpy comes in.
 """
 
-import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
@@ -15,6 +14,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from needlefit.errors import ConfigError
+from needlefit.project.threads import begin_with_one_thread
 from needlefit.project.watching import Stop, never
 
 Item = TypeVar("Item")
@@ -86,5 +86,4 @@ def _result(future: "Future[Result]") -> Result:
 def _alone() -> None:
     """Keep this process to one thread, and leave Ctrl-C to the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS"):
-        os.environ[name] = "1"
+    begin_with_one_thread()

@@ -6,6 +6,7 @@ from pathlib import Path
 import pandas as pd
 
 from needlefit.project.replace import replacing
+from needlefit.project.threads import one_thread
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.display import Display
@@ -28,6 +29,7 @@ from needlefit.validation.stored import store
 Also = Mapping[str, Callable[[Path], object]]
 
 
+@one_thread
 def write(results: Results, folder: Path, also: Also | None = None) -> list[Path]:
     """Write one study or fit to `folder`, replacing an earlier result there; return the files.
 

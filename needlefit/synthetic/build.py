@@ -9,6 +9,7 @@ from needlefit.imaging.assemble import assemble
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.project.processes import in_order
 from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.threads import one_thread
 from needlefit.project.watching import Progress, silent
 from needlefit.synthetic.built import Built
 from needlefit.synthetic.ct.setup import WHOLE
@@ -19,6 +20,7 @@ from needlefit.synthetic.truth_file import write_truth
 from needlefit.synthetic.twin import SEED
 
 
+@one_thread
 def build(
     folder: Path,
     seed: int = SEED,

@@ -14,6 +14,7 @@ from needlefit.imaging.scan import LayerSource, Scan, Stage
 from needlefit.imaging.volume import write
 from needlefit.project.processes import in_order
 from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord, ScannedNeedleRecord
+from needlefit.project.threads import one_thread
 from needlefit.project.watching import Progress
 from needlefit.synthetic.ct.insertion import Exposure, acquire, expose
 from needlefit.synthetic.ct.setup import Setup, setup_of
@@ -35,6 +36,7 @@ class Scanned:
     scan: Scan
 
 
+@one_thread
 def write_scans(
     folder: Path, plan: Sequence[Planned], seed: int, form: Form, jobs: int, progress: Progress
 ) -> Path:

@@ -25,6 +25,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
+from needlefit.project.threads import one_thread
 from needlefit.validation.job import Job
 
 Floats = NDArray[np.float64]
@@ -67,6 +68,7 @@ class Forecast:
     faults: tuple[str, ...] = ()
 
 
+@one_thread
 def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
     """Return where the needle of a planned insertion will be.
 

@@ -12,6 +12,7 @@ from needlefit.project.plain import plain
 from needlefit.project.reading import stored_values
 from needlefit.project.run_file import read_run
 from needlefit.project.streams import stream
+from needlefit.project.threads import one_thread
 from needlefit.validation.job import Job, Settings
 from needlefit.validation.provenance import work
 from needlefit.validation.stored import posterior_names
@@ -22,6 +23,7 @@ DRAWS = 400
 (POSTERIOR,) = posterior_names(1)
 
 
+@one_thread
 def foreknown(job: Job, run: Path, settings: Settings, required: bool = False) -> Draws | None:
     """Return draws of the posterior in the folder `run`, or, where none was sampled, about a fit made now.
 

@@ -14,6 +14,7 @@ from needlefit.inference.starts import Fit
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.result_warnings import stored
 from needlefit.project.streams import stream
+from needlefit.project.threads import one_thread
 from needlefit.validation import provenance
 from needlefit.validation.design import looked_at, planned
 from needlefit.validation.identification import IDENTIFICATION, PROFILES, identified
@@ -61,6 +62,7 @@ class Identification:
     run: dict[str, Any]
 
 
+@one_thread
 def identify_design(
     name: str, record: FitRecord, settings: Settings, fitted: Mapping[str, float] | None = None
 ) -> Identification:

@@ -15,6 +15,7 @@ from needlefit.inference.starts import Fit, Start, Watch
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.streams import stream
+from needlefit.project.threads import one_thread
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.division import division
@@ -36,6 +37,7 @@ from needlefit.validation.tabulate import (
 __all__ = ["Settings", "run"]
 
 
+@one_thread
 def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Results:
     """Carry out a study, or a fit, which is a study that scores nothing but its own insertions.
 

@@ -13,7 +13,6 @@ from needlefit.imaging.needle.spine import Frames, Spine, deviation, draw, exten
 from needlefit.imaging.needle.tip import End, bevel_length, find_end
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.records.reconstruction import ReconstructionRecord
-from needlefit.project.threads import one_thread
 
 Floats = NDArray[np.float64]
 
@@ -73,7 +72,6 @@ class Centerline:
     residuals: Floats
 
 
-@one_thread
 def trace(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
     """Return the axis of the needle whose voxels are `component`.
 

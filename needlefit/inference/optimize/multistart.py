@@ -18,10 +18,12 @@ from needlefit.inference.optimize.approach import broken_off, leaders, went_on
 from needlefit.inference.optimize.search import search
 from needlefit.inference.starts import INTERRUPTED, Fit, Place, Start, Watch
 from needlefit.project.records.recipe import Minimized, RecipeRecord
+from needlefit.project.threads import one_thread
 
 Floats = NDArray[np.float64]
 
 
+@one_thread
 def minimize(
     problem: Weighed, recipe: RecipeRecord, rng: np.random.Generator, watch: Watch | None = None
 ) -> Fit:

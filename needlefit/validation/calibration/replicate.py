@@ -12,7 +12,6 @@ from needlefit.inference.draws import of_prior
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
 from needlefit.project.streams import stream
-from needlefit.project.threads import one_thread
 from needlefit.validation.calibration.controls import Control, broken
 from needlefit.validation.calibration.inferred import Inferred, Way, inferred, of_prior_alone
 from needlefit.validation.calibration.measured import measured
@@ -58,7 +57,6 @@ class Made:
     redrawn: int
 
 
-@one_thread
 def replicate(number: int, experiment: Experiment) -> dict[str, Any]:
     """Return a row: the truth, where it stands among draws of its posterior, and how these were computed."""
     seed, name = experiment.job.recipe.seed, experiment.job.name

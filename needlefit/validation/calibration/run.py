@@ -18,6 +18,7 @@ from needlefit.errors import ConfigError, FitError
 from needlefit.project.processes import in_processes
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.result_warnings import stored
+from needlefit.project.threads import one_thread
 from needlefit.validation import provenance
 from needlefit.validation.calibration.controls import Control
 from needlefit.validation.calibration.judged import coverage, ecdfs, failing
@@ -100,6 +101,7 @@ class Calibration:
         return bool(self.failing) == (self.control is not None)
 
 
+@one_thread
 def calibrate(
     name: str, record: FitRecord, settings: Settings, replicates: int, control: Control | None = None
 ) -> Calibration:

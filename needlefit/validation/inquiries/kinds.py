@@ -18,6 +18,7 @@ from needlefit.project.records.plan import PlanRecord
 from needlefit.project.records.seeds import SeedsRecord
 from needlefit.project.records.sensitivity import SensitivityRecord
 from needlefit.project.records.specimens import SpecimensRecord
+from needlefit.project.threads import one_thread
 from needlefit.validation.inquiries import left_out
 from needlefit.validation.inquiries.adaptation import verb as adaptation
 from needlefit.validation.inquiries.answer import Answer
@@ -72,6 +73,7 @@ def inquiry(path: Path) -> InquiryRecord | None:
     return load(path, KINDS[kind].record)
 
 
+@one_thread
 def ask(name: str, record: InquiryRecord, settings: Settings) -> Answer:
     """Carry out an inquiry.
 

@@ -25,6 +25,7 @@ from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.track_study import TrackStudyRecord
 from needlefit.project.result_warnings import stored
 from needlefit.project.streams import stream
+from needlefit.project.threads import one_thread
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.job import Settings
 from needlefit.validation.score import Row
@@ -54,6 +55,7 @@ class _Tables:
         }
 
 
+@one_thread
 def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults:
     """Carry out a study of tip tracks; the posterior is always sampled, for what is foretold is made of it.
 
