@@ -35,22 +35,27 @@ class NeedlefitError(Exception):
         What a right value looks like.
     mend : str
         What the user can do.
+    key : str
+        Of the configuration file that is read, where only its reader knows which file that is.
     """
 
     exit_code = 1
 
-    def __init__(self, what: str, *, where: str = "", expected: str = "", mend: str = "") -> None:
-        self.what, self.where, self.expected, self.mend = what, where, expected, mend
+    def __init__(
+        self, what: str, *, where: str = "", expected: str = "", mend: str = "", key: str = ""
+    ) -> None:
+        self.what, self.where, self.expected, self.mend, self.key = what, where, expected, mend, key
         super().__init__(str(self))
 
     def __str__(self) -> str:
-        head = f"{self.where}: {self.what}" if self.where else self.what
+        where = self.where or (f"key `{self.key}`" if self.key else "")
+        head = f"{where}: {self.what}" if where else self.what
         tail = [("expected", self.expected), ("mend", self.mend)]
         return printable("\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)]))
 
     def at(self, where: str) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
-        return type(self)(self.what, where=where, expected=self.expected, mend=self.mend)
+        return type(self)(self.what, where=where, expected=self.expected, mend=self.mend, key=self.key)
 
 
 def printable(text: str) -> str:

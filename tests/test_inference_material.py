@@ -184,12 +184,12 @@ def test_a_prior_is_checked_in_its_file(parameter, said):
 
 def test_a_test_of_the_material_frees_the_alpha_of_its_layer():
     tested = MaterialRecord(schema=1, alpha=PriorRecord(**ALPHA), mu_pa=PriorRecord(**MODULUS))
-    parameters = Parameters.from_record(with_material(medium(2), "2", tested, "priors.2"))
+    parameters = Parameters.from_record(with_material(medium(2), "2", tested))
     assert parameters.bounds["alpha2"] == (1.0, 5.0)  # four deviations
     assert parameters.prior.names == ("mu2_pa", "alpha2") and "alpha1" in parameters.fixed
     with pytest.raises(ConfigError, match="no layer `3`"):
-        with_material(medium(2), "3", tested, "priors.3")
+        with_material(medium(2), "3", tested)
     with pytest.raises(ConfigError, match="alpha2, which is tied"):
-        with_material(medium(2, alpha2={"tie": "alpha1"}), "2", tested, "priors.2")
+        with_material(medium(2, alpha2={"tie": "alpha1"}), "2", tested)
     with pytest.raises(ConfigError, match="law is `linear`"):
-        with_material(medium(2).model_copy(update={"law": "linear"}), "2", tested, "priors.2")
+        with_material(medium(2).model_copy(update={"law": "linear"}), "2", tested)

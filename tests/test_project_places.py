@@ -124,13 +124,37 @@ def test_init_copies_once_and_never_overwrites(tmp_path, monkeypatch):
         copy_project(tmp_path / "mine")
 
 
-def test_of_few_names_all_are_listed_and_of_many_the_nearest(project):
+def test_all_names_are_listed_the_nearest_first(project):
     for part in range(4):
         (project / f"reports/run{part}").mkdir(parents=True)
         (project / f"reports/run{part}/run.json").write_text("{}")
     with pytest.raises(ConfigError) as fault:
         places.find_run("run1x")
     assert fault.value.expected.startswith("one of run1, ") and "run0" in fault.value.expected
+    for wanted in ("study33", "STUDY3", "study3.tml"):
+        with pytest.raises(ConfigError) as fault:
+            places.find_studies(wanted)
+        listed = fault.value.expected.removeprefix("one of ").split(", ")
+        assert listed[0] == "study3" and sorted(listed) == sorted(
+            [*places.names("study"), "all", "everything"]
+        )
+
+
+@pytest.mark.parametrize("ending", ["tml", "tom", "TOML", "tmol", "toml~"])
+def test_a_misspelt_ending_is_taken_for_a_path(project, ending):
+    (project / "mine.toml").write_text(STUDY)
+    for find, name in (
+        (places.find_studies, f"mine.{ending}"),
+        (places.find_target, f"./mine.{ending}"),
+        (lambda name: places.find("scene", name), f"mine.{ending}"),
+    ):
+        with pytest.raises(ConfigError) as fault:
+            find(name)
+        assert "./mine.toml" in fault.value.mend
     with pytest.raises(ConfigError) as fault:
-        places.find_studies("study33")
-    assert "study3" in fault.value.expected and "adaptation" not in fault.value.expected
+        places.find("scene", f"./mine.{ending}")
+    assert fault.value.expected.endswith("mine.toml")
+
+
+def test_a_long_list_of_names_is_cut():
+    assert places.listed([str(n) for n in range(45)]).endswith("and 5 more")

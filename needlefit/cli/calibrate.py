@@ -11,7 +11,7 @@ from needlefit.cli.execution import Execution, cores, remark
 from needlefit.cli.interruption import stopping
 from needlefit.cli.invocation import Invocation
 from needlefit.cli.progress import progress
-from needlefit.cli.tune import fit_of
+from needlefit.cli.tune import fit_of, in_target
 from needlefit.cli.warn import warn_of
 from needlefit.project.limits import MAX_REPLICATES
 
@@ -74,10 +74,11 @@ def calibrate(
         count = replicates or (SAMPLED if sample else REPLICATES)
         runs = {f"calibrate-{name}{_suffix(one, sample)}": one for one in _controls(control)}
         execution.prepare(runs)
-        found = {
-            str(execution.folder(folder)): _run(execution, (name, record), (folder, one), count, sample)
-            for folder, one in runs.items()
-        }
+        with in_target(target):
+            found = {
+                str(execution.folder(folder)): _run(execution, (name, record), (folder, one), count, sample)
+                for folder, one in runs.items()
+            }
     _end(execution.invocation, found, json)
 
 

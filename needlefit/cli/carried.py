@@ -15,6 +15,7 @@ from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.records.track_study import TrackStudyRecord
 from needlefit.project.result_warnings import KEY, as_rows, warnings_of
+from needlefit.project.toml_lines import in_file
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.results import Results
 from needlefit.validation.studies import AnyStudy, lacking_data, load_study
@@ -27,6 +28,7 @@ class Work:
 
     name: str
     record: AnyStudy | FitRecord
+    file: Path
 
     @property
     def sampled(self) -> bool:
@@ -88,22 +90,27 @@ def works(study: str) -> list[Work]:
         if missing:
             screen.note(f"needlefit: {name} is left out: the data of {', '.join(missing)} are not here")
         else:
-            found.append(Work(name, load_study(path)))
-    return [*found, *(Work(name, load(path, FitRecord)) for name, path in find_tunings(study))]
+            found.append(Work(name, load_study(path), path))
+    return [*found, *(Work(name, load(path, FitRecord), path) for name, path in find_tunings(study))]
 
 
 def carry_out(execution: Execution, todo: Sequence[Work], json: bool) -> Carried:
     """Run, write and print every work; their checkpoints stay."""
     done = Carried()
     for work in todo:
-        if isinstance(work.record, InquiryRecord):
-            done.answers.append(validate_inquiry.ask(execution, work.name, work.record, json))
-        elif isinstance(work.record, TrackStudyRecord):
-            done.tracks.append(validate_tracks.run_tracks(execution, work.name, work.record, json))
-        else:
-            results = _run(execution, work.name, work.record, json)
-            (done.scored if isinstance(work.record, StudyRecord) else done.tuned).append(results)
+        with in_file(work.file):
+            _carry_out(execution, work, done, json)
     return done
+
+
+def _carry_out(execution: Execution, work: Work, done: Carried, json: bool) -> None:
+    if isinstance(work.record, InquiryRecord):
+        done.answers.append(validate_inquiry.ask(execution, work.name, work.record, json))
+    elif isinstance(work.record, TrackStudyRecord):
+        done.tracks.append(validate_tracks.run_tracks(execution, work.name, work.record, json))
+    else:
+        results = _run(execution, work.name, work.record, json)
+        (done.scored if isinstance(work.record, StudyRecord) else done.tuned).append(results)
 
 
 def _run(execution: Execution, name: str, record: StudyRecord | FitRecord, json: bool) -> Results:

@@ -9,7 +9,7 @@ from needlefit.cli import options, screen
 from needlefit.cli.completion import targets
 from needlefit.cli.execution import Execution, cores
 from needlefit.cli.interruption import stopping
-from needlefit.cli.tune import fit_of
+from needlefit.cli.tune import fit_of, in_target
 from needlefit.cli.warn import warn
 
 if TYPE_CHECKING:
@@ -52,11 +52,13 @@ def identify(
         name = f"identify-{target_name.removesuffix('-tune')}"
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop)
         execution.prepare([name])
-        fitted = execution.run(name, record) if fit else None
+        with in_target(target):
+            fitted = execution.run(name, record) if fit else None
         if fitted is not None and fitted.interrupted:
             raise execution.interrupted()
         settings = Settings(seed=seed, jobs=jobs or cores(), stop=stop)
-        found = identify_design(name, record, settings, _fitted_values(fitted))
+        with in_target(target):
+            found = identify_design(name, record, settings, _fitted_values(fitted))
         if stop():
             raise execution.interrupted()
         write_identification(found, fitted, execution.folder(name))

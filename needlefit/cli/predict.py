@@ -51,7 +51,7 @@ def predict(
     """
     invocation = context.find_root().obj
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        from needlefit.cli.tune import fit_of
+        from needlefit.cli.tune import fit_of, in_target
         from needlefit.mechanics.scene import Scene
         from needlefit.project.names import require_file_name
         from needlefit.project.ownership import require_replaceable
@@ -70,7 +70,8 @@ def predict(
         screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
         with progress(invocation.quiet) as report:
             settings = Settings(seed=seed, jobs=jobs or cores(), progress=report, stop=stop)
-            job = prepare(name, record, settings)
+            with in_target(target):
+                job = prepare(name, record, settings)
             draws = foreknown(job, run or out / name, settings, required=run is not None)
         if draws is None:
             screen.note("needlefit: interrupted; nothing was written")

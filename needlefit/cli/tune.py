@@ -14,6 +14,8 @@ from needlefit.cli.warn import warn_of
 from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
+    from contextlib import AbstractContextManager
+
     from needlefit.project.records.fit import FitRecord
 
 
@@ -47,7 +49,8 @@ def tune(
         name, record = fit_of(target)
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
         execution.prepare([name])
-        results = execution.run(name, record)
+        with in_target(target):
+            results = execution.run(name, record)
         if results.interrupted and "fitted" not in set(results.errors["rival"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         written = execution.write(results)
@@ -61,6 +64,14 @@ def tune(
             raise execution.interrupted()
         execution.forget(name)
     require_converged(results)
+
+
+def in_target(target: str) -> "AbstractContextManager[None]":
+    """Have errors that name only a key name the file of the study or fit, and the line."""
+    from needlefit.project.places import find_target
+    from needlefit.project.toml_lines import in_file
+
+    return in_file(find_target(target)[1])
 
 
 def fit_of(target: str) -> "tuple[str, FitRecord]":

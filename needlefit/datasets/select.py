@@ -4,15 +4,18 @@ from collections.abc import Iterable
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.errors import ConfigError
+from needlefit.project.places import listed, nearest_first
 from needlefit.project.records.fit import Reading, SelectionRecord
+from needlefit.project.toml_lines import at_key
 
 
 def select(
-    dataset: Dataset, selection: SelectionRecord, reading: Reading = "listed"
+    dataset: Dataset, selection: SelectionRecord, reading: Reading = "listed", key: str = "tune"
 ) -> tuple[Insertion, ...]:
     """Return the insertions that meet every key of `selection`, in the dataset's order.
 
-    `reading` decides which count of layers holds for an insertion that ends at a boundary.
+    `reading` decides which count of layers holds for an insertion that ends at a boundary; `key` is where
+    the selection stands in its file.
 
     Raises
     ------
@@ -20,9 +23,12 @@ def select(
         If a medium, specimen or insertion is unknown, or no insertion is left.
     """
     known = dataset.insertions
-    _all_known("medium", [selection.medium] if selection.medium else (), dataset.media)
-    _all_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
-    _all_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
+    with at_key(f"{key}.medium"):
+        _all_known("medium", [selection.medium] if selection.medium else (), dataset.media)
+    with at_key(f"{key}.specimens"):
+        _all_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
+    with at_key(f"{key}.insertions"):
+        _all_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
     chosen = tuple(insertion for insertion in known if _meets(insertion, selection, reading))
     if not chosen:
         given = selection.model_dump(exclude_none=True)
@@ -30,6 +36,7 @@ def select(
             f"no insertion of dataset {dataset.name} has {' and '.join(map(_said, given, given.values()))}",
             expected=f"a selection that leaves at least one; there are {_there_are(known, reading)}",
             mend="widen or correct the selection",
+            key=key,
         )
     return chosen
 
@@ -79,11 +86,11 @@ def _there_are(insertions: Iterable[Insertion], reading: Reading) -> str:
 
 
 def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
-    names = sorted(known)
+    names = set(known)
     unknown = [name for name in wanted if name not in names]
     if unknown:
         raise ConfigError(
             f"{kind} {', '.join(unknown)} is not in the dataset",
-            expected=f"one of {', '.join(names) or '(none)'}",
+            expected=f"one of {listed(nearest_first(unknown[0], names)) or '(none)'}",
             mend="correct the selection",
         )

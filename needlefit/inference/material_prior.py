@@ -70,7 +70,7 @@ def prior_of_material(
     return of_alpha, of_mu
 
 
-def with_material(medium: MediumRecord, layer: str, material: MaterialRecord, where: str) -> MediumRecord:
+def with_material(medium: MediumRecord, layer: str, material: MaterialRecord) -> MediumRecord:
     """Return the medium in which one layer has the prior of a compression test.
 
     An alpha that the medium fixes becomes free within `REACH` standard deviations of its prior's mean.
@@ -81,23 +81,20 @@ def with_material(medium: MediumRecord, layer: str, material: MaterialRecord, wh
         If there is no such layer, the medium's law is another one, or the layer's parameter is tied or fixed.
     """
     if layer not in {str(number) for number in range(1, medium.layers + 1)}:
-        raise ConfigError(
-            f"there is no layer `{layer}`", where=where, expected=f"a number from 1 to {medium.layers}"
-        )
+        raise ConfigError(f"there is no layer `{layer}`", expected=f"a number from 1 to {medium.layers}")
     if medium.law != SAME_LAW:
         raise ConfigError(
             f"the medium's law is `{medium.law}`",
-            where=where,
             expected=f"`{SAME_LAW}`: the prior is of its alpha",
         )
     table = dict(medium.parameters)
     for name, stated in ((f"mu{layer}_pa", material.mu_pa), (f"alpha{layer}", material.alpha)):
         if stated is not None and name in table:
-            table[name] = _freed(name, table[name], stated, where)
+            table[name] = _freed(name, table[name], stated)
     return medium.model_copy(update={"parameters": table})
 
 
-def _freed(name: str, parameter: ParameterRecord, stated: PriorRecord, where: str) -> ParameterRecord:
+def _freed(name: str, parameter: ParameterRecord, stated: PriorRecord) -> ParameterRecord:
     bounds = parameter.bounds
     if bounds is None and parameter.fixed is not None and stated.mean is not None and stated.sd is not None:
         bounds = (stated.mean - REACH * stated.sd, stated.mean + REACH * stated.sd)
@@ -108,7 +105,7 @@ def _freed(name: str, parameter: ParameterRecord, stated: PriorRecord, where: st
             if parameter.tie
             else "give it bounds"
         )
-        raise ConfigError(f"a prior is stated for {name}, which is {state}", where=where, mend=mend)
+        raise ConfigError(f"a prior is stated for {name}, which is {state}", mend=mend)
     return ParameterRecord(bounds=bounds, prior=stated)
 
 

@@ -203,7 +203,7 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
         faults = [f"`{n}` is missing" for n in missing] + [f"`{n}` is unknown here" for n in extra]
         raise ConfigError(
             "; ".join(faults),
-            where="parameters",
+            key=f"parameters.{extra[0]}" if extra else "parameters",
             expected=f"{', '.join(needed)} ({record.layers} layers), and guide_distance_mm if wanted",
         )
     return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
@@ -218,4 +218,4 @@ def _check_positive(name: str, parameter: ParameterRecord) -> None:
     if low is None or not in_logarithm(name):
         return
     if low < 0 or (low == 0 and not (name == "bevel_mm" and parameter.bounds is None)):
-        raise ConfigError(f"{low:g} is not above 0", where=f"parameters.{name}", expected="a positive number")
+        raise ConfigError(f"{low:g} is not above 0", key=f"parameters.{name}", expected="a positive number")

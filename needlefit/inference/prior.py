@@ -114,20 +114,20 @@ def gaussian(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
 def _check(
     name: str, one: PriorRecord, bounds: tuple[float, float] | None, stated: Mapping[str, PriorRecord]
 ) -> None:
-    where = f"parameters.{name}.prior"
+    key = f"parameters.{name}.prior"
     normal = dimension(name) == "exponent"
     if normal != (one.mean is not None):
         expected = "mean and sd" if normal else "median and factor: it is positive"
-        raise ConfigError("is a prior of the wrong kind", where=where, expected=expected)
+        raise ConfigError("is a prior of the wrong kind", key=key, expected=expected)
     if bounds is not None and not bounds[0] <= _peak(one) <= bounds[1]:
         raise ConfigError(
             f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
-            where=where,
+            key=key,
             mend="widen the bounds, or look whether prior and bounds mean the same unit",
         )
     if one.correlation and (dimension(name) != "modulus" or _alpha_of(name) not in stated):
         expected = "a prior of mu whose layer's alpha has a prior too"
-        raise ConfigError("states a correlation that has no partner", where=where, expected=expected)
+        raise ConfigError("states a correlation that has no partner", key=key, expected=expected)
 
 
 def _alpha_of(mu: str) -> str:

@@ -76,13 +76,13 @@ def _follow(name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[s
         if at in seen:
             raise ConfigError(
                 f"ties run in a circle: {' -> '.join([*seen, at])}",
-                where=f"parameters.{name}.tie",
+                key=f"parameters.{name}.tie",
                 mend="leave one of them free or fixed",
             )
         if at not in known:
             raise ConfigError(
                 f"`{seen[-1]}` is tied to `{at}`, which this medium has not",
-                where=f"parameters.{name}.tie",
+                key=f"parameters.{name}.tie",
                 expected=f"one of {', '.join(sorted(known - set(seen)))}",
             )
         seen.append(at)
@@ -92,6 +92,6 @@ def _follow(name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[s
 def _wrong(name: str, tie: str, fault: str) -> ConfigError:
     return ConfigError(
         f"the tie `{tie}` {fault}",
-        where=f"parameters.{name}.tie",
+        key=f"parameters.{name}.tie",
         expected='another parameter of the same kind, with a factor if wanted: "mu1_pa" or "10 * mu1_pa"',
     )

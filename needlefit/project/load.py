@@ -10,6 +10,7 @@ from needlefit.errors import ConfigError
 from needlefit.project import reading
 from needlefit.project.places import label
 from needlefit.project.schema_faults import schema_faults, together
+from needlefit.project.toml_lines import place_of
 
 R = TypeVar("R", bound=BaseModel)
 
@@ -48,7 +49,7 @@ def check(tables: dict[str, Any], kind: type[R], where: Path | str) -> R:
         faults = schema_faults(error, kind)
         raise ConfigError(
             "; ".join(fault.what for fault in faults),
-            where=where if isinstance(where, str) else label(where),
+            where=where if isinstance(where, str) else place_of(where, faults[0].key),
             expected=together([(fault.key, fault.expected) for fault in faults]),
             mend="; ".join(fault.mend for fault in faults if fault.mend),
         ) from None

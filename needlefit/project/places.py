@@ -2,6 +2,7 @@
 
 import difflib
 import shlex
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Literal
 
@@ -25,8 +26,8 @@ EVERYTHING = "everything"
 """Every study there is, as `all` means those of the paper."""
 PAPER_STUDIES = ("study1", "study2", "study3", "study4", "study5")
 PAPER_FITS = ("phantom1", "phantom2", "phantom3", "chicken")
-FEW = 12
-"""Names that a message lists all of; of more the nearest."""
+MAX_LISTED = 40
+"""Names that a message lists, the nearest first."""
 GROUPS = ("all", EVERYTHING)
 """Names of several studies, and the fits of the paper's tuning tables with them, reported together."""
 
@@ -189,16 +190,58 @@ def _no_study(fit: str) -> ConfigError:
 
 
 def _missing(kind: str, name: str) -> ConfigError:
-    return ConfigError(f"there is no such {kind}", where=name, expected="a TOML file", mend="check the path")
+    path = Path(name)
+    if not path.parent.is_dir():
+        there = f"the folder {path.parent} does not exist"
+    else:
+        files = [str(file) for file in path.parent.glob("*.toml") if file.is_file()]
+        there = listed(nearest_first(name, files)) or "no TOML file in this folder"
+    return ConfigError(
+        f"there is no such {kind}",
+        where=name,
+        expected=f"a TOML file: {there}",
+        mend=_ending_typo(name) or "check the path",
+    )
 
 
 def unknown_name(kind: str, name: str, known: list[str], otherwise: str = ", or a path") -> ConfigError:
-    """Return what is raised of a bare name that is not known: the nearest of those that are."""
-    near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or known
-    near = list(dict.fromkeys([*near, *known])) if len(known) <= FEW else near
+    """Return what is raised of a bare name that is not known: those that are, the nearest first."""
     mend = f"write ./{name} if you mean the one in this folder" if Path(name).exists() else ""
     return ConfigError(
         f"there is no {kind} called `{name}`",
-        expected=f"one of {', '.join(near) or '(none found)'}",
-        mend=mend or f"use one of these names{otherwise}",
+        expected=f"one of {listed(nearest_first(name, known)) or '(none found)'}",
+        mend=mend or _ending_typo(name) or f"use one of these names{otherwise}",
     )
+
+
+def nearest_first(name: str, known: Iterable[str]) -> list[str]:
+    """Return names, each once, those most like `name` first, equally like ones by the alphabet."""
+    wanted = name.removesuffix(Path(name).suffix) if _ending_typo(name) else name
+    matcher = difflib.SequenceMatcher(b=wanted.lower(), autojunk=False)
+
+    def likeness(one: str) -> float:
+        matcher.set_seq1(one.lower())
+        return matcher.ratio()
+
+    return sorted(sorted(set(known)), key=likeness, reverse=True)
+
+
+def listed(names: Sequence[str]) -> str:
+    """Return names as a message lists them, no more than `MAX_LISTED`."""
+    more = len(names) - MAX_LISTED
+    return ", ".join(names[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+
+
+def _ending_typo(name: str) -> str:
+    """Return what to do about an ending that is nearly `.toml`, "" about any other."""
+    ending = Path(name).suffix
+    if (
+        not ending
+        or ending == ".toml"
+        or not difflib.get_close_matches(ending.lower(), [".toml"], cutoff=0.7)
+    ):
+        return ""
+    right = name.removesuffix(ending) + ".toml"
+    path = right if "/" in right else f"./{right}"
+    found = "the file exists" if Path(path).is_file() else "a path ends in .toml"
+    return f"write {path} ({found})"

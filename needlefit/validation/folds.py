@@ -32,14 +32,16 @@ def folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]
     if record.leave_out is not None:
         return leave_out(tune, record.leave_out)
     validate: dict[str, Insertion] = {}
-    for selection in record.validate_:
-        validate |= {insertion.id: insertion for insertion in select(dataset, selection, record.reading)}
+    for n, selection in enumerate(record.validate_, start=1):
+        chosen = select(dataset, selection, record.reading, f"validate.{n}")
+        validate |= {insertion.id: insertion for insertion in chosen}
     both = sorted(validate.keys() & {insertion.id for insertion in tune})
     if both:
         raise ConfigError(
             f"{', '.join(both)} would both tune and validate",
             expected="insertions on one side only",
             mend="narrow [tune] or [[validate]]",
+            key="validate",
         )
     return (Fold("all", tune, tuple(validate.values())),)
 
@@ -55,7 +57,9 @@ def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
     held = groups(insertions, what)
     if len(held) < 2:
         raise ConfigError(
-            f"there is only one {what}: none can be left out", mend="select more, or give [[validate]]"
+            f"there is only one {what}: none can be left out",
+            mend="select more, or give [[validate]]",
+            key="leave_out",
         )
     return tuple(
         Fold(f"without {name}", tuple(i for i in insertions if i not in members), members)

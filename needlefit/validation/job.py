@@ -16,7 +16,7 @@ from needlefit.inference.ties import NOISE_SCALE
 from needlefit.mechanics.plan import check_size, element_solves
 from needlefit.project.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.project.load import load
-from needlefit.project.places import find
+from needlefit.project.places import Kind, find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.prior import MaterialRecord
@@ -24,6 +24,7 @@ from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
+from needlefit.project.toml_lines import at_key, in_file
 from needlefit.project.watching import Note, Progress, Stop, never, silent, unheard
 from needlefit.validation import paper
 from needlefit.validation.folds import Fold, folds
@@ -140,15 +141,22 @@ def prepare(
     ConfigError, DataError
         If anything it names is missing or wrong.
     """
-    dataset = read(find("dataset", record.dataset)) if dataset is None else dataset
-    medium = _medium(record)
-    recipe = load(find("recipe", record.recipe), RecipeRecord)
+    dataset = read(find_named("dataset", record.dataset)) if dataset is None else dataset
+    medium_file = find_named("medium", record.medium)
+    medium = _medium(record, medium_file)
+    recipe = load(find_named("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
     if recipe.minimize == "posterior" and not dataset.noise.stated:
         recipe = by_metric(recipe)  # without noise a posterior has no width, and no peak
-    parameters = Parameters.from_record(medium)
-    hand = None if record.hand_tuned is None else hand_tuned_set(record.hand_tuned, parameters, record.medium)
+    with in_file(medium_file):
+        parameters = Parameters.from_record(medium)
+    with at_key("hand_tuned"):
+        hand = (
+            None
+            if record.hand_tuned is None
+            else hand_tuned_set(record.hand_tuned, parameters, record.medium)
+        )
     if recipe.likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)
         hand = None if hand is None else {**hand, NOISE_SCALE: 1.0}
@@ -161,12 +169,19 @@ def prepare(
     return job
 
 
-def _medium(record: FitRecord | StudyRecord) -> MediumRecord:
+def find_named(key: Kind, name: str) -> Path:
+    """Return the file that a study names under `key`, which is also what kind of file it is."""
+    with at_key(key):
+        return find(key, name)
+
+
+def _medium(record: FitRecord | StudyRecord, file: Path) -> MediumRecord:
     """Return the medium, its layers with the priors that the fit names."""
-    medium = load(find("medium", record.medium), MediumRecord)
+    medium = load(file, MediumRecord)
     for layer, path in record.priors.items():
         material = load(Path(path), MaterialRecord)
-        medium = with_material(medium, layer, material, f"priors.{layer} ({path})")
+        with at_key(f"priors.{layer}"):
+            medium = with_material(medium, layer, material)
     return medium
 
 
@@ -179,6 +194,7 @@ def _check_layers(job: Job) -> None:
                 f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
                 f"layer {max(insertion.sequence)}",
                 mend="name the medium that the needle went into, or select other insertions",
+                key="medium",
             )
 
 

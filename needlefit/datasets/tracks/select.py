@@ -2,6 +2,7 @@
 
 from needlefit.datasets.tracks.track import Track, TrackDataset
 from needlefit.errors import ConfigError
+from needlefit.project.places import listed, nearest_first
 from needlefit.project.records.track_study import RunsRecord
 
 
@@ -21,7 +22,7 @@ def select_runs(dataset: TrackDataset, wanted: RunsRecord) -> tuple[Track, ...]:
             if name not in known:
                 raise ConfigError(
                     f"{kind} {name} is not in dataset {dataset.name}, or is left out",
-                    expected=f"one of {', '.join(known)}",
+                    expected=f"one of {listed(nearest_first(name, known))}",
                     mend="correct the selection",
                 )
     chosen = tuple(track for track in dataset.tracks if _meets(track, wanted))

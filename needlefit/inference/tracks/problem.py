@@ -54,7 +54,7 @@ class TrackProblem:
         if "guide_distance_mm" not in self.parameters.names:
             raise ConfigError(
                 "the medium says nothing of the guide",
-                where="parameters",
+                key="parameters",
                 expected="guide_distance_mm: from the guide to the skin, free or fixed",
             )
 

@@ -14,7 +14,8 @@ def blamed(study: str, key: str = "") -> Iterator[None]:
     except ConfigError as error:
         if error.where:
             raise
-        raise error.at(place(study, key)) from None
+        error.key = error.key or key
+        raise error.at(place(study, error.key)) from None
 
 
 def place(study: str, key: str = "") -> str:

@@ -14,6 +14,7 @@ from needlefit.project.places import find
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.track_study import TrackFitRecord, TrackStudyRecord
+from needlefit.project.toml_lines import at_key, in_file
 from needlefit.validation.provenance import PACKAGES, rules, versions
 
 
@@ -52,8 +53,10 @@ def task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) -> Ta
     ConfigError
         If a medium or run is missing, stands on both sides, or the needle is too short.
     """
-    medium = load(find("medium", one.medium), MediumRecord)
-    tuned, held = select_runs(dataset, one.tune), select_runs(dataset, one.validate_)
+    with at_key("fits"):
+        file = find("medium", one.medium)
+        tuned, held = select_runs(dataset, one.tune), select_runs(dataset, one.validate_)
+    medium = load(file, MediumRecord)
     both = sorted({track.id for track in tuned} & {track.id for track in held})
     if both:
         raise ConfigError(
@@ -62,7 +65,8 @@ def task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) -> Ta
             expected="runs on one side only",
             mend="narrow tune or validate",
         )
-    parameters = Parameters.from_record(medium)
+    with in_file(file):
+        parameters = Parameters.from_record(medium)
     if recipe.likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)
     _check_needle(dataset, (*tuned, *held), parameters)

@@ -78,6 +78,7 @@ def _job(name: str, record: ComparisonRecord, settings: Settings) -> Job:
         raise ConfigError(
             "there is only one group of repeats: none can be left out",
             where=place(name, "folds"),
+            key="folds",
             expected="insertions of two groups, at least",
             mend="select more in [insertions]",
         )

@@ -107,6 +107,7 @@ def _check(job: Job, record: SpecimensRecord) -> None:
             raise ConfigError(
                 f"no mean is given for {', '.join(missing)}",
                 where=place(job.name, "recovery.mean"),
+                key="recovery.mean",
                 expected="one value for each free parameter",
             )
         _check_mean(job, record.recovery.mean)
@@ -116,6 +117,7 @@ def _check(job: Job, record: SpecimensRecord) -> None:
             raise ConfigError(
                 f"there is only one {what}: a spread needs two",
                 where=place(job.name, "tune"),
+                key="tune",
                 mend="select more",
             )
 
