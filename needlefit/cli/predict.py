@@ -55,7 +55,7 @@ def predict(
         from needlefit.mechanics.scene import Scene
         from needlefit.project.names import require_file_name
         from needlefit.project.ownership import require_replaceable
-        from needlefit.project.unit_warnings import unit_warnings
+        from needlefit.project.unit_warnings import scene_warnings
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
         from needlefit.validation.forecast import forecast, outside_warnings
         from needlefit.validation.foreknown import foreknown
@@ -78,7 +78,7 @@ def predict(
             raise typer.Exit(failure.INTERRUPTED)
         found = forecast(Scene.from_record(planned, where), draws, job)
         title, synthetic = planned.title or scene, job.dataset.origin == "synthetic"
-        warned = [*job.warnings, *unit_warnings(planned, where), *outside_warnings(found)]
+        warned = [*job.warnings, *scene_warnings(planned, where), *outside_warnings(found)]
         said = {**work(job), "scene": planned.model_dump(mode="json", by_alias=True), **stored(warned)}
         write_forecast(found, folder, title, said, synthetic)
     if json:

@@ -6,6 +6,7 @@ import numpy as np
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.points import Points
+from needlefit.datasets.rows import called
 from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.geometry.curves import arc_length
 from needlefit.project.records.dataset import DatasetRecord
@@ -46,7 +47,8 @@ def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord) -> It
             "sample the needle more densely",
         )
         return
-    unit = _unit_fault(points, row)
+    depth_mm = called(record, "depth_mm")
+    unit = _unit_fault(points, row, depth_mm)
     if unit:
         yield unit
         return  # in metres every other length is wrong as well
@@ -55,21 +57,21 @@ def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord) -> It
     if abs(length - row.depth) > max(LENGTH_MM, tolerance * row.depth):
         yield Fault(
             points.where(),
-            f"is {length:.2f} mm long, but depth_mm is {row.depth:.2f}",
+            f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}",
             f"the inserted length, within {max(LENGTH_MM, tolerance * row.depth):.1f} mm",
-            "keep exactly the points from the entry to the tip, or correct depth_mm",
+            f"keep exactly the points from the entry to the tip, or correct {depth_mm}",
         )
     if row.entry is not None and row.direction is not None:
         yield from _entry_faults(points, row.entry, row.direction)
 
 
-def _unit_fault(points: Points, row: InsertionRow) -> Fault | None:
+def _unit_fault(points: Points, row: InsertionRow, depth_mm: str) -> Fault | None:
     span = _span(points.values)
     for name, factor in UNITS.items():
         if abs(span * factor / row.depth - 1) < 0.25:
             return Fault(
                 points.where(),
-                f"spans {span:.4g} where depth_mm is {row.depth:.4g}: this looks like {name}",
+                f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}",
                 "millimetres",
                 f"multiply the coordinates by {factor:g}",
             )

@@ -6,19 +6,23 @@ from pathlib import Path
 
 from needlefit.datasets.centerlines import LongTable, find_points, patient_frame, read_long
 from needlefit.datasets.curve_faults import curve_faults
+from needlefit.datasets.dataset_warnings import insertion_warnings, record_warnings
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats.csv import Table, read_table
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.layers import Shared, medium_of, numbering_faults, read_shared
+from needlefit.datasets.layers import Shared, medium_of, read_shared
+from needlefit.datasets.layers_met import Placed, media_faults, surface_faults
+from needlefit.datasets.reach import reach_from_tip
 from needlefit.datasets.reduce import reduce
 from needlefit.datasets.rows import parse_rows
-from needlefit.datasets.schema import InsertionRow
 from needlefit.datasets.sources import checksum_faults, dataset_file, digest, folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load
 from needlefit.project.records.dataset import DatasetRecord, NoiseRecord
 from needlefit.project.records.scene import NeedleRecord
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml_lines import place_of
 
 STIFFEST_GPA = 1000.0
 """No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
@@ -28,10 +32,11 @@ POINT_ACROSS = "point bevel_x, bevel_y, bevel_z across the entry direction, or l
 
 @dataclass(frozen=True)
 class Inspection:
-    """What came of reading a dataset: `dataset` is None if there are faults."""
+    """What came of reading a dataset: `dataset` is None if there are faults; warnings there may be anyway."""
 
     dataset: Dataset | None
     faults: tuple[Fault, ...]
+    warnings: tuple[ResultWarning, ...] = ()
 
 
 def inspect(path: Path) -> Inspection:
@@ -45,19 +50,25 @@ def inspect(path: Path) -> Inspection:
     found: list[Fault] = []
     for root in roots:
         found += checksum_faults(record.checksums, root)
-    found += [*needle_faults(record.needle, file), *numbering_faults(record, file)]
+    found += [*needle_faults(record.needle, file), *media_faults(record, file)]
     shared = read_shared(record, roots[0], found)
-    insertions = [insertion for root in roots for insertion in _insertions(record, root, shared, found)]
-    found += repeated("insertion", (insertion.id for insertion in insertions), file)
+    placed = [one for root in roots for one in _insertions(record, root, shared, found)]
+    found += repeated("insertion", (one.insertion.id for one in placed), file)
+    found += [*surface_faults(placed, file), *reach_faults(record, placed, file)]
+    warnings = record_warnings(record, file)
     if found:
-        return Inspection(None, tuple(dict.fromkeys(found)))
+        return Inspection(None, tuple(dict.fromkeys(found)), tuple(warnings))
+    insertions = [one.insertion for one in placed]
+    table = roots[0] / (record.insertions.file or record.centerlines.file or "")
+    warnings += insertion_warnings(record, insertions, noise_of(record.noise), file, table)
     files = {roots[0] / surface.file for surface in shared}
     for root in roots:
         files |= _files(record, root, insertions)
-    return Inspection(_dataset(record, file, insertions, digest(file, roots, files)), ())
+    dataset = _dataset(record, file, insertions, digest(file, roots, files))
+    return Inspection(replace(dataset, warnings=tuple(warnings)), (), tuple(warnings))
 
 
-def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[Fault]) -> Iterator[Insertion]:
+def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[Fault]) -> Iterator[Placed]:
     """Yield the sound insertions of one folder; note the faults of the others."""
     long = None
     if record.centerlines.file is not None:
@@ -82,8 +93,7 @@ def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[F
             fault = from_error(error, where)
             found.append(replace(fault, mend=fault.mend or POINT_ACROSS))
             continue
-        found += _layer_faults(insertion, row, where)
-        yield insertion
+        yield Placed(insertion, where)
 
 
 def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
@@ -93,7 +103,7 @@ def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
         return
     unit, factor = ("Pa", 1e9) if modulus > STIFFEST_GPA * 1e3 else ("MPa", 1e3)
     yield Fault(
-        str(file),
+        place_of(file, "needle.youngs_modulus_gpa"),
         f"needle.youngs_modulus_gpa is {modulus:g}: this looks like {unit}",
         "GPa: about 200 for steel, 40 to 80 for nitinol",
         f"write {modulus / factor:g}",
@@ -112,19 +122,15 @@ def _table(record: DatasetRecord, root: Path, long: LongTable | None, found: lis
         return None
 
 
-def _layer_faults(insertion: Insertion, row: InsertionRow, where: str) -> Iterator[Fault]:
-    met = len(insertion.sequence)
-    if met in (insertion.layers, insertion.layers_alternative):
+def reach_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) -> Iterator[Fault]:
+    """Say which free shapes are no longer than what is left out of every comparison."""
+    if record.frame.pose != "free":
         return
-    listed = " or ".join(str(n) for n in sorted({insertion.layers, insertion.layers_alternative}))
-    depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
-    order = " > ".join(map(str, insertion.sequence))
-    yield Fault(
-        where,
-        f"{row.id} meets {met} layers ({order}; interfaces at {depths} mm), but {listed} are listed",
-        f"{listed} layers",
-        f"correct layers or layers_alternative, or the boundaries of medium {row.medium}",
-    )
+    for one in placed:
+        try:
+            reach_from_tip(record.frame.drop_proximal_mm, one.insertion)
+        except DataError as error:
+            yield from_error(error, place_of(file, "frame.drop_proximal_mm"))
 
 
 def repeated(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:

@@ -97,21 +97,6 @@ def mesh_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         )
 
 
-def numbering_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
-    """Say which media skip a layer number: an `into` mistyped, or a surface left out."""
-    for name, medium in record.media.items():
-        numbers = {surface.into for surface in medium.surfaces}
-        skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
-        if skipped:
-            listed = ", ".join(map(str, sorted(numbers)))
-            yield Fault(
-                str(file),
-                f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
-                "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
-                "correct `into`, or add the surface that is missing",
-            )
-
-
 def layers_met(
     centerline: Floats, frame: Frame, surfaces: Sequence[Surface]
 ) -> tuple[Floats, tuple[int, ...]]:

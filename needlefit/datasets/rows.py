@@ -67,7 +67,7 @@ def _our_columns(table: Table, record: InsertionsRecord, found: list[Fault]) -> 
     cells = table.cells.rename(columns={theirs: ours for ours, theirs in record.columns.items()})
     cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
     absent = {name: str(value) for name, value in record.constants.items() if name not in cells}
-    return Table(table.path, cells.assign(**absent), table.lines)
+    return Table(table.path, cells.assign(**absent), table.lines, record.columns)
 
 
 def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
@@ -189,22 +189,23 @@ def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterato
 
 def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     length, guide = record.needle.length_mm, row.guide_distance
+    depth_mm = called(record, "depth_mm")
     if row.depth <= 0:
         mend = "give the length from the entry to the tip, without a sign"
-        yield Fault(where, f"depth_mm is {row.depth:g}", "an inserted length above 0", mend)
+        yield Fault(where, f"{depth_mm} is {row.depth:g}", "an inserted length above 0", mend)
     elif row.depth < SMALLEST_DEPTH:
         yield Fault(
             where,
-            f"depth_mm is {row.depth:g}: this looks like metres",
+            f"{depth_mm} is {row.depth:g}: this looks like metres",
             "millimetres",
             "multiply the column by 1000",
         )
     if row.depth >= length:
         yield Fault(
             where,
-            f"depth_mm is {row.depth:g}, but the needle is only {length:g} mm long",
+            f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long{_unit_of(length)}",
             "a depth smaller than the needle's length",
-            "correct needle.length_mm in dataset.toml, or depth_mm",
+            f"correct needle.length_mm in dataset.toml, or {depth_mm}",
         )
     if guide is not None and not 0 < guide <= length - row.depth:
         yield Fault(
@@ -213,6 +214,16 @@ def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Itera
             "above 0, and within the needle outside the tissue",
             "correct it, or leave the cell empty: held at its base",
         )
+
+
+def called(record: DatasetRecord, column: str) -> str:
+    """Return a column of the table of insertions for a message: its name there, and ours behind it."""
+    theirs = record.insertions.columns.get(column, column)
+    return theirs if theirs == column else f"{theirs} ({column})"
+
+
+def _unit_of(length: float) -> str:
+    return ": this looks like metres" if length < SMALLEST_DEPTH else ""
 
 
 def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:

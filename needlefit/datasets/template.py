@@ -7,6 +7,7 @@ import numpy as np
 
 from needlefit.datasets.check import check
 from needlefit.datasets.conversion import read_source
+from needlefit.datasets.dataset_warnings import FILL_IN
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.datasets.write import write_dataset
@@ -16,7 +17,10 @@ from needlefit.project.names import require_file_name
 from needlefit.project.records.dataset import DatasetRecord
 from needlefit.project.replace import new_folder, require_new
 
-FILL_IN = "TO FILL IN"
+PLACEHOLDER_SD_MM = 0.1
+"""Noise of a point before its maker states one: about what tracing a needle in a CT scan leaves."""
+
+NOISE_NOTE = f"{FILL_IN}: {PLACEHOLDER_SD_MM:g} mm stands for how well a point is known, per axis"
 
 EXAMPLE_NOTE = """\
 # A template with made-up numbers: two insertions through one layer boundary. Replace every number and text,
@@ -87,6 +91,7 @@ def _record(name: str, origin: str, pose: str, length: float, medium: Mapping[st
             "source": f"{FILL_IN}: who measured this, when, how",
             "frame": {"pose": pose},
             "needle": {"length_mm": length, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
+            "noise": {"point_sd_mm": PLACEHOLDER_SD_MM, "note": NOISE_NOTE},
             "insertions": {"file": "insertions.csv"},
             "centerlines": {"pattern": "centerlines/{id}.csv"},
             "media": {"medium1": medium},

@@ -226,10 +226,10 @@ def nearest_first(name: str, known: Iterable[str]) -> list[str]:
     return sorted(sorted(set(known)), key=likeness, reverse=True)
 
 
-def listed(names: Sequence[str]) -> str:
-    """Return names as a message lists them, no more than `MAX_LISTED`."""
-    more = len(names) - MAX_LISTED
-    return ", ".join(names[:MAX_LISTED]) + (f" and {more} more" if more > 0 else "")
+def listed(names: Sequence[str], most: int = MAX_LISTED) -> str:
+    """Return names as a message lists them, no more than `most`."""
+    more = len(names) - most
+    return ", ".join(names[:most]) + (f" and {more} more" if more > 0 else "")
 
 
 def _ending_typo(name: str) -> str:

@@ -1,12 +1,18 @@
 """Which insertions tune and which are scored: one fold, or one for each group left out."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.select import select
 from needlefit.errors import ConfigError
+from needlefit.project.places import listed
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.project.result_warnings import ResultWarning
+
+MAX_NAMED = 8
+"""Specimens that a warning names."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +50,30 @@ def folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]
             key="validate",
         )
     return (Fold("all", tune, tuple(validate.values())),)
+
+
+def shared_specimens(name: str, folds: Iterable[Fold]) -> list[ResultWarning]:
+    """Return the warning that insertions are held out whose specimens are fitted to, if any are.
+
+    Such a study says how well a model knows the specimens that it was fitted to, not others.
+    """
+    shared: dict[str, None] = {}
+    for fold in folds:
+        held = {one.specimen for one in fold.validate}
+        shared |= dict.fromkeys(one.specimen for one in fold.tune if one.specimen in held)
+    return [specimen_warning(name, list(shared))] if shared else []
+
+
+def specimen_warning(name: str, specimens: list[str]) -> ResultWarning:
+    """Return the warning that a study called `name` fits to specimens that it is validated on."""
+    named = listed(specimens, MAX_NAMED)
+    return ResultWarning(
+        "same_specimen",
+        f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
+        "be larger",
+        f"study {name}",
+        "hold out whole specimens, or write same_specimen = true in the study if it is meant",
+    )
 
 
 def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:

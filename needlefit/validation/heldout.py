@@ -112,9 +112,14 @@ def foretold(job: Job, fold: Fold, draws: Draws) -> Iterator[Row]:
 
 
 def foreseen(job: Job, fold: Fold, draws: Draws) -> Iterator[Foreseen]:
-    """Yield what is foretold of every insertion that a fold holds out, y toward +y of C, mm."""
+    """Yield what is foretold of every insertion that a fold holds out, y toward +y of C, mm.
+
+    Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
+    """
     factor = noise_factor(draws, job.parameters, job.recipe.likelihood.noise_scale)
     for insertion in fold.validate:
+        if not job.dataset.noise.stated and insertion.sd is None:
+            continue
         chance = stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
         seen = evidence(job.dataset, insertion, how=job.recipe.likelihood)
         curves = [_curve(job, theta, insertion, seen, chance) for theta in draws.thetas]

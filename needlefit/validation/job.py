@@ -25,9 +25,10 @@ from needlefit.project.records.study import StudyRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
 from needlefit.project.toml_lines import at_key, in_file
+from needlefit.project.unit_warnings import medium_warnings
 from needlefit.project.watching import Note, Progress, Stop, never, silent, unheard
 from needlefit.validation import paper
-from needlefit.validation.folds import Fold, folds
+from needlefit.validation.folds import Fold, folds, shared_specimens
 
 _GUIDE = "guide_distance_mm"
 
@@ -160,9 +161,11 @@ def prepare(
     if recipe.likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)
         hand = None if hand is None else {**hand, NOISE_SCALE: 1.0}
-    job = Job(
-        name, record, dataset, medium, parameters, recipe, hand, folds(record, dataset), dataset.warnings
-    )
+    divided = folds(record, dataset)
+    warnings = [*dataset.warnings, *medium_warnings(medium, medium_file)]
+    if isinstance(record, StudyRecord) and not record.same_specimen:
+        warnings += shared_specimens(name, divided)
+    job = Job(name, record, dataset, medium, parameters, recipe, hand, divided, tuple(warnings))
     _check_layers(job)
     _check_reach(job)
     _check_size(job)

@@ -4,7 +4,7 @@ import csv
 import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -38,11 +38,20 @@ OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 @dataclass(frozen=True)
 class Table:
-    """Cells as text (stripped), and the line of the file on which each row stands, as an editor counts."""
+    """Cells as text (stripped), and the line of the file on which each row stands, as an editor counts.
+
+    `names` gives the names in the file of columns that were renamed to ours.
+    """
 
     path: Path
     cells: pd.DataFrame
     lines: NDArray[np.int64]  # (N,)
+    names: Mapping[str, str] = field(default_factory=dict)
+
+    def called(self, column: str) -> str:
+        """Return a column's name for a message: as its file has it, and ours behind it where that differs."""
+        theirs = self.names.get(column, column)
+        return theirs if theirs == column else f"{theirs} ({column})"
 
     def where(self, row: int) -> str:
         """Name the place of a row for a message."""
@@ -107,7 +116,7 @@ def numbers(
         found.append(
             Fault(
                 table.where(row),
-                f"{column} {problem}",
+                f"{table.called(column)} {problem}",
                 f"a finite number, at most {largest:g}",
                 "mend the cell",
             )
@@ -117,7 +126,7 @@ def numbers(
         found.append(
             Fault(
                 f"{table.path}:{line}",
-                f"{column} has {more} more such cells from here on",
+                f"{table.called(column)} has {more} more such cells from here on",
                 "finite numbers",
                 "mend the cells",
             )

@@ -1,8 +1,11 @@
 """From `dataset.toml` with `[tip_tracks]` to the runs, or everything that is wrong with them."""
 
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
+from needlefit.datasets.bevel_side import Bent, bend_of_track, side_warnings
+from needlefit.datasets.dataset_warnings import record_warnings
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats.csv import read_table
 from needlefit.datasets.inspection import needle_faults, noise_of, notes_of, repeated
@@ -13,6 +16,9 @@ from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load, read_toml
 from needlefit.project.records.tip_tracks import TrackDatasetRecord
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.toml_lines import place_of
+from needlefit.project.unit_warnings import boundary_warnings, where_in
 
 
 @dataclass(frozen=True)
@@ -21,6 +27,7 @@ class Inspection:
 
     dataset: TrackDataset | None
     faults: tuple[Fault, ...]
+    warnings: tuple[ResultWarning, ...] = ()
 
 
 def holds_tracks(path: Path) -> bool:
@@ -54,7 +61,8 @@ def inspect_tracks(path: Path) -> Inspection:
         tables = [read_table(root / record.tip_tracks.file) for root in roots]
     except (ConfigError, DataError) as error:
         return Inspection(None, (from_error(error),))
-    found: list[Fault] = list(needle_faults(record.needle, file))
+    found: list[Fault] = [*needle_faults(record.needle, file), *_noise_faults(record, file)]
+    warnings = record_warnings(record, file)
     for root in roots:
         found += checksum_faults(record.checksums, root)
     tracks: list[Track] = []
@@ -69,9 +77,36 @@ def inspect_tracks(path: Path) -> Inspection:
             Fault(str(file), "no run is left: every one is marked invalid", "at least one valid run")
         )
     if found:
-        return Inspection(None, tuple(dict.fromkeys(found)))
+        return Inspection(None, tuple(dict.fromkeys(found)), tuple(warnings))
+    warnings += _run_warnings(record, tracks, file, tables[0].path)
     sum_ = digest(file, roots, [table.path for table in tables])
-    return Inspection(_dataset(record, file, tracks, remarks, sum_), ())
+    dataset = replace(_dataset(record, file, tracks, remarks, sum_), warnings=tuple(warnings))
+    return Inspection(dataset, (), tuple(warnings))
+
+
+def _noise_faults(record: TrackDatasetRecord, file: Path) -> Iterator[Fault]:
+    """Say whether readings have no noise: every fit of tip tracks samples a posterior, which needs one."""
+    if record.noise.point_sd_mm <= 0:
+        yield Fault(
+            place_of(file, "noise.point_sd_mm"),
+            "no noise of the readings is stated",
+            "noise.point_sd_mm above 0",
+            "write the standard deviation of a reading, mm",
+        )
+
+
+def _run_warnings(
+    record: TrackDatasetRecord, tracks: Sequence[Track], file: Path, table: Path
+) -> Iterator[ResultWarning]:
+    """Yield what is suspicious in sound runs."""
+    column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
+    bent = [Bent(one.id, bend_of_track(one, noise_of(record.noise))) for one in tracks]
+    yield from side_warnings(bent, str(table), column, "runs")
+    for name, medium in record.media.items():
+        depths = [float(one.depth[-1]) for one in tracks if one.medium == name]
+        if medium.boundaries_mm and depths:
+            key = f"media.{name}.boundaries_mm"
+            yield from boundary_warnings(medium.boundaries_mm[0], max(depths), where_in(file), key)
 
 
 def _dataset(

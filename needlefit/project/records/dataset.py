@@ -35,7 +35,7 @@ class NoiseRecord(Record):
     registration_mean_mm: float = Field(default=0.0, ge=0)
     point_sd_mm: float = Field(default=0.0, ge=0)
     correlated_sd_mm: float = Field(default=0.0, ge=0)
-    correlation_length_mm: float = Field(default=5.0, gt=0)
+    correlation_length_mm: float = Field(default=5.0, gt=0, le=1e6)
     note: str = ""
 
 

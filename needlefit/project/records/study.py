@@ -12,13 +12,15 @@ class StudyRecord(FitRecord):
 
     Either `validate` lists selections to score, or `leave_out` names what is left out in turn
     (each insertion or specimen of `tune` is scored by a fit to the others).
-    `paper_study` is the row of the paper's validation table to stand beside the result.
+    `same_specimen = true` says that held-out insertions go into specimens of the tuning on purpose: without,
+    that is a warning. `paper_study` is the row of the paper's validation table to stand beside the result.
     """
 
     question: str = ""
     paper_study: int | None = Field(default=None, ge=1, le=5)
     validate_: tuple[SelectionRecord, ...] = Field(default=(), alias="validate")
     leave_out: Literal["insertion", "specimen"] | None = None
+    same_specimen: bool = False
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:

@@ -28,7 +28,8 @@ class TrackStudyRecord(FileRecord):
     """`studies/<name>.toml` with `observes = "tip tracks"`.
 
     `placed_by_mm` is the depth up to which a foretold run's own readings say how it lies in the tracker's
-    frame; the deeper ones are scored.
+    frame; the deeper ones are scored. `same_specimen = true` says that foretold runs go into specimens that
+    are fitted to, on purpose.
     """
 
     observes: Literal["tip tracks"]
@@ -38,6 +39,7 @@ class TrackStudyRecord(FileRecord):
     dataset: str
     recipe: str = "default"
     placed_by_mm: float = Field(gt=0)
+    same_specimen: bool = False
     fits: tuple[TrackFitRecord, ...] = Field(min_length=1)
 
     @model_validator(mode="after")

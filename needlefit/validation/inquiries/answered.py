@@ -8,9 +8,11 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.records.inquiry import InquiryRecord
+from needlefit.project.records.study import StudyRecord
 from needlefit.project.result_warnings import ResultWarning, stored
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.validation.folds import Fold, shared_specimens
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.pieces import Piece, piecewise
 from needlefit.validation.job import Job, Settings
@@ -39,6 +41,8 @@ class Plan:
         returns the faults. It must be quick: it is not kept.
     also : mapping
         Whatever else decides the answer, as JSON values.
+    folds : sequence of Fold
+        What is held out besides the jobs' own folds.
     """
 
     jobs: Sequence[Job]
@@ -46,6 +50,7 @@ class Plan:
     columns: Mapping[str, Sequence[str]]
     conclude: Callable[[Frames], tuple[str, ...]] = _nothing
     also: Mapping[str, Any] | None = None
+    folds: Sequence[Fold] = ()
 
 
 def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -> Answer:
@@ -69,15 +74,23 @@ def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -
         origin="synthetic" if any(one.origin == "synthetic" for one in datasets) else "measured",
         dataset_title="; ".join(dict.fromkeys(one.title or one.name for one in datasets)),
         frames=frames,
-        run={**work, "interrupted": interrupted, "faults": list(faults), **stored(_warnings(plan))},
+        run={
+            **work,
+            "interrupted": interrupted,
+            "faults": list(faults),
+            **stored(_warnings(name, record, plan)),
+        },
         timing={"seconds": time.time() - begin, "jobs": settings.jobs},
         interrupted=interrupted,
         faults=faults,
     )
 
 
-def _warnings(plan: Plan) -> list[ResultWarning]:
-    return [one for job in plan.jobs for one in job.warnings]
+def _warnings(name: str, record: InquiryRecord, plan: Plan) -> list[ResultWarning]:
+    """Return the warnings about the data, and about what is held out; a job that is a study has its own."""
+    found = [one for job in plan.jobs for one in job.warnings]
+    divided = [fold for job in plan.jobs if not isinstance(job.record, StudyRecord) for fold in job.folds]
+    return found if record.same_specimen else [*found, *shared_specimens(name, [*divided, *plan.folds])]
 
 
 def _work(name: str, record: InquiryRecord, plan: Plan) -> dict[str, Any]:

@@ -51,15 +51,19 @@ def ask(name: str, record: LeftOutRecord, settings: Settings) -> Answer:
     """
     jobs = [_job(name, fit, settings) for fit in record.fits]
     pieces: dict[str, Piece] = {}
+    held_out: list[Fold] = []
     for fit, job in zip(record.fits, jobs, strict=True):
         whole = job.folds[0].tune
         pieces[f"{fit}, all"] = partial(_piece, job, Fold("all", whole, whole), (fit, "nothing"), settings)
         for what in record.groups:
             if len(groups(whole, what)) > 1:
-                for fold in leave_out(whole, what):
+                divided = leave_out(whole, what)
+                held_out += divided
+                for fold in divided:
                     key = f"{fit}, {fold.name}"
                     pieces[key] = partial(_piece, job, fold, (fit, what), settings)
-    return answered(name, record, settings, Plan(jobs, pieces, FRAMES, partial(_conclude, record, jobs)))
+    plan = Plan(jobs, pieces, FRAMES, partial(_conclude, record, jobs), folds=held_out)
+    return answered(name, record, settings, plan)
 
 
 def _job(name: str, fit: str, settings: Settings) -> Job:

@@ -1,12 +1,14 @@
 """The verb: fit to these runs, foretell those, beside curves that know neither tissue nor guide."""
 
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
 import pandas as pd
 
 from needlefit.datasets.tracks.read import read_tracks
+from needlefit.datasets.tracks.track import TrackDataset
 from needlefit.errors import FitError
 from needlefit.inference.draws import from_posterior
 from needlefit.inference.identifiability.identify import practically_equal
@@ -23,10 +25,11 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.track_study import TrackStudyRecord
-from needlefit.project.result_warnings import stored
+from needlefit.project.result_warnings import ResultWarning, stored
 from needlefit.project.streams import stream
 from needlefit.project.threads import one_thread
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
+from needlefit.validation.folds import specimen_warning
 from needlefit.validation.job import Settings
 from needlefit.validation.score import Row
 from needlefit.validation.tracks.learned import learned
@@ -91,11 +94,22 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
         notes=dataset.notes,
         remarks=dataset.remarks,
         **tables.frames,
-        run={**doing, **stored(dataset.warnings)},
+        run={**doing, **stored(_warnings(name, record, dataset, tasks))},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(dataset.path)},
         interrupted=len(tables.posteriors) < len(tasks),
         posteriors=tables.posteriors,
     )
+
+
+def _warnings(
+    name: str, record: TrackStudyRecord, dataset: TrackDataset, tasks: Sequence[Task]
+) -> list[ResultWarning]:
+    shared: dict[str, None] = {}
+    for one in tasks:
+        held = {track.specimen for track in one.held}
+        shared |= dict.fromkeys(track.specimen for track in one.problem.tracks if track.specimen in held)
+    told = [specimen_warning(name, list(shared))] if shared and not record.same_specimen else []
+    return [*dataset.warnings, *told]
 
 
 def _posterior(name: str, task: Task, settings: Settings, checkpoint: Checkpoint) -> Posterior | None:

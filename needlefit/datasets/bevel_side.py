@@ -1,0 +1,95 @@
+"""Whether measured needles bend to the side that their bevel faces, as every needle of the model does."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.noise import MEAN_OF_NORM
+from needlefit.datasets.schema import Floats
+from needlefit.datasets.tracks.track import Track
+from needlefit.project.places import listed
+from needlefit.project.result_warnings import ResultWarning
+
+SURE_SD = 3.0
+"""Standard deviations beyond which a bend is no error of measurement."""
+
+LEAST_SLOPE = 0.005
+"""Least bend over depth that counts: entry directions are hardly better known than 0.3 degrees."""
+
+MAX_NAMED = 8
+"""Insertions that a warning names."""
+
+Bend = Literal["toward", "away", "unknown"]
+
+
+@dataclass(frozen=True)
+class Bent:
+    """An insertion or a run, and whether it bends toward its bevel; "unknown" within the noise."""
+
+    id: str
+    bend: Bend
+
+
+def bend_of(insertion: Insertion, noise: Noise) -> Bend:
+    """Return to which side of its bevel an insertion bends.
+
+    Both the tip's deflection from the entry line and the curve's own bend, which no error of the entry pose
+    changes, must say so. A free shape lies by its bend, and a base that was moved bends the needle too: they
+    say nothing.
+    """
+    if insertion.pose_source == "none" or insertion.base_moved:
+        return "unknown"
+    points = float(np.hypot(noise.point_sd, noise.correlated_sd))
+    shift = max(noise.registration_mean / MEAN_OF_NORM, insertion.pose_shift_sd)
+    pose = float(np.hypot(shift, insertion.pose_angle_sd * insertion.depth))
+    least = LEAST_SLOPE * insertion.depth
+    deflection_limit = max(least, SURE_SD * float(np.hypot(pose, points)))
+    x, y = insertion.planar.T
+    bend, scatter = parabola(x, insertion.side * y)
+    bend_limit = max(0.5 * least, SURE_SD * float(np.hypot(scatter, points)))
+    return _bend((insertion.deflection, deflection_limit), (bend, bend_limit))
+
+
+def bend_of_track(track: Track, noise: Noise) -> Bend:
+    """Return to which side of its bevel a run bends; unknown if its guide moved.
+
+    Readings are known up to a shift and a slope: only the bend counts.
+    """
+    if track.guided:
+        return "unknown"
+    bend, scatter = parabola(track.depth, track.side * track.tip)
+    points = float(np.hypot(noise.point_sd, noise.correlated_sd))
+    limit = max(LEAST_SLOPE * float(track.depth[-1]), SURE_SD * float(np.hypot(scatter, points)))
+    return _bend((bend, limit))
+
+
+def parabola(x: Floats, y: Floats) -> tuple[float, float]:
+    """Return how far a parabola fitted to points (N,) leaves its first tangent, and its rms residual."""
+    coefficients = np.polyfit(x - x[0], y, 2)
+    residuals = y - np.polyval(coefficients, x - x[0])
+    return float(coefficients[0] * (x[-1] - x[0]) ** 2), float(np.sqrt(np.mean(residuals**2)))
+
+
+def _bend(*measures: tuple[float, float]) -> Bend:
+    if all(value > limit for value, limit in measures):
+        return "toward"
+    return "away" if all(value < -limit for value, limit in measures) else "unknown"
+
+
+def side_warnings(bent: Sequence[Bent], where: str, column: str, what: str) -> Iterator[ResultWarning]:
+    """Yield a warning that names the insertions, or runs (`what`), that bend away from their bevel."""
+    away = [one.id for one in bent if one.bend == "away"]
+    clear = [one for one in bent if one.bend != "unknown"]
+    if not away:
+        return
+    if len(away) == len(clear) > 1:
+        told = f"all {len(away)} {what} that bend clearly bend away from their bevel side"
+        fix = f"the side convention is probably flipped: turn `{column}`, or of the bevel direction"
+    else:
+        told = f"{listed(away, MAX_NAMED)} bend{'s' if len(away) == 1 else ''} away from the bevel side"
+        told += f" ({len(away)} of {len(clear)} {what} that bend clearly)"
+        fix = f"check `{column}` and the bevel direction of these rows"
+    yield ResultWarning("bevel_side", told, where, fix)

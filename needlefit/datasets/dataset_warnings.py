@@ -1,0 +1,120 @@
+"""What is suspicious in a dataset that can be fitted all the same, with file, line and column."""
+
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.bevel_side import Bent, bend_of, side_warnings
+from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.project.records.dataset import DatasetRecord, NoiseRecord, SourceRecord
+from needlefit.project.records.tip_tracks import TrackDatasetRecord
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.unit_warnings import Where, boundary_warnings, needle_warnings, where_in
+
+FILL_IN = "TO FILL IN"
+"""Marks what a template cannot know."""
+
+LEAST_NOISE_MM = 5e-4
+"""Of the points of a centreline: less was written in another unit."""
+
+CLEAR_NOISE = 0.5
+"""Part of the largest deflection from which on noise hides what there is to fit."""
+
+
+def record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> list[ResultWarning]:
+    """Return what is suspicious in a `dataset.toml` by itself."""
+    where = where_in(file)
+    found = [*placeholder_warnings(record, where), *needle_warnings(record.needle, where)]
+    return [*found, *small_noise_warnings(record.noise, where)]
+
+
+def placeholder_warnings(record: SourceRecord, where: Where) -> Iterator[ResultWarning]:
+    """Yield a warning if texts of a template are still there."""
+    keys = list(_holding(record.model_dump(by_alias=True)))
+    if keys:
+        named = ", ".join(f"`{key}`" for key in keys)
+        what = f'"{FILL_IN}" is left in {named}'
+        yield ResultWarning("placeholder", what, where(keys[0]), "write what was measured; reports print it")
+
+
+def _holding(value: object, key: str = "") -> Iterator[str]:
+    """Yield the keys of the texts that hold the mark, however deep."""
+    if isinstance(value, str) and FILL_IN in value:
+        yield key
+    members: Iterator[tuple[object, object]] = iter(())
+    if isinstance(value, Mapping):
+        members = iter(value.items())
+    elif isinstance(value, list | tuple):
+        members = iter(enumerate(value, start=1))
+    for name, inner in members:
+        yield from _holding(inner, f"{key}.{name}" if key else str(name))
+
+
+def small_noise_warnings(noise: NoiseRecord, where: Where) -> Iterator[ResultWarning]:
+    """Yield a warning if a noise is stated that is too small for any measurement."""
+    largest = max(noise.point_sd_mm, noise.correlated_sd_mm)
+    if 0 < largest < LEAST_NOISE_MM:
+        key = "noise.point_sd_mm" if largest == noise.point_sd_mm else "noise.correlated_sd_mm"
+        what = f"`{key}` is {largest:g} mm, less than any needle is measured to: this looks like metres"
+        yield ResultWarning("units", what, where(key), f"write {1e3 * largest:g}")
+
+
+def insertion_warnings(
+    record: DatasetRecord, insertions: Sequence[Insertion], noise: Noise, file: Path, table: Path
+) -> list[ResultWarning]:
+    """Return what is suspicious in sound insertions: `table` holds their rows."""
+    where = where_in(file)
+    column = record.insertions.columns.get("bevel_side", "bevel_side")
+    bent = [Bent(one.id, bend_of(one, noise)) for one in insertions]
+    return [
+        *side_warnings(bent, str(table), column, "insertions"),
+        *_boundary_warnings(record, insertions, where),
+        *_missed_warnings(insertions, where),
+        *_noise_beside_deflection(insertions, noise, where),
+        *_no_noise(insertions, noise, where),
+    ]
+
+
+def _boundary_warnings(
+    record: DatasetRecord, insertions: Sequence[Insertion], where: Where
+) -> Iterator[ResultWarning]:
+    for name, medium in record.media.items():
+        depths = [one.depth for one in insertions if one.medium == name]
+        key = f"media.{name}.boundaries_mm"
+        if not medium.boundaries_mm or not depths:
+            continue
+        yield from boundary_warnings(medium.boundaries_mm[0], max(depths), where, key)
+        if medium.boundaries_mm[0] > 10 * max(depths):
+            what = f"`{key}` begins at {medium.boundaries_mm[0]:g} mm, and no insertion is deeper than "
+            what += f"{max(depths):g} mm"
+            yield ResultWarning("units", what, where(key), "check its unit, mm")
+
+
+def _missed_warnings(insertions: Sequence[Insertion], where: Where) -> Iterator[ResultWarning]:
+    """Yield a warning for each medium with surfaces of which no insertion meets any."""
+    for name in dict.fromkeys(one.medium for one in insertions):
+        group = [one for one in insertions if one.medium == name]
+        if all(one.surfaces and one.sequence == (1,) for one in group):
+            what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
+            fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
+            yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
+
+
+def _noise_beside_deflection(
+    insertions: Sequence[Insertion], noise: Noise, where: Where
+) -> Iterator[ResultWarning]:
+    largest = max((abs(one.deflection) for one in insertions), default=0.0)
+    sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
+    if sd > CLEAR_NOISE * largest:
+        key = "noise.point_sd_mm" if noise.point_sd >= noise.correlated_sd else "noise.correlated_sd_mm"
+        what = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
+        yield ResultWarning("noise", what, where(key), "check its unit, mm; such data determine nothing")
+
+
+def _no_noise(insertions: Sequence[Insertion], noise: Noise, where: Where) -> Iterator[ResultWarning]:
+    if not noise.stated and any(one.sd is None for one in insertions):
+        key = "noise.point_sd_mm"
+        what = "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
+        fix = f"write `{key}`, the standard deviation of a point per axis; calibrate and comparisons need it"
+        yield ResultWarning("no_noise", what, where(key), fix)

@@ -1,0 +1,102 @@
+"""Whether the surfaces of a medium can be its layers, and whether insertions meet the layers listed."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.insertion import Insertion
+from needlefit.geometry.crossings import crossings
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.surfaces import Surface, moved
+from needlefit.project.records.dataset import DatasetRecord
+from needlefit.project.toml_lines import place_of
+
+HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
+"""From RAS to LPS, and back: x and y change their signs."""
+
+
+@dataclass(frozen=True)
+class Placed:
+    """An insertion, and the line of the table on which it stands."""
+
+    insertion: Insertion
+    where: str
+
+
+def media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
+    """Say which media skip a layer number, or list one surface twice."""
+    for name, medium in record.media.items():
+        numbers = {surface.into for surface in medium.surfaces}
+        skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
+        if skipped:
+            listed = ", ".join(map(str, sorted(numbers)))
+            yield Fault(
+                place_of(file, f"media.{name}.surfaces"),
+                f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
+                "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
+                "correct `into`, or add the surface that is missing",
+            )
+        files = [surface.file for surface in medium.surfaces]
+        for twice in dict.fromkeys(one for one in files if files.count(one) > 1):
+            yield _twice(place_of(file, f"media.{name}.surfaces"), name, twice, twice)
+
+
+def _twice(where: str, medium: str, one: str, other: str) -> Fault:
+    what = (
+        f"medium {medium} lists {one} twice"
+        if one == other
+        else (f"surfaces {one} and {other} of medium {medium} are the same")
+    )
+    return Fault(where, what, "a surface of its own for every boundary", "name the right file, or remove one")
+
+
+def surface_faults(placed: Sequence[Placed], file: Path) -> Iterator[Fault]:
+    """Say which insertions do not meet the layers listed for them, and why if all miss all surfaces."""
+    for name in dict.fromkeys(one.insertion.medium for one in placed):
+        group = [one for one in placed if one.insertion.medium == name]
+        yield from _same_surfaces(name, group[0].insertion.surfaces, file)
+        missed = all(one.insertion.surfaces and one.insertion.sequence == (1,) for one in group)
+        if missed and all(_meets_turned(one.insertion) for one in group):
+            yield Fault(
+                place_of(file, f"media.{name}.surfaces"),
+                f"all {len(group)} insertions into {name} miss all its surfaces, and meet them once x and y "
+                "change their signs: surfaces and centrelines are one in LPS and one in RAS",
+                "surfaces and centrelines in one frame",
+                "export the surfaces again in the frame of the centrelines (3D Slicer asks: LPS or RAS)",
+            )
+        else:
+            yield from (fault for one in group for fault in _layer_faults(one))
+
+
+def _same_surfaces(medium: str, surfaces: Sequence[Surface], file: Path) -> Iterator[Fault]:
+    """Say which surfaces of one insertion are copies of another one, under whatever names."""
+    seen: dict[bytes, str] = {}
+    for surface in surfaces:
+        key = np.ascontiguousarray(surface.mesh.vertices).tobytes()
+        if key in seen and seen[key] != surface.name:
+            yield _twice(place_of(file, f"media.{medium}.surfaces"), medium, seen[key], surface.name)
+        seen.setdefault(key, surface.name)
+
+
+def _meets_turned(insertion: Insertion) -> bool:
+    turned = [moved(surface, HALF_TURN) for surface in insertion.surfaces]
+    return len(crossings(insertion.centerline, turned).sequence) > 1
+
+
+def _layer_faults(one: Placed) -> Iterator[Fault]:
+    insertion, met = one.insertion, len(one.insertion.sequence)
+    allowed = {insertion.layers, insertion.layers_alternative}
+    if met in allowed:
+        return
+    listed = " or ".join(map(str, sorted(allowed)))
+    depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
+    order = " > ".join(map(str, insertion.sequence))
+    yield Fault(
+        one.where,
+        f"{insertion.id} meets {met} layers ({order}; interfaces at {depths} mm), but {listed} are listed",
+        f"{listed} layers",
+        f"correct layers or layers_alternative, or the boundaries of medium {insertion.medium}",
+    )
