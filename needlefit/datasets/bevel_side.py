@@ -27,9 +27,10 @@ Bend = Literal["toward", "away", "unknown"]
 
 @dataclass(frozen=True)
 class Bent:
-    """An insertion or a run, and whether it bends toward its bevel; "unknown" within the noise."""
+    """An insertion or a run, its row, and whether it bends toward its bevel; "unknown" within the noise."""
 
     id: str
+    where: str
     bend: Bend
 
 
@@ -79,17 +80,18 @@ def _bend(*measures: tuple[float, float]) -> Bend:
     return "away" if all(value < -limit for value, limit in measures) else "unknown"
 
 
-def side_warnings(bent: Sequence[Bent], where: str, column: str, what: str) -> Iterator[ResultWarning]:
+def side_warnings(bent: Sequence[Bent], column: str, what: str) -> Iterator[ResultWarning]:
     """Yield a warning that names the insertions, or runs (`what`), that bend away from their bevel."""
-    away = [one.id for one in bent if one.bend == "away"]
-    clear = [one for one in bent if one.bend != "unknown"]
+    away = [one for one in bent if one.bend == "away"]
+    clear = sum(one.bend != "unknown" for one in bent)
     if not away:
         return
-    if len(away) == len(clear) > 1:
-        told = f"all {len(away)} {what} that bend clearly bend away from their bevel side"
-        fix = f"the side convention is probably flipped: turn `{column}`, or of the bevel direction"
+    if len(away) == clear > 1:
+        told = f"all {clear} {what} that bend clearly bend away from their bevel side"
+        fix = f"the side convention is probably flipped: change the sign of `{column}` in every row"
     else:
-        told = f"{listed(away, MAX_NAMED)} bend{'s' if len(away) == 1 else ''} away from the bevel side"
-        told += f" ({len(away)} of {len(clear)} {what} that bend clearly)"
+        names = listed([one.id for one in away], MAX_NAMED)
+        told = f"{names} bend{'s' if len(away) == 1 else ''} away from the bevel side"
+        told += f" ({len(away)} of {clear} {what} that bend clearly)"
         fix = f"check `{column}` and the bevel direction of these rows"
-    yield ResultWarning("bevel_side", told, where, fix)
+    yield ResultWarning("bevel_side", told, away[0].where, fix)

@@ -7,6 +7,7 @@ import numpy as np
 
 from needlefit.datasets.bevel_side import Bent, bend_of, side_warnings
 from needlefit.datasets.insertion import Insertion, Noise
+from needlefit.datasets.layers_met import Placed
 from needlefit.project.records.dataset import DatasetRecord, NoiseRecord, SourceRecord
 from needlefit.project.records.tip_tracks import TrackDatasetRecord
 from needlefit.project.result_warnings import ResultWarning
@@ -61,14 +62,14 @@ def small_noise_warnings(noise: NoiseRecord, where: Where) -> Iterator[ResultWar
 
 
 def insertion_warnings(
-    record: DatasetRecord, insertions: Sequence[Insertion], noise: Noise, file: Path, table: Path
+    record: DatasetRecord, placed: Sequence[Placed], noise: Noise, file: Path
 ) -> list[ResultWarning]:
-    """Return what is suspicious in sound insertions: `table` holds their rows."""
-    where = where_in(file)
+    """Return what is suspicious in sound insertions."""
+    where, insertions = where_in(file), [one.insertion for one in placed]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
-    bent = [Bent(one.id, bend_of(one, noise)) for one in insertions]
+    bent = [Bent(one.insertion.id, one.where, bend_of(one.insertion, noise)) for one in placed]
     return [
-        *side_warnings(bent, str(table), column, "insertions"),
+        *side_warnings(bent, column, "insertions"),
         *_boundary_warnings(record, insertions, where),
         *_missed_warnings(insertions, where),
         *_noise_beside_deflection(insertions, noise, where),

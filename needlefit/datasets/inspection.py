@@ -57,10 +57,9 @@ def inspect(path: Path) -> Inspection:
     found += [*surface_faults(placed, file), *reach_faults(record, placed, file)]
     warnings = record_warnings(record, file)
     if found:
-        return Inspection(None, tuple(dict.fromkeys(found)), tuple(warnings))
+        return refused(found, warnings)
     insertions = [one.insertion for one in placed]
-    table = roots[0] / (record.insertions.file or record.centerlines.file or "")
-    warnings += insertion_warnings(record, insertions, noise_of(record.noise), file, table)
+    warnings += insertion_warnings(record, placed, noise_of(record.noise), file)
     files = {roots[0] / surface.file for surface in shared}
     for root in roots:
         files |= _files(record, root, insertions)
@@ -131,6 +130,13 @@ def reach_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) ->
             reach_from_tip(record.frame.drop_proximal_mm, one.insertion)
         except DataError as error:
             yield from_error(error, place_of(file, "frame.drop_proximal_mm"))
+
+
+def refused(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
+    """Return what came of a dataset with faults, each once; of one place the fault is enough."""
+    places = {fault.where for fault in faults}
+    kept = tuple(one for one in warnings if one.where not in places)
+    return Inspection(None, tuple(dict.fromkeys(faults)), kept)
 
 
 def repeated(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:

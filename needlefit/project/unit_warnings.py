@@ -62,7 +62,7 @@ def needle_warnings(needle: NeedleRecord, where: Where, key: str = "needle") -> 
 
 def _diameter_warnings(diameter: float, length: float, where: Where, key: str) -> Iterator[ResultWarning]:
     ratio = diameter / length
-    if DIAMETER_TO_LENGTH[0] <= ratio <= DIAMETER_TO_LENGTH[1]:
+    if DIAMETER_TO_LENGTH[0] <= ratio <= DIAMETER_TO_LENGTH[1] or length < 1.0:  # a length in metres
         return
     what = f"`{key}` is {diameter:g} on a needle of {length:g} mm"
     if ratio < DIAMETER_TO_LENGTH[0]:

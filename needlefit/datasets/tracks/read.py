@@ -78,7 +78,7 @@ def inspect_tracks(path: Path) -> Inspection:
         )
     if found:
         return Inspection(None, tuple(dict.fromkeys(found)), tuple(warnings))
-    warnings += _run_warnings(record, tracks, file, tables[0].path)
+    warnings += _run_warnings(record, tracks, file, str(tables[0].path))
     sum_ = digest(file, roots, [table.path for table in tables])
     dataset = replace(_dataset(record, file, tracks, remarks, sum_), warnings=tuple(warnings))
     return Inspection(dataset, (), tuple(warnings))
@@ -96,12 +96,12 @@ def _noise_faults(record: TrackDatasetRecord, file: Path) -> Iterator[Fault]:
 
 
 def _run_warnings(
-    record: TrackDatasetRecord, tracks: Sequence[Track], file: Path, table: Path
+    record: TrackDatasetRecord, tracks: Sequence[Track], file: Path, table: str
 ) -> Iterator[ResultWarning]:
     """Yield what is suspicious in sound runs."""
     column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
-    bent = [Bent(one.id, bend_of_track(one, noise_of(record.noise))) for one in tracks]
-    yield from side_warnings(bent, str(table), column, "runs")
+    bent = [Bent(one.id, table, bend_of_track(one, noise_of(record.noise))) for one in tracks]
+    yield from side_warnings(bent, column, "runs")
     for name, medium in record.media.items():
         depths = [float(one.depth[-1]) for one in tracks if one.medium == name]
         if medium.boundaries_mm and depths:
