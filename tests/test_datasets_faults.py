@@ -287,7 +287,10 @@ def test_a_layer_number_that_is_skipped(folder):
     file.write_text(file.read_text().replace("into = 3", "into = 9"))
     fault = the_fault(folder)
     line = file.read_text().split("[media.block]")[0].count("\n") + 2
-    assert fault.where == f"{file}:{line}" and "medium block leads into layer 3; they lead into 2, 9" in fault.what
+    assert (
+        fault.where == f"{file}:{line}"
+        and "medium block leads into layer 3; they lead into 2, 9" in fault.what
+    )
 
 
 def test_a_surface_without_triangles(folder):

@@ -27,7 +27,7 @@ class Placed:
 
 
 def media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
-    """Say which media skip a layer number, or list one surface twice."""
+    """Say which media skip a layer number: an `into` mistyped, or a surface left out."""
     for name, medium in record.media.items():
         numbers = {surface.into for surface in medium.surfaces}
         skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
@@ -39,25 +39,16 @@ def media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
                 "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
                 "correct `into`, or add the surface that is missing",
             )
-        files = [surface.file for surface in medium.surfaces]
-        for twice in dict.fromkeys(one for one in files if files.count(one) > 1):
-            yield _twice(place_of(file, f"media.{name}.surfaces"), name, twice, twice)
-
-
-def _twice(where: str, medium: str, one: str, other: str) -> Fault:
-    what = (
-        f"medium {medium} lists {one} twice"
-        if one == other
-        else (f"surfaces {one} and {other} of medium {medium} are the same")
-    )
-    return Fault(where, what, "a surface of its own for every boundary", "name the right file, or remove one")
 
 
 def surface_faults(placed: Sequence[Placed], file: Path) -> Iterator[Fault]:
     """Say which insertions do not meet the layers listed for them, and why if all miss all surfaces."""
     for name in dict.fromkeys(one.insertion.medium for one in placed):
         group = [one for one in placed if one.insertion.medium == name]
-        yield from _same_surfaces(name, group[0].insertion.surfaces, file)
+        copies = _copies(group[0].insertion.surfaces)
+        if copies:  # their layers cannot be counted
+            yield from (_twice(place_of(file, f"media.{name}.surfaces"), name, *pair) for pair in copies)
+            continue
         missed = all(one.insertion.surfaces and one.insertion.sequence == (1,) for one in group)
         if missed and all(_meets_turned(one.insertion) for one in group):
             yield Fault(
@@ -71,14 +62,21 @@ def surface_faults(placed: Sequence[Placed], file: Path) -> Iterator[Fault]:
             yield from (fault for one in group for fault in _layer_faults(one))
 
 
-def _same_surfaces(medium: str, surfaces: Sequence[Surface], file: Path) -> Iterator[Fault]:
-    """Say which surfaces of one insertion are copies of another one, under whatever names."""
+def _twice(where: str, medium: str, one: str, other: str) -> Fault:
+    listed = f"lists surface {one} twice" if one == other else f"lists one surface as {one} and as {other}"
+    expected = "a surface of its own for every boundary"
+    return Fault(where, f"medium {medium} {listed}", expected, "name the right file, or remove one")
+
+
+def _copies(surfaces: Sequence[Surface]) -> list[tuple[str, str]]:
+    """Return the names of the surfaces of one insertion that are the same, two by two."""
     seen: dict[bytes, str] = {}
+    found = []
     for surface in surfaces:
         key = np.ascontiguousarray(surface.mesh.vertices).tobytes()
-        if key in seen and seen[key] != surface.name:
-            yield _twice(place_of(file, f"media.{medium}.surfaces"), medium, seen[key], surface.name)
+        found += [(seen[key], surface.name)] if key in seen else []
         seen.setdefault(key, surface.name)
+    return found
 
 
 def _meets_turned(insertion: Insertion) -> bool:

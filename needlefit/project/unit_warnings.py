@@ -12,8 +12,8 @@ from needlefit.project.records.scene import NeedleRecord, SceneRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import place_of
 
-DIAMETER_TO_LENGTH = (8e-4, 0.05)
-"""Of a needle, least and most: 0.2 mm of 250, 3 mm of 60."""
+DIAMETER_TO_LENGTH = (1e-3, 0.05)
+"""Of a needle, least and most: 0.2 mm of 200, 3 mm of 60."""
 RIGIDITY_NMM2 = (1.0, 2e6)
 """EI, least and most: a nitinol wire of 0.15 mm has 2, a steel rod of 3 mm 800 000."""
 MODULUS_GPA = (0.5, 1000.0)

@@ -1,0 +1,212 @@
+"""What is suspicious in a dataset: mistakes that a user may make in own data, by kind, file and line."""
+
+import json
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from test_cli import run
+from test_datasets import CURVE, SURFACES, X, block, record, row, without_checksums
+
+from needlefit.datasets.check import check, check_all
+from needlefit.datasets.dataset_warnings import FILL_IN
+from needlefit.datasets.read import read
+from needlefit.datasets.template import template
+from needlefit.datasets.write import write_dataset
+from needlefit.geometry.surfaces import sheet
+from needlefit.project.places import find
+from needlefit.project.unit_warnings import GAUGES_MM
+
+NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
+UP = np.array([0.0, 1.0, 0.0])
+
+
+def gel(folder: Path, sides=(1, 1, -1), **changes) -> Path:
+    """Write three needles that bend toward +y by 1 mm; `sides` are those that their bevels face."""
+    bevels = [UP, UP, -UP]
+    rows = [
+        row(name, "gel", layers=1, bevel=bevel, side=side)
+        for name, bevel, side in zip("abc", bevels, sides, strict=True)
+    ]
+    tables = {"media": {"gel": {}}, "noise": NOISE} | changes
+    return write_dataset(folder, record(**tables), rows, dict.fromkeys("abc", CURVE), {}, checksums=False)
+
+
+def kinds(path: Path) -> list[str]:
+    faults, warnings = check_all(path)
+    assert faults == []
+    return [one.kind for one in warnings]
+
+
+def edit(file: Path, pattern: str, new: str) -> int:
+    """Replace a line of a file; return its number."""
+    lines = file.read_text().split("\n")
+    (n,) = [n for n, line in enumerate(lines) if re.search(pattern, line)]
+    lines[n] = new
+    file.write_text("\n".join(lines))
+    return n + 1
+
+
+@pytest.mark.parametrize("name", ["twin", "stereo_shapes", "guided_tips"])
+def test_no_shipped_dataset_gives_a_warning(name, monkeypatch):
+    faults, warnings = check_all(find("dataset", name))
+    assert warnings == [] and (name != "twin" or faults == [])
+
+
+def test_needles_that_bend_away_from_their_bevel_are_named(tmp_path):
+    assert kinds(gel(tmp_path / "right")) == []
+    _, (one,) = check_all(gel(tmp_path / "one", (1, -1, -1)))
+    assert one.kind == "bevel_side" and one.what.startswith("b ") and one.where.endswith("insertions.csv:3")
+    _, (every,) = check_all(gel(tmp_path / "all", (-1, -1, 1)))
+    assert "all 3" in every.what and "flipped" in every.fix and "`bevel_side`" in every.fix
+    assert read(tmp_path / "all").warnings == (every,)  # every fit reads the same
+
+
+@pytest.mark.parametrize(
+    "change", [{"base_moved": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
+)
+def test_a_bend_that_may_come_from_elsewhere_gives_no_warning(tmp_path, change):
+    rows = [row("a", "gel", layers=1, bevel=UP, side=-1, **change)]
+    tables = record(media={"gel": {}}, noise=NOISE)
+    assert kinds(write_dataset(tmp_path, tables, rows, {"a": CURVE}, {})) == []
+
+
+def test_a_free_shape_and_a_straight_needle_say_nothing_of_their_side(tmp_path):
+    free = record(media={"gel": {}}, noise=NOISE, frame={"pose": "free"})
+    rows = [row("a", "gel", layers=1, entry=None, direction=None, pose_source="none", side=-1)]
+    assert kinds(write_dataset(tmp_path / "free", free, rows, {"a": CURVE}, {})) == []
+    rng = np.random.default_rng(1)
+    straight = np.column_stack([X, 0.02 * rng.normal(size=(len(X), 2))])
+    rows = [row("a", "gel", layers=1, bevel=UP, side=-1)]
+    noisy = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
+    assert "bevel_side" not in kinds(write_dataset(tmp_path / "straight", noisy, rows, {"a": straight}, {}))
+
+
+@pytest.mark.parametrize(
+    ("pattern", "line", "right"),
+    [
+        ("outer_diameter", "outer_diameter_mm = 0.00127", "1.27"),
+        ("outer_diameter", "outer_diameter_mm = 0.05", "1.27"),
+        ("outer_diameter", "outer_diameter_mm = 0.127", "1.27"),
+        ("outer_diameter", "outer_diameter_mm = 18", "1.27"),
+        ("youngs_modulus", "youngs_modulus_gpa = 0.08", "GPa"),
+        ("outer_diameter", "flexural_rigidity_nmm2 = 0.0102", "10200"),
+        ("point_sd_mm", "point_sd_mm = 4e-5", "0.04"),
+        ("point_sd_mm", "point_sd_mm = 4", "mm"),
+    ],
+)
+def test_a_value_in_another_unit_is_named_with_its_line(tmp_path, pattern, line, right):
+    file = gel(tmp_path)
+    number = edit(file, pattern, line)
+    if "rigidity" in line:
+        edit(file, "youngs_modulus", "")
+    _, (one,) = check_all(file)
+    assert one.where == f"{file}:{number}" and right in one.fix and f"`{line.split()[0]}`" not in one.what
+    assert line.split()[0] in one.what + one.fix or one.kind == "noise"
+
+
+@pytest.mark.parametrize("gauge", [18, 22, 25])
+def test_usual_needles_have_no_doubtful_diameter(tmp_path, gauge):
+    assert (
+        kinds(gel(tmp_path, needle=record().needle.model_dump() | {"outer_diameter_mm": GAUGES_MM[gauge]}))
+        == []
+    )
+
+
+@pytest.mark.parametrize(("depth", "count"), [(0.025, 1), (2.5e4, 1), (0.5, 0), (25.0, 0)])
+def test_a_boundary_in_metres_or_micrometres(tmp_path, depth, count):
+    rows = [row("a", "gel", layers=1 if depth > 50 else 2, bevel=UP)]
+    tables = record(media={"gel": {"boundaries_mm": [depth]}}, noise=NOISE)
+    file = write_dataset(tmp_path, tables, rows, {"a": CURVE}, {})
+    _, warnings = check_all(file)
+    assert [one.kind for one in warnings] == ["units"] * count
+    if count:
+        line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "boundaries_mm" in text)
+        assert warnings[0].where == f"{file}:{line}"
+
+
+def test_the_user_s_own_column_is_named(tmp_path):
+    file = gel(tmp_path)
+    edit(file, "insertions.csv", 'file = "insertions.csv"\ncolumns = { depth_mm = "Tiefe" }')
+    table = file.parent / "insertions.csv"
+    table.write_text(table.read_text().replace("depth_mm", "Tiefe", 1).replace("50.0000", "0.05"))
+    faults = check(file)
+    assert len(faults) == 3
+    assert all(
+        "Tiefe" in one.what and "metres" in one.what and one.where.startswith(str(table)) for one in faults
+    )
+
+
+def test_what_a_template_leaves_open_is_a_warning_and_can_be_fitted(tmp_path):
+    points = tmp_path / "points.csv"
+    points.write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{4e-4 * x * x},0\n" for x in range(0, 51, 5)))
+    for source in (None, points):
+        file = template(tmp_path / f"mine{source is None}", source)
+        faults, (one,) = check_all(file)
+        assert faults == [] and one.kind == "placeholder" and "`noise.note`" in one.what
+        lines = file.read_text().split("\n")
+        assert FILL_IN in lines[int(one.where.rpartition(":")[2]) - 1]
+        assert read(file).noise.stated
+
+
+def test_no_noise_is_a_warning_and_no_noise_of_tracks_a_fault(tmp_path, capsys):
+    assert kinds(gel(tmp_path, noise={})) == ["no_noise"]
+    edit(tmp_path / "dataset.toml", "^correlation_length", "correlation_length_mm = 1e9")
+    (fault,) = check(tmp_path)
+    assert "correlation_length_mm" in fault.what and fault.where.count(":") == 1
+
+
+def test_nothing_left_of_a_free_shape_is_a_fault(tmp_path):
+    free = record(media={"gel": {}}, noise=NOISE, frame={"pose": "free", "drop_proximal_mm": 60.0})
+    rows = [row("a", "gel", layers=1, entry=None, direction=None, pose_source="none")]
+    file = write_dataset(tmp_path, free, rows, {"a": CURVE}, {})
+    (fault,) = check(file)
+    line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "drop_proximal" in text)
+    assert fault.where == f"{file}:{line}"
+
+
+def layered(folder: Path, surfaces, files=None, layers=2) -> Path:
+    listed = [{"file": file, "kind": "sheet", "into": n} for n, file in enumerate(files or surfaces, start=2)]
+    rows = [row(name, "gel", layers=layers, bevel=UP) for name in "ab"]
+    tables = record(media={"gel": {"surfaces": listed}}, noise=NOISE)
+    return write_dataset(folder, tables, rows, dict.fromkeys("ab", CURVE), surfaces, checksums=False)
+
+
+def plane(x: float):
+    return sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
+
+
+def test_a_surface_that_is_listed_twice_is_a_fault(tmp_path):
+    once = layered(tmp_path / "once", {"layers/a.stl": plane(20)})
+    assert check(once) == []
+    (by_name,) = {
+        one.what
+        for one in check(layered(tmp_path / "name", {"layers/a.stl": plane(20)}, ["layers/a.stl"] * 2, 3))
+    }
+    assert "a twice" in by_name
+    copies = {"layers/a.stl": plane(20), "layers/b.stl": plane(20)}
+    (copied,) = check(layered(tmp_path / "copy", copies, layers=3))
+    assert "as a and as b" in copied.what and copied.where.startswith(str(tmp_path / "copy/dataset.toml:"))
+
+
+def test_surfaces_in_ras_are_named_once_and_missed_ones_otherwise(tmp_path):
+    (turned,) = check(layered(tmp_path / "turned", {"layers/a.stl": plane(-20)}))
+    assert "RAS" in turned.what and "all 2" in turned.what
+    missed = check(layered(tmp_path / "missed", {"layers/a.stl": plane(70)}))
+    assert len(missed) == 2 and not any("RAS" in one.what for one in missed)
+    assert kinds(layered(tmp_path / "one", {"layers/a.stl": plane(70)}, layers=1)) == ["surfaces_missed"]
+
+
+def test_check_prints_warnings_and_strict_ends_with_5(tmp_path, capsys):
+    gel(tmp_path, (-1, -1, 1))
+    assert run("check", str(tmp_path) + "/dataset.toml") == 0
+    out, err = capsys.readouterr()
+    assert "no faults" in out and err.count("needlefit: warning") == 1
+    assert run("check", f"{tmp_path}/", "--strict", "--json") == 5
+    told = json.loads(capsys.readouterr().out)
+    assert told["ok"] is True and [one["kind"] for one in told["warnings"]] == ["bevel_side"]
+    without_checksums(block(tmp_path / "block"))
+    assert (
+        SURFACES and run("check", f"{tmp_path}/block/", "--strict") == 5
+    )  # it states no noise of its points
