@@ -157,6 +157,16 @@ def test_no_noise_is_a_warning_and_no_noise_of_tracks_a_fault(tmp_path, capsys):
     assert "correlation_length_mm" in fault.what and fault.where.count(":") == 1
 
 
+def test_points_without_any_error_are_a_fault(tmp_path):
+    curves = {"a": np.column_stack([CURVE, np.where(X > 0, 0.1, 0.0)])}
+    rows = [row("a", "gel", layers=1, bevel=UP)]
+    for name, noise, count in (("none", {}, 1), ("some", {"point_sd_mm": 0.02}, 0)):
+        file = write_dataset(tmp_path / name, record(media={"gel": {}}, noise=noise), rows, curves, {})
+        assert [one.where for one in check(file)] == [f"{file.parent / 'insertions.csv'}:2"] * count
+    edit(file, "^point_sd_mm", "point_sd_mm = 1e-9")
+    assert "point_sd_mm" in check(file)[0].what
+
+
 def test_nothing_left_of_a_free_shape_is_a_fault(tmp_path):
     free = record(media={"gel": {}}, noise=NOISE, frame={"pose": "free", "drop_proximal_mm": 60.0})
     rows = [row("a", "gel", layers=1, entry=None, direction=None, pose_source="none")]

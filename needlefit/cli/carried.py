@@ -121,7 +121,7 @@ def _run(execution: Execution, name: str, record: StudyRecord | FitRecord, json:
     if not json:
         show_validation(results)
         screen.say(f"written: {written}/")
-    warn_of(execution.invocation, results.run)
+    warn_of(execution.invocation, results.run, results.timing.get("dataset", ""))
     if not json:
         screen.say()
     return results

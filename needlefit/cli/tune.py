@@ -59,7 +59,7 @@ def tune(
         else:
             show_tuning(results)
             screen.say(f"written: {written}/")
-        warn_of(execution.invocation, results.run)
+        warn_of(execution.invocation, results.run, results.timing.get("dataset", ""))
         if results.interrupted:
             raise execution.interrupted()
         execution.forget(name)

@@ -24,7 +24,7 @@ def run_tracks(execution: Execution, name: str, record: "TrackStudyRecord", json
     folder = write_tracks(results, execution.folder(name))
     if not json:
         _show(results, folder)
-    warn_of(execution.invocation, results.run)
+    warn_of(execution.invocation, results.run, results.timing.get("dataset", ""))
     return results
 
 

@@ -2,6 +2,8 @@
 
 import sys
 from collections.abc import Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from needlefit.cli import screen
@@ -17,6 +19,13 @@ def warn(invocation: Invocation, warnings: Iterable[ResultWarning]) -> None:
         screen.note(f"needlefit: warning: {one}")
 
 
-def warn_of(invocation: Invocation, run: Mapping[str, Any]) -> None:
-    """Print the warnings that a run keeps in its `run.json`."""
-    warn(invocation, warnings_of(run))
+def warn_of(invocation: Invocation, run: Mapping[str, Any], dataset: str = "") -> None:
+    """Print the warnings that a run keeps; `dataset` is the file of its data, if that is known."""
+    folder = Path(dataset).parent
+    warn(invocation, (_in_folder(one, folder) for one in warnings_of(run)))
+
+
+def _in_folder(one: ResultWarning, folder: Path) -> ResultWarning:
+    """Return a warning about a file of a folder with the file's path."""
+    file = one.where.rpartition(":")[0] or one.where
+    return replace(one, where=str(folder / one.where)) if file and (folder / file).is_file() else one

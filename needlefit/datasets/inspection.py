@@ -19,7 +19,7 @@ from needlefit.datasets.sources import checksum_faults, dataset_file, digest, fo
 from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load
-from needlefit.project.records.dataset import DatasetRecord, NoiseRecord
+from needlefit.project.records.dataset import LEAST_SD_MM, DatasetRecord, NoiseRecord
 from needlefit.project.records.scene import NeedleRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import place_of
@@ -55,6 +55,7 @@ def inspect(path: Path) -> Inspection:
     placed = [one for root in roots for one in _insertions(record, root, shared, found)]
     found += repeated("insertion", (one.insertion.id for one in placed), file)
     found += [*surface_faults(placed, file), *reach_faults(record, placed, file)]
+    found += sd_faults(record, placed, file)
     warnings = record_warnings(record, file)
     if found:
         return refused(found, warnings)
@@ -130,6 +131,20 @@ def reach_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) ->
             reach_from_tip(record.frame.drop_proximal_mm, one.insertion)
         except DataError as error:
             yield from_error(error, place_of(file, "frame.drop_proximal_mm"))
+
+
+def sd_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) -> Iterator[Fault]:
+    """Say which curves have points without any error: neither their own, nor one that the dataset states."""
+    if noise_of(record.noise).stated:
+        return
+    for one in placed:
+        if one.insertion.sd is not None and (one.insertion.sd < LEAST_SD_MM).any():
+            yield Fault(
+                one.where,
+                f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated",
+                "a standard deviation above 0, mm",
+                f"correct the column, or state noise.point_sd_mm in {place_of(file, 'noise.point_sd_mm')}",
+            )
 
 
 def refused(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:

@@ -29,14 +29,26 @@ class FrameRecord(Record):
     lps_to_world: RigidRows | None = None
 
 
-class NoiseRecord(Record):
-    """What the data's makers state of their errors (all mm); they set the noise floor."""
+LEAST_SD_MM = 1e-6
+"""Of a noise that is stated: covariances of less cannot be inverted."""
 
-    registration_mean_mm: float = Field(default=0.0, ge=0)
-    point_sd_mm: float = Field(default=0.0, ge=0)
-    correlated_sd_mm: float = Field(default=0.0, ge=0)
+
+class NoiseRecord(Record):
+    """What the data's makers state of their errors (all mm, 0: not known); they set the noise floor."""
+
+    registration_mean_mm: float = Field(default=0.0, ge=0, le=1e3)
+    point_sd_mm: float = Field(default=0.0, ge=0, le=1e3)
+    correlated_sd_mm: float = Field(default=0.0, ge=0, le=1e3)
     correlation_length_mm: float = Field(default=5.0, gt=0, le=1e6)
     note: str = ""
+
+    @model_validator(mode="after")
+    def _large_enough(self) -> Self:
+        for name in ("registration_mean_mm", "point_sd_mm", "correlated_sd_mm"):
+            value = getattr(self, name)
+            if 0 < value < LEAST_SD_MM:
+                raise ValueError(f"{name} is {value:g}: write 0 (not known), or at least {LEAST_SD_MM:g}")
+        return self
 
 
 class InsertionsRecord(Record):

@@ -19,6 +19,7 @@ from needlefit.project.processes import in_processes
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.result_warnings import stored
 from needlefit.project.threads import one_thread
+from needlefit.project.toml_lines import place_of
 from needlefit.validation import provenance
 from needlefit.validation.calibration.controls import Control
 from needlefit.validation.calibration.judged import coverage, ecdfs, failing
@@ -146,7 +147,8 @@ def _experiment(job: Job, sampled: bool, control: Control | None) -> Experiment:
     if not job.dataset.noise.stated:
         raise ConfigError(
             f"the dataset `{job.dataset.name}` states no noise: nothing can be drawn from it",
-            expected="[noise] with point_sd_mm or correlated_sd_mm",
+            where=place_of(job.dataset.path, "noise.point_sd_mm"),
+            expected="[noise] with point_sd_mm or correlated_sd_mm above 0",
         )
     if not job.parameters.free:
         raise ConfigError(f"nothing of medium `{job.record.medium}` is free: there is nothing to infer")

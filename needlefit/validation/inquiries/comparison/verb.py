@@ -13,6 +13,7 @@ from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import RecipeRecord
+from needlefit.project.toml_lines import place_of
 from needlefit.validation.folds import Fold
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Plan, answered
@@ -70,7 +71,9 @@ def _job(name: str, record: ComparisonRecord, settings: Settings) -> Job:
     if job.recipe.minimize != "posterior":
         raise ConfigError(
             "densities need the errors of the points",
-            where=f"study {name}",
+            where=f"study {name}"
+            if job.dataset.noise.stated
+            else place_of(job.dataset.path, "noise.point_sd_mm"),
             expected='a dataset that states its noise, and a recipe with minimize = "posterior"',
         )
     chosen = job.folds[0].tune
