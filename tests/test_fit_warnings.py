@@ -1,0 +1,120 @@
+"""Warnings about a finished fit: parameters at bounds, empirical curves that are closer, shared specimens."""
+
+from dataclasses import replace
+
+import numpy as np
+import pandas as pd
+import pytest
+from reporting_results import study
+from test_datasets import CURVE, record, row
+
+from needlefit.datasets.read import read
+from needlefit.datasets.write import write_dataset
+from needlefit.project.records.study import StudyRecord
+from needlefit.project.result_warnings import stored, warnings_of
+from needlefit.reporting.story import cautions
+from needlefit.validation.fit_warnings import baseline_warnings, bound_warnings
+from needlefit.validation.folds import folds, shared_specimens
+from needlefit.validation.results import Results
+
+BOUNDS = {"mu1_pa": (1e3, 1e9), "bevel_mm": (1e-3, 0.5)}
+
+
+def fitted(values: dict[str, float], folds_: int = 1) -> Results:
+    """Return results whose fit ended at `values` in the last of so many folds, else in the middle."""
+    results = study(1)
+    first = results.parameters.query("rival == 'fitted'").iloc[0].to_dict()
+    rows = []
+    for fold in range(folds_):
+        for name, (low, high) in BOUNDS.items():
+            value = values.get(name) if fold == folds_ - 1 else None
+            place = {"parameter": name, "bound_low": low, "bound_high": high, "fold": f"fold {fold}"}
+            rows.append({**first, **place, "status": "free", "value": value or np.sqrt(low * high)})
+    return replace(results, parameters=pd.DataFrame(rows, columns=results.parameters.columns))
+
+
+@pytest.mark.parametrize(
+    ("values", "names"),
+    [
+        ({}, []),
+        ({"mu1_pa": 1e9}, ["mu1_pa"]),
+        ({"mu1_pa": 1.001e3, "bevel_mm": 0.4999}, ["mu1_pa", "bevel_mm"]),
+        ({"mu1_pa": 2e3, "bevel_mm": 0.45}, []),
+    ],
+)
+def test_a_parameter_at_its_bound_is_named(values, names):
+    found = list(bound_warnings(fitted(values)))
+    assert [one.kind for one in found] == ["parameter_at_bound"] * len(names)
+    assert all(name in one.what for name, one in zip(names, found, strict=True))
+
+
+def test_of_several_folds_one_warning_counts_them():
+    (one,) = bound_warnings(fitted({"mu1_pa": 1e9}, 3))
+    assert "1 of 3 folds" in one.what
+
+
+def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Results:
+    """Return results whose rivals have these mean in-plane errors, mm, insertion by insertion."""
+    results = study(1)
+    first = results.errors.iloc[0].to_dict() | {"role": role, "boundaries": "measured"}
+    rows = [
+        {**first, "rival": rival, "insertion": f"i{n}", "specimen": f"s{n}", "ipe_mean_mm": error}
+        | {"te_mm": error, "floor_ipe_mean_mm": floor}
+        for rival, each in errors.items()
+        for n, error in enumerate(each)
+    ]
+    return replace(results, errors=pd.DataFrame(rows, columns=results.errors.columns))
+
+
+FAR, NEAR = [0.26, 0.24, 0.25, 0.26, 0.27], [0.04, 0.05, 0.04, 0.03, 0.04]
+LIKE = [0.26, 0.20, 0.28, 0.22, 0.25]
+
+
+@pytest.mark.parametrize(
+    ("role", "curve", "floor", "count"),
+    [
+        ("validate", NEAR, 0.5, 1),
+        ("validate", LIKE, 0.0, 0),
+        ("tune", NEAR, 0.05, 1),
+        ("tune", NEAR, 0.5, 0),
+        ("tune", NEAR, np.nan, 1),
+        ("tune", FAR, 0.01, 0),
+        ("tune", NEAR[:1], 0.05, 1),
+    ],
+)
+def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):
+    errors = {"fitted": FAR[: len(curve)], "straight": LIKE[: len(curve)], "constant_curvature": curve}
+    found = list(baseline_warnings(scored(role, errors, floor)))
+    assert [one.kind for one in found] == ["worse_than_baseline"] * count
+    assert all("arc" in one.what for one in found)
+
+
+def test_the_closest_curve_is_named_and_the_report_shows_it():
+    errors = {"fitted": FAR, "straight": [0.1] * 5, "constant_curvature": NEAR}
+    results = scored("validate", errors)
+    (one,) = baseline_warnings(results)
+    assert "arc" in one.what and "0.040 mm against 0.256 mm" in one.what
+    told = cautions([replace(results, run={**results.run, **stored([one])})])
+    assert sum(one.what in str(block) for block in told) == 1
+    assert warnings_of(stored([one])) == (one,)
+
+
+def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
+    rows = [
+        row(name, "gel", layers=1, specimen=piece) for name, piece in (("a", "x"), ("b", "x"), ("c", "y"))
+    ]
+    tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
+    dataset = read(write_dataset(tmp_path, tables, rows, dict.fromkeys("abc", CURVE), {}))
+
+    def shared(**keys: object) -> list[str]:
+        table = {"schema": 1, "dataset": "d", "medium": "m", **keys}
+        return [
+            one.what for one in shared_specimens("mine", folds(StudyRecord.model_validate(table), dataset))
+        ]
+
+    first = {"tune": {"insertions": ["a"]}}
+    (told,) = shared(**first, validate=[{"insertions": ["b", "c"]}])
+    assert "(x)" in told
+    assert shared(**first, validate=[{"insertions": ["c"]}]) == []
+    assert shared(leave_out="specimen") == []
+    assert len(shared(leave_out="insertion")) == 1
