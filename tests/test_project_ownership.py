@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import tempfile
+import threading
 from pathlib import Path
 
 import pytest
@@ -129,6 +130,28 @@ def test_the_foreign_result_stays_in_reach_even_if_it_cannot_go_back(tmp_path, m
     monkeypatch.undo()
     write(folder)
     assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
+
+
+def test_there_is_a_result_at_every_moment(tmp_path):
+    """Where the system can exchange two folders at once."""
+    for name in ("one", "two"):
+        (tmp_path / name).mkdir()
+    if not replace._exchanged(tmp_path / "one", tmp_path / "two"):
+        pytest.skip("two folders cannot be exchanged at once here")
+    folder, ended, missed = tmp_path / "out", threading.Event(), []
+    write(folder)
+
+    def look() -> None:
+        while not ended.is_set():
+            missed.extend([] if (folder / STAMP).exists() else [1])
+
+    looking = threading.Thread(target=look)
+    looking.start()
+    for number in range(50):
+        write(folder, str(number))
+    ended.set()
+    looking.join()
+    assert missed == []
 
 
 def test_two_that_begin_where_nothing_is_both_end_whole(tmp_path):

@@ -71,6 +71,9 @@ def test_rows_of_something_else_are_none(tmp_path):
     assert checkpoint.finished("fold/fit") == {}
     checkpoint.keep("fold/fit", START)
     assert list(checkpoint.finished("fold/fit")) == [0]
+    checkpoint.keep_row("pieces", {"piece": "a", "rows": {}})
+    checkpoint.keep_row("pieces", {"piece": "b"})
+    assert [row["piece"] for row in checkpoint.rows("pieces", ("piece", "rows"))] == ["a"]
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import hashlib
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -44,12 +44,15 @@ class Checkpoint:
         """Add a finished start."""
         self.keep_row(search, to_dict(start))
 
-    def rows(self, of: str) -> list[dict[str, Any]]:
-        """Return the rows that are kept of some work; a line torn by a kill, or changed since, is none."""
+    def rows(self, of: str, keys: Sequence[str] = ()) -> list[dict[str, Any]]:
+        """Return the rows, with these `keys`, that are kept of some work.
+
+        A line torn by a kill, or changed since, is none.
+        """
         if self.folder is None or not self._file(of).is_file():
             return []
         lines = [line for line in read_bytes(self._file(of), MAX_KEPT_BYTES).split(b"\n") if line]
-        found = [(line, _row(line)) for line in lines]
+        found = [(line, _row(line, keys)) for line in lines]
         if any(row is None for _, row in found):
             self._set_aside(of, [line for line, row in found if row is not None])
         return [row for _, row in found if row is not None]
@@ -105,7 +108,7 @@ def open_checkpoint(
     return Checkpoint(folder, note, claim(folder, digest_of(work), resume, note))
 
 
-def _row(line: bytes) -> dict[str, Any] | None:
+def _row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
     """Return the row in a line; None if it is not as it was written."""
     digest, _, text = line.partition(b" ")
     if digest != _digest(text):
@@ -114,7 +117,7 @@ def _row(line: bytes) -> dict[str, Any] | None:
         row = parse_json(text.decode("ascii"), "")
     except (DataError, UnicodeDecodeError):
         return None
-    return row if isinstance(row, dict) else None
+    return row if isinstance(row, dict) and row.keys() >= set(keys) else None
 
 
 def _digest(text: bytes) -> bytes:

@@ -124,7 +124,11 @@ def calibrate(
     asked = {"sampled": settings.sample, "control": control, "draws": DRAWS}
     run = {**provenance.work(job), **asked, "stiff_design": dict(experiment.stiff)}
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, run, settings.note)
-    known = {row["replicate"]: row for row in checkpoint.rows(ROWS) if row["replicate"] < replicates}
+    known = {
+        row["replicate"]: row
+        for row in checkpoint.rows(ROWS, ("replicate",))
+        if row["replicate"] < replicates
+    }
     left = [number for number in range(replicates) if number not in known]
     label = f"{name}: replicates"
     settings.progress(label, len(known), replicates)

@@ -24,7 +24,7 @@ def piecewise(
 
     What a stop catches half done is thrown away: it would not be the piece that it says it is.
     """
-    kept: dict[str, Rows] = {row["piece"]: row["rows"] for row in checkpoint.rows(_KEPT)}
+    kept: dict[str, Rows] = {row["piece"]: row["rows"] for row in checkpoint.rows(_KEPT, ("piece", "rows"))}
     done = len(kept.keys() & pieces.keys())
     for key, piece in pieces.items():
         if key in kept:
