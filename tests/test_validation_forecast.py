@@ -183,7 +183,7 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     assert tip["measured_95_low_mm"] < tip["needle_95_low_mm"]
     folder = tmp_path / "reports" / "predict-gel-study2"
     first = {path.name: path.read_bytes() for path in folder.iterdir()}
-    assert set(first) == {"forecast.csv", "forecast.pdf", "results.json.gz", "run.json"}
+    assert set(first) == {"forecast.csv", "forecast.pdf", "results.json.gz", "run.json", "needlefit.json"}
     assert_made_again(folder)
     assert run(*words, "--jobs", "1") == 0
     assert "synthetic" in capsys.readouterr().out

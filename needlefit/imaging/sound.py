@@ -22,7 +22,7 @@ def assemble_sound(
 ) -> tuple[tuple[Reconstruction, ...], tuple[Failure, ...]]:
     """Write into `folder` the dataset of those of `ones` that have no fault; return them and the others.
 
-    Where all have one, `folder` is left empty, and none is returned as sound.
+    Where all have one, nothing is written, and none is returned as sound.
 
     Raises
     ------
