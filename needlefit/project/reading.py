@@ -9,7 +9,7 @@ import os
 import re
 import stat
 import tomllib
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from io import BytesIO, TextIOWrapper
 from pathlib import Path
@@ -260,23 +260,29 @@ def _toml_reason(message: str) -> str:
     return ", ".join(part for part in (kept, place[1] if place else "") if part) or "no reason given"
 
 
-def _values(value: object) -> Iterator[tuple[object, int]]:
-    """Yield every value within a value, and its level, without recursion."""
-    waiting = [(value, 0)]
+def _values(value: object) -> Iterator[object]:
+    """Yield every value within a value, without recursion."""
+    waiting = [value]
     while waiting:
-        one, level = waiting.pop()
-        yield one, level
-        if level <= MAX_LEVELS and isinstance(one, dict | list):
-            inner = one.values() if isinstance(one, dict) else one
-            waiting.extend((each, level + 1) for each in inner)
+        one = waiting.pop()
+        yield one
+        waiting.extend(_inner(one))
 
 
 def _nesting(value: object) -> str:
-    deep = any(level > MAX_LEVELS for _, level in _values(value))
-    return f"nested deeper than {MAX_LEVELS} levels" if deep else ""
+    level = [value]
+    for _ in range(MAX_LEVELS):  # of each level only what can hold more: results have millions of numbers
+        level = [inner for one in level for inner in _inner(one) if isinstance(inner, dict | list)]
+    return f"nested deeper than {MAX_LEVELS} levels" if level else ""
+
+
+def _inner(value: object) -> Iterable[object]:
+    if isinstance(value, dict):
+        return value.values()
+    return value if isinstance(value, list) else ()
 
 
 def _long_integer(tables: object) -> str:
     """Return what is wrong with an integer beyond TOML's 64 bits, which tomllib takes."""
-    long = any(isinstance(value, int) and not -_INT64 <= value < _INT64 for value, _ in _values(tables))
+    long = any(isinstance(value, int) and not -_INT64 <= value < _INT64 for value in _values(tables))
     return "it holds an integer beyond 64 bits" if long else ""

@@ -9,6 +9,7 @@ import pandas as pd
 
 from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
 from needlefit.project.plain import plain
+from needlefit.project.reading import stored_values
 from needlefit.project.records.stored import ForecastTable
 from needlefit.project.replace import replacing
 from needlefit.project.run_file import require_form
@@ -114,7 +115,8 @@ def write_foretold(foretold: Foretold, folder: Path) -> None:
 def restored(table: Mapping[str, Any], folder: Path) -> Foretold:
     """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
     require_form(table, ForecastTable, str(folder / NAME))
-    return Foretold(table["title"], unpacked(table["table"]), table["run"])
+    with stored_values(folder / NAME):
+        return Foretold(table["title"], unpacked(table["table"]), table["run"])
 
 
 def _marked(title: str, forecast: Forecast) -> str:

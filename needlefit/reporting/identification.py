@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from needlefit.project.plain import plain
+from needlefit.project.reading import stored_values
 from needlefit.project.records.stored import IdentificationTable
 from needlefit.project.replace import replacing
 from needlefit.project.result_warnings import KEY, ResultWarning, as_rows, warnings_of
@@ -83,11 +84,12 @@ def write_stages(written: Written, folder: Path) -> list[Path]:
 def restored(table: Mapping[str, Any], folder: Path) -> Written:
     """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
     require_form(table, IdentificationTable, str(folder / NAME))
-    stages = {
-        name: Stage(unpacked(stage["rows"]), unpacked(stage["profiles"]), stage["run"])
-        for name, stage in table["stages"].items()
-    }
-    return Written(table["origin"], stages, unpacked(table["directions"]))
+    with stored_values(folder / NAME):
+        stages = {
+            name: Stage(unpacked(stage["rows"]), unpacked(stage["profiles"]), stage["run"])
+            for name, stage in table["stages"].items()
+        }
+        return Written(table["origin"], stages, unpacked(table["directions"]))
 
 
 def _store(written: Written, folder: Path) -> None:

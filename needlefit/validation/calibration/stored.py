@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.project.plain import plain
+from needlefit.project.reading import stored_values
 from needlefit.project.records.stored import CalibrationTable
 from needlefit.project.run_file import read_timing, require_form
 from needlefit.validation.calibration.run import Calibration
@@ -26,10 +27,11 @@ def store_calibration(found: Calibration, folder: Path) -> Path:
 
 
 def restored_calibration(table: Mapping[str, Any], folder: Path) -> Calibration:
-    """Return the calibration that a run stored as `table` in `folder`."""
+    """Return the calibration that a run stored as `table` in `folder`; DataError if it is damaged."""
     require_form(table, CalibrationTable, str(folder / NAME))
     seconds = read_timing(folder).get("seconds", 0.0)
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
     about |= {key: tuple(table[key]) for key in _TUPLES}
-    about |= {key: unpacked(table["frames"][key]) for key in _FRAMES}
-    return Calibration(seconds=seconds, **about)
+    with stored_values(folder / NAME):
+        about |= {key: unpacked(table["frames"][key]) for key in _FRAMES}
+        return Calibration(seconds=seconds, **about)

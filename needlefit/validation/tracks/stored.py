@@ -9,6 +9,7 @@ from typing import Any
 
 from needlefit.inference.sampling.posterior import load
 from needlefit.project.plain import plain
+from needlefit.project.reading import stored_values
 from needlefit.project.records.stored import TracksTable
 from needlefit.project.records.track_study import TrackStudyRecord
 from needlefit.project.run_file import read_timing, require_form
@@ -38,14 +39,15 @@ def store_tracks(results: TrackResults, folder: Path) -> Path:
 
 
 def restored_tracks(table: Mapping[str, Any], folder: Path) -> TrackResults:
-    """Return the results that a run stored as `table` in `folder`."""
+    """Return the results that a run stored as `table` in `folder`; DataError if it is damaged."""
     require_form(table, TracksTable, str(folder / NAME))
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
     about |= {key: tuple(table[key]) for key in _TUPLES}
-    about |= {key: unpacked(table["frames"][key]) for key in _FRAMES}
-    return TrackResults(
-        record=TrackStudyRecord.model_validate(table["record"]),
-        timing=read_timing(folder),
-        posteriors={fit: load(folder / posterior_file(fit)) for fit in table["posteriors"]},
-        **about,
-    )
+    with stored_values(folder / NAME):
+        about |= {key: unpacked(table["frames"][key]) for key in _FRAMES}
+        return TrackResults(
+            record=TrackStudyRecord.model_validate(table["record"]),
+            timing=read_timing(folder),
+            posteriors={fit: load(folder / posterior_file(fit)) for fit in table["posteriors"]},
+            **about,
+        )
