@@ -5,6 +5,8 @@ from typing import Annotated
 
 import typer
 
+from needlefit.project.limits import MAX_SEED
+
 
 def _set_quiet(context: typer.Context, value: bool) -> bool:
     context.find_root().obj.quiet = value
@@ -26,7 +28,9 @@ Verbose = Annotated[
     bool, typer.Option("--verbose", "-v", callback=_set_verbose, help="Tracebacks of errors.")
 ]
 Json = Annotated[bool, typer.Option("--json", help="Results as JSON on stdout.")]
-Seed = Annotated[int | None, typer.Option(min=0, help="Seed of all randomness (default: the recipe's).")]
+Seed = Annotated[
+    int | None, typer.Option(min=0, max=MAX_SEED, help="Seed of all randomness (default: the recipe's).")
+]
 Jobs = Annotated[int | None, typer.Option(min=1, help="Threads (default: all cores); changes no result.")]
 Out = Annotated[Path, typer.Option(help="Folder that takes the folders of results.")]
 Sample = Annotated[bool, typer.Option("--sample", help="Also sample the posterior (netCDF): takes minutes.")]

@@ -19,6 +19,7 @@ from needlefit.datasets.sources import checksum_faults, dataset_file, digest, fo
 from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load
+from needlefit.project.reading import is_file
 from needlefit.project.records.dataset import LEAST_SD_MM, DatasetRecord, NoiseRecord
 from needlefit.project.records.scene import NeedleRecord
 from needlefit.project.result_warnings import ResultWarning
@@ -175,7 +176,7 @@ def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> se
     own |= {
         root / one.file_of(i.id) for i in insertions for one in record.media[i.medium].surfaces if one.own
     }
-    return tables | {path for path in own if path.is_file()}
+    return tables | {path for path in own if is_file(path)}
 
 
 def _dataset(

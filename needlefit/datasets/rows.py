@@ -146,7 +146,7 @@ def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterato
         yield Fault(
             where,
             f"id is {row.id!r}",
-            "letters, digits, `.`, `_`, `-`: it names a file",
+            "at most 100 letters, digits, `.`, `_`, `-`: it names a file",
             "rename it, and its centreline with it",
         )
     fault = name_fault(row.specimen)

@@ -42,8 +42,8 @@ MOVED = "base_moved_mm"
 
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
-ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
-"""An id names a file: letters, digits, point, underline, hyphen."""
+ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+"""An id names a file: at most 100 letters, digits, point, underline, hyphen."""
 
 
 def as_id(text: str, otherwise: str) -> str:

@@ -9,13 +9,13 @@ from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.project.files import sha256
 from needlefit.project.load import read_toml
-from needlefit.project.reading import is_file
+from needlefit.project.reading import is_dir, is_file
 from needlefit.project.records.dataset import SourceRecord
 
 
 def dataset_file(path: Path) -> Path:
     """Return the `dataset.toml` that `path`, a dataset's folder or that file, means."""
-    return path / "dataset.toml" if path.is_dir() else path
+    return path / "dataset.toml" if is_dir(path) else path
 
 
 def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
@@ -58,7 +58,7 @@ def _matching(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
     absolute = Path(expanded) if Path(expanded).is_absolute() else path.parent / expanded
     anchor = Path(absolute.anchor or ".")
     pattern = str(absolute.relative_to(anchor)) if absolute.anchor else str(absolute)
-    return absolute, tuple(sorted(folder for folder in anchor.glob(pattern) if folder.is_dir()))
+    return absolute, tuple(sorted(folder for folder in anchor.glob(pattern) if is_dir(folder)))
 
 
 def checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:

@@ -113,6 +113,10 @@ def read(path: Path, series: str | None = None) -> Volume:
         raise DataError(
             "there is no such file or folder", where=str(path), expected=READABLE, mend="check the path"
         )
+    if any("\ud800" <= letter <= "\udfff" for letter in str(path)):  # SimpleITK takes names in UTF-8 only
+        raise DataError(
+            "its name is not valid UTF-8", where=str(path), expected="a name in UTF-8", mend="rename it"
+        )
     with packages():
         _require_packages()
         if not path.is_dir() and path.name.lower().endswith(IMAGE_SUFFIXES):

@@ -65,3 +65,6 @@ MAX_RESAMPLES = 100_000
 
 MAX_CANDIDATES = 1000
 """Members of a list of depths, angles or entries that are all tried."""
+
+MAX_SEED = 2**63 - 1
+"""Of all randomness: the largest whole number of a TOML file."""

@@ -8,6 +8,7 @@ from typing import Literal
 
 from needlefit.errors import ConfigError
 from needlefit.project.names import require_file_name
+from needlefit.project.reading import is_dir, is_file, is_there
 
 Kind = Literal["scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction"]
 
@@ -36,7 +37,7 @@ def shipped() -> Path:
     """Return the folder that holds the shipped `data/ configs/ studies/`."""
     package = Path(__file__).resolve().parent.parent
     wheel = package / "_shipped"
-    return wheel if wheel.is_dir() else package.parent
+    return wheel if is_dir(wheel) else package.parent
 
 
 def roots() -> tuple[Path, ...]:
@@ -46,7 +47,7 @@ def roots() -> tuple[Path, ...]:
     by the shipped ones.
     """
     here = Path.cwd()
-    local = here != shipped() and any((here / part).is_dir() for part in PARTS)
+    local = here != shipped() and any(is_dir(here / part) for part in PARTS)
     return (here, shipped()) if local else (shipped(),)
 
 
@@ -67,10 +68,10 @@ def find(kind: Kind, name: str) -> Path:
     """
     if is_path(name):
         path = Path(name)
-        path = path / "dataset.toml" if kind == "dataset" and path.is_dir() else path
-        if path.is_file():
+        path = path / "dataset.toml" if kind == "dataset" and is_dir(path) else path
+        if is_file(path):
             return path
-        if kind == "dataset" and Path(name).is_dir():
+        if kind == "dataset" and is_dir(Path(name)):
             raise ConfigError(
                 "this folder holds no dataset.toml",
                 where=name,
@@ -80,7 +81,7 @@ def find(kind: Kind, name: str) -> Path:
         raise _missing(kind, name)
     for root in roots():
         path = root / _PATTERNS[kind].format(name=name)
-        if path.is_file():
+        if is_file(path):
             return path
     raise unknown_name(kind, name, names(kind))
 
@@ -99,7 +100,7 @@ def find_target(name: str) -> tuple[Literal["study", "fit"], Path]:
     """Return the study or the fit that `name` means; a name found as both is an error."""
     if is_path(name):
         path = Path(name)
-        if not path.is_file():
+        if not is_file(path):
             raise _missing("study or fit", name)
         require_file_name(path.stem, name)
         return ("study" if _is_study(path) else "fit"), path
@@ -156,7 +157,7 @@ def find_run(name: str) -> Path:
         If there is no such folder, or it holds no `run.json`.
     """
     folder = Path(name) if is_path(name) else Path("reports") / name
-    if (folder / "run.json").is_file():
+    if is_file(folder / "run.json"):
         return folder
     raise unknown_name("run", name, run_names())
 
@@ -206,7 +207,7 @@ def _missing(kind: str, name: str) -> ConfigError:
 
 def unknown_name(kind: str, name: str, known: list[str], otherwise: str = ", or a path") -> ConfigError:
     """Return what is raised of a bare name that is not known: those that are, the nearest first."""
-    mend = f"write ./{name} if you mean the one in this folder" if Path(name).exists() else ""
+    mend = f"write ./{name} if you mean the one in this folder" if is_there(Path(name)) else ""
     return ConfigError(
         f"there is no {kind} called `{name}`",
         expected=f"one of {listed(nearest_first(name, known)) or '(none found)'}",

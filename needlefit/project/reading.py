@@ -220,6 +220,11 @@ def is_file(path: Path) -> bool:
     return is_there(path) and path.is_file()
 
 
+def is_dir(path: Path) -> bool:
+    """Return whether there is a folder; else as `is_there`."""
+    return is_there(path) and path.is_dir()
+
+
 def unreadable(fault: OSError | ValueError, error: Failure, where: str) -> DataError | ConfigError:
     """Return the error for a file that the operating system does not give."""
     reason = "its name is not valid"

@@ -6,7 +6,7 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from needlefit.errors import DataError
-from needlefit.project.reading import read_json
+from needlefit.project.reading import is_file, read_json
 from needlefit.project.records.stored import RunTable, StagesTable, TimingTable
 
 RUN_FILE, TIMING_FILE = "run.json", "timing.json"
@@ -44,7 +44,7 @@ def read_timing(folder: Path) -> dict[str, Any]:
         If the file is damaged.
     """
     path = folder / TIMING_FILE
-    if not path.is_file():
+    if not is_file(path):
         return {}
     table = read_json(path, MAX_RUN_BYTES)
     require_form(table, TimingTable, str(path))

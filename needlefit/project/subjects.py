@@ -6,6 +6,7 @@ from typing import Literal
 
 from needlefit.errors import ConfigError
 from needlefit.project.places import find, find_run, is_path, names, run_names, unknown_name
+from needlefit.project.reading import is_dir, is_file, is_there
 
 Kind = Literal["scene", "run", "dataset"]
 
@@ -48,7 +49,7 @@ def find_subject(name: str) -> Named:
     found = _at(front) if is_path(front) else _called(front, insertion)
     if found is not None and found.kind != "scene":
         return Named(found.kind, found.name, found.path, insertion)
-    if front and not is_path(front) and not Path(name).exists():
+    if front and not is_path(front) and not is_there(Path(name)):
         raise unknown_name("dataset or run", front, _with_insertions())
     raise ConfigError(
         "holds no scene, run or dataset",
@@ -67,9 +68,9 @@ def _at(path: str) -> Named | None:
     at = Path(path)
     if path.endswith(".toml") and at.name != "dataset.toml":
         return Named("scene", path, find("scene", path))
-    if at.is_dir() and (at / "run.json").is_file():
+    if is_dir(at) and is_file(at / "run.json"):
         return Named("run", path, at)
-    if at.name == "dataset.toml" or (at / "dataset.toml").is_file():
+    if at.name == "dataset.toml" or is_file(at / "dataset.toml"):
         return Named("dataset", path, find("dataset", path))
     return None
 

@@ -7,7 +7,7 @@ from typing import Any
 
 from needlefit.errors import DataError
 from needlefit.project.places import PAPER_FITS, PAPER_STUDIES
-from needlefit.project.reading import stored_values
+from needlefit.project.reading import is_file, stored_values
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import is_several, read_run
 from needlefit.reporting import forecast, identification
@@ -95,7 +95,7 @@ _IN_A_MOMENT = {
 def _refuse(run: Path) -> None:
     """Raise DataError for a run that stores nothing because it is computed again in a moment."""
     for file, command in _IN_A_MOMENT.items():
-        if (run / file).is_file():
+        if is_file(run / file):
             raise DataError(
                 "stores no results: it is computed again as fast as they could be read",
                 where=str(run),
@@ -118,7 +118,7 @@ def restored(run: Path) -> list[Results | Answer]:
 
 
 def _is_group(run: Path) -> bool:
-    return not (run / NAME).is_file() and bool(_parts(run))
+    return not is_file(run / NAME) and bool(_parts(run))
 
 
 def _restored(run: Path) -> Results | Answer:

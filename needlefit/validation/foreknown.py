@@ -9,7 +9,7 @@ from needlefit.inference.sampling.posterior import load
 from needlefit.inference.starts import Watch
 from needlefit.inference.weighing.about_fit import by_importance
 from needlefit.project.plain import plain
-from needlefit.project.reading import stored_values
+from needlefit.project.reading import is_file, stored_values
 from needlefit.project.run_file import read_run
 from needlefit.project.streams import stream
 from needlefit.project.threads import one_thread
@@ -37,7 +37,7 @@ def foreknown(job: Job, run: Path, settings: Settings, required: bool = False) -
     ConfigError
         If the posterior is of other data or another configuration, or there is none though it is required.
     """
-    if (run / POSTERIOR).is_file():
+    if is_file(run / POSTERIOR):
         require_same(job, run)
         with stored_values(run / POSTERIOR):
             return from_posterior(load(run / POSTERIOR), job.parameters, DRAWS)

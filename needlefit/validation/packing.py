@@ -16,7 +16,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import DataError
-from needlefit.project.reading import MAX_TEXT_BYTES, opened, parse_json, unreadable
+from needlefit.project.reading import MAX_TEXT_BYTES, is_file, opened, parse_json, unreadable
 
 NAME = "results.json.gz"
 
@@ -50,7 +50,7 @@ def unpack(folder: Path) -> dict[str, Any]:
         If it holds none, or one that is damaged, too large or of another version.
     """
     path = folder / NAME
-    if not path.is_file():
+    if not is_file(path):
         raise DataError(
             "holds no stored results",
             where=str(folder),

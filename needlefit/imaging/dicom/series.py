@@ -4,6 +4,7 @@ from pathlib import Path
 
 from needlefit.errors import DataError
 from needlefit.imaging.dicom.header import Slice, read_header
+from needlefit.project.reading import is_file
 
 LOCALIZER = "LOCALIZER"
 _SHOWN = 10
@@ -24,7 +25,7 @@ def find_series(path: Path, series: str | None = None) -> list[Slice]:
     DataError
         If there is no DICOM image there, no series of the name, or several to choose from.
     """
-    if path.is_file():
+    if is_file(path):
         return _of_file(path)
     groups = _groups(path)
     if not groups:
@@ -58,7 +59,7 @@ def _of_file(path: Path) -> list[Slice]:
 def _groups(folder: Path) -> dict[str, list[Slice]]:
     """Return the slices of every series in `folder`, by UID; the same order on every machine."""
     groups: dict[str, list[Slice]] = {}
-    for file in sorted(file for file in folder.iterdir() if file.is_file() and file.name[0] != "."):
+    for file in sorted(file for file in folder.iterdir() if is_file(file) and file.name[0] != "."):
         header = read_header(file)
         if header is not None:
             groups.setdefault(header.series, []).append(header)

@@ -7,6 +7,7 @@ from pydantic import Field, model_validator
 from needlefit.project.limits import (
     MAX_ENSEMBLES,
     MAX_EVALUATIONS,
+    MAX_SEED,
     MAX_STARTS,
     MAX_STORED_DRAWS,
     MAX_WALKERS,
@@ -86,7 +87,7 @@ class RecipeRecord(FileRecord):
     metric_algorithm: str = "bobyqa+neldermead"
     starts: int = Field(default=16, ge=1, le=MAX_STARTS)
     approach: bool = True
-    seed: int = Field(default=1, ge=0)
+    seed: int = Field(default=1, ge=0, le=MAX_SEED)
     evaluations: int = Field(default=600, ge=1, le=MAX_EVALUATIONS)
     tolerance: float = Field(default=1e-4, gt=0)
     weights: WeightsRecord = WeightsRecord()

@@ -6,10 +6,20 @@ optional, since each command writes its own.
 
 from typing import Annotated, Any, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, StringConstraints, model_validator
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, StringConstraints, model_validator
 
-PlainName = Annotated[str, StringConstraints(pattern=r"^[^./\\\x00-\x1f\x7f][^/\\\x00-\x1f\x7f]{0,199}$")]
-"""A name that becomes the name of a file or folder: no path, no dot first, no control characters."""
+from needlefit.project.names import file_name_fault
+
+
+def _require_file_name(name: str) -> str:
+    fault = file_name_fault(name)
+    if fault:
+        raise ValueError(fault)
+    return name
+
+
+FileName = Annotated[str, AfterValidator(_require_file_name)]
+"""A name that becomes the name of a file or folder."""
 
 ColumnType = Annotated[
     str, StringConstraints(pattern=r"^(u?int(8|16|32|64)|float(32|64)|bool|str|string|object)$")
@@ -145,7 +155,7 @@ class _Band(_Stored):
 
 
 class _Needle(_Stored):
-    insertion: PlainName
+    insertion: FileName
     fold: str
     role: Literal["tune", "validate"]
     measured: list[Point] = Field(min_length=2)
@@ -158,12 +168,12 @@ class _Needle(_Stored):
 class _Results(_Stored):
     """What results of every kind have in common."""
 
-    name: PlainName
+    name: FileName
     origin: Literal["measured", "synthetic"]
     dataset_title: str
     interrupted: bool
     run: RunTable
-    frames: dict[PlainName, FrameTable]
+    frames: dict[FileName, FrameTable]
 
 
 class ResultsTable(_Results):
@@ -192,7 +202,7 @@ class TracksTable(_Results):
     record: dict[str, Any]
     notes: list[str]
     remarks: list[str]
-    posteriors: list[PlainName]
+    posteriors: list[FileName]
 
 
 class CalibrationTable(_Results):

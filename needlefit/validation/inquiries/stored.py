@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.project.plain import plain
-from needlefit.project.reading import stored_values
+from needlefit.project.reading import is_file, stored_values
 from needlefit.project.records.stored import AnswerTable
 from needlefit.project.run_file import read_timing, require_form
 from needlefit.validation.inquiries.answer import Answer
@@ -27,7 +27,7 @@ def store_answer(answer: Answer, folder: Path) -> Path:
 
 def is_answer(folder: Path) -> bool:
     """Return whether what a run left in `folder` is an answer."""
-    return (folder / NAME).is_file() and str(unpack(folder).get("kind")) in KINDS
+    return is_file(folder / NAME) and str(unpack(folder).get("kind")) in KINDS
 
 
 def restore_answer(folder: Path) -> Answer:
