@@ -22,6 +22,9 @@ from needlefit.project.reading import read_bytes
 Kind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
+MAX_MERGED_MM = 1e9
+"""Coordinates beyond this are no boundary's, and merging vertices counts in steps of 1e-8 mm."""
+
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 
@@ -57,11 +60,11 @@ def read_surface(path: Path, kind: Kind, into: int) -> Surface:
         mesh = _loaded(BytesIO(data), ending.lstrip("."))
     except Exception as error:  # the readers of the formats raise whatever the bytes provoke, and quote them
         raise _no_mesh(path, f"cannot be read ({type(error).__name__})") from None
-    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0:
+    if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
         raise _no_mesh(path, "holds no triangles")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
         raise _no_mesh(path, f"a triangle names a vertex beyond the {len(mesh.vertices)} that there are")
-    if np.isfinite(mesh.vertices).all():
+    if (np.abs(mesh.vertices) < MAX_MERGED_MM).all():  # not so where one is not finite
         mesh.merge_vertices(merge_tex=True, merge_norm=True)  # an STL file repeats them for every triangle
     return Surface(path.stem, mesh, kind, into)
 
