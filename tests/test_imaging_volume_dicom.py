@@ -481,7 +481,7 @@ def test_the_same_volume_gives_the_same_bytes(tmp_path):
 
 def test_a_folder_with_something_in_it_is_left_alone(tmp_path):
     (tmp_path / "thesis").write_text("all of it")
-    with pytest.raises(DataError, match="not empty"):
+    with pytest.raises(ConfigError, match="exists already"):
         write(turned(1), tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["thesis"]
 

@@ -198,7 +198,7 @@ def write(volume: Volume, path: Path, description: str = "") -> None:
     Raises
     ------
     DataError
-        If the suffix is unknown, the folder is not empty, or a value is not finite.
+        If the suffix is unknown, or a value is not finite.
     ConfigError
         If nothing can be written there, or the packages that write scans are not installed.
     """
