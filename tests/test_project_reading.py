@@ -5,6 +5,7 @@ import socket
 import threading
 from contextlib import chdir
 from pathlib import Path
+from time import process_time
 
 import pytest
 
@@ -150,3 +151,12 @@ def test_a_failure_is_an_error_of_the_kind_asked_for(tmp_path):
     refused(parse_toml, "=", "f", DataError, error=DataError)
     refused(parse_json, "=", "f", ConfigError, error=ConfigError)
     refused(opened(tmp_path / "x", 1, ConfigError, "the scene").__enter__, error=ConfigError)
+
+
+@pytest.mark.parametrize("key", ["a" + ".a" * 40_000, '"a" . ' * 40_000 + "a"])
+def test_a_toml_key_of_many_parts_takes_no_time(key):
+    """Tomllib alone takes seconds and gigabytes."""
+    began = process_time()
+    refused(parse_toml, f"{key} = 1", "f", error=ConfigError)
+    assert process_time() - began < 1.0
+    assert parse_toml("a" + ".a" * (MAX_LEVELS - 2) + " = 1.5", "f")

@@ -36,6 +36,9 @@ _KINDS = (
     (stat.S_ISSOCK, "a socket"),
 )
 _INT64 = 2**63
+_DEEP_KEY = re.compile(
+    r"""(?<![\w-])(?>(?:[\w-]++|"[^"\n]*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}""" % MAX_LEVELS  # noqa: UP031
+)
 _PLACE = re.compile(r" \(at (line \d+, column \d+|end of document)\)$")
 
 Failure = type[DataError] | type[ConfigError]
@@ -162,7 +165,7 @@ def read_toml(path: Path, error: Failure = ConfigError, where: str = "") -> dict
 def parse_toml(text: str, where: str, error: Failure = ConfigError) -> dict[str, Any]:
     """Return the tables of a TOML text; `where` and else as `read_toml`."""
     try:
-        tables = tomllib.loads(text)
+        tables = _loads_toml(text)
     except tomllib.TOMLDecodeError as fault:
         reason = _toml_reason(str(fault))
     except RecursionError:
@@ -179,6 +182,13 @@ def parse_toml(text: str, where: str, error: Failure = ConfigError) -> dict[str,
         expected="TOML: key = value, texts in quotes",
         mend="correct the line named" if "line" in reason else "correct it",
     )
+
+
+def _loads_toml(text: str) -> dict[str, Any]:
+    """Return the tables of a TOML text; tomllib copies a key with many dots once for every part."""
+    if _DEEP_KEY.search(text):
+        raise RecursionError
+    return tomllib.loads(text)
 
 
 @contextmanager
