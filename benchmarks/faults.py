@@ -21,15 +21,13 @@ from collections import Counter
 from pathlib import Path
 
 PROJECT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT)]
+sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT), str(PROJECT / "benchmarks")]
 
 from faults.commands import COMMANDS  # noqa: E402
 from faults.injection import KINDS  # noqa: E402
 from faults.outcome import prepare, spoil  # noqa: E402
 from faults.server import Server  # noqa: E402
-
-TABLE = PROJECT / "docs" / "figures" / "faults.md"
-"""What `docs/reliability.md` includes."""
+from marked_table import write_table  # noqa: E402
 
 Found = dict[str, dict]
 """Of each command: its number of steps, the faults tried ("kill 12"), and what was wrong with which."""
@@ -84,14 +82,6 @@ def rows(found: Found) -> list[tuple[str, ...]]:
     return [head, *(tuple(map(str, row)) for row in [*body, ("all", *total)])]
 
 
-def write(found: Found) -> None:
-    """Write the table for the documentation."""
-    head, *body = rows(found)
-    lines = ["| " + " | ".join(head) + " |", "|---" + "|---:" * (len(head) - 1) + "|"]
-    lines += ["| " + " | ".join(row) + " |" for row in body]
-    TABLE.write_text("<!-- written by `python benchmarks/faults.py --write` -->\n" + "\n".join(lines) + "\n")
-
-
 def main() -> None:
     """Run a campaign and print its table; exit 1 if a promise was broken."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
@@ -117,7 +107,8 @@ def main() -> None:
         print(f"{row[0]:<15}" + "".join(f"{cell:>17}" for cell in row[1:]))
     print(f"{time.monotonic() - began:.0f} s")
     if options.write:
-        write(found)
+        part = "Every step." if options.every == 1 else f"One in {options.every} of all steps."
+        write_table("faults", rows(found), part)
     sys.exit(1 if any(of["wrong"] for of in found.values()) else 0)
 
 

@@ -20,24 +20,22 @@ from pathlib import Path
 from queue import Queue
 
 PROJECT = Path(__file__).resolve().parent.parent
-sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT)]
+sys.path[:0] = [str(PROJECT / "tests"), str(PROJECT), str(PROJECT / "benchmarks")]
 
 from fuzzing.campaign import Verdict, Workers  # noqa: E402
 from fuzzing.readers import READERS  # noqa: E402
+from marked_table import write_table  # noqa: E402
 
 SHARE = 40
 """Mutants that a process reads of one reader before it turns to the next."""
 
-TABLE = PROJECT / "docs" / "figures" / "fuzz.md"
-"""What `docs/reliability.md` includes."""
-
 Counts = dict[str, dict[str, float]]
-"""Of each reader: mutants, accepted, refused, violations, processor time (s), slowest (s), largest (MiB)."""
+"""Of each reader: mutants, accepted, refused, violations, processor time (s), slowest, MiB, time (s)."""
 
 
 def empty() -> dict[str, float]:
     """Return the counts of a reader of which nothing has been read."""
-    return dict.fromkeys(("mutants", "accepted", "refused", "violations", "seconds", "slowest", "mib"), 0)
+    return dict.fromkeys(("mutants", "accepted", "refused", "violations", "seconds", "slowest", "mib", "wall"), 0)
 
 
 def count(counts: Counts, verdict: Verdict) -> None:
@@ -69,8 +67,10 @@ def campaign(options: argparse.Namespace, counts: Counts) -> None:
             while time.monotonic() < end:
                 with lock:
                     name, numbers = next(turns)
+                began = time.monotonic()
                 verdicts = list(workers.verdicts(name, numbers, options.seed, options.keep))
                 with lock:
+                    counts[name]["wall"] += time.monotonic() - began
                     for verdict in verdicts:
                         count(counts, verdict)
                         if verdict.outcome == "violation":
@@ -140,14 +140,9 @@ def show(counts: Counts) -> None:
 
 def write(counts: Counts, options: argparse.Namespace) -> None:
     """Write the table for the documentation."""
-    head, *body = rows(counts)
-    lines = [
-        "<!-- written by `python benchmarks/fuzz.py --write` -->",
-        "| " + " | ".join(head) + " |",
-        "|---" + "|---:" * (len(head) - 1) + "|",
-        *("| " + " | ".join(row) + " |" for row in body),
-    ]
-    TABLE.write_text("\n".join(lines) + "\n")
+    hours = sum(of["wall"] for of in counts.values()) / 3600
+    note = f"Seed {options.seed}, {hours:.2f} hours of {options.jobs} processes in all. Memory is what one input adds."
+    write_table("fuzz", rows(counts), note)
 
 
 def again(reader: str, number: int, seed: int) -> None:

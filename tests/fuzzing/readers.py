@@ -15,8 +15,8 @@ from typing import Any
 from fuzzing import seeds
 from fuzzing.seeds import Seed, project_files
 
-QUICK, NATIVE = 150, 40
-"""Mutants of a default test: of a reader in Python, and of one that takes a process of its own or longer."""
+QUICK, NATIVE, SLOWEST = 150, 30, 12
+"""Mutants of a default test: of a reader in Python, of one with a child process, of one with several."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ READERS: dict[str, Reader] = {
     "mat": Reader(partial(_call, "datasets.conversion.read_source"), seeds.matlab, NATIVE),
     "volume": Reader(partial(_call, "imaging.volume.read"), seeds.volumes, NATIVE, packed=True),
     "labels": Reader(partial(_call, "imaging.label_volumes.read_labels"), seeds.labels, NATIVE, packed=True),
-    "dicom": Reader(partial(_call, "imaging.volume.read"), seeds.dicom, NATIVE),
+    "dicom": Reader(partial(_call, "imaging.volume.read"), seeds.dicom, SLOWEST),
     "mesh": Reader(_mesh, seeds.meshes, 100),
     "recording": Reader(partial(_call, "viewer.recording.log.read"), seeds.recordings),
     "results": Reader(_results, seeds.results, 60, packed=True),
