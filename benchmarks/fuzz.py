@@ -35,7 +35,9 @@ Counts = dict[str, dict[str, float]]
 
 def empty() -> dict[str, float]:
     """Return the counts of a reader of which nothing has been read."""
-    return dict.fromkeys(("mutants", "accepted", "refused", "violations", "seconds", "slowest", "mib", "wall"), 0)
+    return dict.fromkeys(
+        ("mutants", "accepted", "refused", "violations", "seconds", "slowest", "mib", "wall"), 0
+    )
 
 
 def count(counts: Counts, verdict: Verdict) -> None:

@@ -177,7 +177,7 @@ def from_dict(table: Mapping[str, Any]) -> Start:
             failed=tuple(tuple(float(x) for x in theta) for theta in table["failed"]),
             joined=None if table["joined"] is None else int(table["joined"]),
         )
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FitError(
             f"the checkpoint holds a damaged start: {error!r}", mend="run again without --resume"
         ) from None

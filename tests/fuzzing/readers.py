@@ -6,7 +6,7 @@ A reader takes the path that a user would name. It is imported late: a worker pr
 import os
 import signal
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from importlib import import_module
 from pathlib import Path
@@ -124,6 +124,24 @@ def _checkpoint(folder: Path) -> object:
     return kept.finished("fit"), kept.rows("rows"), list(kept.snapshots("fold").blocks())
 
 
+def _rows(path: Path) -> object:
+    """Keep rows with right digests, and take them as starts."""
+    kept = _late("validation.checkpoint.open_checkpoint")(path.with_name("run.partial"), False, seeds.WORK)
+    values = _late("project.reading.read_json")(path)
+    for row in values if isinstance(values, list) else [values]:
+        kept.keep_row("fit", row)
+    return kept.finished("fit")
+
+
+def _kept(folder: Path) -> object:
+    batch = import_module("needlefit.imaging.batch")
+    kept = _late("project.kept.read_kept")(folder / "one.kept", batch.KIND, "stamp")
+    values = _late("project.reading.read_json")(folder / "values.json")
+    if kept is None or not isinstance(values, dict):
+        return None
+    return batch._decoded(replace(kept, values=values), folder / "one.kept")
+
+
 def _run(folder: Path) -> object:
     return _late("project.run_file.read_run")(folder)
 
@@ -181,6 +199,19 @@ def _names(path: Path) -> object:
     return found
 
 
+def _command(path: Path) -> object:
+    """Run a whole command; its exit code must be one of those that are documented, and not that of a bug."""
+    failure = import_module("needlefit.cli.failure")
+    words = _text(path).splitlines()
+    try:
+        _late("cli.main")(words)
+    except SystemExit as ending:
+        if ending.code in (failure.UNEXPECTED, None) or ending.code not in failure.EXIT_CODES:
+            raise RuntimeError(f"exit code {ending.code}: {words}") from None
+        return ending.code
+    return 0
+
+
 def _text(path: Path) -> str:
     """Return what the file holds as the interpreter gives arguments: bytes that are no UTF-8 are kept."""
     return path.read_bytes().decode("utf-8", "surrogateescape").replace("\0", "")
@@ -198,6 +229,7 @@ READERS: dict[str, Reader] = {
         partial(_load, "reconstruction.ReconstructionRecord"),
         partial(project_files, "configs/reconstruction/*.toml", "reconstruction.toml"),
     ),
+    "prior": Reader(partial(_load, "prior.MaterialRecord"), seeds.priors),
     "dataset": Reader(_dataset, seeds.datasets, 80),
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
@@ -213,11 +245,14 @@ READERS: dict[str, Reader] = {
     "results": Reader(_results, seeds.results, 60, packed=True),
     "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, NATIVE),
     "checkpoint": Reader(_checkpoint, seeds.checkpoints, 80),
+    "rows": Reader(_rows, seeds.rows),
+    "kept": Reader(_kept, seeds.kept, SLOWEST),
     "run": Reader(_run, seeds.run_files),
     "diff": Reader(_difference, seeds.runs, 60),
     "manifest": Reader(_manifest, seeds.manifests),
     "set": Reader(_assignments, seeds.assignments, 80),
     "message": Reader(_message, seeds.page_messages, 300),
+    "command": Reader(_command, seeds.commands, 60),
     "name": Reader(_names, seeds.names, 80),
 }
 """Every reader of what comes from outside, by its name."""

@@ -379,6 +379,33 @@ def checkpoints() -> list[Seed]:
     return [written(write, "run.partial")]
 
 
+def rows() -> list[Seed]:
+    """Starts as a checkpoint keeps them, before their digests: somebody can make right ones of anything."""
+    from needlefit.inference.starts import Start, to_dict
+
+    starts = [
+        to_dict(Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 1, "tolerance", ((0.1, 0.3),))) for n in (0, 1)
+    ]
+    return [one_file("rows.json", json.dumps(starts))]
+
+
+def kept() -> list[Seed]:
+    """A reconstruction that was kept, and what it says, before the digest."""
+    from reconstruction_cases import small
+
+    from needlefit.imaging.batch import _HOOKS, KIND
+    from needlefit.project.encode import encode
+    from needlefit.project.kept import Kept, write_kept
+
+    def write(folder: Path) -> None:
+        arrays: dict = {}
+        values = {KIND: encode(small(), _HOOKS, arrays)}
+        write_kept(folder / "one.kept", KIND, "stamp", Kept(values, arrays))
+        (folder / "values.json").write_text(json.dumps(values))
+
+    return [written(write, ".")]
+
+
 def runs() -> list[Seed]:
     """Pairs of runs, which are compared: the second one is damaged."""
     found = []
@@ -407,6 +434,19 @@ def manifests() -> list[Seed]:
     return [written(write, "out")]
 
 
+PRIOR = """\
+schema = 1
+title = "Gel"
+alpha = { mean = -4.5, sd = 1.0 }
+mu_pa = { median = 2.5e4, factor = 2.0, correlation = 0.5 }
+"""
+
+
+def priors() -> list[Seed]:
+    """What a compression test says for a fit."""
+    return [one_file("prior.toml", PRIOR)]
+
+
 # ---- texts
 
 
@@ -431,6 +471,22 @@ def page_messages() -> list[Seed]:
         *('{"do": "frame", "id": 6, "n": 3}', '{"do": "replay", "id": 7, "times": 2.0}'),
     )
     return [one_file("messages.txt", one) for one in lines]
+
+
+def commands() -> list[Seed]:
+    """Whole commands, a word a line, none of which computes for long."""
+    commands = (
+        *("check\ntwin", "check\n./twin\n--json", "paper", "--help", "simulate\nfigure1\n--set\ndepth_mm=12"),
+        *("simulate\nstudy2\n--depth\n20\n--json", "simulate\nchicken\n--set\nlayers.1.mu_pa=3e5"),
+        *(
+            "diff\na\nb",
+            "report\nx\n--out\ny",
+            "new\ndataset\n./mine",
+            "validate\nstudy9",
+            "tune\nstudyA.tml",
+        ),
+    )
+    return [one_file("words.txt", one) for one in commands]
 
 
 def names() -> list[Seed]:
