@@ -51,10 +51,14 @@ def count(counts: Counts, verdict: Verdict) -> None:
 
 
 def shares(readers: Sequence[str], counts: Mapping[str, Mapping[str, float]]) -> Iterator[tuple[str, range]]:
-    """Yield without end which mutants of which reader are next: that with the fewest so far."""
+    """Yield without end which mutants of which reader are next.
+
+    It is the one with the least product of mutants and time so far: slow readers get more time than fast
+    ones, and fast ones more mutants.
+    """
     begun = {name: int(counts[name]["mutants"]) for name in readers}
     while True:
-        name = min(readers, key=lambda one: begun[one])
+        name = min(readers, key=lambda one: begun[one] * (1.0 + counts[one]["wall"]))
         yield name, range(begun[name], begun[name] + SHARE)
         begun[name] += SHARE
 
@@ -143,7 +147,8 @@ def show(counts: Counts) -> None:
 def write(counts: Counts, options: argparse.Namespace) -> None:
     """Write the table for the documentation."""
     hours = sum(of["wall"] for of in counts.values()) / 3600
-    note = f"Seed {options.seed}, {hours:.2f} hours of {options.jobs} processes in all. Memory is what one input adds."
+    took = f"{hours:.2f} hours of {options.jobs} process{'es' * (options.jobs > 1)} in all"
+    note = f"Seed {options.seed}, {took}. Memory is what one input adds."
     write_table("fuzz", rows(counts), note)
 
 
