@@ -12,13 +12,16 @@ from needlefit.cli.completion import scans as complete_scans
 from needlefit.cli.execution import cores, remark
 from needlefit.cli.interruption import stopping
 from needlefit.cli.progress import progress
+from needlefit.cli.warn import warn
 from needlefit.errors import DataError
 from needlefit.project.reading import is_there
+from needlefit.project.result_warnings import KEY, as_rows
 
 if TYPE_CHECKING:
     from needlefit.imaging.batch import Failure
     from needlefit.imaging.reconstruction import Reconstruction
     from needlefit.imaging.scan import Scan
+    from needlefit.project.result_warnings import ResultWarning
 
 MOST_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
@@ -125,7 +128,9 @@ def reconstruct(
                 about = About(out.resolve().name, title)
                 kept, faulty = write_reconstructed(out, ones, record, about, report)
                 ones, failed = list(kept), [*failed, *faulty]
-    _show(out, ones, failed, json)
+    warnings = warnings_in(out) if ones else []
+    _show(out, ones, failed, warnings if json else None)
+    warn(invocation, warnings)
     if failed and ones:
         screen.note(f"needlefit: what is finished is kept in {keep}; to go on: {invocation.resuming()}")
     else:
@@ -152,15 +157,29 @@ def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan
     return read_scans(scans[0])
 
 
-def _show(out: Path, ones: "Sequence[Reconstruction]", failed: "Sequence[Failure]", json: bool) -> None:
+def warnings_in(dataset: Path) -> "list[ResultWarning]":
+    """Return the warnings about the dataset that was written."""
+    from needlefit.datasets.check import check_all
+
+    return check_all(dataset)[1]
+
+
+def _show(
+    out: Path,
+    ones: "Sequence[Reconstruction]",
+    failed: "Sequence[Failure]",
+    as_json: "list[ResultWarning] | None",
+) -> None:
+    """Print what was found; with the warnings of the dataset, as JSON."""
     from needlefit.reporting.reconstructions import reconstruction_table, reconstructions_layout
 
-    if json:
+    if as_json is not None:
         rows = reconstruction_table(ones).to_dict(orient="records") if ones else []
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
-        screen.show_json({"dataset": str(out) if ones else None, "scans": rows, "failed": errors})
+        about = {"dataset": str(out) if ones else None, KEY: as_rows(as_json)}
+        screen.show_json({**about, "scans": rows, "failed": errors})
     elif ones:
         screen.show_display(reconstructions_layout(ones))
         screen.say(f"written: {out}/")

@@ -18,7 +18,8 @@ def say(text: str = "") -> None:
 
 
 def note(text: str) -> None:
-    """Print a line that is no result to stderr."""
+    """Print a line that is no result to stderr, behind all that stdout was given before."""
+    sys.stdout.flush()  # else, where both go to one file, it stands before the result
     print(text, file=sys.stderr)
 
 

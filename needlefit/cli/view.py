@@ -13,6 +13,8 @@ import typer
 
 from needlefit.cli import options, screen
 from needlefit.cli.completion import subjects
+from needlefit.cli.invocation import Invocation
+from needlefit.cli.warn import warn
 
 if TYPE_CHECKING:
     from needlefit.viewer.serving.door import Door
@@ -20,6 +22,7 @@ if TYPE_CHECKING:
 
 
 def view(
+    context: typer.Context,
     subject: Annotated[
         str | None,
         typer.Argument(
@@ -52,7 +55,7 @@ def view(
         raise typer.BadParameter("the recording says what it is about: leave it out", param_hint="SUBJECT")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
-    trials = _trials(subject, inputs, out / "view")
+    trials = _trials(context.find_root().obj, subject, inputs, out / "view")
 
     def ready(door: "Door") -> None:
         screen.say(door.address)
@@ -82,7 +85,7 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
     return serve
 
 
-def _trials(subject: str | None, inputs: Path | None, folder: Path) -> "Trials":
+def _trials(invocation: Invocation, subject: str | None, inputs: Path | None, folder: Path) -> "Trials":
     from needlefit.viewer.opening import open_subject
     from needlefit.viewer.opening.recorded import open_recorded
     from needlefit.viewer.recording.log import read
@@ -90,6 +93,7 @@ def _trials(subject: str | None, inputs: Path | None, folder: Path) -> "Trials":
 
     source = None if inputs is None else read(inputs)
     shown = open_subject(subject) if source is None else open_recorded(source)
+    warn(invocation, shown.warnings)
     return Trials(shown, folder, lambda insertion: open_subject(shown.name, insertion), source)
 
 

@@ -1,6 +1,5 @@
 """Warnings on the terminal: one line each, right under the result that they are about."""
 
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,7 +12,6 @@ from needlefit.project.result_warnings import ResultWarning, warnings_of
 
 def warn(invocation: Invocation, warnings: Iterable[ResultWarning]) -> None:
     """Print warnings to stderr; with `--strict` the command then ends with exit code 5."""
-    sys.stdout.flush()  # where both go to one file, they come after the result
     for one in warnings:
         invocation.warned = True
         screen.note(f"needlefit: warning: {one}")

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 from needlefit.project.records.recording import PlacementRecord
 from needlefit.project.records.scene import SceneRecord
+from needlefit.project.result_warnings import ResultWarning
 from needlefit.validation.placed import DIAMETER
 from needlefit.viewer.overlay.band import Spread
 from needlefit.viewer.overlay.measured import Measured
@@ -36,6 +37,8 @@ class Subject:
         The scan in which the needle was measured.
     choices : tuple of str
         Insertions that can be shown instead.
+    warnings : tuple of ResultWarning
+        What is suspicious in the dataset that it is from.
     """
 
     name: str
@@ -49,6 +52,7 @@ class Subject:
     spread: Spread | None = None
     scanned: Scanned | None = None
     choices: tuple[str, ...] = ()
+    warnings: tuple[ResultWarning, ...] = ()
 
     @property
     def diameter(self) -> float:

@@ -84,4 +84,5 @@ def subject_of(shown: Shown, name: str, said: str, choices: tuple[str, ...]) -> 
         measured=measured_of(dataset, insertion, floor.te_mm, shape),
         scanned=scan,
         choices=choices,
+        warnings=dataset.warnings,
     )
