@@ -191,7 +191,7 @@ NEXT = {
     "entries": [{"name": "above"}],
 }
 LEFT = {"schema": 1, "kind": "left_out", "fits": ["chicken"]}
-DEEP = [{"name": "a", "entry": "above", "depth_mm": 9e3}]
+DEEP = [{"name": "a", "entry": "above", "depth_mm": 4e3}]
 ALONE = {
     "schema": 1,
     "kind": "comparison",
@@ -206,7 +206,7 @@ ALONE = {
     [
         ({**NEXT, "like": "none"}, "not in the dataset", "like"),
         ({**NEXT, "depths_mm": [40, 9e3]}, "cannot be inserted 9000 mm", "depths_mm"),
-        ({**NEXT, "quantities": DEEP}, "cannot be inserted 9000 mm", "quantities.1.depth_mm"),
+        ({**NEXT, "quantities": DEEP}, "cannot be inserted 4000 mm", "quantities.1.depth_mm"),
         ({**LEFT, "fits": ["no"]}, "no fit called `no`", "fits"),
         (ALONE, "only one group", "folds"),
     ],
