@@ -85,6 +85,17 @@ def test_a_preload_is_said(tmp_path):
     assert "bears 9 % of its largest stress at stretch 1" in remarks[1]  # 0.1 / 1.1
 
 
+def test_a_machine_that_waits_before_it_loads_is_read(tmp_path):
+    waits = 500
+    path = table(
+        tmp_path,
+        stretch=[STRETCH[0]] * waits + list(STRETCH),
+        nominal_stress_kpa=[KPA[0]] * waits + list(KPA),
+    )
+    (one,) = read_compression(path).specimens
+    assert one.stretch[-1] < one.stretch[0] == pytest.approx(STRETCH[0])
+
+
 def _loaded(tmp_path, part):
     return table(tmp_path, stretch=STRETCH, nominal_stress_kpa=[y + part * KPA[-1] for y in KPA])
 

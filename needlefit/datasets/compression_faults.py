@@ -101,7 +101,10 @@ def preload(stretch: Floats, stress: Floats) -> float:
     first = max(FEWEST, len(stretch) // 10)
     if abs(1 - stretch[0]) > ABOVE_ONE:
         return 0.0
-    _, at_one = np.polyfit(stretch[:first] - 1, stress[:first], 1)
+    if np.ptp(stretch[:first]) == 0:  # the machine waited: there is no line through one stretch
+        at_one = stress[:first].mean()
+    else:
+        _, at_one = np.polyfit(stretch[:first] - 1, stress[:first], 1)
     return float(at_one / np.max(np.abs(stress)))
 
 

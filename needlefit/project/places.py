@@ -192,7 +192,7 @@ def _no_study(fit: str) -> ConfigError:
 
 def _missing(kind: str, name: str) -> ConfigError:
     path = Path(name)
-    if not path.parent.is_dir():
+    if not is_dir(path.parent):
         there = f"the folder {path.parent} does not exist"
     else:
         files = [str(file) for file in path.parent.glob("*.toml") if file.is_file()]
