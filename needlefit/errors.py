@@ -63,14 +63,15 @@ def printable(text: str) -> str:
 
     Control characters are escaped, long lines shortened in the middle: names and cells of a file get there.
     """
-    whole = "\n".join(_shortened(line) for line in text[: 2 * MAX_MESSAGE].split("\n"))
-    cut = (
-        f"\n... ({len(text)} characters in all)"
-        if len(text) > 2 * MAX_MESSAGE or len(whole) > MAX_MESSAGE
-        else ""
-    )
-    whole = whole[:MAX_MESSAGE] + cut
-    return _UNPRINTABLE.sub(lambda match: match[0].encode("unicode_escape").decode("ascii"), whole)
+    escaped = _UNPRINTABLE.sub(_escaped, text[: 2 * MAX_MESSAGE])  # before lines are measured: \udc80 is one
+    whole = "\n".join(_shortened(line) for line in escaped.split("\n"))
+    if len(text) <= 2 * MAX_MESSAGE and len(whole) <= MAX_MESSAGE:
+        return whole
+    return f"{whole[:MAX_MESSAGE]}\n... ({len(text)} characters in all)"
+
+
+def _escaped(match: re.Match[str]) -> str:
+    return match[0].encode("unicode_escape").decode("ascii")
 
 
 def _shortened(line: str) -> str:
