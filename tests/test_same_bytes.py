@@ -4,7 +4,6 @@ Every comparison is of all files of a result folder but `timing.json`, which is 
 """
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -224,4 +223,3 @@ def test_scans_and_what_is_reconstructed_of_them_are_the_same(new_project):
         second = begin(COMMAND, [*words, "--jobs", "1"], alone, one_core(), **ELSEWHERE)
         output(first), output(second)
         assert_same(contents(alone / words[-1]), contents(once / words[-1]))
-        shutil.rmtree(alone / "ct") if words is reconstruct else None

@@ -1,6 +1,7 @@
 """Where the scans of a dataset's insertions lie: to look at, nothing is read from them that is fitted to."""
 
 import csv
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,13 +23,24 @@ class ScanVolume:
     series: str | None = None
 
 
-def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume]) -> Path:
-    """Write where the scan of each insertion lies, by its id, with whole paths: they hold on this machine."""
-    rows = [(id_, str(one.path.resolve()), one.series or "") for id_, one in volumes.items()]
+def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume], home: Path | None = None) -> Path:
+    """Write where the scan of each insertion lies, by its id, as seen from the folder of the dataset.
+
+    `home` is that folder where it is not yet in its place; dataset and scans may be moved together.
+    """
+    seen_from = (home or folder).resolve()
+    rows = [(id_, _seen_from(seen_from, one.path), one.series or "") for id_, one in volumes.items()]
     path = folder / NAME
     with path.open("w", encoding="utf-8", newline="") as file:
         csv.writer(file, lineterminator="\n").writerows([COLUMNS, *rows])
     return path
+
+
+def _seen_from(home: Path, path: Path) -> str:
+    try:
+        return Path(os.path.relpath(path.resolve(), home)).as_posix()
+    except ValueError:  # Windows: another drive
+        return str(path.resolve())
 
 
 def volume_of(dataset: Dataset, id_: str) -> ScanVolume | None:
@@ -49,4 +61,4 @@ def volume_of(dataset: Dataset, id_: str) -> ScanVolume | None:
     if cells.empty or not cells["volume"].iloc[0]:
         return None
     series = cells["series"].iloc[0] if "series" in cells else ""
-    return ScanVolume(path.parent / cells["volume"].iloc[0], series or None)
+    return ScanVolume((path.parent.resolve() / cells["volume"].iloc[0]).resolve(), series or None)

@@ -46,7 +46,8 @@ def write_reconstructed(
         kept, failures = assemble_sound(fresh, ones, recipe, about)
         if not kept:
             return kept, failures
-        write_volumes(fresh, {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept})
+        volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
+        write_volumes(fresh, volumes, folder)
         write_tables(kept, fresh)
         for done, one in enumerate(kept):
             progress(f"{one.scan.id}: quality page", done, len(kept))
