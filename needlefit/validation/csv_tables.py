@@ -69,9 +69,12 @@ def _parsed(data: bytes, path: Path, texts: Sequence[str]) -> pd.DataFrame:
     if not data.strip():
         return pd.DataFrame()
     try:
-        return pd.read_csv(BytesIO(data), dtype=dict.fromkeys(texts, "str"), low_memory=False)
+        frame = pd.read_csv(BytesIO(data), dtype=dict.fromkeys(texts, "str"), low_memory=False)
     except (ValueError, OverflowError, RuntimeError):  # pandas' ParserError and UnicodeDecodeError among them
         raise _damaged(path, "is no table of equal rows, as UTF-8") from None
+    if not isinstance(frame.index, pd.RangeIndex):  # pandas takes cells beyond the head for names of rows
+        raise _damaged(path, "has rows of more cells than its head")
+    return frame
 
 
 def _flagged(column: "pd.Series") -> "pd.Series":

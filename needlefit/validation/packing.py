@@ -35,10 +35,14 @@ MAX_BRACKETS = 2_000_000
 def pack(table: Mapping[str, Any], folder: Path) -> Path:
     """Write a table of JSON values and arrays to `folder`."""
     path = folder / NAME
-    content = json.dumps(table, ensure_ascii=False, default=listed).encode("utf-8")
-    head = json.dumps({"format": FORMAT, "sha256": hashlib.sha256(content).hexdigest()}).encode("utf-8")
-    path.write_bytes(gzip.compress(head + b"\n" + content, 6, mtime=0))
+    path.write_bytes(with_digest(json.dumps(table, ensure_ascii=False, default=listed).encode("utf-8")))
     return path
+
+
+def with_digest(content: bytes) -> bytes:
+    """Return the bytes of a file that holds `content`, one line of JSON."""
+    head = json.dumps({"format": FORMAT, "sha256": hashlib.sha256(content).hexdigest()}).encode("utf-8")
+    return gzip.compress(head + b"\n" + content, 6, mtime=0)
 
 
 def unpack(folder: Path) -> dict[str, Any]:

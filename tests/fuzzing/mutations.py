@@ -211,7 +211,8 @@ def line(data: bytes, random: np.random.Generator) -> bytes:
     if kind == 0:
         del lines[at]
     elif kind == 1:
-        lines[at:at] = [lines[at]] * int(random.choice([1, 1, 3, 2000]))
+        times = int(random.choice([1, 1, 3, 2000]))  # of a long line fewer, or the mutant itself takes GB
+        lines[at:at] = [lines[at]] * min(times, 1 + MAX_BYTES // (len(lines[at]) + 1))
     elif kind == 2:
         lines[at], lines[to] = lines[to], lines[at]
     elif kind == 3:

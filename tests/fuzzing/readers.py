@@ -119,6 +119,13 @@ def _results(folder: Path) -> object:
     return _late("reporting.rebuild.restored")(folder)
 
 
+def _content(path: Path) -> object:
+    folder = path.parent / "run"
+    folder.mkdir(exist_ok=True)
+    (folder / "results.json.gz").write_bytes(_late("validation.packing.with_digest")(path.read_bytes()))
+    return _results(folder)
+
+
 def _checkpoint(folder: Path) -> object:
     kept = _late("validation.checkpoint.open_checkpoint")(folder, True, seeds.WORK)
     return kept.finished("fit"), kept.rows("rows"), list(kept.snapshots("fold").blocks())
@@ -243,6 +250,7 @@ READERS: dict[str, Reader] = {
     "mesh": Reader(_mesh, seeds.meshes, 100),
     "recording": Reader(partial(_call, "viewer.recording.log.read"), seeds.recordings),
     "results": Reader(_results, seeds.results, 60, packed=True),
+    "content": Reader(_content, seeds.contents),
     "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, NATIVE),
     "checkpoint": Reader(_checkpoint, seeds.checkpoints, 80),
     "rows": Reader(_rows, seeds.rows),

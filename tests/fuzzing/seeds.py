@@ -1,6 +1,7 @@
 """Valid inputs of every kind, small, with the same bytes in every run."""
 
 import base64
+import gzip
 import json
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
@@ -339,6 +340,25 @@ def results() -> list[Seed]:
         written(lambda folder, of=of: store(of, folder), ".", ("results.json.gz",))
         for of in (study(1), stereo())
     ]
+
+
+def contents() -> list[Seed]:
+    """What stored results hold, before their digest: somebody can make a right one of anything."""
+    from dataclasses import replace
+
+    from reporting_results import study
+
+    from needlefit.validation.results import COLUMNS
+    from needlefit.validation.stored import store
+
+    whole = study(1)
+    small = replace(whole, **{name: getattr(whole, name).head(20) for name in COLUMNS})
+
+    def write(folder: Path) -> None:
+        content = gzip.decompress(store(small, folder).read_bytes()).split(b"\n")[1]
+        (folder / "content.json").write_bytes(content)
+
+    return [written(write, "content.json", ("content.json",))]
 
 
 def posteriors() -> list[Seed]:

@@ -1,0 +1,209 @@
+"""Files of a run that were damaged or changed by hand: an error that names file, key or column."""
+
+import gzip
+import json
+import os
+from functools import partial
+from pathlib import Path
+
+import h5py
+import numpy as np
+import pandas as pd
+import pytest
+from reporting_results import study
+from test_reporting_posterior import sampled
+
+from needlefit.errors import DataError, NeedlefitError
+from needlefit.inference.sampling.posterior import load, save
+from needlefit.project.places import find, find_run, find_studies, find_target
+from needlefit.project.reading import stored_values
+from needlefit.project.run_file import read_run, read_timing
+from needlefit.project.subjects import find_subject
+from needlefit.reporting.rebuild import rebuild
+from needlefit.validation import packing
+from needlefit.validation.csv_tables import TableForm, read_table
+from needlefit.validation.packing import MAX_UNPACKED_BYTES, NAME, with_digest
+from needlefit.validation.stored import restore, store
+
+FORM = TableForm(("id",), (), ("x_mm",), ("fits",))
+
+
+@pytest.fixture(scope="module")
+def content(tmp_path_factory) -> dict:
+    """What a study stores, without its digest."""
+    path = store(study(1), tmp_path_factory.mktemp("run"))
+    return json.loads(gzip.decompress(path.read_bytes()).split(b"\n")[1])
+
+
+def stored(folder: Path, values: object) -> Path:
+    (folder / NAME).write_bytes(with_digest(json.dumps(values).encode()))
+    return folder
+
+
+def fault(folder: Path) -> DataError:
+    with pytest.raises(DataError) as caught:
+        restore(folder)
+    assert NAME in caught.value.where and caught.value.expected and caught.value.mend
+    return caught.value
+
+
+def test_one_digit_that_was_changed_is_found(tmp_path):
+    path = store(study(1), tmp_path)
+    lines = gzip.decompress(path.read_bytes())
+    at = lines.rindex(b"1", 0, len(lines) // 2)
+    path.write_bytes(gzip.compress(lines[:at] + b"2" + lines[at + 1 :]))
+    assert "digest" in fault(tmp_path).what
+
+
+def test_results_of_the_format_before_are_still_read(tmp_path, content):
+    (tmp_path / NAME).write_bytes(gzip.compress(json.dumps({"format": 2, **content}).encode()))
+    assert restore(tmp_path).name == study(1).name
+
+
+def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(packing, "MAX_UNPACKED_BYTES", 10_000)
+    assert MAX_UNPACKED_BYTES < 2**30
+    (tmp_path / NAME).write_bytes(gzip.compress(bytes(10**6)))
+    fault(tmp_path)
+    monkeypatch.setattr(packing, "MAX_BRACKETS", 100)
+    (tmp_path / NAME).write_bytes(gzip.compress(b"[" * 5000))
+    fault(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [
+        ("kind", "nonsense"),
+        ("kind", []),
+        ("name", "../elsewhere"),
+        ("origin", None),
+        ("record", {"schema": 1}),
+        ("frames", {}),
+        ("frames.errors.types.te_mm", "U999999999"),
+        ("frames.errors.types.te_mm", "int64"),
+        ("frames.errors.columns.te_mm", [1.0]),
+        ("frames.errors.columns.converged", None),
+        ("run.folds", [{"name": "all"}]),
+        ("run.dataset", {"needle": [1]}),
+        ("run.warnings", [{"kind": 1}]),
+        ("needles", [{"insertion": "a"}]),
+        ("posteriors", ["all"]),
+    ],
+)
+def test_values_that_were_never_written_are_refused(key, value, content, tmp_path):
+    changed = json.loads(json.dumps(content))
+    *before, last = key.split(".")
+    inner = changed
+    for part in before:
+        inner = inner[part]
+    inner[last] = value
+    with pytest.raises(DataError):
+        rebuild(stored(tmp_path, changed), tmp_path / "again")
+    assert not (tmp_path / "again").exists()
+
+
+@pytest.mark.parametrize(
+    "values",
+    [
+        [],
+        {"name": 1},
+        {"name": "a", "folds": {}},
+        {"name": "a", "versions": {"numpy": 2}},
+        {"name": "a", "study": {"kind": ["plan"]}},
+        {"design": {"name": 1}},
+        {"study1": {"recipe": 3}},
+    ],
+)
+def test_a_run_file_of_other_types_names_the_file(values, tmp_path):
+    (tmp_path / "run.json").write_text(json.dumps(values))
+    with pytest.raises(DataError) as caught:
+        read_run(tmp_path)
+    assert "run.json" in caught.value.where
+
+
+def test_times_of_another_type_are_refused(tmp_path):
+    (tmp_path / "timing.json").write_text('{"seconds": "long"}')
+    with pytest.raises(DataError):
+        read_timing(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "where"),
+    [
+        ("", "t.csv"),
+        ("id,x_mm\na,1\n", "t.csv"),
+        ("id,x_mm,fits\na,1,True\na,2,True\n", "t.csv"),
+        ("id,x_mm,fits\na,one,True\n", "column x_mm"),
+        ("id,x_mm,fits\na,True,True\n", "column x_mm"),
+        ("id,x_mm,fits\na,1,maybe\n", "column fits"),
+        ('id,x_mm,fits\n"a,1,True\n', "t.csv"),
+        ("id,x_mm,fits\na,1,True,4,5\nb,1,True\n", "t.csv"),
+    ],
+)
+def test_a_damaged_table_names_its_file_and_column(text, where, tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text(text)
+    with pytest.raises(DataError) as caught:
+        read_table(path, FORM)
+    assert caught.value.where.endswith(where)
+
+
+def test_a_table_is_read_with_its_empty_cells(tmp_path):
+    path = tmp_path / "t.csv"
+    path.write_text("id,x_mm,fits,other\n1,1,True,\n2,,,x\n")
+    frame = read_table(path, FORM)
+    assert list(frame["id"]) == ["1", "2"] and np.isnan(frame["x_mm"][1]) and pd.isna(frame["fits"][1])
+    path.write_text("\n")
+    assert read_table(path, FORM).empty
+
+
+def _drop(file: h5py.File) -> None:
+    del file["convergence/r_hat"]
+
+
+def _add(file: h5py.File) -> None:
+    file["posterior/bevel_mm"][0, 0] += 1e-9
+
+
+def _claim(file: h5py.File) -> None:
+    file.create_dataset("posterior/more", (10**6, 10**6), dtype="f8")  # stated, never written
+
+
+def _shorten(file: h5py.File) -> None:
+    file["posterior"].attrs["walkers"] = 0
+
+
+@pytest.mark.parametrize("damage", [_drop, _add, _claim, _shorten])
+def test_a_posterior_that_was_changed_is_refused(damage, tmp_path):
+    path = tmp_path / "posterior.nc"
+    (posterior,) = sampled(0.08, 0.09).posteriors.values()
+    save(posterior, path)
+    assert load(path).names == posterior.names
+    with h5py.File(path, "r+") as file:
+        damage(file)
+    with pytest.raises(DataError) as caught:
+        load(path)
+    assert str(path) in caught.value.where
+
+
+def test_what_stored_values_cannot_be_used_for_is_an_error_with_its_cause():
+    with pytest.raises(DataError) as caught, stored_values("run"):
+        raise ZeroDivisionError
+    assert isinstance(caught.value.__cause__, ZeroDivisionError) and caught.value.where == "run"
+    with pytest.raises(OSError), stored_values("run"):
+        raise OSError(28, os.strerror(28))
+
+
+LONG = "a" * 300
+
+
+@pytest.mark.parametrize("name", [LONG, f"{LONG}.toml", f"./{LONG}", "a\0b", "./a\0b.toml"])
+def test_a_name_that_no_file_can_have_is_not_found(name):
+    lookups = [
+        *(partial(find, kind) for kind in ("study", "scene", "dataset")),
+        *(find_target, find_studies, find_run, find_subject),
+    ]
+    for lookup in lookups:
+        with pytest.raises(NeedlefitError) as caught:
+            lookup(name)
+        assert caught.value.exit_code == 3
