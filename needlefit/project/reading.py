@@ -211,8 +211,8 @@ def stored_values(where: Path | str) -> Iterator[None]:
         raise DataError(
             f"holds values that needlefit cannot use ({type(fault).__name__})",
             where=str(where),
-            expected="the files of a run as needlefit wrote them",
-            mend="run it again, or take the files from a copy; if nobody changed them, this is an error of "
+            expected="files as needlefit wrote them",
+            mend="run it again, or take them from a copy; if nobody changed them, this is an error of "
             "needlefit: -v shows where",
         ) from fault
 

@@ -8,6 +8,8 @@ import pandas as pd
 
 from needlefit.errors import ConfigError
 from needlefit.project import places
+from needlefit.project.reading import stored_values
+from needlefit.validation.csv_tables import ANY, TableForm, read_table
 from needlefit.validation.paper import counts, explanations
 from needlefit.validation.paper.claims import BOUNDS, Claim, Tables, rows
 
@@ -24,6 +26,9 @@ TABLES: dict[Table, str] = {
 }
 
 
+_FORMS: dict[Table, TableForm] = {"parameters": TableForm(keys=("set",))}
+
+
 def table(name: Table) -> pd.DataFrame:
     """Return one published table, as `data/paper/<name>.csv` holds it.
 
@@ -31,8 +36,11 @@ def table(name: Table) -> pd.DataFrame:
     ------
     ConfigError
         If no project root holds the file.
+    DataError
+        If it is no table, or lacks a column.
     """
-    return pd.read_csv(_file(name))
+    path = _file(name)
+    return read_table(path, _FORMS.get(name, ANY))
 
 
 def hand_tuned(name: str) -> dict[str, float]:
@@ -44,7 +52,8 @@ def hand_tuned(name: str) -> dict[str, float]:
         If there is no such row.
     """
     published = {"parameters": table("parameters")}
-    found = rows(published, "parameters", set=name)
+    with stored_values(_file("parameters")):
+        found = rows(published, "parameters", set=name)
     if not found:
         known = ", ".join(hand_tuned_names())
         raise ConfigError(f"the paper has no hand-tuned set called `{name}`", expected=f"one of {known}")
@@ -59,7 +68,8 @@ def hand_tuned_names() -> tuple[str, ...]:
 def checked_claims() -> list[Claim]:
     """Return every claim of the paper that was held against its tables, whether it holds or not."""
     published: Tables = {name: table(name) for name in TABLES}
-    return [check(published) for check in _CHECKS]
+    with stored_values(_file("parameters").parent):
+        return [check(published) for check in _CHECKS]
 
 
 def contradictions() -> list[Claim]:
