@@ -48,20 +48,20 @@ def read_long(path: Path, record: DatasetRecord, found: list[Fault]) -> LongTabl
     if missing_columns(table, by, found):
         return None
     names = _group_names(table.cells[by], record.insertions.id_template, path, found)
-    groups = {name: np.flatnonzero((names == name).to_numpy()) for name in names.unique()}
-    long = LongTable(table, groups)
+    rows: dict[str, list[int]] = {}
+    for row, name in enumerate(names):
+        rows.setdefault(name, []).append(row)
+    long = LongTable(table, {name: np.array(of_name) for name, of_name in rows.items()})
     _varying(long, record.insertions, found)
     return long
 
 
-def _group_names(
-    keys: pd.DataFrame, template: str | None, path: Path, found: list[Fault]
-) -> "pd.Series[str]":
+def _group_names(keys: pd.DataFrame, template: str | None, path: Path, found: list[Fault]) -> list[str]:
     """Return every row's insertion id, from the template over the group columns."""
     template = template or "_".join(f"{{{column}}}" for column in keys)
     cells = keys.to_dict("records")
     try:
-        return pd.Series([template.format(**{str(k): v for k, v in row.items()}) for row in cells], dtype=str)
+        return [template.format(**{str(k): v for k, v in row.items()}) for row in cells]
     except (KeyError, IndexError, ValueError):
         found.append(
             Fault(
@@ -71,7 +71,7 @@ def _group_names(
                 "use only these names in it",
             )
         )
-        return pd.Series(dtype=str)
+        return []
 
 
 def _varying(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> None:

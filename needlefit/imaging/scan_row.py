@@ -39,7 +39,7 @@ MESH_SUFFIXES = (".stl", ".ply", ".obj")
 CHOICES = {"surfaces_in": ("world", "scan"), "origin": ("measured", "synthetic")}
 """Columns of words; the first is that of an empty cell."""
 
-_AS = re.compile(r"(?P<file>.+)=(?P<kind>sheet|solid):(?P<into>[1-9]\d*)")
+_AS = re.compile(r"(?P<file>.+)=(?P<kind>sheet|solid):(?P<into>[1-9]\d{0,2})")
 
 
 @dataclass(frozen=True)

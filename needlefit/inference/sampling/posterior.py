@@ -2,17 +2,18 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.convergence import Convergence
-from needlefit.project.reading import opened
+from needlefit.inference.sampling.posterior_file import read_numbers
+from needlefit.project.reading import parse_json
 
 if TYPE_CHECKING:
     import xarray
@@ -20,9 +21,6 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
-MAX_POSTERIOR_BYTES = 4 * 2**30
-"""Size of a file of draws; those of the paper's studies have some MB."""
-
 ENGINE: Literal["h5netcdf"] = "h5netcdf"
 
 
@@ -111,21 +109,12 @@ def save(posterior: Posterior, path: Path) -> None:
 
 def load(path: Path) -> Posterior:
     """Read what `save` wrote; DataError if the file is no posterior, or is damaged."""
-    import xarray
-
-    with opened(path, MAX_POSTERIOR_BYTES):
-        pass
+    attributes, numbers = read_numbers(path)
     try:
-        _require_held(path)
-        with (
-            xarray.open_dataset(path, group="posterior", engine=ENGINE) as draws,
-            xarray.open_dataset(path, group="sample_stats", engine=ENGINE) as stats,
-            xarray.open_dataset(path, group="convergence", engine=ENGINE) as found,
-        ):
-            posterior = _read(draws, stats, found)
-            digest = draws.attrs.get("sha256")  # files from before have none
-    except Exception as error:  # of a damaged file HDF5 and xarray raise any type, RuntimeError among them
+        posterior = _read(attributes, numbers)
+    except (DataError, KeyError, TypeError, ValueError) as error:
         raise _unusable(path, f"is no posterior of needlefit ({type(error).__name__})") from error
+    digest = attributes.get("posterior/sha256")  # files from before have none
     if not _alike(posterior):
         raise _unusable(path, "its arrays do not fit together")
     if digest is not None and digest != _digest(posterior):
@@ -140,17 +129,6 @@ def _unusable(path: Path, what: str) -> DataError:
         expected="the file as `needlefit tune TARGET --sample` wrote it",
         mend="sample again with --sample, or take the file from a copy",
     )
-
-
-def _require_held(path: Path) -> None:
-    """Raise ValueError if a file states more numbers than it has bytes: HDF5 would make them all up."""
-    import h5py
-
-    with h5py.File(path, "r") as file:
-        stated = list[int]()
-        file.visititems(lambda _, one: stated.append(one.nbytes) if isinstance(one, h5py.Dataset) else None)
-    if sum(stated) > path.stat().st_size:
-        raise ValueError("more numbers are stated than the file holds")
 
 
 def _alike(of: Posterior) -> bool:
@@ -220,25 +198,34 @@ def _attributes(of: Posterior) -> dict[str, str | int]:
     }
 
 
-def _read(draws: "xarray.Dataset", stats: "xarray.Dataset", found: "xarray.Dataset") -> Posterior:
-    names = tuple(str(draws.attrs["parameters"]).split(","))
+def _read(attributes: Mapping[str, Any], numbers: Mapping[str, Floats]) -> Posterior:
+    """Return the posterior of what a file holds, by `group/name`."""
+    about = {name: attributes[f"posterior/{name}"] for name in _ATTRIBUTES}
+    names = tuple(str(about["parameters"]).split(","))
     return Posterior(
         names=names,
-        draws=np.stack([draws[name].to_numpy() for name in names], axis=2),
-        log_posterior=stats["lp"].to_numpy(),
-        walkers=int(draws.attrs["walkers"]),
-        moves=str(draws.attrs["moves"]),
-        acceptance=stats["acceptance_rate"].to_numpy(),
+        draws=np.stack([numbers[f"posterior/{name}"] for name in names], axis=2),
+        log_posterior=numbers["sample_stats/lp"],
+        walkers=int(about["walkers"]),
+        moves=str(about["moves"]),
+        acceptance=numbers["sample_stats/acceptance_rate"],
         convergence=Convergence(
-            quantities=tuple(str(name) for name in found["quantity"].to_numpy()),
-            r_hat=found["r_hat"].to_numpy(),
-            **{field: found[name].to_numpy() for name, field in _PER_CHAIN.items()},
-            steps=int(found.attrs["steps"]),
+            quantities=tuple(attributes["convergence/quantity"]),
+            r_hat=numbers["convergence/r_hat"],
+            **{field: numbers[f"convergence/{name}"] for name, field in _PER_CHAIN.items()},
+            steps=int(attributes["convergence/steps"]),
         ),
-        burn_in=int(draws.attrs["burn_in"]),
-        failures=int(draws.attrs["failures"]),
-        interrupted=bool(draws.attrs["interrupted"]),
-        failed=tuple(
-            tuple(tuple(theta) for theta in ensemble) for ensemble in json.loads(draws.attrs["failed_theta"])
-        ),
+        burn_in=int(about["burn_in"]),
+        failures=int(about["failures"]),
+        interrupted=bool(about["interrupted"]),
+        failed=_thetas(parse_json(str(about["failed_theta"]), "failed_theta")),
     )
+
+
+def _thetas(lists: Sequence[Sequence[Sequence[float]]]) -> tuple[tuple[tuple[float, ...], ...], ...]:
+    return tuple(tuple(tuple(map(float, theta)) for theta in ensemble) for ensemble in lists)
+
+
+_ATTRIBUTES = (
+    "parameters", "walkers", "moves", "burn_in", "failures", "interrupted", "failed_theta",
+)  # fmt: skip

@@ -1,0 +1,67 @@
+"""What a posterior's netCDF file holds, read in a limited child process.
+
+netCDF files are HDF5 files. The library's reader of their dimensions does not end on some damaged ones; the
+numbers are therefore read by their names, without dimensions.
+"""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.project.caged import Results, limits, read_caged
+from needlefit.project.reading import opened
+
+MAX_POSTERIOR_BYTES = 4 * 2**30
+"""Size of a file of draws; those of the paper's studies have some MB."""
+
+READ_BYTES_PER_SECOND = 16 * 2**20
+
+GROUPS = ("posterior", "sample_stats", "convergence")
+QUANTITY = "quantity"
+"""Variable whose values are texts: what the rule of convergence looks at."""
+
+
+def read_numbers(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float64]]]:
+    """Return the attributes and the float64 variables of a file, both by `group/name`.
+
+    Among the attributes is `convergence/quantity`, a list of texts.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, is not HDF5, states more than it holds, or its reader crashes or does not end.
+    """
+    with opened(path, MAX_POSTERIOR_BYTES):
+        size = path.stat().st_size
+    allowed = limits(size, size + 2**20, size / READ_BYTES_PER_SECOND)
+    return read_caged(
+        "needlefit.inference.sampling.posterior_file:fill_numbers", path, allowed, {"path": str(path)}
+    )
+
+
+def fill_numbers(results: Results, path: str) -> dict[str, Any]:
+    """In the child: fill an array for every float64 variable of the file; return the attributes."""
+    import h5py
+
+    found: dict[str, Any] = {}
+    with h5py.File(path, "r") as file:
+        for group in GROUPS:
+            for name, value in file[group].attrs.items():
+                if not name.startswith("_"):  # the library's own
+                    found[f"{group}/{name}"] = _plain(value)
+            for name, variable in file[group].items():
+                if name == QUANTITY:
+                    found[f"{group}/{name}"] = [str(text) for text in variable.asstr()[()]]
+                elif isinstance(variable, h5py.Dataset) and variable.dtype == np.float64:
+                    results.new(f"{group}/{name}", variable.shape, "float64")[...] = variable[()]
+    return found
+
+
+def _plain(value: Any) -> Any:  # noqa: ANN401 - whatever HDF5 holds
+    """Return an attribute as a text or a number: HDF5 holds numbers as arrays of one."""
+    if isinstance(value, str):
+        return value
+    (one,) = np.ravel(value)
+    return one.item()
