@@ -115,7 +115,7 @@ def test_faults_of_a_json_file(file):
     file.write_text('{"markups": [')
     assert "JSON" in refused(file)
     file.write_text("[" * 100_000)
-    assert "is no JSON" in refused(file)
+    assert "JSON" in refused(file)
     file.write_text('{"nodes": []}')
     assert "has no `markups`" in refused(file)
     assert "holds no list" in refused(save(file))

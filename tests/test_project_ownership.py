@@ -162,12 +162,19 @@ def test_two_that_begin_where_nothing_is_both_end_whole(tmp_path):
     assert not foreign(tmp_path / "out")
 
 
+@pytest.mark.parametrize("run", ['{"program": "another"}', '{"versions": {"python": "3.11"}}', "[]", "{"])
+def test_files_of_a_run_of_another_program_are_foreign(tmp_path, run):
+    for name, text in (("run.json", run), ("report.pdf", "mine"), ("errors.csv", "mine")):
+        (tmp_path / name).write_text(text)
+    assert foreign(tmp_path) == ["errors.csv", "report.pdf", "run.json"]
+
+
 def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
     folder = tmp_path / "study3"
     (folder / "slicer").mkdir(parents=True)
     for name in ("errors.pdf", "results.json.gz", "posterior_2.nc", "numbers.tex", "timing.json"):
         (folder / name).write_text("ours")
-    (folder / "run.json").write_text("{}")
+    (folder / "run.json").write_text('{"versions": {"needlefit": "0.1.0"}}')
     (folder / "errors.csv").write_text("fold,insertion\nall,n1\nall,n2\n")
     (folder / "slicer" / "n1.mrk.json").write_text("ours")
     (folder / "slicer" / "n2.band.ply").write_text("ours")

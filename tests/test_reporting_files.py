@@ -20,6 +20,9 @@ from needlefit.reporting.story import story
 from needlefit.reporting.together import write_all
 from needlefit.validation.results import COLUMNS
 
+EARLIER = '{"versions": {"needlefit": "0.1.0"}}'
+"""`run.json` of a result without a stamp."""
+
 FIGURES = ("boxplot", "overlays", "residuals", "rivals", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
@@ -124,7 +127,7 @@ def test_all_studies_together(tmp_path):
 def test_a_failure_leaves_the_earlier_result_and_nothing_half_done(tmp_path, monkeypatch):
     target = tmp_path / "study1"
     target.mkdir()
-    (target / "run.json").write_text("{}")
+    (target / "run.json").write_text(EARLIER)
 
     def fail(_: object) -> bytes:
         raise OSError("disk full")
@@ -142,7 +145,7 @@ def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
     monkeypatch.setattr(write, "_draw", lambda *_: {})
     target = tmp_path / "study1"
     target.mkdir()
-    (target / "run.json").write_text("{}")
+    (target / "run.json").write_text(EARLIER)
     (target / "corner.csv").write_text("")
     files = write.write(study(1), target, {"extra.txt": lambda path: path.write_text("more")})
     assert not (target / "corner.csv").exists()

@@ -29,19 +29,25 @@ _NAMES = re.compile(
 def earlier_files(folder: Path) -> frozenset[str]:
     """Return the names that a run of an earlier version may have written in `folder`, that are there.
 
-    Empty where there is no `run.json` that can be read: then it is no result.
+    Empty where no `run.json` states the version of needlefit that wrote it: then it is not a result.
     """
     try:
         run = read_json(folder / "run.json")
     except DataError:
         return frozenset()
-    if not isinstance(run, dict):
+    if not isinstance(run, dict) or not any(_states_version(part) for part in (run, *run.values())):
         return frozenset()
     names = {path.name for path in folder.iterdir() if _NAMES.fullmatch(path.name)}
     names |= {f"slicer/{id_}{ending}" for id_ in _insertions(folder) for ending in _SLICER}
     parts = [part for part in run if (folder / part).is_dir() and Path(part).name == part]
     names |= {f"{part}/{path.name}" for part in parts for path in (folder / part).iterdir() if _figure(path)}
     return frozenset(names)
+
+
+def _states_version(run: object) -> bool:
+    """Return whether the record of a run, or of one of several, says which needlefit computed it."""
+    versions = run.get("versions") if isinstance(run, dict) else None
+    return isinstance(versions, dict) and isinstance(versions.get("needlefit"), str)
 
 
 _SLICER = (".mrk.json", ".needle.ply", ".band.ply")

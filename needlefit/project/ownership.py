@@ -1,8 +1,8 @@
 """Which folders needlefit may replace or remove: those that carry its stamp, and hold nothing foreign.
 
 The stamp, `needlefit.json`, lists the files that were written with it and their SHA-256. Any other file, a
-listed one that was changed since, and every link are foreign: they are somebody's work. In a checkpoint,
-which grows while a run goes on, the stamp stands for the few names that a run uses there.
+listed one that was changed since (but `timing.json`), and every link are foreign: they are somebody's work.
+In a checkpoint, which grows while a run goes on, the stamp stands for the few names that a run uses there.
 """
 
 import json
@@ -119,7 +119,7 @@ def not_replaced(folder: Path, faults: list[str]) -> ConfigError:
     more = len(faults) - LISTED_NAMES
     named = ", ".join(faults[:LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
     return ConfigError(
-        f"is not replaced: needlefit did not write all that lies there: {named}",
+        f"is not replaced: needlefit did not write these files in it, or they were changed since: {named}",
         where=str(folder),
         expected=f"no such folder, an empty one, or one that holds only what its {STAMP} lists, unchanged",
         mend="move those files away, or choose another folder with --out",
