@@ -155,5 +155,7 @@ def _processor_seconds(process: int) -> float:
 
 def _copy(case: Path, kept: Path, verdict: Verdict) -> None:
     shutil.rmtree(kept, ignore_errors=True)
-    shutil.copytree(case, kept)
+    kept.mkdir(parents=True)
+    if case.is_dir():  # the process may have ended before it had written the mutant
+        shutil.copytree(case, kept, dirs_exist_ok=True)
     (kept / "VERDICT.txt").write_text(f"{verdict}\n", encoding="utf-8", errors="backslashreplace")
