@@ -1,11 +1,13 @@
 """Warnings about a finished fit: parameters at bounds, empirical curves that are closer, shared specimens."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 import pytest
 from reporting_results import study
+from test_cli import run
 from test_datasets import CURVE, record, row
 
 from needlefit.datasets.read import read
@@ -118,3 +120,63 @@ def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
     assert shared(**first, validate=[{"insertions": ["c"]}]) == []
     assert shared(leave_out="specimen") == []
     assert len(shared(leave_out="insertion")) == 1
+
+
+GEL = """
+schema = 1
+layers = 1
+[parameters]
+mu1_pa = { bounds = [1e3, 1e9] }
+alpha1 = { fixed = 1.0 }
+bevel_mm = { bounds = [1e-3, 0.5] }
+"""
+
+FLIPPED = """
+schema = 1
+dataset = "./data"
+medium = "./gel.toml"
+recipe = "./fast.toml"
+[tune]
+insertions = ["a", "b"]
+"""
+
+
+@pytest.fixture
+def flipped(tmp_path, monkeypatch):
+    """A fit to needles whose bevels are said to face the other side."""
+    monkeypatch.chdir(tmp_path)
+    rows = [row(name, "gel", layers=1, bevel=np.array([0, 1.0, 0]), side=-1) for name in "ab"]
+    tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
+    write_dataset(tmp_path / "data", tables, rows, dict.fromkeys("ab", CURVE), {})
+    (tmp_path / "gel.toml").write_text(GEL)
+    (tmp_path / "fast.toml").write_text("schema = 1\nstarts = 2\nmetric = false\n")
+    (tmp_path / "fit.toml").write_text(FLIPPED)
+    return tmp_path
+
+
+def test_a_fit_to_flipped_bevels_warns_of_cause_and_effect_and_is_written(flipped, capsys):
+    assert run("tune", "./fit.toml", "-q", "--strict") == 5
+    err = capsys.readouterr().err
+    told = json.loads((flipped / "reports/fit/run.json").read_text())["warnings"]
+    kinds = {one["kind"] for one in told}
+    assert {"bevel_side", "parameter_at_bound", "worse_than_baseline"} <= kinds
+    assert err.count("needlefit: warning: ") == len(told)
+    assert "data/insertions.csv:2" in err and "insertions.csv:2" in {one["where"] for one in told}
+
+
+@pytest.mark.parametrize(
+    ("file", "old", "new", "place"),
+    [
+        ("fit.toml", '"a", "b"', '"a", "d"', "fit.toml:7"),
+        ("fit.toml", '"./data"', '"dato"', "fit.toml:3"),
+        ("fit.toml", '"./gel.toml"', '"gol"', "fit.toml:4"),
+        ("gel.toml", "alpha1", "alpha2", "gel.toml:6"),
+        ("gel.toml", "[1e3, 1e9]", "[-1, 1e9]", "gel.toml:5"),
+    ],
+)
+def test_an_error_of_a_study_or_medium_names_file_and_line(flipped, capsys, file, old, new, place):
+    path = flipped / file
+    path.write_text(path.read_text().replace(old, new))
+    for command in ("tune", "identify"):
+        assert run(command, "./fit.toml", "-q") == 3
+        assert capsys.readouterr().err.startswith(f"needlefit: {place}: ")

@@ -66,6 +66,14 @@ def test_the_band_ends_where_the_tip_was_foretold(job, known):
     assert widths[-1] > widths[0] > 0  # a turn of the pose tells most at the tip
 
 
+def test_without_a_stated_noise_nothing_is_predicted_but_where_the_points_have_their_own(job, known):
+    dataset = replace(job.dataset, noise=replace(job.dataset.noise, point_sd=0.0, correlated_sd=0.0))
+    silent, insertion = replace(job, dataset=dataset), exact(job.folds[0].validate[0])
+    with_sd = replace(insertion, sd=np.full(len(insertion.planar), 0.05))
+    assert list(foretold(silent, of(job, replace(insertion, sd=None)), sure(known))) == []
+    assert len(list(foretold(silent, of(job, with_sd), sure(known)))) == 1
+
+
 def test_open_depths_and_parameters_widen_it(job, known):
     insertion = job.folds[0].validate[0]
 
