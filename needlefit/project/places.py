@@ -244,5 +244,5 @@ def _ending_typo(name: str) -> str:
         return ""
     right = name.removesuffix(ending) + ".toml"
     path = right if "/" in right else f"./{right}"
-    found = "the file exists" if Path(path).is_file() else "a path ends in .toml"
+    found = "the file exists" if is_file(Path(path)) else "a path ends in .toml"
     return f"write {path} ({found})"
