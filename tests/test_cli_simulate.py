@@ -216,6 +216,7 @@ def test_a_step_outside_the_model_marks_the_whole_insertion(capsys):
         ("needle.length_mm=1e7", "needle.length_mm"),
         ("rules.element_mm=1e-6", "rules.element_mm"),
         ("rules.constraint_spacing_mm=1e-3", "rules.constraint_spacing_mm"),
+        ("rules.constraint_spacing_mm=1e9", "rules.constraint_spacing_mm"),
     ],
 )
 def test_sizes_beyond_all_use_are_refused_at_once(setting, key, capsys):

@@ -142,6 +142,7 @@ def test_rounding_grows_as_elements_shrink_and_is_never_below_what_a_unit_of_for
         lambda: Tissue(np.ones(MAX_LAYERS + 1), np.ones(1), np.arange(1.0, MAX_LAYERS + 1)),
         lambda: Controls(guides=tuple(Guide(-1.0 - n) for n in range(MAX_GUIDES + 1))),
         lambda: Rules(max_iterations=10**6),
+        lambda: Rules(1e9, 1.0),
         lambda: simulate(Needle(4000.0, 1e4), TISSUE, Bevel(0.0), 3000.0, rules=Rules(0.1, 0.1)),
         lambda: follow(NEEDLE, TISSUE, [Step(d, Bevel(0.0)) for d in (140.0, 1.0) * 3000]),
     ],

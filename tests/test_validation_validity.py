@@ -14,6 +14,7 @@ from needlefit.project.limits import MAX_LAYERS
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import RecipeRecord, SampleRecord
 from needlefit.project.records.scene import SceneRecord
+from needlefit.project.records.sensitivity import VariationRecord
 from needlefit.project.result_warnings import warnings_of
 from needlefit.validation.score import Scorer, model_rival
 from needlefit.validation.validity import ValidityCounts, outside_words, validity_warnings
@@ -71,6 +72,8 @@ BASE = {"schema": 1, "layers": 1, "parameters": {}}
     [
         (MediumRecord, "layers", BASE | {"layers": MAX_LAYERS + 1}),
         (MediumRecord, "constraint_spacing_mm", BASE | {"constraint_spacing_mm": 0.001}),
+        (MediumRecord, "constraint_spacing_mm", BASE | {"constraint_spacing_mm": 1e7}),
+        (VariationRecord, "constraint_spacing_mm", {"of": "a", "name": "b", "constraint_spacing_mm": 1e7}),
         (RecipeRecord, "starts", {"schema": 1, "starts": 10**9}),
         (RecipeRecord, "evaluations", {"schema": 1, "evaluations": 10**12}),
         (SampleRecord, "walkers", {"walkers": 10**7}),

@@ -7,7 +7,13 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.finite import finite
-from needlefit.project.limits import MAX_GUIDES, MAX_ITERATIONS, MAX_NEEDLE_LENGTH_MM, MIN_ELEMENT_MM
+from needlefit.project.limits import (
+    MAX_CONSTRAINT_SPACING_MM,
+    MAX_GUIDES,
+    MAX_ITERATIONS,
+    MAX_NEEDLE_LENGTH_MM,
+    MIN_ELEMENT_MM,
+)
 from needlefit.project.records.scene import BevelRecord, RulesRecord
 
 
@@ -198,6 +204,12 @@ class Rules:
                 f"elements of {min(self.element, self.spacing):g} mm",
                 expected=f"{MIN_ELEMENT_MM:g} mm or more: rounding grows as they shrink",
                 mend="1 mm elements leave less than 0.001 mm at the tip, as `needlefit verify` shows",
+            )
+        if self.spacing > MAX_CONSTRAINT_SPACING_MM:
+            raise ModelError(
+                f"constraint spacing is {self.spacing:g} mm",
+                expected=f"at most {MAX_CONSTRAINT_SPACING_MM:g} mm",
+                mend="1 mm is the model's; a larger one needs its own fit",
             )
         ratio = self.spacing / self.element if self.element > 0 else 0.0
         if not (self.spacing > 0 and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-3)):

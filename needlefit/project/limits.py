@@ -9,6 +9,9 @@ MAX_NEEDLE_LENGTH_MM = 5000.0
 MIN_ELEMENT_MM = 0.05
 """Of an element and of the constraint spacing; below, rounding exceeds the discretisation error."""
 
+MAX_CONSTRAINT_SPACING_MM = 10.0
+"""The model takes 1 mm; elements fill a cell however long it is, and so do time and memory."""
+
 MAX_ELEMENTS = 5000
 """Elements in the tissue: 5 m in elements of 1 mm, 250 mm in those of 0.05 mm."""
 

@@ -4,7 +4,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from needlefit.project.limits import MAX_LAYERS, MIN_ELEMENT_MM
+from needlefit.project.limits import MAX_CONSTRAINT_SPACING_MM, MAX_LAYERS, MIN_ELEMENT_MM
 from needlefit.project.records.prior import PriorRecord
 from needlefit.project.records.record import FileRecord, Record
 
@@ -45,7 +45,7 @@ class MediumRecord(FileRecord):
     layers: int = Field(ge=1, le=MAX_LAYERS)
     law: str = "ogden"
     thickness_mm: float = Field(default=40.0, gt=0)
-    constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM)
+    constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
     tangent_part: float = Field(default=1.0, ge=0, le=1)
     first_cell_mm: float | None = Field(default=None, gt=0)

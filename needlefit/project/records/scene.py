@@ -7,7 +7,14 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.project.limits import MAX_GUIDES, MAX_LAYERS, MAX_NEEDLE_LENGTH_MM, MAX_STEPS, MIN_ELEMENT_MM
+from needlefit.project.limits import (
+    MAX_CONSTRAINT_SPACING_MM,
+    MAX_GUIDES,
+    MAX_LAYERS,
+    MAX_NEEDLE_LENGTH_MM,
+    MAX_STEPS,
+    MIN_ELEMENT_MM,
+)
 from needlefit.project.records.record import FileRecord, Name, Record
 from needlefit.project.records.steps import GuideRecord, StepRecord, check_tip
 
@@ -60,7 +67,7 @@ class RulesRecord(Record):
     scene carry a needle that was fitted under them.
     """
 
-    constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM)
+    constraint_spacing_mm: float = Field(default=1.0, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
     element_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
     constraint_switch: float = Field(default=0.5, ge=0, le=1)
     tangent_part: float = Field(default=1.0, ge=0, le=1)

@@ -4,7 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from needlefit.project.limits import MAX_STARTS, MIN_ELEMENT_MM
+from needlefit.project.limits import MAX_CONSTRAINT_SPACING_MM, MAX_STARTS, MIN_ELEMENT_MM
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.record import Name, Record
 
@@ -21,7 +21,7 @@ class VariationRecord(Record):
     name: Name
     constraint_switch: float | None = Field(default=None, ge=0, le=1)
     tangent_part: float | None = Field(default=None, ge=0, le=1)
-    constraint_spacing_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM)
+    constraint_spacing_mm: float | None = Field(default=None, ge=MIN_ELEMENT_MM, le=MAX_CONSTRAINT_SPACING_MM)
     first_cell_mm: float | None = Field(default=None, gt=0)
     thickness_mm: float | None = Field(default=None, gt=0)
     rigidity_factor: float | None = Field(default=None, gt=0)
