@@ -106,6 +106,46 @@ def test_a_value_in_another_unit_is_named_with_its_line(tmp_path, pattern, line,
     assert line.split()[0] in one.what + one.fix or one.kind == "noise"
 
 
+@pytest.mark.parametrize(
+    ("line", "count"),
+    [
+        ("registration_mean_mm = 178", 1),
+        ("registration_mean_mm = 1.78e-4", 1),
+        ("registration_mean_mm = 1.2", 1),  # the needles bend by 1 mm
+        ("registration_mean_mm = 0.9", 0),
+        ("correlation_length_mm = 0.005", 1),
+        ("correlation_length_mm = 151", 1),
+        ("correlation_length_mm = 0.5", 0),
+        ("correlation_length_mm = 150", 0),
+    ],
+)
+def test_a_stated_error_that_cannot_be_right_is_named_with_its_line(tmp_path, line, count):
+    file = gel(tmp_path, noise=NOISE | {"correlated_sd_mm": 0.02, "correlation_length_mm": 5.0})
+    number = edit(file, line.split()[0], line)
+    faults, warnings = check_all(file)
+    assert faults == [] and [one.where for one in warnings] == [f"{file}:{number}"] * count
+    assert all(line.split()[0] in one.what for one in warnings)
+
+
+@pytest.mark.parametrize(
+    ("column", "value", "count"),
+    [
+        *[("pose_shift_sd", 138.0, 1), ("pose_shift_sd", 1.38e-4, 1), ("pose_shift_sd", 1.2, 1)],
+        *[("pose_shift_sd", 0.138, 0), ("pose_angle_sd", np.radians(45), 1), ("pose_angle_sd", 0.02, 0)],
+        *[("boundary_sd", 118.0, 1), ("depth_sd", 120.9, 1), ("depth_sd", 0.1209, 0)],
+    ],
+)
+def test_a_deviation_of_a_row_that_cannot_be_right_is_named_with_line_and_column(
+    tmp_path, column, value, count
+):
+    rows = [row("a", "gel", layers=1, bevel=UP), row("b", "gel", layers=1, bevel=UP, **{column: value})]
+    tables = record(media={"gel": {}}, noise=NOISE)
+    file = write_dataset(tmp_path, tables, rows, dict.fromkeys("ab", CURVE), {})
+    _, warnings = check_all(file)
+    assert [one.where for one in warnings] == [f"{tmp_path}/insertions.csv:3"] * count
+    assert all(f"`{column}_" in one.what for one in warnings)
+
+
 @pytest.mark.parametrize("gauge", [18, 22, 25])
 def test_usual_needles_have_no_doubtful_diameter(tmp_path, gauge):
     assert (

@@ -3,12 +3,11 @@
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
-
 from needlefit.datasets.bevel_side import Bent, bend_of, side_warnings
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers_met import Placed
-from needlefit.project.records.dataset import DatasetRecord, NoiseRecord, SourceRecord
+from needlefit.datasets.noise_warnings import noise_warnings, stated_warnings
+from needlefit.project.records.dataset import DatasetRecord, SourceRecord
 from needlefit.project.records.tip_tracks import TrackDatasetRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.unit_warnings import Where, boundary_warnings, needle_warnings, where_in
@@ -16,18 +15,12 @@ from needlefit.project.unit_warnings import Where, boundary_warnings, needle_war
 FILL_IN = "TO FILL IN"
 """Marks what a template cannot know."""
 
-LEAST_NOISE_MM = 5e-4
-"""Of the points of a centreline: less was written in another unit."""
-
-CLEAR_NOISE = 0.5
-"""Part of the largest deflection from which on noise hides what there is to fit."""
-
 
 def record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> list[ResultWarning]:
     """Return what is suspicious in a `dataset.toml` by itself."""
     where = where_in(file)
     found = [*placeholder_warnings(record, where), *needle_warnings(record.needle, where)]
-    return [*found, *small_noise_warnings(record.noise, where)]
+    return [*found, *stated_warnings(record.noise, record.needle.length_mm, where)]
 
 
 def placeholder_warnings(record: SourceRecord, where: Where) -> Iterator[ResultWarning]:
@@ -52,15 +45,6 @@ def _holding(value: object, key: str = "") -> Iterator[str]:
         yield from _holding(inner, f"{key}.{name}" if key else str(name))
 
 
-def small_noise_warnings(noise: NoiseRecord, where: Where) -> Iterator[ResultWarning]:
-    """Yield a warning if a noise is stated that is too small for any measurement."""
-    largest = max(noise.point_sd_mm, noise.correlated_sd_mm)
-    if 0 < largest < LEAST_NOISE_MM:
-        key = "noise.point_sd_mm" if largest == noise.point_sd_mm else "noise.correlated_sd_mm"
-        what = f"`{key}` is {largest:g} mm, less than any needle is measured to: this looks like metres"
-        yield ResultWarning("units", what, where(key), f"write {1e3 * largest:g}")
-
-
 def insertion_warnings(
     record: DatasetRecord, placed: Sequence[Placed], noise: Noise, file: Path
 ) -> list[ResultWarning]:
@@ -72,8 +56,7 @@ def insertion_warnings(
         *side_warnings(bent, column, "insertions"),
         *_boundary_warnings(record, insertions, where),
         *_missed_warnings(insertions, where),
-        *_noise_beside_deflection(insertions, noise, where),
-        *_no_noise(insertions, noise, where),
+        *noise_warnings(record, placed, noise, where),
     ]
 
 
@@ -100,22 +83,3 @@ def _missed_warnings(insertions: Sequence[Insertion], where: Where) -> Iterator[
             what = f"none of the {len(group)} insertions into {name} meets any of its surfaces"
             fix = "check that surfaces and centrelines are in one frame (LPS, RAS?), or leave them out"
             yield ResultWarning("surfaces_missed", what, where(f"media.{name}.surfaces"), fix)
-
-
-def _noise_beside_deflection(
-    insertions: Sequence[Insertion], noise: Noise, where: Where
-) -> Iterator[ResultWarning]:
-    largest = max((abs(one.deflection) for one in insertions), default=0.0)
-    sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    if sd > CLEAR_NOISE * largest:
-        key = "noise.point_sd_mm" if noise.point_sd >= noise.correlated_sd else "noise.correlated_sd_mm"
-        what = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
-        yield ResultWarning("noise", what, where(key), "check its unit, mm; such data determine nothing")
-
-
-def _no_noise(insertions: Sequence[Insertion], noise: Noise, where: Where) -> Iterator[ResultWarning]:
-    if not noise.stated and any(one.sd is None for one in insertions):
-        key = "noise.point_sd_mm"
-        what = "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
-        fix = f"write `{key}`, the standard deviation of a point per axis; calibrate and comparisons need it"
-        yield ResultWarning("no_noise", what, where(key), fix)

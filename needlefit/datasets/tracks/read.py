@@ -9,6 +9,7 @@ from needlefit.datasets.dataset_warnings import record_warnings
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats.csv import read_table
 from needlefit.datasets.inspection import needle_faults, noise_of, notes_of, repeated
+from needlefit.datasets.noise_warnings import spacing_warnings
 from needlefit.datasets.sources import checksum_faults, dataset_file, digest, folders
 from needlefit.datasets.tracks.rows import parse
 from needlefit.datasets.tracks.track import Track, TrackDataset
@@ -102,6 +103,7 @@ def _run_warnings(
     column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
     bent = [Bent(one.id, table, bend_of_track(one, noise_of(record.noise))) for one in tracks]
     yield from side_warnings(bent, column, "runs")
+    yield from spacing_warnings(noise_of(record.noise), [one.depth for one in tracks], where_in(file))
     for name, medium in record.media.items():
         depths = [float(one.depth[-1]) for one in tracks if one.medium == name]
         if medium.boundaries_mm and depths:
