@@ -9,6 +9,7 @@ import re
 import struct
 import zlib
 from collections.abc import Callable, Sequence
+from copy import deepcopy
 
 import numpy as np
 
@@ -263,20 +264,20 @@ def change_tree(tree: object, random: np.random.Generator) -> object:
     for _ in range(int(random.integers(1, 4))):
         places = list(_places(tree))
         if not places:
-            return _one(_VALUES, random)
+            return deepcopy(_one(_VALUES, random))
         holder, key = places[int(random.integers(len(places)))]
         kind = int(random.integers(6))
         if kind == 0:
             del holder[key]
         elif kind == 1 and isinstance(holder, list):
-            holder.insert(key, holder[key])
+            holder.insert(key, deepcopy(holder[key]))
         elif kind == 2 and isinstance(holder, dict):
             holder[_one(("", "x", "schema", "\x1b[31m"), random)] = holder.pop(key)
         elif kind == 3:
             other, there = places[int(random.integers(len(places)))]
-            holder[key] = json.loads(json.dumps(other[there])) if there in _keys(other) else None
+            holder[key] = deepcopy(other[there]) if there in _keys(other) else None
         else:
-            holder[key] = _one(_VALUES, random)
+            holder[key] = deepcopy(_one(_VALUES, random))  # a shared list would change with the tree
     return tree
 
 
