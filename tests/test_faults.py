@@ -36,4 +36,4 @@ def test_a_fault_loses_nothing(name, count, server, tmp_path):
 @pytest.mark.slow
 @pytest.mark.parametrize("name", COMMANDS)
 def test_faults_at_many_steps_lose_nothing(name, server, tmp_path):
-    assert wrong(name, 30, 2, server, tmp_path / "f") == {}
+    assert wrong(name, 12, 2, server, tmp_path / "f") == {}
