@@ -146,6 +146,41 @@ def test_a_deviation_of_a_row_that_cannot_be_right_is_named_with_line_and_column
     assert all(f"`{column}_" in one.what for one in warnings)
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "count"),
+    [
+        *[("bevel_side", "bevel_sid", 1), ("bevel_side", "BevelSide", 1), ("depth_sd_mm", "dept_sd_mm", 1)],
+        *[("bevel_side", "Bevel side", 1), ("specimen", "speciment", 1), ("bevel_side", "weather", 0)],
+    ],
+)
+def test_a_mistyped_column_of_the_insertions_is_named_with_the_one_that_was_meant(tmp_path, old, new, count):
+    table = gel(tmp_path).parent / "insertions.csv"
+    table.write_text(table.read_text().replace(old, new, 1))
+    faults, warnings = check_all(tmp_path)
+    found = [one for one in warnings if one.kind == "column"]
+    assert faults == [] and [one.where for one in found] == [f"{table}:1"] * count
+    assert all(f"`{new}`" in one.what and f"`{old}`" in one.what for one in found)
+
+
+def test_a_column_that_is_mapped_is_not_mistyped(tmp_path):
+    file = gel(tmp_path)
+    edit(file, "insertions.csv", 'file = "insertions.csv"\ncolumns = { bevel_side = "bevel_sid" }')
+    table = file.parent / "insertions.csv"
+    table.write_text(table.read_text().replace("bevel_side", "bevel_sid", 1))
+    assert kinds(file) == []
+
+
+@pytest.mark.parametrize(("name", "count"), [("SD_mm", 1), ("sd", 1), ("s_mm", 0)])
+def test_a_mistyped_column_of_centrelines_is_named_once(tmp_path, name, count):
+    file = gel(tmp_path)
+    for id_ in "abc":
+        curve = tmp_path / f"centerlines/{id_}.csv"
+        head, *rows = curve.read_text().splitlines()
+        curve.write_text("\n".join([f"{head},{name}", *(f"{one},0.02" for one in rows)]))
+    _, warnings = check_all(file)
+    assert [one.where for one in warnings] == [f"{tmp_path}/centerlines/a.csv:1"] * count
+
+
 @pytest.mark.parametrize("gauge", [18, 22, 25])
 def test_usual_needles_have_no_doubtful_diameter(tmp_path, gauge):
     assert (

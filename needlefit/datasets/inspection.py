@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from needlefit.datasets.centerlines import LongTable, find_points, patient_frame, read_long
+from needlefit.datasets.column_warnings import centerline_columns, insertion_columns
 from needlefit.datasets.curve_faults import curve_faults
 from needlefit.datasets.dataset_warnings import insertion_warnings, record_warnings
 from needlefit.datasets.faults import Fault, from_error
@@ -53,11 +54,12 @@ def inspect(path: Path) -> Inspection:
         found += checksum_faults(record.checksums, root)
     found += [*needle_faults(record.needle, file), *media_faults(record, file)]
     shared = read_shared(record, roots[0], found)
-    placed = [one for root in roots for one in _insertions(record, root, shared, found)]
+    unused: list[ResultWarning] = []
+    placed = [one for root in roots for one in _insertions(record, root, shared, found, unused)]
     found += repeated("insertion", (one.insertion.id for one in placed), file)
     found += [*surface_faults(placed, file), *reach_faults(record, placed, file)]
     found += sd_faults(record, placed, file)
-    warnings = record_warnings(record, file)
+    warnings = [*record_warnings(record, file), *unused]
     if found:
         return refused(found, warnings)
     insertions = [one.insertion for one in placed]
@@ -69,8 +71,10 @@ def inspect(path: Path) -> Inspection:
     return Inspection(replace(dataset, warnings=tuple(warnings)), (), tuple(warnings))
 
 
-def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[Fault]) -> Iterator[Placed]:
-    """Yield the sound insertions of one folder; note the faults of the others."""
+def _insertions(
+    record: DatasetRecord, root: Path, shared: Shared, found: list[Fault], unused: list[ResultWarning]
+) -> Iterator[Placed]:
+    """Yield the sound insertions of one folder; note the faults of the others, and columns not used."""
     long = None
     if record.centerlines.file is not None:
         long = read_long(root / record.centerlines.file, record, found)
@@ -79,10 +83,15 @@ def _insertions(record: DatasetRecord, root: Path, shared: Shared, found: list[F
     table = _table(record, root, long, found)
     if table is None:
         return
+    unused += insertion_columns(record, map(str, table.cells.columns), table.path)
+    headers: set[tuple[str, ...]] = set()
     for row in parse_rows(table, record, found):
         where = f"{table.path}:{row.line}"
         points, faults = find_points(row, root, record, long)
         if points is not None:
+            if points.columns not in headers:  # of files with the same header the first is named
+                unused += centerline_columns(record, points.columns, points.path)
+            headers.add(points.columns)
             faults += curve_faults(points, row, record)
         found += faults
         medium = medium_of(row, record, root, shared, found)

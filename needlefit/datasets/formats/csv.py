@@ -153,7 +153,9 @@ def read_curve(table: Table, names: Mapping[str, str], found: list[Fault]) -> Po
     if SD in names:
         missing_columns(table, [names[SD]], found)
     sd = _deviations(table, names.get(SD, SD), found)
-    return None if points is None or len(found) > before else replace(points, sd=sd)
+    if points is None or len(found) > before:
+        return None
+    return replace(points, sd=sd, columns=tuple(map(str, table.cells.columns)))
 
 
 def _deviations(table: Table, column: str, found: list[Fault]) -> Floats | None:

@@ -22,12 +22,15 @@ class Points:
         Line of each point; None where the format has no lines.
     sd : (N,) array or None
         Standard deviation of each point across the curve, mm; None where the file has none.
+    columns : tuple of str
+        The header of the table that it was read from, if it was one.
     """
 
     path: Path
     values: NDArray[np.float64]
     lines: NDArray[np.int64] | None = None
     sd: NDArray[np.float64] | None = None
+    columns: tuple[str, ...] = ()
 
     def part(self, rows: NDArray[np.int64]) -> "Points":
         """Return some of the points."""
