@@ -8,6 +8,10 @@ import pytest
 from test_cli import run
 
 from needlefit.mechanics.scene import Entry
+from needlefit.project.load import load
+from needlefit.project.places import find, names
+from needlefit.project.records.scene import SceneRecord
+from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
 
 
 def answer(capsys, *words):
@@ -223,6 +227,29 @@ def test_sizes_beyond_all_use_are_refused_at_once(setting, key, capsys):
     assert run("simulate", "phantom2", "--set", setting) == 3
     said = capsys.readouterr().err
     assert f"`{key}`" in said and "expected" in said and f"{float(setting.partition('=')[2])}" in said
+
+
+@pytest.mark.parametrize(
+    ("depth", "spacing", "count"),
+    [(12, 10, 1), (39, 8, 0), (31, 8, 1), (149, 10, 0), (2.5, 0.5, 0), (3, 1, 1)],
+)
+def test_an_insertion_of_few_constraint_cells_is_named_as_coarse(depth, spacing, count, capsys):
+    sizes = (f"depth_mm={depth}", f"rules.constraint_spacing_mm={spacing}", "bevel.offset_mm=0.01")
+    assert run("simulate", "phantom1", "--json", *(word for size in sizes for word in ("--set", size))) == 0
+    warnings = json.loads(capsys.readouterr().out)["warnings"]
+    assert [one["kind"] for one in warnings].count("coarse") == count
+    assert all("`rules.constraint_spacing_mm`" in one["what"] for one in warnings if one["kind"] == "coarse")
+
+
+def test_a_short_step_of_a_deep_insertion_is_not_coarse(capsys):
+    assert run("simulate", "figure1", "--set", "steps.1.depth_mm=2", "--json") == 0
+    assert "coarse" not in [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]]
+
+
+@pytest.mark.parametrize("name", names("scene"))
+def test_no_shipped_scene_gives_a_warning(name):
+    record = load(find("scene", name), SceneRecord)
+    assert [*scene_warnings(record), *coarse_warnings(record)] == []
 
 
 def test_an_insertion_of_too_many_elements_is_refused_at_once(capsys):

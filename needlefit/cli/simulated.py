@@ -53,7 +53,7 @@ class Simulated:
 def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
     """Carry out a scene's steps; `where` is named in errors."""
     from needlefit.mechanics.scene import Scene, insert
-    from needlefit.project.unit_warnings import scene_warnings
+    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
 
     screen.compile_ahead()
     scene = Scene.from_record(record, where)
@@ -64,13 +64,13 @@ def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
         "slicer": partial(scene_files.write_curves, done),
         "animation": partial(scene_files.write_animation, done),
     }
-    warnings = tuple(scene_warnings(record, where))
+    warnings = (*scene_warnings(record, where), *coarse_warnings(record, where))
     return Simulated(done.title, scene, done.shapes, files, {}, warnings=warnings)
 
 
 def of_recording(path: Path, upto: int | None) -> Simulated:
     """Carry out a recording, or its steps up to number `upto`."""
-    from needlefit.project.unit_warnings import scene_warnings
+    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
     from needlefit.viewer.exports import export
     from needlefit.viewer.exports.outcome import carry_out
     from needlefit.viewer.recording.log import read
@@ -89,5 +89,6 @@ def of_recording(path: Path, upto: int | None) -> Simulated:
         "animation": partial(export.write_animation, done),
     }
     more = {"replayed": {"steps": len(recording.steps), "off_mm": done.off}}
-    warnings = tuple(scene_warnings(recording.head.scene, str(path)))
+    planned = recording.head.scene
+    warnings = (*scene_warnings(planned, str(path)), *coarse_warnings(planned, str(path)))
     return Simulated(done.title, done.scene, (done.moment.shape,), files, more, done.placement, warnings)

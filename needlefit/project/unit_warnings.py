@@ -1,6 +1,7 @@
-"""Values that can be computed with and that no needle or tissue has: most likely another unit was meant.
+"""Values that can be computed with and that are doubtful: most likely another unit was meant.
 
-Each is judged beside another length of the same file, so that a small needle is no suspicious one.
+No needle or tissue has them, or they make an insertion coarse. Each is judged beside another length of the
+same file, so that a small needle is no suspicious one.
 """
 
 import math
@@ -33,6 +34,9 @@ GAUGES_MM = {
     **{28: 0.362, 29: 0.337, 30: 0.312, 31: 0.261, 32: 0.235, 33: 0.210, 34: 0.184},
 }
 """Outer diameters of needles by their gauge."""
+
+FEWEST_CELLS = 5
+"""Constraint cells of an insertion: its tip's way is made of as many straight cuts."""
 
 KIND = "units"
 
@@ -101,10 +105,9 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     yield from needle_warnings(scene.needle, where)
     for n, layer in enumerate(scene.layers, start=1):
         yield from _mu_warnings(layer.mu_pa, where, f"layers.{n}.mu_pa")
-    deepest = max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
     tops = [layer.top_mm for layer in scene.layers[1:]]
     if tops:
-        yield from boundary_warnings(tops[0], deepest, where, "layers.2.top_mm")
+        yield from boundary_warnings(tops[0], _deepest(scene), where, "layers.2.top_mm")
     offsets = [("bevel", scene.bevel.offset_mm)]
     offsets += [(f"steps.{n}", step.offset_mm or 0.0) for n, step in enumerate(scene.steps, start=1)]
     spacing = scene.rules.constraint_spacing_mm
@@ -113,6 +116,24 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
             name = f"{key}.offset_mm"
             what = f"`{name}` is {offset:g} per {spacing:g} mm of depth, a very sharp turn"
             yield ResultWarning(KIND, what, where(name), "write it in mm")
+
+
+def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
+    """Yield a warning if the deepest insertion of a scene has few constraint cells; kind `coarse`.
+
+    Of a scene that is simulated; one that is predicted has the constraint spacing of its medium.
+    """
+    spacing, deepest = scene.rules.constraint_spacing_mm, _deepest(scene)
+    cells = math.ceil(deepest / spacing - 1e-9)
+    if 0 < cells < FEWEST_CELLS:
+        key = "rules.constraint_spacing_mm"
+        what = f"`{key}` is {spacing:g}: an insertion of {deepest:g} mm has only {cells} constraint cells"
+        fix = f"take {FEWEST_CELLS} or more, and the bevel offset for that spacing"
+        yield ResultWarning("coarse", what, where_in(file)(key), fix)
+
+
+def _deepest(scene: SceneRecord) -> float:
+    return max((step.depth_mm for step in scene.steps), default=scene.depth_mm or 0.0)
 
 
 def medium_warnings(medium: MediumRecord, file: Path) -> Iterator[ResultWarning]:
