@@ -15,6 +15,7 @@ from needlefit.mechanics.scene import Entry, Scene, insert
 from needlefit.mechanics.shape import positions
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting import figures
+from needlefit.reporting.figures import steps as painted
 from needlefit.reporting.figures.steps import changes, paint_steps
 from needlefit.reporting.figures.tissue import layer_labels
 
@@ -56,6 +57,28 @@ def test_every_panel_shows_its_needle_whole_and_where_it_is_held(angle):
             assert axes.get_xlim()[0] < point[0] < axes.get_xlim()[1]
             assert axes.get_ylim()[0] < point[1] < axes.get_ylim()[1]
         assert angle == 0 or axes.get_aspect() == 1  # true angles where the entry is tilted
+
+
+@pytest.mark.parametrize("angle", [0.0, math.pi / 2])
+def test_of_many_steps_so_many_are_shown_evenly_and_the_title_says_so(angle, monkeypatch):
+    monkeypatch.setattr(painted, "MAX_PANELS", 4)
+    many = (Step(26.0 + 0.1 * n, Bevel(0.085, 1 if n < 30 else -1)) for n in range(60))
+    one = scene(*many, entry=Entry(angle=angle))
+    figure = paint_steps("Many steps", one, insert(one))
+    numbers = [int(axes.get_title("left").split()[1].rstrip(":")) for axes in figure.axes]
+    assert numbers == [1, 21, 41, 61]
+    assert "4 of 61" in figure.legends[0].get_title().get_text()
+    assert ["bevel right" in axes.get_title("left") for axes in figure.axes] == [False, False, True, False]
+    few = dataclasses.replace(one, steps=one.steps[:4])
+    figure = paint_steps("All", few, insert(few))
+    assert len(figure.axes) == 4 and "of" not in figure.legends[0].get_title().get_text()
+
+
+def test_the_most_panels_have_room_for_what_is_written_above_them(tmp_path):
+    one = scene(*(Step(26.0 + 0.1 * n, Bevel(0.085)) for n in range(400)))
+    figures.draw_scene("Many steps", one, insert(one), tmp_path / "a.png")
+    height, width = imread(tmp_path / "a.png").shape[:2]
+    assert 200 * 5 < width < 200 * 8 and 200 * 0.4 * painted.MAX_PANELS < height < 200 * 15
 
 
 def test_a_panel_says_what_its_step_changed():

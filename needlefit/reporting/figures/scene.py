@@ -26,7 +26,7 @@ def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Pa
     """Draw the needle, its layers and its constraint points, mm, to a .pdf, .png or .svg file.
 
     A scene of one step is drawn in C, as far as it is inserted; one of several, or with anything beside the
-    bevel that steers the needle, whole and in the world, a panel a step.
+    bevel that steers the needle, whole and in the world, a panel a step (of very many steps, some).
     Deflections are small beside depths: y is stretched by the factor that its label states, by none where
     the needle bends enough.
 

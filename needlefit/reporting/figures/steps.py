@@ -25,24 +25,35 @@ _TILTED = 0.01  # from here on a stretched y would show angles that are none
 _BETWEEN = "  ·  "  # what a step changed
 _LETTER = 0.06  # inches, of 7.5 point type
 _TALLEST = 8.5  # inches
+_LEAST_PANEL = 0.25  # inches of height, where so many panels let the figure grow
+_LEAST_WIDTH = 1.0  # inches
+MAX_PANELS = 20
+"""Of a figure; of more steps as many are shown, evenly, the first and the last among them."""
 
 
 def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figure:
     """Return a figure with the needle after each of `shapes`, panels sharing their axes in mm.
 
-    y is stretched by the factor that its label states, unless the entry is tilted.
+    y is stretched by the factor that its label states, unless the entry is tilted. Of more than `MAX_PANELS`
+    steps as many are shown, as the title says; each then states what changed since the one shown before.
     """
-    x, y = _window(scene, shapes)
+    shown = _shown(len(shapes))
+    if len(shown) < len(shapes):
+        title = f"{title}{_BETWEEN}{len(shown)} of {len(shapes)} steps"
+    steps, shapes = [scene.steps[n] for n in shown], [shapes[n] for n in shown]
+    x, y = _window(scene, steps, shapes)
     width, height = x[1] - x[0], y[1] - y[0]
     stacked = width >= 1.4 * height
     rows, columns = (len(shapes), 1) if stacked else (1, len(shapes))
     tilted = abs(np.sin(scene.entry.angle)) > _TILTED
     factor = 1 if tilted or not stacked else stretch(0.8 * width / rows, height)
-    heads = [_head(scene, n, shape) for n, shape in enumerate(shapes)]
+    earlier = [None, *shown[:-1]]
+    heads = [_head(scene, n, past, shape) for n, past, shape in zip(shown, earlier, shapes, strict=True)]
     longest = max(len(_BETWEEN.join(head)) for head in heads)
     lines = 1 if stacked and longest * _LETTER < WIDTH - 0.6 else max(map(len, heads))
     above = 0.1 + 0.14 * lines  # inches of what is written above a panel
-    panel = min((WIDTH - 0.6) / columns, (_TALLEST / rows - above) * width / (factor * height))  # inches wide
+    tall = max(_TALLEST / rows - above, _LEAST_PANEL)  # inches
+    panel = min(max((WIDTH - 0.6) / columns, _LEAST_WIDTH), tall * width / (factor * height))  # inches wide
     size = (panel * columns + 0.6, rows * (panel * factor * height / width + above) + 0.85)
     figure = Figure(figsize=size)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
@@ -50,7 +61,7 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figu
         axes.set(xlim=x, ylim=y)
         axes.set_aspect(factor)
         draw_layers(axes, scene, panel / width if n == 0 else None)
-        draw_needle(axes, scene, scene.steps[n], shape)
+        draw_needle(axes, scene, steps[n], shape)
         _write_head(axes, heads[n], lines)
     figure.supxlabel("x in the world (mm)", fontsize=7.5)
     said = "y in the world (mm)" + ("" if factor == 1 else f", drawn {factor}× as large as x")
@@ -61,27 +72,33 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figu
     return figure
 
 
-def _window(scene: Scene, shapes: Sequence[NeedleShape]) -> tuple[Span, Span]:
+def _shown(count: int) -> list[int]:
+    """Return the numbers, from 0, of the steps that have a panel."""
+    return [round(n) for n in np.linspace(0, count - 1, min(count, MAX_PANELS)).tolist()]
+
+
+def _window(scene: Scene, steps: Sequence[Step], shapes: Sequence[NeedleShape]) -> tuple[Span, Span]:
     """Return the limits in the world that show every needle whole, the entry, the guides, and their axis."""
     drawn = [scene.entry.to_world([[0.0, 0.0], [scene.depth, 0.0]])]
-    for step, shape in zip(scene.steps, shapes, strict=False):
+    for step, shape in zip(steps, shapes, strict=True):
         drawn += [needle_line(scene.entry, shape) if shape.converged else base_point(scene, step)]
         drawn += [scene.entry.to_world([[guide.x, guide.y]]) for guide in step.controls.guides]
     least = 1.0 if all(shape.converged for shape in shapes) else 0.1 * scene.needle.length
     return window(np.concatenate(drawn), least)
 
 
-def _head(scene: Scene, n: int, shape: NeedleShape) -> list[str]:
-    """Return which step this is, what it changed, and where the tip came to lie.
+def _head(scene: Scene, n: int, past: int | None, shape: NeedleShape) -> list[str]:
+    """Return which step this is, what changed since step `past`, and where the tip came to lie.
 
     Places are told in C; where that is not the world, whose axes the panel has, they say so.
     """
     steps, frame = scene.steps, "" if scene.entry == Entry() else " in C"
-    back = n > 0 and steps[n].depth < steps[n - 1].depth
+    before = None if past is None else steps[past]
+    back = before is not None and steps[n].depth < before.depth
     number = f"step {n + 1}: " if len(steps) > 1 else ""
     said = f"{number}{'back ' if back else ''}to {steps[n].depth:g} mm"
     end = f"tip {shape.deflection:+z.2f} mm{frame}".replace("-", "−") if shape.converged else ""
-    return [said, *changes(steps[n - 1] if n else None, steps[n], frame), end]
+    return [said, *changes(before, steps[n], frame), end]
 
 
 def _write_head(axes: Axes, head: Sequence[str], lines: int) -> None:
