@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import pytest
 from test_cli import run
 from test_datasets import CURVE, SURFACES, X, block, record, row, without_checksums
 
+from needlefit.datasets.bevel_side import Bent, bent, pooled_side_warnings, pooled_z
 from needlefit.datasets.check import check, check_all
 from needlefit.datasets.dataset_warnings import FILL_IN
 from needlefit.datasets.read import read
@@ -61,6 +63,32 @@ def test_needles_that_bend_away_from_their_bevel_are_named(tmp_path):
     _, (every,) = check_all(gel(tmp_path / "all", (-1, -1, 1)))
     assert "all 3" in every.what and "flipped" in every.fix and "`bevel_side`" in every.fix
     assert read(tmp_path / "all").warnings == (every,)  # every fit reads the same
+
+
+def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
+    """Of the shipped chicken insertions hardly one bends clearly; together they do, by 6 deviations."""
+    dataset = read(find("dataset", "twin"))
+    chicken = [one for one in dataset.insertions if one.medium == "chicken"]
+    shipped = [bent(one, one.id, dataset.noise) for one in chicken]
+    assert pooled_z(shipped) > 5 and list(pooled_side_warnings(shipped, "bevel_side")) == []
+    flipped = [bent(replace(one, side=-one.side), one.id, dataset.noise) for one in chicken]
+    assert pooled_z(flipped) == pytest.approx(-pooled_z(shipped))
+    (one,) = pooled_side_warnings(flipped, "bevel_side")
+    assert one.where == "chicken-09" and "chicken-09, chicken-03" in one.what and "`bevel_side`" in one.fix
+
+
+def test_one_reversed_insertion_does_not_speak_for_its_medium():
+    weak = [Bent(str(n), f"t:{n}", "unknown", "gel", 0.5) for n in range(8)]
+    wrong = Bent("wrong", "t:9", "away", "gel", -40.0)
+    assert list(pooled_side_warnings([*weak, wrong], "bevel_side")) == []
+
+
+def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
+    rows = [row(name, "gel", layers=1, bevel=UP, side=-1, base_moved=2.0) for name in "abcd"]
+    file = write_dataset(
+        tmp_path, record(media={"gel": {}}, noise=NOISE), rows, dict.fromkeys("abcd", CURVE), {}
+    )
+    assert kinds(file) == []
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """Whether measured needles bend to the side that their bevel faces, as every needle of the model does."""
 
+import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
@@ -19,6 +20,9 @@ SURE_SD = 3.0
 LEAST_SLOPE = 0.005
 """Least bend over depth that counts: entry directions are hardly better known than 0.3 degrees."""
 
+REVERSED_SD = 4.0
+"""Of a medium's insertions together, beyond which bevels are reversed; no single one counts for more."""
+
 MAX_NAMED = 8
 """Insertions that a warning names."""
 
@@ -27,11 +31,40 @@ Bend = Literal["toward", "away", "unknown"]
 
 @dataclass(frozen=True)
 class Bent:
-    """An insertion or a run, its row, and whether it bends toward its bevel; "unknown" within the noise."""
+    """An insertion or a run, its row, and whether it bends toward its bevel; "unknown" within the noise.
+
+    `z` is its deflection toward the bevel in standard deviations; NaN where it cannot be judged.
+    """
 
     id: str
     where: str
     bend: Bend
+    medium: str = ""
+    z: float = math.nan
+
+
+def bent(insertion: Insertion, where: str, noise: Noise) -> Bent:
+    """Return an insertion that stands at `where` with what is known of its bend."""
+    z = deflection_z(insertion, noise)
+    return Bent(insertion.id, where, bend_of(insertion, noise), insertion.medium, z)
+
+
+def deflection_z(insertion: Insertion, noise: Noise) -> float:
+    """Return the deflection toward the bevel in standard deviations; NaN where it cannot be judged.
+
+    They allow for noise of points and pose, and for entry directions off by a third of `LEAST_SLOPE`.
+    """
+    if insertion.pose_source == "none" or insertion.base_moved:
+        return math.nan
+    return insertion.deflection / math.hypot(
+        _deflection_sd(insertion, noise), LEAST_SLOPE * insertion.depth / SURE_SD
+    )
+
+
+def _deflection_sd(insertion: Insertion, noise: Noise) -> float:
+    shift = max(noise.registration_mean / MEAN_OF_NORM, insertion.pose_shift_sd)
+    pose = math.hypot(shift, insertion.pose_angle_sd * insertion.depth)
+    return math.hypot(pose, noise.point_sd, noise.correlated_sd)
 
 
 def bend_of(insertion: Insertion, noise: Noise) -> Bend:
@@ -44,10 +77,8 @@ def bend_of(insertion: Insertion, noise: Noise) -> Bend:
     if insertion.pose_source == "none" or insertion.base_moved:
         return "unknown"
     points = float(np.hypot(noise.point_sd, noise.correlated_sd))
-    shift = max(noise.registration_mean / MEAN_OF_NORM, insertion.pose_shift_sd)
-    pose = float(np.hypot(shift, insertion.pose_angle_sd * insertion.depth))
     least = LEAST_SLOPE * insertion.depth
-    deflection_limit = max(least, SURE_SD * float(np.hypot(pose, points)))
+    deflection_limit = max(least, SURE_SD * _deflection_sd(insertion, noise))
     x, y = insertion.planar.T
     bend, scatter = parabola(x, insertion.side * y)
     bend_limit = max(0.5 * least, SURE_SD * float(np.hypot(scatter, points)))
@@ -95,3 +126,35 @@ def side_warnings(bent: Sequence[Bent], column: str, what: str) -> Iterator[Resu
         told += f" ({len(away)} of {clear} {what} that bend clearly)"
         fix = f"check `{column}` and the bevel direction of these rows"
     yield ResultWarning("bevel_side", told, away[0].where, fix)
+
+
+def pooled_z(bents: Sequence[Bent]) -> float:
+    """Return the sum of the deflections that can be judged over the root of their number; NaN for none.
+
+    Each is limited to `REVERSED_SD`, so that a single wrong row does not speak for its medium.
+    """
+    z = [min(max(one.z, -REVERSED_SD), REVERSED_SD) for one in bents if not math.isnan(one.z)]
+    return sum(z) / math.sqrt(len(z)) if z else math.nan
+
+
+def pooled_side_warnings(bents: Sequence[Bent], column: str) -> Iterator[ResultWarning]:
+    """Yield a warning for each medium whose insertions together bend away from their bevels.
+
+    None where every insertion that bends clearly bends away: `side_warnings` names those already.
+    """
+    clear = [one.bend for one in bents if one.bend != "unknown"]
+    if len(clear) > 1 and set(clear) == {"away"}:
+        return
+    for medium in dict.fromkeys(one.medium for one in bents):
+        group = [one for one in bents if one.medium == medium and not math.isnan(one.z)]
+        z = pooled_z(group)
+        if len(group) > 1 and z < -REVERSED_SD:
+            worst = sorted((one for one in group if one.z < 0), key=lambda one: one.z)
+            names = listed([one.id for one in worst], MAX_NAMED)
+            what = (
+                f"the bevel sides of medium {medium} are probably all reversed: its {len(group)} insertions "
+            )
+            what += (
+                f"together bend away from their bevels by {-z:.1f} standard deviations, most of all {names}"
+            )
+            yield ResultWarning("bevel_side", what, worst[0].where, f"change the sign of `{column}` there")

@@ -60,4 +60,4 @@ def _similarity(one: str, other: str) -> float:
     stems = [re.sub(r"[\W_]", "", _UNIT.sub("", name.strip().lower())) for name in (one, other)]
     if stems[0] == stems[1]:
         return 1.0
-    return SequenceMatcher(None, *stems).ratio() if min(map(len, stems)) > 2 else 0.0
+    return SequenceMatcher(None, stems[0], stems[1]).ratio() if min(map(len, stems)) > 2 else 0.0

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
-from needlefit.datasets.bevel_side import Bent, bend_of, side_warnings
+from needlefit.datasets.bevel_side import bent, pooled_side_warnings, side_warnings
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers_met import Placed
 from needlefit.datasets.noise_warnings import noise_warnings, stated_warnings
@@ -51,9 +51,10 @@ def insertion_warnings(
     """Return what is suspicious in sound insertions."""
     where, insertions = where_in(file), [one.insertion for one in placed]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
-    bent = [Bent(one.insertion.id, one.where, bend_of(one.insertion, noise)) for one in placed]
+    bents = [bent(one.insertion, one.where, noise) for one in placed]
     return [
-        *side_warnings(bent, column, "insertions"),
+        *side_warnings(bents, column, "insertions"),
+        *pooled_side_warnings(bents, column),
         *_boundary_warnings(record, insertions, where),
         *_missed_warnings(insertions, where),
         *noise_warnings(record, placed, noise, where),
