@@ -57,7 +57,7 @@ def _mistyped(
 
 def _similarity(one: str, other: str) -> float:
     """Return how alike two names are, 0 to 1; a unit at the end that both have makes no names alike."""
-    stems = [re.sub(r"[\W_]", "", _UNIT.sub("", name.strip().lower())) for name in (one, other)]
-    if stems[0] == stems[1]:
+    first, second = (re.sub(r"[\W_]", "", _UNIT.sub("", name.strip().lower())) for name in (one, other))
+    if first == second:
         return 1.0
-    return SequenceMatcher(None, stems[0], stems[1]).ratio() if min(map(len, stems)) > 2 else 0.0
+    return SequenceMatcher(None, first, second).ratio() if min(len(first), len(second)) > 2 else 0.0
