@@ -19,14 +19,16 @@ from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
+from needlefit.project.ownership import write_stamp
 from needlefit.project.records.about import AboutRecord
 from needlefit.reporting.credibility.case import case
 from needlefit.reporting.credibility.entries import entries
 from needlefit.reporting.credibility.factors import FACTORS
 from needlefit.reporting.credibility.page import DISCLAIMER, page
 from needlefit.reporting.credibility.verified import code_verification
-from needlefit.reporting.files import write_json
+from needlefit.reporting.files import write_csv, write_json
 from needlefit.validation.credibility.gather import gather
+from needlefit.validation.damage import damaged_files
 
 
 def told(folder, *named, about=None):
@@ -274,3 +276,34 @@ def test_what_is_no_run_of_a_study_is_refused(tmp_path, capsys):
     assert run("credibility", str(folder)) == 3
     assert run("credibility", str(tmp_path / "nothing")) == 3
     assert "there is no run" in capsys.readouterr().err
+
+
+def test_damaged_files_of_the_run_and_beside_it_are_named_and_a_damaged_run_file_is_an_error(alone, tmp_path):
+    write_stamp(alone)
+    verification = leave_verification(tmp_path)
+    write_stamp(verification)
+    write_csv(pd.read_csv(verification / "verification.csv").head(2), verification / "verification.csv")
+    (alone / "errors.csv").write_bytes(bytes(range(256)))
+    (leave_calibration(tmp_path) / "run.json").write_text("[]")
+    found = case(alone)
+    assert [one.split()[0] for one in found.damaged] == [
+        f"{alone.name}/errors.csv",
+        "calibrate-study1/run.json",
+    ]
+    assert [one.counted for one in found.evidence] == [False]
+    assert "verification.csv" in found.evidence[0].objections[0]
+    gaps = next(one for one in entries(found) if one.factor.key == "use_error").gaps
+    assert sum(name in gap for gap in gaps for name in ("errors.csv", "calibrate-study1/run.json")) == 2
+    for text in ("[]", '{"name": "stu'):
+        (alone / "run.json").write_text(text)
+        with pytest.raises(DataError) as caught:
+            case(alone)
+        assert "run.json" in caught.value.where
+
+
+def test_a_result_that_was_changed_since_its_stamp_is_named(alone):
+    (alone / "posterior.nc").write_bytes(b"\x89HDF")
+    write_stamp(alone)
+    assert damaged_files(alone) == {}
+    (alone / "posterior.nc").write_bytes(b"garbage")
+    assert [*damaged_files(alone)] == ["posterior.nc"]

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from reporting_results import study
+from test_cli import run
 from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError, NeedlefitError
@@ -22,6 +23,7 @@ from needlefit.project.subjects import find_subject
 from needlefit.reporting.rebuild import rebuild
 from needlefit.validation import packing
 from needlefit.validation.csv_tables import TableForm, read_table
+from needlefit.validation.damage import damaged_files
 from needlefit.validation.packing import MAX_UNPACKED_BYTES, NAME, with_digest
 from needlefit.validation.stored import restore, store
 
@@ -207,3 +209,11 @@ def test_a_name_that_no_file_can_have_is_not_found(name):
         with pytest.raises(NeedlefitError) as caught:
             lookup(name)
         assert caught.value.exit_code == 3
+
+
+def test_report_names_a_damaged_run_file_that_it_does_not_use(tmp_path, capsys):
+    store(study(1), tmp_path)
+    (tmp_path / "run.json").write_text("[]")
+    assert run("report", str(tmp_path), "--out", str(tmp_path / "again")) == 0
+    assert str(tmp_path / "run.json") in capsys.readouterr().err
+    assert damaged_files(tmp_path / "again") == {}

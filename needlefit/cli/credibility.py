@@ -60,6 +60,8 @@ def credibility(
         require_replaceable(target)
         every = entries(found)
         write_bundle(found, every, folder.resolve(), target)
+    for fault in found.damaged:
+        screen.note(f"needlefit: damaged, and not used: {fault}")
     if json:
         screen.show_json(as_json(found, every))
         return

@@ -31,7 +31,11 @@ def report(
     """
     from needlefit.project.places import find_run
     from needlefit.reporting.rebuild import rebuild
+    from needlefit.validation.damage import damaged_files
 
     folder = find_run(run)
+    damaged = damaged_files(folder)
     written = rebuild(folder, folder if out is None else out)
+    for name, what in damaged.items():
+        screen.note(f"needlefit: damaged, and not used: {folder}/{name} {what}")
     screen.say(f"written: {written}/")

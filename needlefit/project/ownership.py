@@ -101,6 +101,17 @@ def foreign(folder: Path, holds: Holds = "result") -> list[str]:
     return [name for name in names if name not in ours or not _is_file(folder / name)]
 
 
+def changed_files(folder: Path) -> list[str]:
+    """Return the files that were changed since the stamp of a result was written; none without a stamp."""
+    try:
+        listed = read_stamp(folder).get("files")
+    except DataError:
+        return []
+    if not isinstance(listed, dict):
+        return []
+    return [name for name in held(folder) if name in listed and _fault(folder, name, listed)]
+
+
 def require_replaceable(folder: Path) -> None:
     """Raise ConfigError unless a result may be written to `folder`: missing, empty, or needlefit's own."""
     folder = folder.resolve()

@@ -1,17 +1,19 @@
 """The case: a run's results, the evidence beside them, and what people state."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.errors import DataError
 from needlefit.project.records.about import AboutRecord
 from needlefit.project.records.study import StudyRecord
+from needlefit.project.run_file import read_run
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.credibility.told import Finding, Picture
 from needlefit.reporting.rebuild import restored
 from needlefit.validation.credibility.evidence import Evidence, Kind
-from needlefit.validation.credibility.gather import gather
+from needlefit.validation.credibility.gather import gather, unreadable
+from needlefit.validation.damage import damaged_files
 from needlefit.validation.packing import NAME, unpack
 from needlefit.validation.results import Results
 
@@ -34,6 +36,8 @@ class Case:
         What people state.
     stated_in : str
         The name of the file in which they do.
+    damaged : tuple of str
+        Files of the run, and `run.json` of folders beside it, that are damaged: each with what is wrong.
     """
 
     folder: Path
@@ -41,6 +45,7 @@ class Case:
     evidence: tuple[Evidence, ...]
     about: AboutRecord = NOBODY
     stated_in: str = ""
+    damaged: tuple[str, ...] = ()
 
     @property
     def name(self) -> str:
@@ -72,8 +77,10 @@ def case(run: Path, named: Sequence[Path] = (), about: AboutRecord = NOBODY, sta
     Raises
     ------
     DataError
-        If it stored no results of a study or fit, or a named folder holds no evidence.
+        If its `run.json` is damaged, it stored no results of a study or fit, or a named folder holds no
+        evidence.
     """
+    read_run(run)
     alone = (run / NAME).is_file()
     if alone and unpack(run).get("kind") not in ("study", "fit"):
         raise _no_results(run)
@@ -81,7 +88,15 @@ def case(run: Path, named: Sequence[Path] = (), about: AboutRecord = NOBODY, sta
     if not results:
         raise _no_results(run)
     runs = {target(one): one.run for one in results}
-    return Case(run.resolve(), results, tuple(gather(run, runs, named)), about, stated_in)
+    found = tuple(gather(run, runs, named))
+    return Case(run.resolve(), results, found, about, stated_in, (*_damaged(run, results), *unreadable(run)))
+
+
+def _damaged(run: Path, results: tuple[Results, ...]) -> Iterator[str]:
+    """Yield what is wrong with files of a run, and of the runs that it reports together."""
+    folder = run.resolve()
+    for one in (folder, *(folder.parent / part.name for part in results if len(results) > 1)):
+        yield from (f"{one.name}/{name} {what}" for name, what in damaged_files(one).items())
 
 
 def _no_results(run: Path) -> DataError:

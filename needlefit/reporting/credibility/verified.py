@@ -75,7 +75,7 @@ def solver(case: Case) -> Told:
 
 
 def use_error(case: Case) -> Told:
-    """Return what stands in the run so that somebody else can run it again."""
+    """Return what stands in the run so that somebody else can run it again, and which files are damaged."""
     findings = []
     for one in case.results:
         dataset = one.run.get("dataset", {})
@@ -86,7 +86,7 @@ def use_error(case: Case) -> Told:
                 "were held out. needlefit diff RUN_A RUN_B says what another run changed."
             )
             findings.append(found_in(one, "run.json", words))
-    return Told(tuple(findings))
+    return Told(tuple(findings), tuple(f"Damaged, and not used: {fault}." for fault in case.damaged))
 
 
 def _verified(evidence: Evidence, groups: Sequence[Group]) -> Told:

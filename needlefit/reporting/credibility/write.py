@@ -60,7 +60,8 @@ def _cells(table: list[Row]) -> pd.DataFrame:
 
 def as_json(case: Case, entries: list[Entry]) -> dict[str, Any]:
     """Return the bundle for machines."""
-    return {"name": case.name, "says": DISCLAIMER, "factors": rows(entries), "evidence": _evidence(case)}
+    about = {"name": case.name, "says": DISCLAIMER, "damaged": list(case.damaged)}
+    return {**about, "factors": rows(entries), "evidence": _evidence(case)}
 
 
 def _provenance(case: Case, run: Path) -> dict[str, Any]:

@@ -8,6 +8,7 @@ import pandas as pd
 
 from needlefit.errors import DataError
 from needlefit.project.files import sha256
+from needlefit.project.ownership import changed_files
 from needlefit.project.run_file import RUN_FILE, read_run
 from needlefit.validation.credibility.evidence import FIGURES, TABLES, Evidence, Kind
 from needlefit.validation.credibility.sameness import identity, of_versions, unlike
@@ -32,6 +33,17 @@ def gather(run: Path, runs: Runs, named: Sequence[Path] = ()) -> list[Evidence]:
     beside = [one for one in _beside(run) if one[1] not in kinds]
     found = [one for folder, kind, table in given for one in _looked_at(folder, kind, table, runs, True)]
     found += [one for folder, kind, table in beside for one in _looked_at(folder, kind, table, runs, False)]
+    return found
+
+
+def unreadable(run: Path) -> list[str]:
+    """Return what is wrong with each `run.json` beside `run` that cannot be read: it may be evidence."""
+    found = []
+    for folder in _runs_beside(run):
+        try:
+            read_run(folder)
+        except DataError as error:
+            found.append(f"{folder.name}/{RUN_FILE} {error.what}")
     return found
 
 
@@ -63,16 +75,19 @@ def _required(folder: Path) -> _Found:
 
 
 def _beside(run: Path) -> Iterator[_Found]:
-    for folder in sorted(run.resolve().parent.iterdir()):
-        if not (folder / RUN_FILE).is_file():
-            continue
+    for folder in _runs_beside(run):
         try:
             table = read_run(folder)
-        except DataError:  # it cannot even say what it is of
+        except DataError:  # it cannot even say what it is of; `unreadable` names it
             continue
         kind = kind_of(table)
         if kind is not None:
             yield folder, kind, table
+
+
+def _runs_beside(run: Path) -> list[Path]:
+    here = run.resolve()
+    return [one for one in sorted(here.parent.iterdir()) if one != here and (one / RUN_FILE).is_file()]
 
 
 def _looked_at(
@@ -81,8 +96,11 @@ def _looked_at(
     tables, lacking = _tables(folder, kind)
     drawn = [name for name in (FIGURES.get(kind, ""),) if name and (folder / name).is_file()]
     digests = {name: sha256(folder / name) for name in (RUN_FILE, *tables, *drawn)}
+    altered = [
+        f"{name} was changed since it was written" for name in changed_files(folder) if name in digests
+    ]
     for of, objections in _objections(kind, table, runs, named):
-        yield Evidence(kind, folder, of, table, tables, (*lacking, *objections), digests)
+        yield Evidence(kind, folder, of, table, tables, (*lacking, *altered, *objections), digests)
 
 
 def _objections(
