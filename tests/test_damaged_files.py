@@ -217,3 +217,27 @@ def test_report_names_a_damaged_run_file_that_it_does_not_use(tmp_path, capsys):
     assert run("report", str(tmp_path), "--out", str(tmp_path / "again")) == 0
     assert str(tmp_path / "run.json") in capsys.readouterr().err
     assert damaged_files(tmp_path / "again") == {}
+
+
+@pytest.mark.parametrize(
+    ("form", "text", "column"),
+    [
+        (TableForm(), "id,x_mm\na,1e999\nb,inf\n", "x_mm"),
+        (TableForm(), "id,x_mm\na,not determined\nb,-2.5e999\n", "x_mm"),
+        (TableForm(("id",), finite=("x_mm",)), "id,x_mm\na,1\nb,inf\n", "x_mm"),
+        (TableForm(("id",), finite=("x_mm",), finite_where="ok"), "id,x_mm,ok\na,inf,True\n", "x_mm"),
+    ],
+)
+def test_a_number_that_is_never_written_as_infinite_is_refused(form, text, column, tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text(text)
+    with pytest.raises(DataError) as caught:
+        read_table(path, form)
+    assert str(path) in caught.value.where and column in caught.value.where and "row" in caught.value.what
+
+
+def test_an_infinite_number_where_it_is_written_is_read(tmp_path):
+    path = tmp_path / "table.csv"
+    path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
+    form = TableForm(("id",), finite=("x_mm",), finite_where="ok")
+    assert read_table(path, form)["x_mm"].tolist() == [np.inf, 1.0]

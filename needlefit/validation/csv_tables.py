@@ -1,5 +1,6 @@
 """Read the CSV tables of a run again: a file that is damaged is an error with its name and column."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -22,15 +23,24 @@ class TableForm:
         Texts that together tell its rows apart.
     texts, numbers, flags : tuples of str
         Columns of any text, of numbers, of True or False.
+    finite : tuple of str
+        Columns of numbers, none of them infinite.
+    finite_where : str
+        A column of flags, where it is there: only the rows in which it is True must be finite.
     """
 
     keys: tuple[str, ...] = ()
     texts: tuple[str, ...] = ()
     numbers: tuple[str, ...] = ()
     flags: tuple[str, ...] = ()
+    finite: tuple[str, ...] = ()
+    finite_where: str = ""
 
 
 ANY = TableForm()
+
+_TOO_LARGE = re.compile(r"\s*[+-]?\d[\d.]*[eE]\+?(309|3[1-9]\d|[4-9]\d\d|\d{4})\s*")
+"""A number that no float holds, as text beside words such as "not determined"."""
 
 
 def read_table(path: Path, form: TableForm = ANY) -> pd.DataFrame:
@@ -41,11 +51,13 @@ def read_table(path: Path, form: TableForm = ANY) -> pd.DataFrame:
     Raises
     ------
     DataError
-        If the file cannot be read, is no table, lacks a column, holds a cell of another type, or two rows of
-        the same keys: joined with another table they would become many.
+        If the file cannot be read, is no table, lacks a column, holds a cell of another type, a number that
+        is infinite and never written so, or two rows of the same keys: joined with another table they would
+        become many.
     """
     texts = (*form.keys, *form.texts)
-    frame = _parsed(read_bytes(path), path, texts)
+    data = read_bytes(path)
+    frame = _parsed(data, path, texts)
     if not len(frame.columns):
         return frame
     lacking = [name for name in (*texts, *form.numbers, *form.flags) if name not in frame]
@@ -57,6 +69,8 @@ def read_table(path: Path, form: TableForm = ANY) -> pd.DataFrame:
         frame[name] = frame[name].astype(np.float64)
     for name in form.flags:
         _require(_flagged(frame[name]), frame, name, path)
+    for name in form.finite:
+        _require_finite(np.isinf(frame[name]) & _finite_rows(frame, form), name, path)
     repeated = frame.duplicated(list(form.keys)) if form.keys else pd.Series(dtype=bool)
     if repeated.any():
         raise _damaged(path, f"row {_row(repeated)} repeats the {', '.join(form.keys)} of an earlier one")
@@ -74,7 +88,33 @@ def _parsed(data: bytes, path: Path, texts: Sequence[str]) -> pd.DataFrame:
         raise _damaged(path, "is no table of equal rows, as UTF-8") from None
     if not isinstance(frame.index, pd.RangeIndex):  # pandas takes cells beyond the head for names of rows
         raise _damaged(path, "has rows of more cells than its head")
+    for number, name in enumerate(frame):
+        if name not in texts:
+            _require_finite(_overflowed(frame[name], number, data), str(name), path)
     return frame
+
+
+def _finite_rows(frame: pd.DataFrame, form: TableForm) -> "pd.Series":
+    if form.finite_where not in frame:
+        return pd.Series(True, frame.index)
+    return frame[form.finite_where].map(lambda cell: cell is True or cell is np.True_).astype(bool)
+
+
+def _overflowed(column: "pd.Series", number: int, data: bytes) -> "pd.Series":
+    """Return which cells are numbers too large for a float: an infinite one is only ever written as inf."""
+    if pd.api.types.is_float_dtype(column):
+        if not np.isinf(column).any():
+            return pd.Series(False, column.index)
+        written = pd.read_csv(BytesIO(data), usecols=[number], dtype="str").iloc[:, 0]
+        return np.isinf(column) & ~written.str.strip().isin(("inf", "-inf"))
+    return column.map(lambda cell: isinstance(cell, str) and _TOO_LARGE.fullmatch(cell) is not None).astype(
+        bool
+    )
+
+
+def _require_finite(wrong: "pd.Series", name: str, path: Path) -> None:
+    if wrong.any():
+        raise _damaged(path, f"the number in row {_row(wrong)} is infinite", name)
 
 
 def _flagged(column: "pd.Series") -> "pd.Series":

@@ -52,9 +52,16 @@ class Difference:
 
 
 def changed(where: str, rows: pd.DataFrame, column: str, visible: float = VISIBLE) -> Iterator[Difference]:
-    """Yield how the mean of a column in mm changed, over the rows in which both runs have it."""
+    """Yield how the mean of a column in mm changed, over the rows in which both runs have it.
+
+    Where only one of them has a finite value, as of a simulation that did not converge, that is a difference.
+    """
     pairs = rows[[f"{column}_a", f"{column}_b"]].to_numpy(dtype=np.float64)
-    pairs = pairs[np.isfinite(pairs).all(axis=1)]
+    there = np.isfinite(pairs)
+    if np.any(there[:, 0] != there[:, 1]):
+        counts = [int(count) for count in there.sum(axis=0)]
+        yield Difference("state", where, *counts, True, "values that are finite, of the same rows")
+    pairs = pairs[there.all(axis=1)]
     gap = pairs[:, 1] - pairs[:, 0]
     if not np.any(gap):
         return

@@ -27,8 +27,15 @@ _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "mean TE"}
 _FORETOLD = {"tip_crps_mm": "CRPS of the tip foretold", "shape_crps_mm": "CRPS of the shape foretold"}
 
 
-_PARAMETERS = TableForm(("fold", "parameter"), ("status",), ("value_used", "sd"), ("determined",))
-_SCORES = TableForm(("fold", "role", "insertion", "rival", "boundaries"), numbers=tuple(_ERRORS))
+_PARAMETERS = TableForm(
+    ("fold", "parameter"), ("status",), ("value_used", "sd"), ("determined",), ("value_used",)
+)
+_SCORES = TableForm(
+    ("fold", "role", "insertion", "rival", "boundaries"),
+    numbers=tuple(_ERRORS),
+    finite=tuple(_ERRORS),
+    finite_where="converged",
+)
 _PREDICTIVE = TableForm(("fold", "insertion"), numbers=tuple(_FORETOLD))
 _TABLES = {"parameters": _PARAMETERS, "errors": _SCORES, "predictive": _PREDICTIVE}
 
