@@ -76,6 +76,23 @@ def test_what_is_no_mesh(tmp_path, name, content):
     assert error.where == str(path) and error.expected and error.mend and "x:0" not in str(error)
 
 
+@pytest.mark.parametrize(
+    ("name", "content", "numbers"),
+    [
+        ("count.stl", bytes(80) + struct.pack("<I", 5) + bytes(50), ("134", "334")),
+        ("cut.stl", bytes(80) + struct.pack("<I", 1) + bytes(43), ("127", "134")),
+        ("beyond.obj", f"{OBJ}f 1/1 2/7 9/2\n".encode(), ("3",)),
+        ("cut.ply", binary(2)[:-5], ()),
+    ],
+)
+def test_the_reason_is_that_of_the_file_and_not_of_its_reader(tmp_path, name, content, numbers):
+    path = tmp_path / name
+    path.write_bytes(content)
+    with pytest.raises(DataError) as found:
+        read_surface(path, "sheet", 2)
+    assert "Error" not in found.value.what and all(number in found.value.what for number in numbers)
+
+
 def test_a_mesh_is_a_regular_file_of_bounded_size(tmp_path, monkeypatch):
     (tmp_path / "device.stl").symlink_to("/dev/zero")
     (tmp_path / "folder.stl").mkdir()

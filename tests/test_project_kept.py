@@ -40,7 +40,7 @@ def test_what_was_written_is_read_and_the_same_bytes_come_again(tmp_path):
         np.testing.assert_array_equal(kept.arrays[name], array)
         assert kept.arrays[name].dtype == array.dtype
     assert read_kept(tmp_path / "a.kept", "test", "other") is None
-    with pytest.raises(DataError, match="no other"):
+    with pytest.raises(DataError, match="kind other"):
         read_kept(tmp_path / "a.kept", "other", "stamp")
 
 

@@ -65,7 +65,7 @@ def reconstruct(
         str | None,
         typer.Option(metavar="NUMBER|UID", help="Which DICOM series, where a folder holds several."),
     ] = None,
-    medium: Annotated[str, typer.Option(help="Name of what was punctured.")] = "medium",
+    medium: Annotated[str | None, typer.Option(help="Name of what was punctured (default: medium).")] = None,
     recipe: Annotated[
         str,
         typer.Option(
@@ -95,6 +95,7 @@ def reconstruct(
         "surfaces_in": layers_in,
         "mask": mask,
         "series": series,
+        "medium": medium,
     }
     invocation = context.find_root().obj
     with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
@@ -112,7 +113,7 @@ def reconstruct(
         require_replaceable(out)
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)
-        wanted = _scans(scans, medium, {name: value for name, value in named.items() if value})
+        wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
         record = load(find("reconstruction", recipe), ReconstructionRecord)
         lock = claim(keep, EACH_ITS_OWN, resume, remark)
         with progress(invocation.quiet) as report:
@@ -141,7 +142,7 @@ def reconstruct(
         raise typer.Exit(DataError.exit_code)
 
 
-def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan, ...]":
+def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
     """Return the scans that the arguments mean: the rows of a table, or volumes that share what is named."""
     from needlefit.imaging.scans import read_scans, scans_of
     from needlefit.project.places import find, names
@@ -149,10 +150,10 @@ def _scans(scans: list[Path], medium: str, named: dict[str, Any]) -> "tuple[Scan
     if len(scans) == 1 and not is_there(scans[0]) and str(scans[0]) in names("scans"):
         scans = [find("scans", str(scans[0]))]
     if not any(path.suffix.lower() == ".csv" for path in scans):
-        return scans_of(scans, medium=medium, **named)
+        return scans_of(scans, **named)
     if len(scans) > 1 or named:
         raise typer.BadParameter(
-            "a table of scans stands alone: markers, fiducials, layers, masks and series are columns of it"
+            "a table of scans stands alone: markers, fiducials, layers, masks, series, media are its columns"
         )
     return read_scans(scans[0])
 

@@ -26,6 +26,12 @@ MAX_MERGED_MM = 1e9
 """Coordinates beyond this are no boundary's, and merging vertices counts in steps of 1e-8 mm."""
 
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
+_OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
+_OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
+_OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
+STL_HEAD_BYTES, STL_TRIANGLE_BYTES = 84, 50
+"""Of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for each."""
+
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 
 DECIMALS = 4
@@ -56,10 +62,12 @@ def read_surface(path: Path, kind: Kind, into: int) -> Surface:
     data = read_bytes(path, MAX_MESH_BYTES)
     if ending == ".ply":
         _check_ply(data, path)
+    if ending == ".stl":
+        _check_stl(data, path)
     try:
         mesh = _loaded(BytesIO(data), ending.lstrip("."))
-    except Exception as error:  # the readers of the formats raise whatever the bytes provoke, and quote them
-        raise _no_mesh(path, f"cannot be read ({type(error).__name__})") from None
+    except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
+        raise _no_mesh(path, _unread(data, ending)) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
         raise _no_mesh(path, "holds no triangles")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
@@ -89,6 +97,32 @@ def _check_ply(data: bytes, path: Path) -> None:
     claimed, there = sum(count for _, count in elements), rows.count(b"\n")
     if b"ascii" in head and claimed > there:
         raise _no_mesh(path, f"claims {claimed} vertices and triangles, and holds {there} rows")
+
+
+def _check_stl(data: bytes, path: Path) -> None:
+    """See that an STL file that is no text has the size that its count of triangles gives."""
+    count = int.from_bytes(data[80:84], "little")
+    expected = STL_HEAD_BYTES + STL_TRIANGLE_BYTES * count
+    if len(data) == expected or b"facet" in data:
+        return
+    if len(data) < STL_HEAD_BYTES:
+        raise _no_mesh(path, f"is no text STL, and too short for a binary one: {len(data)} bytes")
+    raise _no_mesh(path, f"has {len(data)} bytes; with the {count} triangles it claims it has {expected}")
+
+
+def _unread(data: bytes, ending: str) -> str:
+    """Return why a file could not be read, as far as its bytes show."""
+    if ending == ".ply" and b"end_header" not in data:
+        return "its header is cut short, or not that of a PLY file"
+    if ending == ".ply":
+        return "what follows its header is not what the header claims: it is cut short or damaged"
+    if ending == ".stl":
+        return "its text is cut short or damaged: not every facet has a normal and three vertices"
+    count = len(_OBJ_VERTEX.findall(data))
+    named = (int(index) for face in _OBJ_FACE.findall(data) for index in _OBJ_INDEX.findall(face))
+    if any(not (1 <= index <= count or -count <= index <= -1) for index in named):
+        return f"a triangle names a vertex beyond the {count} that there are"
+    return "its lines are not those of an OBJ file of triangles"
 
 
 def _no_mesh(path: Path, what: str) -> DataError:

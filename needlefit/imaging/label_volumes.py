@@ -46,7 +46,7 @@ def read_labels(path: Path) -> Labels:
     Raises
     ------
     DataError
-        If it is no volume, its segments overlap, one is empty, or its values are no labels.
+        If it is not a volume, its segments overlap, one is empty, or its values are no labels.
     """
     stated = _stated(path) if path.name.lower().endswith(IMAGE_SUFFIXES) and is_there(path) else ()
     volume = read(path)

@@ -61,12 +61,12 @@ def read_kept(path: Path, kind: str, stamp: str) -> Kept | None:
     Raises
     ------
     DataError
-        If it is damaged, or is no such file.
+        If it is damaged, or is not such a file.
     """
     first, _, body = read_bytes(path, MAX_KEPT_BYTES).partition(b"\n")
     head = _table(first, path)
     if head.get("needlefit") != kind or head.get("format") != FORMAT:
-        raise _damaged(path, f"it is no {kind} of format {FORMAT}")
+        raise _damaged(path, f"it is not a file of kind {kind}, format {FORMAT}")
     if head.get("stamp") != stamp:
         return None
     if head.get("bytes") != len(body) or head.get("sha256") != hashlib.sha256(body).hexdigest():
@@ -113,7 +113,7 @@ def _arrays(table: list[Any], data: bytes, path: Path) -> dict[str, NDArray[Any]
     arrays, begin = {}, 0
     for row in table:
         if not _lists_array(row):
-            raise _damaged(path, "its table of arrays is none")
+            raise _damaged(path, "its table of arrays is damaged")
         name, kind, shape = row
         count, width = math.prod(shape), np.dtype(kind).itemsize
         if count * width > len(data) - begin:

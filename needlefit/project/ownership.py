@@ -73,7 +73,7 @@ def read_stamp(folder: Path) -> dict[str, Any]:
     table = {} if path.is_symlink() else read_json(path)
     if isinstance(table, dict) and table.get("program") == "needlefit" and table.get("format") == FORMAT:
         return table
-    raise DataError("is no stamp of needlefit", where=str(path), expected=f"one of format {FORMAT}")
+    raise DataError("is not a stamp of needlefit", where=str(path), expected=f"one of format {FORMAT}")
 
 
 def foreign(folder: Path, holds: Holds = "result") -> list[str]:

@@ -85,7 +85,7 @@ def _parsed(data: bytes, path: Path, texts: Sequence[str]) -> pd.DataFrame:
     try:
         frame = pd.read_csv(BytesIO(data), dtype=dict.fromkeys(texts, "str"), low_memory=False)
     except (ValueError, OverflowError, RuntimeError):  # pandas' ParserError and UnicodeDecodeError among them
-        raise _damaged(path, "is no table of equal rows, as UTF-8") from None
+        raise _damaged(path, "is not a table of equal rows, as UTF-8") from None
     if not isinstance(frame.index, pd.RangeIndex):  # pandas takes cells beyond the head for names of rows
         raise _damaged(path, "has rows of more cells than its head")
     for number, name in enumerate(frame):
@@ -106,7 +106,7 @@ def _overflowed(column: "pd.Series", number: int, data: bytes) -> "pd.Series":
         if not np.isinf(column).any():
             return pd.Series(False, column.index)
         written = pd.read_csv(BytesIO(data), usecols=[number], dtype="str").iloc[:, 0]
-        return np.isinf(column) & ~written.str.strip().isin(("inf", "-inf"))
+        return pd.Series(np.isinf(column)) & ~written.str.strip().isin(("inf", "-inf"))
     return column.map(lambda cell: isinstance(cell, str) and _TOO_LARGE.fullmatch(cell) is not None).astype(
         bool
     )

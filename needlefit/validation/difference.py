@@ -59,8 +59,8 @@ def changed(where: str, rows: pd.DataFrame, column: str, visible: float = VISIBL
     pairs = rows[[f"{column}_a", f"{column}_b"]].to_numpy(dtype=np.float64)
     there = np.isfinite(pairs)
     if np.any(there[:, 0] != there[:, 1]):
-        counts = [int(count) for count in there.sum(axis=0)]
-        yield Difference("state", where, *counts, True, "values that are finite, of the same rows")
+        before, after = (int(count) for count in there.sum(axis=0))
+        yield Difference("state", where, before, after, True, "values that are finite, of the same rows")
     pairs = pairs[there.all(axis=1)]
     gap = pairs[:, 1] - pairs[:, 0]
     if not np.any(gap):

@@ -48,7 +48,7 @@ def _of_file(path: Path) -> list[Slice]:
     header = read_header(path)
     if header is None:
         raise DataError(
-            "is no volume that can be read",
+            "is not a volume that can be read",
             where=str(path),
             expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha",
             mend="export the scan in one of these formats",

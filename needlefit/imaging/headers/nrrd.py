@@ -4,6 +4,7 @@ import re
 from collections.abc import Iterable
 from pathlib import Path
 
+from needlefit.errors import DataError
 from needlefit.imaging.headers.promise import (
     MAX_AXES,
     MAX_HEADER_BYTES,
@@ -58,6 +59,13 @@ def check_nrrd(path: Path) -> ImageHeader:
     voxel_bytes, packing = VOXEL_BYTES.get(fields["type"].lower()), PACKINGS.get(fields["encoding"].lower())
     if voxel_bytes is None or packing is None:
         raise no_image(path, f"its {'encoding' if voxel_bytes else 'type'} is none that is read")
+    if packing == "bzip2":
+        raise DataError(
+            "its voxels are packed with bzip2, which is not read",
+            where=str(path),
+            expected="encoding: raw, text, hex or gzip",
+            mend="save it again with gzip, as 3D Slicer does by default, or without compression",
+        )
     axes = whole(fields["dimension"], 1, MAX_AXES, path)
     skip = whole(fields.get("byte skip", "0"), -1, MAX_SKIPPED_BYTES, path)
     whole(fields.get("line skip", "0"), 0, MAX_SKIPPED_LINES, path)
@@ -94,6 +102,8 @@ def _fields(path: Path, lines: Iterable[str]) -> tuple[dict[str, str], dict[str,
             put(fields, name, value.strip(), (path, number))
             if name in NUMBERS:
                 check_numbers(value, (path, number))
+            if name == "data file" and value.split()[:1] == ["LIST"]:
+                break  # what follows are names of files; `size_beside` refuses several
         elif ":=" in line:
             key, _, text = line.partition(":=")
             texts[key] = text

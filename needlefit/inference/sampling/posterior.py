@@ -108,12 +108,12 @@ def save(posterior: Posterior, path: Path) -> None:
 
 
 def load(path: Path) -> Posterior:
-    """Read what `save` wrote; DataError if the file is no posterior, or is damaged."""
+    """Read what `save` wrote; DataError if the file is not a posterior, or is damaged."""
     attributes, numbers = read_numbers(path)
     try:
         posterior = _read(attributes, numbers)
     except (DataError, KeyError, TypeError, ValueError) as error:
-        raise _unusable(path, f"is no posterior of needlefit ({type(error).__name__})") from error
+        raise _unusable(path, f"is not a posterior of needlefit ({type(error).__name__})") from error
     digest = attributes.get("posterior/sha256")  # files from before have none
     if not _alike(posterior):
         raise _unusable(path, "its arrays do not fit together")
