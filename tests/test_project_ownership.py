@@ -5,6 +5,7 @@ import os
 import shutil
 import tempfile
 import threading
+from contextlib import suppress
 from pathlib import Path
 
 import pytest
@@ -297,3 +298,23 @@ def test_scratch_that_stayed_in_a_new_result_is_no_part_of_it(tmp_path):
         (fresh / "a.csv").write_text("one")
         (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
+
+
+@pytest.mark.parametrize("count", range(1, 5))
+def test_a_removal_that_was_cut_short_is_finished_by_the_next_run(count, tmp_path, monkeypatch):
+    folder, removed = tmp_path / "out", []
+    write(folder)
+
+    def unlink(path, *args, **kwargs):
+        removed.append(path)
+        if len(removed) == count:
+            raise OSError(5, "Input/output error", str(path))
+        return real(path, *args, **kwargs)
+
+    with monkeypatch.context() as patch, suppress(OSError):
+        real = os.unlink
+        patch.setattr(os, "unlink", unlink)
+        write(folder, "two")
+    assert (folder / "part" / "a.csv").read_text() in ("one", "two")
+    write(folder, "three")
+    assert {path.name for path in tmp_path.iterdir()} == {"out"}

@@ -193,8 +193,7 @@ def _foreign_in_checkpoint(folder: Path, names: list[str]) -> list[str]:
     A run that ended before its stamp was written leaves its lock, and the stamp half written beside it.
     """
     if not any(_is_file(folder / name) for name in STAMPS):
-        begun = all(_BEGUN.fullmatch(name) and _is_file(folder / name) for name in names)
-        return [] if begun and _is_lock(folder / "lock") else names
+        return [] if begun(folder) else names
     return [
         name
         for name in names
@@ -213,6 +212,13 @@ def _fault(folder: Path, name: str, listed: dict[str, Any]) -> str:
         return "" if sha256(path) == listed[name] else f"{name} (changed since it was written)"
     except OSError:
         return name
+
+
+def begun(folder: Path) -> bool:
+    """Whether a checkpoint's process had no more than its lock, and perhaps half a stamp, when it ended."""
+    names = held(folder)
+    only = all(_BEGUN.fullmatch(name) and _is_file(folder / name) for name in names)
+    return only and _is_lock(folder / "lock")
 
 
 def _is_lock(path: Path) -> bool:

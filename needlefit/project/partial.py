@@ -5,19 +5,20 @@ import hashlib
 import json
 import os
 import secrets
-import shutil
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
 from needlefit.errors import ConfigError, DataError
+from needlefit.project.files import remove_contents, remove_folder
 from needlefit.project.kept import set_aside
 from needlefit.project.ownership import (
     STAMP,
     STAMPS,
+    begun,
     checkpoint_stamp,
     foreign,
-    held,
     not_writable,
     read_stamp,
     require_own_checkpoint,
@@ -74,7 +75,7 @@ def claim(folder: Path, work: str, resume: bool, note: Note) -> Lock | None:
     """
     require_own_checkpoint(folder)
     lock = _lock(folder)
-    if any(name != LOCK for name in held(folder)) and _work_of(folder) is None:
+    if not begun(folder) and _work_of(folder) is None:
         if lock is not None:
             lock.release()
         note(f"{folder} is damaged: it is now {set_aside(folder).name}, and its run starts afresh")
@@ -106,7 +107,8 @@ def forget(folder: Path, note: Note) -> None:
     if faults:
         note(f"{folder} is not removed: it holds {', '.join(faults)}")
         return
-    shutil.rmtree(folder, ignore_errors=True)
+    with suppress(OSError):  # what stays has its stamp still: the next run removes it
+        remove_folder(folder, (LOCK, *STAMPS))
     if lock is not None:
         lock.release()
 
@@ -121,15 +123,8 @@ def _work_of(folder: Path) -> str | None:
 
 
 def _empty(folder: Path) -> None:
-    """Remove all but the lock from a checkpoint in which nothing is foreign; the stamp last.
-
-    Until then it says that what is left is needlefit's own.
-    """
-    for path in sorted(folder.iterdir(), key=lambda path: path.name in STAMPS):
-        if path.is_dir() and not path.is_symlink():
-            shutil.rmtree(path)
-        elif path.name != LOCK:
-            path.unlink()
+    """Remove all but the lock from a checkpoint in which nothing is foreign."""
+    remove_contents(folder, STAMPS, kept=(LOCK,))
 
 
 def _lock(folder: Path) -> Lock | None:

@@ -11,7 +11,9 @@ from pathlib import Path
 from typing import IO
 
 from needlefit.errors import ConfigError
+from needlefit.project.files import remove_folder
 from needlefit.project.ownership import (
+    STAMP,
     foreign,
     held,
     not_replaced,
@@ -36,6 +38,9 @@ _SCRATCH = ".needlefit-"
 """In the name of a scratch folder, behind that of its place."""
 
 _MARK = "a scratch folder of needlefit\n"
+LAST = (STAMP, "run.json", "dataset.toml")
+"""What is removed last of a result: by them it is known, also half removed."""
+
 _AT_FDCWD, _RENAME_EXCHANGE = -100, 2
 
 
@@ -137,7 +142,8 @@ def scratch(place: Path) -> Iterator[Path]:
             yield made
     finally:
         if not (made / OLD).exists():  # else it holds what was not seen to be needlefit's own
-            shutil.rmtree(made, ignore_errors=True)
+            with suppress(OSError):
+                remove_folder(made, (LOCK,))
 
 
 def _put(fresh: Path, folder: Path, old: Path) -> None:
@@ -155,7 +161,7 @@ def _put(fresh: Path, folder: Path, old: Path) -> None:
         _exchange(old, folder)
         old.rename(fresh)
         raise not_replaced(folder, faults)
-    shutil.rmtree(old)
+    remove_folder(old, LAST)
 
 
 def _exchange(one: Path, other: Path) -> None:
@@ -231,7 +237,9 @@ def _remove_one(folder: Path, place: Path) -> None:
             kept.rename(place)  # killed between two renamings
         if kept.exists() and held(kept) and foreign(kept):
             return
-    shutil.rmtree(folder)
+        if kept.exists():
+            remove_folder(kept, LAST)
+    remove_folder(folder, (LOCK,))
 
 
 def free(file: IO[str]) -> bool:
