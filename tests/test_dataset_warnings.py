@@ -15,13 +15,21 @@ from needlefit.datasets.check import check, check_all
 from needlefit.datasets.dataset_warnings import FILL_IN
 from needlefit.datasets.read import read
 from needlefit.datasets.template import template
-from needlefit.datasets.write import write_dataset
+from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import sheet
 from needlefit.project.places import find
 from needlefit.project.unit_warnings import GAUGES_MM
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
 UP = np.array([0.0, 1.0, 0.0])
+
+
+def write_dataset(folder, record, rows, curves, surfaces, **options) -> Path:
+    """Write curves that are no copies of one another: each 0.001 mm beside the one before."""
+    beside = {
+        id_: curve + np.eye(curve.shape[1])[2] * 1e-3 * n for n, (id_, curve) in enumerate(curves.items())
+    }
+    return write_curves(folder, record, rows, beside, surfaces, **options)
 
 
 def gel(folder: Path, sides=(1, 1, -1), **changes) -> Path:
@@ -98,6 +106,13 @@ def test_a_bend_that_may_come_from_elsewhere_gives_no_warning(tmp_path, change):
     rows = [row("a", "gel", layers=1, bevel=UP, side=-1, **change)]
     tables = record(media={"gel": {}}, noise=NOISE)
     assert kinds(write_dataset(tmp_path, tables, rows, {"a": CURVE}, {})) == []
+
+
+def test_a_copy_of_a_centreline_is_named(tmp_path):
+    file = gel(tmp_path)
+    (tmp_path / "centerlines/c.csv").write_bytes((tmp_path / "centerlines/a.csv").read_bytes())
+    _, (one,) = check_all(file)
+    assert (one.kind, one.where) == ("copy", f"{tmp_path}/insertions.csv:4") and "c " in one.what
 
 
 def test_a_free_shape_and_a_straight_needle_say_nothing_of_their_side(tmp_path):

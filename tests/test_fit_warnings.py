@@ -110,7 +110,10 @@ def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
         row(name, "gel", layers=1, specimen=piece) for name, piece in (("a", "x"), ("b", "x"), ("c", "y"))
     ]
     tables = record(media={"gel": {}}, noise={"point_sd_mm": 0.02})
-    dataset = read(write_dataset(tmp_path, tables, rows, dict.fromkeys("abc", CURVE), {}))
+    beside = np.array([0, 0, 1e-3])
+    curves = {"a": CURVE, "b": CURVE + beside, "c": CURVE + 2 * beside, "d": CURVE}
+    rows.append(row("d", "gel", layers=1, specimen="z"))
+    dataset = read(write_dataset(tmp_path, tables, rows, curves, {}))
 
     def shared(**keys: object) -> list[str]:
         table = {"schema": 1, "dataset": "d", "medium": "m", **keys}
@@ -122,7 +125,9 @@ def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
     (told,) = shared(**first, validate=[{"insertions": ["b", "c"]}])
     assert "(x)" in told
     assert shared(**first, validate=[{"insertions": ["c"]}]) == []
-    assert shared(leave_out="specimen") == []
+    (copied,) = shared(**first, validate=[{"insertions": ["c", "d"]}])
+    assert "d, " in copied and "(x)" not in copied
+    assert shared(tune={"insertions": ["a", "b", "c"]}, leave_out="specimen") == []
     assert len(shared(leave_out="insertion")) == 1
 
 

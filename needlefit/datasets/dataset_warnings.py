@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from needlefit.datasets.bevel_side import bent, pooled_side_warnings, side_warnings
+from needlefit.datasets.copies import copy_warnings
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers_met import Placed
 from needlefit.datasets.noise_warnings import noise_warnings, stated_warnings
@@ -55,6 +56,7 @@ def insertion_warnings(
     return [
         *side_warnings(bents, column, "insertions"),
         *pooled_side_warnings(bents, column),
+        *copy_warnings(placed),
         *_boundary_warnings(record, insertions, where),
         *_missed_warnings(insertions, where),
         *noise_warnings(record, placed, noise, where),

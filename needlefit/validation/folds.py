@@ -3,6 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from needlefit.datasets.copies import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.select import select
 from needlefit.errors import ConfigError
@@ -61,6 +62,8 @@ def shared_specimens(name: str, folds: Iterable[Fold]) -> list[ResultWarning]:
     for fold in folds:
         held = {one.specimen for one in fold.validate}
         shared |= dict.fromkeys(one.specimen for one in fold.tune if one.specimen in held)
+        copies = (one for one in fold.validate if any(is_copy(one, other) for other in fold.tune))
+        shared |= dict.fromkeys(f"{one.id}, a copy of one fitted to" for one in copies)
     return [specimen_warning(name, list(shared))] if shared else []
 
 
