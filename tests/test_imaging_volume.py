@@ -392,7 +392,7 @@ def test_a_file_that_is_no_volume(tmp_path, name, content):
 def test_files_of_other_kinds(tmp_path):
     for name in ("picture.png", "curve.csv"):
         (tmp_path / name).write_bytes(b"1,2,3")
-        assert "no volume" in refused(tmp_path / name).what
+        assert "not a volume" in refused(tmp_path / name).what
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.nii", "a.mha"])

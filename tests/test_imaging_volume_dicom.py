@@ -215,7 +215,7 @@ def test_folders_without_a_series(tmp_path):
     fault = refused(tmp_path)
     assert "there is inside/, notes.txt" in fault.what and "name the folder" in fault.mend
     assert "no such file" in refused(tmp_path / "elsewhere").what
-    assert "no volume" in refused(tmp_path / "notes.txt").what
+    assert "not a volume" in refused(tmp_path / "notes.txt").what
 
 
 # What is refused
