@@ -2,7 +2,8 @@
 
 Scenes are drawn from a very wide prior: needles of 40 to 400 mm and 0.3 to 2 mm of polymer to steel, one to
 five layers of 1 kPa to 100 MPa, t of 5 to 80 mm, alpha of -10 to 10, cuts of 0.001 to 1 mm per mm, constraint
-spacings of 0.1 to 2 mm, up to four steps with bases that move, turned bevels and retractions.
+spacings of 0.1 to 2 mm, up to four steps with bases that move, turned bevels and retractions. One in ten
+ends with an insertion to within 1e-6 to 0.1 mm of the needle's length.
 
     python benchmarks/validity.py [--json] [--scenes N] [--seed N]
 
@@ -46,6 +47,11 @@ class Drawn:
     rules: Rules
 
 
+NEARLY_FULL = 0.1
+"""Share of the scenes whose deepest step leaves only `STUBS_MM` of the needle before the entry."""
+STUBS_MM = (1e-6, 0.1)
+
+
 def draw(rng: np.random.Generator) -> Drawn:
     """Return a scene of the very wide prior."""
 
@@ -68,6 +74,8 @@ def draw(rng: np.random.Generator) -> Drawn:
         base = Controls(base_y=rng.normal(0, 5), base_slope=rng.normal(0, 0.05))
         side = int(rng.choice((1, -1)))
         steps.append(Step(length * rng.uniform(0.05, 0.95), Bevel(offset, side), base))
+    if rng.random() < NEARLY_FULL:
+        steps.append(replace(steps[-1], depth=length - log(*STUBS_MM)))
     parts = int(rng.integers(1, 1 + min(3, int(spacing / MIN_ELEMENT_MM))))
     return Drawn(needle, tissue, tuple(steps), Rules(spacing, spacing / parts))
 

@@ -134,6 +134,23 @@ def test_rounding_grows_as_elements_shrink_and_is_never_below_what_a_unit_of_for
     assert bounds[0] < bounds[1] < bounds[2]
 
 
+@pytest.mark.parametrize("depth", [149.0, 149.9, 149.99, 149.999, 150.0 - 1e-6])
+def test_the_stub_before_the_entry_raises_no_false_alarm(depth):
+    shape = simulate(NEEDLE, TISSUE, Bevel(0.02), depth)
+    heavier = replace(NEEDLE, flexural_rigidity=3 * NEEDLE.flexural_rigidity)
+    again = simulate(heavier, replace(TISSUE, mu=3 * TISSUE.mu), Bevel(0.02), depth)
+    assert shape.valid and np.abs(again.u - shape.u).max() < shape.validity.rounding_mm < 1e-6
+
+
+def test_a_guide_right_before_the_entry_raises_no_false_alarm():
+    assert simulate(NEEDLE, TISSUE, Bevel(0.02), 50.5, Controls(guides=(Guide(-1e-3),))).valid
+
+
+def test_a_needle_before_the_entry_has_the_rounding_of_its_shortest_element():
+    one, other = (beam([-150, -150 + h, 0], [0, 1, 2], [0, 0, 0]).validity.rounding_mm for h in (1.0, 0.1))
+    assert 0 < one < other
+
+
 @pytest.mark.parametrize(
     "build",
     [

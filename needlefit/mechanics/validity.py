@@ -142,7 +142,7 @@ def validity_of(solved: Solved) -> Validity:
         steepest, squared = _slopes(u, slope, step)
         steepest = np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1))
         range_ = u.max(axis=-1) - u.min(axis=-1)
-        finest = step.min(axis=-1)
+        finest = _shortest_in_tissue(x, step)
         largest = np.abs(u).max(axis=-1)
         # what rounds off in a beam element's stiffness, 12 EI / h^3, moves the length over which the tissue
         # leaves the needle free; each constraint point inherits the error of those before it
@@ -154,6 +154,21 @@ def validity_of(solved: Solved) -> Validity:
             _compression(solved) / thickness,
             ROUNDING_FACTOR * np.finfo(np.float64).eps * largest * grown,
         )
+
+
+BEFORE_ENTRY_MM = -1e-9
+"""Where an element begins that lies before the entry, mm."""
+
+
+def _shortest_in_tissue(x: Floats, step: Floats) -> Floats:
+    """Return the shortest element in the tissue, mm; of a needle before the entry the shortest of all.
+
+    Elements before the entry are left out: no constraint point inherits their rounding, and at nearly full
+    insertion, or between a guide and the entry, one may be as short as a micrometre.
+    """
+    within = np.where(x[..., :-1] < BEFORE_ENTRY_MM, np.inf, step).min(axis=-1)
+    found: Floats = np.where(np.isinf(within), step.min(axis=-1), within)
+    return found
 
 
 def _slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats]:
