@@ -103,6 +103,7 @@ def reconstruct(
         from needlefit.imaging.batch import Batch, Failure, reconstruct_all
         from needlefit.project.load import load
         from needlefit.project.names import require_file_name
+        from needlefit.project.outputs import require_no_inputs_within
         from needlefit.project.ownership import require_own_checkpoint, require_replaceable
         from needlefit.project.partial import claim, forget
         from needlefit.project.places import find
@@ -114,6 +115,7 @@ def reconstruct(
         keep = out.resolve().with_name(f"{out.resolve().name}.partial")
         require_own_checkpoint(keep)
         wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
+        require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
         record = load(find("reconstruction", recipe), ReconstructionRecord)
         lock = claim(keep, EACH_ITS_OWN, resume, remark)
         with progress(invocation.quiet) as report:

@@ -13,6 +13,8 @@ from needlefit.cli.scene_options import Depth, Set, scene_record
 from needlefit.cli.show_simulation import show_summary, summary
 from needlefit.cli.simulated import Simulated, of_recording, of_scene
 from needlefit.cli.warn import warn
+from needlefit.project.outputs import require_output_files
+from needlefit.project.places import find
 from needlefit.project.result_warnings import KEY, ResultWarning, as_rows
 
 
@@ -67,6 +69,8 @@ def simulate(
 
     Deflection is the tip's y in the constraint frame (x along the entry, y to the left).
     """
+    files = {"--plot": plot, "--csv": csv, "--slicer": slicer, "--animation": animation}
+    written = {option: path for option, path in files.items() if path is not None}
     if inputs is None:
         if scene is None:
             raise typer.BadParameter("give a SCENE, or a recording with --inputs", param_hint="SCENE")
@@ -74,6 +78,7 @@ def simulate(
             raise typer.BadParameter(
                 "counts the steps of a recording: it needs --inputs", param_hint="--step"
             )
+        require_output_files(written, [find("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
         done = of_scene(scene, record, where)
     else:
@@ -81,11 +86,11 @@ def simulate(
             raise typer.BadParameter(
                 "the recording holds its scene: leave out SCENE, --depth and --set", param_hint="--inputs"
             )
-        done = of_recording(inputs, step)
+        done = of_recording(inputs, step, written)
     # before anything is printed: a name may be none of a picture
-    for option, path in (("plot", plot), ("csv", csv), ("slicer", slicer), ("animation", animation)):
-        if path is not None and done.files[option](path) is not False:
-            screen.note(f"{'drawn' if option == 'plot' else 'written'}: {path}")
+    for option, path in written.items():
+        if done.files[option.removeprefix("--")](path) is not False:
+            screen.note(f"{'drawn' if option == '--plot' else 'written'}: {path}")
     _show(context.find_root().obj, done, json)
 
 

@@ -10,6 +10,9 @@ import typer
 
 from needlefit.cli import scene_files, screen
 from needlefit.cli.scene_files import Inserted
+from needlefit.errors import NeedlefitError
+from needlefit.project.outputs import require_output_files
+from needlefit.project.subjects import find_subject
 
 if TYPE_CHECKING:
     from needlefit.geometry.placement import Placement
@@ -68,14 +71,21 @@ def of_scene(name: str, record: "SceneRecord", where: str) -> Simulated:
     return Simulated(done.title, scene, done.shapes, files, {}, warnings=warnings)
 
 
-def of_recording(path: Path, upto: int | None) -> Simulated:
-    """Carry out a recording, or its steps up to number `upto`."""
+def of_recording(path: Path, upto: int | None, outputs: Mapping[str, Path]) -> Simulated:
+    """Carry out a recording, or its steps up to number `upto`.
+
+    Raises
+    ------
+    ConfigError
+        If one of `outputs`, by option, is a file of what was steered, or cannot be written.
+    """
     from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
     from needlefit.viewer.exports import export
     from needlefit.viewer.exports.outcome import carry_out
     from needlefit.viewer.recording.log import read
 
     recording = read(path)
+    require_output_files(outputs, [path, *_subject_files(recording.head.subject)])
     if upto is not None:
         if upto > len(recording.steps):
             raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
@@ -92,3 +102,12 @@ def of_recording(path: Path, upto: int | None) -> Simulated:
     planned = recording.head.scene
     warnings = (*scene_warnings(planned, str(path)), *coarse_warnings(planned, str(path)))
     return Simulated(done.title, done.scene, (done.moment.shape,), files, more, done.placement, warnings)
+
+
+def _subject_files(subject: str) -> list[Path]:
+    """Return the scene, or the folder of the run or dataset, that a recording is of; none if it is gone."""
+    try:
+        named = find_subject(subject)
+    except NeedlefitError:
+        return []
+    return [named.path.parent if named.kind == "dataset" else named.path]

@@ -15,6 +15,7 @@ from needlefit.cli import options, screen
 from needlefit.cli.completion import subjects
 from needlefit.cli.invocation import Invocation
 from needlefit.cli.warn import warn
+from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
     from needlefit.viewer.serving.door import Door
@@ -53,6 +54,7 @@ def view(
     """
     if inputs is not None and subject is not None:
         raise typer.BadParameter("the recording says what it is about: leave it out", param_hint="SUBJECT")
+    require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
     trials = _trials(context.find_root().obj, subject, inputs, out / "view")

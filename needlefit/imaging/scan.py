@@ -100,3 +100,9 @@ class Scan:
     layers_alternative: int | None = None
     guide_distance: float | None = None
     origin: Literal["measured", "synthetic"] = "measured"
+
+    @property
+    def files(self) -> tuple[Path, ...]:
+        """All files, and DICOM folders, that are read of it."""
+        others = (self.mask, self.markers, self.fiducials, *(source.path for source in self.surfaces))
+        return (self.volume, *(path for path in others if path is not None))

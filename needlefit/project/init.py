@@ -4,14 +4,20 @@ import shutil
 from pathlib import Path
 
 from needlefit.errors import ConfigError
-from needlefit.project.places import PARTS, shipped
+from needlefit.project.outputs import require_writable
+from needlefit.project.places import PARTS, listed, shipped
 from needlefit.project.replace import new_folder
+
+MAX_LISTED_NAMES = 5
+"""Files that a message names."""
 
 _IGNORED = shutil.ignore_patterns(".*", "__pycache__", "*.partial")
 
 
 def copy_project(folder: Path) -> list[Path]:
     """Copy the shipped `data/ configs/ studies/` into `folder`, which is made if it is missing.
+
+    Hidden entries of `folder`, such as `.git`, stay beside them.
 
     Returns
     -------
@@ -21,18 +27,33 @@ def copy_project(folder: Path) -> list[Path]:
     Raises
     ------
     ConfigError
-        If one of them exists already: nothing is ever overwritten.
+        If `folder` is a file, the root or the user's home, or holds anything that is not hidden.
     """
     targets = [folder / part for part in PARTS]
-    taken = [str(target) for target in targets if target.exists()]
-    if taken or (folder.exists() and not folder.is_dir()):
-        raise ConfigError(
-            "exists already",
-            where=", ".join(taken or [str(folder)]),
-            expected="a folder without data, configs and studies",
-            mend="choose another folder",
-        )
+    require_writable(folder)
+    _require_unused(folder)
     for part, target in zip(PARTS, targets, strict=True):
         with new_folder(target) as fresh:
             shutil.copytree(shipped() / part, fresh, ignore=_IGNORED, dirs_exist_ok=True)
     return targets
+
+
+def _require_unused(folder: Path) -> None:
+    """See that a project scatters no files among others: the folder is missing, empty, or a repository."""
+    place = folder.resolve()
+    if folder.exists() and not folder.is_dir():
+        what = "exists already, and is a file"
+    elif place == Path.home().resolve():
+        what = "is your home folder"
+    else:
+        held = sorted(folder.iterdir()) if folder.is_dir() else []
+        shown = [str(path) for path in held if not path.name.startswith(".")]
+        if not shown:
+            return
+        what = f"exists already, and holds {listed(shown, MAX_LISTED_NAMES)}"
+    raise ConfigError(
+        what,
+        where=str(folder),
+        expected="a new folder, or an empty one",
+        mend="choose another folder: nothing is overwritten",
+    )

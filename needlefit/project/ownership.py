@@ -16,6 +16,7 @@ from typing import Any, Literal
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.earlier import earlier_files
 from needlefit.project.files import sha256
+from needlefit.project.outputs import require_writable
 from needlefit.project.reading import read_bytes, read_json
 
 STAMP = "needlefit.json"
@@ -114,15 +115,14 @@ def changed_files(folder: Path) -> list[str]:
 
 def require_replaceable(folder: Path) -> None:
     """Raise ConfigError unless a result may be written to `folder`: missing, empty, or needlefit's own."""
-    folder = folder.resolve()
-    _require_own(folder, "result")
-    require_writable(folder.parent)
+    require_writable(folder)  # first: it also sees names that the system does not take
+    _require_own(folder.resolve(), "result")
 
 
 def require_own_checkpoint(folder: Path) -> None:
     """Raise ConfigError unless a checkpoint may be kept in `folder`; else as `require_replaceable`."""
+    require_writable(folder)
     _require_own(folder.resolve(), "checkpoint")
-    require_writable(folder.resolve().parent)
 
 
 def not_replaced(folder: Path, faults: list[str]) -> ConfigError:
@@ -134,25 +134,6 @@ def not_replaced(folder: Path, faults: list[str]) -> ConfigError:
         where=str(folder),
         expected=f"no such folder, an empty one, or one that holds only what its {STAMP} lists, unchanged",
         mend="move those files away, or choose another folder with --out",
-    )
-
-
-def require_writable(folder: Path) -> None:
-    """Raise ConfigError unless files can be written in `folder`, or in the nearest one above that exists."""
-    while not folder.exists() and folder != folder.parent:
-        folder = folder.parent
-    effective = os.access in os.supports_effective_ids
-    if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
-        raise not_writable(folder, "you may not write there" if folder.is_dir() else "it is a file")
-
-
-def not_writable(place: Path, reason: str) -> ConfigError:
-    """Return what is raised of a place where nothing can be written."""
-    return ConfigError(
-        f"cannot be written to: {reason}",
-        where=str(place),
-        expected="a folder in which you may write",
-        mend="choose another one with --out, or check its permissions",
     )
 
 

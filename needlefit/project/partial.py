@@ -13,13 +13,13 @@ from typing import Any
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.files import remove_contents, remove_folder
 from needlefit.project.kept import set_aside
+from needlefit.project.outputs import not_writable
 from needlefit.project.ownership import (
     STAMP,
     STAMPS,
     begun,
     checkpoint_stamp,
     foreign,
-    not_writable,
     read_stamp,
     require_own_checkpoint,
 )

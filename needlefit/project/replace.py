@@ -12,12 +12,12 @@ from typing import IO
 
 from needlefit.errors import ConfigError
 from needlefit.project.files import remove_folder
+from needlefit.project.outputs import not_writable
 from needlefit.project.ownership import (
     STAMP,
     foreign,
     held,
     not_replaced,
-    not_writable,
     require_replaceable,
     write_stamp,
 )

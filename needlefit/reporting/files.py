@@ -7,7 +7,6 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.errors import ConfigError
 from needlefit.project.plain import plain
 
 
@@ -20,12 +19,6 @@ def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write values as JSON, NaN and infinity as null, keys in order."""
     text = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
-
-
-def require_folder(path: Path) -> None:
-    """Raise ConfigError unless the folder of a file to write exists."""
-    if not path.parent.is_dir():
-        raise ConfigError("there is no such folder", where=str(path.parent), mend="make it first")
 
 
 def all_files(folder: Path) -> list[Path]:

@@ -11,7 +11,8 @@ from needlefit.mechanics.load import lateral_load
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
 from needlefit.mechanics.shape import positions
-from needlefit.reporting.files import require_folder, write_csv
+from needlefit.project.outputs import require_folder
+from needlefit.reporting.files import write_csv
 
 _WORLD = ("world_x_mm", "world_y_mm", "world_z_mm")
 _SAME = 1e-6  # mm: a node so near a whole millimetre stands for it

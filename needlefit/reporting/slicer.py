@@ -13,7 +13,7 @@ from needlefit.geometry.curves import arc_length
 from needlefit.geometry.placement import Placement
 from needlefit.geometry.tubes import tube, write_ply
 from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.reporting.files import require_folder
+from needlefit.project.outputs import require_folder
 from needlefit.reporting.names import PAPER, RIVAL_COLOURS, rgb
 from needlefit.validation.placed import DIAMETER, Band, PlacedNeedle
 from needlefit.validation.results import Results

@@ -11,11 +11,11 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from needlefit.errors import ConfigError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Moment
+from needlefit.project.outputs import require_folder
 from needlefit.reporting.figures.acting import round_up
 from needlefit.reporting.figures.moment import paint
 from needlefit.reporting.figures.sheet import Beside, Sheet, lay_out
 from needlefit.reporting.figures.style import LOOK, snug
-from needlefit.reporting.files import require_folder
 
 RATE = 10
 """Frames a second."""

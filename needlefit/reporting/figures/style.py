@@ -10,7 +10,8 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from needlefit.errors import ConfigError
-from needlefit.reporting.files import require_folder, write_csv
+from needlefit.project.outputs import require_folder
+from needlefit.reporting.files import write_csv
 from needlefit.reporting.names import GREY, INK, SYNTHETIC
 
 WIDTH = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
