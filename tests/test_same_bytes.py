@@ -15,6 +15,7 @@ import pytest
 
 from needlefit.mechanics.kernel.cache import VARIABLE, folder
 from needlefit.project.places import find
+from needlefit.project.threads import VARIABLES as THREADS
 
 STUDY = """\
 schema = 1
@@ -61,8 +62,9 @@ def one_core() -> str:
 def begin(
     program: str, words: Sequence[str], place: Path, cores: str = "all", **settings: str
 ) -> "subprocess.Popen[str]":
-    """Start a program in a folder, with the compiled functions of this process."""
-    environment = {**os.environ, VARIABLE: str(folder().path.parent), **HERE, **settings}
+    """Start a program in a folder, with the compiled functions of this process and no limit of threads."""
+    environment = {name: value for name, value in os.environ.items() if name not in THREADS}
+    environment |= {VARIABLE: str(folder().path.parent), **HERE, **settings}
     return subprocess.Popen(
         (sys.executable, "-c", program, cores, *words),
         cwd=place, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
