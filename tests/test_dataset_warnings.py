@@ -18,7 +18,8 @@ from needlefit.datasets.template import template
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import sheet
 from needlefit.project.places import find
-from needlefit.project.unit_warnings import GAUGES_MM
+from needlefit.project.records.scene import NeedleRecord
+from needlefit.project.unit_warnings import GAUGES_MM, likely_modulus, needle_warnings, where_in
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
 UP = np.array([0.0, 1.0, 0.0])
@@ -150,6 +151,71 @@ def test_a_value_in_another_unit_is_named_with_its_line(tmp_path, pattern, line,
 
 
 @pytest.mark.parametrize(
+    ("changes", "key", "right"),
+    [
+        ({"length_mm": 15.0, "outer_diameter_mm": 0.127}, "outer_diameter_mm", ["1.27", "150"]),  # cm
+        ({"length_mm": 5.9, "outer_diameter_mm": 0.05}, "outer_diameter_mm", ["1.27", "149.86"]),  # inches
+        ({"length_mm": 150.0, "outer_diameter_mm": 1270.0}, "outer_diameter_mm", ["1.27"]),  # micrometres
+        ({"length_mm": 150.0, "outer_diameter_mm": 5000.0}, "outer_diameter_mm", ["write 5"]),
+        ({"length_mm": 5000.0}, "length_mm", ["check"]),
+        ({"length_mm": 15.0}, "length_mm", ["150 if", "381 if"]),
+        ({"length_mm": 150.0, "outer_diameter_mm": 7.0}, "outer_diameter_mm", ["check"]),
+        ({"inner_diameter_mm": 1.2699}, "inner_diameter_mm", ["check"]),
+        ({"inner_diameter_mm": 0.042}, "inner_diameter_mm", ["check"]),
+        ({"inner_diameter_mm": 0.838}, "", []),
+        ({"inner_diameter_mm": 1.1}, "", []),
+    ],
+)
+def test_a_doubtful_length_of_a_needle_is_named_with_what_is_likely(tmp_path, changes, key, right):
+    file = tmp_path / "scene.toml"
+    needle = NeedleRecord.model_validate(record().needle.model_dump() | changes)
+    file.write_text("[needle]\n" + "\n".join(f"{name} = 1" for name in needle.model_dump()))
+    found = list(needle_warnings(needle, where_in(file)))
+    lines = [n for n, name in enumerate(needle.model_dump(), start=2) if name == key]
+    assert [one.where for one in found] == [f"{file}:{n}" for n in lines]
+    assert all(f"`needle.{key}`" in one.what and all(text in one.fix for text in right) for one in found)
+
+
+@pytest.mark.parametrize(("length", "count"), [(15.0, 1), (5.9, 1), (40.0, 0), (0.15, 0)])
+def test_a_needle_too_short_for_its_rigidity_is_named(length, count):
+    needle = NeedleRecord(length_mm=length, flexural_rigidity_nmm2=1.0216e4)
+    found = list(needle_warnings(needle, lambda key: key))
+    assert [one.where for one in found] == ["needle.length_mm"] * count
+
+
+@pytest.mark.parametrize(
+    ("value", "unit", "right"),
+    [
+        *[(2e11, "Pa", 200), (8e4, "MPa", 80), (4e4, "MPa", 40), (2.9e7, "psi", 200), (1.16e7, "psi", 80)],
+        *[(2.9e4, "ksi", 200), (3.6e3, "MPa", 3.6), (1e20, "", np.nan)],
+    ],
+)
+def test_the_likely_unit_of_a_modulus(value, unit, right):
+    found, in_gpa = likely_modulus(value)
+    assert found == unit and in_gpa == pytest.approx(right, rel=2e-3, nan_ok=True)
+
+
+@pytest.mark.parametrize(
+    ("factor", "unit"), [(0.1, "centimetres"), (1 / 25.4, "inches"), (1e3, "micrometres")], ids=str
+)
+def test_a_depth_in_another_unit_than_its_curve_is_named_with_the_line_of_its_row(tmp_path, factor, unit):
+    file = gel(tmp_path)
+    table = file.parent / "insertions.csv"
+    table.write_text(table.read_text().replace("50.0000", f"{50 * factor:.6g}"))
+    assert {one.where: unit in one.what and "depth_mm" in one.what for one in check(file)} == {
+        f"{table}:{line}": True for line in (2, 3, 4)
+    }
+
+
+@pytest.mark.parametrize(("length", "unit"), [(15.0, "centimetres"), (5.906, "inches")])
+def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
+    file = gel(tmp_path)
+    edit(file, "^length_mm", f"length_mm = {length}")
+    faults = check(file)
+    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.mend for one in faults)
+
+
+@pytest.mark.parametrize(
     ("line", "count"),
     [
         ("registration_mean_mm = 178", 1),
@@ -242,6 +308,45 @@ def test_a_boundary_in_metres_or_micrometres(tmp_path, depth, count):
     if count:
         line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "boundaries_mm" in text)
         assert warnings[0].where == f"{file}:{line}"
+
+
+@pytest.mark.parametrize(
+    ("boundaries", "count"),
+    [
+        *[([1.0, 3.0], 1), ([2.0, 20.0], 0)],  # all of them at the top
+        *[([20.0, 55.0], 1), ([20.0, 49.0], 0)],  # below every insertion
+        *[([20.0, 20.01], 1), ([20.0, 20.5], 0)],  # nearly one
+    ],
+)
+def test_boundaries_that_no_tissue_has_are_named_with_their_line(tmp_path, boundaries, count):
+    rows = [row("a", "gel", layers=1 + sum(one < 50 for one in boundaries), bevel=UP)]
+    file = write_dataset(
+        tmp_path, record(media={"gel": {"boundaries_mm": boundaries}}, noise=NOISE), rows, {"a": CURVE}, {}
+    )
+    _, warnings = check_all(file)
+    line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "boundaries_mm" in text)
+    assert [(one.kind, one.where) for one in warnings] == [("units", f"{file}:{line}")] * count
+    assert all(f"{boundaries[-1]:g}" in one.what for one in warnings)
+
+
+@pytest.mark.parametrize(
+    ("boundaries", "unit"),
+    [
+        ([2.0, 6.0], "centimetres"),
+        ([0.8, 2.4], "inches"),
+        ([2e4, 6e4], "micrometres"),
+        ([0.02, 0.06], "metres"),
+    ],
+)
+def test_boundaries_in_a_unit_that_alone_gives_the_layers_listed(tmp_path, boundaries, unit):
+    """Needles of 50 and 70 mm through boundaries at 20 and 60 mm meet two layers and three."""
+    deep = np.column_stack([X * 1.4, 4e-4 * X**2, 0 * X])
+    rows = [row("a", "gel", layers=2, bevel=UP), row("b", "gel", layers=3, bevel=UP, depth=70.0)]
+    tables = record(media={"gel": {"boundaries_mm": boundaries}}, noise=NOISE)
+    file = write_dataset(tmp_path, tables, rows, {"a": CURVE, "b": deep}, {}, checksums=False)
+    (fault,) = check(file)
+    line = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if "boundaries_mm" in text)
+    assert fault.where == f"{file}:{line}" and fault.what.endswith(f" {unit}")
 
 
 def test_the_user_s_own_column_is_named(tmp_path):

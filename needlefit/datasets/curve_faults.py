@@ -10,6 +10,7 @@ from needlefit.datasets.rows import called
 from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.geometry.curves import arc_length
 from needlefit.project.records.dataset import DatasetRecord
+from needlefit.project.unit_warnings import LENGTH_UNITS
 
 MIN_POINTS = 5
 """Fewer points are no curve."""
@@ -32,12 +33,12 @@ START_MM = 5.0
 HEADING_DEG = 45.0
 """Greatest angle between the entry direction and the chord of the centreline."""
 
-UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
-"""What coordinates that should be in mm are sometimes in."""
+UNIT_TOLERANCE = 0.25
+"""Relative difference of a curve's span from the depth at which another unit explains their ratio."""
 
 
-def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord) -> Iterator[Fault]:
-    """Say what is wrong with finite points as the centreline of `row`."""
+def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord, place: str) -> Iterator[Fault]:
+    """Say what is wrong with finite points as the centreline of `row`, which stands at `place`."""
     curve = points.values
     if len(curve) < MIN_POINTS:
         yield Fault(
@@ -48,7 +49,7 @@ def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord) -> It
         )
         return
     depth_mm = called(record, "depth_mm")
-    unit = _unit_fault(points, row, depth_mm)
+    unit = _unit_fault(points, row, depth_mm, place)
     if unit:
         yield unit
         return  # in metres every other length is wrong as well
@@ -65,15 +66,24 @@ def curve_faults(points: Points, row: InsertionRow, record: DatasetRecord) -> It
         yield from _entry_faults(points, row.entry, row.direction)
 
 
-def _unit_fault(points: Points, row: InsertionRow, depth_mm: str) -> Fault | None:
+def _unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: str) -> Fault | None:
+    """Return the fault of a curve, or of the depth beside it, that is in another unit."""
     span = _span(points.values)
-    for name, factor in UNITS.items():
-        if abs(span * factor / row.depth - 1) < 0.25:
+    for name, factor in LENGTH_UNITS.items():
+        if abs(span * factor / row.depth - 1) < UNIT_TOLERANCE:
             return Fault(
                 points.where(),
                 f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}",
                 "millimetres",
                 f"multiply the coordinates by {factor:g}",
+            )
+        if factor > 1 and abs(factor * row.depth / max(span, SAME) - 1) < UNIT_TOLERANCE:
+            return Fault(
+                place,
+                f"{depth_mm} is {row.depth:.4g} where the centreline spans {span:.4g}: "
+                f"this looks like {name}",
+                "millimetres",
+                f"multiply the column by {factor:g}, and check every other length of the dataset",
             )
     return None
 

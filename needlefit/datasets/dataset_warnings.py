@@ -11,7 +11,7 @@ from needlefit.datasets.noise_warnings import noise_warnings, stated_warnings
 from needlefit.project.records.dataset import DatasetRecord, SourceRecord
 from needlefit.project.records.tip_tracks import TrackDatasetRecord
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import Where, boundary_warnings, needle_warnings, where_in
+from needlefit.project.unit_warnings import Where, layer_warnings, needle_warnings, where_in
 
 FILL_IN = "TO FILL IN"
 """Marks what a template cannot know."""
@@ -69,13 +69,8 @@ def _boundary_warnings(
     for name, medium in record.media.items():
         depths = [one.depth for one in insertions if one.medium == name]
         key = f"media.{name}.boundaries_mm"
-        if not medium.boundaries_mm or not depths:
-            continue
-        yield from boundary_warnings(medium.boundaries_mm[0], max(depths), where, key)
-        if medium.boundaries_mm[0] > 10 * max(depths):
-            what = f"`{key}` begins at {medium.boundaries_mm[0]:g} mm, and no insertion is deeper than "
-            what += f"{max(depths):g} mm"
-            yield ResultWarning("units", what, where(key), "check its unit, mm")
+        if medium.boundaries_mm and depths:
+            yield from layer_warnings(medium.boundaries_mm, max(depths), where, key)
 
 
 def _missed_warnings(insertions: Sequence[Insertion], where: Where) -> Iterator[ResultWarning]:

@@ -25,6 +25,7 @@ from needlefit.project.records.dataset import LEAST_SD_MM, DatasetRecord, NoiseR
 from needlefit.project.records.scene import NeedleRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import place_of
+from needlefit.project.unit_warnings import likely_modulus
 
 STIFFEST_GPA = 1000.0
 """No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
@@ -57,7 +58,7 @@ def inspect(path: Path) -> Inspection:
     unused: list[ResultWarning] = []
     placed = [one for root in roots for one in _insertions(record, root, shared, found, unused)]
     found += repeated("insertion", (one.insertion.id for one in placed), file)
-    found += [*surface_faults(placed, file), *reach_faults(record, placed, file)]
+    found += [*surface_faults(placed, record, file), *reach_faults(record, placed, file)]
     found += sd_faults(record, placed, file)
     warnings = [*record_warnings(record, file), *unused]
     if found:
@@ -92,7 +93,7 @@ def _insertions(
             if points.columns not in headers:  # of files with the same header the first is named
                 unused += centerline_columns(record, points.columns, points.path)
             headers.add(points.columns)
-            faults += curve_faults(points, row, record)
+            faults += curve_faults(points, row, record, where)
         found += faults
         medium = medium_of(row, record, root, shared, found)
         if points is None or faults or medium is None:
@@ -111,12 +112,12 @@ def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
     modulus = needle.youngs_modulus_gpa
     if modulus is None or modulus <= STIFFEST_GPA:
         return
-    unit, factor = ("Pa", 1e9) if modulus > STIFFEST_GPA * 1e3 else ("MPa", 1e3)
+    unit, in_gpa = likely_modulus(modulus)
     yield Fault(
         place_of(file, "needle.youngs_modulus_gpa"),
-        f"needle.youngs_modulus_gpa is {modulus:g}: this looks like {unit}",
+        f"needle.youngs_modulus_gpa is {modulus:g}{f': this looks like {unit}' if unit else ''}",
         "GPa: about 200 for steel, 40 to 80 for nitinol",
-        f"write {modulus / factor:g}",
+        f"write {in_gpa:.3g}" if unit else "write it in GPa",
     )
 
 

@@ -8,11 +8,13 @@ import numpy as np
 
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.layers import layers_before
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import Surface, moved
 from needlefit.project.records.dataset import DatasetRecord
 from needlefit.project.toml_lines import place_of
+from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
 
 HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
 """From RAS to LPS, and back: x and y change their signs."""
@@ -41,13 +43,23 @@ def media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
             )
 
 
-def surface_faults(placed: Sequence[Placed], file: Path) -> Iterator[Fault]:
+def surface_faults(placed: Sequence[Placed], record: DatasetRecord, file: Path) -> Iterator[Fault]:
     """Say which insertions do not meet the layers listed for them, and why if all miss all surfaces."""
     for name in dict.fromkeys(one.insertion.medium for one in placed):
         group = [one for one in placed if one.insertion.medium == name]
         copies = _copies(group[0].insertion.surfaces)
         if copies:  # their layers cannot be counted
             yield from (_twice(place_of(file, f"media.{name}.surfaces"), name, *pair) for pair in copies)
+            continue
+        unit = _boundary_unit(group, record.media[name].boundaries_mm or ())
+        if unit:
+            yield Fault(
+                place_of(file, f"media.{name}.boundaries_mm"),
+                f"boundaries_mm of medium {name} do not give the layers listed for its insertions, and do so "
+                f"once they are multiplied by {LENGTH_UNITS[unit]:g}: this looks like {unit}",
+                "depths along the needle, mm",
+                f"multiply boundaries_mm by {LENGTH_UNITS[unit]:g}",
+            )
             continue
         missed = all(one.insertion.surfaces and one.insertion.sequence == (1,) for one in group)
         if missed and all(_meets_turned(one.insertion) for one in group):
@@ -60,6 +72,33 @@ def surface_faults(placed: Sequence[Placed], file: Path) -> Iterator[Fault]:
             )
         else:
             yield from (fault for one in group for fault in _layer_faults(one))
+
+
+def _boundary_unit(group: Sequence[Placed], boundaries: Sequence[float]) -> str:
+    """Return the unit of given depths with which alone all insertions meet the layers listed, or ""."""
+    if not boundaries or _meet_listed(group, boundaries, 1.0):
+        return ""
+    deepest = max(one.insertion.depth for one in group)
+    likely = (
+        unit
+        for unit, mm in LENGTH_UNITS.items()
+        if mm * boundaries[0] > BOUNDARY_TO_DEPTH * deepest and mm * boundaries[-1] < deepest
+    )
+    return next((unit for unit in likely if _meet_listed(group, boundaries, LENGTH_UNITS[unit])), "")
+
+
+def _meet_listed(group: Sequence[Placed], boundaries: Sequence[float], factor: float) -> bool:
+    scaled = factor * np.array(boundaries)
+    return all(
+        len(layers_before(scaled, _reach(one.insertion))[1])
+        in (one.insertion.layers, one.insertion.layers_alternative)
+        for one in group
+    )
+
+
+def _reach(insertion: Insertion) -> float:
+    """Return the depth along C's x down to which given boundaries are met, mm."""
+    return insertion.depth if insertion.pose_source == "none" else float(insertion.planar[-1, 0])
 
 
 def _twice(where: str, medium: str, one: str, other: str) -> Fault:

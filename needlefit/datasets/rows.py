@@ -27,12 +27,16 @@ from needlefit.datasets.schema import (
 from needlefit.geometry.frames import Frame
 from needlefit.project.names import EXPECTED, name_fault
 from needlefit.project.records.dataset import DatasetRecord, InsertionsRecord
+from needlefit.project.unit_warnings import LENGTH_UNITS
 
 UNIT = 1e-3
 """Greatest deviation of a direction's length from 1."""
 
 SMALLEST_DEPTH = 1.0
 """An insertion of less than this, mm, was written in metres."""
+
+SHORTEST_NEEDLE = 30.0
+"""A needle of less than this, mm, may have been measured in centimetres or inches."""
 
 
 def parse_rows(table: Table, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
@@ -201,9 +205,10 @@ def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Itera
             "multiply the column by 1000",
         )
     if row.depth >= length:
+        looks = _unit_of(row.depth, length)
         yield Fault(
             where,
-            f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long{_unit_of(length)}",
+            f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long{looks}",
             "a depth smaller than the needle's length",
             f"correct needle.length_mm in dataset.toml, or {depth_mm}",
         )
@@ -222,8 +227,15 @@ def called(record: DatasetRecord, column: str) -> str:
     return theirs if theirs == column else f"{theirs} ({column})"
 
 
-def _unit_of(length: float) -> str:
-    return ": this looks like metres" if length < SMALLEST_DEPTH else ""
+def _unit_of(depth: float, length: float) -> str:
+    """Return which of a depth and a shorter needle is probably in which other unit, in words."""
+    if length < SMALLEST_DEPTH:
+        return ": this looks like metres"
+    if length < SHORTEST_NEEDLE and depth < LENGTH_UNITS["inches"] * length:
+        return ": its length looks like centimetres or inches"
+    if SMALLEST_DEPTH <= 1e-3 * depth < length:
+        return f": {depth:g} looks like micrometres"
+    return ""
 
 
 def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:

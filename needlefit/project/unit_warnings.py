@@ -5,7 +5,8 @@ same file, so that a small needle is no suspicious one.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from itertools import pairwise
 from pathlib import Path
 
 from needlefit.project.records.medium import MediumRecord
@@ -24,9 +25,32 @@ MU_PA = (100.0, 1e10)
 SHARPEST_OFFSET = 2.0
 """Offset of the cut per mm: a tip that turns by 63 degrees in one."""
 BOUNDARY_TO_DEPTH = 2e-3
-"""Depth of the first boundary over that of the insertion: a skin of 0.1 mm before 50 mm."""
+"""Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
+BOUNDARIES_TO_DEPTH = 0.1
+"""Depth of the last of several boundaries over that of the deepest insertion."""
 
-LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0}
+LENGTH_UNITS = {"metres": 1e3, "inches": 25.4, "centimetres": 10.0, "micrometres": 1e-3}
+"""Millimetres in each."""
+
+MODULUS_UNITS = {"Pa": 1e-9, "MPa": 1e-3, "kPa": 1e-6, "psi": 6.894757e-6, "ksi": 6.894757e-3}
+"""Gigapascals in each."""
+
+METAL_GPA = (25.0, 700.0)
+"""Young's modulus of a metal needle: martensitic nitinol has 28, tungsten carbide 700."""
+
+STEEL_GPA = 200.0
+
+TYPICAL_GPA = (3.0, 40.0, 75.0, 110.0, STEEL_GPA)
+"""Young's moduli of a polymer, nitinol (martensite, austenite), titanium, steel."""
+
+DIAMETER_MM = (0.15, 5.0)
+"""Outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4."""
+
+LEAST_INNER_MM = 0.05
+"""Inner diameter of a tube: 34 gauge has 0.08."""
+
+THINNEST_WALL = 0.03
+"""Wall of a tube over its outer diameter; ultra-thin walls have 0.08."""
 
 GAUGES_MM = {
     **{10: 3.404, 11: 3.048, 12: 2.769, 13: 2.413, 14: 2.108, 15: 1.829, 16: 1.651, 17: 1.473, 18: 1.270},
@@ -55,31 +79,115 @@ def needle_warnings(needle: NeedleRecord, where: Where, key: str = "needle") -> 
     diameter, rigidity = needle.outer_diameter_mm, needle.flexural_rigidity_nmm2
     modulus = needle.youngs_modulus_gpa
     if diameter is not None:
-        yield from _diameter_warnings(diameter, needle.length_mm, where, f"{key}.outer_diameter_mm")
+        yield from _diameter_warnings(diameter, needle.length_mm, where, key)
+        yield from _wall_warnings(needle.inner_diameter_mm, diameter, where, f"{key}.inner_diameter_mm")
     if modulus is not None and not MODULUS_GPA[0] <= modulus <= MODULUS_GPA[1]:
-        name = f"{key}.youngs_modulus_gpa"
-        what = f"`{name}` is {modulus:g}, and needles have {MODULUS_GPA[0]:g} to {MODULUS_GPA[1]:g}"
-        yield ResultWarning(KIND, what, where(name), "write it in GPa: about 200 for steel")
+        yield _modulus_warning(modulus, where, f"{key}.youngs_modulus_gpa")
     if rigidity is not None:
         yield from _rigidity_warnings(rigidity, diameter, where, f"{key}.flexural_rigidity_nmm2")
+    if rigidity is not None and diameter is None:
+        yield from _stubby_warnings(rigidity, needle.length_mm, where, f"{key}.length_mm")
 
 
-def _diameter_warnings(diameter: float, length: float, where: Where, key: str) -> Iterator[ResultWarning]:
-    ratio = diameter / length
-    if DIAMETER_TO_LENGTH[0] <= ratio <= DIAMETER_TO_LENGTH[1] or length < 1.0:  # a length in metres
+def _stubby_warnings(rigidity: float, length: float, where: Where, key: str) -> Iterator[ResultWarning]:
+    """Yield a warning if a needle is too short for its rigidity; a length in metres is a fault."""
+    rod = (64e-3 * rigidity / (math.pi * STEEL_GPA)) ** 0.25  # no steel needle is thinner
+    if length >= 1.0 and rod > DIAMETER_TO_LENGTH[1] * length and rigidity <= RIGIDITY_NMM2[1]:
+        what = f"short for a flexural rigidity of {rigidity:g}, which a steel rod of {rod:.2g} mm has"
+        yield _length_warning(length, rod, what, where, key)
+
+
+def _diameter_warnings(diameter: float, length: float, where: Where, table: str) -> Iterator[ResultWarning]:
+    """Yield a warning if a diameter, or a length beside it, is no needle's; both may be in another unit."""
+    key, ratio = f"{table}.outer_diameter_mm", diameter / length
+    if length < 1.0:  # a length in metres is a fault
         return
     what = f"`{key}` is {diameter:g} on a needle of {length:g} mm"
-    if ratio < DIAMETER_TO_LENGTH[0]:
-        unit, factor = min(LENGTH_UNITS.items(), key=lambda one: abs(math.log(one[1] * diameter)))
-        yield ResultWarning(
-            KIND, f"{what}: this looks like {unit}", where(key), f"write {factor * diameter:g}"
-        )
-    elif diameter in GAUGES_MM:
+    if not DIAMETER_MM[0] <= diameter <= DIAMETER_MM[1]:
+        looks, fix = _likely_diameter(diameter, length)
+        yield ResultWarning(KIND, what + looks, where(key), fix)
+    elif ratio < DIAMETER_TO_LENGTH[0]:
+        yield _length_warning(length, diameter, what, where, f"{table}.length_mm")
+    elif ratio > DIAMETER_TO_LENGTH[1]:
+        yield _length_warning(length, diameter, f"{what}, very thick", where, f"{table}.length_mm")
+
+
+def _likely_diameter(diameter: float, length: float) -> tuple[str, str]:
+    """Return the likely unit of a diameter that no needle has, in words, and what to write instead."""
+    if diameter in GAUGES_MM:
         gauge = GAUGES_MM[int(diameter)]
-        what += f": this looks like a gauge, and {diameter:g} gauge is {gauge:g} mm"
-        yield ResultWarning(KIND, what, where(key), f"write {gauge:g}")
-    else:
-        yield ResultWarning(KIND, f"{what}, very thick", where(key), "check both, in mm")
+        return f": this looks like a gauge, and {diameter:g} gauge is {gauge:g} mm", f"write {gauge:g}"
+    likely = {
+        unit: factor
+        for unit, factor in LENGTH_UNITS.items()
+        if DIAMETER_MM[0] <= factor * diameter <= DIAMETER_MM[1]
+    }
+    if not likely:
+        return "", "check it, in mm"
+    unit = min(likely, key=lambda one: _off_gauge(likely[one] * diameter))
+    fix = f"write {likely[unit] * diameter:g}"
+    # where its ratio to the length is a needle's, the length is in the same unit
+    same = DIAMETER_TO_LENGTH[0] <= diameter / length <= DIAMETER_TO_LENGTH[1]
+    alone = DIAMETER_TO_LENGTH[0] <= likely[unit] * diameter / length <= DIAMETER_TO_LENGTH[1]
+    if same and not alone:
+        fix += f", {likely[unit] * length:g} for the length, and check every other length"
+    return f": this looks like {unit}", fix
+
+
+def _off_gauge(diameter: float) -> float:
+    """Return how far a diameter is from the nearest gauge, as a logarithm of their ratio."""
+    return min(abs(math.log(diameter / gauge)) for gauge in GAUGES_MM.values())
+
+
+def _length_warning(length: float, diameter: float, what: str, where: Where, key: str) -> ResultWarning:
+    """Return the warning that a needle of such a diameter, mm, has no such length."""
+    likely = [
+        f"{factor * length:g} if it is in {unit}"
+        for unit, factor in LENGTH_UNITS.items()
+        if unit != "metres" and DIAMETER_TO_LENGTH[0] <= diameter / (factor * length) <= DIAMETER_TO_LENGTH[1]
+    ]
+    what = what if f"`{key}`" in what else f"`{key}` is {length:g}: {what}"
+    return ResultWarning(
+        KIND, what, where(key), f"write {', '.join(likely)}" if likely else "check both, in mm"
+    )
+
+
+def _wall_warnings(inner: float, outer: float, where: Where, key: str) -> Iterator[ResultWarning]:
+    what = f"`{key}` is {inner:g} in a tube of {outer:g} mm"
+    if 0 < inner < min(LEAST_INNER_MM, outer):
+        yield ResultWarning(
+            KIND, f"{what}, less than any tube has", where(key), "check it, in mm; 0 if solid"
+        )
+    wall = 0.5 * (outer - inner)
+    if wall < THINNEST_WALL * outer:
+        what += f", which leaves a wall of {wall:.2g} mm"
+        yield ResultWarning(KIND, what, where(key), "check both diameters, in mm; 0 if solid")
+
+
+def _modulus_warning(modulus: float, where: Where, key: str) -> ResultWarning:
+    what = f"`{key}` is {modulus:g}, and needles have {MODULUS_GPA[0]:g} to {MODULUS_GPA[1]:g}"
+    unit, in_gpa = likely_modulus(modulus)
+    if unit:
+        return ResultWarning(KIND, f"{what}: this looks like {unit}", where(key), f"write {in_gpa:.3g}")
+    return ResultWarning(KIND, what, where(key), "write it in GPa: about 200 for steel")
+
+
+def likely_modulus(modulus: float) -> tuple[str, float]:
+    """Return the likely unit of a modulus that no needle has in GPa, and its value in GPa; "" if none is."""
+    for least, most in (METAL_GPA, MODULUS_GPA):
+        likely = {
+            unit: modulus * factor
+            for unit, factor in MODULUS_UNITS.items()
+            if least <= modulus * factor <= most
+        }
+        if likely:
+            unit = min(likely, key=lambda one: _off_typical(likely[one]))
+            return unit, likely[unit]
+    return "", math.nan
+
+
+def _off_typical(modulus: float) -> float:
+    return min(abs(math.log(modulus / typical)) for typical in TYPICAL_GPA)
 
 
 def _rigidity_warnings(
@@ -162,3 +270,27 @@ def boundary_warnings(first: float, depth: float, where: Where, key: str) -> Ite
         looks = ": this looks like metres" if metres else ""
         fix = f"write {1e3 * first:g}" if metres else "check it, in mm"
         yield ResultWarning(KIND, what + looks, where(key), fix)
+
+
+def layer_warnings(
+    boundaries: Sequence[float], deepest: float, where: Where, key: str
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each doubt about the boundaries, mm, of insertions down to `deepest`, mm."""
+    if not boundaries:
+        return
+    shallow = list(boundary_warnings(boundaries[0], deepest, where, key))
+    yield from shallow
+    what = f"`{key}` is {', '.join(f'{one:g}' for one in boundaries)}"
+    if not shallow and len(boundaries) > 1 and boundaries[-1] < BOUNDARIES_TO_DEPTH * deepest:
+        what += f", all at the top of insertions of {deepest:g} mm: this looks like centimetres or inches"
+        yield ResultWarning(KIND, what, where(key), "if so, multiply by 10 or 25.4")
+    elif boundaries[-1] >= deepest:
+        what += f", and no insertion is deeper than {deepest:g} mm"
+        micro = boundaries[0] > deepest > 1e-3 * boundaries[0] > BOUNDARY_TO_DEPTH * deepest
+        what += ": this looks like micrometres" if micro else ""
+        fix = "divide by 1000" if micro else "check its unit, mm, or leave out what no insertion reaches"
+        yield ResultWarning(KIND, what, where(key), fix)
+    for top, end in pairwise(boundaries):
+        if end - top < BOUNDARY_TO_DEPTH * deepest:
+            what = f"`{key}` has boundaries at {top:g} and {end:g}, nearly one"
+            yield ResultWarning(KIND, what, where(key), "remove one of them, or correct it, in mm")

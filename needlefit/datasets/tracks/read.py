@@ -19,7 +19,7 @@ from needlefit.project.load import load, read_toml
 from needlefit.project.records.tip_tracks import TrackDatasetRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.toml_lines import place_of
-from needlefit.project.unit_warnings import boundary_warnings, where_in
+from needlefit.project.unit_warnings import layer_warnings, where_in
 
 
 @dataclass(frozen=True)
@@ -108,7 +108,7 @@ def _run_warnings(
         depths = [float(one.depth[-1]) for one in tracks if one.medium == name]
         if medium.boundaries_mm and depths:
             key = f"media.{name}.boundaries_mm"
-            yield from boundary_warnings(medium.boundaries_mm[0], max(depths), where_in(file), key)
+            yield from layer_warnings(medium.boundaries_mm, max(depths), where_in(file), key)
 
 
 def _dataset(
