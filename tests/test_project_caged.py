@@ -144,7 +144,8 @@ def test_the_child_ends_with_its_parent(tmp_path, end):
     note = tmp_path / "id"
     here = Path(__file__).parent
     code = (
-        f"import sys; sys.path[:0] = [{str(here)!r}, {str(here.parent)!r}]\n"
+        f"import signal, sys; sys.path[:0] = [{str(here)!r}, {str(here.parent)!r}]\n"
+        "signal.signal(signal.SIGINT, signal.default_int_handler)\n"  # a shell's background jobs ignore it
         "from pathlib import Path; from needlefit.project.caged import Limits, read_caged\n"
         "reader = 'caged_readers:writes_its_id_and_sleeps'\n"
         f"read_caged(reader, Path('f'), Limits(), {{'path': {str(note)!r}}})"
