@@ -19,7 +19,7 @@ from reporting_results import stereo
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.project.ownership import write_stamp
+from needlefit.project.ownership import STAMP, write_stamp
 from needlefit.project.records.about import AboutRecord
 from needlefit.reporting.credibility.case import case
 from needlefit.reporting.credibility.entries import entries
@@ -307,3 +307,11 @@ def test_a_result_that_was_changed_since_its_stamp_is_named(alone):
     assert damaged_files(alone) == {}
     (alone / "posterior.nc").write_bytes(b"garbage")
     assert [*damaged_files(alone)] == ["posterior.nc"]
+
+
+@pytest.mark.parametrize("name", ["posterior.nc", "posterior_2.nc", "posterior-tracks.nc"])
+def test_a_damaged_posterior_without_a_digest_is_named(name, alone):
+    (alone / STAMP).unlink(missing_ok=True)
+    (alone / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(2000))
+    assert [*damaged_files(alone)] == [name]
+    assert case(alone).damaged[0].startswith(f"{alone.name}/{name}")

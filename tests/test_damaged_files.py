@@ -181,8 +181,10 @@ def test_a_posterior_that_was_changed_is_refused(damage, tmp_path):
     (posterior,) = sampled(0.08, 0.09).posteriors.values()
     save(posterior, path)
     assert load(path).names == posterior.names
+    assert "posterior.nc" not in damaged_files(tmp_path)
     with h5py.File(path, "r+") as file:
         damage(file)
+    assert "posterior.nc" in damaged_files(tmp_path)
     with pytest.raises(DataError) as caught:
         load(path)
     assert str(path) in caught.value.where

@@ -10,7 +10,9 @@ from scipy.io import savemat
 from test_datasets import CURVE, SURFACES, record, row
 
 from needlefit.datasets.check import check
+from needlefit.datasets.formats.markups import Markups
 from needlefit.datasets.formats.mat import read_curves
+from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
 from needlefit.datasets.noise import noise_floor
 from needlefit.datasets.read import read
 from needlefit.datasets.template import template
@@ -254,6 +256,33 @@ def test_a_curve_of_few_points_is_no_template(tmp_path):
     with pytest.raises(DataError, match="curve b has only 1 points") as error:
         template(tmp_path / "mine", source)
     assert error.value.where == f"{source}:103"
+
+
+@pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\u202eb", "\uff1da", "a\x07", " =a"])
+@pytest.mark.parametrize("ending", [".csv", ".mrk.json", ".fcsv"])
+def test_names_of_curves_that_do_something_are_refused(name, ending, tmp_path):
+    source = tmp_path / f"runs{ending}"
+    if ending == ".csv":
+        long_table(source, "id,x_mm,y_mm,z_mm", {name: CURVE})
+    elif ending == ".mrk.json":
+        look = Look((0.0, 0.0, 0.0), 1.0)
+        write_mrk_json(source, [(Markups(source, name, "Curve", ("",) * len(CURVE), CURVE), look)])
+    else:
+        source = tmp_path / f"{name}.fcsv"
+        rows = "".join(f"{n},{x},{y},{z},0,0,0,1,1,1,0,p,,\n" for n, (x, y, z) in enumerate(CURVE))
+        source.write_text(f"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n{rows}")
+    with pytest.raises(DataError) as error:
+        template(tmp_path / "mine", source)
+    assert "refused" in error.value.what or "control" in str(error.value)
+    assert not (tmp_path / "mine").exists()
+
+
+def test_ids_that_are_changed_are_reported(tmp_path):
+    source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "c": CURVE})
+    remarks: list[str] = []
+    file = template(tmp_path / "mine", source, remarks.append)
+    assert [one.id for one in read(file).insertions] == ["a_b", "c"]
+    assert len(remarks) == 1 and "a_b" in remarks[0]
 
 
 def test_ids_that_would_name_one_file_are_told(tmp_path):

@@ -59,6 +59,32 @@ def test_what_somebody_added_or_changed_is_kept_and_named(file, tmp_path):
     assert everything(tmp_path) == before
 
 
+@pytest.mark.parametrize("empty", ["mine", "part/mine", "mine/deep/er", "slicer"])
+def test_an_empty_folder_of_the_user_is_kept_and_named(empty, tmp_path):
+    folder = tmp_path / "out"
+    write(folder)
+    (folder / empty).mkdir(parents=True)
+    with pytest.raises(ConfigError, match=empty.removesuffix("/deep/er")):
+        write(folder, "two")
+    assert (folder / empty).is_dir()
+    shutil.rmtree(folder / empty)
+    if empty.startswith("mine/"):
+        shutil.rmtree(folder / "mine")
+    write(folder, "two")
+    assert foreign(folder) == []
+
+
+def test_empty_folders_alone_are_kept_and_a_result_has_none(tmp_path):
+    (tmp_path / "mine" / "raw" / "day1").mkdir(parents=True)
+    assert (
+        foreign(tmp_path / "mine") == foreign(tmp_path / "mine", "checkpoint") == ["raw/ (an empty folder)"]
+    )
+    with replacing(tmp_path / "out") as fresh:
+        (fresh / "slicer" / "deep").mkdir(parents=True)
+        (fresh / "a.csv").write_text("one")
+    assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
+
+
 def test_links_are_kept_and_not_followed(tmp_path):
     mine, folder = tmp_path / "mine", tmp_path / "out"
     mine.mkdir()
@@ -194,6 +220,7 @@ def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
     assert foreign(folder) == sorted(mine)
     for name in mine:
         (folder / name).unlink()
+    (folder / "sub").rmdir()
     write(folder)
     assert (folder / STAMP).is_file()
 

@@ -77,7 +77,16 @@ def test_rows_of_something_else_are_none(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "stamp", [b"", b"{", b"\xff\xfe", b"[]", b'{"program": "needlefit", "format": 1}', None]
+    "stamp",
+    [
+        b"",
+        b"{",
+        b"\0" * 100,
+        b'{\n  "program": "needlefit",\n\0\0\0\0',
+        b'{\n  "program": "needlefit",\n  "format": 1,\n  "holds": "checkpoint",\n  "work": "0\xff}',
+        b'{"program": "needlefit", "format": 1}',
+        None,
+    ],
 )
 @pytest.mark.parametrize("resume", [True, False])
 def test_a_checkpoint_with_a_damaged_stamp_is_set_aside_whole(tmp_path, stamp, resume):
@@ -93,6 +102,23 @@ def test_a_checkpoint_with_a_damaged_stamp_is_set_aside_whole(tmp_path, stamp, r
     checkpoint = open_checkpoint(tmp_path / "c", resume, {"n": 1}, lines.append)
     assert checkpoint.finished("fold/fit") == {} and len(lines) == 1
     assert (tmp_path / "c.torn-2" / file.name).is_file() and (tmp_path / "c.torn-1" / "mine").is_file()
+
+
+@pytest.mark.parametrize(
+    "text", [b"mine", b"\xff\xfe", b"[]", b'{"program": "other"}', b'{"program": "needlefit", "format": 2}']
+)
+@pytest.mark.parametrize("name", [STAMP, "work.sha256"])
+def test_a_folder_whose_stamp_is_none_of_ours_stays(tmp_path, name, text):
+    folder, lines = tmp_path / "c", []
+    folder.mkdir()
+    (folder / name).write_bytes(text)
+    (folder / "thesis.kept").write_text("mine")
+    for resume in (True, False):
+        with pytest.raises(ConfigError, match=r"thesis\.kept"):
+            open_checkpoint(folder, resume, {"n": 1})
+    forget(folder, lines.append)
+    assert len(lines) == 1
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {name: text, "thesis.kept": b"mine"}
 
 
 def test_of_other_work_is_refused_and_without_resume_emptied(tmp_path):
@@ -114,6 +140,8 @@ def test_what_is_foreign_stays_when_a_run_begins_and_when_it_ends(tmp_path, name
     forget(folder, lines.append)
     assert (folder / name).read_text() == "mine" and name in lines[0]
     (folder / name).unlink()
+    if name.startswith("sub/"):
+        (folder / "sub").rmdir()
     forget(folder, lines.append)
     assert not folder.exists() and len(lines) == 1
 

@@ -14,6 +14,8 @@ from needlefit.datasets.formats.csv import read_curve, read_table
 from needlefit.datasets.formats.points import Points
 from needlefit.datasets.schema import POINT, SD
 from needlefit.errors import DataError
+from needlefit.project.names import EXPECTED, name_fault
+from needlefit.project.places import listed
 from needlefit.project.reading import is_file
 
 READS = (
@@ -24,6 +26,9 @@ READS = (
 
 Found = tuple[Mapping[str, Points], Sequence[str]]
 """Curves by the names that a file gives them, and remarks on how it was read."""
+
+MAX_SHOWN_NAME, MAX_SHOWN_NAMES = 80, 5
+"""Characters of a name, and names, that a message shows."""
 
 _PLACE = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
 
@@ -67,7 +72,11 @@ def read_source(path: Path) -> Source:
     found = [fault for name, points in curves.items() for fault in _unusable(name, points)]
     if found:
         raise as_error(found, path)
-    return Source(path, _named(curves, path), tuple(remarks))
+    named = _named(curves, path)
+    changed = [f"{theirs!r} is {name}" for theirs, name in zip(curves, named, strict=True) if theirs != name]
+    if changed:
+        remarks = [*remarks, f"ids name files, so that {listed(changed, MAX_SHOWN_NAMES)}"]
+    return Source(path, named, tuple(remarks))
 
 
 def _of_matlab(path: Path) -> Found:
@@ -124,9 +133,19 @@ def _unusable(name: str, points: Points) -> list[Fault]:
 
 
 def _named(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
-    """Return the curves under ids that can name files; two that come out alike are an error."""
+    """Return the curves under ids that can name files.
+
+    Two that come out alike, and names that a spreadsheet would run or a terminal would not show, are errors.
+    """
     named: dict[str, Points] = {}
     for theirs, points in curves.items():
+        if fault := name_fault(theirs):
+            raise DataError(
+                f"the name {theirs[:MAX_SHOWN_NAME]!r} of a curve is refused: {fault}",
+                where=points.where(),
+                expected=EXPECTED,
+                mend=f"rename it in {path.name}" if theirs != path.stem else "rename the file",
+            )
         name = re.sub(r"[^A-Za-z0-9._-]+", "_", theirs).lstrip("._-") or "curve"
         if name in named:
             raise DataError(

@@ -1,7 +1,8 @@
 """Which folders needlefit may replace or remove: those that carry its stamp, and hold nothing foreign.
 
 The stamp, `needlefit.json`, lists the files that were written with it and their SHA-256. Any other file, a
-listed one that was changed since (but `timing.json`), and every link are foreign: they are somebody's work.
+listed one that was changed since (but `timing.json`), every link and every other empty folder are foreign:
+they are somebody's work.
 In a checkpoint, which grows while a run goes on, the stamp stands for the few names that a run uses there.
 """
 
@@ -9,8 +10,8 @@ import json
 import os
 import re
 import stat
-from collections.abc import Iterator
-from pathlib import Path
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from needlefit.errors import ConfigError, DataError
@@ -46,6 +47,14 @@ those that were not written whole."""
 
 _BEGUN = re.compile(r"lock|\.needlefit\.json\.needlefit-[^/]+/(lock|lock\.new|new/needlefit\.json)")
 """Files of a checkpoint that has no stamp yet."""
+
+_CHECKPOINT_FOLDER = re.compile(r"[0-9a-f]{16}\.posterior|([^/]+/)?\.[^/]+\.needlefit-[^/]+(/.*)?")
+"""Folders of a checkpoint, which may be empty."""
+
+MAX_STAMP_BYTES = 2**20
+"""Size of a stamp of a checkpoint, which has a hundred bytes."""
+
+_EARLIER_STAMP = re.compile(rb"[0-9a-f]{0,64}")
 
 _LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 64
 """What the lock of a checkpoint holds: nothing at first, then the process that has it, perhaps cut short."""
@@ -88,28 +97,31 @@ def foreign(folder: Path, holds: Holds = "result") -> list[str]:
         If the folder cannot be looked into.
     """
     names = [name for name in held(folder) if Path(name).name not in UNLISTED]
-    if not names:
-        return []
     if holds == "checkpoint":
-        return _foreign_in_checkpoint(folder, names)
+        faults = _foreign_in_checkpoint(folder, names)
+        return [*faults, *_empty_folders(folder, names, _CHECKPOINT_FOLDER.fullmatch)]
+    if listed := listed_files(folder):
+        faults = [fault for name in names if name != STAMP and (fault := _fault(folder, name, listed))]
+        ours: Container[str] = listed.keys()
+    else:
+        ours = frozenset() if (folder / STAMP).is_file() else earlier_files(folder)
+        faults = [name for name in names if name not in ours or not _is_file(folder / name)]
+    parents = {str(parent) for name in ours for parent in PurePosixPath(name).parents}
+    return [*faults, *_empty_folders(folder, names, parents.__contains__)]
+
+
+def listed_files(folder: Path) -> dict[str, Any]:
+    """Return the files that the stamp of a result lists, with their digests; none without a stamp."""
     try:
         listed = read_stamp(folder).get("files")
     except DataError:
-        listed = None
-    if isinstance(listed, dict):
-        return [fault for name in names if name != STAMP and (fault := _fault(folder, name, listed))]
-    ours = frozenset() if (folder / STAMP).is_file() else earlier_files(folder)
-    return [name for name in names if name not in ours or not _is_file(folder / name)]
+        return {}
+    return listed if isinstance(listed, dict) else {}
 
 
 def changed_files(folder: Path) -> list[str]:
     """Return the files that were changed since the stamp of a result was written; none without a stamp."""
-    try:
-        listed = read_stamp(folder).get("files")
-    except DataError:
-        return []
-    if not isinstance(listed, dict):
-        return []
+    listed = listed_files(folder)
     return [name for name in held(folder) if name in listed and _fault(folder, name, listed)]
 
 
@@ -130,7 +142,7 @@ def not_replaced(folder: Path, faults: list[str]) -> ConfigError:
     more = len(faults) - LISTED_NAMES
     named = ", ".join(faults[:LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
     return ConfigError(
-        f"is not replaced: needlefit did not write these files in it, or they were changed since: {named}",
+        f"is not replaced: needlefit did not write this in it, or it was changed since: {named}",
         where=str(folder),
         expected=f"no such folder, an empty one, or one that holds only what its {STAMP} lists, unchanged",
         mend="move those files away, or choose another folder with --out",
@@ -173,13 +185,29 @@ def _foreign_in_checkpoint(folder: Path, names: list[str]) -> list[str]:
 
     A run that ended before its stamp was written leaves its lock, and the stamp half written beside it.
     """
-    if not any(_is_file(folder / name) for name in STAMPS):
+    if not any(_is_checkpoint_stamp(folder / name) for name in STAMPS):
         return [] if begun(folder) else names
     return [
         name
         for name in names
         if name != STAMP and not (_CHECKPOINT.fullmatch(name) and _is_file(folder / name))
     ]
+
+
+def _empty_folders(folder: Path, names: Iterable[str], is_own: Callable[[str], object]) -> list[str]:
+    """Return the outermost folders below one that hold no file, and that needlefit does not make.
+
+    They vanish when their folder is replaced, and may be meant to be filled.
+    """
+    filled = {parent for name in names for parent in PurePosixPath(name).parents}
+    found: list[PurePosixPath] = []
+    for place, folders, _ in os.walk(folder):
+        for name in sorted(folders):
+            path = PurePosixPath(Path(place, name).relative_to(folder).as_posix())
+            empty = path not in filled and not Path(place, name).is_symlink() and not is_own(str(path))
+            if empty and not any(above in found for above in path.parents):
+                found.append(path)
+    return sorted(f"{path}/ (an empty folder)" for path in found)
 
 
 def _fault(folder: Path, name: str, listed: dict[str, Any]) -> str:
@@ -202,6 +230,25 @@ def begun(folder: Path) -> bool:
     return only and _is_lock(folder / "lock")
 
 
+def _is_checkpoint_stamp(path: Path) -> bool:
+    """Return whether a file is the stamp of a checkpoint, or what a failing disk left of one.
+
+    That is its beginning, perhaps with zeros behind: any other text is somebody's.
+    """
+    if not _is_file(path):
+        return False
+    try:
+        text = read_bytes(path, MAX_STAMP_BYTES).rstrip(b"\0\n")
+    except DataError:
+        return False
+    if path.name != STAMP:
+        return _EARLIER_STAMP.fullmatch(text) is not None
+    try:
+        return read_stamp(path.parent).get("holds", "checkpoint") == "checkpoint"
+    except DataError:
+        return _STAMP_BEGIN.startswith(text[: len(_STAMP_BEGIN)])
+
+
 def _is_lock(path: Path) -> bool:
     """Return whether a file is a lock as `partial` writes it."""
     try:
@@ -222,6 +269,10 @@ def _write(path: Path, table: dict[str, Any]) -> None:
     path.write_bytes(_text(table).encode("utf-8"))
 
 
-def _text(table: dict[str, Any]) -> str:
+def _text(table: Mapping[str, Any]) -> str:
     head = {"program": "needlefit", "format": FORMAT}
     return json.dumps({**head, **table}, indent=2, ensure_ascii=True) + "\n"
+
+
+_STAMP_BEGIN = _text({"holds": "checkpoint"}).partition("\n}")[0].encode("ascii")
+"""How every stamp of a checkpoint begins."""

@@ -16,7 +16,6 @@ from needlefit.project.outputs import not_writable
 from needlefit.project.ownership import (
     STAMP,
     foreign,
-    held,
     not_replaced,
     require_replaceable,
     write_stamp,
@@ -65,6 +64,7 @@ def replacing(folder: Path) -> Iterator[Path]:
         yield fresh
         if any(fresh.iterdir()):
             _remove_scratch(fresh)
+            _remove_empty(fresh)
             write_stamp(fresh)
             _put(fresh, folder, beside / OLD)
 
@@ -74,6 +74,13 @@ def _remove_scratch(folder: Path) -> None:
     for left in sorted(folder.rglob(f".*{_SCRATCH}*")):
         if (left / NEW).is_dir() or (left / LOCK).is_file() or (left / f"{LOCK}.new").is_file():
             shutil.rmtree(left)
+
+
+def _remove_empty(folder: Path) -> None:
+    """Remove the folders of a new result that hold nothing: in a result, an empty folder is the user's."""
+    for place, _, _ in os.walk(folder, topdown=False):
+        if Path(place) != folder and not any(Path(place).iterdir()):
+            Path(place).rmdir()
 
 
 @contextmanager
@@ -235,7 +242,7 @@ def _remove_one(folder: Path, place: Path) -> None:
     for kept in (folder / OLD, folder / f"{OLD}.aside"):
         if kept.exists() and not place.exists():
             kept.rename(place)  # killed between two renamings
-        if kept.exists() and held(kept) and foreign(kept):
+        if kept.exists() and foreign(kept):
             return
         if kept.exists():
             remove_folder(kept, LAST)
