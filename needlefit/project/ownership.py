@@ -10,7 +10,7 @@ import json
 import os
 import re
 import stat
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
@@ -102,7 +102,7 @@ def foreign(folder: Path, holds: Holds = "result") -> list[str]:
         return [*faults, *_empty_folders(folder, names, _CHECKPOINT_FOLDER.fullmatch)]
     if listed := listed_files(folder):
         faults = [fault for name in names if name != STAMP and (fault := _fault(folder, name, listed))]
-        ours: Container[str] = listed.keys()
+        ours: Collection[str] = listed.keys()
     else:
         ours = frozenset() if (folder / STAMP).is_file() else earlier_files(folder)
         faults = [name for name in names if name not in ours or not _is_file(folder / name)]
@@ -244,7 +244,7 @@ def _is_checkpoint_stamp(path: Path) -> bool:
     if path.name != STAMP:
         return _EARLIER_STAMP.fullmatch(text) is not None
     try:
-        return read_stamp(path.parent).get("holds", "checkpoint") == "checkpoint"
+        return bool(read_stamp(path.parent).get("holds", "checkpoint") == "checkpoint")
     except DataError:
         return _STAMP_BEGIN.startswith(text[: len(_STAMP_BEGIN)])
 
