@@ -4,6 +4,8 @@ import json
 import pickle
 import re
 import shutil
+from contextlib import redirect_stderr
+from io import StringIO
 from itertools import pairwise
 from pathlib import Path
 
@@ -17,8 +19,10 @@ from needlefit.cli.several_layers import repeated
 from needlefit.datasets.check import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.volumes import ScanVolume, volume_of
+from needlefit.imaging.markers import find_markers
 from needlefit.imaging.volume import Volume, read, write
 from needlefit.project.places import shipped
+from needlefit.project.records.reconstruction import ReconstructionRecord
 
 SAMPLE = shipped() / "data" / "sample_scan"
 VOLUME, MARKERS = SAMPLE / "volumes" / "sample.nrrd", SAMPLE / "markers" / "sample.csv"
@@ -79,9 +83,11 @@ def test_everything_that_a_person_needs_is_beside_it(done):
 
 def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
     again = tmp_path / "mydata"
-    for _ in range(2):
-        assert run("reconstruct", SAMPLE / "scans.csv", "--out", again, "-q", "--jobs", "1") == 0
+    shutil.copytree(done, again)
+    written = (again / "reconstruction.csv").stat().st_mtime_ns
+    assert run("reconstruct", SAMPLE / "scans.csv", "--out", again, "-q", "--jobs", "1") == 0
     assert files(again) == files(done)
+    assert (again / "reconstruction.csv").stat().st_mtime_ns != written  # a new one, not the copy
     (again / "dataset.toml").write_text((again / "dataset.toml").read_text() + "# mine\n")
     assert run("reconstruct", SAMPLE / "scans.csv", "--out", again, "-q") == 3
     assert "# mine" in (again / "dataset.toml").read_text()
@@ -106,26 +112,39 @@ def test_a_scan_without_markers_is_its_own_world(tmp_path, capsys):
     assert "drawn through the shaft" in (tmp_path / "out" / "reconstruction.csv").read_text()
 
 
-def test_one_failure_loses_nothing_and_resume_mends_it(tmp_path, capsys):
-    torn = tmp_path / "torn.nrrd"
+@pytest.fixture(scope="module")
+def resumed(tmp_path_factory):
+    """A command but for its last word, and its results: of two scans, one of which was torn at first."""
+    folder = tmp_path_factory.mktemp("resumed")
+    torn, out = folder / "torn.nrrd", folder / "out"
     torn.write_bytes(VOLUME.read_bytes()[:40_000])
-    shutil.copy(VOLUME, tmp_path / "whole.nrrd")
-    words = ("reconstruct", torn, tmp_path / "whole.nrrd", "--markers", MARKERS, "--out", tmp_path / "out")
-    assert run(*words, "-q") == 3
-    told = capsys.readouterr()
-    assert "torn" in told.err and "mend" in told.err and "1 of 2 scans failed" in told.err
-    assert f"kept in {tmp_path / 'out.partial'}; to go on: " in told.err
-    assert [one.id for one in read_dataset(tmp_path / "out").insertions] == ["whole"]
+    shutil.copy(VOLUME, folder / "whole.nrrd")
+    words = ("reconstruct", torn, folder / "whole.nrrd", "--jobs", "1", "-q", "--out")
+    with redirect_stderr(StringIO()) as errors:
+        assert run(*words, out) == 3
+    assert "1 of 2 scans failed" in errors.getvalue() and "mend" in errors.getvalue()
+    assert f"kept in {folder / 'out.partial'}; to go on: " in errors.getvalue()
+    assert [one.id for one in read_dataset(out).insertions] == ["whole"]
     shutil.copy(VOLUME, torn)
-    assert run(*words, "-q", "--resume") == 0
-    assert [one.id for one in read_dataset(tmp_path / "out").insertions] == ["torn", "whole"]
-    assert not (tmp_path / "out.partial").exists()
-    again = (*words[:-1], tmp_path / "again" / "out")
-    assert run(*again, "-q") == 0
-    resumed, at_once = files(tmp_path / "out"), files(tmp_path / "again" / "out")
+    assert run(*words, out, "--resume") == 0
+    return words, out
+
+
+def test_one_failure_loses_nothing_and_resume_mends_it(resumed):
+    _, out = resumed
+    assert [one.id for one in read_dataset(out).insertions] == ["torn", "whole"]
+    assert not out.with_name("out.partial").exists()
+
+
+@pytest.mark.slow
+def test_what_was_resumed_is_as_at_once(resumed):
+    words, out = resumed
+    again = out.with_name("again") / "out"
+    assert run(*words, again) == 0
+    found, at_once = files(out), files(again)
     where = {"volumes.csv", "needlefit.json"}  # scans as seen from the dataset, and the digest of that
-    assert {name for name in resumed if at_once[name] != resumed[name]} == where
-    assert resumed.keys() == at_once.keys()
+    assert {name for name in found if at_once[name] != found[name]} == where
+    assert found.keys() == at_once.keys()
 
 
 def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
@@ -135,7 +154,8 @@ def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path,
 
     (tmp_path / "torn.nrrd").write_bytes(VOLUME.read_bytes()[:40_000])
     shutil.copy(VOLUME, tmp_path / "whole.nrrd")
-    words = ("reconstruct", tmp_path / "torn.nrrd", tmp_path / "whole.nrrd", "--out", tmp_path / "out", "-q")
+    scans = (tmp_path / "torn.nrrd", tmp_path / "whole.nrrd")
+    words = ("reconstruct", *scans, "--out", tmp_path / "out", "-q", "--jobs", "1")
     assert run(*words) == 3
     keep = tmp_path / "out.partial"
     for name in ("torn.kept", "whole.kept"):
@@ -216,10 +236,7 @@ def fiducials_as(folder, system):
     from needlefit.datasets.formats.markups import Markups
     from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
 
-    out = folder / "found"
-    assert run("reconstruct", VOLUME, "--markers", MARKERS, "--out", out, "-q") == 0
-    table = pd.read_csv(out / "markers.csv")
-    points = table[["found_x_mm", "found_y_mm", "found_z_mm"]].to_numpy()
+    points = find_markers(read(VOLUME), ReconstructionRecord(schema=1)).centers
     path = folder / "fiducials.mrk.json"
     names = tuple(f"m{n}" for n in range(len(points)))
     write_mrk_json(path, [(Markups(path, "markers", "Fiducial", names, points), Look((1.0, 0, 0), 1.0))])
