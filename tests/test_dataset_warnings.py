@@ -373,6 +373,20 @@ def test_what_a_template_leaves_open_is_a_warning_and_can_be_fitted(tmp_path):
         assert read(file).noise.stated
 
 
+def test_what_is_left_open_is_found_in_any_case_and_in_the_table(tmp_path):
+    file = gel(tmp_path, title="To fill in: what was inserted")
+    table = tmp_path / "insertions.csv"
+    head, *rows = table.read_text().splitlines()
+    cells = ["", "to_fill_in", "TO FILL IN"]
+    lines = [f"{head},remark", *(f"{one},{cell}" for one, cell in zip(rows, cells, strict=True))]
+    table.write_text("\n".join(lines))
+    _, warnings = check_all(file)
+    number = next(n for n, text in enumerate(file.read_text().split("\n"), 1) if text.startswith("title"))
+    assert [one.kind for one in warnings] == ["placeholder"] * 2
+    assert [one.where for one in warnings] == [f"{file}:{number}", f"{table}:3"]
+    assert "`remark`" in warnings[1].what and " 2 " in warnings[1].what
+
+
 def test_no_noise_is_a_warning_and_no_noise_of_tracks_a_fault(tmp_path, capsys):
     assert kinds(gel(tmp_path, noise={})) == ["no_noise"]
     edit(tmp_path / "dataset.toml", "^correlation_length", "correlation_length_mm = 1e9")

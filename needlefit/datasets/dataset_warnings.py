@@ -1,10 +1,12 @@
 """What is suspicious in a dataset that can be fitted all the same, with file, line and column."""
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 
 from needlefit.datasets.bevel_side import bent, pooled_side_warnings, side_warnings
 from needlefit.datasets.copies import copy_warnings
+from needlefit.datasets.formats.csv import Table
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers_met import Placed
 from needlefit.datasets.noise_warnings import noise_warnings, stated_warnings
@@ -15,6 +17,9 @@ from needlefit.project.unit_warnings import Where, layer_warnings, needle_warnin
 
 FILL_IN = "TO FILL IN"
 """Marks what a template cannot know."""
+
+_FILL_IN = re.compile(r"to[ _-]?fill[ _-]?in", re.IGNORECASE)
+_WRITE = "write what was measured; reports print it"
 
 
 def record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> list[ResultWarning]:
@@ -30,12 +35,27 @@ def placeholder_warnings(record: SourceRecord, where: Where) -> Iterator[ResultW
     if keys:
         named = ", ".join(f"`{key}`" for key in keys)
         what = f'"{FILL_IN}" is left in {named}'
-        yield ResultWarning("placeholder", what, where(keys[0]), "write what was measured; reports print it")
+        yield ResultWarning("placeholder", what, where(keys[0]), _WRITE)
+
+
+def placeholder_cells(table: Table) -> Iterator[ResultWarning]:
+    """Yield a warning if cells of a table still hold the mark."""
+    found = {
+        str(name): rows
+        for name, column in table.cells.items()
+        if _FILL_IN.search("\n".join(column))  # one search a column: a table may be long
+        and (rows := [n for n, cell in enumerate(column) if _FILL_IN.search(cell)])
+    }
+    if found:
+        named = ", ".join(f"`{name}`" for name in found)
+        what = f'"{FILL_IN}" is left in {sum(map(len, found.values()))} cells of {named}'
+        where = table.where(min(rows[0] for rows in found.values()))
+        yield ResultWarning("placeholder", what, where, _WRITE)
 
 
 def _holding(value: object, key: str = "") -> Iterator[str]:
     """Yield the keys of the texts that hold the mark, however deep."""
-    if isinstance(value, str) and FILL_IN in value:
+    if isinstance(value, str) and _FILL_IN.search(value):
         yield key
     members: Iterator[tuple[object, object]] = iter(())
     if isinstance(value, Mapping):

@@ -7,7 +7,7 @@ from pathlib import Path
 from needlefit.datasets.centerlines import LongTable, find_points, patient_frame, read_long
 from needlefit.datasets.column_warnings import centerline_columns, insertion_columns
 from needlefit.datasets.curve_faults import curve_faults
-from needlefit.datasets.dataset_warnings import insertion_warnings, record_warnings
+from needlefit.datasets.dataset_warnings import insertion_warnings, placeholder_cells, record_warnings
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats.csv import Table, read_table
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
@@ -75,7 +75,7 @@ def inspect(path: Path) -> Inspection:
 def _insertions(
     record: DatasetRecord, root: Path, shared: Shared, found: list[Fault], unused: list[ResultWarning]
 ) -> Iterator[Placed]:
-    """Yield the sound insertions of one folder; note the faults of the others, and columns not used."""
+    """Yield the sound insertions of one folder; note the faults of the others, and unused or open cells."""
     long = None
     if record.centerlines.file is not None:
         long = read_long(root / record.centerlines.file, record, found)
@@ -85,6 +85,7 @@ def _insertions(
     if table is None:
         return
     unused += insertion_columns(record, map(str, table.cells.columns), table.path)
+    unused += placeholder_cells(table)
     headers: set[tuple[str, ...]] = set()
     for row in parse_rows(table, record, found):
         where = f"{table.path}:{row.line}"

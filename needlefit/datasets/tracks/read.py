@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from needlefit.datasets.bevel_side import Bent, bend_of_track, side_warnings
-from needlefit.datasets.dataset_warnings import record_warnings
+from needlefit.datasets.dataset_warnings import placeholder_cells, record_warnings
 from needlefit.datasets.faults import Fault, as_error, from_error
 from needlefit.datasets.formats.csv import read_table
 from needlefit.datasets.inspection import needle_faults, noise_of, notes_of, repeated
@@ -69,6 +69,7 @@ def inspect_tracks(path: Path) -> Inspection:
     tracks: list[Track] = []
     remarks: list[str] = []
     for table in tables:
+        warnings += placeholder_cells(table)
         parsed = parse(table, record, found)
         tracks += parsed.tracks
         remarks += parsed.remarks
