@@ -19,7 +19,7 @@ from needlefit.project.result_warnings import stored, warnings_of
 from needlefit.reporting.story import cautions
 from needlefit.validation.fit_warnings import baseline_warnings, bound_warnings
 from needlefit.validation.folds import folds, shared_specimens
-from needlefit.validation.job import Settings
+from needlefit.validation.job import Settings, prepare
 from needlefit.validation.results import Results
 from needlefit.validation.run import run as run_fit
 
@@ -188,6 +188,8 @@ def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, ca
         ("fit.toml", '"./data"', '"dato"', "fit.toml:3"),
         ("fit.toml", '"./gel.toml"', '"gol"', "fit.toml:4"),
         ("gel.toml", "alpha1", "alpha2", "gel.toml:6"),
+        ("gel.toml", "mu1_pa", "mu2_pa", "gel.toml:5"),
+        ("gel.toml", "{ fixed = 1.0 }", '{ tie = "mu1_pa" }', "gel.toml:6"),
         ("gel.toml", "[1e3, 1e9]", "[-1, 1e9]", "gel.toml:5"),
     ],
 )
@@ -196,4 +198,68 @@ def test_an_error_of_a_study_or_medium_names_file_and_line(flipped, capsys, file
     path.write_text(path.read_text().replace(old, new))
     for command in ("tune", "identify"):
         assert run(command, "./fit.toml", "-q") == 3
-        assert capsys.readouterr().err.startswith(f"needlefit: {place}: ")
+        err = capsys.readouterr().err
+        assert err.startswith(f"needlefit: {place}: ") and "\n  mend: " in err
+
+
+COMPARED = """
+schema = 1
+kind = "comparison"
+title = "t"
+question = "q"
+dataset = "./data"
+medium = "./gel.toml"
+folds = 2
+insertions = { insertions = ["a", "b"] }
+"""
+ADAPTED = """
+schema = 1
+kind = "adaptation"
+title = "t"
+question = "q"
+dataset = "./data"
+recipe = "./fast.toml"
+counts = [0]
+[old]
+medium = "./gel.toml"
+insertions = { insertions = ["a"] }
+[new]
+medium = "./gel.toml"
+insertions = { insertions = ["b"] }
+held_out = ["b"]
+[between]
+ln_mu_sd = 0.66
+ln_bevel_sd = 0.60
+source = "s"
+"""
+
+
+@pytest.mark.parametrize(
+    ("study", "old", "new", "line"),
+    [
+        (COMPARED, '"a", "b"', '"a", "x"', 9),
+        (COMPARED, '{ insertions = ["a", "b"] }', '{ medium = "x" }', 9),
+        (COMPARED, "./gel.toml", "gol", 7),
+        (COMPARED, "folds = 2", "folds = 3", 8),
+        (ADAPTED, '["a"]', '["x"]', 11),
+        (ADAPTED, '["b"] }', '["x"] }', 14),
+        (ADAPTED, 'held_out = ["b"]', 'held_out = ["a"]', 15),
+        (ADAPTED, 'held_out = ["b"]', 'held_out = ["x"]', 15),
+    ],
+)
+def test_an_error_of_a_study_that_analyses_names_its_file_and_line(flipped, capsys, study, old, new, line):
+    assert old in study
+    (flipped / "mine.toml").write_text(study.replace(old, new))
+    assert run("validate", "./mine.toml", "-q") == 3
+    assert capsys.readouterr().err.startswith(f"needlefit: mine.toml:{line}: ")
+
+
+def test_the_warning_about_specimens_names_the_file_and_line_of_the_study(flipped):
+    table = flipped / "data/insertions.csv"
+    table.write_text(table.read_text().replace(",a,", ",x,").replace(",b,", ",x,"))
+    data = flipped / "data/dataset.toml"
+    data.write_text(data.read_text().split("[checksums]")[0])
+    file = flipped / "mine.toml"
+    file.write_text(FLIPPED.replace(', "b"', "") + '\n[[validate]]\ninsertions = ["b"]\n')
+    found = prepare("mine", load(file, StudyRecord), Settings(file=file)).warnings
+    assert [one.where for one in found if one.kind == "same_specimen"] == [f"{file}:9"]

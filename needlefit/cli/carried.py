@@ -1,7 +1,7 @@
 """The studies that a name means, carried out one after the other, each by its own verb."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 from needlefit.cli import screen, validate_inquiry, validate_tracks
@@ -99,7 +99,7 @@ def carry_out(execution: Execution, todo: Sequence[Work], json: bool) -> Carried
     done = Carried()
     for work in todo:
         with in_file(work.file):
-            _carry_out(execution, work, done, json)
+            _carry_out(replace(execution, file=work.file), work, done, json)
     return done
 
 

@@ -27,7 +27,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Execution:
-    """What the options say about a run; results go to `out/<name>/`, checkpoints to `out/<name>.partial/`."""
+    """What the options say about a run; results go to `out/<name>/`, checkpoints to `out/<name>.partial/`.
+
+    `file` is the study's, where it is known: warnings name it.
+    """
 
     invocation: Invocation
     out: Path
@@ -36,6 +39,7 @@ class Execution:
     resume: bool
     stop: Callable[[], bool]
     sample: bool = False
+    file: Path | None = None
 
     def prepare(self, names: Iterable[str], replaces_posterior: bool = False) -> None:
         """Make sure, before hours of work, that the results can be written.
@@ -101,6 +105,7 @@ class Execution:
             progress=report,
             stop=self.stop,
             note=remark,
+            file=self.file,
         )
 
     def write(self, results: "Results") -> Path:

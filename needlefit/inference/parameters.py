@@ -4,6 +4,7 @@ Moduli and lengths are searched in logarithms, because they are positive and kno
 magnitude at most; alpha is searched as it is.
 """
 
+import difflib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -205,8 +206,20 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
             "; ".join(faults),
             key=f"parameters.{extra[0]}" if extra else "parameters",
             expected=f"{', '.join(needed)} ({record.layers} layers), and guide_distance_mm if wanted",
+            mend=_fix(missing, extra, record.layers),
         )
     return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
+
+
+def _fix(missing: Sequence[str], extra: Sequence[str], layers: int) -> str:
+    """Return what to do about missing and unknown parameters: one may be the other, mistyped."""
+    left, fixes = list(missing), []
+    for name in extra:
+        near = difflib.get_close_matches(name, left, n=1)
+        fixes.append(f"write `{near[0]}` for `{name}`" if near else f"remove `{name}`")
+        left = [one for one in left if one not in near]
+    fixes += [f"add `{name}`" for name in left]
+    return f"{', '.join(fixes)}; or correct `layers = {layers}`"
 
 
 _PER_LAYER = (("mu", "_pa"), ("alpha", ""))
@@ -218,4 +231,9 @@ def _check_positive(name: str, parameter: ParameterRecord) -> None:
     if low is None or not in_logarithm(name):
         return
     if low < 0 or (low == 0 and not (name == "bevel_mm" and parameter.bounds is None)):
-        raise ConfigError(f"{low:g} is not above 0", key=f"parameters.{name}", expected="a positive number")
+        raise ConfigError(
+            f"{name} may be {low:g}, which is not above 0",
+            key=f"parameters.{name}",
+            expected="a positive number: it is searched in logarithms",
+            mend="raise the lower bound, or the fixed value",
+        )

@@ -1,7 +1,7 @@
 """On which line of a TOML file a key stands, for messages: tomllib does not say."""
 
 import tomllib
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -120,4 +120,16 @@ def at_key(key: str) -> Iterator[None]:
         if error.where or error.key:
             raise
         error.key = key
+        raise
+
+
+@contextmanager
+def renamed_keys(names: Mapping[str, str]) -> Iterator[None]:
+    """Have every ConfigError from within that names no place name its key as the file read calls it."""
+    try:
+        yield
+    except ConfigError as error:
+        first, dot, rest = error.key.partition(".")
+        if not error.where and first in names:
+            error.key = f"{names[first]}{dot}{rest}"
         raise

@@ -53,7 +53,7 @@ def folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]
     return (Fold("all", tune, tuple(validate.values())),)
 
 
-def shared_specimens(name: str, folds: Iterable[Fold]) -> list[ResultWarning]:
+def shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> list[ResultWarning]:
     """Return the warning that insertions are held out whose specimens are fitted to, if any are.
 
     Such a study says how well a model knows the specimens that it was fitted to, not others.
@@ -64,17 +64,17 @@ def shared_specimens(name: str, folds: Iterable[Fold]) -> list[ResultWarning]:
         shared |= dict.fromkeys(one.specimen for one in fold.tune if one.specimen in held)
         copies = (one for one in fold.validate if any(is_copy(one, other) for other in fold.tune))
         shared |= dict.fromkeys(f"{one.id}, a copy of one fitted to" for one in copies)
-    return [specimen_warning(name, list(shared))] if shared else []
+    return [specimen_warning(name, list(shared), where)] if shared else []
 
 
-def specimen_warning(name: str, specimens: list[str]) -> ResultWarning:
-    """Return the warning that a study called `name` fits to specimens that it is validated on."""
+def specimen_warning(name: str, specimens: list[str], where: str = "") -> ResultWarning:
+    """Return the warning that a study, `name` at `where`, fits to specimens that it is validated on."""
     named = listed(specimens, MAX_NAMED)
     return ResultWarning(
         "same_specimen",
         f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
         "be larger",
-        f"study {name}",
+        where or f"study {name}",
         "hold out whole specimens, or write same_specimen = true in the study if it is meant",
     )
 

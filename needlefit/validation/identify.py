@@ -11,10 +11,12 @@ from needlefit.inference.identifiability.examine import examine
 from needlefit.inference.identifiability.expect import Expectation, expect
 from needlefit.inference.identifiability.identify import with_noise
 from needlefit.inference.starts import Fit
+from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.result_warnings import stored
 from needlefit.project.streams import stream
 from needlefit.project.threads import one_thread
+from needlefit.project.toml_lines import place_of
 from needlefit.validation import provenance
 from needlefit.validation.design import looked_at, planned
 from needlefit.validation.identification import IDENTIFICATION, PROFILES, identified
@@ -84,7 +86,7 @@ def identify_design(
     if not job.parameters.free:
         raise ConfigError(
             "the medium leaves no parameter free: there is nothing to determine",
-            where=f"medium {job.record.medium}",
+            where=place_of(find("medium", job.record.medium), "parameters"),
             mend="give at least one parameter bounds instead of `fixed`",
         )
     values, place = looked_at(job, fitted)

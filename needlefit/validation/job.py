@@ -24,7 +24,7 @@ from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.result_warnings import ResultWarning
 from needlefit.project.streams import stream
-from needlefit.project.toml_lines import at_key, in_file
+from needlefit.project.toml_lines import at_key, in_file, place_of
 from needlefit.project.unit_warnings import medium_warnings
 from needlefit.project.watching import Note, Progress, Stop, never, silent, unheard
 from needlefit.validation import paper
@@ -55,6 +55,8 @@ class Settings:
         Asked often; True ends the run early, marked `interrupted`.
     note : callable
         Given a line about what was damaged in the checkpoint.
+    file : Path or None
+        The study's, which warnings about it name.
     """
 
     seed: int | None = None
@@ -65,6 +67,11 @@ class Settings:
     progress: Progress = silent
     stop: Stop = never
     note: Note = unheard
+    file: Path | None = None
+
+    def place(self, key: str) -> str:
+        """Return how messages name a key of the study's file; "" where that is not known."""
+        return "" if self.file is None else place_of(self.file, key)
 
 
 @dataclass(frozen=True)
@@ -164,7 +171,8 @@ def prepare(
     divided = folds(record, dataset)
     warnings = [*dataset.warnings, *medium_warnings(medium, medium_file)]
     if isinstance(record, StudyRecord) and not record.same_specimen:
-        warnings += shared_specimens(name, divided)
+        key = "validate" if record.leave_out is None else "leave_out"
+        warnings += shared_specimens(name, divided, settings.place(key))
     job = Job(name, record, dataset, medium, parameters, recipe, hand, divided, tuple(warnings))
     _check_layers(job)
     _check_reach(job)
@@ -186,6 +194,11 @@ def _medium(record: FitRecord | StudyRecord, file: Path) -> MediumRecord:
         with at_key(f"priors.{layer}"):
             medium = with_material(medium, layer, material)
     return medium
+
+
+def _in_medium(job: Job, key: str) -> str:
+    """Return how messages name a key of the medium's file."""
+    return place_of(find("medium", job.record.medium), key)
 
 
 def _check_layers(job: Job) -> None:
@@ -216,7 +229,7 @@ def _check_reach(job: Job) -> None:
             raise ConfigError(
                 f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
                 f"the tissue the needle of {job.dataset.needle.length:g} mm is too short",
-                where=f"medium {job.record.medium}, key parameters.{_GUIDE}",
+                where=_in_medium(job, f"parameters.{_GUIDE}"),
                 expected=f"below {job.dataset.needle.length - insertion.depth:g} mm",
                 mend="lessen the guide's distance or its upper bound",
             )
@@ -231,7 +244,7 @@ def _check_size(job: Job) -> None:
         except ModelError as error:
             raise ConfigError(
                 f"insertion {insertion.id}: {error.what}",
-                where=f"medium {job.record.medium}, key constraint_spacing_mm",
+                where=_in_medium(job, "constraint_spacing_mm"),
                 expected=error.expected,
                 mend=error.mend,
             ) from None
@@ -240,7 +253,7 @@ def _check_size(job: Job) -> None:
     if total > MAX_EVALUATION_ELEMENT_SOLVES:
         raise ConfigError(
             f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",
-            where=f"medium {job.record.medium}, key constraint_spacing_mm",
+            where=_in_medium(job, "constraint_spacing_mm"),
             expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
             mend="select fewer insertions, or take a larger constraint spacing",
         )

@@ -78,7 +78,7 @@ def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -
             **work,
             "interrupted": interrupted,
             "faults": list(faults),
-            **stored(_warnings(name, record, plan)),
+            **stored(_warnings(name, record, plan, settings.place("same_specimen"))),
         },
         timing={"seconds": time.time() - begin, "jobs": settings.jobs},
         interrupted=interrupted,
@@ -86,11 +86,13 @@ def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -
     )
 
 
-def _warnings(name: str, record: InquiryRecord, plan: Plan) -> list[ResultWarning]:
+def _warnings(name: str, record: InquiryRecord, plan: Plan, where: str) -> list[ResultWarning]:
     """Return the warnings about the data, and about what is held out; a job that is a study has its own."""
     found = [one for job in plan.jobs for one in job.warnings]
     divided = [fold for job in plan.jobs if not isinstance(job.record, StudyRecord) for fold in job.folds]
-    return found if record.same_specimen else [*found, *shared_specimens(name, [*divided, *plan.folds])]
+    if record.same_specimen:
+        return found
+    return [*found, *shared_specimens(name, [*divided, *plan.folds], where)]
 
 
 def _work(name: str, record: InquiryRecord, plan: Plan) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from needlefit.project.load import load
 from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.left_out import LeftOutRecord
+from needlefit.project.toml_lines import in_file
 from needlefit.validation.folds import Fold, groups, leave_out
 from needlefit.validation.heldout import PREDICTIVE, foretold
 from needlefit.validation.inquiries.answer import Answer
@@ -68,8 +69,9 @@ def ask(name: str, record: LeftOutRecord, settings: Settings) -> Answer:
 
 def _job(name: str, fit: str, settings: Settings) -> Job:
     with blamed(name, "fits"):
-        record = load(find("fit", fit), FitRecord)
-        return prepare(f"{name} {fit}", record, settings)
+        file = find("fit", fit)
+    with in_file(file):
+        return prepare(f"{name} {fit}", load(file, FitRecord), settings)
 
 
 def _piece(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) -> Rows:

@@ -28,6 +28,7 @@ from needlefit.project.records.track_study import TrackStudyRecord
 from needlefit.project.result_warnings import ResultWarning, stored
 from needlefit.project.streams import stream
 from needlefit.project.threads import one_thread
+from needlefit.project.toml_lines import renamed_keys
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.folds import specimen_warning
 from needlefit.validation.job import Settings
@@ -73,7 +74,7 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
     recipe = load(find("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
-    tasks = [task(one, dataset, recipe) for one in record.fits]
+    tasks = [_task(record, n, dataset, recipe) for n in range(len(record.fits))]
     for one in tasks:
         require_scored(one, record.placed_by_mm)
     doing = {**work(name, record, dataset, tasks), "draws": DRAWS}
@@ -94,21 +95,26 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
         notes=dataset.notes,
         remarks=dataset.remarks,
         **tables.frames,
-        run={**doing, **stored(_warnings(name, record, dataset, tasks))},
+        run={**doing, **stored(_warnings(name, record, dataset, tasks, settings.place("fits")))},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(dataset.path)},
         interrupted=len(tables.posteriors) < len(tasks),
         posteriors=tables.posteriors,
     )
 
 
+def _task(record: TrackStudyRecord, n: int, dataset: TrackDataset, recipe: RecipeRecord) -> Task:
+    with renamed_keys({"fits": f"fits.{n + 1}"}):
+        return task(record.fits[n], dataset, recipe)
+
+
 def _warnings(
-    name: str, record: TrackStudyRecord, dataset: TrackDataset, tasks: Sequence[Task]
+    name: str, record: TrackStudyRecord, dataset: TrackDataset, tasks: Sequence[Task], where: str
 ) -> list[ResultWarning]:
     shared: dict[str, None] = {}
     for one in tasks:
         held = {track.specimen for track in one.held}
         shared |= dict.fromkeys(track.specimen for track in one.problem.tracks if track.specimen in held)
-    told = [specimen_warning(name, list(shared))] if shared and not record.same_specimen else []
+    told = [specimen_warning(name, list(shared), where)] if shared and not record.same_specimen else []
     return [*dataset.warnings, *told]
 
 

@@ -14,7 +14,7 @@ from needlefit.project.places import find
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import RecipeRecord
 from needlefit.project.records.track_study import TrackFitRecord, TrackStudyRecord
-from needlefit.project.toml_lines import at_key, in_file
+from needlefit.project.toml_lines import at_key, in_file, place_of
 from needlefit.validation.provenance import PACKAGES, rules, versions
 
 
@@ -39,7 +39,7 @@ def require_scored(one: Task, placed_by: float) -> None:
             raise ConfigError(
                 f"of run {track.id} nothing is left to be foretold: its readings end at "
                 f"{track.depth[-1]:g} mm, and those down to {placed_by:g} mm place it",
-                where=f"placed_by_mm, fits, {one.name}",
+                key="placed_by_mm",
                 expected=f"{SCORED} readings below it, at least",
                 mend="lower placed_by_mm, or leave the run out",
             )
@@ -53,15 +53,18 @@ def task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) -> Ta
     ConfigError
         If a medium or run is missing, stands on both sides, or the needle is too short.
     """
-    with at_key("fits"):
+    with at_key("fits.medium"):
         file = find("medium", one.medium)
-        tuned, held = select_runs(dataset, one.tune), select_runs(dataset, one.validate_)
+    with at_key("fits.tune"):
+        tuned = select_runs(dataset, one.tune)
+    with at_key("fits.validate"):
+        held = select_runs(dataset, one.validate_)
     medium = load(file, MediumRecord)
     both = sorted({track.id for track in tuned} & {track.id for track in held})
     if both:
         raise ConfigError(
             f"{', '.join(both)} would both tune and validate",
-            where=f"fits, {one.name}",
+            key="fits",
             expected="runs on one side only",
             mend="narrow tune or validate",
         )
@@ -83,7 +86,7 @@ def _check_needle(dataset: TrackDataset, tracks: tuple[Track, ...], parameters: 
         raise ConfigError(
             f"a needle of {dataset.needle.length:g} mm is too short for {deepest:.0f} mm of depth and a "
             f"guide {far:g} mm before the skin",
-            where=f"dataset {dataset.name}, needle.length_mm",
+            where=place_of(dataset.path, "needle.length_mm"),
             mend="write its length, or lessen the bound of guide_distance_mm",
         )
 

@@ -14,6 +14,7 @@ from needlefit.inference.transfer import inflated
 from needlefit.project.records.adaptation import AdaptationRecord, BetweenRecord, SideRecord
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.streams import stream
+from needlefit.project.toml_lines import renamed_keys
 from needlefit.validation.inquiries.learned import Learned, learn
 from needlefit.validation.job import Job, Settings, prepare
 
@@ -87,15 +88,16 @@ def task_of(name: str, record: AdaptationRecord, settings: Settings) -> Task:
     ConfigError, DataError
         If anything it names is missing or wrong.
     """
-    old = prepare(f"{name} old", _fit(record, record.old), settings)
-    new = prepare(f"{name} new", _fit(record, record.new), settings)
+    old = _job(f"{name} old", "old", _fit(record, record.old), settings)
+    new = _job(f"{name} new", "new", _fit(record, record.new), settings)
     there = {insertion.id: insertion for insertion in new.insertions}
     teaching = {one: insertion for one, insertion in there.items() if one not in record.new.held_out}
-    fault = _fault(record, old, there, len(teaching))
+    key, fault = _fault(record, old, there, len(teaching))
     if fault:
         raise ConfigError(
             fault,
             where=f"study {name}",
+            key=key,
             expected="new insertions, some held out and enough left to learn from",
         )
     held_out = tuple(there[one] for one in record.new.held_out)
@@ -111,26 +113,32 @@ def orders(names: tuple[str, ...], count: int, rng: np.random.Generator) -> tupl
     return tuple(found)
 
 
+def _job(name: str, side: str, fit: FitRecord, settings: Settings) -> Job:
+    """Return the job of one side, "old" or "new", whose table of the study is called so."""
+    with renamed_keys({"tune": f"{side}.insertions", "medium": f"{side}.medium"}):
+        return prepare(name, fit, settings)
+
+
 def _fit(record: AdaptationRecord, side: SideRecord) -> FitRecord:
     named = {"dataset": record.dataset, "medium": side.medium, "recipe": record.recipe}
     table = {"schema": 1, **named, "reading": record.reading, "tune": side.insertions}
     return FitRecord.model_validate(table)
 
 
-def _fault(record: AdaptationRecord, old: Job, there: Mapping[str, Insertion], left: int) -> str:
-    """Return what cannot be of a record's selections; nothing if all can."""
+def _fault(record: AdaptationRecord, old: Job, there: Mapping[str, Insertion], left: int) -> tuple[str, str]:
+    """Return which key of a record cannot be, and why; two empty texts if all can."""
     unknown = [one for one in record.new.held_out if one not in there]
     if unknown:
-        return f"held_out names {', '.join(unknown)}, which [new] does not select"
+        return "new.held_out", f"held_out names {', '.join(unknown)}, which [new] does not select"
     both = sorted(there.keys() & {insertion.id for insertion in old.insertions})
     if both:
-        return f"{', '.join(both)} would be both old and new"
+        return "new.insertions", f"{', '.join(both)} would be both old and new"
     most = max(record.counts or (1,))
     if most > left:
-        return f"{left} new insertions are left to learn from, of {most} asked for"
+        return "counts", f"{left} new insertions are left to learn from, of {most} asked for"
     if old.recipe.minimize != "posterior":
-        return "a fit by errors alone has no posterior to carry over"
-    return ""
+        return "recipe", "a fit by errors alone has no posterior to carry over"
+    return "", ""
 
 
 def _spread(parameter: str, between: BetweenRecord) -> float:

@@ -37,7 +37,10 @@ def made(name: str, record: MadeRecord, medium: MediumRecord, seed: int) -> Data
         found = measured(empty, one, record.values, medium, stream(seed, name, "made", one.id))
         if found is None:
             raise ConfigError(
-                f"made insertion {one.id} has no solution", where=f"study {name}", mend="move the base less"
+                f"made insertion {one.id} has no solution",
+                where=f"study {name}",
+                key="made",
+                mend="move the base less",
             )
         seen.append(found)
     return _dataset(name, record, tuple(seen))

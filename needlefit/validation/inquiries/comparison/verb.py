@@ -13,7 +13,7 @@ from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.medium import MediumRecord
 from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.toml_lines import place_of
+from needlefit.project.toml_lines import place_of, renamed_keys
 from needlefit.validation.folds import Fold
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.answered import Plan, answered
@@ -67,13 +67,15 @@ def _job(name: str, record: ComparisonRecord, settings: Settings) -> Job:
     table = {"schema": 1, "dataset": record.dataset or name, "medium": record.medium}
     how = {"recipe": record.recipe, "reading": record.reading, "tune": record.insertions}
     fit = FitRecord.model_validate({**table, **how})
-    job = prepare(name, fit, settings, _made(name, record, settings))
+    with renamed_keys({"tune": "insertions"}):
+        job = prepare(name, fit, settings, _made(name, record, settings))
     if job.recipe.minimize != "posterior":
         raise ConfigError(
             "densities need the errors of the points",
             where=f"study {name}"
             if job.dataset.noise.stated
             else place_of(job.dataset.path, "noise.point_sd_mm"),
+            key="recipe" if job.dataset.noise.stated else "",
             expected='a dataset that states its noise, and a recipe with minimize = "posterior"',
         )
     chosen = job.folds[0].tune
@@ -109,7 +111,7 @@ def dealt(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...]:
     if count > most:
         raise ConfigError(
             f"{count} folds cannot be dealt from {most} needles, repeats in a specimen counted as one",
-            where="key folds",
+            key="folds",
             expected=f"{most} at most",
         )
     order = {name: k % count for k, name in enumerate(dict.fromkeys(names))}

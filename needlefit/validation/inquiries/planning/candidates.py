@@ -47,6 +47,7 @@ def template(job: Job, like: str) -> Insertion:
         raise ConfigError(
             f"insertion {like} is not in the dataset",
             where=place_of(job.name, "like"),
+            key="like",
             expected=f"one of {', '.join(known)}",
         )
     return replace(known[like], side=1, sd=None)
@@ -68,6 +69,7 @@ def check_reach(job: Job, like: Insertion, depths: Mapping[str, float]) -> None:
             raise ConfigError(
                 f"a needle of {job.dataset.needle.length:g} mm{through} cannot be inserted {depth:g} mm",
                 where=place_of(job.name, key),
+                key=key,
                 expected=f"depths below {longest:g} mm",
                 mend=f"correct `{key}`, or the needle's length in the dataset",
             )
@@ -117,6 +119,7 @@ def _layers(
         raise ConfigError(
             f"medium {planned.medium} has no surfaces: the layers at entry `{entry.name}` are not known",
             where=place_of(job.name, "entries"),
+            key="entries",
             mend="list the entry's `layers`, and their boundaries_mm",
         )
 

@@ -125,15 +125,17 @@ def _check(job: Job, record: SpecimensRecord) -> None:
 def _check_mean(job: Job, mean: Mapping[str, float]) -> None:
     """Refuse a mean that the medium does not have, or has only beyond its bounds."""
     for name, value in mean.items():
-        where = place(job.name, f"recovery.mean.{name}")
+        key = f"recovery.mean.{name}"
+        where = place(job.name, key)
         if name not in job.parameters.bounds:
             free = ", ".join(job.parameters.free)
-            raise ConfigError("this parameter is not free", where=where, expected=f"one of {free}")
+            raise ConfigError("this parameter is not free", where=where, key=key, expected=f"one of {free}")
         low, high = job.parameters.bounds[name]
         if not low < value < high:
             raise ConfigError(
                 f"{value:g} is not within the bounds of medium {job.record.medium}",
                 where=where,
+                key=key,
                 expected=f"a number between {low:g} and {high:g}",
             )
 

@@ -19,6 +19,7 @@ from needlefit.project.places import find
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.streams import stream
+from needlefit.project.toml_lines import at_key, in_file
 from needlefit.validation import paper
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job, Settings, prepare
@@ -40,22 +41,20 @@ ALL = 0
 """Layers of a row that counts insertions through any number of them."""
 
 
-def recorded(kind: str, name: str) -> FitRecord | StudyRecord:
-    """Return the record of a study or fit, by its name."""
-    return load(find("study", name), StudyRecord) if kind == "study" else load(find("fit", name), FitRecord)
-
-
 def every_job(
     studies: Sequence[str], fits: Sequence[str], settings: Settings, dataset: str | None = None
 ) -> dict[str, Job]:
     """Return studies and fits by name, on their own dataset or another, scored as the paper does."""
     found = {}
-    for kind, names in (("study", studies), ("fit", fits)):
-        for name in names:
-            record = recorded(kind, name)
-            if dataset is not None:
-                record = record.model_copy(update={"dataset": dataset})
-            found[name] = as_measured(prepare(name, record, settings))
+    named = [("studies", name) for name in studies] + [("fits", name) for name in fits]
+    for key, name in named:
+        with at_key(key):
+            file = find("study" if key == "studies" else "fit", name)
+        record = load(file, StudyRecord) if key == "studies" else load(file, FitRecord)
+        if dataset is not None:
+            record = record.model_copy(update={"dataset": dataset})
+        with in_file(file):
+            found[name] = as_measured(prepare(name, record, replace(settings, file=file)))
     return found
 
 
