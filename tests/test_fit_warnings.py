@@ -12,12 +12,13 @@ from test_datasets import CURVE, record, row
 
 from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
+from needlefit.inference.parameters import Parameters
 from needlefit.project.load import load
 from needlefit.project.records.fit import FitRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.result_warnings import stored, warnings_of
 from needlefit.reporting.story import cautions
-from needlefit.validation.fit_warnings import baseline_warnings, bound_warnings
+from needlefit.validation.fit_warnings import analysis_bound_warnings, baseline_warnings, bound_warnings
 from needlefit.validation.folds import folds, shared_specimens
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.results import Results
@@ -72,6 +73,14 @@ def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Re
     return replace(results, errors=pd.DataFrame(rows, columns=results.errors.columns))
 
 
+def test_an_analysis_names_the_parameters_that_its_fits_left_at_a_bound():
+    parameters = {name: Parameters(tuple(BOUNDS), BOUNDS, {}, {}) for name in ("one", "other")}
+    rows = [("one", "mu1_pa", 1e9), ("one", "mu1_pa", 1e6), ("one", "sd", 1e9), ("other", "bevel_mm", 0.1)]
+    fits = pd.DataFrame(rows, columns=["candidate", "parameter", "value"])
+    (found,) = analysis_bound_warnings(fits, parameters)
+    assert found.kind == "parameter_at_bound" and "mu1_pa of one" in found.what and "1 of 2" in found.what
+
+
 FAR, NEAR = [0.26, 0.24, 0.25, 0.26, 0.27], [0.04, 0.05, 0.04, 0.03, 0.04]
 LIKE = [0.26, 0.20, 0.28, 0.22, 0.25]
 
@@ -86,6 +95,10 @@ LIKE = [0.26, 0.20, 0.28, 0.22, 0.25]
         ("tune", NEAR, np.nan, 1),
         ("tune", FAR, 0.01, 0),
         ("tune", NEAR[:1], 0.05, 1),
+        ("validate", [0.2599], 0.0, 0),  # one insertion: no standard error
+        ("validate", [0.14], 0.0, 0),
+        ("validate", [0.12], 0.0, 1),
+        ("validate", [0.27], 0.0, 0),
     ],
 )
 def test_an_empirical_curve_that_is_closer_is_named(role, curve, floor, count):

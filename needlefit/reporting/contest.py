@@ -77,7 +77,7 @@ def _table(results: Results) -> dict[str, Row]:
 
 
 def _better(table: dict[str, Row]) -> dict[str, Row]:
-    """Return the rivals that err less by over two standard errors, or by anything where none is known."""
+    """Return the rivals that err less than the fit by more than chance gives (`beats_fit`)."""
     return {name: row for name, row in table.items() if beats_fit(row)}
 
 
@@ -85,7 +85,9 @@ def _close_said(results: Results, table: dict[str, Row]) -> str:
     """Return the rivals that err less, but by no more than chance gives, or nothing."""
     close = {name: row for name, row in table.items() if _ahead(row) and not beats_fit(row)}
     said = "; ".join(f"{rival_name(name, results)} ({_gap(row)})" for name, row in close.items())
-    return f"Not told apart from the fit, by less than two standard errors: {said}." if close else ""
+    alone = all(row["difference_se_mm"] is None for row in close.values())
+    least = "half of its error, on one insertion" if alone else "two standard errors"
+    return f"Not told apart from the fit, by less than {least}: {said}." if close else ""
 
 
 def _ahead(row: Row) -> bool:

@@ -1,14 +1,14 @@
 """What is suspicious about a finished fit: parameters at bounds, an empirical curve that is closer."""
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 
 from needlefit.inference.identifiability.identify import AT_BOUND
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import Parameters, in_logarithm
 from needlefit.project.result_warnings import ResultWarning, stored, warnings_of
 from needlefit.validation.job import Job
 from needlefit.validation.results import BASELINES, Results
@@ -36,32 +36,59 @@ def bound_warnings(results: Results) -> Iterator[ResultWarning]:
     free = table[(table["rival"] == "fitted") & (table["status"] == "free")]
     folds = table["fold"].nunique()
     for name, rows in free.groupby("parameter", sort=False):
-        ends = [end for _, row in rows.iterrows() if (end := _bound(str(name), row))]
-        if ends:
-            bounds = " and ".join(dict.fromkeys(ends))
-            of = f" in {len(ends)} of {folds} folds" if folds > 1 else ""
-            yield ResultWarning(
-                "parameter_at_bound",
-                f"the fitted {name} lies at its {bounds}{of}, so its value is no estimate",
-                fix="check bevel sides, units and layers of the data, or widen the bounds in the medium",
-            )
+        columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
+        ends = [_bound(str(name), *row) for row in zip(*columns, strict=True)]
+        yield from _bound_warning(f"the fitted {name}", ends, f" of {folds} folds" if folds > 1 else "")
 
 
-def _bound(name: str, row: "pd.Series[float]") -> str:
+def analysis_bound_warnings(
+    fits: pd.DataFrame, parameters: Mapping[str, Parameters]
+) -> Iterator[ResultWarning]:
+    """Yield the parameters that fits of an analysis left at a bound, with how many of them did.
+
+    Parameters
+    ----------
+    fits : DataFrame
+        A row per fit and `parameter`, with its `value`; the first column names the parameters used.
+    parameters : mapping
+        These, by name.
+    """
+    for name, members in fits.groupby(fits.columns[0], sort=False):
+        bounds = parameters[str(name)].bounds
+        for parameter, rows in members.groupby("parameter", sort=False):
+            if parameter in bounds:
+                ends = [_bound(str(parameter), value, *bounds[str(parameter)]) for value in rows["value"]]
+                yield from _bound_warning(f"the fitted {parameter} of {name}", ends, f" of {len(rows)} fits")
+
+
+def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWarning]:
+    """Yield the warning about fits that ended at these bounds, "" for those that did not, if any did."""
+    reached = [end for end in ends if end]
+    if reached:
+        bounds = " and ".join(dict.fromkeys(reached))
+        where = f" in {len(reached)}{of}" if of else ""
+        yield ResultWarning(
+            "parameter_at_bound",
+            f"{what} lies at its {bounds}{where}, so its value is no estimate",
+            fix="check bevel sides, units and layers of the data, or widen the bounds in the medium",
+        )
+
+
+def _bound(name: str, value: float, low: float, high: float) -> str:
     """Return at which bound a fitted value lies, "" if at none."""
-    ends = [float(row[key]) for key in ("bound_low", "value", "bound_high")]
-    low, value, high = (math.log(end) if in_logarithm(name) else end for end in ends)
-    place = (value - low) / (high - low)
+    least, at, most = (math.log(one) if in_logarithm(name) else one for one in (low, value, high))
+    place = (at - least) / (most - least)
     if place < AT_BOUND:
-        return f"lower bound, {ends[0]:g}"
-    return f"upper bound, {ends[2]:g}" if place > 1 - AT_BOUND else ""
+        return f"lower bound, {low:g}"
+    return f"upper bound, {high:g}" if place > 1 - AT_BOUND else ""
 
 
 def baseline_warnings(results: Results) -> Iterator[ResultWarning]:
     """Yield the empirical curve that is closest, if it is closer than the fit to what is scored.
 
-    Held-out insertions: by two standard errors. Insertions fitted to: by the noise floor as well, for a fit
-    allows for errors of the entry pose that the score counts.
+    Held-out insertions: by more than chance gives (`beats_fit`: two standard errors, or half of the error on
+    a single insertion). Insertions fitted to: by the noise floor as well, for a fit allows for errors of the
+    entry pose that the score counts.
     """
     held_out = bool((results.errors["role"] == "validate").any())
     role = "validate" if held_out else "tune"

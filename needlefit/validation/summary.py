@@ -107,11 +107,20 @@ def paired(results: Results, against: str = "fitted", role: str = "validate") ->
 DISTINCT_SE = 2.0
 """Standard errors up to which a difference may be chance."""
 
+LONE_ERROR_RATIO = 0.5
+"""Error of a rival over that of the fit, down to which a difference on one insertion may be chance."""
+
 
 def beats_fit(row: Mapping[str, Any] | pd.Series) -> bool:
-    """Whether a row of `paired` errs less than the fit, by over two standard errors where they are known."""
-    gap, se = (_number(row[key]) for key in ("difference_mm", "difference_se_mm"))
-    return gap < 0 and not abs(gap) <= DISTINCT_SE * se
+    """Whether a row of `paired` errs less than the fit by more than chance gives.
+
+    Of two insertions or more: by over two standard errors of the difference. A single one has no standard
+    error: there a rival must err by less than `LONE_ERROR_RATIO` of the fit's error.
+    """
+    gap, se, error = (_number(row[key]) for key in ("difference_mm", "difference_se_mm", "ipe_mean_mm"))
+    if np.isnan(se):
+        return error < LONE_ERROR_RATIO * (error - gap)
+    return gap < 0 and abs(gap) > DISTINCT_SE * se
 
 
 def _number(value: float | None) -> float:

@@ -2,16 +2,18 @@
 
 import time
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import pandas as pd
 
+from needlefit.inference.parameters import Parameters
 from needlefit.project.records.inquiry import InquiryRecord
 from needlefit.project.records.study import StudyRecord
 from needlefit.project.result_warnings import ResultWarning, stored
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.validation.fit_warnings import analysis_bound_warnings
 from needlefit.validation.folds import Fold, shared_specimens
 from needlefit.validation.inquiries.answer import Answer
 from needlefit.validation.inquiries.pieces import Piece, piecewise
@@ -43,6 +45,8 @@ class Plan:
         Whatever else decides the answer, as JSON values.
     folds : sequence of Fold
         What is held out besides the jobs' own folds.
+    parameters : mapping
+        Those of the fits in the frame `fits`, by its first column, if values at bounds are to be named.
     """
 
     jobs: Sequence[Job]
@@ -51,6 +55,7 @@ class Plan:
     conclude: Callable[[Frames], tuple[str, ...]] = _nothing
     also: Mapping[str, Any] | None = None
     folds: Sequence[Fold] = ()
+    parameters: Mapping[str, Parameters] = field(default_factory=dict)
 
 
 def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -> Answer:
@@ -67,6 +72,7 @@ def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -
     rows, interrupted = piecewise(plan.pieces, name, settings, checkpoint)
     frames = {frame: _frame(rows.get(frame, []), columns) for frame, columns in plan.columns.items()}
     faults = () if interrupted else plan.conclude(frames)
+    at_bounds = analysis_bound_warnings(frames["fits"], plan.parameters) if plan.parameters else ()
     datasets = {job.dataset.name: job.dataset for job in plan.jobs}.values()
     return Answer(
         name=name,
@@ -78,7 +84,7 @@ def answered(name: str, record: InquiryRecord, settings: Settings, plan: Plan) -
             **work,
             "interrupted": interrupted,
             "faults": list(faults),
-            **stored(_warnings(name, record, plan, settings.place("same_specimen"))),
+            **stored([*_warnings(name, record, plan, settings.place("same_specimen")), *at_bounds]),
         },
         timing={"seconds": time.time() - begin, "jobs": settings.jobs},
         interrupted=interrupted,

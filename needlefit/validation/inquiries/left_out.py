@@ -63,7 +63,14 @@ def ask(name: str, record: LeftOutRecord, settings: Settings) -> Answer:
                 for fold in divided:
                     key = f"{fit}, {fold.name}"
                     pieces[key] = partial(_piece, job, fold, (fit, what), settings)
-    plan = Plan(jobs, pieces, FRAMES, partial(_conclude, record, jobs), folds=held_out)
+    plan = Plan(
+        jobs,
+        pieces,
+        FRAMES,
+        partial(_conclude, record, jobs),
+        folds=held_out,
+        parameters={fit: job.parameters for fit, job in zip(record.fits, jobs, strict=True)},
+    )
     return answered(name, record, settings, plan)
 
 

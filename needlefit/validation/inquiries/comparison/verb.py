@@ -60,7 +60,8 @@ def plan(record: ComparisonRecord, job: Job, settings: Settings) -> Plan:
         for name in record.candidates
         for fold in job.folds
     }
-    return Plan(tuple(jobs.values()), pieces, FRAMES, partial(conclude, record))
+    parameters = {str(name): each.parameters for name, each in jobs.items()}
+    return Plan(tuple(jobs.values()), pieces, FRAMES, partial(conclude, record), parameters=parameters)
 
 
 def _job(name: str, record: ComparisonRecord, settings: Settings) -> Job:
