@@ -22,7 +22,8 @@ from pydicom.uid import (
 )
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.dicom.stack import ASTRAY
+from needlefit.imaging.dicom.series import find_series
+from needlefit.imaging.dicom.stack import ASTRAY, stack
 from needlefit.imaging.volume import Volume, read, to_index, to_patient, write
 
 
@@ -516,3 +517,29 @@ def test_a_file_that_is_no_dicom_dataset(tmp_path):
     save(tmp_path, series())
     dcmwrite(tmp_path / "x.dcm", a_slice(0, SeriesInstanceUID=None), enforce_file_format=True)
     assert refused(tmp_path).where.endswith("x.dcm")
+
+
+@pytest.mark.parametrize("suffix", ["", ".dcm"])
+def test_a_slice_that_is_cut_short_is_named_wherever_it_is_cut(suffix, tmp_path):
+    folder = save(tmp_path / "series", series())
+    for file in list(folder.iterdir()):
+        file.rename(file.with_suffix(suffix))
+    for name in ("003", "005"):  # behind the last one nothing is seen to be missing
+        file = folder / f"{name}{suffix}"
+        whole = file.read_bytes()
+        for size in (*range(0, 900, 37), 150, 170, 180, len(whole) // 2):
+            file.write_bytes(whole[:size])
+            with pytest.raises(DataError) as error:
+                stack(find_series(folder))
+            assert error.value.where == str(file), size
+        file.write_bytes(whole)
+
+
+def test_other_files_beside_slices_are_still_ignored(tmp_path):
+    folder = save(tmp_path / "series", series())
+    for name in ("README", "LOCKFILE", "notes.txt", "004.txt"):
+        (folder / name).write_text("003")
+    report = a_slice(2)
+    report.SOPClassUID = report.file_meta.MediaStorageSOPClassUID = BasicTextSRStorage
+    report.save_as(folder / "009.dcm", enforce_file_format=True)
+    assert len(find_series(folder)) == COUNT

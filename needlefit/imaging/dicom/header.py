@@ -127,17 +127,19 @@ def read_header(file: Path) -> Slice | None:
                 data = pydicom.dcmread(_Bounded(content), stop_before_pixels=True, specific_tags=list(TAGS))
         except InvalidDicomError as error:
             if file.suffix.lower() in _SUFFIXES:
-                raise _damaged(file) from error
+                raise damaged(file) from error
             return None
         except DataError:  # no file that may be read
             raise
         except Exception as error:  # whatever the bytes provoke
-            raise _damaged(file) from error
+            raise damaged(file) from error
         storage = str(data.file_meta.get("MediaStorageSOPClassUID") or data.get("SOPClassUID") or "")
         if storage and "Image Storage" not in UID(storage).name:
+            if UID(storage).name == storage and "SOPClassUID" not in data:  # a UID cut short, nothing behind
+                raise damaged(file)
             return None
         if not all(name in data for name in ("SeriesInstanceUID", "Rows", "Columns")):
-            raise _damaged(file)
+            raise damaged(file)
         return _slice(file, data)
 
 
@@ -233,7 +235,14 @@ def _unclear(file: Path, name: str, value: object) -> DataError:
     )
 
 
-def _damaged(file: Path) -> DataError:
+def is_dicom(file: Path) -> bool:
+    """Return whether a file begins as DICOM files do."""
+    with opened(file, sys.maxsize) as content:
+        return content.read(_PREAMBLE).endswith(b"DICM")
+
+
+def damaged(file: Path) -> DataError:
+    """Return the error for a file of a series that is none, or not whole."""
     empty = file.stat().st_size <= _PREAMBLE
     return DataError(
         "is empty" if empty else "its DICOM header is damaged or cut short",

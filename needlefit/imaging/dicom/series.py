@@ -1,9 +1,10 @@
 """Which series of a folder is meant."""
 
+import re
 from pathlib import Path
 
 from needlefit.errors import DataError
-from needlefit.imaging.dicom.header import Slice, read_header
+from needlefit.imaging.dicom.header import Slice, damaged, is_dicom, read_header
 from needlefit.project.reading import is_file
 
 LOCALIZER = "LOCALIZER"
@@ -57,13 +58,31 @@ def _of_file(path: Path) -> list[Slice]:
 
 
 def _groups(folder: Path) -> dict[str, list[Slice]]:
-    """Return the slices of every series in `folder`, by UID; the same order on every machine."""
+    """Return the slices of every series in `folder`, by UID; the same order on every machine.
+
+    Raises
+    ------
+    DataError
+        If a slice is damaged: so is a file named as the others are, by a number, that is no DICOM file.
+    """
     groups: dict[str, list[Slice]] = {}
+    others: list[Path] = []
     for file in sorted(file for file in folder.iterdir() if is_file(file) and file.name[0] != "."):
         header = read_header(file)
-        if header is not None:
+        if header is None:
+            others.append(file)
+        else:
             groups.setdefault(header.series, []).append(header)
+    slice_names = {_pattern(item.file) for slices in groups.values() for item in slices}
+    for file in others:
+        if _pattern(file) in slice_names and not is_dicom(file):
+            raise damaged(file)
     return groups
+
+
+def _pattern(file: Path) -> str:
+    """Return a file's name with every number replaced by the same sign."""
+    return re.sub(r"\d+", "#", file.name)
 
 
 def _may_be_volume(slices: list[Slice]) -> bool:
