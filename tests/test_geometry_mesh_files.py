@@ -10,6 +10,7 @@ from needlefit.geometry import surfaces
 from needlefit.geometry.surfaces import read_surface, surface_faults
 
 CORNERS = "0 0 0\n1 0 0\n0 1 0\n"
+EDGES = "element edge 1\nproperty int vertex1\nproperty int vertex2\n"
 OBJ = "".join(f"v {line}\n" for line in CORNERS.splitlines())
 FLOATS = struct.pack("<9f", 0, 0, 0, 1, 0, 0, 0, 1, 0)
 
@@ -26,6 +27,11 @@ def binary(index, **fields):
     return ply(FLOATS + b"\3" + struct.pack("<3i", 0, 1, index), form="binary_little_endian", **fields)
 
 
+def binary_with_edge(index):
+    body = struct.pack("<2i", 0, index) + FLOATS + b"\3" + struct.pack("<3i", 0, 1, 2)
+    return ply(body, more=EDGES, form="binary_little_endian")
+
+
 @pytest.mark.parametrize(
     ("name", "content"),
     [
@@ -33,6 +39,9 @@ def binary(index, **fields):
         ("material.obj", f"mtllib /etc/passwd\nusemtl x\n{OBJ}f 1 2 3\n"),
         ("a.ply", ply()),
         ("binary.ply", binary(2)),
+        ("edges.ply", ply("0 2\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
+        ("far_edges.ply", ply("0 2147483647\n" + CORNERS + "3 0 1 2\n", more=EDGES)),
+        ("binary_edges.ply", binary_with_edge(2**31 - 1)),
         ("texture.ply", ply(more="comment TextureFile /etc/passwd\n")),
         ("a.stl", bytes(80) + struct.pack("<I12fH", 1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0, 0)),
     ],
@@ -58,7 +67,11 @@ def test_a_triangle(tmp_path, name, content):
         ("faces.ply", ply(faces=4_000_000_000)),
         ("digits.ply", ply(faces="9" * 5000)),
         ("list.ply", ply(FLOATS + b"\xff" * 4 + bytes(12), form="binary_little_endian", count="uint")),
-        ("edges.ply", ply(more="element edge 1\nproperty int vertex1\nproperty int vertex2\n")),
+        ("edges.ply", ply(more=EDGES)),
+        (
+            "edges2.ply",
+            ply(FLOATS, more=EDGES.replace("1\n", "4000000000\n", 1), form="binary_little_endian"),
+        ),
         ("archive.ply", b"PK\3\4" + bytes(100)),
         ("count.stl", bytes(80) + b"\xff\xff\xff\xff" + bytes(50)),
         ("empty.stl", b""),

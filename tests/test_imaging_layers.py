@@ -31,6 +31,7 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame, entry_frame
 from needlefit.geometry.surfaces import Surface, cylinder, moved, read_surface, sheet, write_surface
+from needlefit.imaging.label_volumes import read_labels
 from needlefit.imaging.layer_doubts import doubts, refuse_tunnels
 from needlefit.imaging.layers import LayerErrors, layer_errors, met, read_layers
 from needlefit.imaging.reconstruction import EntryPose
@@ -167,6 +168,25 @@ def test_segments_that_overlap_are_refused(tmp_path):
     volume = labelled(lambda p: 1 * (p[:, 0] > 0))
     four = save_segments(tmp_path / "four.seg.nrrd", [volume, volume], [(1, "fat"), (1, "muscle")])
     assert "its segments overlap: fat, muscle" in refused(four) and "Segment Editor" in refused(four)
+
+
+def test_segments_of_several_layers_that_do_not_overlap_are_read(tmp_path):
+    """3D Slicer keeps a layer for each group of segments that ever overlapped, with values of its own."""
+    whole = labelled(lambda p: 1 + (p[:, 0] > 0) + (p[:, 0] > 4))
+    names = [(1, "fat"), (1, "muscle"), (2, "bone")]
+    planes = [dataclasses.replace(whole, values=np.where(whole.values == n, 1, 0)) for n in (1, 2)]
+    planes[0] = dataclasses.replace(planes[0], values=planes[0].values + 2 * (whole.values == 3))
+    path = save_segments(tmp_path / "two.seg.nrrd", planes, names, planes=(0, 1, 0))
+    found = read_labels(path)
+    np.testing.assert_array_equal(found.volume.values, whole.values)
+    assert [(one.value, one.name) for one in found.segments] == [(1, "fat"), (2, "muscle"), (3, "bone")]
+    assert found.volume.origin.tolist() == whole.origin.tolist()
+    for wrong, words in (((0, 1, 1), "no segment has"), ((0, 3, 0), "layer 3, of 2")):
+        save_segments(path, planes, names, planes=wrong)
+        assert words in refused(path)
+    both = [planes[0], dataclasses.replace(planes[1], values=np.ones_like(planes[1].values))]
+    save_segments(path, both, names, planes=(0, 1, 0))
+    assert "its segments overlap: fat, muscle" in refused(path)
 
 
 def test_an_empty_segment_is_named(tmp_path):

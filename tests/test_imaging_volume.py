@@ -209,6 +209,35 @@ def test_metaimage_is_lps(tmp_path):
     check_plain(read(metaimage(tmp_path / "a.mha")))
 
 
+SPACE_STEPS = "(0.4,0,0) (0,0.5,0) (0,0,0.9)"
+
+
+@pytest.mark.parametrize("encoding", ["raw", "gzip"])
+@pytest.mark.parametrize("kind", [None, "time", "list"])
+@pytest.mark.parametrize("last", [True, False])
+def test_nrrd_of_four_axes_that_holds_one_volume(tmp_path, encoding, kind, last):
+    place = ("{} {kind}" if last else "{kind} {}").format
+    path = nrrd(
+        tmp_path / "one volume.nrrd",
+        data=gzip.compress(VALUES.tobytes()) if encoding == "gzip" else None,
+        **{
+            "dimension": 4,
+            "sizes": place("4 3 2", kind=1),
+            "space directions": place(SPACE_STEPS, kind="none"),
+            "kinds": kind and place("domain domain domain", kind=kind),
+            "encoding": encoding,
+        },
+    )
+    volume = read(path)
+    assert np.array_equal(volume.values, VALUES)
+    assert np.allclose(volume.spacing, STEPS) and np.allclose(volume.origin, CORNER)
+
+
+def test_nrrd_of_several_volumes_is_refused(tmp_path):
+    fields = {"dimension": 4, "sizes": "4 3 1 2", "space directions": f"{SPACE_STEPS} none"}
+    assert "no single volume" in refused(nrrd(tmp_path / "two.nrrd", **fields)).what
+
+
 def test_a_left_handed_file(tmp_path):
     """Rows that run forward, not back: the volume is kept as it is, and its points are right."""
     volume = read(nrrd(tmp_path / "a.nrrd", space_directions="(0.4,0,0) (0,-0.5,0) (0,0,0.9)"))

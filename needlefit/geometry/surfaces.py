@@ -26,6 +26,7 @@ MAX_MERGED_MM = 1e9
 """Coordinates beyond this are no boundary's, and merging vertices counts in steps of 1e-8 mm."""
 
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
+_EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
 _OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
@@ -61,6 +62,7 @@ def read_surface(path: Path, kind: Kind, into: int) -> Surface:
         raise _no_mesh(path, f"has the ending {ending!r}")
     data = read_bytes(path, MAX_MESH_BYTES)
     if ending == ".ply":
+        data = _without_edges(data)
         _check_ply(data, path)
     if ending == ".stl":
         _check_stl(data, path)
@@ -86,17 +88,20 @@ def _loaded(data: BytesIO, kind: str) -> object:
 
 
 def _check_ply(data: bytes, path: Path) -> None:
-    """See that a PLY file has the rows that its header claims (trimesh counts only those of binary ones).
-
-    Edges are refused: what trimesh makes of them takes as much memory as their indices say.
-    """
+    """See that a PLY file has the rows that its header claims (trimesh counts only those of binary ones)."""
     head, _, rows = data.partition(b"end_header")
-    elements = [(name, int(count)) for name, count in _ELEMENT.findall(head)]
-    if any(name == b"edge" and count for name, count in elements):
-        raise _no_mesh(path, "holds edges beside its triangles")
-    claimed, there = sum(count for _, count in elements), rows.count(b"\n")
+    claimed, there = sum(int(count) for _, count in _ELEMENT.findall(head)), rows.count(b"\n")
     if b"ascii" in head and claimed > there:
-        raise _no_mesh(path, f"claims {claimed} vertices and triangles, and holds {there} rows")
+        raise _no_mesh(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
+
+
+def _without_edges(data: bytes) -> bytes:
+    """Return a PLY file whose edges have another name, by which trimesh leaves them out.
+
+    What it makes of edges takes as much memory as their indices say; no boundary needs them.
+    """
+    head, end, rows = data.partition(b"end_header")
+    return _EDGE_ELEMENT.sub(rb"\1unused\2", head) + end + rows
 
 
 def _check_stl(data: bytes, path: Path) -> None:

@@ -2,8 +2,11 @@
 
 import gzip
 import zlib
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -30,8 +33,15 @@ _COMPRESSION = 1
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
 
 
-def read_image(results: Results, path: str) -> dict[str, Any]:
+def read_image(results: Results, path: str, layers: bool = False, header: str = "") -> dict[str, Any]:
     """Read an NRRD, NIfTI or MetaImage file whose header passed: the array "values", and its grid.
+
+    Parameters
+    ----------
+    layers : bool
+        Whether a voxel may have several numbers; the values then have a fourth axis for them.
+    header : str
+        A detached NRRD header that is read in place of the file's own.
 
     Raises
     ------
@@ -40,21 +50,35 @@ def read_image(results: Results, path: str) -> dict[str, Any]:
         system it stands, or claims an absurd size.
     """
     file = Path(path)
-    reader = sitk.ImageFileReader()
-    reader.SetImageIO(IMAGE_HOMES.get(file.suffix.lower(), "NiftiImageIO"))
-    reader.SetFileName(path)
-    grid = _header(reader, file)
-    check_grid(grid, path)
-    if reader.GetImageIO() == "NiftiImageIO":
-        _check_length(reader, file, grid)  # its reader takes what is missing for zeros
-    values = results.new("values", grid.size[::-1], "float32")
-    try:
-        image = reader.Execute()
-    except RuntimeError as error:
-        raise cut_short(file) from error
-    values[...] = sitk.GetArrayViewFromImage(image)
+    with _readable(file, header) as named:
+        reader = sitk.ImageFileReader()
+        reader.SetImageIO(IMAGE_HOMES.get(file.suffix.lower(), "NiftiImageIO"))
+        reader.SetFileName(str(named))
+        grid, parts = _header(reader, file, layers)
+        check_grid(grid, path)
+        if reader.GetImageIO() == "NiftiImageIO":
+            _check_length(reader, file, grid)  # its reader takes what is missing for zeros
+        shape = (*grid.size[::-1], parts) if layers else grid.size[::-1]
+        values = results.new("values", shape, "float32")
+        try:
+            image = reader.Execute()
+        except RuntimeError as error:
+            raise cut_short(file) from error
+    values[...] = sitk.GetArrayViewFromImage(image).reshape(shape)
     _check_finite(values, file)
     return described(replace(grid, direction=squared(grid.direction)))
+
+
+@contextmanager
+def _readable(file: Path, header: str) -> Iterator[Path]:
+    """Yield what SimpleITK is to read: the file, or another header of it."""
+    if not header:
+        yield file
+        return
+    with TemporaryDirectory() as folder:
+        named = Path(folder) / "volume.nhdr"
+        named.write_text(header, encoding="utf-8")
+        yield named
 
 
 def write_image(volume: Volume, path: Path, description: str) -> None:
@@ -76,24 +100,28 @@ def stored(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int1
     return whole if np.array_equal(whole, values) else values
 
 
-def _header(reader: sitk.ImageFileReader, path: Path) -> Grid:
-    """Return what the header says of the voxels; no voxel is read, nothing of their size allocated."""
+def _header(reader: sitk.ImageFileReader, path: Path, layers: bool) -> tuple[Grid, int]:
+    """Return what the header says of the voxels, and how many numbers each has, one unless `layers`.
+
+    No voxel is read, nothing of their size allocated.
+    """
     try:
         reader.ReadImageInformation()
     except RuntimeError as error:
         raise _no_information(path, str(error)) from error
     parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
-    if reader.GetDimension() != 3 or parts != 1:
+    if reader.GetDimension() != 3 or (parts != 1 and not layers):
         size = " x ".join(map(str, reader.GetSize()))
         raise _several(path, f"{size} voxels of {parts} number{'s' * (parts > 1)}")
     _check_space(reader, path)
     columns, rows, slices = reader.GetSize()
-    return Grid(
+    grid = Grid(
         (columns, rows, slices),
         np.array(reader.GetOrigin()),
         np.array(reader.GetSpacing()),
         np.array(reader.GetDirection()).reshape(3, 3),
     )
+    return grid, parts
 
 
 def _check_space(reader: sitk.ImageFileReader, path: Path) -> None:

@@ -1,7 +1,7 @@
 """Segmentations: volumes in which every voxel holds the number of its layer."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -9,7 +9,7 @@ import numpy as np
 from needlefit.errors import DataError
 from needlefit.imaging.headers.check import check_image_header
 from needlefit.imaging.headers.promise import whole
-from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, read
+from needlefit.imaging.volume import IMAGE_SUFFIXES, Volume, read, read_planes
 from needlefit.project.reading import is_there
 
 MOST_LABELS = 64
@@ -23,10 +23,15 @@ NO_OVERLAP = 'in the Segment Editor set "Modify other segments" to "Overwrite al
 
 @dataclass(frozen=True)
 class Segment:
-    """One layer of a segmentation: the `value` of its voxels, and its name ("" where there is none)."""
+    """One layer of tissue: the `value` of its voxels, and its name ("" where there is none).
+
+    `plane` is the one of several numbers of each voxel that holds the value, as 3D Slicer keeps segments that
+    were drawn over one another.
+    """
 
     value: int
     name: str
+    plane: int = 0
 
 
 @dataclass(frozen=True)
@@ -48,8 +53,11 @@ def read_labels(path: Path) -> Labels:
     DataError
         If it is not a volume, its segments overlap, one is empty, or its values are no labels.
     """
-    stated = _stated(path) if path.name.lower().endswith(IMAGE_SUFFIXES) and is_there(path) else ()
-    volume = read(path)
+    stated, axes = _stated(path) if path.name.lower().endswith(IMAGE_SUFFIXES) and is_there(path) else ((), 3)
+    if stated and axes > 3:
+        volume, stated = _merged(read_planes(path), stated, path)
+    else:
+        volume = read(path)
     present = _present(volume, path)
     if not stated:
         return Labels(volume, tuple(Segment(value, "") for value in present))
@@ -72,19 +80,50 @@ def read_labels(path: Path) -> Labels:
     return Labels(volume, stated)
 
 
-def _stated(path: Path) -> tuple[Segment, ...]:
-    """Return the segments that the header names, in its order; DataError if they overlap."""
+def _stated(path: Path) -> tuple[tuple[Segment, ...], int]:
+    """Return the segments that a header names, in its order, and its axes; DataError if two are the same."""
     header = check_image_header(path)
     segments = _segments(header.texts, path)
-    values = [segment.value for segment in segments]
-    if segments and (len(header.size) > 3 or len(set(values)) < len(values)):
+    if len({(segment.plane, segment.value) for segment in segments}) < len(segments):
+        raise _overlapping([segment.name for segment in segments], path)
+    return segments, len(header.size)
+
+
+def _merged(
+    planes: Sequence[Volume], segments: Sequence[Segment], path: Path
+) -> tuple[Volume, tuple[Segment, ...]]:
+    """Return one volume of the labels 1, 2, ... of segments in several; DataError if they overlap."""
+    values, labelled = np.zeros_like(planes[0].values), 0
+    for label, segment in enumerate(segments, 1):
+        if segment.plane >= len(planes):
+            raise DataError(
+                f"segment {segment.name} is in layer {segment.plane}, of {len(planes)} in the file",
+                where=str(path),
+                expected="layers that are there",
+                mend="save the segmentation again from 3D Slicer",
+            )
+        inside = planes[segment.plane].values == segment.value
+        if met := int(values[inside].max(initial=0)):
+            raise _overlapping([segments[met - 1].name, segment.name], path)
+        values[inside], labelled = label, labelled + int(np.count_nonzero(inside))
+    if labelled < sum(np.count_nonzero(plane.values) for plane in planes):
         raise DataError(
-            f"its segments overlap: {', '.join(segment.name for segment in segments)}",
+            "voxels have labels that no segment has",
             where=str(path),
-            expected="every voxel in one layer",
-            mend=NO_OVERLAP,
+            expected="labels of the segments that the header names",
+            mend="save the segmentation again from 3D Slicer",
         )
-    return segments
+    merged = tuple(Segment(label, segment.name) for label, segment in enumerate(segments, 1))
+    return replace(planes[0], values=values), merged
+
+
+def _overlapping(names: Sequence[str], path: Path) -> DataError:
+    return DataError(
+        f"its segments overlap: {', '.join(names)}",
+        where=str(path),
+        expected="every voxel in one layer",
+        mend=NO_OVERLAP,
+    )
 
 
 def _segments(said: Mapping[str, str], path: Path) -> tuple[Segment, ...]:
@@ -95,6 +134,7 @@ def _segments(said: Mapping[str, str], path: Path) -> tuple[Segment, ...]:
         Segment(
             whole(said.get(f"Segment{n}_LabelValue", f"{n + 1}"), 0, 2**16, path),
             said.get(f"Segment{n}_Name", "").strip()[:MAX_NAME_CHARS],
+            whole(said.get(f"Segment{n}_Layer", "0"), 0, MOST_LABELS, path),
         )
         for n in range(count)
     )

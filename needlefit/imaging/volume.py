@@ -124,8 +124,23 @@ def read(path: Path, series: str | None = None) -> Volume:
         return _read_series(path, series)
 
 
+def read_planes(path: Path) -> tuple[Volume, ...]:
+    """Read an image file whose voxels may have several numbers: a volume for each; else as `read`."""
+    with packages():
+        _require_packages()
+        parts, arrays = _read_arrays(path, layers=True)
+    values = arrays["values"]
+    return tuple(_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
+
+
 def _read_image(path: Path) -> Volume:
+    return _volume(*_read_arrays(path, layers=False), path)
+
+
+def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
+    """Return the grid of an image file, and its voxels as "values"."""
     from needlefit.imaging.headers.check import check_image_header
+    from needlefit.imaging.headers.nrrd_single import single_volume_header
 
     header = check_image_header(path)
     native = (
@@ -133,8 +148,10 @@ def _read_image(path: Path) -> Volume:
     )  # a buffer, one to convert into
     seconds = (header.content_bytes + header.packed_bytes) / READ_BYTES_PER_SECOND
     allowed = limits(native, header.float_bytes, seconds)
-    found = read_caged("needlefit.imaging.image_files:read_image", path, allowed, {"path": str(path)})
-    return _volume(*found, path)
+    one_volume = len(header.size) > 3 and path.name.lower().endswith((".nrrd", ".nhdr"))
+    instead = single_volume_header(path) if one_volume else ""
+    arguments = {"path": str(path), "layers": layers, "header": instead}
+    return read_caged("needlefit.imaging.image_files:read_image", path, allowed, arguments)
 
 
 def _read_series(path: Path, series: str | None) -> Volume:

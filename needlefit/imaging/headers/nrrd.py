@@ -77,6 +77,13 @@ def check_nrrd(path: Path) -> ImageHeader:
     return header
 
 
+def header_fields(path: Path) -> tuple[dict[str, str], int]:
+    """Return the fields of a header, and the number of lines up to its voxels."""
+    head, size = head_of(path)
+    lines, _ = _lines(path, head, size)
+    return _fields(path, lines)[0], len(lines) + 2  # the first line, and the blank one
+
+
 def _lines(path: Path, head: bytes, size: int) -> tuple[list[str], int]:
     """Return the lines of the header behind the first, and where it ends: at a blank line or the end."""
     if re.match(rb"NRRD000\d\r?\n", head) is None:
