@@ -11,9 +11,12 @@ import SimpleITK as sitk
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from reading_here import caged, read_here  # noqa: F401
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import Volume, read, to_index, to_patient, write
+
+pytestmark = pytest.mark.usefixtures("read_here")
 
 VALUES = np.arange(2 * 3 * 4, dtype=np.int16).reshape(2, 3, 4)  # slices, rows, columns
 STEPS, CORNER = (0.4, 0.5, 0.9), (1.0, 2.0, 3.0)
@@ -300,6 +303,7 @@ def test_written_and_read(tmp_path_factory, name, tolerance, direction, seed, wh
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz"])
+@pytest.mark.usefixtures("caged")
 def test_extreme_values_are_kept(tmp_path, name):
     values = np.array([-32768, 32767, 32768, 1e-30, 3e38, -1e9, 0.1, 0.0], np.float32).reshape(2, 2, 2)
     write(volume_of(values), tmp_path / name)
@@ -365,6 +369,7 @@ def test_a_file_cut_short(tmp_path, name, kept):
     assert "not all there" in fault.what and "cut short" in fault.mend
 
 
+@pytest.mark.usefixtures("caged")
 def test_a_packed_file_with_a_wrong_byte(tmp_path):
     path = tmp_path / "a.nii.gz"
     write(volume_of(np.random.default_rng(1).integers(0, 9999, (60, 60, 60))), path)
@@ -395,6 +400,7 @@ def bombs(folder):
     ]
 
 
+@pytest.mark.usefixtures("caged")
 def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for path in bombs(tmp_path):
@@ -404,6 +410,7 @@ def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50e3  # kB
 
 
+@pytest.mark.usefixtures("caged")
 def test_a_small_file_that_claims_much_that_could_be(tmp_path):
     """512 MB claimed, 48 bytes there: counted, not believed."""
     assert "not all there" in refused(nifti(tmp_path / "a.nii.gz", sizes=(1024, 512, 512))).what
@@ -496,6 +503,7 @@ def test_values_that_are_no_numbers(tmp_path):
     assert "holds 2 voxels" in fault.what and "air" in fault.mend
 
 
+@pytest.mark.usefixtures("caged")
 def test_a_missing_package_names_the_line_that_installs_it(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "needlefit.imaging.image_files", raising=False)
     monkeypatch.setitem(sys.modules, "SimpleITK", None)

@@ -20,11 +20,14 @@ from pydicom.uid import (
     SecondaryCaptureImageStorage,
     generate_uid,
 )
+from reading_here import caged, read_here  # noqa: F401
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.dicom.series import find_series
 from needlefit.imaging.dicom.stack import ASTRAY, stack
 from needlefit.imaging.volume import Volume, read, to_index, to_patient, write
+
+pytestmark = pytest.mark.usefixtures("read_here")
 
 
 def refused(path, **arguments):
@@ -45,6 +48,7 @@ def spoilt(k, **entries):
 # What is read
 
 
+@pytest.mark.usefixtures("caged")
 def test_a_plain_series(tmp_path):
     volume = read(save(tmp_path / "scan", series()))
     assert volume.values.dtype == np.float32 and np.array_equal(volume.values, NUMBERS)
@@ -145,6 +149,7 @@ def test_big_endian(tmp_path):
 
 
 @pytest.mark.parametrize("compressor", ["JPEG", "JPEG2000"])
+@pytest.mark.usefixtures("caged")
 def test_lossless_jpeg(tmp_path, compressor):
     slices = [packed_as(data, compressor, tmp_path) for data in series()]
     assert np.array_equal(read(save(tmp_path / "scan", slices)).values, NUMBERS)
@@ -403,6 +408,7 @@ def test_compressed_voxels_cut_short(tmp_path):
     assert "RLE" in refused(tmp_path).what
 
 
+@pytest.mark.usefixtures("caged")
 def test_headers_that_claim_a_bomb(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     fault = refused(save(tmp_path / "all", series(Rows=65535, Columns=65535)))
@@ -503,6 +509,7 @@ def test_a_place_that_cannot_be_written(tmp_path):
         write(turned(1), tmp_path / "file" / "scan")
 
 
+@pytest.mark.usefixtures("caged")
 def test_a_large_series_is_read_in_seconds(tmp_path):
     values = np.zeros((60, 512, 512), dtype=np.float32)
     values[:, ::7, ::5] = 1000.0
