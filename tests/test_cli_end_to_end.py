@@ -10,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from needlefit.cli import main
 from needlefit.project.places import find
 
 COMMAND = (sys.executable, "-m", "needlefit")
@@ -28,6 +29,13 @@ validate = [{ medium = "phantom2", layers = [1] }]
 
 def needlefit(*words: str, folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run((*COMMAND, *words), cwd=folder, capture_output=True, text=True, check=False)
+
+
+def here(*words: str) -> int:
+    """Run a command in this process, where its modules are loaded already; return its exit code."""
+    with pytest.raises(SystemExit) as leaving:
+        main(list(words))
+    return int(leaving.value.code or 0)
 
 
 def contents(folder: Path) -> dict[str, bytes]:
@@ -85,23 +93,24 @@ def test_ctrl_c_resume_and_other_jobs_change_no_byte(project, once):
     assert contents(project / "again/small") == once
 
 
-def test_a_report_is_made_again_from_what_was_stored(project, once):
+def test_a_report_is_made_again_from_what_was_stored(project, once, monkeypatch, capsys):
+    monkeypatch.chdir(project)
     again = project / "reports/small-again"
     shutil.copytree(project / "reports/small", again)
     (again / "errors.csv").unlink()
     (again / "report.pdf").write_bytes(b"somebody's")
-    refused = needlefit("report", "small", "--out", str(again), folder=project)
-    assert refused.returncode == 3 and "report.pdf" in refused.stderr
+    assert here("report", "small", "--out", str(again)) == 3
+    assert "report.pdf" in capsys.readouterr().err
     assert (again / "report.pdf").read_bytes() == b"somebody's"
     (again / "report.pdf").unlink()
-    done = needlefit("report", "small", "--out", str(again), folder=project)
-    assert done.returncode == 0, done.stderr
+    assert here("report", "small", "--out", str(again)) == 0
     assert contents(again) == once
 
 
-def test_tune_stands_beside_the_paper_s_set(project):
-    done = needlefit("tune", "small", folder=project)
-    assert done.returncode == 0, done.stderr
+def test_tune_stands_beside_the_paper_s_set(project, monkeypatch, capsys):
+    monkeypatch.chdir(project)
+    assert here("tune", "small") == 0
     assert (project / "reports/small-tune/run.json").is_file()
-    assert "not tuned on this data" in done.stdout and "b re-tuned" in done.stdout
-    assert "NOT determined by these data" in done.stdout
+    out = capsys.readouterr().out
+    assert "not tuned on this data" in out and "b re-tuned" in out
+    assert "NOT determined by these data" in out
