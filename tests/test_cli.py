@@ -155,6 +155,16 @@ def test_no_escape_codes_in_a_pipe_even_if_colour_is_asked_for():
     assert "\x1b[3" not in done.stdout and "\x1b[9" not in done.stdout
 
 
+@pytest.mark.parametrize(
+    "words", [("--h\u202eut",), ("report", "--o\u202eut"), ("simulate", "x", "y\x1b[2J")]
+)
+def test_control_characters_of_a_wrong_option_are_escaped(words, capsys):
+    assert run(*words) == 2
+    printed = capsys.readouterr().err
+    assert printed.replace("\n", "").isprintable()
+    assert "\\u202e" in printed or "\\x1b" in printed
+
+
 def test_paper_prints_tables_and_contradictions(capsys):
     import json
 

@@ -100,6 +100,7 @@ def test_a_recording_is_a_table_for_others(tmp_path) -> None:
         ("1,0.2500,depth_mm", "1,-0.1,depth_mm", "line .*: time_s is -0.1"),
         ("2,0.5000,base_slope,,-0.01", "2,0.5000,base_y_mm,,-0.01", "line .*: a second base_y_mm in step 2"),
         ("2,0.5000,base_y_mm,,0.1,", "2,0.5000,base_y_mm,,0.1,0.7", "line .*: deflection_mm"),
+        ("depth_mm,,12.34567", f"depth_mm,{'9' * 5000},12.34567", "line .*: item"),
         ("5,1.2500,", "7,1.2500,", "step 7"),
         ("# first_cell_mm = 1.0", "# first_cell_mm = -1.0", "first_cell_mm"),
         ("# schema = 1", "# schema = ", "not valid TOML"),

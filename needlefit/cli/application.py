@@ -1,7 +1,7 @@
 """The table of commands, and what every command has in common: how it fails."""
 
 from collections.abc import Callable
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from typer.core import TyperGroup
@@ -42,12 +42,20 @@ _EPILOG = (
 class _Guarded(TyperGroup):
     """Turns what a command raises into a message and an exit code; usage errors stay typer's."""
 
+    def make_context(self, *args: Any, **kwargs: Any) -> Any:  # noqa: ANN401 - as the base class takes it
+        try:
+            return super().make_context(*args, **kwargs)
+        except Exception as error:
+            failure.make_printable(error)
+            raise
+
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
         try:
             result = super().invoke(ctx)
         except BaseException as error:
             code = failure.report(error, ctx.find_root().obj)
             if code is None:
+                failure.make_printable(error)
                 raise
             raise typer.Exit(code) from None
         invocation = ctx.find_root().obj

@@ -4,7 +4,7 @@ import sys
 import traceback
 
 from needlefit.cli.invocation import Invocation
-from needlefit.errors import ConfigError, FitError, NeedlefitError
+from needlefit.errors import ConfigError, FitError, NeedlefitError, printable
 
 UNEXPECTED, NOT_CONVERGED, VERIFICATION_FAILED, INTERRUPTED = 1, 5, 6, 130
 
@@ -36,6 +36,13 @@ def report(error: BaseException, invocation: Invocation) -> int | None:
     hint = "" if invocation.verbose else " (-v shows where)"
     print(f"needlefit: unexpected {type(error).__name__}: {error}{hint}", file=sys.stderr)
     return UNEXPECTED
+
+
+def make_printable(error: BaseException) -> None:
+    """Escape control characters in the message of a usage error, which repeats the words that were typed."""
+    message = getattr(error, "message", None)
+    if hasattr(error, "show") and isinstance(message, str):
+        error.message = printable(message)  # type: ignore[attr-defined]
 
 
 def _explained(error: BaseException) -> BaseException:

@@ -24,6 +24,9 @@ from needlefit.viewer.hand.inputs import Change
 
 COLUMNS = ("step", "time_s", "input", "item", "value", "deflection_mm")
 
+MAX_ITEM_DIGITS = 6
+"""Of the number of a guide or layer; Python refuses to convert thousands of digits."""
+
 
 @dataclass(frozen=True)
 class Recorded:
@@ -194,7 +197,7 @@ def _changes(step: Sequence[_Row], path: Path) -> tuple[Change, ...]:
 
 
 def _change(row: _Row, path: Path) -> Change:
-    if row.item and not row.item.isdecimal():
+    if row.item and not (row.item.isdecimal() and len(row.item) <= MAX_ITEM_DIGITS):
         raise _wrong(path, row.line, f"item `{row.item}`", "the number of a guide or layer, or nothing")
     try:
         value = _number(row.value, row.line, path)
