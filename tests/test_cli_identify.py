@@ -2,7 +2,10 @@
 
 import json
 import re
+from contextlib import redirect_stdout
 from dataclasses import replace
+from io import StringIO
+from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -28,9 +31,17 @@ def folder(tmp_path, monkeypatch):
     return tmp_path / "reports" / "identify-study2"
 
 
-def test_the_design_alone_says_what_one_short_insertion_can_tell(folder, capsys):
-    assert run("identify", "study2", "--jobs", "1", "-q") == 0
-    out = capsys.readouterr().out
+@pytest.fixture(scope="module")
+def designed(tmp_path_factory):
+    """The folder of a run from the design alone, and what it printed."""
+    with pytest.MonkeyPatch.context() as here, redirect_stdout(StringIO()) as printed:
+        here.chdir(tmp_path_factory.mktemp("designed"))
+        assert run("identify", "study2", "--jobs", "1", "-q") == 0
+        return Path.cwd() / "reports" / "identify-study2", printed.getvalue()
+
+
+def test_the_design_alone_says_what_one_short_insertion_can_tell(designed):
+    folder, out = designed
     assert "Design alone: 1 insertion, 24 mm deep" in out and "hand-tuned set study2" in out
     assert "alpha1: not at all: the tip moves less than 0.001 mm over its whole range at t = 40 mm" in out
     assert re.search(r"only as mu2\^0\.3\d \* b \(to 1\d %\)", out)
@@ -45,12 +56,10 @@ def test_the_design_alone_says_what_one_short_insertion_can_tell(folder, capsys)
     assert json.loads((folder / "run.json").read_text())["design"]["values"]["mu1_pa"] == pytest.approx(5e4)
 
 
-def test_the_same_bytes_for_any_number_of_threads(folder):
-    written = []
-    for jobs in ("1", "2"):
-        assert run("identify", "study2", "--jobs", jobs, "-q") == 0
-        written.append({path.name: path.read_bytes() for path in folder.iterdir()})
-    assert written[0] == written[1]
+def test_the_same_bytes_for_any_number_of_threads(designed, folder):
+    assert run("identify", "study2", "--jobs", "2", "-q") == 0
+    one, two = ({path.name: path.read_bytes() for path in place.iterdir()} for place in (designed[0], folder))
+    assert one == two
 
 
 def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
@@ -70,7 +79,7 @@ def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
     assert_made_again(folder.parent / "identify-one")
 
 
-def test_the_design_part_looks_at_no_measured_shape(monkeypatch, folder):
+def test_the_design_part_looks_at_no_measured_shape(monkeypatch, designed, folder):
     """Bent by 5 mm, the measured centreline changes nothing that the design says."""
     plain = job.read
 
@@ -84,8 +93,6 @@ def test_the_design_part_looks_at_no_measured_shape(monkeypatch, folder):
         ]
         return replace(found, insertions=tuple(moved))
 
-    assert run("identify", "study2", "-q") == 0
-    before = (folder / "identify.csv").read_bytes()
     monkeypatch.setattr(job, "read", bent)
     assert run("identify", "study2", "-q") == 0
-    assert (folder / "identify.csv").read_bytes() == before
+    assert (folder / "identify.csv").read_bytes() == (designed[0] / "identify.csv").read_bytes()

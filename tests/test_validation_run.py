@@ -48,14 +48,26 @@ every = 10
 """
 
 
+def made(folder: Path) -> Path:
+    needles.build(folder / "data" / "needles")
+    for kind, text in (("media", MEDIUM), ("recipes", RECIPE)):
+        (folder / "configs" / kind).mkdir(parents=True)
+        (folder / "configs" / kind / "gel.toml").write_text(text)
+    return folder
+
+
 @pytest.fixture
 def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    needles.build(tmp_path / "data" / "needles")
-    for kind, text in (("media", MEDIUM), ("recipes", RECIPE)):
-        (tmp_path / "configs" / kind).mkdir(parents=True)
-        (tmp_path / "configs" / kind / "gel.toml").write_text(text)
-    monkeypatch.chdir(tmp_path)
+    monkeypatch.chdir(made(tmp_path))
     return tmp_path
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> Results:
+    """The study as it is, run once."""
+    with pytest.MonkeyPatch.context() as here:
+        here.chdir(made(tmp_path_factory.mktemp("clean")))
+        return run("clean", study(), Settings())
 
 
 def study(**changes: object) -> StudyRecord:
@@ -82,8 +94,8 @@ def fitted(results: Results) -> dict[str, float]:
     return dict(zip(rows["parameter"], rows["value"], strict=True))
 
 
-def test_truth_is_recovered_and_scored_with_no_error(project: Path) -> None:
-    results = run("clean", study(), Settings())
+def test_truth_is_recovered_and_scored_with_no_error(clean: Results) -> None:
+    results = clean
     assert fitted(results)["mu1_pa"] == pytest.approx(needles.MU[0] * 1e6, rel=0.05)
     assert fitted(results)["bevel_mm"] == pytest.approx(needles.BEVEL, rel=0.01)
     errors = results.errors[results.errors["rival"] == "fitted"]
@@ -94,41 +106,41 @@ def test_truth_is_recovered_and_scored_with_no_error(project: Path) -> None:
     assert results.origin == "synthetic"
 
 
-def test_measured_and_planned_crossings_agree_on_a_flat_interface(project: Path) -> None:
+def test_measured_and_planned_crossings_agree_on_a_flat_interface(clean: Results) -> None:
     """The interface is normal to the needle: where it bends to does not matter."""
-    errors = run("clean", study(), Settings()).errors
+    errors = clean.errors
     wide = errors[errors["rival"] == "fitted"].pivot_table(
         index=["role", "insertion"], columns="boundaries", values="te_mm"
     )
     np.testing.assert_allclose(wide["planned"], wide["measured"], atol=2e-3)
 
 
-def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(project: Path) -> None:
-    errors = run("clean", study(), Settings()).errors
+def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(clean: Results) -> None:
+    errors = clean.errors
     held_out = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
     mean = held_out.groupby("rival")["ipe_mean_mm"].mean()
     assert set(mean.index) == {"fitted", "straight", "constant_curvature", "linear_curvature"}
     assert (mean.drop("fitted") > 10 * mean["fitted"]).all()
 
 
-def test_the_same_frames_for_any_number_of_jobs(project: Path) -> None:
-    assert_same(run("jobs", study(), Settings(jobs=1)), run("jobs", study(), Settings(jobs=2)))
+def test_the_same_frames_for_any_number_of_jobs(project: Path, clean: Results) -> None:
+    assert Settings().jobs == 1
+    assert_same(clean, run("clean", study(), Settings(jobs=2)))
 
 
-def test_an_interrupted_run_resumes_to_the_same_frames(project: Path) -> None:
-    whole = run("again", study(), Settings())
+def test_an_interrupted_run_resumes_to_the_same_frames(project: Path, clean: Results) -> None:
     seen: list[int] = []
 
     def progress(label: str, done: int, total: int) -> None:
         seen.append(done)
 
-    kept = project / "again.partial"
-    part = run("again", study(), Settings(checkpoint=kept, progress=progress, stop=lambda: len(seen) >= 2))
+    kept = project / "clean.partial"
+    part = run("clean", study(), Settings(checkpoint=kept, progress=progress, stop=lambda: len(seen) >= 2))
     assert part.interrupted
-    assert len(part.starts) < len(whole.starts) or "interrupted" in set(part.starts["stopped"])
+    assert len(part.starts) < len(clean.starts) or "interrupted" in set(part.starts["stopped"])
     assert not part.errors.empty  # the best so far is scored
-    again = run("again", study(), Settings(checkpoint=kept, resume=True))
-    assert_same(again, whole)
+    again = run("clean", study(), Settings(checkpoint=kept, resume=True))
+    assert_same(again, clean)
 
 
 @pytest.mark.slow
@@ -154,24 +166,28 @@ def test_an_interrupted_sampler_resumes_to_the_same_draws(project: Path) -> None
 
 def test_a_checkpoint_of_other_work_is_refused(project: Path) -> None:
     kept = project / "other.partial"
-    run("other", study(), Settings(checkpoint=kept))
+    run("other", study(), Settings(checkpoint=kept, stop=lambda: any(kept.glob("*.jsonl"))))
     with pytest.raises(ConfigError, match="other work"):
         run("other", study(), Settings(checkpoint=kept, resume=True, seed=99))
 
 
-def test_where_nothing_fails_the_table_of_failures_is_a_header(project: Path) -> None:
-    results = run("clean", study(), Settings())
+def test_where_nothing_fails_the_table_of_failures_is_a_header(clean: Results) -> None:
+    results = clean
     assert list(results.failures.columns) == [*COLUMNS["failures"], *results.parameters["parameter"]]
     assert results.failures.empty
     assert results.run["recorded_failures"] == {}
     assert failures_said(results) == ""
 
 
-def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(project: Path) -> None:
+def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(
+    project: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
     rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { bounds = [0.02, 3e3] }")
     results = run("violent", study(), Settings())
-    write(results, project / "violent")
+    with monkeypatch.context() as without_figures:
+        without_figures.setattr("needlefit.reporting.write._draw", lambda results, folder: {})
+        write(results, project / "violent")
     rows = pd.read_csv(project / "violent" / "failures.csv")
     assert set(rows["fit"]) == {"fitted"} and set(rows["origin"]) == {"synthetic"}
     dataset = read(project / "data" / "needles" / "dataset.toml")
