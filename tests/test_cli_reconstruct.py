@@ -432,6 +432,20 @@ def test_no_library_speaks_beside_what_is_wrong(tmp_path, capfd):
     assert told.count("mend:") == 2 and "WARNING" not in told and ".cxx" not in told
 
 
-def test_a_table_of_scans_stands_alone(tmp_path, capsys):
-    assert run("reconstruct", SAMPLE / "scans.csv", "--markers", MARKERS, "--out", tmp_path / "out") == 2
+@pytest.mark.parametrize(
+    "beside",
+    [
+        ("--medium", "gel"),
+        ("--medium", "medium"),  # as it would be without
+        ("--markers", MARKERS),
+        ("--layers-in", "scan"),
+        ("--series", "3"),
+        (SAMPLE / "scans.csv",),
+    ],
+    ids=str,
+)
+@pytest.mark.parametrize("table", [SAMPLE / "scans.csv", "sample_scan"], ids=["path", "name"])
+def test_a_table_of_scans_stands_alone(table, beside, tmp_path, capsys):
+    assert run("reconstruct", table, *beside, "--out", tmp_path / "out") == 2
     assert "stands alone" in capsys.readouterr().err
+    assert list(tmp_path.iterdir()) == []

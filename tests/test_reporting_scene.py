@@ -3,9 +3,12 @@
 import dataclasses
 import math
 import re
+from itertools import pairwise
 
+import matplotlib.style
 import numpy as np
 import pytest
+from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.image import imread
 
 from needlefit.errors import ConfigError
@@ -17,6 +20,7 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting import figures
 from needlefit.reporting.figures import steps as painted
 from needlefit.reporting.figures.steps import changes, paint_steps
+from needlefit.reporting.figures.style import LOOK
 from needlefit.reporting.figures.tissue import layer_labels
 
 
@@ -79,6 +83,26 @@ def test_the_most_panels_have_room_for_what_is_written_above_them(tmp_path):
     figures.draw_scene("Many steps", one, insert(one), tmp_path / "a.png")
     height, width = imread(tmp_path / "a.png").shape[:2]
     assert 200 * 2 < width < 200 * 8 and 200 * 0.4 * painted.MAX_PANELS < height < 200 * 15
+
+
+@pytest.mark.parametrize(("side", "angle"), [(1, 0.0), (-1, 0.3)])
+def test_labels_of_layers_stay_in_the_panel_and_off_what_is_written_above_it(side, angle):
+    needle = Needle.from_tube(150.0, 1.27, 80e3)
+    tissue = Tissue(np.array([0.1, 0.2, 0.3]), np.ones(3), np.array([20.0, 40.0]))
+    steps = tuple(Step(3.2 * n, Bevel(0.05, side)) for n in range(1, painted.MAX_PANELS + 6))
+    many = Scene(needle, tissue, steps, entry=Entry(5.0, -7.0, angle))
+    with matplotlib.style.context(["default", LOOK]):
+        figure = paint_steps("Many steps", many, insert(many))
+        FigureCanvasAgg(figure)
+        figure.draw_without_rendering()
+        first = figure.axes[0]
+        labels = [text.get_window_extent() for text in first.texts]
+        above = [one.get_window_extent() for one in (first.title, first._right_title) if one.get_text()]
+        assert len(labels) == 3
+        for label in labels:
+            assert label.y1 <= first.bbox.y1 + 1 and label.y0 >= first.bbox.y0 - 1
+            assert not any(label.overlaps(head) for head in above)
+        assert not any(a.overlaps(b) for a, b in pairwise(labels))
 
 
 def test_a_panel_says_what_its_step_changed():

@@ -1,5 +1,6 @@
 """A picture of an insertion in several steps: one panel each, in the world."""
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -25,7 +26,10 @@ _TILTED = 0.01  # from here on a stretched y would show angles that are none
 _BETWEEN = "  ·  "  # what a step changed
 _LETTER = 0.06  # inches, of 7.5 point type
 _TALLEST = 8.5  # inches
+_HEAD, _LINE = 0.1, 0.14  # inches above a panel, and of each line there
+_MAX_COLUMNS = 4  # each wide enough for the lines above its panel
 _LEAST_PANEL = 0.25  # inches of height, where so many panels let the figure grow
+_TWO_LINES = 0.4  # inches of height that two lines of text in a panel take, with the needle beside them
 _LEAST_WIDTH = 1.0  # inches
 MAX_PANELS = 20
 """Of a figure; of more steps as many are shown, evenly, the first and the last among them."""
@@ -49,18 +53,25 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figu
     factor = 1 if tilted or not stacked else stretch(0.8 * width / rows, height)
     earlier = [None, *shown[:-1]]
     heads = [_head(scene, n, past, shape) for n, past, shape in zip(shown, earlier, shapes, strict=True)]
-    longest = max(len(_BETWEEN.join(head)) for head in heads)
-    lines = 1 if stacked and longest * _LETTER < WIDTH - 0.6 else max(map(len, heads))
-    above = 0.1 + 0.14 * lines  # inches of what is written above a panel
-    tall = max(_TALLEST / rows - above, _LEAST_PANEL)  # inches
-    panel = min(max((WIDTH - 0.6) / columns, _LEAST_WIDTH), tall * width / (factor * height))  # inches wide
+    longest, most_lines = max(len(_BETWEEN.join(head)) for head in heads), max(map(len, heads))
+    lines = 1 if stacked and longest * _LETTER < WIDTH - 0.6 else most_lines
+    panel = _panel_width(rows, columns, lines, factor * height / width)
+    if stacked and panel < longest * _LETTER:  # a column of panels would be narrower than their heads
+        lines = most_lines
+        rows, columns = _grid(len(shapes), lines, factor * height / width)
+        panel = _panel_width(rows, columns, lines, factor * height / width)
+    above = _HEAD + _LINE * lines
+    low = panel * factor * height / width < _TWO_LINES
     size = (panel * columns + 0.6, rows * (panel * factor * height / width + above) + 0.85)
     figure = Figure(figsize=size)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False).ravel()
-    for n, (axes, shape) in enumerate(zip(grid, shapes, strict=True)):
+    for n in range(len(shapes), len(grid)):
+        grid[n].remove()
+        grid[n - columns].tick_params(labelbottom=True)  # now the last one of its column
+    for n, (axes, shape) in enumerate(zip(grid, shapes, strict=False)):
         axes.set(xlim=x, ylim=y)
         axes.set_aspect(factor)
-        draw_layers(axes, scene, panel / width if n == 0 else None)
+        draw_layers(axes, scene, panel / width if n == 0 else None, low)
         draw_needle(axes, scene, steps[n], shape)
         _write_head(axes, heads[n], lines)
     figure.supxlabel("x in the world (mm)", fontsize=7.5)
@@ -70,6 +81,18 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figu
     _explain(figure, title, scene)
     snug(figure)
     return figure
+
+
+def _panel_width(rows: int, columns: int, lines: int, ratio: float) -> float:
+    """Return the width of panels, inches, whose height is `ratio` times that, with lines above each."""
+    tall = max(_TALLEST / rows - _HEAD - _LINE * lines, _LEAST_PANEL)
+    return min(max((WIDTH - 0.6) / columns, _LEAST_WIDTH), tall / ratio)
+
+
+def _grid(count: int, lines: int, ratio: float) -> tuple[int, int]:
+    """Return the rows and columns in which `count` panels are largest."""
+    grids = [(math.ceil(count / columns), columns) for columns in range(1, min(count, _MAX_COLUMNS) + 1)]
+    return max(grids, key=lambda grid: _panel_width(grid[0], grid[1], lines, ratio))
 
 
 def _shown(count: int) -> list[int]:

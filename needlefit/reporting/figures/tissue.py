@@ -22,11 +22,11 @@ def shades(tissue: Tissue) -> list[Colour]:
     return [_LAYERS(float((one - stiffness.min()) / decades)) for one in stiffness]
 
 
-def layer_labels(scene: Scene, widths: Mapping[int, float]) -> dict[int, str]:
+def layer_labels(scene: Scene, widths: Mapping[int, float], one_line: bool = False) -> dict[int, str]:
     """Return what is written on the layers (counted from 0) that are so wide on paper, in inches.
 
     All of them are called in the same way: by the scene's own names if these fit, or "layer 1", or "1". Its
-    modulus stands below where a layer has room for it.
+    modulus stands below, or with `one_line` behind, where a layer has room for it.
     """
     numbered = {i: f"layer {i + 1}" for i in widths}
     own = {i: (scene.layer_names[i] if scene.layer_names else "") or called for i, called in numbered.items()}
@@ -35,8 +35,11 @@ def layer_labels(scene: Scene, widths: Mapping[int, float]) -> dict[int, str]:
         if all(_LETTER * len(name) + _ROOM <= widths[i] for i, name in names.items()):
             said = names
             break
-    return {i: f"{called}{_modulus(scene, i, widths[i])}" for i, called in said.items()}
+    return {i: f"{called}{_modulus(scene, i, widths[i], called * one_line)}" for i, called in said.items()}
 
 
-def _modulus(scene: Scene, layer: int, width: float) -> str:
-    return f"\n{typeset(number(scene.tissue.mu[layer] * 1e6))} Pa" if width > _WIDEST_MODULUS else ""
+def _modulus(scene: Scene, layer: int, width: float, before: str) -> str:
+    """Return a layer's modulus, below its name or, where it is given, behind; "" where there is no room."""
+    if width <= _WIDEST_MODULUS + _LETTER * len(before):
+        return ""
+    return f"{', ' if before else chr(10)}{typeset(number(scene.tissue.mu[layer] * 1e6))} Pa"

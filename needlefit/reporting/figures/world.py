@@ -44,8 +44,11 @@ def window(points: Floats, least: float) -> tuple[Span, Span]:
     return (float(left), float(right)), (float(bottom), float(top))
 
 
-def draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
-    """Shade the layers; with a `scale` (inches per mm) write on them what they are."""
+def draw_layers(axes: Axes, scene: Scene, scale: float | None, low: bool = False) -> None:
+    """Shade the layers; with a `scale` (inches per mm) write on them what they are.
+
+    In a `low` panel that is one line, on the side on which there is more room beside the entry's axis.
+    """
     edges = np.array([0.0, *scene.tissue.boundaries, _FAR])
     for i, ((top, bottom), shade) in enumerate(zip(pairwise(edges), shades(scene.tissue), strict=True)):
         corners = [(top, -_FAR), (bottom, -_FAR), (bottom, _FAR), (top, _FAR)]
@@ -54,19 +57,22 @@ def draw_layers(axes: Axes, scene: Scene, scale: float | None) -> None:
         axes.plot(*line, color="white" if i else INK, lw=1.2 if i else 0.6, zorder=0.5)
     axes.plot(*scene.entry.to_world([(-_FAR, 0), (_FAR, 0)]).T, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
     if scale is not None:
-        _label_layers(axes, scene, edges, scale)
+        _label_layers(axes, scene, edges, scale, low)
 
 
-def _label_layers(axes: Axes, scene: Scene, edges: Floats, scale: float) -> None:
+def _label_layers(axes: Axes, scene: Scene, edges: Floats, scale: float, low: bool) -> None:
     """Write on each layer that has room what it is."""
-    room = {i: _room(axes, scene.entry, depths) for i, depths in enumerate(pairwise(edges))}
+    bottom, top = (edge - scene.entry.y for edge in axes.get_ylim())
+    above = low and top > -bottom
+    level = 0.95 if above else 0.05  # of the panel
+    room = {i: _room(axes, scene.entry, depths, level) for i, depths in enumerate(pairwise(edges))}
     places = {i: place for i, place in room.items() if place is not None}
-    labels = layer_labels(scene, {i: length * scale for i, (_, length) in places.items()})
+    labels = layer_labels(scene, {i: length * scale for i, (_, length) in places.items()}, low)
     along = _runs_along(scene.entry)
     for i, ((x, y), _) in places.items():
         axes.text(
             x, y, labels[i], fontsize=6.5, linespacing=1.3,
-            ha="left" if along else "center", va="center" if along else "bottom",
+            ha="left" if along else "center", va="center" if along else "top" if above else "bottom",
         )  # fmt: skip
 
 
@@ -75,12 +81,15 @@ def _runs_along(entry: Entry) -> int:
     return 0 if abs(np.cos(entry.angle)) >= abs(np.sin(entry.angle)) else 1
 
 
-def _room(axes: Axes, entry: Entry, depths: Span) -> tuple[Span, float] | None:
-    """Return where a layer meets the panel's edge, and how long a line it can hold there, mm."""
+def _room(axes: Axes, entry: Entry, depths: Span, height: float) -> tuple[Span, float] | None:
+    """Return where a layer meets the panel's edge, and how long a line it can hold there, mm.
+
+    `height` is where beside the edge, as a part of the panel.
+    """
     limits, along = (axes.get_xlim(), axes.get_ylim()), _runs_along(entry)
     cos, sin = np.cos(entry.angle), np.sin(entry.angle)
     (low, high), across = limits[along], limits[1 - along]
-    level = across[0] + 0.05 * (across[1] - across[0])
+    level = across[0] + height * (across[1] - across[0])
     tops = entry.to_world([[depth, 0.0] for depth in depths])  # the boundaries run from there on
     drift = (level - tops[:, 1 - along]) * (-sin / cos if along == 0 else -cos / sin)  # along (-sin, cos)
     start, end = np.clip(np.sort(tops[:, along] + drift), low, high)
