@@ -20,6 +20,7 @@ from needlefit.datasets.check import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.volumes import ScanVolume, volume_of
 from needlefit.imaging.markers import find_markers
+from needlefit.imaging.needle.centerline import trace
 from needlefit.imaging.volume import Volume, read, write
 from needlefit.project.places import shipped
 from needlefit.project.records.reconstruction import ReconstructionRecord
@@ -47,6 +48,29 @@ def done(tmp_path_factory):
     folder = tmp_path_factory.mktemp("done") / "mydata"
     assert run("reconstruct", SAMPLE / "scans.csv", "--out", folder, "-q") == 0
     return folder
+
+
+FOUND: dict[tuple, object] = {}
+"""What was found in a volume, by the function and the volume's content."""
+
+
+@pytest.fixture
+def searched_once(monkeypatch):
+    """Search a volume once for its needle and markers: for tests of what is made of what was found."""
+
+    def remembered(function):
+        def found(volume, *arguments):
+            recipe = next(one for one in arguments if isinstance(one, ReconstructionRecord))
+            place = (volume.origin, volume.spacing, volume.direction, volume.values)
+            key = (function.__name__, recipe.model_dump_json(), *(part.tobytes() for part in place))
+            if key not in FOUND:
+                FOUND[key] = function(volume, *arguments)
+            return FOUND[key]
+
+        return found
+
+    for function in (trace, find_markers):
+        monkeypatch.setattr(f"needlefit.imaging.seen.{function.__name__}", remembered(function))
 
 
 def test_a_scan_becomes_a_checked_dataset(done):
@@ -147,6 +171,7 @@ def test_what_was_resumed_is_as_at_once(resumed):
     assert found.keys() == at_once.keys()
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
     class Bomb:
         def __reduce__(self):
@@ -319,6 +344,7 @@ def short_needle(folder):
         (bomb, "claims"),
     ],
 )
+@pytest.mark.usefixtures("searched_once")
 def test_what_is_wrong_is_said_with_what_mends_it_and_nothing_is_written(spoil, words, tmp_path, capsys):
     arguments = spoil(tmp_path)
     before = files(tmp_path)
@@ -354,6 +380,7 @@ def table(folder, **changes):
         ({"layers": "3", "layers_alternative": "3"}, "3 layers|3 were counted"),
     ],
 )
+@pytest.mark.usefixtures("searched_once")
 def test_what_was_stated_wrongly_is_refused(changes, words, tmp_path, capsys):
     assert run("reconstruct", table(tmp_path, **changes), "--out", tmp_path / "out", "-q") == 3
     told = capsys.readouterr().err
@@ -361,6 +388,7 @@ def test_what_was_stated_wrongly_is_refused(changes, words, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.usefixtures("searched_once")
 def test_a_stage_that_is_off_by_little_is_told(tmp_path):
     assert run("reconstruct", table(tmp_path, entry_y_mm="4.0"), "--out", tmp_path / "out", "-q") == 0
     assert "outside the tissue stands" in (tmp_path / "out" / "reconstruction.csv").read_text()
