@@ -1,14 +1,17 @@
-"""For all tests: one thread for linear algebra, as in every run, and what is compiled before any of them.
+"""For all tests: one thread for linear algebra, as in every run, and what is compiled is compiled once.
 
-BLAS threads that wait for each other on busy cores take ten times what their work takes. Modules are compiled
-as the kernel is: where PYTHONDONTWRITEBYTECODE is set, each process of a command would do it.
+BLAS threads that wait for each other on busy cores take ten times what their work takes. Modules that each
+process of a command compiles, and tests that each run compiles, took a tenth of the time: `__pycache__` keeps
+them, whatever the environment says.
 """
 
-import compileall
-from pathlib import Path
+import os
+import sys
 
-import needlefit
-from needlefit.project.threads import begin_with_one_thread
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
+
+from needlefit.project.threads import begin_with_one_thread  # noqa: E402
 
 begin_with_one_thread()  # before what loads BLAS; the processes of xdist, which begin later, inherit it
 
@@ -16,5 +19,4 @@ from needlefit.mechanics.warm import ROOMS, warm  # noqa: E402
 
 
 def pytest_sessionstart() -> None:
-    compileall.compile_dir(Path(needlefit.__file__).parent, quiet=2)
     warm(*ROOMS)
