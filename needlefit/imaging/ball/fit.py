@@ -1,6 +1,7 @@
 """Where a ball's centre is: the model of a ball, laid over the voxels around it, and how sure that is."""
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,11 +123,15 @@ def _least(near: Near, radius: float, first: Floats, noise: float) -> OptimizeRe
     """Return the least squares from `first`, robust against what `noise` (HU; inf: all) does not explain."""
     robust = np.isfinite(noise)
 
+    @lru_cache(maxsize=1)  # the derivatives are asked for where the residuals were
+    def seen(theta: tuple[float, ...]) -> tuple[Floats, Floats]:
+        return look(near, radius, np.array(theta))
+
     def residuals(theta: Floats) -> Floats:
-        return look(near, radius, theta)[0] - near.values
+        return seen(tuple(theta.tolist()))[0] - near.values
 
     def slopes(theta: Floats) -> Floats:
-        return look(near, radius, theta)[1]
+        return seen(tuple(theta.tolist()))[1].copy()  # scipy scales it in place
 
     best: OptimizeResult = least_squares(
         residuals,

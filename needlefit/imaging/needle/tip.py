@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -133,9 +134,14 @@ def find_end(volume: Volume, spine: Spine, needle: ScannedNeedleRecord, guess: f
 
     swing = np.clip((near.s - spine.length) / max(guess - spine.length, STEP), 0, None)
 
+    @lru_cache(maxsize=4)  # of the seven derivatives of a step four are of the same rod
+    def rod(tip: float, roll: float, cot: float) -> Floats:
+        return _rod(_stations(near), needle.diameter_mm / 2, shaft.blur, (tip, roll, cot))
+
     def residuals(theta: Floats) -> Floats:
         u, v = near.u - theta[2] * swing, near.v - theta[3] * swing
-        shown = _rod(Near(near.s, u, v, near.values), theta, needle, shaft)
+        seen = _seen(rod(theta[0], theta[1], theta[6]), Near(near.s, u, v, near.values))
+        shown = np.minimum(theta[5] + theta[4] * shaft.height * seen, shaft.ceiling)
         return np.append((shown - near.values) / noise, (theta[6] - cot) / cot_sd)
 
     first = np.array([guess, 0, 0, 0, 1.0, shaft.background, cot])
@@ -244,22 +250,33 @@ def voxels_near(volume: Volume, spine: Spine, start: float, stop: float) -> Near
     return Near(s[inside], u[inside], v[inside], volume.values[k, j, i][inside].astype(np.float64))
 
 
-def _rod(near: Near, theta: Floats, needle: ScannedNeedleRecord, shaft: Shaft) -> Floats:
-    """Return what is shown of a rod; theta = (end, roll, .., .., part of the height, background, cot)."""
-    tip, roll, height, background = theta[0], theta[1], theta[4] * shaft.height, theta[5]
-    s = np.arange(near.s.min() - 3 * STEP, near.s.max() + 3 * STEP, STEP)
-    across = np.arange(-np.ceil(REACH / STEP) - 4, np.ceil(REACH / STEP) + 5) * STEP
-    u, v = across[:, None], across[None, :]
-    radius, cot = needle.diameter_mm / 2, theta[6]
+def _stations(near: Near) -> Floats:
+    """Return the points along the axis on which the rod is modelled, mm."""
+    return np.arange(near.s.min() - 3 * STEP, near.s.max() + 3 * STEP, STEP)
+
+
+def _across() -> Floats:
+    """Return the points across the axis, in either direction, on which the rod is modelled, mm."""
+    return np.arange(-np.ceil(REACH / STEP) - 4, np.ceil(REACH / STEP) + 5) * STEP
+
+
+def _rod(s: Floats, radius: float, blur: float, shape: tuple[float, float, float]) -> Floats:
+    """Return splines through a blurred rod of height 1; `shape` is its end, its roll and its cotangent."""
+    tip, roll, cot = shape
+    u, v = _across()[:, None], _across()[None, :]
     cut = (radius - (u * np.cos(roll) + v * np.sin(roll))) * cot
     edge = STEP * np.hypot(1.0, cot)  # a soft face one step thick, measured along the axis
     disc = np.clip((radius - np.hypot(u, v)) / STEP + 0.5, 0, 1)
     solid = np.clip((tip - cut[None] - s[:, None, None]) / edge + 0.5, 0, 1) * disc
-    blurred = spline_filter(gaussian_filter(solid, shaft.blur / STEP, mode="nearest"))
-    place = np.stack([near.s - s[0], near.u - across[0], near.v - across[0]]) / STEP
-    shown = map_coordinates(blurred, place, order=3, mode="nearest", prefilter=False)
-    model: Floats = np.minimum(background + height * shown, shaft.ceiling)
-    return model
+    splines: Floats = spline_filter(gaussian_filter(solid, blur / STEP, mode="nearest"))
+    return splines
+
+
+def _seen(rod: Floats, near: Near) -> Floats:
+    """Return the part of the rod's height that each voxel shows."""
+    begin, side = _stations(near)[0], _across()[0]
+    place = np.stack([near.s - begin, near.u - side, near.v - side]) / STEP
+    return np.asarray(map_coordinates(rod, place, order=3, mode="nearest", prefilter=False))
 
 
 def _ceiling(values: Floats) -> float:
