@@ -63,11 +63,16 @@ def printable(text: str) -> str:
 
     Control characters are escaped, long lines shortened in the middle: names and cells of a file get there.
     """
-    escaped = _UNPRINTABLE.sub(_escaped, text[: 2 * MAX_MESSAGE])  # before lines are measured: \udc80 is one
+    escaped = without_controls(text[: 2 * MAX_MESSAGE])  # before lines are measured: \udc80 is one
     whole = "\n".join(_shortened(line) for line in escaped.split("\n"))
     if len(text) <= 2 * MAX_MESSAGE and len(whole) <= MAX_MESSAGE:
         return whole
     return f"{whole[:MAX_MESSAGE]}\n... ({len(text)} characters in all)"
+
+
+def without_controls(text: str) -> str:
+    """Return a text whose control characters, but for the ends of lines, are escaped."""
+    return _UNPRINTABLE.sub(_escaped, text)
 
 
 def _escaped(match: re.Match[str]) -> str:

@@ -305,6 +305,12 @@ def test_a_centreline_may_be_a_curve_of_slicer(tmp_path):
     np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
 
 
+def test_the_pattern_of_centrelines_is_no_format(tmp_path):
+    file, folder = dataset(tmp_path / "d", "{id}}{0}.mrk.json")
+    save(folder / "a}{0}.mrk.json", markup("Curve"))
+    assert [i.id for i in read(file).insertions] == ["a"]
+
+
 def test_a_centreline_may_be_an_fcsv_and_its_faults_name_lines(tmp_path):
     file, folder = dataset(tmp_path / "d", "{id}.fcsv")
     lines = [f"{n},{-x},{-y},{z},0,0,0,1,1,1,0,F-{n},," for n, (x, y, z) in enumerate(CURVE.tolist())]
@@ -368,4 +374,7 @@ def test_a_dataset_begins_with_curves_of_slicer(tmp_path):
     found = read(template(tmp_path / "mine", path, told.append))
     assert [i.id for i in found.insertions] == ["needle_1", "needle_2"]
     np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-4)
-    assert told == [f"{path}: 2 points without a position ignored"]
+    assert [line.removeprefix(f"{path}: ") for line in told] == [
+        "2 points without a position ignored",
+        "ids name files, so that 'needle 1' is needle_1, 'needle 2' is needle_2",
+    ]

@@ -93,8 +93,11 @@ def test_a_mapped_column_must_exist_and_say_one_thing(long):
     assert {fault.what for fault in check(long)} == {"column `piece` is missing"}
     long.write_text(LONG.replace('specimen = "hole"', 'specimen = "w"'))
     assert {fault.what for fault in check(long)} >= {"column `w` changes within insertion hole1_50"}
-    long.write_text(LONG.replace("{depth}", "{length}"))
-    assert all("id_template" in fault.what for fault in check(long)) and check(long)
+    for field in ("{length}", "{depth.real}", "{depth:9}"):
+        long.write_text(LONG.replace("{depth}", field))
+        assert all("id_template" in fault.what for fault in check(long)) and check(long)
+    long.write_text(LONG.replace("{depth}", "{depth}}"))
+    assert {fault.what for fault in check(long)} >= {"id is 'hole1_50}'"}
 
 
 def test_data_that_is_not_there_says_how_to_get_it(long, monkeypatch):

@@ -157,6 +157,7 @@ def test_a_needle_before_the_entry_has_the_rounding_of_its_shortest_element():
         lambda: Needle(1e7, 1e4),  # 10 km
         lambda: Step(9e8, Bevel(0.1)),
         lambda: Tissue(np.ones(MAX_LAYERS + 1), np.ones(1), np.arange(1.0, MAX_LAYERS + 1)),
+        lambda: Needle.from_tube(150.0, 1e100, 80e3),
         lambda: Controls(guides=tuple(Guide(-1.0 - n) for n in range(MAX_GUIDES + 1))),
         lambda: Rules(max_iterations=10**6),
         lambda: Rules(1e9, 1.0),

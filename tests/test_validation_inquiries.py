@@ -82,6 +82,9 @@ def test_evidence_is_rounded_to_a_micrometre_and_three_digits():
 
 def test_an_unknown_kind_of_study_lists_those_there_are(tmp_path):
     file = tmp_path / "odd.toml"
+    file.write_text("schema = 1\nkind = { odd = 1 }\n")
+    with pytest.raises(ConfigError, match="kind"):
+        inquiry(file)
     file.write_text('schema = 1\nkind = "odd"\n')
     with pytest.raises(ConfigError, match=r"(?s)key `kind`.*'odd'.*left_out"):
         inquiry(file)

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, Literal
 
+from needlefit.errors import without_controls
 from needlefit.project.plain import plain
 
 if TYPE_CHECKING:
@@ -13,14 +14,14 @@ if TYPE_CHECKING:
 
 
 def say(text: str = "") -> None:
-    """Print a line of the result."""
-    print(text)
+    """Print a line of the result; control characters, which names and paths may hold, are escaped."""
+    print(without_controls(text))
 
 
 def note(text: str) -> None:
     """Print a line that is no result to stderr, behind all that stdout was given before."""
     sys.stdout.flush()  # else, where both go to one file, it stands before the result
-    print(text, file=sys.stderr)
+    print(without_controls(text), file=sys.stderr)
 
 
 def compile_ahead(*rooms: str, quiet: bool = False) -> None:

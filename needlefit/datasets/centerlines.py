@@ -1,5 +1,6 @@
 """The centrelines of a dataset: find the points of each insertion."""
 
+import re
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -56,13 +57,18 @@ def read_long(path: Path, record: DatasetRecord, found: list[Fault]) -> LongTabl
     return long
 
 
+_FIELD = re.compile(r"\{([^{}]*)\}")
+"""A column in `id_template`."""
+
+
 def _group_names(keys: pd.DataFrame, template: str | None, path: Path, found: list[Fault]) -> list[str]:
     """Return every row's insertion id, from the template over the group columns."""
     template = template or "_".join(f"{{{column}}}" for column in keys)
-    cells = keys.to_dict("records")
+    cells = [{str(k): str(v) for k, v in row.items()} for row in keys.to_dict("records")]
     try:
-        return [template.format(**{str(k): v for k, v in row.items()}) for row in cells]
-    except (KeyError, IndexError, ValueError):
+        # not str.format, whose attributes and widths a dataset from elsewhere could misuse
+        return [_FIELD.sub(lambda field, row=row: row[field[1]], template) for row in cells]  # type: ignore[misc]
+    except KeyError:
         found.append(
             Fault(
                 f"{path}:1",
@@ -117,7 +123,7 @@ def find_points(
                     )
                 ]
             return read_curve(long.part(long.groups[row.id]), lines.columns, found), found
-        path = folder / lines.pattern.format(id=row.id)
+        path = folder / lines.pattern.replace("{id}", row.id)
         if path.suffix.lower() == ".mat":
             return _finite(mat.read_points(path), found), found
         if path.suffix.lower() in slicer.ENDINGS:

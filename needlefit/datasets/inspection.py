@@ -183,7 +183,7 @@ def repeated(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:
 def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:
     tables = {root / name for name in (record.insertions.file, record.centerlines.file) if name is not None}
     pattern = record.centerlines.pattern
-    own = {root / pattern.format(id=i.id) for i in insertions} if pattern is not None else set()
+    own = {root / pattern.replace("{id}", i.id) for i in insertions} if pattern is not None else set()
     own |= {
         root / one.file_of(i.id) for i in insertions for one in record.media[i.medium].surfaces if one.own
     }

@@ -57,7 +57,7 @@ def write_dataset(
     table, pattern = _named_files(folder, record)
     _check_given(folder, record, rows, {*centerlines, *surfaces})
     files = {table: _rows_text(rows)}
-    files |= {pattern.format(id=row.id): _points_text(centerlines[row.id]) for row in rows}
+    files |= {pattern.replace("{id}", row.id): _points_text(centerlines[row.id]) for row in rows}
     for name, text in files.items():
         _write(folder / name, text)
     for name, surface in surfaces.items():

@@ -163,7 +163,7 @@ def _medium(
         for file, surface in zip(names, first, strict=True)
     )
     files = {
-        file.format(id=one.scan.id): surface
+        file.replace("{id}", one.scan.id): surface
         for one in (group[:1] if shared else group)
         for file, surface in zip(names, one.layers.surfaces, strict=True)
     }

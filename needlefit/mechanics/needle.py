@@ -6,7 +6,7 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.finite import finite
-from needlefit.project.limits import MAX_NEEDLE_LENGTH_MM
+from needlefit.project.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM
 from needlefit.project.records.scene import NeedleRecord
 
 
@@ -40,6 +40,11 @@ class Needle:
         cls, length: float, outer_diameter: float, youngs_modulus: float, inner_diameter: float = 0.0
     ) -> Self:
         """Return the needle of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
+        if not 0 <= inner_diameter < outer_diameter <= MAX_NEEDLE_DIAMETER_MM:
+            raise ModelError(
+                f"the needle's diameters are {inner_diameter:g} and {outer_diameter:g} mm",
+                expected=f"0 <= inner < outer <= {MAX_NEEDLE_DIAMETER_MM:g} mm",
+            )
         second_moment = math.pi * (outer_diameter**4 - inner_diameter**4) / 64
         return cls(length, youngs_modulus * second_moment)
 

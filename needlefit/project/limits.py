@@ -6,6 +6,9 @@
 MAX_NEEDLE_LENGTH_MM = 5000.0
 """Needles, catheters and guide wires have up to about 2 m."""
 
+MAX_NEEDLE_DIAMETER_MM = 100.0
+"""Catheters and trocars have up to about 15 mm."""
+
 MIN_ELEMENT_MM = 0.05
 """Of an element and of the constraint spacing; below, rounding exceeds the discretisation error."""
 

@@ -4,6 +4,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
+from needlefit.project.limits import MAX_NEEDLE_DIAMETER_MM
 from needlefit.project.records.record import FileRecord, Name, Record
 
 
@@ -12,7 +13,7 @@ class ScannedNeedleRecord(Record):
 
     name: Name = ""
     length_mm: float = Field(default=150.0, gt=0)
-    diameter_mm: float = Field(default=1.27, gt=0)
+    diameter_mm: float = Field(default=1.27, gt=0, le=MAX_NEEDLE_DIAMETER_MM)
     inner_diameter_mm: float = Field(default=0.0, ge=0)
     youngs_modulus_gpa: float = Field(default=80.0, gt=0)
     note: str = ""

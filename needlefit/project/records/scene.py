@@ -11,6 +11,7 @@ from needlefit.project.limits import (
     MAX_CONSTRAINT_SPACING_MM,
     MAX_GUIDES,
     MAX_LAYERS,
+    MAX_NEEDLE_DIAMETER_MM,
     MAX_NEEDLE_LENGTH_MM,
     MAX_STEPS,
     MIN_ELEMENT_MM,
@@ -24,7 +25,7 @@ class NeedleRecord(Record):
 
     name: Name = "needle"
     length_mm: float = Field(gt=0, le=MAX_NEEDLE_LENGTH_MM)
-    outer_diameter_mm: float | None = Field(default=None, gt=0)
+    outer_diameter_mm: float | None = Field(default=None, gt=0, le=MAX_NEEDLE_DIAMETER_MM)
     inner_diameter_mm: float = Field(default=0.0, ge=0)
     youngs_modulus_gpa: float | None = Field(default=None, gt=0)
     flexural_rigidity_nmm2: float | None = Field(default=None, gt=0)

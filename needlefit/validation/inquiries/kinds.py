@@ -64,7 +64,7 @@ def inquiry(path: Path) -> InquiryRecord | None:
     kind = read_toml(path).get("kind")
     if kind is None:
         return None
-    if kind not in KINDS:
+    if not isinstance(kind, str) or kind not in KINDS:
         raise ConfigError(
             f"there is no kind of study called {kind!r}",
             where=f"{label(path)}, key `kind`",
