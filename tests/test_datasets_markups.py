@@ -307,7 +307,7 @@ def test_a_centreline_may_be_a_curve_of_slicer(tmp_path):
 
 def test_the_pattern_of_centrelines_is_no_format(tmp_path):
     file, folder = dataset(tmp_path / "d", "{id}}{0}.mrk.json")
-    save(folder / "a}{0}.mrk.json", markup("Curve"))
+    save(folder / "a}{0}.mrk.json", markup("Curve", points=CURVE.tolist()))
     assert [i.id for i in read(file).insertions] == ["a"]
 
 

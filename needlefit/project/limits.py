@@ -6,8 +6,8 @@
 MAX_NEEDLE_LENGTH_MM = 5000.0
 """Needles, catheters and guide wires have up to about 2 m."""
 
-MAX_NEEDLE_DIAMETER_MM = 100.0
-"""Catheters and trocars have up to about 15 mm."""
+MAX_NEEDLE_DIAMETER_MM = 10_000.0
+"""A diameter in micrometres is below it, so that its unit is named in a warning."""
 
 MIN_ELEMENT_MM = 0.05
 """Of an element and of the constraint spacing; below, rounding exceeds the discretisation error."""
