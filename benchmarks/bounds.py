@@ -28,7 +28,7 @@ from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.strides import strides
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.limits import (
+from needlefit.schemas.limits import (
     MAX_BATCH_ELEMENT_SOLVES,
     MAX_ELEMENT_SOLVES,
     MAX_ELEMENTS,

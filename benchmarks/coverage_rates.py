@@ -22,10 +22,10 @@ from scipy.optimize import minimize
 from needlefit.datasets.read import read
 from needlefit.inference.problem import Problem, problem
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
-from needlefit.validation.calibration.measured import measured
+from needlefit.project.locate import find_file
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.validation.calibration.measurement import simulate_measurement
 
 HOW = {
     "independent, depths fixed": LikelihoodRecord(noise="independent", depths="fixed"),
@@ -56,15 +56,17 @@ def laplace(task: Problem, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def one(number: int, insertions: int, seed: int) -> list[dict[str, object]]:
     """Return one row per likelihood of one problem."""
     rng = np.random.default_rng([seed, number])
-    dataset = read(find("dataset", "twin"))
-    medium = load(find("medium", "phantom2"), MediumRecord)
+    dataset = read(find_file("dataset", "twin"))
+    medium = load(find_file("medium", "phantom2"), MediumRecord)
     values = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in RANGES.items()}
     into = [i for i in dataset.insertions if i.medium == "phantom2"][:insertions]
     planned = [replace(i, depth_sd=DEPTH_SD) for i in into]
     start = problem(dataset, planned, medium, WeightsRecord())
     truth = start.parameters.theta(values)
     everything = start.values(truth)
-    made = [i for one in planned if (i := measured(dataset, one, everything, medium, rng)) is not None]
+    made = [
+        i for one in planned if (i := simulate_measurement(dataset, one, everything, medium, rng)) is not None
+    ]
     tasks = {name: problem(dataset, made, medium, WeightsRecord(), how) for name, how in HOW.items()}
     slope = tasks["correlated, depths linear"].jacobian(truth)[1]
     stiff = np.linalg.eigh(slope.T @ slope)[1][:, -1]

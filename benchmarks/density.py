@@ -17,9 +17,9 @@ import numpy as np
 from needlefit.datasets.read import read
 from needlefit.inference.problem import problem
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import LikelihoodRecord, WeightsRecord
+from needlefit.project.locate import find_file
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord, WeightsRecord
 
 VALUES = {"mu1_pa": 3.5e5, "mu2_pa": 2.85e7, "bevel_mm": 0.109}
 SETS = 64
@@ -43,10 +43,10 @@ def main() -> None:
     parser.add_argument("--insertions", type=int, default=9)
     parser.add_argument("--rounds", type=int, default=10)
     options = parser.parse_args()
-    dataset = read(find("dataset", "twin"))
+    dataset = read(find_file("dataset", "twin"))
     chosen = [i for i in dataset.insertions if i.medium == "phantom2"][: options.insertions]
     insertions = [replace(i, depth_sd=0.1) for i in chosen]
-    medium = load(find("medium", "phantom2"), MediumRecord)
+    medium = load(find_file("medium", "phantom2"), MediumRecord)
     rows = []
     for depths in ("fixed", "linear", "quadrature"):
         task = problem(dataset, insertions, medium, WeightsRecord(), LikelihoodRecord(depths=depths))

@@ -18,11 +18,11 @@ from needlefit.inference.tracks.curves import CURVES, fit_curve
 from needlefit.inference.tracks.foresight import Drawn
 from needlefit.inference.tracks.problem import TrackProblem
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.records.track_study import RunsRecord
-from needlefit.validation.tracks.score import tuned_rows
+from needlefit.project.locate import find_file
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import TrackSelectionRecord
+from needlefit.validation.tracks.score import tabulate_tuned
 
 
 def main() -> None:
@@ -32,13 +32,13 @@ def main() -> None:
     parser.add_argument("media", nargs="*", help="default: all")
     arguments = parser.parse_args()
     starts, names = arguments.starts, arguments.media
-    dataset = read_tracks(find("dataset", "guided_tips"))
-    medium = load(find("medium", "gel_wax"), MediumRecord)
-    recipe = load(find("recipe", "tracks"), RecipeRecord).model_copy(update={"starts": starts})
+    dataset = read_tracks(find_file("dataset", "guided_tips"))
+    medium = load(find_file("medium", "gel_wax"), MediumRecord)
+    recipe = load(find_file("recipe", "tracks"), RecipeRecord).model_copy(update={"starts": starts})
     parameters = with_noise_scale(Parameters.from_record(medium))
     print("medium | runs | straight line | parabola | model | at")
     for name in names or dataset.media:
-        runs = select_runs(dataset, RunsRecord(media=(name,), guided=True))
+        runs = select_runs(dataset, TrackSelectionRecord(media=(name,), guided=True))
         met = [n for n in parameters.free if not n.startswith("mu") or int(n[2:-3]) in runs[0].sequence]
         asked = parameters.with_only(met, dict.fromkeys(parameters.free, 1.0))  # a layer not met has no say
         problem = TrackProblem(dataset.needle, runs, medium, asked, dataset.noise)
@@ -51,7 +51,7 @@ def main() -> None:
 
 
 def _left(problem: TrackProblem, drawn: Drawn) -> float:
-    rows = tuned_rows(problem.evidence, drawn)
+    rows = tabulate_tuned(problem.evidence, drawn)
     return float(np.sqrt(np.mean([row["aligned_rms_mm"] ** 2 for row in rows])))
 
 

@@ -103,7 +103,7 @@ def contents(out: Path) -> dict[str, bytes]:
 
 def kept(out: Path) -> str:
     """Return how far a killed run had come, by what its checkpoint holds."""
-    blocks = list(out.glob("*.partial/*.posterior/*.kept"))
+    blocks = list(out.glob("*.partial/*.posterior/*.checkpoint"))
     starts = sum(path.read_text().count("{") for path in out.glob("*.partial/*.jsonl"))
     return "sampling" if blocks else "starts ended" if starts else "nothing kept yet"
 

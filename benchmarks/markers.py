@@ -27,11 +27,11 @@ from scipy.spatial.distance import cdist
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.markers import find_markers
-from needlefit.imaging.needle.segmentation import segment
+from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
-from needlefit.synthetic.ct.metal import dense
-from needlefit.synthetic.ct.render import render
-from needlefit.synthetic.ct.scene import Grid, Markers
+from needlefit.synthetic.ct_scene import SceneMarkers, VoxelGrid
+from needlefit.synthetic.metal import densify
+from needlefit.synthetic.render import render_scan
 
 Floats = NDArray[np.float64]
 
@@ -50,16 +50,16 @@ def draw(kind: str, odd: bool, rng: np.random.Generator, shape: tuple[int, int, 
     if odd:
         spacing = rng.uniform(0.3, 1.0, 3)
         size = np.ceil(np.array(grid.shape) * grid.spacing / spacing).astype(int)
-        grid = Grid((int(size[0]), int(size[1]), int(size[2])), grid.origin, spacing, grid.direction)
-    balls = Markers(_centers(case, grid, rng), hu=rng.uniform(GLASS, TUNGSTEN))
+        grid = VoxelGrid((int(size[0]), int(size[1]), int(size[2])), grid.origin, spacing, grid.direction)
+    balls = SceneMarkers(_centers(case, grid, rng), hu=rng.uniform(GLASS, TUNGSTEN))
     scanner = replace(case.scanner, grid=grid)
     return replace(case, scene=replace(case.scene, markers=balls), scanner=scanner)
 
 
-def _centers(case: Case, grid: Grid, rng: np.random.Generator) -> Floats:
+def _centers(case: Case, grid: VoxelGrid, rng: np.random.Generator) -> Floats:
     """Return places in view, clear of needle, table and each other (`BALLS`, 3)."""
     size = np.array(grid.shape) * grid.spacing
-    needle, box, table = cKDTree(dense(case.axis)), case.scene.box, case.scene.table
+    needle, box, table = cKDTree(densify(case.axis)), case.scene.box, case.scene.table
     found: list[Floats] = []
     while len(found) < BALLS:
         local = box.to_local(_at(grid, rng.uniform(0, size))[None])
@@ -78,7 +78,7 @@ def _centers(case: Case, grid: Grid, rng: np.random.Generator) -> Floats:
     return np.array(found)
 
 
-def _at(grid: Grid, steps: Floats) -> Floats:
+def _at(grid: VoxelGrid, steps: Floats) -> Floats:
     return Frame(grid.origin, grid.direction).to_world(steps[None])[0]
 
 
@@ -87,7 +87,7 @@ def one(task: tuple[int, str, bool]) -> list[dict[str, object]]:
     seed, kind, odd = task
     rng = np.random.default_rng([seed, KINDS.index(kind), odd])
     case = draw(kind, odd, rng)
-    volume = render(case.scene, case.scanner, rng)
+    volume = render_scan(case.scene, case.scanner, rng)
     start = time.process_time()
     found = find_markers(volume, RECIPE, needle_of(volume))
     about = {"seed": seed, "kind": kind, "voxels": "0.3-1 mm" if odd else "0.46 mm"}
@@ -113,7 +113,7 @@ def one(task: tuple[int, str, bool]) -> list[dict[str, object]]:
 def needle_of(volume: Volume) -> NDArray[np.int64] | None:
     """Return the needle's voxels, None where its segmentation fails."""
     try:
-        return segment(volume, RECIPE).voxels
+        return segment_needle(volume, RECIPE).voxels
     except DataError:
         return None
 
@@ -154,7 +154,7 @@ def large(rng: np.random.Generator) -> dict[str, float]:
     """Return the time and memory of a volume of 512 x 512 x 400 voxels."""
     case = draw("streaks", False, rng, shape=(512, 512, 400))
     # streaks of so large a volume take minutes to render
-    volume = render(case.scene, replace(case.scanner, streaks=0.0), rng)
+    volume = render_scan(case.scene, replace(case.scanner, streaks=0.0), rng)
     start = time.perf_counter()
     found = find_markers(volume, RECIPE)
     seconds = time.perf_counter() - start

@@ -30,10 +30,10 @@ from needlefit.inference.optimize import minimize, search
 from needlefit.inference.problem import Problem, problem
 from needlefit.inference.starts import Place
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.streams import stream
+from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
 
 RANGES = {"mu": (3e4, 1e8), "bevel": (0.02, 0.2)}  # Pa, mm
 MEDIA = ("phantom1", "phantom2", "chicken")
@@ -43,11 +43,11 @@ SURE, NORMAL = 0.99, 1.96
 
 def drawn(number: int, most: int, recipe: RecipeRecord) -> tuple[Problem, np.ndarray]:
     """Return one problem and its true theta; drawn again where the model has no solution at the truth."""
-    dataset = read(find("dataset", "twin"))
+    dataset = read(find_file("dataset", "twin"))
     for attempt in range(100):
-        rng = stream(number, "multi-start benchmark", str(attempt))
+        rng = random_stream(number, "multi-start benchmark", str(attempt))
         name = MEDIA[rng.integers(len(MEDIA))]
-        medium = load(find("medium", name), MediumRecord)
+        medium = load(find_file("medium", name), MediumRecord)
         own = [i for i in dataset.insertions if i.medium == name]
         picked = rng.choice(len(own), size=rng.integers(1, most + 1), replace=False)
         planned = [own[k] for k in sorted(picked)]
@@ -63,12 +63,12 @@ def drawn(number: int, most: int, recipe: RecipeRecord) -> tuple[Problem, np.nda
 def one(number: int, seeds: int, most: int, larger: int, recipe: RecipeRecord) -> dict[str, object]:
     """Return what every seed of one problem came to, and what else was found."""
     task, truth = drawn(number, most, recipe)
-    fits = [minimize(task, recipe, stream(seed, "multi-start", str(number))) for seed in range(seeds)]
+    fits = [minimize(task, recipe, random_stream(seed, "multi-start", str(number))) for seed in range(seeds)]
     many = recipe.model_copy(update={"starts": larger * recipe.starts})
     other = recipe.model_copy(update={"algorithm": "slsqp", "approach": False})
     rivals = {
-        "larger": minimize(task, many, stream(seeds, "larger", str(number))).objective,
-        "slsqp": minimize(task, other, stream(seeds, "other", str(number))).objective,
+        "larger": minimize(task, many, random_stream(seeds, "larger", str(number))).objective,
+        "slsqp": minimize(task, other, random_stream(seeds, "other", str(number))).objective,
         "truth": search(posterior(task), recipe, Place(0, tuple(truth.tolist()))).objective,
     }
     best = min(*rivals.values(), *(fit.objective for fit in fits))
@@ -106,7 +106,7 @@ def main() -> None:
     parser.add_argument("--out", type=Path)
     parser.add_argument("--json", action="store_true")
     options = parser.parse_args()
-    recipe = load(find("recipe", options.recipe), RecipeRecord)
+    recipe = load(find_file("recipe", options.recipe), RecipeRecord)
     if options.starts:
         recipe = recipe.model_copy(update={"starts": options.starts})
     kept = options.out.read_text().splitlines() if options.out and options.out.exists() else []

@@ -20,9 +20,9 @@ import numpy as np
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
-from needlefit.viewer.opening import open_subject
-from needlefit.viewer.overlay.band import Spread, band
-from needlefit.viewer.overlay.measured import live_errors
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.overlay.band import ParameterDraws, compute_band
+from needlefit.viewer.overlay.measured import compute_live_errors
 
 SUBJECT, DEPTH, DRAWS, RATE = "twin/phantom2-07", 40.0, 100, 60.0
 
@@ -31,25 +31,27 @@ Figures = dict[str, list[float]]
 
 def measure(rounds: int) -> Figures:
     """Return the median and the 95th percentile of each time, ms."""
-    subject = open_subject(SUBJECT)
+    subject = open_target(SUBJECT)
     scene, spread = Scene.from_record(subject.record), sets(Scene.from_record(subject.record))
     ways = {name: led(scene, subject.first_cell, lead) for name, lead in LEADS.items()}
 
     def drawn(session: Session) -> None:
-        band(spread, scene.needle, scene.tissue, session.course(), scene.rules, subject.first_cell)
+        compute_band(spread, scene.needle, scene.tissue, session.course(), scene.rules, subject.first_cell)
 
     once = ways["inserted at once"].now.shape
-    figures = {"live errors": timed(lambda: live_errors(subject.measured, once), 20 * rounds)}
+    figures = {"live errors": timed(lambda: compute_live_errors(subject.measured, once), 20 * rounds)}
     for name, session in ways.items():
         figures[f"band, {name}"] = timed(lambda session=session: drawn(session), rounds)
     return figures | {"ticks beside bands": late(lambda: drawn(ways["base moved by hand"]))}
 
 
-def sets(scene: Scene) -> Spread:
+def sets(scene: Scene) -> ParameterDraws:
     """Return parameter sets about those of the scene."""
     factors = np.exp(0.2 * np.random.default_rng(1).normal(size=(DRAWS, scene.tissue.layers + 1)))
     alpha = np.tile(scene.tissue.alpha, (DRAWS, 1))
-    return Spread(scene.tissue.mu * factors[:, 1:], alpha, scene.steps[0].bevel.offset * factors[:, 0])
+    return ParameterDraws(
+        scene.tissue.mu * factors[:, 1:], alpha, scene.steps[0].bevel.offset * factors[:, 0]
+    )
 
 
 def at_once(session: Session) -> None:

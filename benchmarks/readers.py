@@ -19,8 +19,9 @@ import numpy as np
 import pandas as pd
 from scipy.io import savemat
 
-from needlefit.imaging.volume import Volume, write
-from needlefit.project.places import shipped
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import write_volume
+from needlefit.project.locate import shipped_folder
 
 VOXELS = 512
 
@@ -34,7 +35,7 @@ if way == "caged":
     if path.suffix == ".mat":
         from needlefit.datasets.formats.mat import read_curves as read
     else:
-        from needlefit.imaging.volume import read
+        from needlefit.imaging.volume_files import read
     kept = read(path)
 else:
     import numpy as np
@@ -48,7 +49,7 @@ else:
         from needlefit.datasets.formats.mat import read_variables
         read_variables(kept, str(path))
     elif path.is_dir():
-        from needlefit.imaging.dicom.read import read_series
+        from needlefit.imaging.dicom.series import read_series
         read_series(kept, str(path), None)
     else:
         from needlefit.imaging.image_files import read_image
@@ -68,10 +69,10 @@ def write_files(folder: Path, slices: int) -> dict[str, Path]:
     volume = Volume(values, np.zeros(3), np.array([0.4, 0.4, 0.6]), np.eye(3))
     size = f"{VOXELS} x {VOXELS} x {slices}"
     for name in ("a.nii", "a.nrrd", "series"):
-        write(volume, folder / name)
+        write_volume(volume, folder / name)
     savemat(folder / "a.mat", {"needle": rng.normal(size=(200, 3))})
     return {
-        "sample scan, .nrrd": next((shipped() / "data" / "sample_scan").rglob("*.nrrd")),
+        "sample scan, .nrrd": next((shipped_folder() / "data" / "sample_scan").rglob("*.nrrd")),
         f"{size}, .nii": folder / "a.nii",
         f"{size}, .nrrd packed": folder / "a.nrrd",
         f"{size}, DICOM": folder / "series",

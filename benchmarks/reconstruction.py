@@ -29,15 +29,14 @@ from skimage.morphology import skeletonize
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.grid import Grid
-from needlefit.imaging.needle.centerline import Centerline, trace
-from needlefit.imaging.needle.segmentation import Component, main_axes, segment
-from needlefit.imaging.volume import Volume, to_patient
-from needlefit.project.records.reconstruction import ReconstructionRecord
-from needlefit.synthetic.ct.metal import bevel_side, dense
-from needlefit.synthetic.ct.render import render
-from needlefit.synthetic.ct.scene import Markers, Needle3D, Scanner, Scene3D, Table
+from needlefit.imaging.needle.centerline import Centerline, trace_needle
+from needlefit.imaging.needle.segmentation import Component, principal_axes, segment_needle
+from needlefit.imaging.volume import Volume, VoxelGrid, to_patient
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.synthetic.ct_scene import Needle3D, Scanner, ScannerTable, Scene3D, SceneMarkers
+from needlefit.synthetic.metal import bevel_side, densify
 from needlefit.synthetic.phantoms import PHANTOMS
+from needlefit.synthetic.render import render_scan
 
 Floats = NDArray[np.float64]
 
@@ -68,7 +67,7 @@ def draw_case(kind: str, rng: np.random.Generator, shape: tuple[int, int, int] |
     turn = Rotation.random(random_state=np.random.RandomState(rng.integers(2**31))).as_matrix()
     middle = rng.uniform(-50, 50, 3)
     origin = middle - turn @ ((np.array(shape) - 1) / 2 * SPACING)
-    grid = Grid(shape, origin, np.full(3, SPACING), turn)
+    grid = VoxelGrid(shape, origin, np.full(3, SPACING), turn)
     tilt = Rotation.from_rotvec(np.deg2rad(rng.uniform(-15, 15)) * np.roll(axes, -1, axis=0)[rng.integers(2)])
     across = Rotation.from_rotvec(rng.uniform(0, 2 * np.pi) * axes[0])
     local = np.column_stack([axes[0], np.cross(axes[2], axes[0]), axes[2]])
@@ -87,7 +86,7 @@ def draw_case(kind: str, rng: np.random.Generator, shape: tuple[int, int, int] |
     scene = Scene3D((needle,), phantom, layers, box, _markers(box, rng) if rich else None)
     if rich and rng.random() < 0.5:
         slab = Frame(box.to_world([[20, 0, -17]])[0], rotation)
-        scene = Scene3D((needle,), phantom, layers, box, scene.markers, Table(slab, width=50))
+        scene = Scene3D((needle,), phantom, layers, box, scene.markers, ScannerTable(slab, width=50))
     scanner = Scanner(
         grid,
         psf_mm=rng.uniform(0.3, 0.5),
@@ -107,16 +106,16 @@ def _bent(depth: float, rng: np.random.Generator) -> Floats:
     return np.column_stack([x, *bend])
 
 
-def _markers(box: Frame, rng: np.random.Generator) -> Markers:
+def _markers(box: Frame, rng: np.random.Generator) -> SceneMarkers:
     """Return six balls at least 6 mm from the needle's line."""
     angle, radius = rng.uniform(0, 2 * np.pi, 6), rng.uniform(8, 16, 6)
     local = np.column_stack([rng.uniform(5, 60, 6), radius * np.cos(angle), radius * np.sin(angle)])
-    return Markers(box.to_world(local))
+    return SceneMarkers(box.to_world(local))
 
 
 def off_axis(points: Floats, axis: Floats) -> Floats:
     """Return the shortest vectors (N, 3) from the true axis' line to `points` (N, 3)."""
-    fine = dense(axis)
+    fine = densify(axis)
     tangents = np.gradient(fine, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     nearest = cKDTree(fine).query(points)[1]
@@ -162,7 +161,7 @@ def rivals(volume: Volume, needle: Component, case: Case) -> list[dict[str, floa
     mask = np.zeros(needle.voxels.max(axis=0) - low + 1, dtype=bool)
     mask[tuple((needle.voxels - low).T)] = True
     points = to_patient(volume, needle.voxels)
-    center, main = main_axes(points)
+    center, main = principal_axes(points)
     forward = main[0] * np.sign(main[0] @ (case.axis[-1] - case.axis[0]))
     along = (points - center) @ forward
     thin = to_patient(volume, np.argwhere(skeletonize(mask)) + low)
@@ -176,11 +175,11 @@ def one(task: tuple[int, str]) -> list[dict[str, float | str]]:
     seed, kind = task
     rng = np.random.default_rng([seed, KINDS.index(kind)])
     case = draw_case(kind, rng)
-    volume = render(case.scene, case.scanner, rng)
+    volume = render_scan(case.scene, case.scanner, rng)
     try:
-        needle = segment(volume, RECIPE)
+        needle = segment_needle(volume, RECIPE)
         start = time.process_time()
-        found = trace(volume, needle, RECIPE)
+        found = trace_needle(volume, needle, RECIPE)
         seconds = time.process_time() - start
     except DataError as error:
         return [{"way": "needlefit", "kind": kind, "seed": seed, "failure": str(error)}]
@@ -215,12 +214,12 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
 def large(rng: np.random.Generator) -> dict[str, float]:
     """Return the time and memory of a volume of 512 x 512 x 400 voxels, to the axis."""
     case = draw_case("artefacts", rng, shape=(512, 512, 400))
-    volume = render(case.scene, case.scanner, rng)
+    volume = render_scan(case.scene, case.scanner, rng)
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     start = time.perf_counter()
-    needle = segment(volume, RECIPE)
+    needle = segment_needle(volume, RECIPE)
     middle = time.perf_counter()
-    found = trace(volume, needle, RECIPE)
+    found = trace_needle(volume, needle, RECIPE)
     end = time.perf_counter()
     peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     errors = row("needlefit", found.points, found.tip, case)

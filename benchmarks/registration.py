@@ -22,16 +22,16 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.icp import icp
-from needlefit.imaging.registration.marker_sets import marker_sets
+from needlefit.imaging.registration.marker_sets import make_marker_sets
+from needlefit.imaging.registration.pairing import find_symmetries
 from needlefit.imaging.registration.register import (
     Registration,
-    predicted_mean_target_error,
+    predict_mean_target_error,
     register,
     target_covariance,
     to_world,
 )
-from needlefit.imaging.registration.symmetry import symmetries
+from needlefit.imaging.registration.rigid import pair_by_icp
 
 Floats = NDArray[np.float64]
 
@@ -80,7 +80,7 @@ def asymmetric(rng: np.random.Generator, left_out: list[int]) -> Floats:
     """Return a random layout that has no symmetry under the noise; count in `left_out` those that have."""
     while True:
         layout = rng.uniform([0, -40, -40], [80, 40, 40], (int(rng.integers(4, 13)), 3))
-        if len(symmetries(layout, SD)) == 1:
+        if len(find_symmetries(layout, SD)) == 1:
             return layout
         left_out[0] += 1
 
@@ -121,7 +121,7 @@ def accuracy(cases: int, rng: np.random.Generator, sd: Floats) -> dict[str, obje
         wrong += not right(result, case)
         local = case.pose.to_local(TARGETS)
         realised.append(np.linalg.norm(to_world(result, local) - TARGETS, axis=1))
-        predicted.append(predicted_mean_target_error(result, local))
+        predicted.append(predict_mean_target_error(result, local))
         squares.append(np.trace(target_covariance(result, local), axis1=1, axis2=2))
         turn = result.rotation
         proper.append([np.linalg.det(turn) - 1, np.abs(turn @ turn.T - np.eye(3)).max()])
@@ -202,7 +202,7 @@ def nearly_symmetric(cases: int, rng: np.random.Generator) -> dict[str, object]:
         layout = np.concatenate([half, half * [-1, -1, 1]])
         shift = rng.normal(size=3)
         shift /= 20 * np.linalg.norm(shift)  # mm a step
-        while len(symmetries(layout, SD)) > 1:
+        while len(find_symmetries(layout, SD)) > 1:
             layout[0] += shift
         case = draw(layout, rng)
         for name, turned in zip(wrong, (4, 0), strict=True):
@@ -220,7 +220,7 @@ def faults(cases: int, rng: np.random.Generator, left_out: list[int]) -> dict[st
     counts: dict[str, list[tuple[bool, bool]]] = {}
 
     def count(name: str, result: Registration | str, word: str) -> None:
-        text = result if isinstance(result, str) else " ".join(result.remarks)
+        text = result if isinstance(result, str) else " ".join(result.warnings)
         # accepted with a remark is noticed too
         counts.setdefault(name, []).append((isinstance(result, str) or word in text, word in text))
 
@@ -269,13 +269,13 @@ def closest(cases: int, rng: np.random.Generator) -> dict[str, object]:
     wrong = dict.fromkeys(ANGLES, 0)
     for _ in range(cases):
         case = draw(LAYOUT, rng, missing=1, spurious=1)
-        sets = marker_sets(case.found, case.known, FOUND_SD, KNOWN_SD)
+        sets = make_marker_sets(case.found, case.known, FOUND_SD, KNOWN_SD)
         for angle in ANGLES:
             axis = rng.normal(size=3)
             turn = Rotation.from_rotvec(np.radians(angle) * axis / np.linalg.norm(axis)).as_matrix()
             middle = LAYOUT.mean(axis=0)
             rough = Frame(turn @ (case.pose.origin - middle) + middle, turn @ case.pose.rotation)
-            pairs = icp(sets, rough)
+            pairs = pair_by_icp(sets, rough)
             wrong[angle] += len(pairs) < 3 or bool((case.partner[pairs[:, 0]] != pairs[:, 1]).any())
     return {f"{angle} degrees": share(count, cases) for angle, count in wrong.items()}
 

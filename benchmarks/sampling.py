@@ -34,11 +34,10 @@ from needlefit.inference.starts import Watch
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.kernel.lanes import insertion as kernel
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.recipe import SampleRecord
-from needlefit.project.records.study import StudyRecord
-from needlefit.project.streams import stream
+from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.recipe import SampleRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.validation.job import Job, Settings, prepare
 
 DEFAULT = SampleRecord().moves
@@ -94,7 +93,7 @@ def measure(
 ) -> dict[str, object]:
     """Return one row: a target sampled by these moves."""
     clock = Clock()
-    rng = stream(seed, job.name, "posterior")
+    rng = random_stream(seed, job.name, "posterior")
     begin, begin_processor = time.perf_counter(), time.process_time()
     with (
         clock.around(kernel, "advance_lanes", "kernel", time.thread_time),
@@ -155,9 +154,9 @@ def _simulate(batches: list[Batch]) -> float:
 
 def _job(target: str) -> Job:
     try:
-        record = load(find("study", target), StudyRecord).tuning()
+        record = load(find_file("study", target), StudyRecord).tuning()
     except ConfigError:
-        record = load(find("fit", target), FitRecord)
+        record = load(find_file("fit", target), FitRecord)
     return prepare(target, record, Settings())
 
 
@@ -183,7 +182,7 @@ def main() -> None:
         problem = replace(
             problem, likelihood=problem.likelihood.model_copy(update={"depths": options.depths})
         )
-        fit = minimize(problem, job.recipe, stream(1, target, "starts"), Watch(jobs=options.jobs))
+        fit = minimize(problem, job.recipe, random_stream(1, target, "starts"), Watch(jobs=options.jobs))
         for moves in options.moves:
             for seed in options.seeds:
                 settings = job.recipe.sample.model_copy(update={"moves": moves})

@@ -23,23 +23,25 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.reconstruct import reconstruct
-from needlefit.project.processes import in_processes
-from needlefit.synthetic.built import Built, centerline_errors, registration_errors
-from needlefit.synthetic.ct.setup import WHOLE
-from needlefit.synthetic.design import Planned, insertions
-from needlefit.synthetic.phantoms import PHANTOMS, surfaces
-from needlefit.synthetic.scans import recipe_of, render_insertion, write_layers
+from needlefit.project.processes import run_in_processes
+from needlefit.synthetic.design import PlannedInsertion, list_planned_insertions
+from needlefit.synthetic.exposure import WHOLE_BOX_SETUP
+from needlefit.synthetic.phantoms import PHANTOMS, make_surfaces
+from needlefit.synthetic.scans import make_recipe, render_insertion, write_layers
+from needlefit.synthetic.truth_file import ReconstructedInsertion, centerline_errors, registration_errors
 
 GOALS = {"target": 0.19, "crossing": 0.2}
 
 
-def rows_of(task: tuple[int, Planned], folder: Path) -> list[dict[str, object]]:
+def rows_of(task: tuple[int, PlannedInsertion], folder: Path) -> list[dict[str, object]]:
     """Return the errors of one insertion of one twin, a row each."""
     seed, planned = task
     place = folder / f"{seed}"
     scanned = render_insertion(place, planned, seed)
     try:
-        built = Built(scanned.twin, scanned.exposure, reconstruct(scanned.scan, recipe_of([WHOLE])))
+        built = ReconstructedInsertion(
+            scanned.insertion, scanned.exposure, reconstruct(scanned.scan, make_recipe([WHOLE_BOX_SETUP]))
+        )
     except DataError as error:
         return [{"seed": seed, "id": planned.id, "quantity": "failure", "said": str(error)}]
     finally:
@@ -47,12 +49,12 @@ def rows_of(task: tuple[int, Planned], folder: Path) -> list[dict[str, object]]:
     return [{"seed": seed, "id": planned.id} | row for row in [*_needle(built), *_layers(built)]]
 
 
-def _needle(built: Built) -> list[dict[str, object]]:
-    one, true = built.reconstruction, built.twin.inserted
+def _needle(built: ReconstructedInsertion) -> list[dict[str, object]]:
+    one, true = built.reconstruction, built.insertion.true_insertion
     off = registration_errors(built)[[0, -1]]
     tip = one.points[-1] - true.centerline[-1]
     along = float(tip @ one.frame.rotation[:, 0])
-    bevel = one.patient.rotation @ one.traced.bevel
+    bevel = one.patient.rotation @ one.needle_axis.bevel
     angle = np.degrees(np.arccos(np.clip(bevel @ true.frame.rotation[:, 1], -1, 1)))
     depth = one.depth - float(arc_length(true.centerline)[-1])
     return [
@@ -68,9 +70,9 @@ def _needle(built: Built) -> list[dict[str, object]]:
     ]
 
 
-def _layers(built: Built) -> list[dict[str, object]]:
-    one, true = built.reconstruction, built.twin.inserted
-    stated = crossings(true.centerline, surfaces(PHANTOMS[one.scan.medium]))
+def _layers(built: ReconstructedInsertion) -> list[dict[str, object]]:
+    one, true = built.reconstruction, built.insertion.true_insertion
+    stated = crossings(true.centerline, make_surfaces(PHANTOMS[one.scan.medium]))
     found = []
     for name, points in (("crossing", stated.points), ("boundary", None)):
         depths = true.boundaries if points is None else true.frame.to_local(points)[:, 0]
@@ -105,7 +107,7 @@ def main() -> None:
     parser.add_argument("--json", action="store_true")
     parser.add_argument("--rows", help="also write every error to this CSV")
     arguments = parser.parse_args()
-    plan = insertions()
+    plan = list_planned_insertions()
     tasks = [
         (seed, one) for seed in range(arguments.first, arguments.first + arguments.seeds) for one in plan
     ]
@@ -113,7 +115,7 @@ def main() -> None:
     with TemporaryDirectory() as folder:
         for seed in range(arguments.first, arguments.first + arguments.seeds):
             write_layers(Path(folder) / f"{seed}", plan)
-        for n, found in in_processes(partial(rows_of, folder=Path(folder)), tasks, arguments.jobs):
+        for n, found in run_in_processes(partial(rows_of, folder=Path(folder)), tasks, arguments.jobs):
             rows += found
             if not n % 47:
                 print(f"scan {n + 1} of {len(tasks)}", file=sys.stderr)

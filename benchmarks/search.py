@@ -20,11 +20,11 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import problem
 from needlefit.inference.starts import Watch
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.streams import stream
+from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord
 
 SEARCHES = (
     "leastsquares",
@@ -40,17 +40,21 @@ SUCCESS = 0.1
 
 def search(fit: str, starts: int, slope: float, jobs: int) -> list[dict[str, object]]:
     """Return one row per algorithm."""
-    record = load(find("fit", fit), FitRecord)
-    recipe = load(find("recipe", "default"), RecipeRecord)
-    dataset = read(find("dataset", record.dataset))
-    chosen = select(dataset, record.tune, record.reading)
+    record = load(find_file("fit", fit), FitRecord)
+    recipe = load(find_file("recipe", "default"), RecipeRecord)
+    dataset = read(find_file("dataset", record.dataset))
+    chosen = select(dataset, record.tune, record.layer_count_rule)
     task = problem(
-        dataset, chosen, load(find("medium", record.medium), MediumRecord), recipe.weights, recipe.likelihood
+        dataset,
+        chosen,
+        load(find_file("medium", record.medium), MediumRecord),
+        recipe.weights,
+        recipe.likelihood,
     )
     found = {}
     for name in (*SEARCHES, APPROACH):
         how = {"algorithm": name.split(",")[0], "starts": starts, "approach": name == APPROACH}
-        rng, begun = stream(recipe.seed, "search benchmark", fit), time.process_time()
+        rng, begun = random_stream(recipe.seed, "search benchmark", fit), time.process_time()
         result = minimize(task, recipe.model_copy(update=how), rng, Watch(jobs=jobs))
         found[name] = result, time.process_time() - begun
     best = min(result.objective for result, _ in found.values())

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame, entry_frame, unit
-from needlefit.imaging.profile import profile, tissue_edge
-from needlefit.synthetic.ct.render import render
-from needlefit.synthetic.ct.scene import Grid, Markers, Needle3D, Scanner, Scene3D
+from needlefit.imaging.intensity_profile import find_tissue_edge, sample_profile
+from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers, VoxelGrid
 from needlefit.synthetic.phantoms import Phantom
+from needlefit.synthetic.render import render_scan
 
 Floats = NDArray[np.float64]
 
@@ -30,7 +30,7 @@ S = np.linspace(-60.0, 18.0, 157)
 """Along the needle from its entry, mm."""
 
 
-def draw_scene(tilt: float, rich: bool, grid: Grid, rng: np.random.Generator) -> Scene3D:
+def draw_scene(tilt: float, rich: bool, grid: VoxelGrid, rng: np.random.Generator) -> Scene3D:
     """Draw a scene whose needle enters through a face tilted by `tilt` (rad) against it."""
     way = unit(grid.direction[:, int(np.argmax(grid.shape))] + 0.15 * rng.normal(size=3))
     side = unit(np.cross(way, rng.normal(size=3)))
@@ -44,7 +44,7 @@ def draw_scene(tilt: float, rich: bool, grid: Grid, rng: np.random.Generator) ->
     return Scene3D((needle,), phantom, layers, box, _markers(box, rng) if rich else None)
 
 
-def draw_scanner(kind: str, grid: Grid, rng: np.random.Generator) -> Scanner:
+def draw_scanner(kind: str, grid: VoxelGrid, rng: np.random.Generator) -> Scanner:
     """Draw a scanner of `kind`."""
     rich = kind != "clean"
     return Scanner(
@@ -57,20 +57,20 @@ def draw_scanner(kind: str, grid: Grid, rng: np.random.Generator) -> Scanner:
     )
 
 
-def _markers(box: Frame, rng: np.random.Generator) -> Markers:
+def _markers(box: Frame, rng: np.random.Generator) -> SceneMarkers:
     angle, radius = rng.uniform(0, 2 * np.pi, 6), rng.uniform(8, 16, 6)
     local = np.column_stack([rng.uniform(-6, 20, 6), radius * np.cos(angle), radius * np.sin(angle)])
-    return Markers(box.to_world(local))
+    return SceneMarkers(box.to_world(local))
 
 
 def one(kind: str, tilt: float, rng: np.random.Generator) -> dict[str, float | str]:
     """Return the error of the entry's place in one random scan, and the deviation stated."""
     turn = Rotation.random(random_state=np.random.RandomState(rng.integers(2**31))).as_matrix()
     shape = tuple(int(n) for n in np.roll([100, 60, 60], rng.integers(3)))
-    grid = Grid(shape, -turn @ ((np.array(shape) - 1) / 2 * SPACING), np.full(3, SPACING), turn)
+    grid = VoxelGrid(shape, -turn @ ((np.array(shape) - 1) / 2 * SPACING), np.full(3, SPACING), turn)
     scene = draw_scene(np.deg2rad(tilt), kind != "clean", grid, rng)
-    volume = render(scene, draw_scanner(kind, grid, rng), rng)
-    found = tissue_edge(profile(volume, scene.needles[0].points, S))
+    volume = render_scan(scene, draw_scanner(kind, grid, rng), rng)
+    found = find_tissue_edge(sample_profile(volume, scene.needles[0].points, S))
     error, sd = found or (np.nan, np.nan)
     return {"kind": kind, "tilt_deg": tilt, "error": error, "sd": sd}
 

@@ -28,7 +28,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import LIMITS, validity_of
-from needlefit.project.limits import MIN_ELEMENT_MM
+from needlefit.schemas.limits import MIN_ELEMENT_MM
 
 UNIT = 3.0
 """Of force; no power of two, by which nothing would round otherwise."""

@@ -12,21 +12,21 @@ from needlefit.inference.identifiability.examine import examine
 from needlefit.inference.optimize import minimize
 from needlefit.inference.starts import Watch
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.streams import stream
-from needlefit.validation.job import Settings, by_metric, prepare
+from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.study import FitRecord
+from needlefit.validation.job import Settings, metric_recipe, prepare
 
 
 def main(name: str, count: int, jobs: int, starts: int) -> None:
-    job = prepare(name, load(find("fit", name), FitRecord), Settings())
+    job = prepare(name, load(find_file("fit", name), FitRecord), Settings())
     recipe = job.recipe.model_copy(update={"starts": starts})
     problem = replace(job.problem(job.folds[0]), insertions=job.folds[0].tune[:count])
     problem.jacobian(0.5 * (problem.lower + problem.upper))  # compiles
     began = time.perf_counter(), time.process_time()
-    fit = minimize(problem, recipe, stream(recipe.seed, "verdict"), Watch(jobs=jobs))
+    fit = minimize(problem, recipe, random_stream(recipe.seed, "verdict"), Watch(jobs=jobs))
     between = time.perf_counter(), time.process_time()
-    minimize(problem, by_metric(recipe), stream(recipe.seed, "metric"), Watch(jobs=jobs))
+    minimize(problem, metric_recipe(recipe), random_stream(recipe.seed, "metric"), Watch(jobs=jobs))
     beside = time.perf_counter(), time.process_time()
     examination = examine(problem, fit, jobs)
     ended = time.perf_counter(), time.process_time()

@@ -160,12 +160,12 @@ def real_time(subject: str, seconds: float) -> dict:
 def sustained(subject: str, seconds: float = 60.0) -> float:
     """Return equilibria a second of one core, step by step from Python."""
     from needlefit.mechanics.scene import Scene
-    from needlefit.viewer.hand.inputs import Change
-    from needlefit.viewer.hand.steering import Steering
-    from needlefit.viewer.opening import open_subject
+    from needlefit.viewer.interaction.inputs import Change
+    from needlefit.viewer.interaction.steering import SteeredNeedle
+    from needlefit.viewer.opening import open_target
 
-    shown = open_subject(subject)
-    steering = Steering(Scene.from_record(shown.record), shown.first_cell)
+    shown = open_target(subject)
+    steering = SteeredNeedle(Scene.from_record(shown.record), shown.first_cell)
     steering.apply([Change("depth_mm", None, 40.0)])
     began, before, n = time.perf_counter(), steering.solved, 0
     while time.perf_counter() - began < seconds:
@@ -259,12 +259,11 @@ def endure(subject: str, minutes: float, seed: int) -> dict:
 
 def replayed(path: Path) -> tuple[int, float, float]:
     """Return the steps of a recording, where it ends, and how far it ever is from what was recorded, mm."""
-    from needlefit.viewer.recording.log import read
-    from needlefit.viewer.recording.replay import replay
+    from needlefit.viewer.recording import read_recording, replay
 
     worst, last = 0.0, None
-    for last in replay(read(path)):
-        worst = max(worst, last.off)
+    for last in replay(read_recording(path)):
+        worst = max(worst, last.tip_offset_mm)
     return last.recorded.number if last.recorded else 0, last.moment.shape.deflection, worst
 
 

@@ -92,11 +92,11 @@ def open_scene(name: str) -> "Scene":
     """
     from needlefit.mechanics.scene import Scene
     from needlefit.project.load import load
-    from needlefit.project.places import find, label
-    from needlefit.project.records.scene import SceneRecord
+    from needlefit.project.locate import file_label, find_file
+    from needlefit.schemas.scene import SceneRecord
 
-    path = find("scene", name)
-    return Scene.from_record(load(path, SceneRecord), label(path))
+    path = find_file("scene", name)
+    return Scene.from_record(load(path, SceneRecord), file_label(path))
 
 
 def __getattr__(name: str) -> object:

@@ -18,12 +18,12 @@ _UNPRINTABLE = re.compile(r"[\x00-\x08\x0b-\x1f\x7f-\x9f\u202a-\u202e\u2066-\u20
 """What a terminal acts on, shows in another order, or cannot encode; line ends and tabs are none of it."""
 
 
-MAX_LINE, MAX_MESSAGE = 1000, 16_000
+MAX_LINE_CHARACTERS, MAX_MESSAGE_CHARACTERS = 1000, 16_000
 """Characters of a line of a message, and of all of it: what a file holds may have any length."""
 
 
 class NeedlefitError(Exception):
-    """What went wrong, where, what was expected there, and how to mend it.
+    """What went wrong, where, what was expected there, and how to fix it.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ class NeedlefitError(Exception):
         File, key, line or column; empty if there is none.
     expected : str
         What a right value looks like.
-    mend : str
+    fix : str
         What the user can do.
     key : str
         Of the configuration file that is read, where only its reader knows which file that is.
@@ -42,20 +42,20 @@ class NeedlefitError(Exception):
     exit_code = 1
 
     def __init__(
-        self, what: str, *, where: str = "", expected: str = "", mend: str = "", key: str = ""
+        self, what: str, *, where: str = "", expected: str = "", fix: str = "", key: str = ""
     ) -> None:
-        self.what, self.where, self.expected, self.mend, self.key = what, where, expected, mend, key
+        self.what, self.where, self.expected, self.fix, self.key = what, where, expected, fix, key
         super().__init__(str(self))
 
     def __str__(self) -> str:
         where = self.where or (f"key `{self.key}`" if self.key else "")
         head = f"{where}: {self.what}" if where else self.what
-        tail = [("expected", self.expected), ("mend", self.mend)]
+        tail = [("expected", self.expected), ("fix", self.fix)]
         return printable("\n".join([head, *(f"  {label}: {text}" for label, text in tail if text)]))
 
     def at(self, where: str) -> Self:
         """Return the same error at a place that only its catcher knows, such as a file."""
-        return type(self)(self.what, where=where, expected=self.expected, mend=self.mend, key=self.key)
+        return type(self)(self.what, where=where, expected=self.expected, fix=self.fix, key=self.key)
 
 
 def printable(text: str) -> str:
@@ -63,11 +63,11 @@ def printable(text: str) -> str:
 
     Control characters are escaped, long lines shortened in the middle: names and cells of a file get there.
     """
-    escaped = without_controls(text[: 2 * MAX_MESSAGE])  # before lines are measured: \udc80 is one
+    escaped = without_controls(text[: 2 * MAX_MESSAGE_CHARACTERS])  # before lines are measured: \udc80 is one
     whole = "\n".join(_shortened(line) for line in escaped.split("\n"))
-    if len(text) <= 2 * MAX_MESSAGE and len(whole) <= MAX_MESSAGE:
+    if len(text) <= 2 * MAX_MESSAGE_CHARACTERS and len(whole) <= MAX_MESSAGE_CHARACTERS:
         return whole
-    return f"{whole[:MAX_MESSAGE]}\n... ({len(text)} characters in all)"
+    return f"{whole[:MAX_MESSAGE_CHARACTERS]}\n... ({len(text)} characters in all)"
 
 
 def without_controls(text: str) -> str:
@@ -80,7 +80,11 @@ def _escaped(match: re.Match[str]) -> str:
 
 
 def _shortened(line: str) -> str:
-    return line if len(line) <= MAX_LINE else f"{line[: MAX_LINE // 2]} ... {line[-MAX_LINE // 4 :]}"
+    return (
+        line
+        if len(line) <= MAX_LINE_CHARACTERS
+        else f"{line[: MAX_LINE_CHARACTERS // 2]} ... {line[-MAX_LINE_CHARACTERS // 4 :]}"
+    )
 
 
 class ConfigError(NeedlefitError):

@@ -11,9 +11,9 @@ import sys
 os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
 sys.dont_write_bytecode = False
 
-from needlefit.project.threads import begin_with_one_thread  # noqa: E402
+from needlefit.project.threads import limit_to_one_thread  # noqa: E402
 
-begin_with_one_thread()  # before what loads BLAS; the processes of xdist, which begin later, inherit it
+limit_to_one_thread()  # before what loads BLAS; the processes of xdist, which begin later, inherit it
 
 from needlefit.mechanics.warm import ROOMS, warm  # noqa: E402
 

@@ -8,9 +8,9 @@ import pandas as pd
 from reporting_results import study, told
 
 from needlefit.reporting.files import write_csv, write_json
-from needlefit.validation.packing import NAME
+from needlefit.validation.packing import RESULTS_FILE
 from needlefit.validation.results import Results
-from needlefit.validation.stored import store
+from needlefit.validation.stored import store_results
 
 VERSIONS = {"needlefit": "0.1.0", "numpy": "2.0", "python": "3.11"}
 WORK = {
@@ -41,7 +41,7 @@ def leave(made: Results, folder: Path) -> Path:
     """Leave what a bundle reads of a run."""
     target = folder / made.name
     target.mkdir(parents=True)
-    assert store(made, target).name == NAME
+    assert store_results(made, target).name == RESULTS_FILE
     write_json(target / "run.json", made.run)
     return target
 
@@ -73,8 +73,8 @@ def leave_calibration(folder: Path, of: str = "study1", **changed: object) -> Pa
             "level": level,
             "replicates": 500,
             "covered": covered,
-            "least": least,
-            "most": most,
+            "count_low": least,
+            "count_high": most,
         }
         for name, wide in (("mu1_pa", 472), ("tip_mm", 481))
         for level, covered, least, most in ((0.5, 250, 210, 290), (0.95, wide, 460, 490))
@@ -87,7 +87,7 @@ def leave_calibration(folder: Path, of: str = "study1", **changed: object) -> Pa
 def leave_sensitivity(folder: Path, of: str = "study1", **changed: object) -> Path:
     """The tie varied in two ways: mean IPE changes by 0.030 mm, or 0.3 floors, at most."""
     rows = [
-        {"of": what, "variation": name, "tuned": "again", "table": "validation", "study": of}
+        {"aspect": what, "variation": name, "tuned": "again", "table": "validation", "study": of}
         | {"medium": "phantom2", "layers": 3, "metric": metric, "value": 0.2, "as_decided": 0.2}
         | {"change": change, "change_in_floors": 10 * change}
         for what, name, change in (
@@ -102,7 +102,7 @@ def leave_sensitivity(folder: Path, of: str = "study1", **changed: object) -> Pa
     run |= {"study": {"kind": "sensitivity", "studies": [of], "fits": []}, "parts": [part], **changed}
     left = _leave(folder / "sensitivity", copy.deepcopy(run), "cells.csv", pd.DataFrame(rows))
     studies = [
-        {"of": "tie", "variation": name, "tuned": "again", "study": of, "threshold_mm": 0.74}
+        {"aspect": "tie", "variation": name, "tuned": "again", "study": of, "threshold_mm": 0.74}
         | {"conclusion_changes": name == "ahead"}
         for name in ("ahead", "x")
     ]

@@ -3,12 +3,12 @@
 import numpy as np
 
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.grid import Grid
-from needlefit.project.records.reconstruction import ReconstructionRecord
-from needlefit.synthetic.ct.metal import dense
-from needlefit.synthetic.ct.render import render
-from needlefit.synthetic.ct.scene import Needle3D, Scanner, Scene3D
+from needlefit.imaging.volume import VoxelGrid
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D
+from needlefit.synthetic.metal import densify
 from needlefit.synthetic.phantoms import Phantom
+from needlefit.synthetic.render import render_scan
 
 RECIPE = ReconstructionRecord(schema=1)
 SPACING = 0.46
@@ -36,7 +36,7 @@ def box():
 def grid(**changes):
     """The test's voxels."""
     plain = {"size": SHAPE, "origin": np.zeros(3), "spacing": np.full(3, SPACING), "direction": np.eye(3)}
-    return Grid(**(plain | changes))
+    return VoxelGrid(**(plain | changes))
 
 
 def scan(points, seed=1, scene=None, bevel_deg=30.0, hu=9000.0, **scanner):
@@ -46,12 +46,12 @@ def scan(points, seed=1, scene=None, bevel_deg=30.0, hu=9000.0, **scanner):
     needles = extra.pop("needles", ()) if scene else ()
     bevelled = Needle3D(points, bevel_deg=bevel_deg, bevel_toward=np.array([0.0, 1, 0]), hu=hu)
     whole = Scene3D((bevelled, *needles), Phantom((14.0,)), (40.0, 90.0), box(), **extra)
-    return render(whole, Scanner(**(plain | scanner)), np.random.default_rng(seed))
+    return render_scan(whole, Scanner(**(plain | scanner)), np.random.default_rng(seed))
 
 
 def off(points, truth):
     """How far `points` lie from the line through `truth`, mm."""
-    fine = dense(truth)
+    fine = densify(truth)
     gaps = np.linalg.norm(points[:, None] - fine[None], axis=2)
     nearest = np.clip(gaps.argmin(axis=1), 1, len(fine) - 2)
     tangent = fine[nearest + 1] - fine[nearest - 1]

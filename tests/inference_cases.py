@@ -13,8 +13,8 @@ from needlefit.inference.problem import Problem
 from needlefit.inference.problem import problem as build_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import inserted_points
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 NOISE = Noise(registration_mean=0.19, point_sd=0.05, correlated_sd=0.1, correlation_length=5.0)

@@ -10,7 +10,8 @@ from scipy.spatial.transform import Rotation
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import cylinder, sheet
 from needlefit.imaging.scan import LayerSource, Scan
-from needlefit.imaging.volume import Volume, to_patient, write
+from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.volume_files import write_volume
 
 SPACING = 0.46
 TILTED = Rotation.from_rotvec([0.3, -0.5, 0.8]).as_matrix()
@@ -46,7 +47,7 @@ def labelled(label, shape=(60, 64, 56), spacing=(SPACING,) * 3, direction=TILTED
 
 def save(path, volume):
     """Write a label volume."""
-    write(volume, path)
+    write_volume(volume, path)
     return path
 
 

@@ -13,7 +13,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.dataset import DatasetRecord
+from needlefit.schemas.dataset import DatasetRecord
 
 MU = (0.3, 20.0)  # MPa
 BEVEL = 0.09  # mm

@@ -8,7 +8,7 @@ import warnings
 
 import pytest
 
-from needlefit.project import caged as cage
+from needlefit.project import sandbox as cage
 
 
 @pytest.fixture

@@ -13,13 +13,13 @@ from needlefit.geometry.frames import Frame, entry_frame, unit
 from needlefit.geometry.patient import IN_PATIENT
 from needlefit.geometry.plane import bending_plane
 from needlefit.geometry.surfaces import sheet
-from needlefit.imaging.needle.centerline import trace
-from needlefit.imaging.needle.segmentation import segment
-from needlefit.imaging.profile import profile, tissue_edge
-from needlefit.imaging.reconstruction import EntryPose, Layers, Markers, Reconstruction
-from needlefit.imaging.registration.register import frame_of, predicted_mean_target_error, register
+from needlefit.imaging.intensity_profile import find_tissue_edge, sample_profile
+from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.reconstruction import EntryPose, Layers, MarkerResult, Reconstruction
+from needlefit.imaging.registration.register import predict_mean_target_error, register, scan_frame
 from needlefit.imaging.scan import Scan
-from needlefit.imaging.views import views
+from needlefit.imaging.views import render_views
 
 NO_LAYERS = Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
 PATIENT = Frame(
@@ -53,27 +53,25 @@ def small(markers=True, layers=True):
 
 def reconstruct(scan, volume, markers, surfaces, seed=5):
     """A reconstruction of a needle; `markers` (LPS, the last is not found) and `surfaces` lie in the scan."""
-    traced = trace(volume, segment(volume, ct_cases.RECIPE), ct_cases.RECIPE)
+    needle_axis = trace_needle(volume, segment_needle(volume, ct_cases.RECIPE), ct_cases.RECIPE)
     found, registration, patient = _registered(markers, seed)
-    s = arc_length(traced.points)
+    s = arc_length(needle_axis.points)
     beyond = np.arange(0.5, 8.0, 0.5)
-    forward = unit(traced.points[-1] - traced.points[-4])
-    along = np.vstack([traced.points, traced.points[-1] + beyond[:, None] * forward])
-    shown = profile(volume, along, np.concatenate([s, s[-1] + beyond]))
-    entry, entry_sd = tissue_edge(shown)
+    forward = unit(needle_axis.points[-1] - needle_axis.points[-4])
+    along = np.vstack([needle_axis.points, needle_axis.points[-1] + beyond[:, None] * forward])
+    shown = sample_profile(volume, along, np.concatenate([s, s[-1] + beyond]))
+    entry, entry_sd = find_tissue_edge(shown)
     shown = dataclasses.replace(shown, s=shown.s - entry)
-    inserted = at_arc(traced.points, np.linspace(entry, s[-1], 60))
+    inserted = at_arc(needle_axis.points, np.linspace(entry, s[-1], 60))
     points = patient.to_world(inserted)
-    shaft = patient.to_world(at_arc(traced.points, [0.0, entry]))
+    shaft = patient.to_world(at_arc(needle_axis.points, [0.0, entry]))
     direction = unit(shaft[1] - shaft[0])
     frame = entry_frame(points[0], direction, bending_plane(points, direction))
-    ends = (
-        np.zeros(2) if registration is None else predicted_mean_target_error(registration, inserted[[0, -1]])
-    )
+    ends = np.zeros(2) if registration is None else predict_mean_target_error(registration, inserted[[0, -1]])
     return Reconstruction(
         scan=scan,
         spacing=volume.spacing,
-        traced=traced,
+        needle_axis=needle_axis,
         markers=found,
         registration=registration,
         patient=patient,
@@ -82,14 +80,14 @@ def reconstruct(scan, volume, markers, surfaces, seed=5):
         frame=frame,
         plane="shape",
         points=points,
-        sd=np.interp(np.linspace(entry, s[-1], 60), s, traced.sd),
+        sd=np.interp(np.linspace(entry, s[-1], 60), s, needle_axis.sd),
         depth=float(s[-1] - entry),
-        depth_sd=float(np.hypot(entry_sd, traced.tip_sd[0])),
+        depth_sd=float(np.hypot(entry_sd, needle_axis.tip_sd[0])),
         target_error=ends,
         layers=_layers(points, frame, patient, surfaces),
         profile=shown,
-        views=views(volume, patient, frame, traced.points),
-        remarks=() if registration is None else registration.remarks,
+        views=render_views(volume, patient, frame, needle_axis.points),
+        warnings=() if registration is None else registration.warnings,
     )
 
 
@@ -99,8 +97,8 @@ def _registered(markers, seed):
     rng = np.random.default_rng(seed)
     centers = markers[:-1] + MARKER_SD * rng.normal(size=(len(markers) - 1, 3))
     registration = register(centers, PATIENT.to_world(markers), MARKER_SD)
-    found = Markers(centers, np.full(len(centers), MARKER_SD), "volume")
-    return found, registration, frame_of(registration)
+    found = MarkerResult(centers, np.full(len(centers), MARKER_SD), "volume")
+    return found, registration, scan_frame(registration)
 
 
 def _layers(points, frame, patient, surfaces):

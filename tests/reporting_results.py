@@ -6,12 +6,12 @@ from functools import cache
 import numpy as np
 import pandas as pd
 
-from needlefit.project.records.study import StudyRecord
+from needlefit.schemas.study import StudyRecord
 from needlefit.validation import paper
 from needlefit.validation.results import COLUMNS, Results
 
 DEFLECTION = {("phantom2", 4): 4.3, ("phantom2", 3): 3.4, ("phantom2", 2): 0.9, ("phantom2", 1): 0.4}
-MISS = {  # rival -> error of the tip as a share of the deflection, plus a shift in mm
+MISS = {  # method -> error of the tip as a share of the deflection, plus a shift in mm
     "fitted": (0.04, 0.12),
     "hand_tuned": (0.25, 0.2),
     "hand_tuned_b": (0.12, 0.15),
@@ -22,14 +22,14 @@ MISS = {  # rival -> error of the tip as a share of the deflection, plus a shift
 FRACTIONS = np.linspace(0, 1, 101)
 
 
-def curves(insertion: dict, rival: str, boundaries: str) -> pd.DataFrame:
+def curves(insertion: dict, method: str, boundaries: str) -> pd.DataFrame:
     depth, bend, sway = insertion["depth_mm"], insertion["deflection_mm"], insertion["sway"]
-    share, shift = MISS[rival]
+    share, shift = MISS[method]
     share *= 1.6 if boundaries == "planned" else 1.0
     y = bend * FRACTIONS**2.2
     miss = sway * share * abs(bend) * FRACTIONS**2 + shift * np.sin(3 * FRACTIONS + sway)
     miss = miss + 0.25 * sway * np.cos(9 * FRACTIONS + sway)
-    miss = miss + insertion["foreign"] * FRACTIONS**1.8 * (rival != "straight")
+    miss = miss + insertion["foreign"] * FRACTIONS**1.8 * (method != "straight")
     return pd.DataFrame(
         {
             "j": np.arange(101),
@@ -67,7 +67,7 @@ def scores(points: pd.DataFrame, converged: bool) -> dict:
 
 
 def group(rng, role: str, medium: str, layers: int, count: int, foreign: float = 0.0) -> list[dict]:
-    rows = paper.table("insertions").query("medium == @medium and layers == @layers").iloc[0]
+    rows = paper.read_published_table("insertions").query("medium == @medium and layers == @layers").iloc[0]
     depths = np.linspace(rows["depth_min_mm"], rows["depth_max_mm"], count)
     typical = DEFLECTION.get((medium, layers), 0.46 if medium == "chicken" else 1.1)
     return [
@@ -88,15 +88,15 @@ def group(rng, role: str, medium: str, layers: int, count: int, foreign: float =
     ]
 
 
-def score_all(insertions: list[dict], fold: int, rivals: tuple[str, ...], comparison: str):
+def score_all(insertions: list[dict], fold: int, methods: tuple[str, ...], comparison: str):
     errors, shapes = [], []
     for one in insertions:
-        for rival in rivals:
-            for boundaries in ("measured", "planned") if rival == "fitted" else ("measured",):
-                points = curves(one, rival, boundaries)
-                key = {"fold": fold, "role": one["role"], "insertion": one["insertion"], "rival": rival}
+        for method in methods:
+            for boundaries in ("measured", "planned") if method == "fitted" else ("measured",):
+                points = curves(one, method, boundaries)
+                key = {"fold": fold, "role": one["role"], "insertion": one["insertion"], "method": method}
                 key["boundaries"] = boundaries
-                ok = one.get("converged", True) or rival != "fitted"
+                ok = one.get("converged", True) or method != "fitted"
                 about = {k: one[k] for k in ("medium", "specimen", "layers", "depth_mm")}
                 about["layers_other"] = one.get("layers_other", one["layers"])
                 errors.append(key | about | {"comparison": comparison} | scores(points, ok))
@@ -105,10 +105,10 @@ def score_all(insertions: list[dict], fold: int, rivals: tuple[str, ...], compar
     return errors, shapes
 
 
-def parameters(layers: int, fold: int, undetermined: bool, rivals: tuple[str, ...]) -> list[dict]:
+def parameters(layers: int, fold: int, undetermined: bool, methods: tuple[str, ...]) -> list[dict]:
     names = [n for i in range(1, layers + 1) for n in (f"mu{i}_pa", f"alpha{i}")] + ["bevel_mm"]
     rows = []
-    for rival in rivals:
+    for method in methods:
         for name in names:
             mu, alpha = name.startswith("mu"), name.startswith("alpha")
             value = (
@@ -118,18 +118,18 @@ def parameters(layers: int, fold: int, undetermined: bool, rivals: tuple[str, ..
                 if alpha
                 else 0.0847
             )
-            free = rival == "fitted" or (rival == "hand_tuned_b" and name == "bevel_mm")
+            free = method == "fitted" or (method == "hand_tuned_b" and name == "bevel_mm")
             tied = free and name in ("mu3_pa", "mu4_pa", "alpha3", "alpha4")
-            fixed = rival == "fitted" and alpha and layers == 1
+            fixed = method == "fitted" and alpha and layers == 1
             free = free and not fixed
             status = "fixed" if fixed else "tied" if tied else "free" if free else "published"
             known = not fixed and not (free and (alpha or (mu and undetermined)))
             rows.append(
                 {
                     "fold": fold,
-                    "rival": rival,
+                    "method": method,
                     "parameter": name,
-                    "value": value * (1.0 if rival == "fitted" or alpha else 0.94),
+                    "value": value * (1.0 if method == "fitted" or alpha else 0.94),
                     "status": status,
                     "bound_low": np.nan if status != "free" else -3.0 if alpha else 1e3 if mu else 0.005,
                     "bound_high": np.nan if status != "free" else 5.0 if alpha else 1e8 if mu else 0.5,
@@ -157,7 +157,11 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
             row = {"fold": fold, "fit": fit, "start": start, "minimized": "metric"}
             row["objective"] = best + max(0.0, rng.exponential(0.1) - 0.08) if start else np.inf
             row["excess"] = (row["objective"] - best) / 0.01
-            row |= {"as_good": bool(row["objective"] < best + 0.01), "evaluations": 600, "gradients": 0}
+            row |= {
+                "within_tolerance": bool(row["objective"] < best + 0.01),
+                "evaluations": 600,
+                "gradients": 0,
+            }
             row |= {
                 "failed_solves": int(start == 0) * 600,
                 "stopped": "tolerance" if start else "budget",
@@ -172,7 +176,7 @@ def starts(rng, layers: int, fold: int, fits: tuple[str, ...]) -> list[dict]:
 
 def failed(begun: list[dict]) -> pd.DataFrame:
     """The first 20 failures of every start that has any."""
-    about = ("minimized", "objective", "excess", "as_good", "evaluations")
+    about = ("minimized", "objective", "excess", "within_tolerance", "evaluations")
     about += ("gradients", "failed_solves", "stopped", "joined")
     rows = [
         {"fold": row["fold"], "fit": row["fit"], "start": row["start"]}
@@ -213,7 +217,7 @@ def frames(errors, shapes, params, begun, insertions) -> dict[str, pd.DataFrame]
 def study(number: int, origin: str = "synthetic") -> Results:
     """One of the five studies; study 3 holds an insertion that did not converge, 5 a flagged EDP."""
     rng = np.random.default_rng(number)
-    design = paper.table("study_design").query("study == @number")
+    design = paper.read_published_table("study_design").query("study == @number")
     first = design.iloc[0]
     foreign = {3: 2.8, 4: 2.2}.get(number, 0.0)
     count = int(first["tune_insertions"])
@@ -225,7 +229,7 @@ def study(number: int, origin: str = "synthetic") -> Results:
         insertions[-1]["converged"] = False
     errors, shapes = score_all(insertions, 1, tuple(MISS), "world")
     layers = 1 if number == 5 else 4
-    rivals = ("fitted", "hand_tuned", "hand_tuned_b")
+    methods = ("fitted", "hand_tuned", "hand_tuned_b")
     record = StudyRecord.model_validate(
         {
             "schema": 1,
@@ -233,7 +237,7 @@ def study(number: int, origin: str = "synthetic") -> Results:
             "dataset": "twin",
             "medium": first["tune_medium"],
             "paper_study": number,
-            "hand_tuned": f"study{number}",
+            "paper_parameters": f"study{number}",
             "validate": [{"medium": first["validate_medium"]}],
         }
     )
@@ -247,7 +251,7 @@ def study(number: int, origin: str = "synthetic") -> Results:
         **frames(
             errors,
             shapes,
-            parameters(layers, 1, number != 1, rivals),
+            parameters(layers, 1, number != 1, methods),
             starts(rng, layers, 1, ("fitted", "hand_tuned_b")),
             insertions,
         ),
@@ -310,21 +314,21 @@ def test_made_up_results_have_the_columns_of_real_ones():
 def told(results: Results, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Results:
     """Results with predictions of their held-out needles: levels in turn, bands about the measured shape."""
     rows, bands = [], []
-    held = results.errors.query("role == 'validate' and rival == 'fitted' and boundaries == 'measured'")
+    held = results.errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
     for n, (_, one) in enumerate(held.iterrows()):
         level = levels[n % len(levels)]
         row = {name: one[name] for name in ("fold", "insertion", "specimen", "medium", "layers", "depth_mm")}
-        row |= {"from": "importance", "certified": True, "draws": 100, "failed_solves": 0}
+        row |= {"draw_source": "importance", "certified": True, "draws": 100, "failed_solves": 0}
         tip, half = float(one["deflection_mm"]), 0.3
         row |= {"tip_measured_mm": tip, "tip_median_mm": tip, "tip_crps_mm": 0.1, "shape_crps_mm": 0.1}
         for what in ("tip", "shape"):
-            row |= {f"{what}_level": level, f"{what}_in_50": 0.25 <= level <= 0.75}
+            row |= {f"{what}_pit": level, f"{what}_in_50": 0.25 <= level <= 0.75}
             row |= {f"{what}_in_95": 0.025 <= level <= 0.975}
         for size in (50, 95):
             row |= {f"tip_{size}_low_mm": tip - half, f"tip_{size}_high_mm": tip + half}
             row[f"points_in_{size}"] = 1.0
         rows.append(row)
-        along = results.shapes.query("insertion == @one.insertion and rival == 'fitted' and j % 5 == 0")
+        along = results.shapes.query("insertion == @one.insertion and method == 'fitted' and j % 5 == 0")
         along = along[along["boundaries"] == "measured"]
         y = along["measured_y_mm"]
         band = {"fold": one["fold"], "insertion": one["insertion"], "x_mm": along["measured_x_mm"]}
@@ -337,12 +341,12 @@ def told(results: Results, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) ->
 def with_draws(results: Results, count: int = 200) -> Results:
     """Results with draws on a ridge: mu times b squared known to 2 %, mu within a factor of 5."""
     rng = np.random.default_rng(5)
-    known = results.parameters.query("rival == 'fitted'").drop_duplicates("parameter").set_index("parameter")
+    known = results.parameters.query("method == 'fitted'").drop_duplicates("parameter").set_index("parameter")
     values = {name: np.full(count, value) for name, value in known["value"].items()}
     stretch = 1.6 * rng.standard_normal(count)
     values["mu1_pa"] = values["mu1_pa"] * np.exp(stretch)
     values["bevel_mm"] = values["bevel_mm"] * np.exp(-stretch / 2 + 0.01 * rng.standard_normal(count))
     for name in known.index[known["status"] == "free"].difference(["mu1_pa", "bevel_mm"]):
         values[name] = values[name] * np.exp(0.3 * rng.standard_normal(count))
-    about = {"fold": results.parameters["fold"].iloc[0], "from": "importance", "pareto_k": 0.31}
+    about = {"fold": results.parameters["fold"].iloc[0], "draw_source": "importance", "pareto_k": 0.31}
     return replace(results, draws=pd.DataFrame(about | {"certified": True} | values))

@@ -7,7 +7,7 @@ import numpy as np
 
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.project.records.recipe import SampleRecord
+from needlefit.schemas.recipe import SampleRecord
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ def two_hills(x: np.ndarray) -> np.ndarray:
 
 
 def settings(**changed: object) -> SampleRecord:
-    return SampleRecord.model_validate({"steps": 8000, "every": 100, **changed})
+    return SampleRecord.model_validate({"steps": 8000, "check_interval": 100, **changed})
 
 
 def draw(problem: Known, ends: object = None, seed: int = 1, **changed: object) -> Posterior:

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from needlefit.cli import main
-from needlefit.cli.failure import report
+from needlefit.cli.exit_codes import report_error
 from needlefit.cli.invocation import Invocation
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 
@@ -84,15 +84,15 @@ def test_usage_errors_exit_2(words, capsys):
 
 @pytest.mark.parametrize(("kind", "code"), [(ConfigError, 3), (DataError, 3), (ModelError, 4), (FitError, 4)])
 def test_an_error_says_what_where_expected_and_mend(kind, code, capsys):
-    error = kind("the depth is negative", where="a.toml", expected="a depth above 0", mend="change it")
-    assert report(error, Invocation(())) == code
+    error = kind("the depth is negative", where="a.toml", expected="a depth above 0", fix="change it")
+    assert report_error(error, Invocation(())) == code
     assert capsys.readouterr().err == (
-        "needlefit: a.toml: the depth is negative\n  expected: a depth above 0\n  mend: change it\n"
+        "needlefit: a.toml: the depth is negative\n  expected: a depth above 0\n  fix: change it\n"
     )
 
 
 def test_an_unexpected_error_is_one_line_and_a_hint(capsys):
-    assert report(ZeroDivisionError("division by zero"), Invocation(())) == 1
+    assert report_error(ZeroDivisionError("division by zero"), Invocation(())) == 1
     assert capsys.readouterr().err == (
         "needlefit: unexpected ZeroDivisionError: division by zero (-v shows where)\n"
     )
@@ -107,15 +107,15 @@ def test_where_nothing_can_be_written_the_path_is_named(words, monkeypatch, caps
     assert run(*words) == 3
     captured = capsys.readouterr()
     assert captured.out == "" and "unexpected" not in captured.err
-    assert all(said in captured.err for said in ("x", "cannot be", "mend: "))
+    assert all(said in captured.err for said in ("x", "cannot be", "fix: "))
 
 
 def test_what_the_system_refuses_is_no_unexpected_error(capsys):
     error = PermissionError(13, "Permission denied", "/locked/run.json")
-    assert report(error, Invocation(())) == 3
+    assert report_error(error, Invocation(())) == 3
     err = capsys.readouterr().err
     assert err.startswith("needlefit: /locked/run.json: cannot be read or written: Permission denied\n")
-    assert "mend: check the path" in err
+    assert "fix: check the path" in err
 
 
 def test_verbose_shows_the_traceback(capsys):
@@ -132,7 +132,7 @@ def test_an_unknown_name_lists_the_nearest(capsys):
 
 
 def test_ctrl_c_exits_130(capsys):
-    assert report(KeyboardInterrupt(), Invocation(())) == 130
+    assert report_error(KeyboardInterrupt(), Invocation(())) == 130
 
 
 def test_a_reader_that_leaves_is_no_error():
@@ -174,7 +174,7 @@ def test_paper_prints_tables_and_contradictions(capsys):
     assert run("paper", "--json") == 0
     tables = json.loads(capsys.readouterr().out)
     assert tables["validation"][5]["te_mm"] == 2.82
-    assert any("9 + 5" in claim["says"] for claim in tables["contradictions"])
+    assert any("9 + 5" in claim["statement"] for claim in tables["contradictions"])
 
 
 def test_module_is_the_command(tmp_path: Path):
@@ -185,7 +185,7 @@ def test_module_is_the_command(tmp_path: Path):
 
 
 def test_completion_offers_names():
-    from needlefit.cli.completion import scenes, studies
+    from needlefit.cli.completion import complete_scenes, complete_studies
 
-    assert scenes("phantom2") == ["phantom2", "phantom2_by_layers"]
-    assert "all" in studies("a")
+    assert complete_scenes("phantom2") == ["phantom2", "phantom2_by_layers"]
+    assert "all" in complete_studies("a")

@@ -61,7 +61,7 @@ def test_a_control_that_is_noticed_ends_well_and_one_that_is_not_does_not(report
     """The prior as posterior: 15 truths are far likelier than its draws, too few tell nothing."""
     assert run("calibrate", "study2", "--control", "prior", "--replicates", "15", "-q", "--json") == 0
     said = json.loads(capsys.readouterr().out)
-    assert said["not_calibrated"] == ["log_likelihood"] and said["by"] == {"prior": 15}
+    assert said["not_calibrated"] == ["log_likelihood"] and said["draw_source"] == {"prior": 15}
     assert run("calibrate", "study2", "--control", "prior", "--replicates", "1", "-q") == 5  # too few
     assert "1 replicate is too few to tell whether it is noticed" in capsys.readouterr().out
     assert json.loads((reports / "calibrate-study2-prior" / "run.json").read_text())["passes"] is False

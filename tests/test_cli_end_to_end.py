@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from needlefit.cli import main
-from needlefit.project.places import find
+from needlefit.project.locate import find_file
 
 COMMAND = (sys.executable, "-m", "needlefit")
 STUDY = """\
@@ -21,7 +21,7 @@ paper_study = 2
 dataset = "twin"
 medium = "phantom2"
 recipe = "small"
-hand_tuned = "study2"
+paper_parameters = "study2"
 tune = { medium = "phantom2", layers = [2] }
 validate = [{ medium = "phantom2", layers = [1] }]
 """
@@ -49,7 +49,7 @@ def project(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("project")
     (folder / "studies").mkdir()
     (folder / "studies/small.toml").write_text(STUDY, encoding="utf-8")
-    recipe = find("recipe", "quick").read_text(encoding="utf-8").replace("starts = 4", "starts = 24")
+    recipe = find_file("recipe", "quick").read_text(encoding="utf-8").replace("starts = 4", "starts = 24")
     (folder / "configs/recipes").mkdir(parents=True)
     (folder / "configs/recipes/small.toml").write_text(recipe, encoding="utf-8")
     return folder

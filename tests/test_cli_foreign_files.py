@@ -19,13 +19,13 @@ from test_validation_checkpoint import HOLDS
 from test_viewer_recording import recorded
 
 from needlefit.cli.application import build
-from needlefit.project.ownership import STAMP, foreign, write_stamp
-from needlefit.project.places import find, shipped
+from needlefit.project.locate import find_file, shipped_folder
+from needlefit.project.ownership import STAMP, find_foreign, write_stamp
 from needlefit.validation.checkpoint import open_checkpoint
 from needlefit.verification import run as verification
-from needlefit.viewer.hand.inputs import Change
+from needlefit.viewer.interaction.inputs import Change
 
-SCANS = str(shipped() / "data" / "sample_scan" / "scans.csv")
+SCANS = str(shipped_folder() / "data" / "sample_scan" / "scans.csv")
 STUDY = """\
 schema = 1
 title = "Mine"
@@ -102,11 +102,11 @@ CASES = {
     ),
     "new dataset": Case(("new", "dataset", "out/data"), ("out/data",)),
     "new dataset --from": Case(("new", "dataset", "out/from", "--from", "curves.csv"), ("out/from",)),
-    "view --inputs": Case(("view", "--inputs", "log.csv", "--no-browser", "--out", "out")),
-    "simulate --inputs": Case(
+    "view --recording": Case(("view", "--recording", "log.csv", "--no-browser", "--out", "out")),
+    "simulate --recording": Case(
         (
             "simulate",
-            "--inputs",
+            "--recording",
             "log.csv",
             "--plot",
             "out/n.pdf",
@@ -165,7 +165,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     (tmp_path / "studies").mkdir()
     (tmp_path / "studies/mine.toml").write_text(STUDY)
     (tmp_path / "configs/recipes").mkdir(parents=True)
-    (tmp_path / "configs/recipes/small.toml").write_text(find("recipe", "quick").read_text())
+    (tmp_path / "configs/recipes/small.toml").write_text(find_file("recipe", "quick").read_text())
     gel_file(tmp_path / "gel.csv")
     recorded(tmp_path / "log.csv")
     points = "".join(f"{x},{4e-4 * x**2},0\n" for x in range(40))
@@ -184,7 +184,9 @@ def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setattr(f"needlefit.reporting.write.{name}", lambda _: b"a page")
     monkeypatch.setattr(verification, "find_checks", lambda: GOOD)
     monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
-    monkeypatch.setattr("needlefit.synthetic.build.build", lambda folder, *_, **__: (folder / "a").touch())
+    monkeypatch.setattr(
+        "needlefit.synthetic.build.build_dataset", lambda folder, *_, **__: (folder / "a").touch()
+    )
 
 
 def leave_run(folder: Path, command: str) -> None:
@@ -219,8 +221,8 @@ def beside(project: Path) -> dict[str, bytes]:
     """Plant files everywhere but in the folders that a command replaces."""
     found = plant(project) | plant(project / "out") | plant(project / "out/other")
     for place in (
-        "out/mine.partial.torn-1",
-        "out/rr.torn-1",
+        "out/mine.partial.damaged-1",
+        "out/rr.damaged-1",
         "out/view",
         "out/.rr.needlefit-mine",
         "out/reference",
@@ -277,7 +279,7 @@ def test_a_file_that_is_put_there_while_it_runs_stays(place, project, stubs, mon
 
 def test_a_recording_is_never_overwritten(project, stubs, monkeypatch):
     before = (project / "log.csv").read_bytes()
-    assert run("view", "--inputs", "log.csv", "--no-browser", "--out", "out") == 0
+    assert run("view", "--recording", "log.csv", "--no-browser", "--out", "out") == 0
     assert (project / "log.csv").read_bytes() == before
 
 
@@ -311,7 +313,7 @@ def test_the_folder_is_removed_while_it_is_written(when, project, stubs, monkeyp
     if when.startswith("before a row"):
         assert code == 3 and "mine-tune.partial" in said
     else:
-        assert code == 0 and foreign(project / "out/mine-tune") == []
+        assert code == 0 and find_foreign(project / "out/mine-tune") == []
     assert "Traceback" not in said and "unexpected" not in said
 
 

@@ -48,11 +48,11 @@ def test_the_design_alone_says_what_one_short_insertion_can_tell(designed):
     assert {path.name for path in folder.iterdir()} == FILES
     table = pd.read_csv(folder / "identify.csv").set_index("parameter")
     assert set(table["stage"]) == {"design"} and not table["determined"].any()
-    assert table.loc["alpha1", "contraction"] == pytest.approx(1.0, abs=1e-3)
+    assert table.loc["alpha1", "sd_ratio"] == pytest.approx(1.0, abs=1e-3)
     assert (table.loc["bevel_mm", "end_low"], table.loc["bevel_mm", "end_high"]) == ("closed", "closed")
     assert (table["sd_low"] <= table["sd"])[:3].all() and (table["sd_high"] >= table["sd"])[:3].all()
     found = pd.read_csv(folder / "directions.csv")
-    assert (found["sd"].diff().dropna() > 0).all() and (found["contraction"] <= 1).all()
+    assert (found["sd"].diff().dropna() > 0).all() and (found["sd_ratio"] <= 1).all()
     assert json.loads((folder / "run.json").read_text())["design"]["values"]["mu1_pa"] == pytest.approx(5e4)
 
 

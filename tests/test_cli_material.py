@@ -10,9 +10,9 @@ from compression_cases import gel_file
 from test_cli import run
 
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.prior import MaterialRecord
+from needlefit.project.locate import find_file
+from needlefit.schemas.medium import MaterialRecord
+from needlefit.schemas.study import FitRecord
 from needlefit.validation import provenance
 from needlefit.validation.job import Settings, prepare
 
@@ -82,11 +82,11 @@ def test_a_faulty_file_ends_in_exit_code_3(tmp_path, monkeypatch, capsys):
 
 def test_a_fit_takes_the_prior_and_its_run_holds_it(gel, capsys):
     assert run("material", "gel.csv", "--foundation", "0.2", "5") == 0
-    record = load(find("fit", "chicken"), FitRecord)
+    record = load(find_file("fit", "chicken"), FitRecord)
     with_prior = record.model_copy(update={"priors": {"1": "reports/material-gel/prior.toml"}})
     job = prepare("chicken", with_prior, Settings())
     assert job.parameters.prior.names == ("mu1_pa", "alpha1") and "alpha1" in job.parameters.bounds
     stated = tomllib.loads(Path("reports/material-gel/prior.toml").read_text())
-    work = provenance.work(job)
+    work = provenance.describe_configuration(job)
     assert work["medium"]["parameters"]["alpha1"]["prior"]["mean"] == stated["alpha"]["mean"]
     assert work["study"]["priors"] == {"1": "reports/material-gel/prior.toml"}

@@ -15,17 +15,18 @@ import pytest
 import trimesh
 
 from needlefit.cli import main
-from needlefit.cli.several_layers import repeated
+from needlefit.cli.reconstruct import repeat_option
 from needlefit.datasets.check import check
 from needlefit.datasets.read import read as read_dataset
 from needlefit.datasets.volumes import ScanVolume, volume_of
 from needlefit.imaging.markers import find_markers
-from needlefit.imaging.needle.centerline import trace
-from needlefit.imaging.volume import Volume, read, write
-from needlefit.project.places import shipped
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.project.locate import shipped_folder
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
-SAMPLE = shipped() / "data" / "sample_scan"
+SAMPLE = shipped_folder() / "data" / "sample_scan"
 VOLUME, MARKERS = SAMPLE / "volumes" / "sample.nrrd", SAMPLE / "markers" / "sample.csv"
 LAYERS = [SAMPLE / "layers" / f"phantom2_{name}.stl" for name in ("interface1", "interface2", "cylinder")]
 
@@ -69,8 +70,8 @@ def searched_once(monkeypatch):
 
         return found
 
-    for function in (trace, find_markers):
-        monkeypatch.setattr(f"needlefit.imaging.seen.{function.__name__}", remembered(function))
+    for function in (trace_needle, find_markers):
+        monkeypatch.setattr(f"needlefit.imaging.detections.{function.__name__}", remembered(function))
 
 
 def test_a_scan_becomes_a_checked_dataset(done):
@@ -84,7 +85,7 @@ def test_a_scan_becomes_a_checked_dataset(done):
     assert insertion.pose_source == "stage"
     on_scan = insertion.patient.to_local(insertion.centerline)
     assert volume_of(dataset, "sample") == ScanVolume(VOLUME.resolve())
-    volume = read(VOLUME)
+    volume = read_volume(VOLUME)
     low, high = (
         volume.origin,
         volume.origin + volume.direction @ (volume.spacing * (volume.values.shape[::-1])),
@@ -102,7 +103,7 @@ def test_everything_that_a_person_needs_is_beside_it(done):
     assert (row["markers_paired"], row["markers_known"]) == (5, 5)
     assert row["fre_mm"] < 3 * row["expected_fre_mm"]
     text = (done / "reconstruction.json").read_text()
-    assert str(shipped()) not in text and "/tmp" not in text  # no path of a machine
+    assert str(shipped_folder()) not in text and "/tmp" not in text  # no path of a machine
 
 
 def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
@@ -119,7 +120,7 @@ def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
 
 def test_layers_take_all_words_up_to_the_next_option_and_dicom_holds_the_same(tmp_path, capsys):
     series = tmp_path / "series"
-    write(read(VOLUME), series)
+    write_volume(read_volume(VOLUME), series)
     out = tmp_path / "out"
     words = ("reconstruct", series, "--markers", MARKERS, "--layers", *LAYERS, "--out", out, "-q", "--json")
     assert run(*words) == 0
@@ -146,7 +147,7 @@ def resumed(tmp_path_factory):
     words = ("reconstruct", torn, folder / "whole.nrrd", "--jobs", "1", "-q", "--out")
     with redirect_stderr(StringIO()) as errors:
         assert run(*words, out) == 3
-    assert "1 of 2 scans failed" in errors.getvalue() and "mend" in errors.getvalue()
+    assert "1 of 2 scans failed" in errors.getvalue() and "fix" in errors.getvalue()
     assert f"kept in {folder / 'out.partial'}; to go on: " in errors.getvalue()
     assert [one.id for one in read_dataset(out).insertions] == ["whole"]
     shutil.copy(VOLUME, torn)
@@ -183,15 +184,25 @@ def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path,
     words = ("reconstruct", *scans, "--out", tmp_path / "out", "-q", "--jobs", "1")
     assert run(*words) == 3
     keep = tmp_path / "out.partial"
-    for name in ("torn.kept", "whole.kept"):
+    for name in ("torn.checkpoint", "whole.checkpoint"):
         (keep / name).write_bytes(pickle.dumps(Bomb()))
     capsys.readouterr()
     assert run(*words, "--resume") == 3  # torn.nrrd still is
     said = capsys.readouterr().err
-    assert said.count("was damaged") == 2 and "torn.kept.torn-1" in said and "whole.kept.torn-1" in said
+    assert (
+        said.count("was damaged") == 2
+        and "torn.checkpoint.damaged-1" in said
+        and "whole.checkpoint.damaged-1" in said
+    )
     assert not (tmp_path / "was_run").exists()
     assert {path.name for path in keep.iterdir()} == {
-        *("lock", "needlefit.json", "whole.kept", "torn.kept.torn-1", "whole.kept.torn-1"),
+        *(
+            "lock",
+            "needlefit.json",
+            "whole.checkpoint",
+            "torn.checkpoint.damaged-1",
+            "whole.checkpoint.damaged-1",
+        ),
     }
     (keep / "whole.pickle").write_bytes(
         pickle.dumps(Bomb())
@@ -206,9 +217,9 @@ def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path,
 
 def spoiled(folder, change) -> Path:
     """Write the sample volume with its values changed."""
-    volume = read(VOLUME)
+    volume = read_volume(VOLUME)
     path = folder / "spoiled.nrrd"
-    write(Volume(change(volume.values.copy()), volume.origin, volume.spacing, volume.direction), path)
+    write_volume(Volume(change(volume.values.copy()), volume.origin, volume.spacing, volume.direction), path)
     return path
 
 
@@ -224,7 +235,7 @@ def two_needles(folder):
 
 
 def tip_outside(folder):
-    volume = read(VOLUME)
+    volume = read_volume(VOLUME)
     needle_end = np.argwhere(volume.values > 2500)
     main_axis = int(np.argmax(np.ptp(needle_end, axis=0)))
     keep = [slice(None)] * 3
@@ -232,7 +243,9 @@ def tip_outside(folder):
     keep[main_axis] = slice(middle - 45, middle + 10)
     start = [0.0 if part.start is None else part.start for part in keep][::-1]
     origin = volume.origin + volume.direction @ (volume.spacing * start)
-    write(Volume(volume.values[tuple(keep)], origin, volume.spacing, volume.direction), folder / "cut.nrrd")
+    write_volume(
+        Volume(volume.values[tuple(keep)], origin, volume.spacing, volume.direction), folder / "cut.nrrd"
+    )
     return [folder / "cut.nrrd"]
 
 
@@ -261,7 +274,7 @@ def fiducials_as(folder, system):
     from needlefit.datasets.formats.markups import Markups
     from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
 
-    points = find_markers(read(VOLUME), ReconstructionRecord(schema=1)).centers
+    points = find_markers(read_volume(VOLUME), ReconstructionRecord(schema=1)).centers
     path = folder / "fiducials.mrk.json"
     names = tuple(f"m{n}" for n in range(len(points)))
     write_mrk_json(path, [(Markups(path, "markers", "Fiducial", names, points), Look((1.0, 0, 0), 1.0))])
@@ -294,7 +307,7 @@ def no_decoder(folder):
     from pydicom.encaps import encapsulate
     from pydicom.uid import UID
 
-    write(read(VOLUME), folder / "series")
+    write_volume(read_volume(VOLUME), folder / "series")
     for path in sorted((folder / "series").iterdir()):
         data = dcmread(path)
         data.file_meta.TransferSyntaxUID = UID("1.2.840.10008.1.2.4.103")  # MPEG-4: video
@@ -314,7 +327,7 @@ def bomb(folder):
 
 def two_series(folder):
     for number, name in enumerate("ab"):
-        write(read(VOLUME), folder / name, description=name)
+        write_volume(read_volume(VOLUME), folder / name, description=name)
         for path in sorted((folder / name).iterdir()):
             path.rename(folder / f"{number}_{path.name}")
         (folder / name).rmdir()
@@ -353,7 +366,7 @@ def test_what_is_wrong_is_said_with_what_mends_it_and_nothing_is_written(spoil, 
     told = capsys.readouterr().err
 
     assert re.search(words, told), told
-    assert "mend:" in told and "unexpected" not in told
+    assert "fix:" in told and "unexpected" not in told
     assert not re.search(r"needlefit: (\w+): \S*/\1[.:]", told), (
         told
     )  # the id, and again the file of its name
@@ -384,7 +397,7 @@ def table(folder, **changes):
 def test_what_was_stated_wrongly_is_refused(changes, words, tmp_path, capsys):
     assert run("reconstruct", table(tmp_path, **changes), "--out", tmp_path / "out", "-q") == 3
     told = capsys.readouterr().err
-    assert re.search(words, told) and "mend:" in told, told
+    assert re.search(words, told) and "fix:" in told, told
     assert not (tmp_path / "out").exists()
 
 
@@ -395,12 +408,12 @@ def test_a_stage_that_is_off_by_little_is_told(tmp_path):
 
 
 def test_voxels_need_not_be_cubes(tmp_path):
-    volume = read(VOLUME)
+    volume = read_volume(VOLUME)
     slices = volume.values[: 2 * (len(volume.values) // 2)]
     merged = (slices[::2] + slices[1::2]) / 2
     spacing = volume.spacing * [1, 1, 2]
     origin = volume.origin + volume.direction[:, 2] * volume.spacing[2] / 2
-    write(
+    write_volume(
         Volume(np.rint(merged).astype(np.float32), origin, spacing, volume.direction), tmp_path / "thick.nrrd"
     )
     assert (
@@ -422,7 +435,7 @@ def test_voxels_need_not_be_cubes(tmp_path):
     ],
 )
 def test_layers_are_all_words_up_to_the_next_option(words, taken):
-    said = repeated(words)
+    said = repeat_option(words)
     layers = [word for before, word in pairwise(said) if before == "--layers"]
     layers += [word.removeprefix("--layers=") for word in said if word.startswith("--layers=")]
     assert sorted(layers) == taken
@@ -457,7 +470,7 @@ def test_no_library_speaks_beside_what_is_wrong(tmp_path, capfd):
     for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):
         run("reconstruct", path, "--out", tmp_path / "out", "-q")
     told = capfd.readouterr().err
-    assert told.count("mend:") == 2 and "WARNING" not in told and ".cxx" not in told
+    assert told.count("fix:") == 2 and "WARNING" not in told and ".cxx" not in told
 
 
 @pytest.mark.parametrize(

@@ -11,28 +11,28 @@ import time
 import pandas as pd
 
 from needlefit.cli import screen
-from needlefit.cli.interruption import stopping
+from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.invocation import Invocation
-from needlefit.cli.progress import lines, progress
+from needlefit.cli.progress import report_lines, show_progress
 
 
 def test_a_pipe_gets_one_line_a_minute():
     stream, times = io.StringIO(), iter([0.0, 1.0, 59.0, 60.0, 60.0, 61.0, 119.0, 120.0, 120.0])
-    report = lines(stream, lambda: next(times))
+    report = report_lines(stream, lambda: next(times))
     for done in range(6):
         report("study3: starts", done, 16)
     assert stream.getvalue() == "needlefit: study3: starts: 2 of 16\nneedlefit: study3: starts: 5 of 16\n"
 
 
 def test_quiet_says_nothing(capsys):
-    with progress(quiet=True) as report:
+    with show_progress(quiet=True) as report:
         report("study3", 1, 2)
     assert capsys.readouterr() == ("", "")
 
 
 def test_ctrl_c_once_raises_a_flag_and_gives_the_signal_back(capfd):
     before = signal.getsignal(signal.SIGINT)
-    with stopping() as stop:
+    with catch_interrupts() as stop:
         assert not stop()
         os.kill(os.getpid(), signal.SIGINT)
         assert stop()
@@ -43,8 +43,8 @@ def test_ctrl_c_once_raises_a_flag_and_gives_the_signal_back(capfd):
 def test_ctrl_c_twice_leaves_at_once():
     code = (
         "import time\n"
-        "from needlefit.cli.interruption import stopping\n"
-        "with stopping():\n"
+        "from needlefit.cli.exit_codes import catch_interrupts\n"
+        "with catch_interrupts():\n"
         "    print('ready', flush=True)\n"
         "    time.sleep(60)\n"
     )

@@ -9,9 +9,9 @@ from test_cli import run
 
 from needlefit.mechanics.scene import Entry
 from needlefit.project.load import load
-from needlefit.project.places import find, names
-from needlefit.project.records.scene import SceneRecord
+from needlefit.project.locate import find_file, list_names
 from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+from needlefit.schemas.scene import SceneRecord
 
 
 def answer(capsys, *words):
@@ -246,9 +246,9 @@ def test_a_short_step_of_a_deep_insertion_is_not_coarse(capsys):
     assert "coarse" not in [one["kind"] for one in json.loads(capsys.readouterr().out)["warnings"]]
 
 
-@pytest.mark.parametrize("name", names("scene"))
+@pytest.mark.parametrize("name", list_names("scene"))
 def test_no_shipped_scene_gives_a_warning(name):
-    record = load(find("scene", name), SceneRecord)
+    record = load(find_file("scene", name), SceneRecord)
     assert [*scene_warnings(record), *coarse_warnings(record)] == []
 
 
@@ -261,9 +261,9 @@ def test_an_insertion_of_too_many_elements_is_refused_at_once(capsys):
 
 
 def test_a_path_is_a_scene_too(tmp_path, monkeypatch, capsys):
-    from needlefit.project.places import find
+    from needlefit.project.locate import find_file
 
-    text = find("scene", "chicken").read_text(encoding="utf-8")
+    text = find_file("scene", "chicken").read_text(encoding="utf-8")
     (tmp_path / "mine.toml").write_text(text.replace("depth_mm = 44.1", "depth_mm = 20"), encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     assert answer(capsys, "mine.toml")["depth_mm"] == 20

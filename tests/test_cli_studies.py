@@ -9,13 +9,12 @@ import pytest
 from reporting_results import stereo, study
 from test_cli import run
 
-from needlefit.project import places
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.study import StudyRecord
+from needlefit.project import locate
+from needlefit.schemas.study import FitRecord, StudyRecord
 
 STUDY = 'schema = 1\ntitle = "Mine"\ndataset = "twin"\nmedium = "phantom2"\nvalidate = [{}]\n'
 FIT = 'schema = 1\ndataset = "twin"\nmedium = "phantom2"\n'
-with (places.shipped() / "data/paper/validation.csv").open(encoding="utf-8") as _file:
+with (locate.shipped_folder() / "data/paper/validation.csv").open(encoding="utf-8") as _file:
     COLUMNS = _file.readline().strip().split(",")
 
 
@@ -162,7 +161,7 @@ def test_a_wrong_study_is_told_before_anything_runs(stub, capsys):
 
 def test_tune_interrupted_before_anything_is_found_leaves_an_earlier_result(stub, capsys):
     results = study(1)
-    nothing = results.errors.query("rival != 'fitted'")
+    nothing = results.errors.query("method != 'fitted'")
     made = stub(dataclasses.replace(results, interrupted=True, errors=nothing))
     assert run("tune", "gel") == 130
     assert made.written == []

@@ -10,15 +10,15 @@ from made_again import assert_made_again
 from test_cli import run
 from track_cases import DEPTH, GUIDE, measured, track, written
 
-from needlefit.validation.tracks.results import READINGS, RUNS
+from needlefit.validation.tracks.results import READING_COLUMNS, RUN_COLUMNS
 
 STUDY = """
 schema = 1
-observes = "tip tracks"
+observable = "tip tracks"
 title = "Mine"
 dataset = "mine"
 recipe = "few"
-placed_by_mm = 15
+registration_depth_mm = 15
 
 [[fits]]
 name = "gel"
@@ -47,7 +47,7 @@ noise_scale = "estimated"
 ensembles = 2
 walkers = 8
 steps = 40
-every = 40
+check_interval = 40
 """
 
 
@@ -73,15 +73,18 @@ def test_runs_are_foretold_scored_and_said(project, capsys):
     assert "SYNTHETIC data" in out and "NOT CONVERGED" in out and "the fit is" in out
     folder = project / "reports/mine"
     runs, readings = (pd.read_csv(folder / f"{name}.csv") for name in ("runs", "readings"))
-    assert tuple(runs.columns) == (*RUNS, "origin") and tuple(readings.columns) == (*READINGS, "origin")
+    assert tuple(runs.columns) == (*RUN_COLUMNS, "origin") and tuple(readings.columns) == (
+        *READING_COLUMNS,
+        "origin",
+    )
     held = runs[runs["role"] == "validate"]
     assert set(held["run"]) == {"moved0", "moved2"} and set(held["readings"]) == {np.sum(DEPTH > 15)}
-    shape = held.groupby("rival")["aligned_rms_mm"].mean()
+    shape = held.groupby("method")["aligned_rms_mm"].mean()
     assert shape["fitted"] < 0.5 * shape["straight"]  # the truth is the model's own, and the guide moved
     assert not readings.loc[~readings["scored"], "median_mm"].notna().any()
     told = json.loads((folder / "run.json").read_text())
     assert str(project) not in json.dumps(told) and told["fits"]["gel"]["tune"][0] == "rest0"
-    deep = pd.read_csv(folder / "depths.csv").query("rival == 'fitted'")
+    deep = pd.read_csv(folder / "depths.csv").query("method == 'fitted'")
     assert list(deep["from_mm"]) == [20.0, 40.0, 60.0] and deep["readings"].sum() == 2 * np.sum(DEPTH > 15)
     names = {path.name for path in folder.iterdir()}
     assert {
@@ -114,8 +117,10 @@ def test_other_commands_say_which_one_runs_it(project, capsys):
 
 
 def test_a_study_that_leaves_nothing_to_foretell_is_refused_before_anything_runs(project, capsys):
-    (project / "studies/mine.toml").write_text(STUDY.replace("placed_by_mm = 15", "placed_by_mm = 200"))
+    (project / "studies/mine.toml").write_text(
+        STUDY.replace("registration_depth_mm = 15", "registration_depth_mm = 200")
+    )
     assert run("validate", "mine", "-q") == 3
     said = capsys.readouterr().err
-    assert "nothing is left to be foretold" in said and "placed_by_mm" in said
+    assert "nothing is left to be predicted" in said and "registration_depth_mm" in said
     assert not (project / "reports/mine.partial").exists()

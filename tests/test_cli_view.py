@@ -9,8 +9,8 @@ import pytest
 from test_cli import run
 from test_viewer_recording import recorded
 
-from needlefit.viewer.opening.recorded import open_recorded
-from needlefit.viewer.recording.log import read
+from needlefit.viewer.opening import open_recording
+from needlefit.viewer.recording import read_recording
 
 
 def test_it_serves_its_page_and_ends_when_told(tmp_path):
@@ -33,8 +33,8 @@ def test_it_serves_its_page_and_ends_when_told(tmp_path):
     [
         (("no_such_thing",), 3, "no_such_thing"),
         (("twin/phantom2-99",), 3, "phantom2-09"),
-        (("study2", "--inputs", "log.csv"), 2, "leave it out"),
-        (("--inputs", "log.csv"), 3, "no such file"),
+        (("study2", "--recording", "log.csv"), 2, "leave it out"),
+        (("--recording", "log.csv"), 3, "no such file"),
         (("study2", "--port", "70000"), 2, "--port"),
     ],
 )
@@ -64,10 +64,10 @@ def test_a_missing_extra_is_named_with_the_line_that_installs_it(capsys, monkeyp
 def test_a_recording_opens_with_what_lay_beside_it(tmp_path):
     path = tmp_path / "log.csv"
     recorded(path)
-    shown = open_recorded(read(path))
+    shown = open_recording(read_recording(path))
     assert (shown.name, shown.first_cell) == ("study2", 1.0)
-    path.write_text(path.read_text().replace('subject = "study2"', 'subject = "twin/phantom2-05"'))
-    changed = open_recorded(read(path))
+    path.write_text(path.read_text().replace('target = "study2"', 'target = "twin/phantom2-05"'))
+    changed = open_recording(read_recording(path))
     assert changed.measured is None and "has changed since" in changed.note
-    path.write_text(path.read_text().replace('subject = "twin/phantom2-05"', 'subject = "gone"'))
-    assert "is not found" in open_recorded(read(path)).note
+    path.write_text(path.read_text().replace('target = "twin/phantom2-05"', 'target = "gone"'))
+    assert "is not found" in open_recording(read_recording(path)).note

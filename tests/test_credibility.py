@@ -20,20 +20,22 @@ from test_cli import run
 
 from needlefit.errors import DataError
 from needlefit.project.ownership import STAMP, write_stamp
-from needlefit.project.records.about import AboutRecord
 from needlefit.reporting.credibility.case import case
 from needlefit.reporting.credibility.entries import entries
 from needlefit.reporting.credibility.factors import FACTORS
 from needlefit.reporting.credibility.page import DISCLAIMER, page
 from needlefit.reporting.credibility.verified import code_verification
 from needlefit.reporting.files import write_csv, write_json
-from needlefit.validation.credibility.gather import gather
-from needlefit.validation.damage import damaged_files
+from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
+from needlefit.validation.credibility_evidence import gather_evidence
+from needlefit.validation.csv_tables import find_damaged_files
 
 
 def told(folder, *named, about=None):
     """Return every factor's findings and gaps, by its key."""
-    given = {} if about is None else {"about": AboutRecord.model_validate({"schema": 1, **about})}
+    given = (
+        {} if about is None else {"about": CredibilityStatementsRecord.model_validate({"schema": 1, **about})}
+    )
     found = case(folder, named, **given)
     return {
         one.factor.key: (" ".join(f.words for f in one.told.findings), list(one.gaps))
@@ -67,13 +69,15 @@ def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them()
         "relevance_of_quantities",
         "relevance_of_validation",
     ]
-    assert {one.key for one in FACTORS if one.by_people} == {*AboutRecord.model_fields} - {"schema_"}
+    assert {one.key for one in FACTORS if one.by_people} == {*CredibilityStatementsRecord.model_fields} - {
+        "schema_"
+    }
 
 
 def test_without_evidence_every_gap_is_a_box_that_says_what_would_fill_it(bare):
     for key in ("question_of_interest", "context_of_use", "relevance_of_quantities"):
         words, gaps = bare[key]
-        assert words == "" and len(gaps) == 1 and key in gaps[0] and "--about" in gaps[0]
+        assert words == "" and len(gaps) == 1 and key in gaps[0] and "--statements" in gaps[0]
     for key in ("code_verification", "discretisation"):
         assert bare[key] == ("", ["Nothing found. needlefit verify would give it."])
     gaps = {key: " ".join(bare[key][1]) for key in bare}
@@ -114,7 +118,7 @@ def test_what_fails_is_said(alone, tmp_path):
 
 def beside(folder):
     """Return the evidence that lies beside study 1 in a folder."""
-    return gather(folder / "study1", {"study1": WORK})
+    return gather_evidence(folder / "study1", {"study1": WORK})
 
 
 def other(part, **changed):
@@ -244,7 +248,7 @@ def test_the_command_writes_the_same_bytes_claims_nothing_and_prints_json(
     leave_verification(tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "about.toml").write_text('schema = 1\ncontext_of_use = "Planning of a phantom study."\n')
-    wanted = ("credibility", str(alone), "--about", "about.toml")
+    wanted = ("credibility", str(alone), "--statements", "about.toml")
     assert run(*wanted) == 0
     assert "reports/credibility-study1/" in capsys.readouterr().out
     folder = tmp_path / "reports/credibility-study1"
@@ -304,14 +308,14 @@ def test_damaged_files_of_the_run_and_beside_it_are_named_and_a_damaged_run_file
 def test_a_result_that_was_changed_since_its_stamp_is_named(alone):
     (alone / "posterior.nc").write_bytes(b"\x89HDF")
     write_stamp(alone)
-    assert damaged_files(alone) == {}
+    assert find_damaged_files(alone) == {}
     (alone / "posterior.nc").write_bytes(b"garbage")
-    assert [*damaged_files(alone)] == ["posterior.nc"]
+    assert [*find_damaged_files(alone)] == ["posterior.nc"]
 
 
 @pytest.mark.parametrize("name", ["posterior.nc", "posterior_2.nc", "posterior-tracks.nc"])
 def test_a_damaged_posterior_without_a_digest_is_named(name, alone):
     (alone / STAMP).unlink(missing_ok=True)
     (alone / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(2000))
-    assert [*damaged_files(alone)] == [name]
+    assert [*find_damaged_files(alone)] == [name]
     assert case(alone).damaged[0].startswith(f"{alone.name}/{name}")

@@ -16,41 +16,40 @@ from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError, NeedlefitError
 from needlefit.inference.sampling.posterior import load, save
-from needlefit.project.places import find, find_run, find_studies, find_target
-from needlefit.project.reading import stored_values
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.locate import find_file, find_run, find_studies, find_study_or_fit
 from needlefit.project.run_file import read_run, read_timing
-from needlefit.project.subjects import find_subject
+from needlefit.project.view_targets import find_view_target
 from needlefit.reporting.rebuild import rebuild
 from needlefit.validation import packing
-from needlefit.validation.csv_tables import TableForm, read_table
-from needlefit.validation.damage import damaged_files
-from needlefit.validation.packing import MAX_UNPACKED_BYTES, NAME, with_digest
-from needlefit.validation.stored import restore, store
+from needlefit.validation.csv_tables import TableSchema, find_damaged_files, read_table
+from needlefit.validation.packing import MAX_UNPACKED_BYTES, RESULTS_FILE, with_digest
+from needlefit.validation.stored import restore_results, store_results
 
-FORM = TableForm(("id",), (), ("x_mm",), ("fits",))
+FORM = TableSchema(("id",), (), ("x_mm",), ("fits",))
 
 
 @pytest.fixture(scope="module")
 def content(tmp_path_factory) -> dict:
     """What a study stores, without its digest."""
-    path = store(study(1), tmp_path_factory.mktemp("run"))
+    path = store_results(study(1), tmp_path_factory.mktemp("run"))
     return json.loads(gzip.decompress(path.read_bytes()).split(b"\n")[1])
 
 
 def stored(folder: Path, values: object) -> Path:
-    (folder / NAME).write_bytes(with_digest(json.dumps(values).encode()))
+    (folder / RESULTS_FILE).write_bytes(with_digest(json.dumps(values).encode()))
     return folder
 
 
 def fault(folder: Path) -> DataError:
     with pytest.raises(DataError) as caught:
-        restore(folder)
-    assert NAME in caught.value.where and caught.value.expected and caught.value.mend
+        restore_results(folder)
+    assert RESULTS_FILE in caught.value.where and caught.value.expected and caught.value.fix
     return caught.value
 
 
 def test_one_digit_that_was_changed_is_found(tmp_path):
-    path = store(study(1), tmp_path)
+    path = store_results(study(1), tmp_path)
     lines = gzip.decompress(path.read_bytes())
     at = lines.rindex(b"1", 0, len(lines) // 2)
     path.write_bytes(gzip.compress(lines[:at] + b"2" + lines[at + 1 :]))
@@ -58,17 +57,17 @@ def test_one_digit_that_was_changed_is_found(tmp_path):
 
 
 def test_results_of_the_format_before_are_still_read(tmp_path, content):
-    (tmp_path / NAME).write_bytes(gzip.compress(json.dumps({"format": 2, **content}).encode()))
-    assert restore(tmp_path).name == study(1).name
+    (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(json.dumps({"format": 2, **content}).encode()))
+    assert restore_results(tmp_path).name == study(1).name
 
 
 def test_a_file_that_unpacks_to_more_than_its_bound_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(packing, "MAX_UNPACKED_BYTES", 10_000)
     assert MAX_UNPACKED_BYTES < 2**30
-    (tmp_path / NAME).write_bytes(gzip.compress(bytes(10**6)))
+    (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(bytes(10**6)))
     fault(tmp_path)
     monkeypatch.setattr(packing, "MAX_BRACKETS", 100)
-    (tmp_path / NAME).write_bytes(gzip.compress(b"[" * 5000))
+    (tmp_path / RESULTS_FILE).write_bytes(gzip.compress(b"[" * 5000))
     fault(tmp_path)
 
 
@@ -181,20 +180,20 @@ def test_a_posterior_that_was_changed_is_refused(damage, tmp_path):
     (posterior,) = sampled(0.08, 0.09).posteriors.values()
     save(posterior, path)
     assert load(path).names == posterior.names
-    assert "posterior.nc" not in damaged_files(tmp_path)
+    assert "posterior.nc" not in find_damaged_files(tmp_path)
     with h5py.File(path, "r+") as file:
         damage(file)
-    assert "posterior.nc" in damaged_files(tmp_path)
+    assert "posterior.nc" in find_damaged_files(tmp_path)
     with pytest.raises(DataError) as caught:
         load(path)
     assert str(path) in caught.value.where
 
 
 def test_what_stored_values_cannot_be_used_for_is_an_error_with_its_cause():
-    with pytest.raises(DataError) as caught, stored_values("run"):
+    with pytest.raises(DataError) as caught, convert_stored_errors("run"):
         raise ZeroDivisionError
     assert isinstance(caught.value.__cause__, ZeroDivisionError) and caught.value.where == "run"
-    with pytest.raises(OSError), stored_values("run"):
+    with pytest.raises(OSError), convert_stored_errors("run"):
         raise OSError(28, os.strerror(28))
 
 
@@ -204,8 +203,8 @@ LONG = "a" * 300
 @pytest.mark.parametrize("name", [LONG, f"{LONG}.toml", f"./{LONG}", "a\0b", "./a\0b.toml"])
 def test_a_name_that_no_file_can_have_is_not_found(name):
     lookups = [
-        *(partial(find, kind) for kind in ("study", "scene", "dataset")),
-        *(find_target, find_studies, find_run, find_subject),
+        *(partial(find_file, kind) for kind in ("study", "scene", "dataset")),
+        *(find_study_or_fit, find_studies, find_run, find_view_target),
     ]
     for lookup in lookups:
         with pytest.raises(NeedlefitError) as caught:
@@ -215,20 +214,20 @@ def test_a_name_that_no_file_can_have_is_not_found(name):
 
 def test_report_names_a_damaged_run_file_that_it_does_not_use(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("needlefit.reporting.write._draw", lambda results, folder: {})  # takes longest
-    store(study(1), tmp_path)
+    store_results(study(1), tmp_path)
     (tmp_path / "run.json").write_text("[]")
     assert run("report", str(tmp_path), "--out", str(tmp_path / "again")) == 0
     assert str(tmp_path / "run.json") in capsys.readouterr().err
-    assert damaged_files(tmp_path / "again") == {}
+    assert find_damaged_files(tmp_path / "again") == {}
 
 
 @pytest.mark.parametrize(
     ("form", "text", "column"),
     [
-        (TableForm(), "id,x_mm\na,1e999\nb,inf\n", "x_mm"),
-        (TableForm(), "id,x_mm\na,not determined\nb,-2.5e999\n", "x_mm"),
-        (TableForm(("id",), finite=("x_mm",)), "id,x_mm\na,1\nb,inf\n", "x_mm"),
-        (TableForm(("id",), finite=("x_mm",), finite_where="ok"), "id,x_mm,ok\na,inf,True\n", "x_mm"),
+        (TableSchema(), "id,x_mm\na,1e999\nb,inf\n", "x_mm"),
+        (TableSchema(), "id,x_mm\na,not determined\nb,-2.5e999\n", "x_mm"),
+        (TableSchema(("id",), finite=("x_mm",)), "id,x_mm\na,1\nb,inf\n", "x_mm"),
+        (TableSchema(("id",), finite=("x_mm",), finite_where="ok"), "id,x_mm,ok\na,inf,True\n", "x_mm"),
     ],
 )
 def test_a_number_that_is_never_written_as_infinite_is_refused(form, text, column, tmp_path):
@@ -242,5 +241,5 @@ def test_a_number_that_is_never_written_as_infinite_is_refused(form, text, colum
 def test_an_infinite_number_where_it_is_written_is_read(tmp_path):
     path = tmp_path / "table.csv"
     path.write_text("id,x_mm,ok\na,inf,False\nb,1,True\n")
-    form = TableForm(("id",), finite=("x_mm",), finite_where="ok")
+    form = TableSchema(("id",), finite=("x_mm",), finite_where="ok")
     assert read_table(path, form)["x_mm"].tolist() == [np.inf, 1.0]

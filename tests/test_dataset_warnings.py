@@ -17,9 +17,9 @@ from needlefit.datasets.read import read
 from needlefit.datasets.template import template
 from needlefit.datasets.write import write_dataset as write_curves
 from needlefit.geometry.surfaces import sheet
-from needlefit.project.places import find
-from needlefit.project.records.scene import NeedleRecord
-from needlefit.project.unit_warnings import GAUGES_MM, likely_modulus, needle_warnings, where_in
+from needlefit.project.locate import find_file
+from needlefit.project.unit_warnings import GAUGES_MM, format_place, likely_modulus, needle_warnings
+from needlefit.schemas.scene import NeedleRecord
 
 NOISE = {"registration_mean_mm": 0.1, "point_sd_mm": 0.02}
 UP = np.array([0.0, 1.0, 0.0])
@@ -61,7 +61,7 @@ def edit(file: Path, pattern: str, new: str) -> int:
 
 @pytest.mark.parametrize("name", ["twin", "stereo_shapes", "guided_tips"])
 def test_no_shipped_dataset_gives_a_warning(name, monkeypatch):
-    faults, warnings = check_all(find("dataset", name))
+    faults, warnings = check_all(find_file("dataset", name))
     assert warnings == [] and (name != "twin" or faults == [])
 
 
@@ -76,7 +76,7 @@ def test_needles_that_bend_away_from_their_bevel_are_named(tmp_path):
 
 def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
     """Of the shipped chicken insertions hardly one bends clearly; together they do, by 6 deviations."""
-    dataset = read(find("dataset", "twin"))
+    dataset = read(find_file("dataset", "twin"))
     chicken = [one for one in dataset.insertions if one.medium == "chicken"]
     shipped = [bent(one, one.id, dataset.noise) for one in chicken]
     assert pooled_z(shipped) > 5 and list(pooled_side_warnings(shipped, "bevel_side")) == []
@@ -170,7 +170,7 @@ def test_a_doubtful_length_of_a_needle_is_named_with_what_is_likely(tmp_path, ch
     file = tmp_path / "scene.toml"
     needle = NeedleRecord.model_validate(record().needle.model_dump() | changes)
     file.write_text("[needle]\n" + "\n".join(f"{name} = 1" for name in needle.model_dump()))
-    found = list(needle_warnings(needle, where_in(file)))
+    found = list(needle_warnings(needle, format_place(file)))
     lines = [n for n, name in enumerate(needle.model_dump(), start=2) if name == key]
     assert [one.where for one in found] == [f"{file}:{n}" for n in lines]
     assert all(f"`needle.{key}`" in one.what and all(text in one.fix for text in right) for one in found)
@@ -212,7 +212,7 @@ def test_a_needle_shorter_than_its_depths_is_named(tmp_path, length, unit):
     file = gel(tmp_path)
     edit(file, "^length_mm", f"length_mm = {length}")
     faults = check(file)
-    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.mend for one in faults)
+    assert len(faults) == 3 and all(unit in one.what and "needle.length_mm" in one.fix for one in faults)
 
 
 @pytest.mark.parametrize(

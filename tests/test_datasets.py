@@ -18,8 +18,8 @@ from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import cylinder, sheet
-from needlefit.project.records.dataset import DatasetRecord
-from needlefit.project.records.fit import SelectionRecord
+from needlefit.schemas.dataset import DatasetRecord
+from needlefit.schemas.study import SelectionRecord
 
 
 def record(**changes):
@@ -165,8 +165,8 @@ def without_checksums(file: Path):
 def test_selection(tmp_path):
     dataset = read(block(tmp_path))
 
-    def ids(reading="listed", **keys):
-        return "".join(i.id for i in select(dataset, SelectionRecord(**keys), reading))
+    def ids(layer_count_rule="listed", **keys):
+        return "".join(i.id for i in select(dataset, SelectionRecord(**keys), layer_count_rule))
 
     assert ids() == "abc"
     assert ids(medium="given") == ids(specimens=("two",)) == ids(layers=(2, 3)) == "bc"

@@ -52,7 +52,7 @@ def test_the_option_says_what_a_mere_stress_is(tmp_path):
     assert read_compression(path, "true").measure == "true"
     with pytest.raises(DataError, match="does not say which stress") as error:
         read_compression(path)
-    assert "--stress" in error.value.mend
+    assert "--stress" in error.value.fix
 
 
 def test_an_unloading_is_left_out_and_its_loss_said(tmp_path):
@@ -145,7 +145,7 @@ def test_what_is_wrong_is_said_with_its_mend(tmp_path, columns, said):
     with pytest.raises(DataError) as error:
         read_compression(table(tmp_path, **columns))
     assert said in str(error.value)
-    assert error.value.mend or "mend:" in str(error.value)
+    assert error.value.fix or "fix:" in str(error.value)
 
 
 def test_the_option_may_not_contradict_the_column(tmp_path):

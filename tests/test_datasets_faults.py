@@ -1,4 +1,4 @@
-"""Every fault of a dataset, made in a real one: named with file, line, what was expected, how to mend."""
+"""Every fault of a dataset, made in a real one: named with file, line, what was expected, how to fix."""
 
 import re
 from pathlib import Path
@@ -47,7 +47,7 @@ def the_fault(folder):
     assert len(faults) == 1, "\n".join(map(str, faults))
     with pytest.raises(DataError, match=re.escape(faults[0].what)):
         read(folder)
-    assert faults[0].mend, faults[0]
+    assert faults[0].fix, faults[0]
     return faults[0]
 
 
@@ -114,7 +114,7 @@ def test_the_alternative_reading_is_enough(folder):
 def test_a_missing_column_is_named_with_those_there(folder):
     edit(folder / "insertions.csv", 1, "depth_mm", "depth")
     fault = the_fault(folder)
-    assert "`depth_mm` is missing" in fault.what and "depth," in fault.expected and "columns" in fault.mend
+    assert "`depth_mm` is missing" in fault.what and "depth," in fault.expected and "columns" in fault.fix
 
 
 @pytest.mark.parametrize(
@@ -148,7 +148,7 @@ SWAPPED = CURVE[[*range(50), 51, 50, *range(52, 101)]]
 
 
 @pytest.mark.parametrize(
-    ("points", "line", "words", "mend"),
+    ("points", "line", "words", "fix"),
     [
         (SWAPPED, 53, "goes back", "sort"),
         (FOLDED, 62, "goes back", "sort"),
@@ -168,11 +168,11 @@ SWAPPED = CURVE[[*range(50), 51, 50, *range(52, 101)]]
         ),
     ],
 )
-def test_a_wrong_centreline(folder, points, line, words, mend):
+def test_a_wrong_centreline(folder, points, line, words, fix):
     curve(folder / "centerlines" / "b.csv", points)
     faults = check(folder)
     fault = next(f for f in faults if words in f.what)
-    assert fault.expected and mend in fault.mend
+    assert fault.expected and fix in fault.fix
     assert line is None or place(fault, folder) == f"centerlines/b.csv:{line}"
 
 
@@ -197,9 +197,9 @@ def test_a_wrong_checksum(tmp_path, name):
     fault = the_fault(tmp_path)
     assert place(fault, tmp_path) == name and "checksum" in fault.what
     file = tmp_path / "dataset.toml"
-    old, new = re.search(r"sha256 (\w+)", fault.expected)[1], re.search(r"write (\w+)", fault.mend)[1]
+    old, new = re.search(r"sha256 (\w+)", fault.expected)[1], re.search(r"write (\w+)", fault.fix)[1]
     file.write_text(file.read_text().replace(f'"{name}" = "{old}"', f'"{name}" = "{new}"'))
-    assert check(tmp_path) == []  # the message says how to mend it
+    assert check(tmp_path) == []  # the message says how to fix it
 
 
 def mesh_of(folder, name):
@@ -279,7 +279,7 @@ def test_a_modulus_in_another_unit(folder, value, unit, right):
     file = folder / "dataset.toml"
     file.write_text(re.sub(r"youngs_modulus_gpa = .*", f"youngs_modulus_gpa = {value}", file.read_text()))
     fault = the_fault(folder)
-    assert fault.what.endswith(f"looks like {unit}") and fault.mend == f"write {right}"
+    assert fault.what.endswith(f"looks like {unit}") and fault.fix == f"write {right}"
 
 
 def test_a_layer_number_that_is_skipped(folder):
@@ -295,19 +295,19 @@ def test_a_layer_number_that_is_skipped(folder):
 
 def test_a_surface_without_triangles(folder):
     (folder / "layers" / "core.stl").write_text("solid core\nendsolid core\n")
-    assert the_fault(folder).mend.startswith("export the surface again")
+    assert the_fault(folder).fix.startswith("export the surface again")
 
 
 def test_a_file_that_only_the_checksums_list(tmp_path):
     file = block(tmp_path)
     file.write_text(f'{file.read_text()}"notes.pdf" = "0"\n')
-    assert "[checksums]" in the_fault(tmp_path).mend
+    assert "[checksums]" in the_fault(tmp_path).fix
 
 
 def test_another_encoding_says_utf8(folder):
     path = folder / "insertions.csv"
     path.write_bytes(path.read_text().replace("one", "gr\xfcn").encode("latin-1"))
-    assert "UTF-8" in the_fault(folder).mend
+    assert "UTF-8" in the_fault(folder).fix
 
 
 def test_every_fault_is_found_at_once(folder):
@@ -318,7 +318,7 @@ def test_every_fault_is_found_at_once(folder):
     assert len(check(folder)) == 4
     with pytest.raises(DataError, match="has 4 faults") as error:
         read(folder)
-    for words in ("insertions.csv:2", "b.csv:7", "c.csv", "core.stl", "mend: "):
+    for words in ("insertions.csv:2", "b.csv:7", "c.csv", "core.stl", "fix: "):
         assert words in str(error.value)
 
 

@@ -54,7 +54,7 @@ def refused(path, reader=read_markups):
     with pytest.raises(DataError) as caught:
         reader(path)
     error = caught.value
-    assert error.where.startswith(str(path)) and error.expected and error.mend
+    assert error.where.startswith(str(path)) and error.expected and error.fix
     return f"{error.where}: {error.what}"
 
 

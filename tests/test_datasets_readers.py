@@ -12,7 +12,7 @@ from needlefit.datasets.check import check
 from needlefit.datasets.formats import mat
 from needlefit.datasets.formats.csv import numbers, read_table
 from needlefit.errors import DataError
-from needlefit.project import reading
+from needlefit.project import input_files
 
 anything = settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
@@ -78,7 +78,7 @@ def test_check_answers_whatever_a_cell_holds(tmp_path, data):
         path.write_text(original)
 
 
-@pytest.mark.parametrize("read", [mat.read_curves, reading.read_text])
+@pytest.mark.parametrize("read", [mat.read_curves, input_files.read_text])
 def test_a_file_that_cannot_be_had_is_told_alike_by_every_reader(tmp_path, read):
     with pytest.raises(DataError, match="there is no such file"):
         read(tmp_path / "gone")
@@ -103,7 +103,7 @@ def test_a_table_that_is_another_file_is_not_printed(tmp_path, name, content):
     (folder / name).unlink()
     (folder / name).symlink_to(tmp_path / "secret")
     found = check(folder)
-    text = "".join(f"{fault.where} {fault.what} {fault.expected} {fault.mend}" for fault in found)
+    text = "".join(f"{fault.where} {fault.what} {fault.expected} {fault.fix}" for fault in found)
     assert found and not any(word in text for word in ("hunter2", "x:0", "MIIE", "BEGIN", "token"))
 
 

@@ -244,7 +244,7 @@ def test_a_template_says_what_it_reads_and_ignores(tmp_path):
         with pytest.raises(DataError) as error:
             template(tmp_path / "other", path)
         assert str(path) in str(error.value)
-        assert "--from reads" in str(error.value) or "check the path" in error.value.mend
+        assert "--from reads" in str(error.value) or "check the path" in error.value.fix
 
 
 def test_a_template_keeps_the_deviations_of_points(tmp_path):
@@ -309,4 +309,4 @@ def test_the_public_stereo_shapes():
 def test_the_public_stereo_shapes_say_how_to_get_them(monkeypatch):
     monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
     [fault] = check(SHIPPED / "stereo_shapes")
-    assert "not set" in fault.what and "dlezcan1" not in fault.what and "shapes_planar.csv" in fault.mend
+    assert "not set" in fault.what and "dlezcan1" not in fault.what and "shapes_planar.csv" in fault.fix

@@ -11,8 +11,8 @@ from needlefit.datasets.read import read
 from needlefit.datasets.tracks.read import read_tracks
 from needlefit.datasets.tracks.select import select_runs
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.places import shipped
-from needlefit.project.records.track_study import RunsRecord
+from needlefit.project.locate import shipped_folder
+from needlefit.schemas.study import TrackSelectionRecord
 
 
 @pytest.fixture(scope="module")
@@ -99,16 +99,16 @@ def test_tracks_are_no_shapes(tmp_path, runs):
 
 def test_selections_that_find_nothing_are_told(tmp_path, runs):
     dataset = read_tracks(written(tmp_path, runs))
-    assert [one.id for one in select_runs(dataset, RunsRecord(guided=True))] == ["moved"]
+    assert [one.id for one in select_runs(dataset, TrackSelectionRecord(guided=True))] == ["moved"]
     with pytest.raises(ConfigError, match="run lost is not in dataset mine"):
-        select_runs(dataset, RunsRecord(runs=("lost",)))
+        select_runs(dataset, TrackSelectionRecord(runs=("lost",)))
     with pytest.raises(ConfigError, match="no run of dataset mine"):
-        select_runs(dataset, RunsRecord(runs=("rest",), guided=True))
+        select_runs(dataset, TrackSelectionRecord(runs=("rest",), guided=True))
 
 
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")
 def test_the_public_tip_tracks():
-    dataset = read_tracks(shipped() / "data" / "guided_tips")
+    dataset = read_tracks(shipped_folder() / "data" / "guided_tips")
     assert len([one for one in dataset.tracks if not one.guided and one.medium == "phantomB"]) == 5
     assert any("phantomA_closedloop_03 is left out" in remark for remark in dataset.remarks)
     for one in dataset.tracks:
@@ -117,5 +117,5 @@ def test_the_public_tip_tracks():
 
 def test_the_public_tip_tracks_say_how_to_get_them(monkeypatch):
     monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
-    [fault] = check(shipped() / "data" / "guided_tips")
-    assert "not set" in fault.what and "steps.csv" in fault.mend
+    [fault] = check(shipped_folder() / "data" / "guided_tips")
+    assert "not set" in fault.what and "steps.csv" in fault.fix

@@ -6,9 +6,9 @@ import re
 import pytest
 
 from needlefit.cli.application import build
-from needlefit.project.places import shipped
+from needlefit.project.locate import shipped_folder
 
-DOCS = shipped() / "docs"
+DOCS = shipped_folder() / "docs"
 pytestmark = pytest.mark.skipif(not DOCS.is_dir(), reason="not run from the repository")
 PAGES = [*sorted(DOCS.glob("*.md")), *sorted(DOCS.glob("howto/*.md")), *sorted(DOCS.glob("../*/README.md"))]
 WRITTEN = DOCS / "reference"  # by the build

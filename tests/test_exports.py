@@ -28,11 +28,11 @@ from needlefit.reporting.figures.animation import sampled
 from needlefit.reporting.figures.moment import draw_moment, paint
 from needlefit.reporting.figures.sheet import Beside, lay_out
 from needlefit.reporting.shape_table import shape_table, write_shape
-from needlefit.viewer.exports.export import KINDS, export
-from needlefit.viewer.hand.inputs import Change
-from needlefit.viewer.hand.steering import Steering
-from needlefit.viewer.opening import open_subject
-from needlefit.viewer.recording.log import Recorded, Recorder, head_of
+from needlefit.viewer.export import EXPORT_TYPES, export
+from needlefit.viewer.interaction.inputs import Change
+from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head
 
 NEEDLE = Needle(150.0, 1.0e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.ones(2), np.array([12.0]))
@@ -232,7 +232,7 @@ def test_an_animation_needs_an_encoder_and_a_name_that_it_knows(tmp_path, monkey
     monkeypatch.setattr(animation.FFMpegWriter, "isAvailable", lambda: False)
     with pytest.raises(ConfigError, match="ffmpeg") as missing:
         animation.animate("Held", scene(), moments, 1.0, tmp_path / "a.mp4")
-    assert "apt install ffmpeg" in missing.value.mend and "a.gif" in missing.value.mend
+    assert "apt install ffmpeg" in missing.value.fix and "a.gif" in missing.value.fix
 
 
 @pytest.mark.skipif(not animation.FFMpegWriter.isAvailable(), reason="ffmpeg is not installed")
@@ -248,7 +248,7 @@ def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch
     log = tmp_path / "log.csv"
     last = recorded(log)[-1]
     small(monkeypatch)
-    written = {kind: export(log, kind) for kind in KINDS}
+    written = {kind: export(log, kind) for kind in EXPORT_TYPES}
     table = pd.read_csv(io.BytesIO(written["shape.csv"]))
     assert table["y_mm"].iloc[-1] == pytest.approx(last[-1], abs=1e-8)
     (curve,) = json.loads(written["shape.mrk.json"])["markups"]
@@ -263,12 +263,14 @@ def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch
 def test_a_picture_of_a_measured_insertion_shows_it_and_says_that_it_is_synthetic(
     tmp_path, monkeypatch
 ) -> None:
-    subject = open_subject("twin/phantom2-01")
-    steering = Steering(Scene.from_record(subject.record), subject.first_cell)
+    subject = open_target("twin/phantom2-01")
+    steering = SteeredNeedle(Scene.from_record(subject.record), subject.first_cell)
     change = Change("depth_mm", None, 20.0)
     steering.apply([change])
-    head = head_of(subject.name, subject.first_cell, subject.record.model_dump(mode="json", by_alias=True))
-    Recorder(tmp_path / "log.csv", head).write(Recorded(1, 0.5, (change,), steering.now.shape.deflection))
+    head = make_head(subject.name, subject.first_cell, subject.record.model_dump(mode="json", by_alias=True))
+    RecordingWriter(tmp_path / "log.csv", head).write(
+        RecordedStep(1, 0.5, (change,), steering.now.shape.deflection)
+    )
     shown = []
     monkeypatch.setattr(moment_figure, "lay_out", lambda *all_: shown.append(all_) or lay_out(*all_))
     export(tmp_path / "log.csv", "picture.svg")

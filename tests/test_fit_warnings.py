@@ -14,12 +14,11 @@ from needlefit.datasets.read import read
 from needlefit.datasets.write import write_dataset
 from needlefit.inference.parameters import Parameters
 from needlefit.project.load import load
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.study import StudyRecord
-from needlefit.project.result_warnings import stored, warnings_of
+from needlefit.project.result_warnings import read_warnings, warnings_entry
 from needlefit.reporting.story import cautions
+from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.validation.fit_warnings import analysis_bound_warnings, baseline_warnings, bound_warnings
-from needlefit.validation.folds import folds, shared_specimens
+from needlefit.validation.folds import make_folds, warn_shared_specimens
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.results import Results
 from needlefit.validation.run import run as run_fit
@@ -30,7 +29,7 @@ BOUNDS = {"mu1_pa": (1e3, 1e9), "bevel_mm": (1e-3, 0.5)}
 def fitted(values: dict[str, float], folds_: int = 1) -> Results:
     """Return results whose fit ended at `values` in the last of so many folds, else in the middle."""
     results = study(1)
-    first = results.parameters.query("rival == 'fitted'").iloc[0].to_dict()
+    first = results.parameters.query("method == 'fitted'").iloc[0].to_dict()
     rows = []
     for fold in range(folds_):
         for name, (low, high) in BOUNDS.items():
@@ -61,13 +60,13 @@ def test_of_several_folds_one_warning_counts_them():
 
 
 def scored(role: str, errors: dict[str, list[float]], floor: float = 0.01) -> Results:
-    """Return results whose rivals have these mean in-plane errors, mm, insertion by insertion."""
+    """Return results whose methods have these mean in-plane errors, mm, insertion by insertion."""
     results = study(1)
     first = results.errors.iloc[0].to_dict() | {"role": role, "boundaries": "measured"}
     rows = [
-        {**first, "rival": rival, "insertion": f"i{n}", "specimen": f"s{n}", "ipe_mean_mm": error}
+        {**first, "method": method, "insertion": f"i{n}", "specimen": f"s{n}", "ipe_mean_mm": error}
         | {"te_mm": error, "floor_ipe_mean_mm": floor}
-        for rival, each in errors.items()
+        for method, each in errors.items()
         for n, error in enumerate(each)
     ]
     return replace(results, errors=pd.DataFrame(rows, columns=results.errors.columns))
@@ -113,9 +112,9 @@ def test_the_closest_curve_is_named_and_the_report_shows_it():
     results = scored("validate", errors)
     (one,) = baseline_warnings(results)
     assert "arc" in one.what and "0.040 mm against 0.256 mm" in one.what
-    told = cautions([replace(results, run={**results.run, **stored([one])})])
+    told = cautions([replace(results, run={**results.run, **warnings_entry([one])})])
     assert sum(one.what in str(block) for block in told) == 1
-    assert warnings_of(stored([one])) == (one,)
+    assert read_warnings(warnings_entry([one])) == (one,)
 
 
 def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
@@ -131,7 +130,8 @@ def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
     def shared(**keys: object) -> list[str]:
         table = {"schema": 1, "dataset": "d", "medium": "m", **keys}
         return [
-            one.what for one in shared_specimens("mine", folds(StudyRecord.model_validate(table), dataset))
+            one.what
+            for one in warn_shared_specimens("mine", make_folds(StudyRecord.model_validate(table), dataset))
         ]
 
     first = {"tune": {"insertions": ["a"]}}
@@ -212,7 +212,7 @@ def test_an_error_of_a_study_or_medium_names_file_and_line(flipped, capsys, file
     for command in ("tune", "identify"):
         assert run(command, "./fit.toml", "-q") == 3
         err = capsys.readouterr().err
-        assert err.startswith(f"needlefit: {place}: ") and "\n  mend: " in err
+        assert err.startswith(f"needlefit: {place}: ") and "\n  fix: " in err
 
 
 COMPARED = """

@@ -86,7 +86,7 @@ def test_what_is_no_mesh(tmp_path, name, content):
     with pytest.raises(DataError) as found:
         read_surface(path, "sheet", 2)
     error = found.value
-    assert error.where == str(path) and error.expected and error.mend and "x:0" not in str(error)
+    assert error.where == str(path) and error.expected and error.fix and "x:0" not in str(error)
 
 
 @pytest.mark.parametrize(

@@ -12,13 +12,12 @@ from needlefit.datasets.read import read
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import moved
-from needlefit.imaging.assemble import About, assemble
-from needlefit.imaging.remarks import remarks
-from needlefit.imaging.sound import assemble_sound
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
+from needlefit.imaging.reconstruction_checks import collect_warnings
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
 RECIPE = ReconstructionRecord(schema=1)
-ABOUT = About("mine", "Mine", notes="As scanned.", media={"phantom1": "A box."})
+ABOUT = DatasetDescription("mine", "Mine", notes="As scanned.", media={"phantom1": "A box."})
 
 
 def named(name, **changes):
@@ -34,7 +33,7 @@ def shifted(one, shift):
 
 
 def test_the_dataset_says_what_was_reconstructed(tmp_path):
-    assemble(tmp_path, [named("a"), named("b")], RECIPE, ABOUT)
+    assemble_dataset(tmp_path, [named("a"), named("b")], RECIPE, ABOUT)
     assert check(tmp_path) == []
     dataset = read(tmp_path)
     first, _ = dataset.insertions
@@ -52,10 +51,10 @@ def test_the_dataset_says_what_was_reconstructed(tmp_path):
 
 
 def test_surfaces_that_all_share_are_written_once_others_for_each(tmp_path):
-    assemble(tmp_path / "shared", [named("a"), named("b")], RECIPE, ABOUT)
+    assemble_dataset(tmp_path / "shared", [named("a"), named("b")], RECIPE, ABOUT)
     assert [file.name for file in (tmp_path / "shared" / "layers").iterdir()] == ["phantom1_interface1.stl"]
     into = small().frame.rotation[:, 0]
-    assemble(tmp_path / "own", [named("a"), shifted(named("b"), 0.5 * into)], RECIPE, ABOUT)
+    assemble_dataset(tmp_path / "own", [named("a"), shifted(named("b"), 0.5 * into)], RECIPE, ABOUT)
     assert sorted(file.name for file in (tmp_path / "own" / "layers").iterdir()) == ["a_1.stl", "b_1.stl"]
     assert check(tmp_path / "own") == []
     a, b = read(tmp_path / "own").insertions
@@ -77,7 +76,7 @@ def with_surfaces(name, medium, *names):
 
 def test_what_surfaces_are_called_never_spoils_a_file(tmp_path):
     one = with_surfaces("a", "gel", "skin {id}/2", "Fett (außen)", "fett au en", "x_1")
-    assemble(tmp_path, [one], RECIPE, ABOUT)
+    assemble_dataset(tmp_path, [one], RECIPE, ABOUT)
     found = sorted(file.name for file in (tmp_path / "layers").iterdir())
     assert found == ["gel_Fett_au_en_.stl", "gel_fett_au_en.stl", "gel_skin_id_2.stl", "gel_x_1.stl"]
     assert check(tmp_path) == []
@@ -85,7 +84,7 @@ def test_what_surfaces_are_called_never_spoils_a_file(tmp_path):
 
 @pytest.mark.parametrize("names", [("x", "x", "x_1"), ("x", "X", "x_1"), ("é", "e", "e_1")])
 def test_surfaces_of_one_name_are_numbered(names, tmp_path):
-    assemble(tmp_path, [with_surfaces("a", "gel", *names)], RECIPE, ABOUT)
+    assemble_dataset(tmp_path, [with_surfaces("a", "gel", *names)], RECIPE, ABOUT)
     found = {file.name.lower() for file in (tmp_path / "layers").iterdir()}
     assert len(found) == 3 and all(name.endswith(("_1.stl", "_2.stl", "_3.stl")) for name in found)
     assert check(tmp_path) == []
@@ -93,22 +92,22 @@ def test_surfaces_of_one_name_are_numbered(names, tmp_path):
 
 def test_two_media_never_share_a_file(tmp_path):
     with pytest.raises(DataError, match=r"two media would write layers/gel_b_c\.stl") as error:
-        assemble(
+        assemble_dataset(
             tmp_path, [with_surfaces("a", "gel", "b_c"), with_surfaces("b", "gel_b", "c")], RECIPE, ABOUT
         )
-    assert error.value.mend
+    assert error.value.fix
 
 
 def test_scans_of_one_medium_have_the_same_layers(tmp_path):
     without = replace(small(layers=False), scan=replace(small().scan, id="b"))
     with pytest.raises(DataError, match="not those of a") as error:
-        assemble(tmp_path, [named("a"), without], RECIPE, ABOUT)
-    assert "media of different names" in error.value.mend
+        assemble_dataset(tmp_path, [named("a"), without], RECIPE, ABOUT)
+    assert "media of different names" in error.value.fix
 
 
 def test_an_insertion_with_a_fault_is_left_out_and_told(tmp_path):
     backwards = named("b", points=small().points[::-1])
-    kept, failed = assemble_sound(tmp_path / "out", [named("a"), backwards, named("c")], RECIPE, ABOUT)
+    kept, failed = assemble_checked(tmp_path / "out", [named("a"), backwards, named("c")], RECIPE, ABOUT)
     assert [one.scan.id for one in kept] == ["a", "c"]
     assert {one.scan.id for one in failed} == {"b"}
     assert check(tmp_path / "out") == []
@@ -117,7 +116,7 @@ def test_an_insertion_with_a_fault_is_left_out_and_told(tmp_path):
 
 def test_nothing_but_faults_is_no_dataset_and_each_names_its_scan_and_the_recipe(tmp_path):
     short = RECIPE.model_copy(update={"needle": RECIPE.needle.model_copy(update={"length_mm": 20.0})})
-    kept, failed = assemble_sound(tmp_path / "out", [named("a"), named("b")], short, ABOUT)
+    kept, failed = assemble_checked(tmp_path / "out", [named("a"), named("b")], short, ABOUT)
     assert kept == () and not (tmp_path / "out").exists()
     assert [one.scan.id for one in failed] == ["a", "b"]
     told = str(failed[0].error)
@@ -126,7 +125,7 @@ def test_nothing_but_faults_is_no_dataset_and_each_names_its_scan_and_the_recipe
 
 
 def test_a_plain_reconstruction_says_only_whence_its_pose_is():
-    (said,) = (one for one in remarks(small()) if "known markers" not in one)
+    (said,) = (one for one in collect_warnings(small()) if "known markers" not in one)
     assert "drawn through the shaft" in said
 
 
@@ -146,7 +145,7 @@ def own_surface(profile):
     ("one", "words"),
     [
         (
-            lambda: replace(small(), registration=replace(small().registration, chance=1e-4)),
+            lambda: replace(small(), registration=replace(small().registration, p_value=1e-4)),
             "miss their places",
         ),
         (lambda: changed_pose(angle_sd=0.2), "tells no bending plane"),
@@ -177,11 +176,11 @@ def own_surface(profile):
 )
 def test_what_a_person_should_know_is_said(one, words):
 
-    assert any(re.search(words, said) for said in remarks(one())), remarks(one())
+    assert any(re.search(words, said) for said in collect_warnings(one())), collect_warnings(one())
 
 
 def test_a_bevel_that_points_elsewhere_is_noticed():
     one = replace(changed_pose(), plane="stated")
     away = -(one.patient.rotation.T @ one.frame.rotation[:, 1])
-    said = remarks(replace(one, traced=replace(one.traced, bevel=away)))
+    said = collect_warnings(replace(one, needle_axis=replace(one.needle_axis, bevel=away)))
     assert any("180 degrees away" in text for text in said)

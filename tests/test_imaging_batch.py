@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from needlefit.imaging import batch
-from needlefit.imaging.batch import Batch, Failure, reconstruct_all
-from needlefit.imaging.headers.nrrd import check_nrrd
-from needlefit.imaging.headers.promise import ImageHeader
-from needlefit.imaging.scans import read_scans
-from needlefit.imaging.volume import read, write
-from needlefit.project.places import shipped
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
+from needlefit.imaging.header_checks import ImageHeader
+from needlefit.imaging.image_headers import check_nrrd
+from needlefit.imaging.scan_table import read_scans
+from needlefit.imaging.volume_files import read_volume, write_volume
+from needlefit.project.locate import shipped_folder
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
 CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
 RECIPE = ReconstructionRecord(schema=1)
@@ -23,15 +23,15 @@ RECIPE = ReconstructionRecord(schema=1)
 
 @pytest.fixture(scope="module")
 def sample():
-    (scan,) = read_scans(shipped() / "data" / "sample_scan" / "scans.csv")
+    (scan,) = read_scans(shipped_folder() / "data" / "sample_scan" / "scans.csv")
     return scan
 
 
 @pytest.fixture(scope="module")
 def reconstructed(sample):
     """The sample, reconstructed alone."""
-    (one,) = reconstruct_all([sample], RECIPE, Batch())
-    assert not isinstance(one, Failure)
+    (one,) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
+    assert not isinstance(one, ReconstructionFailure)
     return one
 
 
@@ -62,8 +62,8 @@ def test_a_scan_that_fails_is_told_and_the_others_are_there(sample, tmp_path):
         replace(sample, id="gone", volume=tmp_path / "x"),
     ]
     told = []
-    found = reconstruct_all(scans, RECIPE, Batch(progress=lambda *step: told.append(step)))
-    assert [type(one) is Failure for one in found] == [True, False, True]
+    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(progress=lambda *step: told.append(step)))
+    assert [type(one) is ReconstructionFailure for one in found] == [True, False, True]
     assert found[0].scan.id == "torn" and str(torn) in str(found[0].error)
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
     assert told[-1][1:] == (3, 3)
@@ -79,10 +79,10 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
     def passes(path):
         return ImageHeader((4, 3, 2), 2, 48) if path == crashing else check_nrrd(path)
 
-    monkeypatch.setattr("needlefit.imaging.headers.check.check_nrrd", passes)
+    monkeypatch.setattr("needlefit.imaging.image_headers.check_nrrd", passes)
     scans = [replace(sample, id="crashing", volume=crashing), sample]
-    found = reconstruct_all(scans, RECIPE, Batch(jobs=jobs))
-    assert isinstance(found[0], Failure) and str(crashing) in str(found[0].error)
+    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(jobs=jobs))
+    assert isinstance(found[0], ReconstructionFailure) and str(crashing) in str(found[0].error)
     assert ("SIG" in str(found[0].error)) == (jobs == 1)  # another process has its own check
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
 
@@ -92,7 +92,7 @@ def test_what_nobody_foresaw_in_one_scan_is_its_failure(sample, monkeypatch):
         raise ZeroDivisionError("by nought")
 
     monkeypatch.setattr(batch, "reconstruct", breaks)
-    (one,) = reconstruct_all([sample], RECIPE, Batch())
+    (one,) = reconstruct_all([sample], RECIPE, ReconstructionBatch())
     assert "unexpected ZeroDivisionError: by nought" in str(one.error)
 
 
@@ -102,14 +102,16 @@ def test_what_is_finished_is_kept_and_taken_as_it_is(sample, tmp_path, worked):
     first = reconstruct_all(
         [sample, other],
         RECIPE,
-        Batch(
-            keep=tmp_path,
+        ReconstructionBatch(
+            checkpoint_folder=tmp_path,
             stop=lambda: len(stopped) > 0,
             progress=lambda _, done, __: stopped.extend([0] * done),
         ),
     )
     assert [one.scan.id for one in first] == worked.done == ["sample"]
-    resumed = reconstruct_all([sample, other], RECIPE, Batch(keep=tmp_path, resume=True))
+    resumed = reconstruct_all(
+        [sample, other], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True)
+    )
     assert worked.done == ["sample", "again"]
     assert np.array_equal(resumed[0].points, first[0].points)
 
@@ -118,8 +120,8 @@ def test_what_is_finished_is_kept_and_taken_as_it_is(sample, tmp_path, worked):
 def test_what_was_kept_of_other_work_is_done_again(change, sample, tmp_path, worked):
     volume = tmp_path / "sample.nrrd"
     shutil.copy(sample.volume, volume)
-    scan, recipe, keep = replace(sample, volume=volume), RECIPE, tmp_path / "kept"
-    reconstruct_all([scan], recipe, Batch(keep=keep))
+    scan, recipe, checkpoint_folder = replace(sample, volume=volume), RECIPE, tmp_path / "kept"
+    reconstruct_all([scan], recipe, ReconstructionBatch(checkpoint_folder=checkpoint_folder))
     if change == "file":
         with volume.open("ab") as file:
             file.write(b" ")
@@ -128,29 +130,33 @@ def test_what_was_kept_of_other_work_is_done_again(change, sample, tmp_path, wor
     if change == "recipe":
         recipe = ReconstructionRecord.model_validate({"schema": 1, "layers": {"surface_sd_mm": 0.3}})
     if change == "torn":
-        kept = next(keep.iterdir())
+        kept = next(checkpoint_folder.iterdir())
         kept.write_bytes(kept.read_bytes()[:1000])
-    reconstruct_all([scan], recipe, Batch(keep=keep, resume=change != "not resumed"))
+    reconstruct_all(
+        [scan],
+        recipe,
+        ReconstructionBatch(checkpoint_folder=checkpoint_folder, resume=change != "not resumed"),
+    )
     assert worked.done == ["sample"] * (1 if change == "nothing" else 2)
 
 
 def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
     """A series is named by any of its files; a change of another one is a change of the scan."""
-    write(read(sample.volume), tmp_path / "series")
+    write_volume(read_volume(sample.volume), tmp_path / "series")
     first, *_, last = sorted((tmp_path / "series").iterdir())
-    scan, keep = replace(sample, volume=first), tmp_path / "kept"
-    reconstruct_all([scan], RECIPE, Batch(keep=keep))
+    scan, checkpoint_folder = replace(sample, volume=first), tmp_path / "kept"
+    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint_folder=checkpoint_folder))
     with last.open("ab") as file:
         file.write(b" ")
-    reconstruct_all([scan], RECIPE, Batch(keep=keep, resume=True))
+    reconstruct_all([scan], RECIPE, ReconstructionBatch(checkpoint_folder=checkpoint_folder, resume=True))
     assert worked.done == ["sample"] * 2
 
 
 def test_whatever_byte_of_what_is_kept_is_changed_it_is_seen(sample, tmp_path, worked):
-    reconstruct_all([sample], RECIPE, Batch(keep=tmp_path))
-    file, chance = tmp_path / "sample.kept", random.Random(1)
+    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
+    file, chance = tmp_path / "sample.checkpoint", random.Random(1)
     whole = file.read_bytes()
-    (again,) = reconstruct_all([sample], RECIPE, Batch(keep=tmp_path, resume=True))
+    (again,) = reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True))
     assert worked.done == ["sample"] and type(again.registration.fre) is float
     assert [surface.name for surface in again.layers.surfaces] == [
         surface.name for surface in worked.one.layers.surfaces
@@ -159,12 +165,12 @@ def test_whatever_byte_of_what_is_kept_is_changed_it_is_seen(sample, tmp_path, w
         data = bytearray(whole)
         data[chance.randrange(len(data))] ^= 1 << chance.randrange(8)
         file.write_bytes(data)
-        reconstruct_all([sample], RECIPE, Batch(keep=tmp_path, resume=True))
+        reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True))
         assert len(worked.done) == number + 2
 
 
 def test_numbers_of_a_scan_count_to_the_last_digit(sample, tmp_path, worked):
-    reconstruct_all([sample], RECIPE, Batch(keep=tmp_path))
+    reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
     moved = replace(sample, stage=replace(sample.stage, entry=sample.stage.entry + 1e-12))
-    reconstruct_all([moved], RECIPE, Batch(keep=tmp_path, resume=True))
+    reconstruct_all([moved], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path, resume=True))
     assert worked.done == ["sample"] * 2

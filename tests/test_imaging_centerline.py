@@ -11,13 +11,13 @@ from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.needle.centerline import trace
-from needlefit.imaging.needle.sections import BENT, Sections, unseen
-from needlefit.imaging.needle.segmentation import components, segment, thresholds
+from needlefit.imaging.needle.axis_spline import SHIFT_PER_TILT_MM, CrossSections, estimate_shared_sd
+from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.imaging.needle.segmentation import find_components, list_thresholds, segment_needle
 from needlefit.imaging.volume import Volume, to_index, to_patient
 from needlefit.project.load import load
-from needlefit.project.records.reconstruction import ReconstructionRecord
-from needlefit.synthetic.ct.scene import Markers, Table
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
 
 FAR = np.array([200.0, 0.0, 0.0])
 SHAPES = {
@@ -29,7 +29,7 @@ SHAPES = {
 
 
 def found(volume, recipe=cases.RECIPE):
-    return trace(volume, segment(volume, recipe), recipe)
+    return trace_needle(volume, segment_needle(volume, recipe), recipe)
 
 
 @pytest.mark.parametrize("name", SHAPES)
@@ -91,12 +91,12 @@ def test_slices_thicker_than_pixels_are_allowed():
 
 def test_markers_rays_and_table_change_nothing():
     truth = cases.axis(curve=(2.0, 1.0))
-    balls = Markers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
+    balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     frame = Frame(np.array([11.0, 19.0, 25.0]), np.array([[0.0, 1, 0], [0, 0, -1], [1, 0, 0]]))
-    scene = {"markers": balls, "table": Table(frame, width=18.0, thickness=3.0)}
+    scene = {"markers": balls, "table": ScannerTable(frame, width=18.0, thickness=3.0)}
     volume = cases.scan(truth, scene=scene, streaks=1.0, bloom=0.12, cupping_hu=60.0)
-    low, high = thresholds(volume, cases.RECIPE)[0]
-    assert len(components(volume, low, high)) >= 6  # needle, balls and rails stand apart
+    low, high = list_thresholds(volume, cases.RECIPE)[0]
+    assert len(find_components(volume, low, high)) >= 6  # needle, balls and rails stand apart
     line = found(volume)
     assert cases.off(line.points, truth).mean() < 0.05
     assert np.linalg.norm(line.tip - truth[-1]) < 0.2
@@ -114,20 +114,20 @@ def test_pieces_of_one_needle_are_joined():
 
 def test_a_scan_without_metal():
     with pytest.raises(DataError, match="stand out from tissue"):
-        segment(cases.scan(cases.axis() + FAR), cases.RECIPE)
+        segment_needle(cases.scan(cases.axis() + FAR), cases.RECIPE)
 
 
 def test_a_threshold_that_nothing_exceeds():
     recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
     with pytest.raises(DataError, match="no voxels exceed 9000 HU"):
-        segment(cases.scan(cases.axis()), recipe)
+        segment_needle(cases.scan(cases.axis()), recipe)
 
 
 def test_balls_alone_are_no_needle():
-    balls = Markers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
+    balls = SceneMarkers(cases.ENTRY + np.array([[6.0, 3, 4], [-5, -6, 12], [4, -6, 20], [-7, 5, 30]]))
     volume = cases.scan(cases.axis() + FAR, scene={"markers": balls})
     with pytest.raises(DataError, match="is a tube"):
-        segment(volume, cases.RECIPE)
+        segment_needle(volume, cases.RECIPE)
 
 
 def test_a_tip_beyond_the_volume():
@@ -181,18 +181,22 @@ def sections(shifts, tilt=0.0):
     """Forty sections of 1000 HU with `shifts` along u; the background slopes by `tilt` (HU/mm) along v."""
     flat = np.zeros(40)
     across = np.column_stack([shifts + flat, flat])
-    return Sections(across, flat + 1000.0, flat + 10.0, np.column_stack([flat, flat + tilt]))
+    return CrossSections(across, flat + 1000.0, flat + 10.0, np.column_stack([flat, flat + tilt]))
 
 
 def test_what_sections_share_is_stated():
     none = sections(0.0)
-    assert unseen(none, none, 0.5) == 0.0
+    assert estimate_shared_sd(none, none, 0.5) == 0.0
     apart = sections(0.02)  # 0.02 mm along one of two directions
-    assert_allclose(unseen(apart, none, 0.5), 0.02 / np.sqrt(2))
+    assert_allclose(estimate_shared_sd(apart, none, 0.5), 0.02 / np.sqrt(2))
     sloping = sections(0.0, tilt=3.0)  # 3 / 1000 of the needle's brightness per mm
-    assert_allclose(unseen(sloping, sloping, 0.5), BENT * 3e-3 / np.sqrt(2))
-    assert_allclose(unseen(apart, sloping, 0.5), np.hypot(0.02, BENT * 3e-3) / np.sqrt(2))
-    assert unseen(sections(0.02 * (-1.0) ** np.arange(40)), none, 0.5) < 0.001  # neighbours make up for it
+    assert_allclose(estimate_shared_sd(sloping, sloping, 0.5), SHIFT_PER_TILT_MM * 3e-3 / np.sqrt(2))
+    assert_allclose(
+        estimate_shared_sd(apart, sloping, 0.5), np.hypot(0.02, SHIFT_PER_TILT_MM * 3e-3) / np.sqrt(2)
+    )
+    assert (
+        estimate_shared_sd(sections(0.02 * (-1.0) ** np.arange(40)), none, 0.5) < 0.001
+    )  # neighbours make up for it
 
 
 def test_the_shipped_recipe_states_the_defaults():
@@ -206,10 +210,10 @@ def test_the_shipped_recipe_states_the_defaults():
         {"segmentation": {"threshold_low_hu": 2000.0, "threshold_high_hu": 1000.0}},
         {"centerline": {"entry_direction": [0.0, 0.0, 0.0]}},
         {"needle": {"diameter_mm": 0.0}},
-        {"centerline": {"station_mm": 1e-4}},
-        {"centerline": {"patch_mm": 1e3}},
-        {"centerline": {"knot_mm": 0.1}},
-        {"centerline": {"knot_mm": 1e4}},
+        {"centerline": {"station_spacing_mm": 1e-4}},
+        {"centerline": {"patch_width_mm": 1e3}},
+        {"centerline": {"knot_spacing_mm": 0.1}},
+        {"centerline": {"knot_spacing_mm": 1e4}},
     ],
 )
 def test_recipes_that_contradict_themselves(table):

@@ -6,17 +6,17 @@ import pytest
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import sheet
 from needlefit.imaging.entry import (
-    Shaft,
-    disagreement,
-    from_shaft,
-    from_stage,
-    on_surface,
+    OutsideShaft,
+    compare_poses,
+    find_entry_arc_length,
+    move_to_surface,
+    pose_from_shaft,
+    pose_from_stage,
     require_agreement,
-    start,
 )
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import register, to_world
-from needlefit.imaging.scan import Stage
+from needlefit.imaging.scan import StagePose
 
 FREE = 95.0
 
@@ -32,7 +32,7 @@ def shaft(origin, direction, bend=(0.0, 0.0), turn=(0.0, 0.0), shown=40.0, noise
     axes = np.linalg.svd(np.outer(direction, direction))[0][:, 1:]  # two normals
     points = np.asarray(origin) + np.outer(s, direction) + y @ axes.T
     points += noise * np.random.default_rng(seed).normal(size=points.shape)
-    return Shaft(points, np.full(len(s), max(noise, 0.005)), s, FREE, 0.3, np.radians(2.0))
+    return OutsideShaft(points, np.full(len(s), max(noise, 0.005)), s, FREE, 0.3, np.radians(2.0))
 
 
 def axis(direction):
@@ -41,7 +41,7 @@ def axis(direction):
 
 def test_an_unbent_shaft_is_its_own_axis():
     direction = axis([1.0, 0.2, -0.1])
-    pose = from_shaft(shaft([3.0, -2.0, 5.0], direction), along_sd=0.1)
+    pose = pose_from_shaft(shaft([3.0, -2.0, 5.0], direction), along_sd=0.1)
     assert pose.origin == pytest.approx([3.0, -2.0, 5.0], abs=1e-9)
     assert pose.direction == pytest.approx(direction, abs=1e-9)
     assert (pose.source, pose.along_sd) == ("shaft", 0.1)
@@ -51,7 +51,7 @@ def test_the_final_tangent_is_not_taken_for_the_axis():
     """Moved by 0.14 mm and turned by 1.3 degrees at the entry, as at 53 mm of depth."""
     direction = axis([1.0, 0.0, 0.0])
     bent = shaft([0.0, 0, 0], direction, bend=(0.14, 0.0), turn=(np.radians(1.3), 0.0))
-    pose = from_shaft(bent, along_sd=0.0)
+    pose = pose_from_shaft(bent, along_sd=0.0)
     tip = pose.origin + 53.0 * pose.direction
     assert np.linalg.norm(tip - [53.0, 0, 0]) < 0.3  # the tangent at the entry would miss by 1.2 mm
     chord = bent.points[-1] - bent.points[0]
@@ -69,8 +69,8 @@ def test_the_stated_deviation_of_the_axis_is_its_error():
         smooth = np.exp(-np.abs(s[:, None] - s) / 7.5)  # errors of a traced axis hang together
         clean = shaft([0.0, 0, 0], direction, bend, turn)
         noise = 0.02 * np.linalg.cholesky(smooth) @ rng.normal(size=(len(s), 3))
-        noisy = Shaft(clean.points + noise, np.full(len(s), 0.02), s, FREE, 0.3, np.radians(2.0))
-        pose = from_shaft(noisy, along_sd=0.0)
+        noisy = OutsideShaft(clean.points + noise, np.full(len(s), 0.02), s, FREE, 0.3, np.radians(2.0))
+        pose = pose_from_shaft(noisy, along_sd=0.0)
         z.append([pose.origin[1] / pose.shift_sd, pose.direction[1] / pose.angle_sd])
         assert seed == 0 or pose.shift_sd < 0.3
     assert np.std(z, axis=0) == pytest.approx([1.0, 1.0], abs=0.15)
@@ -78,21 +78,21 @@ def test_the_stated_deviation_of_the_axis_is_its_error():
 
 def test_a_shaft_that_hardly_shows_is_refused():
     with pytest.raises(DataError, match=r"7\.\d mm of the shaft") as error:
-        from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=9.0), along_sd=0.0)
-    assert "state the stage" in error.value.mend
+        pose_from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=9.0), along_sd=0.0)
+    assert "state the stage" in error.value.fix
 
 
 MARKERS = np.array([[0.0, 0, 0], [60, 0, 5], [5, 50, 0], [0, 10, 40], [45, 45, 30], [20, 5, 55]])
 
 
 def test_the_stage_keeps_its_pose_and_takes_the_errors_of_the_registration():
-    stage = Stage(np.array([10.0, 0, 0]), axis([1.0, 0, 0]), shift_sd=0.05, angle_sd=0.001)
-    alone = from_stage(stage, None, np.zeros(3))
+    stage = StagePose(np.array([10.0, 0, 0]), axis([1.0, 0, 0]), shift_sd=0.05, angle_sd=0.001)
+    alone = pose_from_stage(stage, None, np.zeros(3))
     assert (alone.shift_sd, alone.angle_sd, alone.source) == (0.05, 0.001, "stage")
     registration = register(MARKERS + np.array([3.0, 2, 1]), MARKERS, 0.2)
     entry = np.array([13.0, 2, 1])  # where the stage's entry lies in the scan
     assert to_world(registration, entry[None])[0] == pytest.approx(stage.entry)
-    pose = from_stage(stage, registration, entry)
+    pose = pose_from_stage(stage, registration, entry)
     # the shift of six markers of deviation 0.2 mm, and what their turn adds at 30 mm
     assert 0.2 / np.sqrt(6) < pose.shift_sd < 0.2
     assert pose.angle_sd > 0.001
@@ -103,14 +103,14 @@ def test_the_axis_meets_the_tissue_where_its_surface_is():
     pose = EntryPose(np.array([0.5, 0, 0]), axis([1.0, 1.0, 0.0]), "shaft", 0.1, 0.01, 0.1)
     skin = sheet("skin", (2.0, 0, 0), (1, 0, 0), 50.0, into=1)
     inner = sheet("inner", (1.0, 0, 0), (1, 0, 0), 50.0, into=2)
-    assert on_surface(pose, (inner, skin)).origin == pytest.approx([2.0, 1.5, 0.0])
-    assert on_surface(pose, (inner,)) == pose
+    assert move_to_surface(pose, (inner, skin)).origin == pytest.approx([2.0, 1.5, 0.0])
+    assert move_to_surface(pose, (inner,)) == pose
 
 
 def test_the_centreline_begins_in_the_plane_of_first_contact():
     pose = EntryPose(np.array([0.0, 0.3, 0]), axis([1.0, 0, 0]), "stage", 0.1, 0.01, 0.1)
     needle = np.column_stack([np.arange(-20.25, 30.0), np.zeros(51), np.zeros(51)])
-    assert start(needle, pose) == pytest.approx(20.25)
+    assert find_entry_arc_length(needle, pose) == pytest.approx(20.25)
 
 
 @pytest.mark.parametrize(
@@ -125,8 +125,8 @@ def test_a_stage_in_another_frame_is_noticed(origin, direction, match):
     pose = EntryPose(np.array(origin), axis(direction), "stage", 0.1, 0.01, 0.1)
     needle = np.column_stack([np.arange(-20.0, 30.0), np.zeros(50), np.zeros(50)])
     with pytest.raises(DataError, match=match) as error:
-        start(needle, pose)
-    assert "frame" in error.value.mend
+        find_entry_arc_length(needle, pose)
+    assert "frame" in error.value.fix
 
 
 def pose(origin=(0.0, 0, 0), direction=(1.0, 0, 0), shift_sd=0.3, angle_sd=0.02):
@@ -135,9 +135,9 @@ def pose(origin=(0.0, 0, 0), direction=(1.0, 0, 0), shift_sd=0.3, angle_sd=0.02)
 
 def test_stage_and_shaft_are_compared_across_the_axis():
     stage, shaft = pose(shift_sd=0.4), pose((7.0, 0.6, 0.8), (1.0, 0.0, 0.1))
-    found = disagreement(stage, shaft)
-    assert found.beside == pytest.approx(1.0)  # 7 mm along the axis do not count
-    assert found.beside_sd == pytest.approx(0.5)
+    found = compare_poses(stage, shaft)
+    assert found.offset == pytest.approx(1.0)  # 7 mm along the axis do not count
+    assert found.offset_sd == pytest.approx(0.5)
     assert found.turn == pytest.approx(np.arctan(0.1))
     require_agreement(stage, shaft)
 
@@ -148,4 +148,4 @@ def test_stage_and_shaft_are_compared_across_the_axis():
 def test_a_stage_that_is_not_the_needle_s_is_refused(shaft):
     with pytest.raises(DataError, match="outside the tissue stands") as error:
         require_agreement(pose(), shaft)
-    assert "LPS or RAS" in error.value.mend
+    assert "LPS or RAS" in error.value.fix

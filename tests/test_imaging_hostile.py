@@ -16,11 +16,11 @@ from test_imaging_volume import VALUES, metaimage, nifti, nrrd
 
 from needlefit.datasets.formats.mat import read_curves
 from needlefit.errors import DataError, NeedlefitError
-from needlefit.imaging.headers.check import check_image_header
-from needlefit.imaging.headers.promise import MAX_EXPANSION
-from needlefit.imaging.label_volumes import read_labels
-from needlefit.imaging.volume import read
-from needlefit.project.caged import MEMORY_VARIABLE, Limits, read_caged
+from needlefit.imaging.header_checks import MAX_EXPANSION
+from needlefit.imaging.image_headers import check_image_header
+from needlefit.imaging.label_surfaces import read_labels
+from needlefit.imaging.volume_files import read_volume
+from needlefit.project.sandbox import MEMORY_VARIABLE, ReaderLimits, read_in_sandbox
 
 CORPUS = sorted((Path(__file__).parent / "fuzz" / "corpus").iterdir())
 NATIVE = [path for path in CORPUS if path.suffix in (".nrrd", ".mha", ".mhd")]
@@ -28,7 +28,7 @@ MAX_SECONDS, MAX_KIB = 10, 2**20
 
 
 def reader(path):
-    return read_curves if path.suffix == ".mat" else read_labels if ".seg." in path.name else read
+    return read_curves if path.suffix == ".mat" else read_labels if ".seg." in path.name else read_volume
 
 
 @pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.name)
@@ -36,7 +36,7 @@ def test_a_file_that_crashed_a_reader_is_a_data_error(path, tmp_path):
     begin = time.monotonic()
     with pytest.raises(DataError) as found:
         reader(path)(Path(shutil.copy(path, tmp_path)))
-    assert str(tmp_path) in found.value.where and found.value.what and found.value.mend
+    assert str(tmp_path) in found.value.where and found.value.what and found.value.fix
     assert time.monotonic() - begin < MAX_SECONDS
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < MAX_KIB
 
@@ -44,7 +44,7 @@ def test_a_file_that_crashed_a_reader_is_a_data_error(path, tmp_path):
 @pytest.mark.parametrize("path", NATIVE[::8], ids=lambda path: path.name)
 def test_were_its_header_not_checked_the_crash_is_one_of_the_child(path):
     with pytest.raises(DataError) as found:
-        read_caged("needlefit.imaging.image_files:read_image", path, Limits(), {"path": str(path)})
+        read_in_sandbox("needlefit.imaging.image_files:read_image", path, ReaderLimits(), {"path": str(path)})
     assert "SIG" in found.value.what
 
 
@@ -57,7 +57,7 @@ def test_a_slice_whose_element_claims_gigabytes(name, tmp_path):
     (tmp_path / "1.dcm").write_bytes(content)
     (tmp_path / "2.dcm").write_bytes(second)
     try:
-        assert read(tmp_path).values.shape == (2, 5, 6)
+        assert read_volume(tmp_path).values.shape == (2, 5, 6)
     except DataError as error:
         assert error.where.endswith(".dcm")
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < MAX_KIB
@@ -68,7 +68,7 @@ def test_a_dicom_element_longer_than_its_file(tmp_path):
     at = content.index(b"\x20\x00\x0e\x00UI")  # SeriesInstanceUID, explicit length
     (tmp_path / "1.dcm").write_bytes(content[: at + 4] + b"OB\0\0" + struct.pack("<I", 2**31 - 2))
     with pytest.raises(DataError) as found:
-        read(tmp_path / "1.dcm")
+        read_volume(tmp_path / "1.dcm")
     assert found.value.where.endswith("1.dcm")
 
 
@@ -87,8 +87,8 @@ def test_a_bomb_that_promises_what_it_unpacks_to(tmp_path, name, monkeypatch):
         nifti(path, sizes=sizes)
         path.write_bytes(path.read_bytes() + packed)
     with pytest.raises(DataError) as found:
-        read(path)
-    assert MEMORY_VARIABLE in found.value.mend and f"{MAX_EXPANSION} times" in found.value.expected
+        read_volume(path)
+    assert MEMORY_VARIABLE in found.value.fix and f"{MAX_EXPANSION} times" in found.value.expected
     monkeypatch.setenv(MEMORY_VARIABLE, "4")
     assert check_image_header(path).content_bytes == 2**30  # the user takes the risk
 
@@ -98,7 +98,7 @@ def test_a_bomb_that_promises_little(tmp_path):
     packed = gzip.compress(VALUES.tobytes() + bytes(2**20), 9) + gzip.compress(bytes(2**20), 9) * 1024
     path = nrrd(tmp_path / "a.nrrd", encoding="gzip", data=packed)
     with suppress(DataError):
-        assert np.array_equal(read(path).values, VALUES)
+        assert np.array_equal(read_volume(path).values, VALUES)
     assert resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss < MAX_KIB
 
 
@@ -125,7 +125,7 @@ def test_voxels_lie_in_the_same_folder(tmp_path, name):
         metaimage(folder / "a.mhd", ElementDataFile=name),
     ):
         with pytest.raises(DataError) as found:
-            read(path)
+            read_volume(path)
         assert "folder" in found.value.expected and "passwd" not in found.value.what
 
 
@@ -134,7 +134,7 @@ def test_voxels_in_a_device_or_folder(tmp_path):
     (tmp_path / "w.raw").mkdir()
     for name, kind in (("v.raw", "device"), ("w.raw", "folder")):
         with pytest.raises(DataError, match=kind):
-            read(metaimage(tmp_path / "a.mhd", ElementDataFile=name))
+            read_volume(metaimage(tmp_path / "a.mhd", ElementDataFile=name))
 
 
 LONG = "9" * 5000
@@ -160,7 +160,7 @@ def test_a_header_with_a_value_that_cannot_be(tmp_path, field, value):
     make, name = (nrrd, "a.nrrd") if field in NRRD_FIELDS else (metaimage, "a.mha")
     path = make(tmp_path / name, **{field: value})
     try:
-        assert read(path).values.size == VALUES.size
+        assert read_volume(path).values.size == VALUES.size
     except DataError as error:
         assert error.where == str(path) and "9999" not in str(error)
 
@@ -172,7 +172,7 @@ def test_a_nifti_header_with_a_value_that_cannot_be(tmp_path, at, entry):
     content = path.read_bytes()
     path.write_bytes(content[:at] + entry + content[at + 4 :])
     try:
-        assert read(path).values.size == VALUES.size
+        assert read_volume(path).values.size == VALUES.size
     except DataError as error:
         assert error.where == str(path)
 
@@ -185,16 +185,16 @@ def test_what_is_no_file(tmp_path, place):
         path = tmp_path / "link.nrrd"
         path.symlink_to(place)
     with pytest.raises(NeedlefitError):
-        read(path)
+        read_volume(path)
     with pytest.raises(NeedlefitError):
-        read(Path(place) if place.startswith("/") else path)
+        read_volume(Path(place) if place.startswith("/") else path)
 
 
 # What is unusual, and right
 
 
 def plain(path):
-    assert np.array_equal(read(path).values, VALUES)
+    assert np.array_equal(read_volume(path).values, VALUES)
 
 
 @pytest.mark.parametrize("encoding", ["raw", "gzip", "gz", "hex", "ascii", "txt"])
@@ -213,7 +213,7 @@ def test_encodings_of_nrrd(tmp_path, encoding):
         image.Execute()
     except RuntimeError:  # this build of SimpleITK lacks the encoding
         with pytest.raises(DataError):
-            read(path)
+            read_volume(path)
     else:
         plain(path)
 
@@ -224,8 +224,8 @@ def test_bzip2_and_several_files_of_voxels_are_named_as_what_is_not_read(tmp_pat
     several.write_bytes(several.read_bytes().rstrip() + b"\nslice1.raw\nslice2.raw\n")
     for path, word in ((packed, "bzip2"), (several, "several files")):
         with pytest.raises(DataError) as caught:
-            read(path)
-        assert word in caught.value.what and caught.value.mend
+            read_volume(path)
+        assert word in caught.value.what and caught.value.fix
 
 
 def test_headers_that_lie_beside_their_voxels(tmp_path):
@@ -259,4 +259,4 @@ def test_a_volume_may_be_made_of_few_bytes(tmp_path):
         tmp_path / "a.nrrd", values, type="uint8", encoding="gzip", data=gzip.compress(values.tobytes())
     )
     assert path.stat().st_size < 5000
-    assert read(path).values.sum() == values.size
+    assert read_volume(path).values.sum() == values.size

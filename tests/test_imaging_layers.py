@@ -31,14 +31,14 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame, entry_frame
 from needlefit.geometry.surfaces import Surface, cylinder, moved, read_surface, sheet, write_surface
-from needlefit.imaging.label_volumes import read_labels
-from needlefit.imaging.layer_doubts import doubts, refuse_tunnels
-from needlefit.imaging.layers import LayerErrors, layer_errors, met, read_layers
+from needlefit.imaging.label_surfaces import read_labels
+from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.reconstruction import EntryPose
+from needlefit.imaging.reconstruction_checks import check_layer_count, refuse_tunnels
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.scan import LayerSource, Stage
+from needlefit.imaging.scan import LayerSource, StagePose
 from needlefit.imaging.volume import Volume
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
 NORMAL = np.array([0.48, 0.6, 0.64])
 EXACT = LayerErrors(0.0, np.zeros(len(NEEDLE)))
@@ -47,7 +47,7 @@ EXACT = LayerErrors(0.0, np.zeros(len(NEEDLE)))
 def refused(*layers, **changes):
     with pytest.raises(DataError) as error:
         read_layers(scan(*layers, **changes), HOME)
-    assert "mend: " in str(error.value)
+    assert "fix: " in str(error.value)
     return str(error.value)
 
 
@@ -100,7 +100,9 @@ def test_a_needle_meets_the_labels_in_their_order(slabs_file):
     needle = np.linspace(-9, 9, 200)[:, None] * NORMAL
     frame = Frame(needle[0], np.linalg.qr(np.column_stack([NORMAL, np.eye(3)[:, :2]]))[0])
     frame = Frame(frame.origin, frame.rotation * np.sign(frame.rotation[:, 0] @ NORMAL))
-    layers = met(needle, frame, read_layers(scan(slabs_file), HOME), LayerErrors(0.1, np.zeros(200)))
+    layers = find_crossed_layers(
+        needle, frame, read_layers(scan(slabs_file), HOME), LayerErrors(0.1, np.zeros(200))
+    )
     assert layers.sequence == (1, 2, 3)
     assert layers.boundaries == pytest.approx([7, 12], abs=0.1)
     np.testing.assert_allclose(layers.points, np.outer([-2, 3], NORMAL), atol=0.1)
@@ -349,7 +351,7 @@ def tilted(degrees):
 
 def test_depths_count_along_c(tmp_path):
     frame = Frame(np.array([-2.0, 0, 0]), np.eye(3))
-    layers = met(NEEDLE, frame, (tilted(0), tilted(40)), EXACT)
+    layers = find_crossed_layers(NEEDLE, frame, (tilted(0), tilted(40)), EXACT)
     assert layers.boundaries == pytest.approx([12.0]) and layers.sequence == (1, 2)
     np.testing.assert_allclose(layers.points, [[10, 0, 0]], atol=1e-9)
 
@@ -358,14 +360,16 @@ def test_depths_count_along_c(tmp_path):
 def test_deviations_grow_as_the_needle_grazes(degrees):
     """A surface's own counts by 1 / cos, one across the needle by the tangent of the angle."""
     angle = math.radians(degrees)
-    own = met(NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
+    own = find_crossed_layers(NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
     assert own.sd[0] == pytest.approx(0.1 / math.cos(angle), rel=1e-6)
-    across = met(NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.0, np.full(len(NEEDLE), 0.2)))
+    across = find_crossed_layers(
+        NEEDLE, HOME, (tilted(degrees),), LayerErrors(0.0, np.full(len(NEEDLE), 0.2))
+    )
     assert across.sd[0] == pytest.approx(0.2 * math.tan(angle), abs=1e-9)
 
 
 def test_a_needle_in_the_surface_hardly_knows_its_crossing():
-    layers = met(NEEDLE, HOME, (tilted(89.9),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
+    layers = find_crossed_layers(NEEDLE, HOME, (tilted(89.9),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
     assert layers.sd[0] == pytest.approx(0.1 / 0.02)
 
 
@@ -379,15 +383,15 @@ def shifted():
 
 def test_the_registration_s_error_counts_across_the_needle_and_not_along_it(shifted):
     errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), registration=shifted)
-    assert met(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.4)
+    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.4)
     tilt = math.radians(60)
     expected = math.hypot(0.4, 0.3 * math.sin(tilt)) / math.cos(tilt)
-    assert met(NEEDLE, HOME, (tilted(60),), errors).sd[0] == pytest.approx(expected)
+    assert find_crossed_layers(NEEDLE, HOME, (tilted(60),), errors).sd[0] == pytest.approx(expected)
 
 
 def test_the_entry_s_own_error_counts_along_the_needle():
     errors = LayerErrors(0.4, np.zeros(len(NEEDLE)), along=0.3)
-    assert met(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.5)
+    assert find_crossed_layers(NEEDLE, HOME, (tilted(0),), errors).sd[0] == pytest.approx(0.5)
 
 
 def test_surfaces_of_the_scan_move_with_its_needle(shifted, slabs_file, tmp_path):
@@ -398,18 +402,18 @@ def test_surfaces_of_the_scan_move_with_its_needle(shifted, slabs_file, tmp_path
         (scan(mesh), True, math.hypot(0.2, 0.9)),
         (scan(mesh, surfaces_in="scan"), False, 0.2),
         (scan(slabs_file), False, 0.2),
-        (scan(mesh, stage=Stage(pose.origin, pose.direction, 0.05, 0.001)), True, 0.05),
+        (scan(mesh, stage=StagePose(pose.origin, pose.direction, 0.05, 0.001)), True, 0.05),
     ):
-        errors = layer_errors(one, recipe, sd, pose, shifted)
+        errors = estimate_layer_errors(one, recipe, sd, pose, shifted)
         assert (errors.registration is not None) == with_registration
         assert errors.surface == 0.1
         assert errors.along == pytest.approx(along)
 
 
 def test_without_surfaces_there_is_one_layer():
-    layers = met(NEEDLE, HOME, (), EXACT)
+    layers = find_crossed_layers(NEEDLE, HOME, (), EXACT)
     assert layers.sequence == (1,) and len(layers.boundaries) == 0 and layers.points.shape == (0, 3)
-    assert doubts(scan(layers=1), layers, NEEDLE, HOME) == ()
+    assert check_layer_count(scan(layers=1), layers, NEEDLE, HOME) == ()
 
 
 # ---- doubts
@@ -418,29 +422,29 @@ def test_without_surfaces_there_is_one_layer():
 def test_a_sheet_too_small_is_told_and_by_how_much():
     """It spans 10 mm about (10, 12, 0): its rim is 7 mm away from the needle."""
     small = sheet("skin", (10, 12, 0), (1, 0, 0), 10, into=2)
-    layers = met(NEEDLE, HOME, (small,), EXACT)
-    said = doubts(scan(), layers, NEEDLE, HOME)
+    layers = find_crossed_layers(NEEDLE, HOME, (small,), EXACT)
+    said = check_layer_count(scan(), layers, NEEDLE, HOME)
     assert said[0] == "the needle passes 7.0 mm beside the sheet skin: it is too small"
     assert "the nearest surface stays 7.0 mm away" in said[1]
 
 
 def test_layers_in_ras_are_recognised_by_what_would_be_crossed():
-    there = met(NEEDLE, HOME, (sheet("skin", (-10, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
-    assert any("if their files were in RAS" in one for one in doubts(scan(), there, NEEDLE, HOME))
-    beyond = met(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
-    said = doubts(scan(), beyond, NEEDLE, HOME)
+    there = find_crossed_layers(NEEDLE, HOME, (sheet("skin", (-10, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    assert any("if their files were in RAS" in one for one in check_layer_count(scan(), there, NEEDLE, HOME))
+    beyond = find_crossed_layers(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    said = check_layer_count(scan(), beyond, NEEDLE, HOME)
     assert said == ("the needle crosses no layer; the nearest surface stays 15.0 mm away",)
 
 
 def test_layers_counted_must_be_met():
-    layers = met(NEEDLE, HOME, (tilted(0),), EXACT)
-    assert doubts(scan(layers=2), layers, NEEDLE, HOME) == ()
-    assert doubts(scan(layers=3, layers_alternative=2), layers, NEEDLE, HOME) == ()
+    layers = find_crossed_layers(NEEDLE, HOME, (tilted(0),), EXACT)
+    assert check_layer_count(scan(layers=2), layers, NEEDLE, HOME) == ()
+    assert check_layer_count(scan(layers=3, layers_alternative=2), layers, NEEDLE, HOME) == ()
     with pytest.raises(DataError, match=r"meets 2 layers \(1 > 2; interfaces at 10\.00 mm\), but 3 were"):
-        doubts(scan(layers=3), layers, NEEDLE, HOME)
-    nothing = met(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+        check_layer_count(scan(layers=3), layers, NEEDLE, HOME)
+    nothing = find_crossed_layers(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
     with pytest.raises(DataError, match="but 2 were counted; the needle crosses no layer"):
-        doubts(scan(layers=2), nothing, NEEDLE, HOME)
+        check_layer_count(scan(layers=2), nothing, NEEDLE, HOME)
 
 
 def without(left_out):
@@ -464,7 +468,7 @@ def test_layers_drawn_around_the_needle_are_refused(end, tmp_path):
     source = scan(save(tmp_path / "tunnel.nrrd", labelled(tunnel)), layers=2)
     with pytest.raises(DataError, match=r"around the needle.*layer_1 \(along (19|20) mm\), layer_2") as error:
         refuse_tunnels(source, read_layers(source, HOME), AXIS)
-    assert "label the needle's voxels" in error.value.mend
+    assert "label the needle's voxels" in error.value.fix
 
 
 def test_what_a_needle_passes_through_is_no_tunnel(tmp_path):
@@ -496,7 +500,7 @@ def test_layers_of_a_scan_go_through_a_dataset(slabs_file, tmp_path):
     direction = PATIENT.rotation @ NORMAL
     surfaces = read_layers(scan(slabs_file), PATIENT)
     frame = entry_frame(needle[0], direction, PATIENT.rotation[:, 0])
-    layers = met(needle, frame, surfaces, LayerErrors(0.1, np.full(73, 0.05)))
+    layers = find_crossed_layers(needle, frame, surfaces, LayerErrors(0.1, np.full(73, 0.05)))
     listed = [{"file": f"layers/{{id}}_{s.name}.stl", "kind": s.kind, "into": s.into} for s in surfaces]
     row = InsertionRow(
         "a", "gel", 3, 18.0, entry=needle[0], direction=direction, pose_source="shaft", patient=PATIENT

@@ -10,24 +10,24 @@ from scipy.spatial.distance import cdist
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.ball.model import Near, look, profile
-from needlefit.imaging.markers import check_fiducials, find_markers, given_markers, read_markers
-from needlefit.imaging.needle.segmentation import segment
+from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
+from needlefit.imaging.needle.segmentation import segment_needle
 from needlefit.imaging.registration.register import register
+from needlefit.imaging.sphere_fit import SphereVoxels, blurred_profile, render_sphere
 from needlefit.imaging.volume import Volume
-from needlefit.synthetic.ct.scene import Markers, Table
+from needlefit.synthetic.ct_scene import ScannerTable, SceneMarkers
 
 PLACES = np.array([[4.13, 4.71, 20.05], [17.32, 5.28, 31.77], [5.55, 16.92, 40.4], [16.4, 17.2, 24.81]])
 
 
 def with_balls(places=PLACES, radius=1.5, hu=5000.0, table=None, seed=1, **scanner):
     """A scan of a needle and of balls."""
-    balls = Markers(np.asarray(places), radius, hu)
+    balls = SceneMarkers(np.asarray(places), radius, hu)
     return scan(axis(), seed, {"markers": balls, "table": table}, **scanner)
 
 
 def needle_of(volume):
-    return segment(volume, RECIPE).voxels
+    return segment_needle(volume, RECIPE).voxels
 
 
 def off(found, places=PLACES):
@@ -103,7 +103,7 @@ def test_ball_cut_by_the_volume_is_left_out():
 def test_rails_of_the_table_are_no_markers():
     slab = Frame(np.array([19.5, 11.0, 25.0]), np.array([[0.0, 0, -1], [0, 1, 0], [1, 0, 0]]))
     places = PLACES * [0.8, 1, 1]
-    volume = with_balls(places, table=Table(slab, width=18.0))
+    volume = with_balls(places, table=ScannerTable(slab, width=18.0))
     assert off(find_markers(volume, RECIPE), places).max() < 0.05
 
 
@@ -141,7 +141,7 @@ def test_threshold_of_the_recipe(plain):
     assert off(find_markers(plain, recipe(markers={"threshold_hu": 1500.0}))).max() < 0.03
     with pytest.raises(DataError, match="exceed 5000 HU") as caught:
         find_markers(plain, recipe(markers={"threshold_hu": 5000.0}))
-    assert "threshold_hu" in caught.value.mend
+    assert "threshold_hu" in caught.value.fix
 
 
 def test_nothing_bright_enough_is_an_error():
@@ -152,29 +152,31 @@ def test_nothing_bright_enough_is_an_error():
     with pytest.raises(DataError) as caught:
         find_markers(dull, RECIPE)
     assert caught.value.expected
-    assert caught.value.mend
+    assert caught.value.fix
 
 
 def test_profile_of_the_blurred_ball():
     # by hand: an unblurred ball is 1 inside and 0 outside; a flat face would be half way up
     r = np.array([0.5, 1.4, 1.6, 3.0])
-    np.testing.assert_allclose(profile(r, 1.5, 1e-3), [1, 1, 0, 0], atol=1e-12)
-    assert profile(np.array([50.0]), 50.0, 0.5)[0] == pytest.approx(0.5, abs=0.01)
+    np.testing.assert_allclose(blurred_profile(r, 1.5, 1e-3), [1, 1, 0, 0], atol=1e-12)
+    assert blurred_profile(np.array([50.0]), 50.0, 0.5)[0] == pytest.approx(0.5, abs=0.01)
     # the blur keeps the volume: 4/3 pi 1.5^3
     fine = np.arange(0.005, 8, 0.01)
-    volume = np.sum(4 * np.pi * fine**2 * profile(fine, 1.5, 0.6)) * 0.01
+    volume = np.sum(4 * np.pi * fine**2 * blurred_profile(fine, 1.5, 0.6)) * 0.01
     assert volume == pytest.approx(4 / 3 * np.pi * 1.5**3, rel=1e-4)
 
 
 def test_derivatives_of_the_model_are_those_of_the_model():
     rng = np.random.default_rng(2)
-    near = Near(rng.uniform(-3, 3, (200, 3)), np.zeros(200), np.array([0.4, 0.5, 0.9]), np.inf)
+    near = SphereVoxels(rng.uniform(-3, 3, (200, 3)), np.zeros(200), np.array([0.4, 0.5, 0.9]), np.inf)
     theta = np.array([0.1, -0.2, 0.15, 8.0, -0.8, -900.0, 950.0, 0.5, -0.4, 0.9, 0.3])
     for n in range(len(theta)):
         h = 1e-4 * max(1.0, abs(theta[n]))
         step = np.eye(len(theta))[n] * h
-        difference = (look(near, 1.5, theta + step)[0] - look(near, 1.5, theta - step)[0]) / (2 * h)
-        mine = look(near, 1.5, theta)[1][:, n]
+        difference = (
+            render_sphere(near, 1.5, theta + step)[0] - render_sphere(near, 1.5, theta - step)[0]
+        ) / (2 * h)
+        mine = render_sphere(near, 1.5, theta)[1][:, n]
         assert np.abs(difference - mine).max() <= 0.01 * np.abs(mine).max()
 
 
@@ -215,7 +217,7 @@ def test_files_that_hold_no_places_say_what_is_wrong(tmp_path):
     short.write_text("x_mm,y_mm\n1,2\n")
     with pytest.raises(DataError, match="z_mm") as caught:
         read_markers(short)
-    assert "first line" in caught.value.mend and "dataset.toml" not in caught.value.mend
+    assert "first line" in caught.value.fix and "dataset.toml" not in caught.value.fix
     bad = tmp_path / "c.csv"
     bad.write_text("x_mm,y_mm,z_mm\n1,2,three\n")
     with pytest.raises(DataError, match="three"):
@@ -229,10 +231,10 @@ def test_files_that_hold_no_places_say_what_is_wrong(tmp_path):
 def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
     clicked = PLACES + np.array([[0.5, 0.2, -0.3], [-1.2, 0, 0.9], [0, 0, 0], [0.3, 0.3, 0.3]])
     landmark = np.array([[10.0, 20.0, 45.0]])  # no ball there
-    given = given_markers(table(tmp_path / "clicked.csv", np.vstack([clicked, landmark])), RECIPE)
+    given = read_fiducials(table(tmp_path / "clicked.csv", np.vstack([clicked, landmark])), RECIPE)
     assert given.source == "fiducials"
     np.testing.assert_array_equal(given.sd, 0.3)
-    moved = check_fiducials(given, plain, RECIPE)
+    moved = refine_fiducials(given, plain, RECIPE)
     assert moved.source == "fiducials"
     assert np.linalg.norm(moved.centers[:4] - PLACES, axis=1).max() < 0.03
     assert (moved.sd[:4] < 0.05).all()
@@ -242,7 +244,7 @@ def test_fiducials_are_moved_to_the_balls_that_they_mark(plain, tmp_path):
 
 def test_two_fiducials_do_not_share_a_ball(plain, tmp_path):
     pair = np.array([PLACES[0] + [0.2, 0, 0], PLACES[0] - [0.6, 0, 0]])
-    moved = check_fiducials(given_markers(table(tmp_path / "pair.csv", pair), RECIPE), plain, RECIPE)
+    moved = refine_fiducials(read_fiducials(table(tmp_path / "pair.csv", pair), RECIPE), plain, RECIPE)
     assert np.linalg.norm(moved.centers[0] - PLACES[0]) < 0.03
     np.testing.assert_allclose(moved.centers[1], pair[1])
 
@@ -252,20 +254,20 @@ def test_ras_read_as_lps_is_noticed(tmp_path):
     around = with_balls(grid=grid(origin=np.zeros(3)))
     middle = (np.array(SHAPE) - 1) / 2 * SPACING * [1, 1, 0]
     volume = replace(around, origin=around.origin - middle)
-    given = given_markers(table(tmp_path / "ras.csv", (PLACES - middle) * RAS), RECIPE)
+    given = read_fiducials(table(tmp_path / "ras.csv", (PLACES - middle) * RAS), RECIPE)
     with pytest.raises(DataError, match="RAS was read as LPS"):
-        check_fiducials(given, volume, RECIPE)
+        refine_fiducials(given, volume, RECIPE)
 
 
 def test_fiducials_outside_the_volume_are_refused(plain, tmp_path):
-    given = given_markers(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
+    given = read_fiducials(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
     with pytest.raises(DataError, match="1 of 2 fiducials lie outside the volume"):
-        check_fiducials(given, plain, RECIPE)
+        refine_fiducials(given, plain, RECIPE)
 
 
 def test_fiducials_in_a_scan_without_metal_stay(tmp_path):
     dull = Volume(np.zeros((40, 40, 40), dtype=np.float32), np.zeros(3), np.full(3, 0.5), np.eye(3))
-    given = given_markers(table(tmp_path / "f.csv", [[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
-    same = check_fiducials(given, dull, RECIPE)
+    given = read_fiducials(table(tmp_path / "f.csv", [[5.0, 6, 7], [9, 8, 7], [3, 9, 12]]), RECIPE)
+    same = refine_fiducials(given, dull, RECIPE)
     np.testing.assert_array_equal(same.centers, given.centers)
     np.testing.assert_array_equal(same.sd, given.sd)

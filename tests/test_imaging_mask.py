@@ -8,11 +8,12 @@ import numpy as np
 import pytest
 
 from needlefit.errors import DataError
-from needlefit.imaging.needle.centerline import trace
-from needlefit.imaging.needle.mask import from_mask
-from needlefit.imaging.needle.segmentation import segment
-from needlefit.imaging.volume import Volume, write
-from needlefit.synthetic.ct.scene import Needle3D
+from needlefit.imaging.needle.centerline import trace_needle
+from needlefit.imaging.needle.mask import read_mask_component
+from needlefit.imaging.needle.segmentation import segment_needle
+from needlefit.imaging.volume import Volume
+from needlefit.imaging.volume_files import write_volume
+from needlefit.synthetic.ct_scene import Needle3D
 
 TRUTH = cases.axis(curve=(2.0, 0.0))
 
@@ -32,15 +33,15 @@ def mask(volume):
 
 
 def saved(folder, mask):
-    write(mask, folder / "mask.nrrd")
+    write_volume(mask, folder / "mask.nrrd")
     return folder / "mask.nrrd"
 
 
 def refused(folder, volume, mask, words):
     path = saved(folder, mask)
     with pytest.raises(DataError, match=words) as error:
-        from_mask(volume, path, cases.RECIPE)
-    assert str(path) in str(error.value) and error.value.mend
+        read_mask_component(volume, path, cases.RECIPE)
+    assert str(path) in str(error.value) and error.value.fix
 
 
 def flipped(mask, axis):
@@ -67,8 +68,10 @@ def cropped(mask):
 
 def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
     with pytest.raises(DataError, match="two needles"):
-        segment(volume, cases.RECIPE)
-    line = trace(volume, from_mask(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE)
+        segment_needle(volume, cases.RECIPE)
+    line = trace_needle(
+        volume, read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE), cases.RECIPE
+    )
     assert np.linalg.norm(line.tip - TRUTH[-1]) < 0.15
 
 
@@ -83,8 +86,8 @@ def test_a_mask_replaces_the_thresholds(volume, mask, tmp_path):
     ],
 )
 def test_the_order_in_which_a_mask_is_stored_changes_nothing(stored, volume, mask, tmp_path):
-    plain = from_mask(volume, saved(tmp_path, mask), cases.RECIPE)
-    other = from_mask(volume, saved(tmp_path, stored(mask)), cases.RECIPE)
+    plain = read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE)
+    other = read_mask_component(volume, saved(tmp_path, stored(mask)), cases.RECIPE)
     assert np.array_equal(other.voxels, plain.voxels)
 
 
@@ -93,8 +96,10 @@ def test_a_mask_of_other_voxels_is_asked_at_those_of_the_scan(volume, mask, tmp_
     fine = mask.values.repeat(2, 0).repeat(2, 1).repeat(2, 2)
     half = mask.spacing / 2
     origin = mask.origin - mask.direction @ (half / 2)
-    plain = from_mask(volume, saved(tmp_path, mask), cases.RECIPE)
-    other = from_mask(volume, saved(tmp_path, Volume(fine, origin, half, mask.direction)), cases.RECIPE)
+    plain = read_mask_component(volume, saved(tmp_path, mask), cases.RECIPE)
+    other = read_mask_component(
+        volume, saved(tmp_path, Volume(fine, origin, half, mask.direction)), cases.RECIPE
+    )
     assert np.array_equal(other.voxels, plain.voxels)
 
 

@@ -7,13 +7,13 @@ from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
 from needlefit.geometry.frames import Frame, entry_frame
-from needlefit.imaging.profile import profile, tissue_edge
-from needlefit.imaging.reconstruction import Profile
-from needlefit.imaging.views import views
+from needlefit.imaging.intensity_profile import find_tissue_edge, sample_profile
+from needlefit.imaging.reconstruction import IntensityProfile
+from needlefit.imaging.views import render_views
 from needlefit.imaging.volume import Volume, to_patient
-from needlefit.synthetic.ct.render import render
-from needlefit.synthetic.ct.scene import Markers, Needle3D, Scanner, Scene3D
+from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers
 from needlefit.synthetic.phantoms import Phantom
+from needlefit.synthetic.render import render_scan
 
 S = np.arange(-30.0, 30.0, 0.5)
 
@@ -25,7 +25,7 @@ def edge(at, width=0.6, tissue=40.0, noise=5.0, seed=1):
 
 
 def found(around):
-    return tissue_edge(Profile(S, np.full(len(S), 3000.0), around))
+    return find_tissue_edge(IntensityProfile(S, np.full(len(S), 3000.0), around))
 
 
 def linear(gradient, constant=0.0, shape=(40, 50, 60), spacing=(0.5, 0.4, 0.6)):
@@ -94,12 +94,12 @@ def test_no_edge_where_there_is_none(around):
 @pytest.mark.parametrize("tilt", [0.0, 20.0, 30.0])
 def test_a_face_is_found_where_the_needle_passes_however_it_slants(tilt):
     box = entry_frame(cases.ENTRY, (np.sin(np.deg2rad(tilt)), 0, np.cos(np.deg2rad(tilt))), (0, 1, 0))
-    markers = Markers(np.array([[15.5, 11.0, 12.5], [11.0, 6.5, 16.0]]))
+    markers = SceneMarkers(np.array([[15.5, 11.0, 12.5], [11.0, 6.5, 16.0]]))
     scene = Scene3D((Needle3D(cases.axis()),), Phantom((14.0,)), (40.0, 90.0), box, markers)
-    volume = render(scene, Scanner(cases.grid(), noise_hu=50.0), np.random.default_rng(4))
+    volume = render_scan(scene, Scanner(cases.grid(), noise_hu=50.0), np.random.default_rng(4))
     s = np.arange(-11.0, 20.0, 0.5)
-    shown = profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s)
-    place, sd = tissue_edge(shown)
+    shown = sample_profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s)
+    place, sd = find_tissue_edge(shown)
     assert abs(place) < max(0.08, 2.5 * sd)
     assert sd < 0.12
 
@@ -109,9 +109,9 @@ def test_a_slanting_face_at_the_side_of_the_volume_stays_where_it_is():
     box = entry_frame(cases.ENTRY, (0.4, 0, 1), (0, 1, 0))
     scene = Scene3D((), Phantom(()), (40.0,), box)
     cut = cases.grid(size=(31, 48, 60))  # ends 2.8 mm beside the needle
-    volume = render(scene, Scanner(cut, streaks=0, cupping_hu=0, noise_hu=20), np.random.default_rng(1))
+    volume = render_scan(scene, Scanner(cut, streaks=0, cupping_hu=0, noise_hu=20), np.random.default_rng(1))
     s = np.arange(-11.0, 14.0, 0.5)
-    place, _ = tissue_edge(profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s))
+    place, _ = find_tissue_edge(sample_profile(volume, cases.ENTRY + np.outer(s, [0, 0, 1]), s))
     assert abs(place) < 0.06
 
 
@@ -124,7 +124,7 @@ def test_in_a_linear_volume_core_and_surroundings_are_that_of_the_axis():
     way = np.array([0.2, 0.9, -0.3]) / np.linalg.norm([0.2, 0.9, -0.3])
     s = np.linspace(-3, 3, 13)
     points = middle(volume) + s[:, None] * way
-    shown = profile(volume, points, s)
+    shown = sample_profile(volume, points, s)
     assert_allclose(shown.core, points @ gradient + 100, atol=1e-3)
     assert_allclose(shown.around, points @ gradient + 100, atol=1e-3)
     assert_allclose(shown.s, s)
@@ -133,7 +133,7 @@ def test_in_a_linear_volume_core_and_surroundings_are_that_of_the_axis():
 def test_outside_the_volume_nothing_is_said():
     volume = linear(np.zeros(3))
     points = middle(volume) + np.linspace(0, 60, 31)[:, None] * [0.0, 1.0, 0.0]
-    shown = profile(volume, points, np.linspace(0, 60, 31))
+    shown = sample_profile(volume, points, np.linspace(0, 60, 31))
     assert np.isfinite(shown.core[0]) and np.isfinite(shown.around[0])
     assert np.isnan(shown.core[-1]) and np.isnan(shown.around[-1])
 
@@ -167,7 +167,7 @@ def test_pictures_lie_in_the_axes_they_name(world):
     volume, frame, needle = scene()
     in_world = Frame(world.to_world(frame.origin[None])[0], world.rotation @ frame.rotation)
     for axis in range(3):
-        for view in views(painted(volume, frame, axis), world, in_world, needle):
+        for view in render_views(painted(volume, frame, axis), world, in_world, needle):
             left, right, bottom, top = view.extent
             rows, columns = view.values.shape
             grid = {
@@ -183,7 +183,9 @@ def test_pictures_lie_in_the_axes_they_name(world):
 
 def test_the_slab_follows_the_needle_through_the_picture():
     volume, frame, needle = scene(bend=3.0)
-    first, second, across = views(painted(volume, frame, 2), Frame(np.zeros(3), np.eye(3)), frame, needle)
+    first, second, across = render_views(
+        painted(volume, frame, 2), Frame(np.zeros(3), np.eye(3)), frame, needle
+    )
     assert (first.axes, second.axes, across.axes) == (("x", "y"), ("x", "z"), ("y", "z"))
     row = first.values[first.values.shape[0] // 2]
     x = first.extent[0] + 0.3 * (np.arange(len(row)) + 0.5)
@@ -194,7 +196,7 @@ def test_the_slab_follows_the_needle_through_the_picture():
 def test_the_picture_shows_needle_entry_and_tip_where_they_are():
     volume = cases.scan(cases.axis())
     frame = Frame(cases.ENTRY, np.column_stack([[0, 0, 1.0], [0, 1.0, 0], [-1.0, 0, 0]]))
-    view = views(volume, Frame(np.zeros(3), np.eye(3)), frame, cases.axis())[0]
+    view = render_views(volume, Frame(np.zeros(3), np.eye(3)), frame, cases.axis())[0]
     left, _, bottom, _ = view.extent
     needle_row = view.values[round((0.0 - bottom) / 0.3 - 0.5)]
     x = left + 0.3 * (np.arange(view.values.shape[1]) + 0.5)

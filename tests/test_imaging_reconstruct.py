@@ -10,14 +10,14 @@ from needlefit.errors import DataError
 from needlefit.geometry.surfaces import cylinder, sheet
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.scan import LayerSource, Scan
-from needlefit.imaging.volume import write
+from needlefit.imaging.volume_files import write_volume
 
 FACE = cases.ENTRY[2]
 """Where the scan's tissue begins, along S, mm."""
 
 
 def scan(folder, mesh):
-    write(small_scan(), folder / "small.nrrd")
+    write_volume(small_scan(), folder / "small.nrrd")
     own = LayerSource(save_mesh(folder / "own.stl", mesh), into=1)
     return Scan("small", folder / "small.nrrd", "box", surfaces=(own,), surfaces_in="scan")
 
@@ -29,13 +29,13 @@ def face(at):
 def test_the_tissue_s_own_surface_says_where_it_begins(tmp_path):
     one = reconstruct(scan(tmp_path, face(FACE + 2.0)), cases.RECIPE)
     assert one.points[0, 2] == pytest.approx(FACE + 2.0, abs=0.05)
-    assert any("before its own surface" in said for said in one.remarks)
+    assert any("before its own surface" in said for said in one.warnings)
 
 
 def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
     with pytest.raises(DataError, match=r"own surface 8\.[01] mm behind the place") as error:
         reconstruct(scan(tmp_path, face(FACE + 8.0)), cases.RECIPE)
-    assert "state the stage" in error.value.mend
+    assert "state the stage" in error.value.fix
 
 
 def test_a_surface_drawn_along_the_needle_is_refused(tmp_path):

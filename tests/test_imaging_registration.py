@@ -7,16 +7,15 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from needlefit.geometry.frames import Frame
-from needlefit.imaging.registration.icp import icp
-from needlefit.imaging.registration.marker_sets import marker_sets
+from needlefit.imaging.registration.marker_sets import make_marker_sets
 from needlefit.imaging.registration.register import (
-    frame_of,
-    predicted_mean_target_error,
+    predict_mean_target_error,
     register,
+    scan_frame,
     target_covariance,
     to_world,
 )
-from needlefit.imaging.registration.rigid import kabsch, misfits
+from needlefit.imaging.registration.rigid import fit_kabsch, pair_by_icp, sum_squared_residuals
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -56,7 +55,7 @@ def test_exact_markers_in_any_order_give_the_pose_exactly(seed):
     assert same(registration, pose, 1e-9)
     assert proper(registration.rotation)
     assert registration.fre < 1e-9
-    assert registration.remarks == ()
+    assert registration.warnings == ()
     assert np.all(registration.leave_one_out < 1e-9)
 
 
@@ -73,7 +72,7 @@ def test_moving_the_scan_or_the_world_moves_the_answer_with_it(seed):
     assert np.allclose(to_world(third, found), other.to_world(to_world(first, found)), atol=1e-8)
     for one in (second, third):
         assert one.fre == pytest.approx(first.fre)
-        assert one.chance == pytest.approx(first.chance)
+        assert one.p_value == pytest.approx(first.p_value)
         assert np.linalg.eigvalsh(one.covariance) == pytest.approx(np.linalg.eigvalsh(first.covariance))
 
 
@@ -83,8 +82,8 @@ def test_a_missing_and_a_spurious_marker_are_left_out_and_named():
     found = pose.to_local(np.concatenate([LAYOUT[:5], [[10, 10, 10]]])) + 0.05 * rng.normal(size=(6, 3))
     registration = register(found, LAYOUT, 0.05)
     assert registration.pairs.tolist() == [[n, n] for n in range(5)]
-    assert "found markers 5" in registration.remarks[0]
-    assert "known markers 5" in registration.remarks[1]
+    assert "found markers 5" in registration.warnings[0]
+    assert "known markers 5" in registration.warnings[1]
 
 
 def test_a_marker_that_was_moved_is_left_out_and_its_distance_said():
@@ -92,7 +91,9 @@ def test_a_marker_that_was_moved_is_left_out_and_its_distance_said():
     moved[3] += [0, 0, 2.0]
     registration = register(moved, LAYOUT, 0.05)
     assert 3 not in registration.pairs[:, 0]
-    assert any("found marker 3 lies 2.00 mm from known marker 3" in remark for remark in registration.remarks)
+    assert any(
+        "found marker 3 lies 2.00 mm from known marker 3" in remark for remark in registration.warnings
+    )
 
 
 def test_leave_one_out_of_a_single_wrong_marker_is_its_own_error():
@@ -104,10 +105,12 @@ def test_leave_one_out_of_a_single_wrong_marker_is_its_own_error():
 
 
 def test_kabsch_never_reflects_even_if_a_reflection_fits_better():
-    frame = kabsch(LAYOUT * [1, 1, -1], LAYOUT, np.ones(6))
+    frame = fit_kabsch(LAYOUT * [1, 1, -1], LAYOUT, np.ones(6))
     assert proper(frame.rotation)
     left = np.sum((LAYOUT - frame.to_world(LAYOUT * [1, 1, -1])) ** 2)
-    assert misfits((LAYOUT * [1, 1, -1])[None], LAYOUT[None], np.ones((1, 6)))[0] == pytest.approx(left)
+    assert sum_squared_residuals((LAYOUT * [1, 1, -1])[None], LAYOUT[None], np.ones((1, 6)))[
+        0
+    ] == pytest.approx(left)
     assert left > 100
 
 
@@ -115,7 +118,7 @@ def test_a_marker_that_alone_has_weight_is_met_exactly():
     moving = np.array([[0, 0, 0], [10, 0, 0], [0, 10, 0]], dtype=float)
     weights = np.array([2.0, 1e-12, 1e-12])
     fixed = moving + np.array([[3, 0, 0], [0, 0, 0], [0, 0, 0]])
-    assert kabsch(moving, fixed, weights).to_world(moving[:1])[0] == pytest.approx([3, 0, 0], abs=1e-6)
+    assert fit_kabsch(moving, fixed, weights).to_world(moving[:1])[0] == pytest.approx([3, 0, 0], abs=1e-6)
 
 
 def test_precise_markers_count_for_more_than_loose_ones():
@@ -165,9 +168,7 @@ def test_the_error_at_the_centre_is_the_noise_over_the_root_of_the_number():
     registration = register(SQUARE, SQUARE, 0.3, 0.4, pairs=ITSELF)  # hypot: 0.5
     assert target_covariance(registration, [[0, 0, 0]])[0] == pytest.approx(np.eye(3) * 0.25 / 4)
     # a Gaussian in three directions has the mean length sqrt(8 / pi) sigma
-    assert predicted_mean_target_error(registration, [[0, 0, 0]])[0] == pytest.approx(
-        np.sqrt(8 / np.pi) * 0.25
-    )
+    assert predict_mean_target_error(registration, [[0, 0, 0]])[0] == pytest.approx(np.sqrt(8 / np.pi) * 0.25)
 
 
 def test_the_expected_residual_is_the_noise_less_what_the_fit_follows():
@@ -204,7 +205,7 @@ def test_predicted_errors_are_those_of_many_draws():
         inverse = np.linalg.inv(target_covariance(registration, local))
         off = to_world(registration, local) - targets
         errors.append(np.einsum("ni,nij,nj->n", off, inverse, off) / 3)
-        chances.append(registration.chance)
+        chances.append(registration.p_value)
     assert np.mean(errors, axis=0) == pytest.approx([1, 1], abs=5 * np.sqrt(2 / 3 / 200))
     assert np.mean(chances) == pytest.approx(0.5, abs=5 / np.sqrt(12 * 200))
 
@@ -216,7 +217,7 @@ def test_closest_points_keep_the_pairs_of_a_near_pose_and_drop_the_spurious():
     rng = np.random.default_rng(2)
     rough = Frame(np.array([3.0, -2, 1]), Rotation.from_rotvec([0.05, 0.05, -0.05]).as_matrix())
     found = np.concatenate([LAYOUT[[4, 2, 0, 1, 5]] + 0.1 * rng.normal(size=(5, 3)), [[40, 0, 0]]])
-    pairs = icp(marker_sets(found, LAYOUT, 0.1, 0.0), rough)
+    pairs = pair_by_icp(make_marker_sets(found, LAYOUT, 0.1, 0.0), rough)
     assert pairs.tolist() == [[0, 4], [1, 2], [2, 0], [3, 1], [4, 5]]
 
 
@@ -230,4 +231,4 @@ def test_a_rough_pose_settles_what_a_symmetric_layout_leaves_open():
 
 def test_the_frame_of_a_registration_goes_both_ways():
     registration = register(LAYOUT + 3.0, LAYOUT, 0.1)
-    assert frame_of(registration).to_local(LAYOUT) == pytest.approx(LAYOUT + 3.0)
+    assert scan_frame(registration).to_local(LAYOUT) == pytest.approx(LAYOUT + 3.0)

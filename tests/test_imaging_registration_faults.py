@@ -1,4 +1,4 @@
-"""What marker registration refuses, and in which words: every fault is named and can be mended."""
+"""What marker registration refuses, and in which words: every fault is named and can be fixed."""
 
 import numpy as np
 import pytest
@@ -9,11 +9,16 @@ from scipy.spatial.transform import Rotation
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.imaging.registration import pairing
-from needlefit.imaging.registration.marker_sets import marker_sets
-from needlefit.imaging.registration.pairing import by_chance, of_size
+from needlefit.imaging.registration.marker_sets import make_marker_sets
+from needlefit.imaging.registration.mirror_check import check_axis_signs
+from needlefit.imaging.registration.pairing import (
+    MIN_SQUARED_MISFIT,
+    expected_chance_pairings,
+    find_pairings,
+    find_symmetries,
+    group_interchangeable,
+)
 from needlefit.imaging.registration.register import register
-from needlefit.imaging.registration.suspicion import check_frame
-from needlefit.imaging.registration.symmetry import CLEAR, interchangeable, symmetries
 
 seeds = st.integers(0, 2**32 - 1)
 
@@ -32,7 +37,7 @@ def refused(*arguments, **keywords):
     error = caught.value
     assert error.where
     assert error.expected
-    assert error.mend
+    assert error.fix
     return str(error)
 
 
@@ -66,7 +71,7 @@ def test_markers_on_a_line_are_refused_exactly_and_within_noise():
 
 def test_a_deviation_as_large_as_the_layout_is_not_blamed_on_the_layout():
     text = refused(FOUND, LAYOUT, 50.0)
-    assert "known to 50 mm" in text and "line" not in text.split("mend")[1] and "known_sd_mm" in text
+    assert "known to 50 mm" in text and "line" not in text.split("fix")[1] and "reference_sd_mm" in text
 
 
 def test_found_markers_on_a_line_are_refused_though_the_layout_is_not():
@@ -86,7 +91,7 @@ def test_flat_markers_cannot_tell_a_mirrored_scan_and_it_is_said():
     flat = LAYOUT * [1, 1, 0]
     registration = register(flat * [1, -1, 1], flat, 0.1)
     assert np.linalg.det(registration.rotation) == pytest.approx(1)
-    assert any("mirrored scan would pass unseen" in remark for remark in registration.remarks)
+    assert any("mirrored scan would pass unseen" in remark for remark in registration.warnings)
 
 
 def test_ras_read_as_lps_is_a_turn_that_only_a_rough_pose_can_show():
@@ -98,12 +103,12 @@ def test_ras_read_as_lps_is_a_turn_that_only_a_rough_pose_can_show():
 
 
 def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
-    check_frame(FOUND[:4], FOUND, 0.5)
-    check_frame(FOUND + 37, FOUND, 0.5)  # of other things
+    check_axis_signs(FOUND[:4], FOUND, 0.5)
+    check_axis_signs(FOUND + 37, FOUND, 0.5)  # of other things
     with pytest.raises(DataError, match="RAS was read as LPS"):
-        check_frame(FOUND[:4] * [-1, -1, 1], FOUND + 0.2, 0.5)
+        check_axis_signs(FOUND[:4] * [-1, -1, 1], FOUND + 0.2, 0.5)
     with pytest.raises(DataError, match="sign of x is wrong"):
-        check_frame(FOUND[:4] * [-1, 1, 1], FOUND, 0.5)
+        check_axis_signs(FOUND[:4] * [-1, 1, 1], FOUND, 0.5)
 
 
 @pytest.mark.parametrize(
@@ -122,7 +127,7 @@ def test_a_wrong_spacing_is_measured_and_not_mended(factors, word):
 def test_a_small_wrong_scale_is_remarked_and_not_applied():
     registration = register(FOUND * 1.004, LAYOUT, 0.1)
     assert np.abs(np.linalg.svd(registration.rotation, compute_uv=False) - 1).max() < 1e-12
-    assert any("0.9960" in remark and "not done" in remark for remark in registration.remarks)
+    assert any("0.9960" in remark and "not done" in remark for remark in registration.warnings)
     whole = {scale.along: scale for scale in registration.scale}["in all directions"]
     # sd = sigma / sqrt(sum |x - mean|^2)
     spread = np.sqrt(np.sum((1.004 * (LAYOUT - LAYOUT.mean(axis=0))) ** 2))
@@ -146,8 +151,8 @@ def test_few_that_agree_among_many_may_be_chance_and_are_refused():
     rng = np.random.default_rng(4)
     found = np.concatenate([FOUND[:3], POSE.to_local(rng.uniform(-40, 40, (3, 3)))])
     assert "only 3 of the 6 found and 6 known markers fit" in refused(found, LAYOUT, 0.2)
-    sets = marker_sets(found, LAYOUT, 0.2, 0.0)
-    assert by_chance(sets, 3) > 1e-3 > by_chance(sets, 5)
+    sets = make_marker_sets(found, LAYOUT, 0.2, 0.0)
+    assert expected_chance_pairings(sets, 3) > 1e-3 > expected_chance_pairings(sets, 5)
 
 
 # pairings
@@ -155,7 +160,7 @@ def test_few_that_agree_among_many_may_be_chance_and_are_refused():
 
 def test_pairs_are_taken_if_they_fit_and_corrected_if_they_do_not():
     right = [[n, n] for n in range(6)]
-    assert register(FOUND, LAYOUT, 0.1, pairs=right).doubt < 1e-3
+    assert register(FOUND, LAYOUT, 0.1, pairs=right).wrong_pairing_probability < 1e-3
     assert register(FOUND, LAYOUT, 0.1, pairs=right[:4]).pairs.tolist() == right[:4]
     text = refused(FOUND, LAYOUT, 0.1, pairs=[[0, 1], [1, 0], *right[2:]])
     assert "0->1, 1->0" in text
@@ -182,7 +187,7 @@ def test_any_wrong_pair_is_noticed(seed):
 
 
 def test_the_square_has_eight_turns_and_is_refused_with_its_markers():
-    assert len(symmetries(SQUARE, 0.1)) == 8  # four about its normal, four half turns in its plane
+    assert len(find_symmetries(SQUARE, 0.1)) == 8  # four about its normal, four half turns in its plane
     text = refused(SQUARE, SQUARE, 0.1)
     assert "symmetric" in text
     assert "interchangeable are (counted from 0) 0, 1, 2, 3" in text
@@ -204,10 +209,10 @@ def test_the_square_has_eight_turns_and_is_refused_with_its_markers():
     ],
 )
 def test_the_symmetry_group_of_a_layout(layout, turns, groups):
-    found = symmetries(layout, 0.1)
+    found = find_symmetries(layout, 0.1)
     assert len(found) == turns
     assert found[0].tolist() == list(range(len(layout)))
-    assert interchangeable(found) == groups
+    assert group_interchangeable(found) == groups
 
 
 def test_a_layout_becomes_asymmetric_where_its_misfit_says():
@@ -219,15 +224,15 @@ def test_a_layout_becomes_asymmetric_where_its_misfit_says():
     """
     a, h, sigma = 30.0, 60.0, 0.1
     misfit = 2 / 3 - (2 * h / 3) ** 2 / (2 * a**2 + 2 * h**2 / 3)
-    e = sigma * np.sqrt(CLEAR / misfit)
+    e = sigma * np.sqrt(MIN_SQUARED_MISFIT / misfit)
     for share, turns in ((0.0, 2), (0.97, 2), (1.03, 1)):
         triangle = [[-a, 0, 0], [a + share * e, 0, 0], [0, h, 0]]
-        assert len(symmetries(triangle, sigma)) == turns
+        assert len(find_symmetries(triangle, sigma)) == turns
 
 
 def test_all_pairings_of_a_cube_are_its_turns():
-    sets = marker_sets(CUBE, CUBE, 0.1, 0.0)
-    candidates = of_size(sets, 8)
+    sets = make_marker_sets(CUBE, CUBE, 0.1, 0.0)
+    candidates = find_pairings(sets, 8)
     assert len(candidates) == 24
     assert all(np.linalg.det(one.alignment.frame.rotation) == pytest.approx(1) for one in candidates)
 
@@ -241,9 +246,9 @@ def test_twelve_markers_with_some_missing_and_some_spurious_are_paired():
 
 
 def test_too_many_pairings_need_a_rough_pose_and_then_come_from_closest_points(monkeypatch):
-    monkeypatch.setattr(pairing, "BUDGET", 2)
+    monkeypatch.setattr(pairing, "MAX_PARTIAL_PAIRINGS", 2)
     assert "partial pairings" in refused(FOUND, LAYOUT, 0.1)
     registration = register(FOUND, LAYOUT, 0.1, rough=POSE)
     assert registration.pairs.tolist() == [[n, n] for n in range(6)]
-    assert np.isnan(registration.doubt)
-    assert any("too many pairings" in remark for remark in registration.remarks)
+    assert np.isnan(registration.wrong_pairing_probability)
+    assert any("too many pairings" in remark for remark in registration.warnings)

@@ -7,9 +7,8 @@ import pytest
 
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import sheet, write_surface
-from needlefit.imaging.scan import LayerSource, Scan
-from needlefit.imaging.scan_row import COLUMNS
-from needlefit.imaging.scans import id_of, read_scans, scans_of
+from needlefit.imaging.scan import SCAN_COLUMNS, LayerSource, Scan
+from needlefit.imaging.scan_table import make_scans, read_scans, scan_id
 
 STAGE = "entry_x_mm,entry_y_mm,entry_z_mm,entry_dx,entry_dy,entry_dz,pose_shift_sd_mm,pose_angle_sd_deg"
 
@@ -34,7 +33,7 @@ def table(folder, *lines):
 def refused(folder, *lines):
     with pytest.raises(DataError) as error:
         read_scans(table(folder, *lines))
-    assert "mend: " in str(error.value)
+    assert "fix: " in str(error.value)
     return str(error.value)
 
 
@@ -123,7 +122,7 @@ def test_a_mistyped_column_is_an_error_that_names_the_nearest(folder):
 def test_every_column_is_documented():
     text = (Path(__file__).parent.parent / "docs" / "scans.md").read_text(encoding="utf-8")
     between = {"entry_y_mm", "entry_z_mm", "entry_dx", "entry_dy"}  # `entry_x_mm` ... `entry_dz`
-    assert [name for name in COLUMNS if f"`{name}`" not in text and name not in between] == []
+    assert [name for name in SCAN_COLUMNS if f"`{name}`" not in text and name not in between] == []
 
 
 def test_a_table_without_volumes_is_refused(folder):
@@ -156,34 +155,34 @@ def test_all_faults_are_told_at_once(folder):
     ],
 )  # fmt: skip
 def test_the_id_of_a_volume_is_its_name(path, id_):
-    assert id_of(Path(path)) == id_
+    assert scan_id(Path(path)) == id_
 
 
 def test_a_link_has_its_own_name(tmp_path):
     (tmp_path / "store").mkdir()
     (tmp_path / "needle7").symlink_to(tmp_path / "store")
-    assert id_of(tmp_path / "needle7") == "needle7"
-    assert id_of(tmp_path / "store" / "..") == tmp_path.name
+    assert scan_id(tmp_path / "needle7") == "needle7"
+    assert scan_id(tmp_path / "store" / "..") == tmp_path.name
 
 
 def test_a_medium_that_names_no_file_is_refused(folder):
     for medium in ("../gel", "gel{id}", "pork loin"):
         with pytest.raises(DataError, match="medium is") as error:
-            scans_of([folder / "one.nrrd"], medium=medium)
-        assert error.value.mend
+            make_scans([folder / "one.nrrd"], medium=medium)
+        assert error.value.fix
 
 
 def test_fiducials_need_markers(folder):
     with pytest.raises(DataError, match="no markers: they would be laid on nothing") as error:
-        scans_of([folder / "one.nrrd"], fiducials=folder / "placed.mrk.json")
-    assert "--markers" in error.value.mend
+        make_scans([folder / "one.nrrd"], fiducials=folder / "placed.mrk.json")
+    assert "--markers" in error.value.fix
 
 
 def test_volumes_named_one_by_one_share_what_is_known(folder):
     markers = folder / "markers.csv"
     layers = (f"{folder / 'skin.stl'}=sheet:2", str(folder / "core.stl"))
     volumes = [folder / "one.nrrd", folder / "series"]
-    one, two = scans_of(volumes, medium="gel", markers=markers, layers=layers, surfaces_in="scan")
+    one, two = make_scans(volumes, medium="gel", markers=markers, layers=layers, surfaces_in="scan")
     surfaces = (LayerSource(folder / "skin.stl", "sheet", 2), LayerSource(folder / "core.stl"))
     common = {"markers": markers, "surfaces": surfaces, "surfaces_in": "scan"}
     assert one == Scan("one", folder / "one.nrrd", "gel", **common)
@@ -193,13 +192,13 @@ def test_volumes_named_one_by_one_share_what_is_known(folder):
 def test_volumes_of_one_name_need_a_table(folder):
     (folder / "one.nii").touch()
     with pytest.raises(DataError, match=r"has the id one, as .*one\.nrrd has") as error:
-        scans_of([folder / "one.nrrd", folder / "one.nii"])
-    assert "table of scans" in error.value.mend
+        make_scans([folder / "one.nrrd", folder / "one.nii"])
+    assert "table of scans" in error.value.fix
 
 
 def test_what_is_missing_on_the_command_line_is_told_at_once(folder):
     with pytest.raises(DataError, match="has 3 faults") as error:
-        scans_of([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
+        make_scans([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
     for words in ("none: there is no such file or folder", "none.csv: there is no such file", "none.stl"):
         assert words in str(error.value)
 

@@ -14,7 +14,8 @@ from hypothesis.extra import numpy as hnp
 from reading_here import caged, read_here  # noqa: F401
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.volume import Volume, read, to_index, to_patient, write
+from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume_files import read_volume, write_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
@@ -24,9 +25,9 @@ STEPS, CORNER = (0.4, 0.5, 0.9), (1.0, 2.0, 3.0)
 
 def refused(path):
     with pytest.raises(DataError) as error:
-        read(path)
+        read_volume(path)
     fault = error.value
-    assert fault.what and fault.where == str(path) and fault.expected and fault.mend
+    assert fault.what and fault.where == str(path) and fault.expected and fault.fix
     return fault
 
 
@@ -172,12 +173,12 @@ def check_plain(volume, direction=(1, 1, 1), origin=CORNER):
 )
 def test_nrrd_spaces_become_lps(tmp_path, space, signs):
     """A point 1 mm to the right is at x = -1 in LPS; values stay in the order of the file."""
-    check_plain(read(nrrd(tmp_path / "a.nrrd", space=space)), signs, np.array(CORNER) * signs)
+    check_plain(read_volume(nrrd(tmp_path / "a.nrrd", space=space)), signs, np.array(CORNER) * signs)
 
 
 def test_nifti_is_ras(tmp_path):
     for name in ("a.nii", "a.nii.gz"):
-        check_plain(read(nifti(tmp_path / name)), (-1, -1, 1), (-1.0, -2.0, 3.0))
+        check_plain(read_volume(nifti(tmp_path / name)), (-1, -1, 1), (-1.0, -2.0, 3.0))
 
 
 def test_nifti_by_quaternion(tmp_path):
@@ -187,7 +188,7 @@ def test_nifti_by_quaternion(tmp_path):
         "quaternion": ("<3f", 256, 0.0, 0.0, 1.0),
         "offset": ("<3f", 268, 1.0, 2.0, 3.0),
     }
-    volume = read(nifti(tmp_path / "a.nii", codes=(1, 0), **form))
+    volume = read_volume(nifti(tmp_path / "a.nii", codes=(1, 0), **form))
     check_plain(volume, (1, 1, -1), (-1.0, -2.0, 3.0))
 
 
@@ -200,16 +201,16 @@ def test_nifti_in_other_units(tmp_path, unit, factor):
         "spacing": ("<4f", 76, 1.0, *steps),
         "sform": ("<12f", 280, *rows.ravel()),
     }
-    check_plain(read(nifti(tmp_path / "a.nii", **form)), (-1, -1, 1), (-1.0, -2.0, 3.0))
+    check_plain(read_volume(nifti(tmp_path / "a.nii", **form)), (-1, -1, 1), (-1.0, -2.0, 3.0))
 
 
 def test_nifti_rescales(tmp_path):
-    volume = read(nifti(tmp_path / "a.nii", scale=("<2f", 112, 0.5, -10.0)))
+    volume = read_volume(nifti(tmp_path / "a.nii", scale=("<2f", 112, 0.5, -10.0)))
     assert np.array_equal(volume.values, VALUES * 0.5 - 10.0)
 
 
 def test_metaimage_is_lps(tmp_path):
-    check_plain(read(metaimage(tmp_path / "a.mha")))
+    check_plain(read_volume(metaimage(tmp_path / "a.mha")))
 
 
 SPACE_STEPS = "(0.4,0,0) (0,0.5,0) (0,0,0.9)"
@@ -231,7 +232,7 @@ def test_nrrd_of_four_axes_that_holds_one_volume(tmp_path, encoding, kind, last)
             "encoding": encoding,
         },
     )
-    volume = read(path)
+    volume = read_volume(path)
     assert np.array_equal(volume.values, VALUES)
     assert np.allclose(volume.spacing, STEPS) and np.allclose(volume.origin, CORNER)
 
@@ -243,14 +244,14 @@ def test_nrrd_of_several_volumes_is_refused(tmp_path):
 
 def test_a_left_handed_file(tmp_path):
     """Rows that run forward, not back: the volume is kept as it is, and its points are right."""
-    volume = read(nrrd(tmp_path / "a.nrrd", space_directions="(0.4,0,0) (0,-0.5,0) (0,0,0.9)"))
+    volume = read_volume(nrrd(tmp_path / "a.nrrd", space_directions="(0.4,0,0) (0,-0.5,0) (0,0,0.9)"))
     check_plain(volume, (1, -1, 1))
     assert to_patient(volume, [[1, 2, 1]])[0] == pytest.approx([1.4, 1.0, 3.9])
 
 
 def test_a_turned_file(tmp_path):
     """i climbs 30 degrees from left to the top."""
-    volume = read(
+    volume = read_volume(
         nrrd(tmp_path / "a.nrrd", space_directions="(0.34641016,0,0.2) (0,0.5,0) (-0.45,0,0.77942286)")
     )
     assert volume.spacing == pytest.approx(STEPS, abs=1e-7)
@@ -295,8 +296,8 @@ def test_written_and_read(tmp_path_factory, name, tolerance, direction, seed, wh
     values = np.round(values) + 0.0 if whole else values  # whole numbers have no -0
     volume = volume_of(values, direction, rng.uniform(-100, 100, 3), rng.uniform(0.2, 2.0, 3))
     path = tmp_path_factory.mktemp("v") / name
-    write(volume, path)
-    again = read(path)
+    write_volume(volume, path)
+    again = read_volume(path)
     assert again.values.tobytes() == volume.values.tobytes()
     corners = np.argwhere(np.ones((2, 2, 2))) * [4, 3, 2]
     assert np.abs(to_patient(again, corners) - to_patient(volume, corners)).max() < tolerance
@@ -306,8 +307,8 @@ def test_written_and_read(tmp_path_factory, name, tolerance, direction, seed, wh
 @pytest.mark.usefixtures("caged")
 def test_extreme_values_are_kept(tmp_path, name):
     values = np.array([-32768, 32767, 32768, 1e-30, 3e38, -1e9, 0.1, 0.0], np.float32).reshape(2, 2, 2)
-    write(volume_of(values), tmp_path / name)
-    assert np.array_equal(read(tmp_path / name).values, values)
+    write_volume(volume_of(values), tmp_path / name)
+    assert np.array_equal(read_volume(tmp_path / name).values, values)
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz", "a.nii"])
@@ -315,7 +316,7 @@ def test_the_same_volume_gives_the_same_bytes(tmp_path, name):
     written = []
     for folder in ("one", "two"):
         path = tmp_path / folder / name
-        write(volume_of(VALUES), path, "synthetic")
+        write_volume(volume_of(VALUES), path, "synthetic")
         written.append(path.read_bytes())
     assert written[0] == written[1]
     image = sitk.ReadImage(str(path))
@@ -323,27 +324,27 @@ def test_the_same_volume_gives_the_same_bytes(tmp_path, name):
 
 
 def test_whole_numbers_take_half_the_space(tmp_path):
-    write(volume_of(VALUES), tmp_path / "a.nii")
-    write(volume_of(VALUES + 0.5), tmp_path / "b.nii")
+    write_volume(volume_of(VALUES), tmp_path / "a.nii")
+    write_volume(volume_of(VALUES + 0.5), tmp_path / "b.nii")
     sizes = [(tmp_path / name).stat().st_size - 352 for name in ("a.nii", "b.nii")]
     assert sizes == [2 * VALUES.size, 4 * VALUES.size]
 
 
 def test_an_earlier_file_is_replaced_and_no_scratch_stays(tmp_path):
     for value in (1, 2):
-        write(volume_of(VALUES * value), tmp_path / "a.nrrd")
-    assert np.array_equal(read(tmp_path / "a.nrrd").values, VALUES * 2)
+        write_volume(volume_of(VALUES * value), tmp_path / "a.nrrd")
+    assert np.array_equal(read_volume(tmp_path / "a.nrrd").values, VALUES * 2)
     assert [file.name for file in tmp_path.iterdir()] == ["a.nrrd"]
 
 
 def test_what_cannot_be_written(tmp_path):
     with pytest.raises(DataError, match=r"\.png is no kind of volume"):
-        write(volume_of(VALUES), tmp_path / "a.png")
+        write_volume(volume_of(VALUES), tmp_path / "a.png")
     with pytest.raises(DataError, match="not finite"):
-        write(volume_of(np.where(VALUES == 3, np.nan, VALUES)), tmp_path / "a.nrrd")
+        write_volume(volume_of(np.where(VALUES == 3, np.nan, VALUES)), tmp_path / "a.nrrd")
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError):
-        write(volume_of(VALUES), tmp_path / "file" / "a.nrrd")
+        write_volume(volume_of(VALUES), tmp_path / "file" / "a.nrrd")
     assert [file.name for file in tmp_path.iterdir()] == ["file"]
 
 
@@ -363,20 +364,20 @@ def test_a_file_cut_short(tmp_path, name, kept):
         sitk.WriteImage(image, str(path))
     else:
         path = tmp_path / name
-        write(volume_of(values), path)
+        write_volume(volume_of(values), path)
     path.write_bytes(path.read_bytes()[: int(kept * path.stat().st_size)])
     fault = refused(path)
-    assert "not all there" in fault.what and "cut short" in fault.mend
+    assert "not all there" in fault.what and "cut short" in fault.fix
 
 
 @pytest.mark.usefixtures("caged")
 def test_a_packed_file_with_a_wrong_byte(tmp_path):
     path = tmp_path / "a.nii.gz"
-    write(volume_of(np.random.default_rng(1).integers(0, 9999, (60, 60, 60))), path)
+    write_volume(volume_of(np.random.default_rng(1).integers(0, 9999, (60, 60, 60))), path)
     content = bytearray(path.read_bytes())
     content[-40] ^= 0xFF
     path.write_bytes(content)
-    assert "damaged" in refused(path).mend
+    assert "damaged" in refused(path).fix
 
 
 def test_a_header_whose_voxels_are_elsewhere(tmp_path):
@@ -385,7 +386,7 @@ def test_a_header_whose_voxels_are_elsewhere(tmp_path):
     (tmp_path / "gone.raw").write_bytes(VALUES.tobytes()[:-4])
     assert "not all there" in refused(path).what
     (tmp_path / "gone.raw").write_bytes(VALUES.tobytes())
-    check_plain(read(path))
+    check_plain(read_volume(path))
 
 
 def bombs(folder):
@@ -449,7 +450,7 @@ def test_time_series_are_refused(tmp_path, name):
             ElementSpacing="1 1 1 1",
         )
     fault = refused(path)
-    assert "no single volume" in fault.what and "one time point" in fault.mend
+    assert "no single volume" in fault.what and "one time point" in fault.fix
 
 
 def test_a_volume_of_vectors(tmp_path):
@@ -478,7 +479,7 @@ def test_one_image(tmp_path):
 def test_sheared_axes(tmp_path, path, arguments):
     make = {"a.nrrd": nrrd, "a.nii": nifti, "a.mha": metaimage}[path]
     fault = refused(make(tmp_path / path, **arguments))
-    assert "not perpendicular" in fault.what and "resample" in fault.mend
+    assert "not perpendicular" in fault.what and "resample" in fault.fix
 
 
 @pytest.mark.parametrize(
@@ -500,7 +501,7 @@ def test_values_that_are_no_numbers(tmp_path):
     values = VALUES.astype(np.float32)
     values[0, 0, :2] = np.nan, np.inf
     fault = refused(nrrd(tmp_path / "a.nrrd", values, type="float"))
-    assert "holds 2 voxels" in fault.what and "air" in fault.mend
+    assert "holds 2 voxels" in fault.what and "air" in fault.fix
 
 
 @pytest.mark.usefixtures("caged")
@@ -508,5 +509,5 @@ def test_a_missing_package_names_the_line_that_installs_it(tmp_path, monkeypatch
     monkeypatch.delitem(sys.modules, "needlefit.imaging.image_files", raising=False)
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     with pytest.raises(ConfigError) as error:
-        read(nrrd(tmp_path / "a.nrrd"))
-    assert "SimpleITK" in error.value.what and "needlefit[ct]" in error.value.mend
+        read_volume(nrrd(tmp_path / "a.nrrd"))
+    assert "SimpleITK" in error.value.what and "needlefit[ct]" in error.value.fix

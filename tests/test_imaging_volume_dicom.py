@@ -24,17 +24,18 @@ from reading_here import caged, read_here  # noqa: F401
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.dicom.series import find_series
-from needlefit.imaging.dicom.stack import ASTRAY, stack
-from needlefit.imaging.volume import Volume, read, to_index, to_patient, write
+from needlefit.imaging.dicom.stack import MAX_OFFSET_MM, stack_slices
+from needlefit.imaging.volume import Volume, to_index, to_patient
+from needlefit.imaging.volume_files import read_volume, write_volume
 
 pytestmark = pytest.mark.usefixtures("read_here")
 
 
 def refused(path, **arguments):
     with pytest.raises(DataError) as error:
-        read(path, **arguments)
+        read_volume(path, **arguments)
     fault = error.value
-    assert fault.what and fault.where.startswith(str(path)) and fault.expected and fault.mend
+    assert fault.what and fault.where.startswith(str(path)) and fault.expected and fault.fix
     return fault
 
 
@@ -50,7 +51,7 @@ def spoilt(k, **entries):
 
 @pytest.mark.usefixtures("caged")
 def test_a_plain_series(tmp_path):
-    volume = read(save(tmp_path / "scan", series()))
+    volume = read_volume(save(tmp_path / "scan", series()))
     assert volume.values.dtype == np.float32 and np.array_equal(volume.values, NUMBERS)
     # PixelSpacing is rows first: j, then i
     assert volume.spacing == pytest.approx([0.4, 0.5, STEP], abs=1e-12)
@@ -59,14 +60,14 @@ def test_a_plain_series(tmp_path):
 
 
 def test_the_order_of_files_means_nothing(tmp_path):
-    volume = read(save(tmp_path, series(), order=[4, 0, 5, 2, 1, 3]))
+    volume = read_volume(save(tmp_path, series(), order=[4, 0, 5, 2, 1, 3]))
     assert np.array_equal(volume.values, NUMBERS)
 
 
 def test_positions_that_fall_are_turned_round(tmp_path):
     positions = [[*ORIGIN[:2], ORIGIN[2] - STEP * k] for k in range(COUNT)]
     slices = [a_slice(k, ImagePositionPatient=position) for k, position in enumerate(positions)]
-    volume = read(save(tmp_path, slices))
+    volume = read_volume(save(tmp_path, slices))
     assert np.array_equal(volume.values, NUMBERS[::-1])
     assert volume.origin == pytest.approx(positions[-1])
 
@@ -77,7 +78,7 @@ def test_a_sagittal_series(tmp_path):
         a_slice(k, ImageOrientationPatient=[0, 1, 0, 0, 0, -1], ImagePositionPatient=[2 * k, 0, 0])
         for k in range(COUNT)
     ]
-    volume = read(save(tmp_path, slices))
+    volume = read_volume(save(tmp_path, slices))
     assert volume.direction.T.tolist() == [[0, 1, 0], [0, 0, -1], [-1, 0, 0]]
     assert volume.origin.tolist() == [2 * (COUNT - 1), 0, 0]
     points = to_patient(volume, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]) - volume.origin
@@ -87,7 +88,7 @@ def test_a_sagittal_series(tmp_path):
 
 def test_each_slice_has_its_own_rescaling(tmp_path):
     slices = [a_slice(k, RescaleSlope=str(0.5 + 0.25 * k), RescaleIntercept=-1024.5) for k in range(COUNT)]
-    values = read(save(tmp_path, slices)).values
+    values = read_volume(save(tmp_path, slices)).values
     for k in range(COUNT):
         assert np.array_equal(values[k], NUMBERS[k] * (0.5 + 0.25 * k) - 1024.5)
 
@@ -105,7 +106,7 @@ def test_padding_gets_the_least_measured_value(tmp_path, entries, padded):
         plane = NUMBERS[k] + 100
         plane[0, : len(padded)] = padded
         slices.append(a_slice(k, plane, RescaleSlope="0.1", RescaleIntercept=-7, **entries))
-    values = read(save(tmp_path, slices)).values
+    values = read_volume(save(tmp_path, slices)).values
     least = np.float32(0.1 * (100 + len(padded)) - 7)
     assert (values[:, 0, : len(padded)] == least).all() and values.min() == least
 
@@ -117,7 +118,7 @@ def test_padding_without_its_sign(tmp_path):
     slices = [a_slice(0, plane), *series()[1:]]
     for data in slices:
         data.add_new("PixelPaddingValue", "US", 63536)
-    assert read(save(tmp_path, slices)).values.min() == 1
+    assert read_volume(save(tmp_path, slices)).values.min() == 1
 
 
 def test_nothing_but_padding(tmp_path):
@@ -128,7 +129,7 @@ def test_nothing_but_padding(tmp_path):
 def test_twelve_bits_keep_their_sign(tmp_path):
     values = NUMBERS % 2000 - 100  # the sign stands in bit 11
     slices = [a_slice(k, values[k] & 0x0FFF, BitsStored=12, HighBit=11) for k in range(COUNT)]
-    assert np.array_equal(read(save(tmp_path, slices)).values, values)
+    assert np.array_equal(read_volume(save(tmp_path, slices)).values, values)
 
 
 @pytest.mark.parametrize("syntax", [ImplicitVRLittleEndian, DeflatedExplicitVRLittleEndian, RLELossless])
@@ -138,21 +139,21 @@ def test_transfer_syntaxes(tmp_path, syntax):
         if syntax == RLELossless:
             data.compress(syntax)
         data.file_meta.TransferSyntaxUID = syntax
-    assert np.array_equal(read(save(tmp_path, slices)).values, NUMBERS)
+    assert np.array_equal(read_volume(save(tmp_path, slices)).values, NUMBERS)
 
 
 def test_big_endian(tmp_path):
     slices = [a_slice(k, NUMBERS[k].astype(">i2")) for k in range(COUNT)]
     for data in slices:
         data.file_meta.TransferSyntaxUID = ExplicitVRBigEndian
-    assert np.array_equal(read(save(tmp_path, slices)).values, NUMBERS)
+    assert np.array_equal(read_volume(save(tmp_path, slices)).values, NUMBERS)
 
 
 @pytest.mark.parametrize("compressor", ["JPEG", "JPEG2000"])
 @pytest.mark.usefixtures("caged")
 def test_lossless_jpeg(tmp_path, compressor):
     slices = [packed_as(data, compressor, tmp_path) for data in series()]
-    assert np.array_equal(read(save(tmp_path / "scan", slices)).values, NUMBERS)
+    assert np.array_equal(read_volume(save(tmp_path / "scan", slices)).values, NUMBERS)
 
 
 def test_other_files_do_not_matter(tmp_path):
@@ -162,7 +163,7 @@ def test_other_files_do_not_matter(tmp_path):
     (tmp_path / "more").mkdir()
     report = a_slice(0, SOPClassUID=BasicTextSRStorage, SeriesInstanceUID=generate_uid())
     report.save_as(tmp_path / "report.dcm", enforce_file_format=True)
-    assert np.array_equal(read(tmp_path).values, NUMBERS)
+    assert np.array_equal(read_volume(tmp_path).values, NUMBERS)
 
 
 # Which series
@@ -183,11 +184,13 @@ def test_two_series_are_not_guessed(tmp_path):
     assert (
         "holds 2 series" in fault.what and "number 3 'needle', 6 files" in fault.what and other in fault.what
     )
-    assert "`series`" in fault.mend
-    assert read(tmp_path, "3").values.shape[0] == COUNT
-    assert np.array_equal(read(tmp_path, "4").values, NUMBERS[:3] + 1)
-    assert np.array_equal(read(tmp_path, other).values, NUMBERS[:3] + 1)
-    assert np.array_equal(read(tmp_path / "007.dcm").values, NUMBERS[:3] + 1)  # one of its files names it
+    assert "`series`" in fault.fix
+    assert read_volume(tmp_path, "3").values.shape[0] == COUNT
+    assert np.array_equal(read_volume(tmp_path, "4").values, NUMBERS[:3] + 1)
+    assert np.array_equal(read_volume(tmp_path, other).values, NUMBERS[:3] + 1)
+    assert np.array_equal(
+        read_volume(tmp_path / "007.dcm").values, NUMBERS[:3] + 1
+    )  # one of its files names it
 
 
 def test_a_series_that_is_not_there(tmp_path):
@@ -199,7 +202,7 @@ def test_a_series_that_is_not_there(tmp_path):
 def test_two_series_of_one_number(tmp_path):
     save(tmp_path, [*series(), a_slice(0, SeriesInstanceUID=generate_uid())])
     fault = refused(tmp_path, series="3")
-    assert "2 series are called 3" in fault.what and "UID" in fault.mend
+    assert "2 series are called 3" in fault.what and "UID" in fault.fix
 
 
 def test_overviews_and_pictures_of_their_own_are_no_candidates(tmp_path):
@@ -211,7 +214,7 @@ def test_overviews_and_pictures_of_their_own_are_no_candidates(tmp_path):
         ImagePositionPatient=None,
         ImageOrientationPatient=None,
     )
-    assert np.array_equal(read(save(tmp_path, [*series(), overview, dose])).values, NUMBERS)
+    assert np.array_equal(read_volume(save(tmp_path, [*series(), overview, dose])).values, NUMBERS)
 
 
 def test_folders_without_a_series(tmp_path):
@@ -219,7 +222,7 @@ def test_folders_without_a_series(tmp_path):
     save(tmp_path / "inside", series())
     (tmp_path / "notes.txt").write_text("scan")
     fault = refused(tmp_path)
-    assert "there is inside/, notes.txt" in fault.what and "name the folder" in fault.mend
+    assert "there is inside/, notes.txt" in fault.what and "name the folder" in fault.fix
     assert "no such file" in refused(tmp_path / "elsewhere").what
     assert "not a volume" in refused(tmp_path / "notes.txt").what
 
@@ -242,7 +245,7 @@ def test_a_slice_twice(tmp_path):
 
 
 def test_two_phases_in_one_series(tmp_path):
-    assert "several phases" in refused(save(tmp_path, [*series(), *series(RescaleIntercept=5)])).mend
+    assert "several phases" in refused(save(tmp_path, [*series(), *series(RescaleIntercept=5)])).fix
 
 
 def test_a_localizer_among_the_slices(tmp_path):
@@ -266,20 +269,20 @@ def test_a_tilted_gantry(tmp_path, degrees):
     fault = refused(save(tmp_path, slices))
     assert (
         f"leans by {abs(degrees):.3g} degrees: the gantry was tilted" in fault.what
-        and "resample" in fault.mend
+        and "resample" in fault.fix
     )
 
 
 @pytest.mark.parametrize("modality", ["CT", "XA", None])
 def test_cone_beam_scanners_may_call_themselves_otherwise(tmp_path, modality):
-    assert np.array_equal(read(save(tmp_path, series(Modality=modality))).values, NUMBERS)
+    assert np.array_equal(read_volume(save(tmp_path, series(Modality=modality))).values, NUMBERS)
 
 
 @pytest.mark.parametrize(("degrees", "said"), [(10.0, 1), (-3.5, 1), (0.0, 0), (None, 0)])
 def test_a_tilt_that_is_stated_but_not_there_is_remarked(tmp_path, degrees, said):
-    volume = read(save(tmp_path, series(GantryDetectorTilt=degrees)))
-    assert len(volume.remarks) == said
-    assert all(f"tilted by {abs(degrees):g} degrees" in remark for remark in volume.remarks)
+    volume = read_volume(save(tmp_path, series(GantryDetectorTilt=degrees)))
+    assert len(volume.warnings) == said
+    assert all(f"tilted by {abs(degrees):g} degrees" in remark for remark in volume.warnings)
 
 
 def test_an_oblique_stack_is_not_tilted(tmp_path):
@@ -292,7 +295,7 @@ def test_an_oblique_stack_is_not_tilted(tmp_path):
         )
         for k in range(COUNT)
     ]
-    volume = read(save(tmp_path, slices))
+    volume = read_volume(save(tmp_path, slices))
     assert volume.spacing[2] == pytest.approx(2.0, abs=1e-6)
     assert volume.direction.T @ volume.direction == pytest.approx(np.eye(3), abs=1e-14)
 
@@ -306,7 +309,7 @@ def test_shifted_slices(tmp_path):
 def test_uneven_steps(tmp_path, off, fine):
     save(tmp_path, spoilt(2, ImagePositionPatient=[*ORIGIN[:2], ORIGIN[2] + 2 * STEP + off]))
     if fine:
-        assert read(tmp_path).spacing[2] == pytest.approx(STEP) and off < ASTRAY
+        assert read_volume(tmp_path).spacing[2] == pytest.approx(STEP) and off < MAX_OFFSET_MM
     else:
         fault = refused(tmp_path)
         assert "stands 0.3 mm from its place" in fault.what and fault.where.endswith("002.dcm")
@@ -365,7 +368,7 @@ def test_axes_that_are_none(tmp_path, axes):
 
 def test_spacing_in_metres(tmp_path):
     fault = refused(save(tmp_path, series(PixelSpacing=[0.0005, 0.0004])))
-    assert "spacing of the voxels is 0.0004 x 0.0005" in fault.what and "unit" in fault.mend
+    assert "spacing of the voxels is 0.0004 x 0.0005" in fault.what and "unit" in fault.fix
 
 
 def test_one_slice(tmp_path):
@@ -376,7 +379,7 @@ def test_a_multi_frame_file(tmp_path):
     """Enhanced CT keeps its positions inside; it is named for what it is, not for what it lacks."""
     save(tmp_path, [a_slice(0, NumberOfFrames=9, ImagePositionPatient=None)])
     fault = refused(tmp_path)
-    assert "holds 9 frames in one file" in fault.what and "NRRD" in fault.mend
+    assert "holds 9 frames in one file" in fault.what and "NRRD" in fault.fix
 
 
 @pytest.mark.parametrize("syntax", [HTJ2KLossless, MPEG2MPML])
@@ -386,7 +389,7 @@ def test_a_compression_without_decoder(tmp_path, syntax):
         data.compress(RLELossless)
         data.file_meta.TransferSyntaxUID = syntax
     fault = refused(save(tmp_path, slices))
-    assert syntax.name in fault.what and "no decoder" in fault.what and "decompress" in fault.mend
+    assert syntax.name in fault.what and "no decoder" in fault.what and "decompress" in fault.fix
 
 
 @pytest.mark.parametrize("kept", [0, 100, 140, 300, 600, -60, -1])
@@ -395,7 +398,7 @@ def test_a_file_cut_short(tmp_path, kept):
     file = tmp_path / "003.dcm"
     file.write_bytes(file.read_bytes()[:kept])
     fault = refused(tmp_path)
-    assert fault.where == str(file) and "again" in fault.mend
+    assert fault.where == str(file) and "again" in fault.fix
 
 
 def test_compressed_voxels_cut_short(tmp_path):
@@ -412,14 +415,14 @@ def test_compressed_voxels_cut_short(tmp_path):
 def test_headers_that_claim_a_bomb(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     fault = refused(save(tmp_path / "all", series(Rows=65535, Columns=65535)))
-    assert "65535 x 65535 x 6" in fault.what and "crop" in fault.mend
+    assert "65535 x 65535 x 6" in fault.what and "crop" in fault.fix
     slices = series(Rows=8000, Columns=8000)
     assert "claims 8000 x 8000 voxels, 128000000 bytes" in refused(save(tmp_path / "less", slices)).what
     for data in slices:
         data.Rows, data.Columns = ROWS, COLUMNS
         data.compress(RLELossless)
         data.Rows = data.Columns = 65535
-    assert "crop" in refused(save(tmp_path / "packed", slices)).mend
+    assert "crop" in refused(save(tmp_path / "packed", slices)).fix
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 100e3  # kB
 
 
@@ -441,8 +444,8 @@ def test_written_and_read_every_voxel_stands_where_it_stood(tmp_path_factory, se
     """A left-handed volume comes back right-handed: its slices are the same, in the other order."""
     folder = tmp_path_factory.mktemp("scan") / "series"
     volume = turned(seed, flip=flip)
-    write(volume, folder)
-    again = read(folder)
+    write_volume(volume, folder)
+    again = read_volume(folder)
     assert np.linalg.det(again.direction) == pytest.approx(1.0)
     assert np.array_equal(again.values[::-1] if flip else again.values, volume.values)
     here = np.argwhere(np.ones(volume.values.shape))[:, ::-1]
@@ -454,26 +457,26 @@ def test_written_and_read_every_voxel_stands_where_it_stood(tmp_path_factory, se
 def test_fractions_are_kept_to_a_level(tmp_path):
     volume = turned(3, scale=1.0)
     volume = Volume(volume.values + np.float32(0.123), volume.origin, volume.spacing, volume.direction)
-    write(volume, tmp_path / "scan")
+    write_volume(volume, tmp_path / "scan")
     span = float(np.ptp(volume.values))
-    assert np.abs(read(tmp_path / "scan").values - volume.values).max() <= 0.51 * span / 65535
+    assert np.abs(read_volume(tmp_path / "scan").values - volume.values).max() <= 0.51 * span / 65535
 
 
 def test_one_fraction_everywhere(tmp_path):
     volume = Volume(np.full((2, 2, 2), 0.25, np.float32), np.zeros(3), np.ones(3), np.eye(3))
-    write(volume, tmp_path / "scan")
-    assert np.array_equal(read(tmp_path / "scan").values, volume.values)
+    write_volume(volume, tmp_path / "scan")
+    assert np.array_equal(read_volume(tmp_path / "scan").values, volume.values)
 
 
 def test_values_beyond_sixteen_bits(tmp_path):
     values = np.array([[[0, 1e6], [5e5, 65535]], [[-1e5, 3.0], [1, 2]]], dtype=np.float32)
-    write(Volume(values, np.zeros(3), np.ones(3), np.eye(3)), tmp_path / "scan")
-    assert np.abs(read(tmp_path / "scan").values - values).max() <= 0.51 * 1.1e6 / 65535
+    write_volume(Volume(values, np.zeros(3), np.ones(3), np.eye(3)), tmp_path / "scan")
+    assert np.abs(read_volume(tmp_path / "scan").values - values).max() <= 0.51 * 1.1e6 / 65535
 
 
 def test_the_same_volume_gives_the_same_bytes(tmp_path):
     for name in ("one", "two"):
-        write(turned(5), tmp_path / name, "synthetic")
+        write_volume(turned(5), tmp_path / name, "synthetic")
     files = sorted(file.name for file in (tmp_path / "one").iterdir())
     assert files == [f"{k:05d}.dcm" for k in (1, 2, 3, 4)]
     for name in files:
@@ -482,14 +485,14 @@ def test_the_same_volume_gives_the_same_bytes(tmp_path):
     assert {header.SeriesDescription for header in headers} == {"synthetic"}
     assert len({header.SOPInstanceUID for header in headers}) == 4
     assert all(header.SOPInstanceUID.is_valid and not header.StudyDate for header in headers)
-    write(turned(6), tmp_path / "three", "synthetic")
+    write_volume(turned(6), tmp_path / "three", "synthetic")
     assert dcmread(tmp_path / "three" / files[0]).SeriesInstanceUID != headers[0].SeriesInstanceUID
 
 
 def test_a_folder_with_something_in_it_is_left_alone(tmp_path):
     (tmp_path / "thesis").write_text("all of it")
     with pytest.raises(ConfigError, match="exists already"):
-        write(turned(1), tmp_path)
+        write_volume(turned(1), tmp_path)
     assert [file.name for file in tmp_path.iterdir()] == ["thesis"]
 
 
@@ -499,23 +502,23 @@ def test_a_write_that_fails_leaves_nothing(tmp_path, monkeypatch):
 
     monkeypatch.setattr("pydicom.dataset.FileDataset.save_as", full)
     with pytest.raises(OSError, match="no space"):
-        write(turned(1), tmp_path / "scan")
+        write_volume(turned(1), tmp_path / "scan")
     assert list(tmp_path.iterdir()) == []
 
 
 def test_a_place_that_cannot_be_written(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError):
-        write(turned(1), tmp_path / "file" / "scan")
+        write_volume(turned(1), tmp_path / "file" / "scan")
 
 
 @pytest.mark.usefixtures("caged")
 def test_a_large_series_is_read_in_seconds(tmp_path):
     values = np.zeros((60, 512, 512), dtype=np.float32)
     values[:, ::7, ::5] = 1000.0
-    write(Volume(values, np.zeros(3), np.ones(3), np.eye(3)), tmp_path / "scan")
+    write_volume(Volume(values, np.zeros(3), np.ones(3), np.eye(3)), tmp_path / "scan")
     start = time.perf_counter()
-    volume = read(tmp_path / "scan")
+    volume = read_volume(tmp_path / "scan")
     assert time.perf_counter() - start < 3.0
     assert np.array_equal(volume.values, values)
 
@@ -537,7 +540,7 @@ def test_a_slice_that_is_cut_short_is_named_wherever_it_is_cut(suffix, tmp_path)
         for size in (*range(0, 900, 37), 150, 170, 180, len(whole) // 2):
             file.write_bytes(whole[:size])
             with pytest.raises(DataError) as error:
-                stack(find_series(folder))
+                stack_slices(find_series(folder))
             assert error.value.where == str(file), size
         file.write_bytes(whole)
 

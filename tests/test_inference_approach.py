@@ -10,7 +10,7 @@ from inference_cases import TRUTH, Squares, insertion, measure, medium, problem,
 from needlefit.inference.optimize import minimize
 from needlefit.inference.optimize.approach import leaders
 from needlefit.inference.starts import Start, Watch, from_dict, to_dict
-from needlefit.project.records.recipe import LikelihoodRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 
 def rng():

@@ -83,9 +83,9 @@ def test_the_real_stereo_shapes_give_the_known_baselines():
     from needlefit.datasets.read import read
     from needlefit.geometry.compare import compare
     from needlefit.inference.comparison import scored_points
-    from needlefit.project.places import find
+    from needlefit.project.locate import find_file
 
-    shapes = read(find("dataset", "stereo_shapes"))
+    shapes = read(find_file("dataset", "stereo_shapes"))
     pose, drop = shapes.pose, shapes.drop_proximal
     deep = [i for i in shapes.insertions if i.depth == 120]
     fits = fit_baselines(pose, drop, [i for i in shapes.insertions if i.depth < 120])

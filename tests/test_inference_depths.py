@@ -15,12 +15,12 @@ from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.predict import predict
 from needlefit.mechanics.shape import positions
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import LikelihoodRecord
+from needlefit.project.locate import find_file
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 TWIN = read(Path(__file__).parents[1] / "data" / "twin" / "dataset.toml")
-MEDIUM = load(find("medium", "phantom2"), MediumRecord)
+MEDIUM = load(find_file("medium", "phantom2"), MediumRecord)
 MODE = {"mu1_pa": 3.5e5, "mu2_pa": 2.85e7, "mu3_pa": 3.5e5, "mu4_pa": 2.85e7, "bevel_mm": 0.109}
 VALUES = {**MODE, "alpha1": 1.0, "alpha2": -1.0, "alpha3": 1.0, "alpha4": -1.0}
 DEPTH_SD = 0.1

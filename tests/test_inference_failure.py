@@ -14,7 +14,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Watch, from_dict, to_dict
-from needlefit.project.records.recipe import SampleRecord
+from needlefit.schemas.recipe import SampleRecord
 
 
 def rng():

@@ -15,7 +15,7 @@ from needlefit.inference.identifiability.freed import fixed_alphas, freed
 from needlefit.inference.identifiability.identify import Verdict
 from needlefit.inference.identifiability.profile import THRESHOLD, Profile
 from needlefit.inference.starts import Fit
-from needlefit.validation.identification import confirmed, identified, sampled_contractions
+from needlefit.validation.identification import add_sampled_ratios, identify_parameters, reconcile_verdict
 
 MIDDLE = math.log(0.1)
 
@@ -88,7 +88,7 @@ def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
     assert all(one.tip_moves is not None and one.tip_moves < 0.02 for one in alphas.values())
     b = next(one.profile for one in examination.parameters if one.name == "bevel_mm")
     assert b.low < math.log(TRUTH["bevel_mm"]) < b.high
-    told = identified(p, examination, {})
+    told = identify_parameters(p, examination, {})
     assert {row["parameter"] for row in told.rows} == {*p.names, "alpha1", "alpha2"}
     assert all(not row["determined"] for row in told.rows if row["status"] == "fixed")
     assert min(row["deviance"] for row in told.points) == 0.0
@@ -105,7 +105,7 @@ def test_a_better_point_than_the_fit_is_told_by_how_much():
 
 def test_threads_change_nothing_and_a_stop_leaves_out_what_has_not_begun():
     p = two_layers(count=1)
-    one, two = (identified(p, examine(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
+    one, two = (identify_parameters(p, examine(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
     assert one.points == two.points
     assert examine(p, fit_at(p, TRUTH), stop=lambda: True).parameters == ()
 
@@ -115,10 +115,10 @@ def test_a_profile_overrules_a_verdict_that_the_information_gave():
     verdict = Verdict(
         {"bevel_mm": 0.1}, names, {"bevel_mm": ""}, {}, {}, 1, (), {"bevel_mm": "known"}, 1.0, False
     )
-    kept = confirmed(verdict, {"bevel_mm": judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD))})
+    kept = reconcile_verdict(verdict, {"bevel_mm": judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD))})
     assert kept.determined["bevel_mm"] and kept.notes["bevel_mm"] == "known"
     cut = judge(Examined(parabola(ends=("closed", "bound")), BOUNDS), (0.1, PRIOR_SD))
-    lost = confirmed(verdict, {"bevel_mm": cut})
+    lost = reconcile_verdict(verdict, {"bevel_mm": cut})
     assert not lost.determined["bevel_mm"] and lost.notes["bevel_mm"].startswith(
         "not determined: its profile"
     )
@@ -153,8 +153,8 @@ def test_draws_say_their_own_contraction():
     rng = np.random.default_rng(1)
     drawn = np.stack([np.exp(rng.normal(-2, 0.3, (2, 4000))), rng.normal(1, 2.0, (2, 4000))], axis=2)
     posterior = SimpleNamespace(names=("bevel_mm", "alpha1"), draws=drawn)
-    about = {"contraction": 0.1, "agreement": AGREE}
+    about = {"sd_ratio": 0.1, "agreement": AGREE}
     rows = [{"parameter": n, "prior_sd": 2.0, **about} for n in ("bevel_mm", "alpha1", "mu1_pa")]
-    sampled_contractions(posterior, rows)
-    assert [row.get("contraction_sampled") for row in rows[:2]] == pytest.approx([0.15, 1.0], rel=0.05)
+    add_sampled_ratios(posterior, rows)
+    assert [row.get("sd_ratio_sampled") for row in rows[:2]] == pytest.approx([0.15, 1.0], rel=0.05)
     assert "draws contract to" in rows[1]["agreement"] and rows[2]["agreement"] == AGREE

@@ -16,7 +16,7 @@ from needlefit.inference.identifiability.information import (
     steps,
 )
 from needlefit.inference.starts import Fit, Start
-from needlefit.project.records.recipe import LikelihoodRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 FINE = Noise(point_sd=0.02)
 

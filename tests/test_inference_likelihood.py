@@ -11,7 +11,7 @@ from needlefit.errors import DataError
 from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.likelihood.evidence import evidence, whiten, whitened
 from needlefit.inference.likelihood.pose import modes, pose_sds
-from needlefit.project.records.recipe import LikelihoodRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
 

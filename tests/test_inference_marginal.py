@@ -13,7 +13,7 @@ from needlefit.inference.identifiability.information import jacobian
 from needlefit.inference.likelihood.depths import PLACES, Nodes, nodes
 from needlefit.inference.likelihood.marginal import log_marginals, mixing, residual_slopes, residuals
 from needlefit.inference.likelihood.quadrature import log_means, rule
-from needlefit.project.records.recipe import LikelihoodRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 LINE = np.linspace(0.0, 40.0, 41)
 LAYERED = replace(insertion(40.0, (12.0, 20.0), (1, 2, 1)), boundary_sd=0.15, depth_sd=0.1)

@@ -16,8 +16,7 @@ from needlefit.inference.material_prior import Foundation, prior_of_material, wi
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.population import Material, pool
 from needlefit.project.load import check
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.prior import MaterialRecord, PriorRecord
+from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
 
 T_2, NORMAL = 4.302653, 1.959964  # Student's and the normal quantile of 97.5 %, two degrees of freedom
 

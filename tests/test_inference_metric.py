@@ -7,7 +7,7 @@ import pytest
 from inference_cases import TRUTH, medium, two_layers
 
 from needlefit.inference.metric import KINK, misfit, misfit_slopes
-from needlefit.project.records.recipe import WeightsRecord
+from needlefit.schemas.recipe import WeightsRecord
 
 
 def test_distances_are_smooth_at_zero_and_otherwise_what_they_were():

@@ -9,8 +9,8 @@ from inference_cases import TRUTH, medium
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters, tissue
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.medium import MediumRecord
+from needlefit.project.locate import find_file
+from needlefit.schemas.medium import MediumRecord
 
 
 def test_theta_is_the_logarithm_of_moduli_and_lengths_and_alpha_itself():
@@ -105,7 +105,7 @@ def test_tissue_repeats_layers_in_the_order_met_and_turns_pa_into_mpa():
     ],
 )
 def test_the_shipped_media_tie_as_the_paper_does_and_fix_every_alpha(name, tied, free):
-    p = Parameters.from_record(load(find("medium", name), MediumRecord))
+    p = Parameters.from_record(load(find_file("medium", name), MediumRecord))
     assert set(p.free) == free
     assert {n for n, status in p.status.items() if status == "tied"} == tied
     assert all(status == "fixed" for n, status in p.status.items() if n.startswith("alpha"))

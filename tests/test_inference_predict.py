@@ -13,8 +13,8 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.scene import NeedleRecord, SceneRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import NeedleRecord, SceneRecord
 
 UNUSUAL = {"thickness_mm": 3.0, "law": "neo_hookean", "constraint_spacing_mm": 2.0}
 

@@ -11,7 +11,7 @@ from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import predict, rules
 from needlefit.inference.starts import Watch
-from needlefit.project.records.recipe import WeightsRecord
+from needlefit.schemas.recipe import WeightsRecord
 
 
 def rotated(points, degrees, shift):

@@ -16,7 +16,7 @@ from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.sampling.snapshots import Snapshots
 from needlefit.inference.starts import Watch
-from needlefit.project.records.recipe import SampleRecord
+from needlefit.schemas.recipe import SampleRecord
 
 MEAN, COV = np.array([0.4, -0.2]), np.array([[0.04, 0.03], [0.03, 0.09]])
 PRECISION = np.linalg.inv(COV)
@@ -28,7 +28,7 @@ def gaussian(theta):
 
 
 def settings(**changed):
-    return SampleRecord(**{"ensembles": 4, "walkers": 8, "steps": 60, "every": 20, **changed})
+    return SampleRecord(**{"ensembles": 4, "walkers": 8, "steps": 60, "check_interval": 20, **changed})
 
 
 def draw(function=gaussian, watch=None, seed=1, kept=None, **changed):
@@ -38,7 +38,7 @@ def draw(function=gaussian, watch=None, seed=1, kept=None, **changed):
 
 @pytest.fixture(scope="module")
 def long():
-    return draw(steps=4000, every=50, walkers=12)
+    return draw(steps=4000, check_interval=50, walkers=12)
 
 
 def test_a_run_ends_when_the_rule_is_met_and_not_before(long):
@@ -47,7 +47,7 @@ def test_a_run_ends_when_the_rule_is_met_and_not_before(long):
     assert steps < 4000 and steps % 50 == 0
     assert np.all(found.r_hat < 1.01) and long.steps > 50 * found.tau.max()
     assert min(found.bulk.min(), found.tail.min()) > 400
-    shorter = draw(steps=steps - 50, every=50, walkers=12)
+    shorter = draw(steps=steps - 50, check_interval=50, walkers=12)
     assert not shorter.converged  # one block less was not enough
     assert np.all(long.burn_in <= steps / 2)
 
@@ -174,7 +174,7 @@ def test_a_run_goes_on_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
         assert stopped == 1
     save(draw(kept=tmp_path / "kept"), tmp_path / "again.nc")
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
-    assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [f"{n:05d}.kept" for n in range(3)]
+    assert sorted(p.name for p in (tmp_path / "kept").iterdir()) == [f"{n:05d}.checkpoint" for n in range(3)]
 
 
 @pytest.mark.parametrize("stopped", [5, 11, 40])
@@ -194,14 +194,14 @@ def test_what_was_learned_from_is_burn_in(monkeypatch):
 
 def test_what_is_lost_of_the_snapshots_is_walked_again(tmp_path):
     whole = draw(kept=tmp_path)
-    (tmp_path / "00001.kept").unlink()  # the third is of no use then
+    (tmp_path / "00001.checkpoint").unlink()  # the third is of no use then
     assert np.array_equal(draw(kept=tmp_path).draws, whole.draws)
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty"])
 def test_a_damaged_snapshot_is_set_aside_and_walked_again(tmp_path, damage):
     whole, lines = draw(kept=tmp_path), []
-    torn = tmp_path / "00001.kept"
+    torn = tmp_path / "00001.checkpoint"
     data = bytearray(torn.read_bytes())
     data[-100] ^= 1
     torn.write_bytes({"cut": data[:200], "flipped": data, "empty": b""}[damage])
@@ -209,9 +209,11 @@ def test_a_damaged_snapshot_is_set_aside_and_walked_again(tmp_path, damage):
     kept = Snapshots(tmp_path, lines.append)
     again = sample(box(gaussian), (0.4, -0.2), settings(), np.random.default_rng(1), None, kept)
     assert np.array_equal(again.draws, whole.draws)
-    assert (tmp_path / "00001.kept.torn-1").read_bytes() == before
-    assert len(lines) == 1 and "00001.kept.torn-1" in lines[0]
-    assert sorted(path.name for path in tmp_path.glob("*.kept")) == [f"{n:05d}.kept" for n in range(3)]
+    assert (tmp_path / "00001.checkpoint.damaged-1").read_bytes() == before
+    assert len(lines) == 1 and "00001.checkpoint.damaged-1" in lines[0]
+    assert sorted(path.name for path in tmp_path.glob("*.checkpoint")) == [
+        f"{n:05d}.checkpoint" for n in range(3)
+    ]
 
 
 def test_too_few_walkers_and_nothing_free_are_errors():

@@ -10,7 +10,7 @@ from scipy.stats import norm, truncnorm
 from needlefit.inference.sampling.convergence import autocorrelation_times
 from needlefit.inference.sampling.independent import learned, unlearned
 from needlefit.inference.sampling.sample import sample
-from needlefit.project.records.recipe import SampleRecord
+from needlefit.schemas.recipe import SampleRecord
 
 pytestmark = pytest.mark.slow
 
@@ -29,7 +29,7 @@ def test_a_gaussian_of_five_dimensions_by_every_move(moves):
 @pytest.mark.parametrize("moves", ["independent", SampleRecord().moves])
 def test_a_gaussian_that_bounds_cut(moves):
     """Its peak lies in a corner outside; of each coordinate a tail that falls from the bound is left."""
-    got = draw(Known(gaussian(np.eye(3), 1.5), 3, half=1.0), moves=moves, steps=600, every=300)
+    got = draw(Known(gaussian(np.eye(3), 1.5), 3, half=1.0), moves=moves, steps=600, check_interval=300)
     x, tail = flat(got), truncnorm(-2.5, -0.5, loc=1.5)
     assert x.mean(axis=0) == pytest.approx(np.full(3, tail.mean()), abs=4 * standard_errors(got).max())
     assert x.var(axis=0) == pytest.approx(np.full(3, tail.var()), rel=0.1)
@@ -52,7 +52,7 @@ def test_a_correlated_gaussian_of_twenty_dimensions():
     rng = np.random.default_rng(4)
     factor = rng.normal(size=(20, 20))
     covariance = factor @ factor.T / 20 + 0.05 * np.eye(20)
-    got = draw(Known(gaussian(covariance), 20), walkers=40, steps=500, every=250)
+    got = draw(Known(gaussian(covariance), 20), walkers=40, steps=500, check_interval=250)
     errors = standard_errors(got)
     assert np.all(np.abs(flat(got).mean(axis=0)) < 5 * errors)
     assert np.cov(flat(got).T) == pytest.approx(covariance, abs=6 * errors.max())
@@ -60,7 +60,7 @@ def test_a_correlated_gaussian_of_twenty_dimensions():
 
 def test_a_banana():
     """E x1 = 1, var x1 = 2 + 0.25; quantiles of x0 are the normal's, and x1 - x0^2 is independent of x0."""
-    got = draw(Known(banana, half=40.0), every=500)  # no bound cuts its horns off
+    got = draw(Known(banana, half=40.0), check_interval=500)  # no bound cuts its horns off
     x = flat(got)
     errors = standard_errors(got)
     assert np.all(np.abs(x.mean(axis=0) - [0.0, 1.0]) < 4 * errors)

@@ -15,7 +15,7 @@ from needlefit.inference.tracks.foresight import Drawn, Slopes, ahead, slopes
 from needlefit.mechanics.control import Bevel, Guide, Rules
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.recipe import RecipeRecord
+from needlefit.schemas.recipe import RecipeRecord
 
 REST = np.zeros(len(DEPTH))
 THETA = np.log([TRUTH["mu1_pa"], TRUTH["bevel_mm"], TRUTH["guide_distance_mm"]])

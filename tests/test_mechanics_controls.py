@@ -237,7 +237,7 @@ def test_the_order_in_which_guides_are_named_does_not_matter() -> None:
 
 @pytest.mark.parametrize("x", [-3.0, 0.0, 4.5])
 def test_two_guides_at_one_place_are_refused(x: float) -> None:
-    with pytest.raises(ModelError, match=f"same x = {x:g} mm.*\n.*\n  mend: move one"):
+    with pytest.raises(ModelError, match=f"same x = {x:g} mm.*\n.*\n  fix: move one"):
         Controls(guides=(Guide(x, 0.0, in_tissue=x >= 0), Guide(x, 0.1, None, x >= 0)))
 
 

@@ -11,7 +11,7 @@ from needlefit.mechanics.control import Bevel, Rules
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.scene import RulesRecord
+from needlefit.schemas.scene import RulesRecord
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 

@@ -17,7 +17,7 @@ from needlefit.mechanics.scene import Entry, Scene, insert
 from needlefit.mechanics.shape import NeedleShape, inserted_points, positions
 from needlefit.mechanics.simulate import follow
 from needlefit.project.load import check
-from needlefit.project.records.scene import SceneRecord
+from needlefit.schemas.scene import SceneRecord
 
 FIGURE1 = needlefit.open_scene("figure1")
 SHAPES = insert(FIGURE1)
@@ -62,7 +62,7 @@ def test_what_a_file_says_in_the_world_is_seen_from_c():
         {"name": "held", "x_mm": 1 - 0.5, "y_mm": 2 - 20, "angle_deg": 100},
         {"name": "ring", "x_mm": 1, "y_mm": 2 - 10, "turns_freely": True},
         {"name": "deep", "x_mm": 1 + 0.25, "y_mm": 2 + 5, "in_tissue": True},
-        {"name": "open", "x_mm": 9, "y_mm": 9, "holds": False},
+        {"name": "open", "x_mm": 9, "y_mm": 9, "engaged": False},
     ]
     controls = {
         "base_y_mm": 3,

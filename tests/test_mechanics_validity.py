@@ -20,7 +20,7 @@ from needlefit.mechanics.shape import NeedleShape, positions
 from needlefit.mechanics.simulate import follow, simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import LIMITS, MAX_DEFLECTION_PER_LENGTH, MAX_SLOPE, worst_of
-from needlefit.project.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
+from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
 
 NEEDLE = Needle(150.0, 1.0216e4)
 TISSUE = Tissue(np.array([0.2, 33.0]), np.array([1.0, -1.0]), np.array([12.0]))

@@ -12,9 +12,9 @@ from pathlib import Path
 import pytest
 
 import needlefit
-from needlefit.project.places import shipped
+from needlefit.project.locate import shipped_folder
 
-ROOT = shipped()
+ROOT = shipped_folder()
 pytestmark = pytest.mark.skipif(not (ROOT / "pyproject.toml").is_file(), reason="not run from the repository")
 TEN_MB = 10 * 2**20
 
@@ -70,7 +70,8 @@ def test_the_page_of_the_view_is_in_the_wheel_whole(installed):
 
 
 def test_the_wheel_is_used_not_the_repository(installed, tmp_path):
-    code = "import needlefit, needlefit.project.places as p; print(needlefit.__file__); print(p.shipped())"
+    code = "import needlefit, needlefit.project.locate as p"
+    code += "\nprint(needlefit.__file__)\nprint(p.shipped_folder())"
     package, project = call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()
     assert Path(package).is_relative_to(installed["PYTHONPATH"])
     assert Path(project) == Path(installed["PYTHONPATH"]) / "needlefit" / "_shipped"
@@ -86,15 +87,15 @@ def test_it_simulates_from_an_empty_folder(installed, tmp_path):
 
 def test_it_finds_everything_that_ships(installed, tmp_path):
     code = (
-        "from needlefit.project.places import find, find_studies, names\n"
+        "from needlefit.project.locate import find_file, find_studies, list_names\n"
         "assert [name for name, _ in find_studies('all')] == [f'study{n}' for n in (1, 2, 3, 4, 5)]\n"
-        "assert find('dataset', 'twin').is_file()\n"
-        "from needlefit.project.places import _PATTERNS\n"
-        "print(*(f'{kind}/{name}' for kind in _PATTERNS for name in names(kind)))"
+        "assert find_file('dataset', 'twin').is_file()\n"
+        "from needlefit.project.locate import _PATTERNS\n"
+        "print(*(f'{kind}/{name}' for kind in _PATTERNS for name in list_names(kind)))"
     )
-    from needlefit.project import places
+    from needlefit.project import locate
 
-    here = [f"{kind}/{name}" for kind in places._PATTERNS for name in places.names(kind)]
+    here = [f"{kind}/{name}" for kind in locate._PATTERNS for name in locate.list_names(kind)]
     assert set(call(sys.executable, "-c", code, env=installed, cwd=tmp_path).split()) == set(here)
 
 

@@ -11,8 +11,7 @@ from contextlib import contextmanager
 import numpy as np
 import pytest
 
-from needlefit.viewer.recording.log import read
-from needlefit.viewer.recording.replay import replay
+from needlefit.viewer.recording import read_recording, replay
 
 BROWSERS = ("chromium", "chromium-browser", "google-chrome")
 FOUND = next((path for name in BROWSERS if (path := shutil.which(name))), None)
@@ -324,9 +323,9 @@ def test_a_killed_server_loses_no_step(tmp_path, chromium) -> None:
         server.end(signal.SIGKILL)
         shown(page, "Not connected to the needle")
     (path,) = server.folder.glob("*.csv")
-    *_, last = replay(read(path))
-    assert last.recorded.number == state["step"] and last.off == 0
-    assert last.moment.shape.deflection == state["tip"]["deflection_mm"]
+    *_, last = replay(read_recording(path))
+    assert last.recorded.number == state["step"] and last.tip_offset_mm == 0
+    assert last.state.shape.deflection == state["tip"]["deflection_mm"]
 
 
 def test_two_windows_do_not_touch_each_other(page, server, chromium) -> None:
@@ -433,5 +432,5 @@ def test_an_export_is_a_file(page) -> None:
     with page.expect_download() as download:
         page.get_by_role("button", name=re.compile(r"inputs|recording.*csv", re.I)).first.click()
     path = download.value.path()
-    *_, last = replay(read(path))
-    assert last.moment.step.depth == 10
+    *_, last = replay(read_recording(path))
+    assert last.state.step.depth == 10

@@ -5,16 +5,16 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.validation import paper
-from needlefit.validation.paper.claims import Bound, Claim
+from needlefit.validation.paper.claims import Claim, ClaimBound
 
 
 def by_topic(part: str) -> Claim:
-    (found,) = [claim for claim in paper.checked_claims() if part in claim.topic]
+    (found,) = [claim for claim in paper.check_claims() if part in claim.topic]
     return found
 
 
 def test_every_table_is_read_with_its_rows():
-    assert {name: len(paper.table(name)) for name in paper.TABLES} == {
+    assert {name: len(paper.read_published_table(name)) for name in paper.TABLE_TITLES} == {
         "insertions": 7,
         "study_design": 8,
         "tuning_by_layers": 4,
@@ -22,29 +22,29 @@ def test_every_table_is_read_with_its_rows():
         "validation": 8,
         "parameters": 10,
     }
-    assert paper.table("insertions")["insertions"].sum() == 47
+    assert paper.read_published_table("insertions")["insertions"].sum() == 47
 
 
 def test_hand_tuned_set_leaves_out_the_layers_it_has_not():
-    assert paper.hand_tuned("study5") == {"mu1_pa": 4e3, "alpha1": 0.2, "bevel_mm": 0.085}
-    assert paper.hand_tuned("phantom1")["mu3_pa"] == 2e6
+    assert paper.read_hand_tuned("study5") == {"mu1_pa": 4e3, "alpha1": 0.2, "bevel_mm": 0.085}
+    assert paper.read_hand_tuned("phantom1")["mu3_pa"] == 2e6
 
 
 def test_unknown_hand_tuned_set_lists_the_known_ones():
     with pytest.raises(ConfigError, match="study5"):
-        paper.hand_tuned("study6")
+        paper.read_hand_tuned("study6")
 
 
 def test_the_local_project_comes_before_the_shipped_one(tmp_path, monkeypatch):
     (tmp_path / "data" / "paper").mkdir(parents=True)
     (tmp_path / "data" / "paper" / "validation.csv").write_text("study\n7\n")
     monkeypatch.chdir(tmp_path)
-    assert paper.table("validation")["study"].tolist() == [7]
-    assert len(paper.table("insertions")) == 7
+    assert paper.read_published_table("validation")["study"].tolist() == [7]
+    assert len(paper.read_published_table("insertions")) == 7
 
 
 @pytest.mark.parametrize(
-    ("topic", "says", "other"),
+    ("topic", "statement", "other"),
     [
         ("Four- and three-layer", "9 + 5", "8 + 6"),
         ("Four-layer insertions that tune", "9", "8"),
@@ -64,14 +64,16 @@ def test_the_local_project_comes_before_the_shipped_one(tmp_path, monkeypatch):
         ("Which tables", "4, 5 and 6", "five tables"),
     ],
 )
-def test_contradiction_names_both_numbers(topic, says, other):
-    (claim,) = [c for c in paper.contradictions() if c.topic == topic or c.topic.startswith(topic + " ")][:1]
-    assert says in claim.says
-    assert other in claim.other_says
+def test_contradiction_names_both_numbers(topic, statement, other):
+    (claim,) = [
+        c for c in paper.find_contradictions() if c.topic == topic or c.topic.startswith(topic + " ")
+    ][:1]
+    assert statement in claim.statement
+    assert other in claim.other_statement
 
 
 def test_the_list_is_complete_and_each_entry_has_two_places():
-    found = paper.contradictions()
+    found = paper.find_contradictions()
     assert len(found) == 16
     assert all(claim.place and claim.other_place and claim.place != claim.other_place for claim in found)
 
@@ -87,12 +89,12 @@ def test_the_list_is_complete_and_each_entry_has_two_places():
     ],
 )
 def test_claims_that_the_tables_bear_out_are_no_contradictions(topic):
-    assert by_topic(topic).holds
-    assert topic not in [claim.topic for claim in paper.contradictions()]
+    assert by_topic(topic).agrees
+    assert topic not in [claim.topic for claim in paper.find_contradictions()]
 
 
 def test_a_corrected_table_ends_a_contradiction():
-    bound = Bound("Tip", "text", "below 0.36 mm", "tuning_by_media", ("te_mm",), 0.36)
+    bound = ClaimBound("Tip", "text", "below 0.36 mm", "tuning_by_media", ("te_mm",), 0.36)
     table = pd.DataFrame({"medium": ["phantom1", "phantom2"], "te_mm": [0.29, 0.35]})
-    assert bound.check({"tuning_by_media": table}).holds
-    assert not bound.check({"tuning_by_media": table.assign(te_mm=[0.29, 0.36])}).holds
+    assert bound.check({"tuning_by_media": table}).agrees
+    assert not bound.check({"tuning_by_media": table.assign(te_mm=[0.29, 0.36])}).agrees

@@ -12,8 +12,8 @@ from needlefit.errors import ConfigError
 from needlefit.imaging import batch
 from needlefit.mechanics import scene
 from needlefit.project.init import copy_project
+from needlefit.project.locate import find_file, shipped_folder
 from needlefit.project.outputs import require_output_files, require_writable
-from needlefit.project.places import find, shipped
 from needlefit.verification import run as verification
 
 
@@ -43,7 +43,7 @@ def test_names_that_the_system_takes_pass(tmp_path):
         ("identify", "study3", "--out", "o" * 300, "-q"),
         ("predict", "study3", "--scene", "study2", "--out", "o" * 300, "-q"),
         ("view", "study2", "--no-browser", "--out", "o" * 300),
-        ("reconstruct", str(shipped() / "data/sample_scan/scans.csv"), "--out", "o" * 240, "-q"),
+        ("reconstruct", str(shipped_folder() / "data/sample_scan/scans.csv"), "--out", "o" * 240, "-q"),
         ("twin", "build", "--out", "o" * 300, "-q"),
         ("twin", "ct", "--out", "o" * 300, "-q"),
         ("init", "o" * 300),
@@ -57,7 +57,7 @@ def test_every_command_refuses_a_name_that_is_too_long_before_it_works(words, tm
         "needlefit.validation.run.run",
         "needlefit.validation.job.prepare",
         "needlefit.cli.view._trials",
-        "needlefit.synthetic.build.build",
+        "needlefit.synthetic.build.build_dataset",
         "needlefit.synthetic.scans.write_scans",
     ):
         monkeypatch.setattr(place, None)
@@ -71,7 +71,7 @@ def test_every_command_refuses_a_name_that_is_too_long_before_it_works(words, tm
 @pytest.fixture
 def own(tmp_path: Path) -> Path:
     path = tmp_path / "mine.toml"
-    shutil.copy(find("scene", "study2"), path)
+    shutil.copy(find_file("scene", "study2"), path)
     return path
 
 
@@ -94,14 +94,14 @@ def test_a_scene_is_not_replaced_by_what_is_written_of_it(option, how, own, monk
 def test_a_recording_and_the_dataset_that_it_is_of_are_not_replaced(tmp_path, monkeypatch):
     log = tmp_path / "log.csv"
     recorded(log)
-    log.write_text(log.read_text().replace('subject = "study2"', 'subject = "./data/example1"'))
+    log.write_text(log.read_text().replace('target = "study2"', 'target = "./data/example1"'))
     monkeypatch.chdir(tmp_path)
     assert run("new", "dataset", "data") == 0
     for path in (log, tmp_path / "data/insertions.csv", tmp_path / "data/centerlines/example1.csv"):
         before = path.read_bytes()
-        assert run("simulate", "--inputs", "log.csv", "--csv", str(path)) == 3
+        assert run("simulate", "--recording", "log.csv", "--csv", str(path)) == 3
         assert path.read_bytes() == before
-    assert run("simulate", "--inputs", "log.csv", "--csv", "data/new.csv") == 0
+    assert run("simulate", "--recording", "log.csv", "--csv", "data/new.csv") == 0
 
 
 def test_outputs_that_meet_are_refused_and_an_old_one_is_replaced(own, tmp_path, capsys):
@@ -115,10 +115,10 @@ def test_outputs_that_meet_are_refused_and_an_old_one_is_replaced(own, tmp_path,
 
 def test_scans_are_not_lost_to_the_dataset_made_of_them(tmp_path, capsys):
     """The folder of `twin ct` carries our stamp: but for its scans being inputs it could be replaced."""
-    from needlefit.project.replace import replacing
+    from needlefit.project.atomic_write import replace_folder
 
-    with replacing(tmp_path / "ct") as fresh:
-        shutil.copytree(shipped() / "data/sample_scan", fresh, dirs_exist_ok=True)
+    with replace_folder(tmp_path / "ct") as fresh:
+        shutil.copytree(shipped_folder() / "data/sample_scan", fresh, dirs_exist_ok=True)
         (fresh / "needlefit.json").unlink(missing_ok=True)
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "ct").rglob("*")}
     assert run("reconstruct", str(tmp_path / "ct/scans.csv"), "--out", str(tmp_path / "ct"), "-q") == 3

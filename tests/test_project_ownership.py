@@ -11,14 +11,14 @@ from pathlib import Path
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.project import replace
-from needlefit.project.ownership import STAMP, foreign, require_own_checkpoint, require_replaceable
-from needlefit.project.places import shipped
-from needlefit.project.replace import new_folder, replacing
+from needlefit.project import atomic_write
+from needlefit.project.atomic_write import create_folder, replace_folder
+from needlefit.project.locate import shipped_folder
+from needlefit.project.ownership import STAMP, find_foreign, require_own_checkpoint, require_replaceable
 
 
 def write(folder, text="one"):
-    with replacing(folder) as fresh:
+    with replace_folder(folder) as fresh:
         (fresh / "part").mkdir()
         (fresh / "part" / "a.csv").write_text(text)
         (fresh / "timing.json").write_text(text)
@@ -55,7 +55,7 @@ def test_what_somebody_added_or_changed_is_kept_and_named(file, tmp_path):
     before = everything(tmp_path)
     with pytest.raises(ConfigError) as error:
         write(folder, "two")
-    assert file in str(error.value) and "--out" in error.value.mend
+    assert file in str(error.value) and "--out" in error.value.fix
     assert everything(tmp_path) == before
 
 
@@ -71,15 +71,17 @@ def test_an_empty_folder_of_the_user_is_kept_and_named(empty, tmp_path):
     if empty.startswith("mine/"):
         shutil.rmtree(folder / "mine")
     write(folder, "two")
-    assert foreign(folder) == []
+    assert find_foreign(folder) == []
 
 
 def test_empty_folders_alone_are_kept_and_a_result_has_none(tmp_path):
     (tmp_path / "mine" / "raw" / "day1").mkdir(parents=True)
     assert (
-        foreign(tmp_path / "mine") == foreign(tmp_path / "mine", "checkpoint") == ["raw/ (an empty folder)"]
+        find_foreign(tmp_path / "mine")
+        == find_foreign(tmp_path / "mine", "checkpoint")
+        == ["raw/ (an empty folder)"]
     )
-    with replacing(tmp_path / "out") as fresh:
+    with replace_folder(tmp_path / "out") as fresh:
         (fresh / "slicer" / "deep").mkdir(parents=True)
         (fresh / "a.csv").write_text("one")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
@@ -118,16 +120,16 @@ def test_a_stamp_without_a_digest_owns_nothing(files, tmp_path):
     (tmp_path / "thesis.docx").write_text("mine")
     stamp = {"program": "needlefit", "format": 1, "holds": "result", "files": files}
     (tmp_path / STAMP).write_text(json.dumps(stamp))
-    assert any(one.startswith("thesis.docx") for one in foreign(tmp_path))
+    assert any(one.startswith("thesis.docx") for one in find_foreign(tmp_path))
 
 
 def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
     for exchanges in (True, False):
         if not exchanges:  # as on a system that cannot exchange two folders at once
-            monkeypatch.setattr(replace, "_exchanged", lambda *_: False)
+            monkeypatch.setattr(atomic_write, "_try_exchange", lambda *_: False)
         folder = tmp_path / f"out{exchanges}"
         write(folder)
-        with pytest.raises(ConfigError, match=r"notes\.txt"), replacing(folder) as fresh:
+        with pytest.raises(ConfigError, match=r"notes\.txt"), replace_folder(folder) as fresh:
             (fresh / "new.csv").write_text("new")
             (folder / "notes.txt").write_text("mine")
         assert {path.name for path in folder.iterdir()} == {"part", "timing.json", STAMP, "notes.txt"}
@@ -149,8 +151,8 @@ def test_the_foreign_result_stays_in_reach_even_if_it_cannot_go_back(tmp_path, m
         one.with_name("third").rename(other)
 
     write(folder)
-    monkeypatch.setattr(replace, "_exchange", exchange)
-    with pytest.raises(OSError, match="disk full"), replacing(folder) as fresh:
+    monkeypatch.setattr(atomic_write, "_exchange", exchange)
+    with pytest.raises(OSError, match="disk full"), replace_folder(folder) as fresh:
         (fresh / "new.csv").write_text("new")
         (folder / "notes.txt").write_text("mine")
     assert [path.read_text() for path in tmp_path.rglob("notes.txt")] == ["mine"]
@@ -163,7 +165,7 @@ def test_there_is_a_result_at_every_moment(tmp_path):
     """Where the system can exchange two folders at once."""
     for name in ("one", "two"):
         (tmp_path / name).mkdir()
-    if not replace._exchanged(tmp_path / "one", tmp_path / "two"):
+    if not atomic_write._try_exchange(tmp_path / "one", tmp_path / "two"):
         pytest.skip("two folders cannot be exchanged at once here")
     folder, ended, missed = tmp_path / "out", threading.Event(), []
     write(folder)
@@ -182,18 +184,18 @@ def test_there_is_a_result_at_every_moment(tmp_path):
 
 
 def test_two_that_begin_where_nothing_is_both_end_whole(tmp_path):
-    with replacing(tmp_path / "out") as first:
+    with replace_folder(tmp_path / "out") as first:
         (first / "a.csv").write_text("first")
         write(tmp_path / "out", "second")
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}
-    assert not foreign(tmp_path / "out")
+    assert not find_foreign(tmp_path / "out")
 
 
 @pytest.mark.parametrize("run", ['{"program": "another"}', '{"versions": {"python": "3.11"}}', "[]", "{"])
 def test_files_of_a_run_of_another_program_are_foreign(tmp_path, run):
     for name, text in (("run.json", run), ("report.pdf", "mine"), ("errors.csv", "mine")):
         (tmp_path / name).write_text(text)
-    assert foreign(tmp_path) == ["errors.csv", "report.pdf", "run.json"]
+    assert find_foreign(tmp_path) == ["errors.csv", "report.pdf", "run.json"]
 
 
 def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
@@ -205,7 +207,7 @@ def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
     (folder / "errors.csv").write_text("fold,insertion\nall,n1\nall,n2\n")
     (folder / "slicer" / "n1.mrk.json").write_text("ours")
     (folder / "slicer" / "n2.band.ply").write_text("ours")
-    assert foreign(folder) == []
+    assert find_foreign(folder) == []
     mine = [
         "notes.md",
         "thesis.docx",
@@ -217,7 +219,7 @@ def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
     for name in mine:
         (folder / name).parent.mkdir(exist_ok=True)
         (folder / name).write_text("mine")
-    assert foreign(folder) == sorted(mine)
+    assert find_foreign(folder) == sorted(mine)
     for name in mine:
         (folder / name).unlink()
     (folder / "sub").rmdir()
@@ -226,9 +228,9 @@ def test_a_result_of_an_earlier_version_is_known_by_its_names(tmp_path):
 
 
 def test_the_evidence_in_the_repository_and_the_shipped_data_may_be_replaced():
-    known = [*(shipped() / "reports" / "reference").glob("*/"), shipped() / "data/twin"]
-    known.append(shipped() / "data/sample_scan")
-    assert {str(folder): foreign(folder) for folder in known if folder.is_dir()} == {
+    known = [*(shipped_folder() / "reports" / "reference").glob("*/"), shipped_folder() / "data/twin"]
+    known.append(shipped_folder() / "data/sample_scan")
+    assert {str(folder): find_foreign(folder) for folder in known if folder.is_dir()} == {
         str(folder): [] for folder in known if folder.is_dir()
     }
 
@@ -241,7 +243,7 @@ def test_files_that_have_no_place_are_none_of_ours(tmp_path):
         with pytest.raises(ConfigError):
             check(tmp_path / "file" / "out")
     (tmp_path / "link").symlink_to(tmp_path / "nowhere")
-    with pytest.raises(ConfigError, match="exists already"), new_folder(tmp_path / "file"):
+    with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "file"):
         pytest.fail("began")
 
 
@@ -261,16 +263,16 @@ def test_a_read_only_place_is_refused_before_the_work(tmp_path, monkeypatch):
     for check in (require_replaceable, require_own_checkpoint):
         with pytest.raises(ConfigError, match="cannot be written"):
             check(tmp_path / "deep" / "out")
-    with pytest.raises(ConfigError, match="cannot be written"), replacing(tmp_path / "out"):
+    with pytest.raises(ConfigError, match="cannot be written"), replace_folder(tmp_path / "out"):
         pytest.fail("began")
 
 
 def test_a_new_folder_gets_no_stamp_and_replaces_nothing(tmp_path):
     (tmp_path / "empty").mkdir()
-    with new_folder(tmp_path / "empty") as fresh:
+    with create_folder(tmp_path / "empty") as fresh:
         (fresh / "dataset.toml").write_text("")
     assert [path.name for path in (tmp_path / "empty").iterdir()] == ["dataset.toml"]
-    with pytest.raises(ConfigError, match="exists already"), new_folder(tmp_path / "late") as fresh:
+    with pytest.raises(ConfigError, match="exists already"), create_folder(tmp_path / "late") as fresh:
         (fresh / "dataset.toml").write_text("")
         (tmp_path / "late").mkdir()
         (tmp_path / "late" / "mine").write_text("mine")
@@ -287,7 +289,7 @@ def test_a_folder_of_another_user_is_refused_before_the_work():
         try:
             if os.getuid() == 0:
                 os.setresuid(65534, 65534, 65534)
-            with replacing(folder / "out"):
+            with replace_folder(folder / "out"):
                 code = 2
         except ConfigError:
             code = 3
@@ -321,7 +323,7 @@ def test_somebody_else_s_folder_with_a_lock_is_no_checkpoint(file, tmp_path):
 
 
 def test_scratch_that_stayed_in_a_new_result_is_no_part_of_it(tmp_path):
-    with replacing(tmp_path / "out") as fresh:
+    with replace_folder(tmp_path / "out") as fresh:
         (fresh / "a.csv").write_text("one")
         (fresh / ".b.csv.needlefit-xyz" / "new").mkdir(parents=True)
     assert {path.name for path in (tmp_path / "out").iterdir()} == {"a.csv", STAMP}

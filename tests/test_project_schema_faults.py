@@ -3,8 +3,8 @@
 import pytest
 from pydantic import ValidationError
 
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.schema_faults import schema_faults
+from needlefit.project.load import schema_faults
+from needlefit.schemas.recipe import RecipeRecord
 
 
 def faults(**table):

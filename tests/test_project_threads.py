@@ -6,7 +6,7 @@ import sys
 
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from needlefit.project.threads import VARIABLES, one_thread
+from needlefit.project.threads import THREAD_VARIABLES, one_thread
 
 COMMAND = """
 import sys
@@ -34,7 +34,7 @@ def test_a_run_of_a_program_has_one_thread_and_leaves_the_program_its_own():
 
 
 def test_the_command_line_has_one_thread_whatever_the_environment_says():
-    environment = {**os.environ, **dict.fromkeys(VARIABLES, "2")}
+    environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "2")}
     done = subprocess.run(
         [sys.executable, "-c", COMMAND], env=environment, capture_output=True, text=True, check=True
     )

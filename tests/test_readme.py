@@ -6,9 +6,9 @@ import shlex
 import pytest
 
 from needlefit.cli.application import build
-from needlefit.project.places import shipped
+from needlefit.project.locate import shipped_folder
 
-README = shipped() / "README.md"
+README = shipped_folder() / "README.md"
 pytestmark = pytest.mark.skipif(not README.is_file(), reason="not run from the repository")
 TEXT = README.read_text(encoding="utf-8") if README.is_file() else ""
 

@@ -6,18 +6,17 @@ import pandas as pd
 import pytest
 
 from needlefit.project.load import load
-from needlefit.project.places import PAPER_FITS, PAPER_STUDIES, find
-from needlefit.project.records.fit import SelectionRecord
-from needlefit.project.records.study import StudyRecord
+from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
 from needlefit.project.run_file import read_run
 from needlefit.reporting.reference import rounded
+from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.validation.run import Settings, run
 
 REFERENCE = Path(__file__).parent.parent / "reports/reference"
 TOLERANCE = 0.002
 """mm: half a micrometre of rounding on either side, and as much for machines."""
 
-KEY = ["rival", "role", "insertion", "boundaries"]
+KEY = ["method", "role", "insertion", "boundaries"]
 SCORES = ["te_mm", "ipe_mean_mm", "ipe_max_mm", "predicted_deflection_mm", "floor_te_mm"]
 
 
@@ -25,7 +24,7 @@ SCORES = ["te_mm", "ipe_mean_mm", "ipe_max_mm", "predicted_deflection_mm", "floo
 def rerun():
     """Study 5 by the quick recipe, a few starts instead of many, and three of its held-out insertions."""
     held = SelectionRecord(insertions=("chicken-04", "chicken-06", "chicken-12"))
-    study = load(find("study", "study5"), StudyRecord)
+    study = load(find_file("study", "study5"), StudyRecord)
     study = study.model_copy(update={"recipe": "quick", "validate_": (held,)})
     return run("study5", study, Settings(jobs=2))
 
@@ -43,8 +42,8 @@ def test_every_study_of_the_paper_has_its_evidence():
 
 def test_the_reduced_study_has_the_errors_of_the_evidence(rerun):
     committed = pd.read_csv(REFERENCE / "study5/errors.csv").set_index(KEY)[SCORES]
-    again = rerun.errors[rerun.errors["rival"] != "fitted_metric"].set_index(KEY)[SCORES]
-    assert set(again.index.get_level_values("rival")) >= {"fitted", "hand_tuned_b", "straight"}
+    again = rerun.errors[rerun.errors["method"] != "fitted_metric"].set_index(KEY)[SCORES]
+    assert set(again.index.get_level_values("method")) >= {"fitted", "hand_tuned_b", "straight"}
     gap = (again - committed.loc[again.index]).abs().max()
     assert (gap <= TOLERANCE).all(), gap
 

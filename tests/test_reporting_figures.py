@@ -14,12 +14,12 @@ from needlefit.reporting.figures.waterfall import counted
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():
-    """The fit is y = x / 10 to x = 10; a rival lies 0.5 mm above it, at other depths and beyond its tip."""
+    """The fit is y = x / 10 to x = 10; a method lies 0.5 mm above it, at other depths and beyond its tip."""
     fit = pd.DataFrame({"curve": "fitted", "x_mm": [0.0, 4.0, 10.0], "y_mm": [0.0, 0.4, 1.0]})
     at = np.array([-1.0, 1.0, 7.0, 12.0])
-    rival = pd.DataFrame({"curve": "hand_tuned", "x_mm": at, "y_mm": 0.1 * at + 0.5})
+    method = pd.DataFrame({"curve": "hand_tuned", "x_mm": at, "y_mm": 0.1 * at + 0.5})
     band = pd.DataFrame({"curve": "95 %", "x_mm": at, "low_mm": 0.1 * at - 1, "high_mm": 0.1 * at + 2})
-    off = about_fit(pd.concat([fit, rival, band]).assign(fold="all", insertion="one"))
+    off = about_fit(pd.concat([fit, method, band]).assign(fold="all", insertion="one"))
     assert set(off["curve"]) == {"hand_tuned", "95 %"}
     assert off["y_mm"].dropna().tolist() == pytest.approx([0.5] * 4)
     assert off["low_mm"].dropna().tolist() == pytest.approx([-1.0] * 4)

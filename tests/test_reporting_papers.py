@@ -56,7 +56,7 @@ def test_a_macro_holds_what_the_table_prints(results):
     defined = dict(re.findall(r"csname nf@(\S+)\\endcsname\{(.*)\}$", text, re.M))
     assert len(defined) == text.count(r"\expandafter")  # no key twice
     bevel = next(words for key, words in defined.items() if key.endswith("-bevel"))
-    row = results.parameters.query("rival == 'fitted' and parameter == 'bevel_mm'").iloc[0]
+    row = results.parameters.query("method == 'fitted' and parameter == 'bevel_mm'").iloc[0]
     assert (
         bevel == "not determined"
         if not row["determined"]

@@ -17,7 +17,7 @@ from reporting_results import stereo, study, told, with_draws
 from needlefit.reporting import ridge, write
 from needlefit.reporting.figures import style
 from needlefit.reporting.figures.foretold import counted
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 WHAT = {
     "boxplot": ("y", slice(None)),
@@ -123,7 +123,7 @@ def test_what_paints_a_figure_of_an_answer_sees_nothing_but_its_table():
     painting = {
         name: [ast.unparse(call.args[2]) for call in ast.walk(tree) if is_plot(call)]
         for name, tree in sources()
-        if "Answer" in imported(tree, Answer.__module__)
+        if "AnalysisResult" in imported(tree, AnalysisResult.__module__)
     }
     painters = [paint for found in painting.values() for paint in found]
     assert painters and all(paint.isidentifier() for paint in painters), painting

@@ -42,7 +42,7 @@ def sampled(low: float, high: float, r_hat: float = 1.0) -> Results:
 
 
 def fitted(results: Results) -> float:
-    table = results.parameters.query("rival == 'fitted' and parameter == 'bevel_mm'")
+    table = results.parameters.query("method == 'fitted' and parameter == 'bevel_mm'")
     return float(table["value"].iloc[0])
 
 

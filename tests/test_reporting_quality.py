@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from needlefit.datasets.formats.slicer import read_lists
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.registration.register import register
-from needlefit.project.streams import stream
+from needlefit.project.random_streams import random_stream
 from needlefit.reporting.figures.along import spans
 from needlefit.reporting.figures.labels import LETTER, SPACE, spread
 from needlefit.reporting.figures.pictures import outline
@@ -51,9 +51,9 @@ def test_the_page_is_one_and_the_same_bytes_again(tmp_path):
     assert [path.name for path in tmp_path.iterdir() if path.is_file()] == ["one.pdf"]
 
 
-@pytest.mark.parametrize("remarks", [(), LONG, ("[brackets] *stars* #hash $dollar$ <angle>",)])
-def test_whatever_there_is_to_say_the_page_stays_one(tmp_path, remarks):
-    bare = dataclasses.replace(cases.small(markers=False, layers=False), remarks=remarks)
+@pytest.mark.parametrize("warnings", [(), LONG, ("[brackets] *stars* #hash $dollar$ <angle>",)])
+def test_whatever_there_is_to_say_the_page_stays_one(tmp_path, warnings):
+    bare = dataclasses.replace(cases.small(markers=False, layers=False), warnings=warnings)
     assert pages(write_quality(bare, tmp_path / "bare.pdf")) == 1
 
 
@@ -82,7 +82,7 @@ def test_slices_thicker_than_pixels_are_named_with_all_their_edges():
 def test_pictures_share_their_room_and_keep_the_needle_amid():
     one = cases.small()
     along = one.views[:2]
-    needle = one.frame.to_local(one.patient.to_world(one.traced.points))
+    needle = one.frame.to_local(one.patient.to_world(one.needle_axis.points))
     (low, high), (_, _) = first, second = spans(along, needle, 20.0)
     assert sum(top - bottom for bottom, top in (first, second)) == pytest.approx(20.0)
     assert (low + high) / 2 == pytest.approx(needle[:, 1].min() / 2 + needle[:, 1].max() / 2)
@@ -141,7 +141,7 @@ def test_the_bodies_lie_in_the_scan_and_the_band_is_wider_than_the_needle(tmp_pa
     assert b"SPACE=LPS" in needle.read_bytes() and b"(synthetic)" in band.read_bytes()
     body, hull = (trimesh.load_mesh(path) for path in (needle, band))
     assert body.bounds[1, 2] == pytest.approx(40.0, abs=0.3)
-    length = arc_length(one.traced.points)[-1]
+    length = arc_length(one.needle_axis.points)[-1]
     assert body.volume == pytest.approx(3.0 * 0.635**2 * length, rel=0.01)  # of a twelve-sided prism
     assert hull.volume > body.volume * one.depth / length
 
@@ -195,15 +195,15 @@ def test_the_screen_shows_what_there_is():
 
 
 def test_cross_sections_lie_across_the_axis_and_scatter_as_little_as_it_does():
-    traced = cases.small().traced
-    assert traced.residuals.shape == (len(traced.sections_s), 3)
-    assert traced.sections_s[0] >= 0 and traced.sections_s[-1] < arc_length(traced.points)[-1]
-    assert np.linalg.norm(traced.residuals, axis=1).max() < 0.1
-    assert np.abs(traced.residuals[:, 2]).max() < 0.01  # the needle runs along S, but for its bend
+    needle_axis = cases.small().needle_axis
+    assert needle_axis.residuals.shape == (len(needle_axis.sections_s), 3)
+    assert needle_axis.sections_s[0] >= 0 and needle_axis.sections_s[-1] < arc_length(needle_axis.points)[-1]
+    assert np.linalg.norm(needle_axis.residuals, axis=1).max() < 0.1
+    assert np.abs(needle_axis.residuals[:, 2]).max() < 0.01  # the needle runs along S, but for its bend
 
 
 def test_markers_left_out_miss_by_what_is_expected_of_them():
-    rng = stream(1, "left out")
+    rng = random_stream(1, "left out")
     layout = np.array([[5, -40, -31], [22, 40, -18], [41, -40, 24], [58, 21, 40], [80, -33, -38.0]])
     turn = Rotation.random(rng=rng).as_matrix()
     pairs = [[n, n] for n in range(5)]

@@ -25,10 +25,10 @@ from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.starts import Watch
 from needlefit.mechanics.scene import Entry
-from needlefit.project.streams import stream
+from needlefit.project.random_streams import random_stream
 from needlefit.reporting.slicer import write_needles, write_scene
 from needlefit.validation.job import prepare
-from needlefit.validation.placed import DRAWS, Known, place
+from needlefit.validation.needles_in_scan import BAND_DRAWS, FoldFit, place_needles
 from needlefit.validation.run import Settings, run
 
 POLYGON = FACETS / 2 * math.sin(2 * math.pi / FACETS)  # area of the polygon inscribed in a unit circle
@@ -85,8 +85,8 @@ def fitted(project: Path):  # noqa: F811
     job = prepare("needles", study(), Settings())
     (fold,) = job.folds
     problem = job.problem(fold)
-    fit = minimize(problem, job.recipe, stream(1, "test"), Watch())
-    return job, fold, Known(fit, identify(problem, fit))
+    fit = minimize(problem, job.recipe, random_stream(1, "test"), Watch())
+    return job, fold, FoldFit(fit, identify(problem, fit))
 
 
 def posterior(job, rows):
@@ -100,7 +100,7 @@ def posterior(job, rows):
 
 def test_every_needle_stands_in_the_world_of_its_dataset(fitted):
     job, fold, known = fitted
-    placed = place(job, fold, known)
+    placed = place_needles(job, fold, known)
     assert {name: one.role for name, one in placed.items()} == {
         "needle-1": "tune", "needle-2": "tune", "needle-3": "validate", "needle-4": "validate"
     }  # fmt: skip
@@ -115,14 +115,14 @@ def test_every_needle_stands_in_the_world_of_its_dataset(fitted):
 
 def test_the_linear_band_lies_about_the_fit_and_follows_the_noise(fitted):
     job, fold, known = fitted
-    band = place(job, fold, known)["needle-4"].band
+    band = place_needles(job, fold, known)["needle-4"].band
     assert band.source == "linear"
     width = np.linalg.norm(band.high - band.low, axis=1)
     np.testing.assert_allclose((band.low + band.high) / 2, band.middle, atol=1e-9)
     assert 0.01 < width[-1] < 5
     wider = tuple(dataclasses.replace(d, sd=2 * d.sd) for d in known.verdict.directions)
     known = dataclasses.replace(known, verdict=dataclasses.replace(known.verdict, directions=wider))
-    doubled = place(job, fold, known)["needle-4"].band
+    doubled = place_needles(job, fold, known)["needle-4"].band
     np.testing.assert_allclose(doubled.high - doubled.low, 2 * (band.high - band.low), atol=1e-9)
 
 
@@ -130,15 +130,17 @@ def test_the_band_of_a_posterior_is_that_of_the_needles_of_its_draws(fitted):
     """The tip goes farther with every b: its percentiles are the tips of the percentiles of b."""
     job, fold, known = fitted
     values = known.fit.values
-    offsets = values["bevel_mm"] * np.linspace(0.9, 1.1, DRAWS)
+    offsets = values["bevel_mm"] * np.linspace(0.9, 1.1, BAND_DRAWS)
     draws = posterior(job, [[values["mu1_pa"], b] for b in offsets])
-    one = place(job, fold, dataclasses.replace(known, posterior=draws))["needle-3"]
+    one = place_needles(job, fold, dataclasses.replace(known, posterior=draws))["needle-3"]
     assert one.band.source == "posterior" and not one.band.converged  # a single short ensemble
-    same = place(job, fold, dataclasses.replace(known, posterior=posterior(job, draws.draws[0, [9, 9]])))
+    same = place_needles(
+        job, fold, dataclasses.replace(known, posterior=posterior(job, draws.draws[0, [9, 9]]))
+    )
     assert np.abs(same["needle-3"].band.high - same["needle-3"].band.low).max() < 1e-12
     for height, b in ((one.band.low, 0.905), (one.band.middle, 1.0), (one.band.high, 1.095)):
         at = posterior(job, [[values["mu1_pa"], b * values["bevel_mm"]]])
-        single = place(job, fold, dataclasses.replace(known, posterior=at))["needle-3"].band
+        single = place_needles(job, fold, dataclasses.replace(known, posterior=at))["needle-3"].band
         np.testing.assert_allclose(height[-1], single.middle[-1], atol=2e-3)
     np.testing.assert_allclose(one.band.middle, one.fitted, atol=2e-3)
 

@@ -24,15 +24,15 @@ from needlefit.reporting.sentences import in_short, run_said, undetermined_said
 from needlefit.reporting.tables import records, tuning_table, validation_table
 from needlefit.validation import paper
 from needlefit.validation.results import Results
-from needlefit.validation.summary import aggregate, paired
+from needlefit.validation.summary import aggregate, compare_methods
 
-BY = ("role", "rival", "boundaries")
+BY = ("role", "method", "boundaries")
 
 
 def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True, True)) -> Results:
     """Two held-out needles, each missed by the same distance everywhere."""
     rows, shapes = [], []
-    template = study(1).errors.query("role == 'validate' and rival == 'fitted' and boundaries == 'measured'")
+    template = study(1).errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
     for i, (error, bend) in enumerate(zip(errors_mm, deflections_mm, strict=True)):
         row = template.iloc[0].to_dict() | {"insertion": f"needle{i}", "layers": 3}
         row |= dict.fromkeys(("median_err_mm", "ipe_mean_mm", "ipe_max_mm", "te_mm"), error)
@@ -45,7 +45,7 @@ def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True
             "simulated_x_mm": x,
             "simulated_y_mm": error + 0 * x,
         }
-        key = {name: row[name] for name in ("fold", "role", "insertion", "rival", "boundaries")}
+        key = {name: row[name] for name in ("fold", "role", "insertion", "method", "boundaries")}
         shapes.append(pd.DataFrame(points).assign(j=np.arange(101), **key))
     return dataclasses.replace(study(1), errors=pd.DataFrame(rows), shapes=pd.concat(shapes))
 
@@ -89,10 +89,10 @@ def test_results_without_a_column_are_refused():
 
 def test_rivals_are_compared_on_the_same_insertions():
     one = two_needles((1.0, 3.0))
-    rival = one.errors.assign(rival="constant_curvature", ipe_mean_mm=[0.5, 2.0])
-    alone = one.errors.iloc[:1].assign(rival="straight", ipe_mean_mm=9.0)
-    both = dataclasses.replace(one, errors=pd.concat([one.errors, rival, alone]))
-    table = {row["rival"]: row for row in records(paired(both))}
+    method = one.errors.assign(method="constant_curvature", ipe_mean_mm=[0.5, 2.0])
+    alone = one.errors.iloc[:1].assign(method="straight", ipe_mean_mm=9.0)
+    both = dataclasses.replace(one, errors=pd.concat([one.errors, method, alone]))
+    table = {row["method"]: row for row in records(compare_methods(both))}
     assert table["constant_curvature"]["difference_mm"] == pytest.approx((-0.5 - 1.0) / 2)
     assert table["constant_curvature"]["difference_se_mm"] == pytest.approx(0.25)
     assert table["constant_curvature"]["better"] == 0
@@ -103,7 +103,7 @@ def test_rivals_are_compared_on_the_same_insertions():
 
 def test_the_report_says_when_no_curve_wins():
     one = two_needles()
-    worse = one.errors.assign(rival="straight", ipe_mean_mm=[4.0, 4.0])
+    worse = one.errors.assign(method="straight", ipe_mean_mm=[4.0, 4.0])
     assert "No empirical curve does better" in rivals_said(
         dataclasses.replace(one, errors=pd.concat([one.errors, worse]))
     )
@@ -111,8 +111,8 @@ def test_the_report_says_when_no_curve_wins():
 
 def test_a_set_of_the_paper_that_does_better_is_said_with_its_difference():
     one = two_needles((1.0, 3.0))
-    retuned = one.errors.assign(rival="hand_tuned_b", ipe_mean_mm=[0.5, 2.0])
-    worse = one.errors.assign(rival="hand_tuned", ipe_mean_mm=[1.5, 4.0])
+    retuned = one.errors.assign(method="hand_tuned_b", ipe_mean_mm=[0.5, 2.0])
+    worse = one.errors.assign(method="hand_tuned", ipe_mean_mm=[1.5, 4.0])
     both = dataclasses.replace(one, errors=pd.concat([one.errors, retuned, worse]))
     gap = "(−0.750 ± 0.250 mm mean IPE, the fit better on 0 of 2)"
     assert f"do better here than the fitted ones: hand-tuned set, b re-tuned {gap}." in rivals_said(both)
@@ -121,7 +121,7 @@ def test_a_set_of_the_paper_that_does_better_is_said_with_its_difference():
 
 
 def test_the_validation_table_begins_with_the_papers_columns():
-    published = paper.table("validation")
+    published = paper.read_published_table("validation")
     table = validation_table(*(study(n) for n in range(1, 6)))
     assert list(table.columns[: len(published.columns)]) == list(published.columns)
     keys = ["study", "validate_medium", "validate_layers"]
@@ -167,12 +167,12 @@ def test_a_needle_that_ends_at_a_boundary_is_counted_both_ways():
     errors = one.errors.assign(layers=[4, 3], layers_other=[4, 4])
     both = dataclasses.replace(one, errors=errors)
     rows = records(validation_table(both, both=True))
-    assert [(r["validate_layers"], r["insertions"], r["te_mm"], r["reread"]) for r in rows] == [
+    assert [(r["validate_layers"], r["insertions"], r["te_mm"], r["alternate_count"]) for r in rows] == [
         (4, 1, 1.0, False),
         (3, 1, 3.0, False),
         (4, 2, 2.0, True),
     ]
-    assert [r["reading"] for r in rows] == ["listed", "listed", "alternative"]
+    assert [r["layer_count_rule"] for r in rows] == ["listed", "listed", "alternative"]
     assert len(validation_table(both)) == 2
     table = validation_layout([both])
     assert "4‡" in {row[2] for row in table.rows}
@@ -195,7 +195,7 @@ def test_what_makes_rows_comparable_or_not_is_said():
     assert "synthetic twin" in twin
     assert "by hand" in twin
     short = records(tuning_table(study(5)))
-    assert "3 insertions here, 12 there" in next(r for r in short if r["by"] == "media")["comparable"]
+    assert "3 insertions here, 12 there" in next(r for r in short if r["grouping"] == "media")["comparable"]
     aligned = dataclasses.replace(study(1), errors=study(1).errors.assign(comparison="aligned"))
     assert records(validation_table(aligned))[0]["comparable"].startswith("Not comparable")
     measured = records(validation_table(study(1, "measured")))[0]["comparable"]
@@ -203,7 +203,7 @@ def test_what_makes_rows_comparable_or_not_is_said():
 
 
 def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
-    rows = {row["by"]: row for row in records(tuning_table(study(1)))}
+    rows = {row["grouping"]: row for row in records(tuning_table(study(1)))}
     assert (rows["layers"]["paper_te_mm"], rows["layers"]["paper_insertions"]) == (0.44, 9)
     assert (rows["media"]["paper_te_mm"], rows["media"]["paper_insertions"]) == (0.37, 16)
     assert rows["media"]["layers"] is None
@@ -222,7 +222,7 @@ def test_a_parameter_that_the_data_leave_open_is_no_number():
 
 def test_what_the_data_leave_open_is_no_number_in_the_second_fit_either():
     one = study(1)
-    second = one.parameters.query("rival == 'fitted'").assign(rival="fitted_metric", determined=False)
+    second = one.parameters.query("method == 'fitted'").assign(method="fitted_metric", determined=False)
     both = dataclasses.replace(one, parameters=pd.concat([one.parameters, second]))
     table = parameters_table(both).set_index("parameter")
     assert table["fitted_metric"].equals(table["fitted"])
@@ -284,8 +284,8 @@ def test_the_short_answer_names_floor_and_paper():
 
 def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
     said = in_short(stereo())[-1]
-    for row in records(paired(stereo())):
-        if row["rival"] != "fitted":
+    for row in records(compare_methods(stereo())):
+        if row["method"] != "fitted":
             gap = f"{row['difference_mm']:+.3f} ± {row['difference_se_mm']:.3f} mm".replace("-", "−")
             assert gap in said
     assert all(name in said for name in ("straight line", "constant curvature", "curvature linear"))
@@ -355,4 +355,4 @@ def test_latex_escapes():
     assert escape("2 × 10⁻⁵ Pa, μ₁") == r"2 $\times$ 10$^{-5}$ Pa, $\mu$$_{1}$"
     assert escape("μ₁^0.28 / b^-2") == r"$\mu$$_{1}$$^{0.28}$ / b$^{-2}$"
     assert escape("a\\b") == r"a\textbackslash{}b"
-    assert latex(contradictions_layout(paper.contradictions()), synthetic=False).isascii()
+    assert latex(contradictions_layout(paper.find_contradictions()), synthetic=False).isascii()

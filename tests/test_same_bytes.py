@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from needlefit.mechanics.kernel.cache import VARIABLE, folder
-from needlefit.project.places import find
-from needlefit.project.threads import VARIABLES as THREADS
+from needlefit.project.locate import find_file
+from needlefit.project.threads import THREAD_VARIABLES as THREADS
 
 STUDY = """\
 schema = 1
@@ -24,7 +24,7 @@ paper_study = 3
 dataset = "twin"
 medium = "phantom2"
 recipe = "small"
-hand_tuned = "study3"
+paper_parameters = "study3"
 tune = {{ medium = "phantom2", layers = {tuned} }}
 validate = [{{ medium = "{other}", layers = {held_out} }}]
 """
@@ -99,7 +99,7 @@ def new_project(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Pat
         for study, text in STUDIES.items():
             (place / f"studies/{study}.toml").write_text(text, encoding="utf-8")
         (place / "configs/recipes").mkdir(parents=True)
-        recipe = find("recipe", "quick").read_text(encoding="utf-8").replace("starts = 4", "starts = 2")
+        recipe = find_file("recipe", "quick").read_text(encoding="utf-8").replace("starts = 4", "starts = 2")
         (place / "configs/recipes/small.toml").write_text(recipe, encoding="utf-8")
         return place
 
@@ -115,7 +115,7 @@ import hashlib, pickle
 import numpy as np
 from needlefit import run
 from needlefit.project.load import load
-from needlefit.project.records.study import StudyRecord
+from needlefit.schemas.study import StudyRecord
 from needlefit.validation.results import COLUMNS
 from needlefit.validation.run import Settings
 from pathlib import Path

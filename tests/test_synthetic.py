@@ -14,34 +14,38 @@ from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.project.load import load
-from needlefit.project.places import find, shipped
-from needlefit.project.records.medium import MediumRecord
-from needlefit.synthetic import insert as insert_module
-from needlefit.synthetic.design import insertions
-from needlefit.synthetic.field import Field
-from needlefit.synthetic.insert import RULES, insert, stated_frame
-from needlefit.synthetic.phantoms import PHANTOMS, displaced, surfaces
+from needlefit.project.locate import find_file, shipped_folder
+from needlefit.schemas.medium import MediumRecord
+from needlefit.synthetic import insertion as insert_module
+from needlefit.synthetic.design import list_planned_insertions
+from needlefit.synthetic.insertion import TRUTH_OPTIONS, insert_needle, stated_frame
+from needlefit.synthetic.phantoms import PHANTOMS, displace, make_surfaces
 from needlefit.synthetic.truth import (
-    MEDIA,
-    NOMINAL,
-    true_bevel,
-    true_deviations,
-    true_needle,
-    true_specimen,
+    NOMINAL_NEEDLE,
+    TRUE_MEDIA,
+    RandomField,
+    bevel_offset,
+    draw_deviations,
+    draw_needle,
+    draw_specimen,
 )
 
-PLAN = {planned.id: planned for planned in insertions()}
+PLAN = {planned.id: planned for planned in list_planned_insertions()}
 
 
 def paper(name):
-    with (shipped() / "data" / "paper" / name).open(newline="") as file:
+    with (shipped_folder() / "data" / "paper" / name).open(newline="") as file:
         return list(csv.DictReader(file))
 
 
 def truly_inserted(name, seed=1):
     planned = PLAN[name]
-    specimen = true_specimen(seed, planned.medium, planned.specimen)
-    return planned, specimen, insert(planned, true_needle(seed), specimen, true_deviations(seed, planned))
+    specimen = draw_specimen(seed, planned.medium, planned.specimen)
+    return (
+        planned,
+        specimen,
+        insert_needle(planned, draw_needle(seed), specimen, draw_deviations(seed, planned)),
+    )
 
 
 # ---- the plan
@@ -91,21 +95,21 @@ def test_axis_and_bevel_of_a_tilted_plan():
 
 
 def test_boundaries_of_the_phantoms():
-    assert [s.kind for s in surfaces(PHANTOMS["phantom1"])] == ["sheet"] * 3
-    assert [(s.kind, s.into) for s in surfaces(PHANTOMS["phantom2"])] == [
+    assert [s.kind for s in make_surfaces(PHANTOMS["phantom1"])] == ["sheet"] * 3
+    assert [(s.kind, s.into) for s in make_surfaces(PHANTOMS["phantom2"])] == [
         ("sheet", 2),
         ("sheet", 3),
         ("solid", 4),
     ]
-    assert surfaces(PHANTOMS["chicken"]) == ()
-    moved = surfaces(displaced(PHANTOMS["phantom2"], [0.5, 0.0, -1.0]))
+    assert make_surfaces(PHANTOMS["chicken"]) == ()
+    moved = make_surfaces(displace(PHANTOMS["phantom2"], [0.5, 0.0, -1.0]))
     tops = [s.mesh.bounds[0, 0] for s in moved]
     assert tops == pytest.approx([19.5, 27.0, 39.0], abs=0.02)
 
 
 def test_layers_lie_in_the_box():
     for phantom in PHANTOMS.values():
-        for surface in surfaces(phantom):
+        for surface in make_surfaces(phantom):
             low, high = surface.mesh.bounds
             assert low[0] > 0 and high[0] < 80
             assert np.abs([low[1:], high[1:]]).max() <= 40
@@ -113,7 +117,7 @@ def test_layers_lie_in_the_box():
 
 def test_true_moduli_are_those_of_the_papers_table():
     rows = {row["set"]: row for row in paper("parameters.csv")}
-    for name, medium in MEDIA.items():
+    for name, medium in TRUE_MEDIA.items():
         row, layers = rows[name], range(1, len(medium.mu_pa) + 1)
         assert medium.mu_pa == tuple(float(row[f"mu{n}_pa"]) for n in layers)
         assert medium.alpha == tuple(float(row[f"alpha{n}"]) for n in layers)
@@ -121,29 +125,29 @@ def test_true_moduli_are_those_of_the_papers_table():
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_the_true_needle_is_a_few_percent_off(seed):
-    off = true_needle(seed).flexural_rigidity / NOMINAL.flexural_rigidity - 1
+    off = draw_needle(seed).flexural_rigidity / NOMINAL_NEEDLE.flexural_rigidity - 1
     assert 0.02 <= abs(off) <= 0.05
 
 
 def test_pieces_of_chicken_differ_and_phantoms_do_not_vary_within():
-    one, other = (true_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
+    one, other = (draw_specimen(1, "chicken", f"chicken-piece{n}") for n in (1, 2))
     assert one.mu != other.mu
     assert not np.array_equal(one.field.at(np.zeros((1, 3))), other.field.at(np.zeros((1, 3))))
-    assert true_specimen(1, "phantom2", "phantom2").field is None
+    assert draw_specimen(1, "phantom2", "phantom2").field is None
 
 
 def test_bevel_along_across_and_between_the_fibres():
-    specimen = true_specimen(1, "chicken", "chicken-piece1")
-    offset = MEDIA["chicken"].bevel
-    for grain, share in ((0.0, 2.0), (45.0, 1.0), (60.0, 0.5), (90.0, 0.0)):
-        planned = dataclasses.replace(PLAN["chicken-02"], grain=grain)
-        assert true_bevel(specimen, planned) == pytest.approx(share * offset)
-    assert true_bevel(true_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
+    specimen = draw_specimen(1, "chicken", "chicken-piece1")
+    offset = TRUE_MEDIA["chicken"].bevel
+    for fibre_angle, share in ((0.0, 2.0), (45.0, 1.0), (60.0, 0.5), (90.0, 0.0)):
+        planned = dataclasses.replace(PLAN["chicken-02"], fibre_angle=fibre_angle)
+        assert bevel_offset(specimen, planned) == pytest.approx(share * offset)
+    assert bevel_offset(draw_specimen(1, "phantom1", "phantom1"), PLAN["phantom1-01"]) == 0.03
 
 
 def test_the_field_is_smooth_and_has_its_deviation():
     points = np.random.default_rng(0).uniform(-40, 40, (200, 3))
-    draws = [Field.draw(np.random.default_rng(n), sd=0.4, length=12.0) for n in range(200)]
+    draws = [RandomField.draw(np.random.default_rng(n), sd=0.4, length=12.0) for n in range(200)]
     values = np.array([field.at(points[:1])[0] for field in draws])
     assert np.std(values) == pytest.approx(0.4, rel=0.2)
     near = np.concatenate([field.at(points + np.array([1, 0, 0])) - field.at(points) for field in draws[:20]])
@@ -161,7 +165,11 @@ def test_needle_and_layers_agree(name):
     assert met.sequence == found.sequence == tuple(range(1, planned.layers + 1))
     assert found.frame.to_local(met.points)[:, 0] == pytest.approx(found.boundaries, abs=1e-4)
     shape = simulate(
-        true_needle(1), found.tissue, Bevel(true_bevel(specimen, planned)), planned.depth, rules=RULES
+        draw_needle(1),
+        found.tissue,
+        Bevel(bevel_offset(specimen, planned)),
+        planned.depth,
+        rules=TRUTH_OPTIONS,
     )
     assert shape.deflection == pytest.approx(found.shape.deflection, abs=1e-4)
 
@@ -196,24 +204,24 @@ def test_the_needle_starts_at_the_entry_keeps_its_length_and_leaves_its_plane():
 def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
     """A finer mesh, friction, another rigidity; taking any of them away gives another shape."""
     planned, specimen, found = truly_inserted(name)
-    fitted = rules(load(find("medium", planned.medium), MediumRecord))
-    assert RULES.element <= fitted.element / 4 and RULES.spacing == fitted.spacing
+    fitted = rules(load(find_file("medium", planned.medium), MediumRecord))
+    assert TRUTH_OPTIONS.element <= fitted.element / 4 and TRUTH_OPTIONS.spacing == fitted.spacing
     assert np.max(np.diff(found.shape.x[1:])) == pytest.approx(fitted.element / 4)
     assert found.tissue.friction == pytest.approx(friction)
-    needle, bevel = true_needle(1), Bevel(true_bevel(specimen, planned))
-    again = simulate(needle, found.tissue, bevel, planned.depth, rules=RULES)
+    needle, bevel = draw_needle(1), Bevel(bevel_offset(specimen, planned))
+    again = simulate(needle, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
     assert again.deflection == pytest.approx(found.shape.deflection, abs=1e-4)
-    nominal = simulate(NOMINAL, found.tissue, bevel, planned.depth, rules=RULES)
+    nominal = simulate(NOMINAL_NEEDLE, found.tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
     assert abs(nominal.deflection / again.deflection - 1) > 1e-3
     smooth = dataclasses.replace(found.tissue, friction=np.zeros(found.tissue.layers))
-    assert simulate(needle, smooth, bevel, planned.depth, rules=RULES).deflection != again.deflection
+    assert simulate(needle, smooth, bevel, planned.depth, rules=TRUTH_OPTIONS).deflection != again.deflection
 
 
 def test_every_true_needle_leaves_its_plane_by_what_was_drawn():
     """At the tip both modes count fully: (0.04 + 0.06 |y|) times the sum of the two draws."""
     for name in ("phantom1-01", "phantom2-08", "chicken-03"):
         _, _, found = truly_inserted(name)
-        drawn = true_deviations(1, PLAN[name]).out_of_plane
+        drawn = draw_deviations(1, PLAN[name]).out_of_plane
         tip = found.frame.to_local(found.centerline)[-1, 2]
         assert tip == pytest.approx((0.04 + 0.06 * abs(found.shape.deflection)) * drawn.sum(), rel=1e-6)
         assert abs(tip) > 1e-3
@@ -231,6 +239,6 @@ def test_a_heterogeneous_piece_is_cut_in_thin_slices():
 
 
 def test_a_needle_that_does_not_settle_is_an_error(monkeypatch):
-    monkeypatch.setattr(insert_module, "ROUNDS", 1)
+    monkeypatch.setattr(insert_module, "MAX_ROUNDS", 1)
     with pytest.raises(ModelError, match="phantom2-08 does not settle"):
         truly_inserted("phantom2-08")

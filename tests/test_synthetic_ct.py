@@ -8,16 +8,16 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from needlefit.geometry.frames import Frame
-from needlefit.synthetic.ct.metal import ball_metal, bevel_side, needle_metal
-from needlefit.synthetic.ct.scene import Markers, Needle3D, Table
-from needlefit.synthetic.ct.streaks import streaks
+from needlefit.synthetic.ct_scene import Needle3D, ScannerTable, SceneMarkers
+from needlefit.synthetic.metal import bevel_side, voxelize_balls, voxelize_needle
+from needlefit.synthetic.streaks import render_streaks
 
 VOXEL = cases.SPACING**3
 
 
 def test_the_voxels_hold_the_needle_s_volume():
     blunt = Needle3D(cases.axis()[41:], bevel_deg=90.0)
-    metal = needle_metal(blunt, cases.grid())
+    metal = voxelize_needle(blunt, cases.grid())
     length = np.linalg.norm(np.diff(blunt.points, axis=0), axis=1).sum()
     assert_allclose(metal.part.sum() * VOXEL, np.pi / 4 * 1.27**2 * length, rtol=4e-3)
     assert metal.part.min() >= 0 and metal.part.max() == 1
@@ -26,8 +26,8 @@ def test_the_voxels_hold_the_needle_s_volume():
 @pytest.mark.parametrize("angle", [20.0, 45.0])
 def test_a_bevel_takes_half_a_cylinder_of_its_length(angle):
     points = cases.axis(tip=(2.0, 3.0, 28.0))[41:]
-    bevelled = needle_metal(Needle3D(points, bevel_deg=angle), cases.grid())
-    blunt = needle_metal(Needle3D(points, bevel_deg=90.0), cases.grid())
+    bevelled = voxelize_needle(Needle3D(points, bevel_deg=angle), cases.grid())
+    blunt = voxelize_needle(Needle3D(points, bevel_deg=90.0), cases.grid())
     cut = np.pi / 8 * 1.27**3 / np.tan(np.deg2rad(angle))
     assert_allclose((blunt.part.sum() - bevelled.part.sum()) * VOXEL, cut, rtol=0.02)
 
@@ -35,7 +35,7 @@ def test_a_bevel_takes_half_a_cylinder_of_its_length(angle):
 def test_the_bevel_s_point_lies_where_it_is_said_to_lie():
     toward = np.array([0.3, 1.0, 0.2])
     needle = Needle3D(cases.axis()[41:], bevel_toward=toward)
-    metal = needle_metal(needle, cases.grid())
+    metal = voxelize_needle(needle, cases.grid())
     places = metal.voxels * cases.SPACING
     end = places[:, 2] > places[:, 2].max() - 1.0
     center = (metal.part[end, None] * places[end]).sum(axis=0) / metal.part[end].sum()
@@ -45,7 +45,7 @@ def test_the_bevel_s_point_lies_where_it_is_said_to_lie():
 
 def test_balls_keep_their_volume_and_centre():
     center = np.array([[10.1, 11.2, 30.3]])
-    metal = ball_metal(Markers(center, radius=1.5), cases.grid())
+    metal = voxelize_balls(SceneMarkers(center, radius=1.5), cases.grid())
     assert_allclose(metal.part.sum() * VOXEL, 4 / 3 * np.pi * 1.5**3, rtol=5e-3)
     mean = (metal.part[:, None] * metal.voxels).sum(axis=0) / metal.part.sum() * cases.SPACING
     assert_allclose(mean, center[0], atol=5e-3)
@@ -86,18 +86,18 @@ def test_metal_saturates_and_bloom_widens_it():
 
 def test_rays_lie_in_the_slices_that_hold_metal_and_grow_with_it():
     rng = np.random.default_rng(1)
-    needle = needle_metal(Needle3D(cases.axis()[41:]), cases.grid())
-    error = streaks([needle], cases.grid(), 120, rng)
+    needle = voxelize_needle(Needle3D(cases.axis()[41:]), cases.grid())
+    error = render_streaks([needle], cases.grid(), 120, rng)
     held = np.zeros(cases.SHAPE[2], dtype=bool)
     held[needle.voxels[:, 2]] = True
     assert np.all(error[~held] == 0)
     assert np.all(error[held].std(axis=(1, 2)) > 0)
-    strong = streaks([replace(needle, hu=3 * needle.hu)], cases.grid(), 120, np.random.default_rng(1))
+    strong = render_streaks([replace(needle, hu=3 * needle.hu)], cases.grid(), 120, np.random.default_rng(1))
     assert strong.std() > 2 * error.std()
 
 
 def test_a_hardened_beam_reads_the_middle_too_dark():
-    far = Markers(np.array([[100.0, 100.0, 100.0]]))  # nothing in view
+    far = SceneMarkers(np.array([[100.0, 100.0, 100.0]]))  # nothing in view
     values = cases.scan(cases.axis(), noise_hu=0.0, cupping_hu=80.0, scene={"markers": far}).values
     # 8 mm off the box's axis: 80 (1 - 0.5 (8 / 40)^2) = 78.4
     x = round(3.0 / cases.SPACING)
@@ -107,7 +107,7 @@ def test_a_hardened_beam_reads_the_middle_too_dark():
 
 def test_a_table_lies_under_its_frame():
     frame = Frame(np.array([11.0, 18.0, 25.0]), np.array([[0.0, 1, 0], [0, 0, -1], [1, 0, 0]]))
-    table = Table(frame, width=14.0, thickness=2.0)
+    table = ScannerTable(frame, width=14.0, thickness=2.0)
     values = cases.scan(cases.axis(), noise_hu=0.0, scene={"table": table}).values
     row = round(19.0 / cases.SPACING)
     assert values[100, row, round(11.0 / cases.SPACING)] > 1000  # rails 8 mm wide meet in the middle of 14

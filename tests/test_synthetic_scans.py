@@ -14,32 +14,39 @@ from typer.testing import CliRunner
 from needlefit.cli.application import build as application
 from needlefit.cli.invocation import Invocation
 from needlefit.errors import ConfigError
-from needlefit.imaging.registration.register import predicted_mean_target_error, register, to_world
-from needlefit.imaging.registration.symmetry import symmetries
-from needlefit.imaging.volume import read, to_index, to_patient
+from needlefit.imaging.registration.pairing import find_symmetries
+from needlefit.imaging.registration.register import predict_mean_target_error, register, to_world
+from needlefit.imaging.volume import to_index, to_patient
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.load import load
-from needlefit.project.places import shipped
-from needlefit.project.processes import in_order
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.project.locate import shipped_folder
+from needlefit.project.processes import run_in_order
+from needlefit.schemas.reconstruction import ReconstructionRecord
 from needlefit.synthetic import design
-from needlefit.synthetic.ct.insertion import acquire, expose, whole_needle
-from needlefit.synthetic.ct.setup import SAMPLE, WHOLE, stated_markers
-from needlefit.synthetic.design import insertions, named
+from needlefit.synthetic.design import list_planned_insertions, select_planned_insertions
+from needlefit.synthetic.exposure import (
+    SAMPLE_SETUP,
+    WHOLE_BOX_SETUP,
+    acquire,
+    expose,
+    measure_markers,
+    sample_whole_needle,
+)
+from needlefit.synthetic.insertion import TWIN_SEED, simulate_insertion
 from needlefit.synthetic.scans import render_insertion, write_scans
-from needlefit.synthetic.twin import SEED, synthesize
 
-SHIPPED = shipped() / "data" / "sample_scan"
-PLAN = {planned.id: planned for planned in insertions()}
-TABLED = replace(SAMPLE, low=np.array([0.0, -16.0, -44.0]), high=np.array([30.0, 4.0, 11.0]))
+SHIPPED = shipped_folder() / "data" / "sample_scan"
+PLAN = {planned.id: planned for planned in list_planned_insertions()}
+TABLED = replace(SAMPLE_SETUP, low=np.array([0.0, -16.0, -44.0]), high=np.array([30.0, 4.0, 11.0]))
 
 
 def quiet(_what, _done, _of):
     """Report nothing."""
 
 
-def crop(name, seed=1, setup=SAMPLE, **scanner):
+def crop(name, seed=1, setup=SAMPLE_SETUP, **scanner):
     """An insertion, its exposure and its volume, in a small field around the sample's needle."""
-    twin = synthesize(named([name])[0], seed)
+    twin = simulate_insertion(select_planned_insertions([name])[0], seed)
     exposure = expose(twin, setup, seed)
     exposure = replace(exposure, scanner=replace(exposure.scanner, **scanner))
     return twin, exposure, acquire(exposure, seed, name)
@@ -68,8 +75,8 @@ def world_points(x, y, z):
 def test_the_needle_stands_where_it_truly_is(clean):
     """The centre of brightness across the true axis is the axis, from the air to the tip."""
     twin, exposure, volume = clean
-    frame = twin.inserted.frame
-    true = whole_needle(twin)
+    frame = twin.true_insertion.frame
+    true = sample_whole_needle(twin)
     inside = np.flatnonzero((frame.to_local(true)[:, 0] > -10) & (frame.to_local(true)[:, 0] < 22))[::8]
     steps = np.linspace(-2.5, 2.5, 41)
     a, b = np.meshgrid(steps, steps)
@@ -83,21 +90,21 @@ def test_the_needle_stands_where_it_truly_is(clean):
 
 
 def test_the_needle_is_held_by_its_stage_and_as_long_as_it_is():
-    twin = synthesize(PLAN["phantom2-02"], 1)
-    true, frame = whole_needle(twin), twin.inserted.frame
+    twin = simulate_insertion(PLAN["phantom2-02"], 1)
+    true, frame = sample_whole_needle(twin), twin.true_insertion.frame
     assert np.linalg.norm(np.diff(true, axis=0), axis=1).sum() == pytest.approx(150.0, abs=0.05)
     base = frame.to_local(true[:2])
     assert_allclose(base[0], [twin.planned.depth - 150.0, 0, 0], atol=1e-9)
     assert_allclose(base[1, 1:], 0, atol=1e-3)  # clamped along the stage's axis
-    assert_allclose(true[-1], twin.inserted.centerline[-1], atol=1e-9)
+    assert_allclose(true[-1], twin.true_insertion.centerline[-1], atol=1e-9)
 
 
 def test_the_bevel_s_point_looks_where_the_needle_steers():
-    twin = synthesize(PLAN["phantom2-08"], 1)
-    needle = expose(twin, WHOLE, 1).scene.needles[0]
-    world = expose(twin, WHOLE, 1).scene.box
+    twin = simulate_insertion(PLAN["phantom2-08"], 1)
+    needle = expose(twin, WHOLE_BOX_SETUP, 1).scene.needles[0]
+    world = expose(twin, WHOLE_BOX_SETUP, 1).scene.box
     toward = world.rotation.T @ needle.bevel_toward
-    bent = twin.inserted.centerline[-1] - twin.inserted.centerline[0]
+    bent = twin.true_insertion.centerline[-1] - twin.true_insertion.centerline[0]
     assert toward @ bent > 0
     assert toward @ twin.planned.toward == pytest.approx(np.cos(twin.deviations.roll), abs=1e-3)
 
@@ -121,8 +128,10 @@ def test_displaced_layers_show_at_their_true_place(clean):
 
 
 def test_the_cylinder_shows_at_its_true_place():
-    top = synthesize(PLAN["phantom2-01"], 1).specimen.phantom.cylinder.top
-    around = replace(WHOLE, low=np.array([36.0, -16, -3]), high=np.array([48.0, -8, 3]), outside=-38.0)
+    top = simulate_insertion(PLAN["phantom2-01"], 1).specimen.phantom.cylinder.top
+    around = replace(
+        WHOLE_BOX_SETUP, low=np.array([36.0, -16, -3]), high=np.array([48.0, -8, 3]), outside=-38.0
+    )
     _, exposure, volume = crop("phantom2-01", setup=around, **CLEAN)
     x = np.linspace(36, 44, 300)
     world = exposure.scene.box.to_world
@@ -141,17 +150,21 @@ def test_the_face_of_the_box_is_the_world_s_plane_x_0(clean):
 
 def test_balls_stand_at_their_true_places_and_are_stated_near_them(clean):
     _, exposure, volume = clean
-    for center in exposure.scene.box.to_world(SAMPLE.markers):
+    for center in exposure.scene.box.to_world(SAMPLE_SETUP.markers):
         voxels = np.argwhere(volume.values > 700)[:, ::-1]
         places = to_patient(volume, voxels)
         near = np.linalg.norm(places - center, axis=1) < 2.5
         assert_allclose(places[near].mean(axis=0), center, atol=0.06)
-    off = np.concatenate([(stated_markers(SAMPLE, 1, str(n)) - SAMPLE.markers).ravel() for n in range(200)])
+    off = np.concatenate(
+        [(measure_markers(SAMPLE_SETUP, 1, str(n)) - SAMPLE_SETUP.markers).ravel() for n in range(200)]
+    )
     assert off.std() == pytest.approx(0.1, rel=0.05) and abs(off.mean()) < 0.01
 
 
 def test_a_chicken_is_muscle_without_layers():
-    twin, exposure, volume = crop("chicken-02", setup=replace(SAMPLE, markers=WHOLE.markers), **CLEAN)
+    twin, exposure, volume = crop(
+        "chicken-02", setup=replace(SAMPLE_SETUP, markers=WHOLE_BOX_SETUP.markers), **CLEAN
+    )
     values = brightness(volume, exposure.scene.box.to_world(world_points(np.arange(2.0, 28), -8.0, 8.0)))
     assert twin.specimen.phantom.boundaries == 0
     assert_allclose(values, 55.0, atol=0.5)
@@ -167,9 +180,9 @@ def test_the_table_lies_under_the_box():
 
 
 def test_the_pose_is_arbitrary_about_the_long_axis_and_moderate_otherwise():
-    twin = synthesize(design.SAMPLE, 1)
+    twin = simulate_insertion(design.SAMPLE_INSERTION, 1)
     worlds = [
-        expose(replace(twin, planned=replace(twin.planned, id=f"n{n}")), SAMPLE, 1).scene.box
+        expose(replace(twin, planned=replace(twin.planned, id=f"n{n}")), SAMPLE_SETUP, 1).scene.box
         for n in range(40)
     ]
     along = np.array([world.rotation[:, 0] for world in worlds])  # the box's depth, in the patient
@@ -183,12 +196,12 @@ def test_the_pose_is_arbitrary_about_the_long_axis_and_moderate_otherwise():
 
 @pytest.mark.parametrize("name", ["phantom1-09", "phantom2-13", "chicken-12"])
 def test_the_field_holds_box_markers_and_shaft_and_little_else(name):
-    twin = synthesize(PLAN[name], 1)
-    exposure = expose(twin, WHOLE, 1)
+    twin = simulate_insertion(PLAN[name], 1)
+    exposure = expose(twin, WHOLE_BOX_SETUP, 1)
     grid, world = exposure.scanner.grid, exposure.scene.box
     corners = np.array([[x, y, z] for x in (0, 80) for y in (-40, 40) for z in (-40, 40)], dtype=float)
-    shaft = twin.inserted.frame.to_world([[-34.0, 0, 0]])
-    points = world.to_world(np.vstack([corners, WHOLE.markers, shaft]))
+    shaft = twin.true_insertion.frame.to_world([[-34.0, 0, 0]])
+    points = world.to_world(np.vstack([corners, WHOLE_BOX_SETUP.markers, shaft]))
     index = (points - grid.origin) @ grid.direction / grid.spacing
     assert np.all(index >= 0) and np.all(index <= np.array(grid.size) - 1)
     assert_array_equal(grid.spacing, 0.46)
@@ -198,7 +211,7 @@ def test_the_field_holds_box_markers_and_shaft_and_little_else(name):
 def test_the_same_seed_gives_the_same_bytes_and_another_seed_others(tmp_path):
     paths = [tmp_path / name for name in "abc"]
     for path, seed in zip(paths, (1, 1, 2), strict=True):
-        write_scans(path, [design.SAMPLE], seed, "nrrd", 1, quiet)
+        write_scans(path, [design.SAMPLE_INSERTION], seed, "nrrd", 1, quiet)
     first, again, other = ({p.relative_to(d): p.read_bytes() for p in files(d)} for d in paths)
     assert first == again and first.keys() == other.keys()
     changed = {name.as_posix() for name in first if first[name] != other[name]}
@@ -211,13 +224,13 @@ def files(folder):
 
 def test_the_shipped_sample_is_a_rebuild(tmp_path):
     """On the machine that built it to the last byte; elsewhere rounding may turn a voxel by 1 HU."""
-    write_scans(tmp_path, [design.SAMPLE], SEED, "nrrd", 1, quiet)
+    write_scans(tmp_path, [design.SAMPLE_INSERTION], TWIN_SEED, "nrrd", 1, quiet)
     ours = [path.relative_to(SHIPPED) for path in files(SHIPPED) if path.name != "needlefit.json"]
     assert ours == [path.relative_to(tmp_path) for path in files(tmp_path)]
     assert sum((SHIPPED / name).stat().st_size for name in ours) < 2_000_000
     for name in ours:
         if name.suffix == ".nrrd":
-            a, b = read(SHIPPED / name), read(tmp_path / name)
+            a, b = read_volume(SHIPPED / name), read_volume(tmp_path / name)
             assert np.abs(a.values - b.values).max() <= 1 and np.mean(a.values != b.values) < 1e-4
             assert_allclose(a.origin, b.origin, atol=1e-9)
         else:
@@ -226,7 +239,8 @@ def test_the_shipped_sample_is_a_rebuild(tmp_path):
 
 def test_nrrd_and_dicom_hold_the_same_voxels(tmp_path):
     nrrd, dicom = (
-        read(render_insertion(tmp_path, design.SAMPLE, 1, form).scan.volume) for form in ("nrrd", "dicom")
+        read_volume(render_insertion(tmp_path, design.SAMPLE_INSERTION, 1, form).scan.volume)
+        for form in ("nrrd", "dicom")
     )
     assert_array_equal(nrrd.values, dicom.values)
     assert_allclose(nrrd.origin, dicom.origin, atol=1e-6)
@@ -236,7 +250,7 @@ def test_nrrd_and_dicom_hold_the_same_voxels(tmp_path):
 
 
 def test_scans_csv_states_the_plan_and_not_the_truth(tmp_path):
-    table = write_scans(tmp_path, [PLAN["chicken-07"], design.SAMPLE], 1, "nrrd", 1, quiet)
+    table = write_scans(tmp_path, [PLAN["chicken-07"], design.SAMPLE_INSERTION], 1, "nrrd", 1, quiet)
     with table.open(newline="") as file:
         chicken, sample = csv.DictReader(file)
     assert sample["id"] == "sample" and sample["scan"] == "volumes/sample.nrrd"
@@ -254,21 +268,21 @@ def test_scans_csv_states_the_plan_and_not_the_truth(tmp_path):
         for name in [row["scan"], row["markers"], *filter(None, row["surfaces"].split(";"))]:
             assert (tmp_path / name.partition("=")[0]).is_file()
     recipe = load(tmp_path / "recipe.toml", ReconstructionRecord)
-    assert recipe.markers.known_sd_mm == WHOLE.known_sd
+    assert recipe.markers.reference_sd_mm == WHOLE_BOX_SETUP.known_sd
 
 
 # ---- markers
 
 
-@pytest.mark.parametrize("setup", [WHOLE, SAMPLE])
+@pytest.mark.parametrize("setup", [WHOLE_BOX_SETUP, SAMPLE_SETUP])
 def test_the_layout_of_the_markers_has_no_symmetry(setup):
-    assert len(symmetries(setup.markers, np.hypot(setup.known_sd, 0.05))) == 1
+    assert len(find_symmetries(setup.markers, np.hypot(setup.known_sd, 0.05))) == 1
 
 
 def test_markers_keep_off_every_needle():
     for planned in PLAN.values():
         line = planned.origin + np.linspace(-60, planned.depth, 300)[:, None] * planned.direction
-        assert np.linalg.norm(line[:, None] - WHOLE.markers, axis=2).min() > 20
+        assert np.linalg.norm(line[:, None] - WHOLE_BOX_SETUP.markers, axis=2).min() > 20
 
 
 def test_the_registration_errs_as_much_as_the_papers():
@@ -276,11 +290,13 @@ def test_the_registration_errs_as_much_as_the_papers():
     rng, errors, predicted = np.random.default_rng(0), [], []
     for planned in list(PLAN.values()) * 4:
         ends = planned.origin + np.outer([0.0, planned.depth], planned.direction)
-        found = WHOLE.markers + 0.05 * rng.normal(size=WHOLE.markers.shape)
-        stated = WHOLE.markers + WHOLE.known_sd * rng.normal(size=WHOLE.markers.shape)
-        registration = register(found, stated, 0.05, WHOLE.known_sd)
+        found = WHOLE_BOX_SETUP.markers + 0.05 * rng.normal(size=WHOLE_BOX_SETUP.markers.shape)
+        stated = WHOLE_BOX_SETUP.markers + WHOLE_BOX_SETUP.known_sd * rng.normal(
+            size=WHOLE_BOX_SETUP.markers.shape
+        )
+        registration = register(found, stated, 0.05, WHOLE_BOX_SETUP.known_sd)
         errors.append(np.linalg.norm(to_world(registration, ends) - ends, axis=1))
-        predicted.append(predicted_mean_target_error(registration, ends))
+        predicted.append(predict_mean_target_error(registration, ends))
     assert 0.16 < np.mean(errors) < 0.19
     assert np.mean(predicted) == pytest.approx(np.mean(errors), rel=0.1)
 
@@ -294,8 +310,11 @@ def needlefit(*words):
 
 def test_an_unknown_insertion_lists_the_nearest():
     with pytest.raises(ConfigError, match=r"phantom2-9`\n.*phantom2-09, "):
-        named(["phantom2-9"])
-    assert named(()) == insertions() and len(named(["sample", "sample"])) == 1
+        select_planned_insertions(["phantom2-9"])
+    assert (
+        select_planned_insertions(()) == list_planned_insertions()
+        and len(select_planned_insertions(["sample", "sample"])) == 1
+    )
 
 
 def test_scans_replace_scans_and_nothing_else(tmp_path):
@@ -315,14 +334,14 @@ def test_scans_replace_scans_and_nothing_else(tmp_path):
 
 def test_tasks_are_answered_in_their_order_by_any_number_of_processes():
     tasks = [-3, 1, -2]
-    assert list(in_order(abs, tasks, 1)) == list(in_order(abs, tasks, 2)) == [3, 1, 2]
+    assert list(run_in_order(abs, tasks, 1)) == list(run_in_order(abs, tasks, 2)) == [3, 1, 2]
 
 
 def test_the_error_of_a_task_reaches_the_caller():
     with pytest.raises(TypeError, match="bad operand"):
-        list(in_order(abs, [1, "one", 2], 2))
+        list(run_in_order(abs, [1, "one", 2], 2))
 
 
 def test_a_process_that_is_killed_is_said_so():
     with pytest.raises(ConfigError, match="ended from outside"):
-        list(in_order(os._exit, [1, 1], 2))
+        list(run_in_order(os._exit, [1, 1], 2))

@@ -10,14 +10,14 @@ import pytest
 import needlefit
 from needlefit.datasets.check import check
 from needlefit.datasets.read import read
-from needlefit.project.places import shipped
-from needlefit.synthetic.build import build
-from needlefit.synthetic.design import named
-from needlefit.synthetic.twin import SEED
+from needlefit.project.locate import shipped_folder
+from needlefit.synthetic.build import build_dataset
+from needlefit.synthetic.design import select_planned_insertions
+from needlefit.synthetic.insertion import TWIN_SEED
 
-TWIN = shipped() / "data" / "twin"
+TWIN = shipped_folder() / "data" / "twin"
 PACKAGE = Path(needlefit.__file__).parent
-MAKE_TWINS = [PACKAGE / "validation/inquiries" / name for name in ("tables/seeds", "specimens")]
+MAKE_TWINS = [PACKAGE / "validation/analyses" / name for name in ("seeds", "specimens.py")]
 
 FEW = ("phantom2-16", "chicken-04")
 """The shortest needles."""
@@ -52,7 +52,9 @@ def names(request):
 def rebuilt(names, tmp_path_factory):
     """Insertions of the shipped twin, made again from the seed, through their scans."""
     folder, steps = tmp_path_factory.mktemp("rebuilt"), []
-    build(folder, SEED, named(names), jobs=2, progress=lambda *step: steps.append(step))
+    build_dataset(
+        folder, TWIN_SEED, select_planned_insertions(names), jobs=2, progress=lambda *step: steps.append(step)
+    )
     assert steps[0] == ("reconstructing", 0, len(names))
     assert steps[-1] == (f"reconstructed {names[-1]}", len(names), len(names))
     return folder
@@ -77,7 +79,7 @@ def test_the_shipped_twin_is_a_rebuild(rebuilt, names):
 @pytest.mark.slow
 @pytest.mark.parametrize("names", [FEW], indirect=True, ids=len)
 def test_an_insertion_does_not_depend_on_the_others_or_on_the_number_of_processes(rebuilt, names, tmp_path):
-    build(tmp_path, SEED, named(names[-1:]))
+    build_dataset(tmp_path, TWIN_SEED, select_planned_insertions(names[-1:]))
     alone = (tmp_path / "centerlines" / f"{names[-1]}.csv").read_bytes()
     assert alone == (rebuilt / "centerlines" / f"{names[-1]}.csv").read_bytes()
 

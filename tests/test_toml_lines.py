@@ -4,8 +4,8 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.project.load import load
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.toml_lines import at_key, in_file, line_of
+from needlefit.project.toml_lines import add_file_context, add_key_context, find_line
+from needlefit.schemas.study import FitRecord
 
 TEXT = '''\
 # a comment with point_sd_mm = 1
@@ -48,12 +48,12 @@ layers = [2]
     ],
 )
 def test_the_line_of_a_key(key, line):
-    assert line_of(TEXT, key) == line
+    assert find_line(TEXT, key) == line
 
 
 @pytest.mark.parametrize("text", ["", "= 1", "a = [" * 3000])
 def test_a_text_without_the_key_has_no_line(text):
-    assert line_of(text, "a.b") is None
+    assert find_line(text, "a.b") is None
 
 
 def test_errors_name_the_file_and_line_once(tmp_path):
@@ -63,9 +63,14 @@ def test_errors_name_the_file_and_line_once(tmp_path):
     with pytest.raises(ConfigError) as fault:
         load(file, FitRecord)
     assert fault.value.where == f"{file}:3"
-    with pytest.raises(ConfigError) as fault, in_file(other), in_file(file), at_key("dataset"):
+    with (
+        pytest.raises(ConfigError) as fault,
+        add_file_context(other),
+        add_file_context(file),
+        add_key_context("dataset"),
+    ):
         raise ConfigError("is wrong")
     assert fault.value.where == f"{file}:2"
-    with pytest.raises(ConfigError) as fault, in_file(file), at_key("dataset"):
+    with pytest.raises(ConfigError) as fault, add_file_context(file), add_key_context("dataset"):
         raise ConfigError("is wrong", where="elsewhere")
     assert fault.value.where == "elsewhere"

@@ -6,13 +6,12 @@ import pytest
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.transfer import LEAST, inflated
-from needlefit.project.records.adaptation import AdaptationRecord
-from needlefit.project.records.fit import FitRecord
+from needlefit.schemas.analyses import AdaptationRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.validation.analyses.adaptation.run import estimate, estimate_needed_count, plan, resample
+from needlefit.validation.analyses.adaptation.task import AdaptationTask, draw_orders
+from needlefit.validation.analyses.runner import run_analysis
 from needlefit.validation.folds import Fold
-from needlefit.validation.inquiries.adaptation.reached import drawn_again, estimate, reached
-from needlefit.validation.inquiries.adaptation.task import Task, orders
-from needlefit.validation.inquiries.adaptation.verb import plan
-from needlefit.validation.inquiries.answered import answered
 from needlefit.validation.job import Job, Settings
 from tests.inference_cases import dataset, insertion, measure, medium, squares_recipe
 
@@ -26,42 +25,42 @@ def _even(values, again):
 
 def test_a_count_is_the_first_from_which_on_the_mean_stays_within_the_limit():
     # the mean is 5, 1, 3, 1: one insertion is enough for a moment, three are for good
-    again = drawn_again(2, 1, np.random.default_rng(1))
+    again = resample(2, 1, np.random.default_rng(1))
     means = _even([[6.0, 1.0, 4.0, 1.0], [4.0, 1.0, 2.0, 1.0]], again)
     for limit, value in ((2.5, 3), (3.0, 1), (5.0, 0)):
-        assert reached(means, COUNTS, np.full(len(means), limit)).value == value
-    never = reached(means, COUNTS, np.full(len(means), 0.5))
+        assert estimate_needed_count(means, COUNTS, np.full(len(means), limit)).value == value
+    never = estimate_needed_count(means, COUNTS, np.full(len(means), 0.5))
     assert (never.value, never.low, never.high) == (np.inf, np.inf, np.inf)
 
 
 def test_the_interval_of_a_count_is_what_other_orders_would_have_given():
     # with the first order alone one insertion is enough, with the second alone two
-    means = _even([[9.0, 1.0, 1.0], [9.0, 5.0, 1.0]], drawn_again(2, 1, np.random.default_rng(1)))
-    found = reached(means, (0, 1, 2), np.full(len(means), 2.0))
+    means = _even([[9.0, 1.0, 1.0], [9.0, 5.0, 1.0]], resample(2, 1, np.random.default_rng(1)))
+    found = estimate_needed_count(means, (0, 1, 2), np.full(len(means), 2.0))
     assert (found.value, found.low, found.high) == (2, 1, 2)
 
 
 def test_an_interval_is_of_needles_even_where_all_orders_give_the_same():
     # two needles gain 0 and 1, whatever the order: their mean is 0.5, drawn again 0, 0.5 or 1
-    again = drawn_again(3, 2, np.random.default_rng(1))
+    again = resample(3, 2, np.random.default_rng(1))
     found = estimate(again.means(np.tile([0.0, 1.0], (3, 1, 1)))[:, 0])
     assert (found.value, found.low, found.high) == (0.5, 0.0, 1.0)
 
 
 def test_a_gain_is_paired_order_by_order():
     # orders differ by far more than the ways do, which leaves the difference sure
-    again = drawn_again(3, 1, np.random.default_rng(1))
-    rivals = np.array([[1.0], [10.0], [100.0]])
-    found = estimate((_even(rivals, again) - _even(rivals - 0.5, again))[:, 0])
+    again = resample(3, 1, np.random.default_rng(1))
+    methods = np.array([[1.0], [10.0], [100.0]])
+    found = estimate((_even(methods, again) - _even(methods - 0.5, again))[:, 0])
     assert (found.value, found.low, found.high) == pytest.approx((0.5, 0.5, 0.5))
 
 
 def test_orders_differ_and_end_with_all_there_are():
     names = ("a", "b", "c", "d")
-    drawn = orders(names, 6, np.random.default_rng(3))
+    drawn = draw_orders(names, 6, np.random.default_rng(3))
     assert len(set(drawn)) == 6 and all(sorted(order) == sorted(names) for order in drawn)
     assert len({tuple(sorted(order[:2])) for order in drawn}) > 3  # no rotations of one another
-    assert len(set(orders(("a", "b", "c"), 99, np.random.default_rng(3)))) == 6
+    assert len(set(draw_orders(("a", "b", "c"), 99, np.random.default_rng(3)))) == 6
 
 
 def test_an_inflated_prior_is_the_old_posterior_widened_by_twice_the_spreads_square():
@@ -124,28 +123,28 @@ def not_new():
     sides = {"medium": "test", "insertions": {}}
     table = {"schema": 1, "kind": "adaptation", "dataset": "cases", "old": sides}
     table |= {"new": {**sides, "held_out": ("x",)}, "counts": (0, 1)}
-    table["between"] = {"ln_mu_sd": 0, "ln_bevel_sd": 0, "source": "none"}
+    table["between_media"] = {"ln_mu_sd": 0, "ln_bevel_sd": 0, "source": "none"}
     record = AdaptationRecord.model_validate(table)
     old, new = _job("old", made[:2], made), _job("new", made[2:], made)
-    teaching = {one.id: one for one in made[2:3]}
-    task = Task(record, Settings(), old, new, made[3:], teaching, (tuple(teaching),))
-    return answered("same", record, Settings(), plan(task))
+    training = {one.id: one for one in made[2:3]}
+    task = AdaptationTask(record, Settings(), old, new, made[3:], training, (tuple(training),))
+    return run_analysis("same", record, Settings(), plan(task))
 
 
 def test_a_medium_that_is_not_new_costs_nothing(not_new):
-    table = not_new.frames["reached"]
-    counts = table[table["target"] == "floor"].set_index(["way", "measure"])["n"]
+    table = not_new.frames["insertions_needed"]
+    counts = table[table["target"] == "floor"].set_index(["approach", "measure"])["n"]
     assert counts["none", "te_mm"] == 0
     assert counts["inflated", "te_mm"] == 0
     assert counts["new", "te_mm"] == 1
-    errors = not_new.frames["adaptation"].set_index(["way", "n"])["te_mm"]
+    errors = not_new.frames["adaptation"].set_index(["approach", "n"])["te_mm"]
     assert errors["none", 0] < 1e-3
     assert errors["inflated", 0] == pytest.approx(errors["none", 0], abs=1e-6)
     assert not_new.faults == ()
 
 
 def test_without_spread_and_new_data_the_inflated_posterior_is_the_old_one(not_new):
-    scores = not_new.frames["adaptation"].set_index(["way", "n"])["tip_crps_mm"]
+    scores = not_new.frames["adaptation"].set_index(["approach", "n"])["tip_crps_mm"]
     assert scores["inflated", 0] == pytest.approx(scores["none", 0], rel=0.2)  # as a Gaussian
 
 

@@ -12,14 +12,21 @@ from needlefit.datasets.insertion import Dataset, Noise
 from needlefit.inference.draws import of_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.validation.calibration.bands import band, inside, limits
-from needlefit.validation.calibration.controls import CONTROLS
-from needlefit.validation.calibration.judged import coverage, ecdfs, failing
-from needlefit.validation.calibration.measured import measured
-from needlefit.validation.calibration.ranks import DRAWS, covered, ranks
-from needlefit.validation.calibration.replicate import Experiment, make, replicate
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.validation.calibration.measurement import simulate_measurement
+from needlefit.validation.calibration.rank_statistics import (
+    RANK_DRAWS,
+    count_covered,
+    count_limits,
+    ecdf_band,
+    find_failing,
+    probability_inside,
+    rank_truth,
+    tabulate_coverage,
+    tabulate_ecdfs,
+)
+from needlefit.validation.calibration.replicate import CONTROLS, Experiment, replicate, simulate_experiment
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
 
@@ -53,7 +60,7 @@ def run(job: Job, count: int, **kind: object) -> dict[str, np.ndarray]:
 
 
 def failures(found: dict[str, np.ndarray]) -> list[str]:
-    return failing(coverage(found), ecdfs(found))
+    return find_failing(tabulate_coverage(found), tabulate_ecdfs(found))
 
 
 @pytest.mark.slow
@@ -80,8 +87,8 @@ def test_exact_posteriors_pass_and_narrow_ones_fail():
     middle = 0.5 * (truth + rng.normal(size=500))
 
     def ranked(width: float) -> dict[str, np.ndarray]:
-        draws = middle[:, None] + width * np.sqrt(0.5) * rng.normal(size=(500, DRAWS))
-        placed = [ranks(t[None], d[:, None], rng)[0] for t, d in zip(truth, draws, strict=True)]
+        draws = middle[:, None] + width * np.sqrt(0.5) * rng.normal(size=(500, RANK_DRAWS))
+        placed = [rank_truth(t[None], d[:, None], rng)[0] for t, d in zip(truth, draws, strict=True)]
         return {"x": np.array(placed)}
 
     assert failures(ranked(1.0)) == []
@@ -89,26 +96,26 @@ def test_exact_posteriors_pass_and_narrow_ones_fail():
 
 
 def test_a_band_holds_all_places_as_often_as_it_says():
-    low, high = band(60, 80, 0.1)
+    low, high = ecdf_band(60, 80, 0.1)
     drawn = np.random.default_rng(1).integers(0, 80, (10000, 60))
     below = np.stack([(drawn < place).sum(axis=1) for place in range(1, 80)], axis=1)
     held = np.mean(np.all((below >= low) & (below <= high), axis=1))
-    assert 0.9 <= inside(60, low, high) < 0.92
-    assert held == pytest.approx(inside(60, low, high), abs=0.01)
+    assert 0.9 <= probability_inside(60, low, high) < 0.92
+    assert held == pytest.approx(probability_inside(60, low, high), abs=0.01)
 
 
 def test_limits_of_a_count_are_the_binomial_s():
     """Of 20 fair coins 0 to 3 heads have probability 0.0013, 0 to 4 have 0.0059."""
-    low, high = limits(20, 0.5, 0.01)
+    low, high = count_limits(20, 0.5, 0.01)
     assert (low, high) == (4, 16)
 
 
 def test_ranks_of_equal_values_take_any_place_and_levels_are_whole_parts():
     rng = np.random.default_rng(1)
-    placed = np.array([ranks(np.zeros(1), np.zeros((DRAWS, 1)), rng)[0] for _ in range(2000)])
-    assert placed.min() == 0 and placed.max() == DRAWS
-    every = np.arange(DRAWS + 1)
-    assert [covered(every, level) for level in (0.5, 0.8, 0.9, 0.95)] == [40, 64, 72, 76]
+    placed = np.array([rank_truth(np.zeros(1), np.zeros((RANK_DRAWS, 1)), rng)[0] for _ in range(2000)])
+    assert placed.min() == 0 and placed.max() == RANK_DRAWS
+    every = np.arange(RANK_DRAWS + 1)
+    assert [count_covered(every, level) for level in (0.5, 0.8, 0.9, 0.95)] == [40, 64, 72, 76]
 
 
 @pytest.mark.parametrize("pose", ["known", "free"])
@@ -118,7 +125,7 @@ def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
     still = replace(job.dataset, noise=replace(job.dataset.noise, registration_mean=0.0), pose=pose)
     for one in job.folds[0].tune:
         sure = replace(one, pose_angle_sd=0.0)
-        seen = measured(still, sure, SEEN, job.medium, np.random.default_rng(2), scale=1e-9)
+        seen = simulate_measurement(still, sure, SEEN, job.medium, np.random.default_rng(2), scale=1e-9)
         problem = Problem(still, (seen,), job.medium, job.parameters, job.recipe.weights)
         residuals = problem.residuals(problem.parameters.theta(SEEN))[: sum(problem.density.told)]
         assert np.abs(residuals).max() < (1e-3 if pose == "known" else 0.05)
@@ -130,13 +137,13 @@ def test_depths_err_as_stated_and_the_noise_s_scale_is_drawn_too():
     quiet = replace(job.dataset, noise=Noise(point_sd=1e-6))
     sure = replace(one, pose_angle_sd=0.0)
     rng = np.random.default_rng(5)
-    ends = [measured(quiet, sure, SEEN, job.medium, rng).planar[0, 0] for _ in range(300)]
+    ends = [simulate_measurement(quiet, sure, SEEN, job.medium, rng).planar[0, 0] for _ in range(300)]
     assert np.std(ends) == pytest.approx(0.4, rel=0.15)  # the entry's place moves along
 
 
 def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     job = small_job()
-    thetas = [make(job, np.random.default_rng(4)).theta for _ in range(2)]
+    thetas = [simulate_experiment(job, np.random.default_rng(4)).theta for _ in range(2)]
     assert np.array_equal(*thetas)
     plain, wrong = (
         replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}, control=c)) for c in (None, "pose")
@@ -151,8 +158,8 @@ def test_the_sampler_draws_where_it_is_asked_to_and_says_that_it_has_not_converg
     row = replicate(
         1, Experiment(replace(job, recipe=hurried), {"mu1_pa": 0.3, "bevel_mm": 0.95}, sampled=True)
     )
-    assert row["by"] == "sampler" and not row["trusted"] and row["pareto_k"] is None
-    assert 0 <= row["rank_bevel_mm"] <= DRAWS
+    assert row["draw_source"] == "sampler" and not row["trusted"] and row["pareto_k"] is None
+    assert 0 <= row["rank_bevel_mm"] <= RANK_DRAWS
 
 
 def test_the_prior_is_drawn_as_it_is_stated():

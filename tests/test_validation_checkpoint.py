@@ -13,8 +13,8 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.inference.starts import Start
+from needlefit.project.checkpoint_folder import remove_checkpoint
 from needlefit.project.ownership import STAMP
-from needlefit.project.partial import forget
 from needlefit.validation.checkpoint import open_checkpoint
 
 START = Start(0, (0.1,), (0.2,), 0.3, 4, 0, "tolerance")
@@ -42,7 +42,7 @@ def test_a_torn_line_is_no_start(tmp_path):
     checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1})
     checkpoint.keep("fold/fit", dataclasses.replace(START, index=5))
     assert sorted(checkpoint.finished("fold/fit")) == [0, 1, 2, 5]
-    aside = file.with_name(f"{file.name}.torn-1")
+    aside = file.with_name(f"{file.name}.damaged-1")
     assert aside.read_bytes().startswith(before)
     del checkpoint
     assert resumed(tmp_path / "c") == ([0, 1, 2, 5], [])  # said once
@@ -60,7 +60,7 @@ def test_whatever_byte_is_changed_no_start_is_read_otherwise(tmp_path):
         left = {line for line in file.read_bytes().split(b"\n") if line}
         assert left <= rows and len(found) == len(left)  # what was damaged is set aside, what is whole stays
         assert len(lines) <= 1
-        for aside in file.parent.glob("*.torn-*"):
+        for aside in file.parent.glob("*.damaged-*"):
             aside.unlink()
 
 
@@ -96,12 +96,12 @@ def test_a_checkpoint_with_a_damaged_stamp_is_set_aside_whole(tmp_path, stamp, r
         (tmp_path / "c" / "work.sha256").write_text("0" * 64)
     else:
         (tmp_path / "c" / STAMP).write_bytes(stamp)
-    (tmp_path / "c.torn-1").mkdir()
-    (tmp_path / "c.torn-1" / "mine").touch()
+    (tmp_path / "c.damaged-1").mkdir()
+    (tmp_path / "c.damaged-1" / "mine").touch()
     lines: list[str] = []
     checkpoint = open_checkpoint(tmp_path / "c", resume, {"n": 1}, lines.append)
     assert checkpoint.finished("fold/fit") == {} and len(lines) == 1
-    assert (tmp_path / "c.torn-2" / file.name).is_file() and (tmp_path / "c.torn-1" / "mine").is_file()
+    assert (tmp_path / "c.damaged-2" / file.name).is_file() and (tmp_path / "c.damaged-1" / "mine").is_file()
 
 
 @pytest.mark.parametrize(
@@ -112,13 +112,16 @@ def test_a_folder_whose_stamp_is_none_of_ours_stays(tmp_path, name, text):
     folder, lines = tmp_path / "c", []
     folder.mkdir()
     (folder / name).write_bytes(text)
-    (folder / "thesis.kept").write_text("mine")
+    (folder / "thesis.checkpoint").write_text("mine")
     for resume in (True, False):
-        with pytest.raises(ConfigError, match=r"thesis\.kept"):
+        with pytest.raises(ConfigError, match=r"thesis\.checkpoint"):
             open_checkpoint(folder, resume, {"n": 1})
-    forget(folder, lines.append)
+    remove_checkpoint(folder, lines.append)
     assert len(lines) == 1
-    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {name: text, "thesis.kept": b"mine"}
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == {
+        name: text,
+        "thesis.checkpoint": b"mine",
+    }
 
 
 def test_of_other_work_is_refused_and_without_resume_emptied(tmp_path):
@@ -137,12 +140,12 @@ def test_what_is_foreign_stays_when_a_run_begins_and_when_it_ends(tmp_path, name
     for resume in (True, False):
         with pytest.raises(ConfigError, match=Path(name).name):
             open_checkpoint(folder, resume, {"n": 1})
-    forget(folder, lines.append)
+    remove_checkpoint(folder, lines.append)
     assert (folder / name).read_text() == "mine" and name in lines[0]
     (folder / name).unlink()
     if name.startswith("sub/"):
         (folder / "sub").rmdir()
-    forget(folder, lines.append)
+    remove_checkpoint(folder, lines.append)
     assert not folder.exists() and len(lines) == 1
 
 
@@ -166,7 +169,7 @@ def test_one_process_at_a_time(tmp_path):
             with pytest.raises(ConfigError, match=str(process.pid)):
                 open_checkpoint(tmp_path / "c", resume, {"n": 1})
         lines: list[str] = []
-        forget(tmp_path / "c", lines.append)
+        remove_checkpoint(tmp_path / "c", lines.append)
         assert len(lines) == 1 and (tmp_path / "c" / STAMP).read_bytes() == before
         os.kill(process.pid, signal.SIGKILL)
         process.wait(10)

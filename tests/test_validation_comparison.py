@@ -22,16 +22,21 @@ from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.shape import positions
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.comparison import ComparisonRecord
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.recipe import LikelihoodRecord
 from needlefit.reporting.inquiries.comparison import said
-from needlefit.validation.calibration.measured import measured
+from needlefit.schemas.analyses import ComparisonRecord
+from needlefit.schemas.recipe import LikelihoodRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.validation.analyses.comparison.candidates import MAX_NOISE_FACTOR, candidate_job, fit_candidate
+from needlefit.validation.analyses.comparison.run import (
+    deal_folds,
+    monte_carlo_error,
+    plan,
+    sum_differences,
+    verdict,
+)
+from needlefit.validation.analyses.runner import run_analysis
+from needlefit.validation.calibration.measurement import simulate_measurement
 from needlefit.validation.folds import Fold
-from needlefit.validation.inquiries.answered import answered
-from needlefit.validation.inquiries.comparison.against import drawn_error, summed, verdict
-from needlefit.validation.inquiries.comparison.candidates import MOST, candidate, job_of
-from needlefit.validation.inquiries.comparison.verb import dealt, plan
 from needlefit.validation.job import Job, Settings
 from tests.inference_cases import NEEDLE, NOISE, dataset, insertion, measure, medium, squares_recipe
 
@@ -40,7 +45,7 @@ TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}
 
 def test_differences_are_summed_over_groups_and_their_error_is_that_of_the_groups():
     differences = pd.Series([0.5, 0.5, 2.0, 3.0])
-    total, error, count = summed(differences, pd.Series(["a", "a", "b", "c"]))
+    total, error, count = sum_differences(differences, pd.Series(["a", "a", "b", "c"]))
     assert (total, error, count) == pytest.approx((6.0, math.sqrt(3.0), 3))  # sums 1, 2, 3: sd 1
     assert [verdict(d, 1.0) for d in (6.0, 1.9, -1.9, -2.1)] == ["ahead", "tie", "tie", "behind"]
     assert verdict(-np.inf, np.nan) == "tie"  # nothing is known where a density is missing
@@ -49,21 +54,21 @@ def test_differences_are_summed_over_groups_and_their_error_is_that_of_the_group
 def test_what_draws_leave_open_adds_up_where_needles_share_it():
     errors = {"log_density_se": [0.5, 0.5, 0.4], "shared_se": [0.3, 0.3, 0.0], "fold": ["1", "1", "2"]}
     # 0.4^2 + 0.4^2 + 0.4^2 of the needles, (2 * 0.3)^2 of the first fold
-    assert drawn_error(pd.DataFrame(errors)) == pytest.approx(math.sqrt(3 * 0.16 + 0.36))
+    assert monte_carlo_error(pd.DataFrame(errors)) == pytest.approx(math.sqrt(3 * 0.16 + 0.36))
 
 
 def test_repeats_are_never_on_both_sides():
     many = [replace(insertion(30.0 + k), specimen=f"hole {k % 5}") for k in range(15)]
-    for fold in dealt(tuple(many), 3):
+    for fold in deal_folds(tuple(many), 3):
         assert not {one.specimen for one in fold.tune} & {one.specimen for one in fold.validate}
         assert len(fold.tune) + len(fold.validate) == 15
 
 
 def test_there_are_no_more_folds_than_needles():
     many = tuple(replace(insertion(30.0 + k), specimen="one block") for k in range(4))
-    assert [len(fold.validate) for fold in dealt(many, 4)] == [1, 1, 1, 1]
+    assert [len(fold.validate) for fold in deal_folds(many, 4)] == [1, 1, 1, 1]
     with pytest.raises(ConfigError, match="5 folds cannot be dealt from 4 needles"):
-        dealt(many, 5)
+        deal_folds(many, 5)
 
 
 def _curved(depth, side=1):
@@ -102,15 +107,15 @@ def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
     """Its one parameter can be integrated over by quadrature."""
     made = tuple(_curved(30.0 + 5 * k, (1, -1)[k % 2]) for k in range(3))
     fold = Fold("all but one", made[:2], made[2:])
-    found = candidate("straight", job_of("straight", _job(made, (fold,))), fold, Settings())
+    found = fit_candidate("straight", candidate_job("straight", _job(made, (fold,))), fold, Settings())
 
     def log_evidence(insertions):
-        density = CurveDensity("straight", dataset(made), insertions, LikelihoodRecord(), MOST)
+        density = CurveDensity("straight", dataset(made), insertions, LikelihoodRecord(), MAX_NOISE_FACTOR)
         top = density(density.peak[None])[0]
         scaled = quad(lambda at: np.exp(density(np.array([[at]]))[0] - top), *(density.peak[0] + [-2.0, 2.0]))
         return top + math.log(scaled[0])
 
-    told = found.foretells(made[2])
+    told = found.predict_density(made[2])
     assert told.log_density == pytest.approx(log_evidence(made) - log_evidence(made[:2]), abs=0.15)
     assert told.k < 0.7 and told.se < 0.1
 
@@ -118,7 +123,7 @@ def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
 def test_further_points_add_their_whole_density():
     """Nothing that the likelihood drops is missing from the ratio of two posteriors."""
     made = [measure(TRUTH, medium(layers=1), insertion(30.0 + 6 * k), points=31) for k in range(2)]
-    job = job_of("ogden", _job(tuple(made), ()))
+    job = candidate_job("ogden", _job(tuple(made), ()))
     theta = job.parameters.theta({**TRUTH, "bevel_mm": 0.1, NOISE_SCALE: 1.3})
     one, both = (job.problem(Fold("", tuple(some), ())) for some in (made[:1], made))
     s = both.density.evidence[1].nodes.s[0]
@@ -148,18 +153,18 @@ def _answer(**changed):
     rng, made = np.random.default_rng(2), []
     for k in range(4):
         planned = measure(TRUTH, medium(layers=1), insertion(34.0 + 6 * k, side=(1, -1)[k % 2]), points=21)
-        made.append(measured(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
-    job = _job(tuple(made), dealt(tuple(made), 2))
-    return answered("cases", record, Settings(), plan(record, job, Settings()))
+        made.append(simulate_measurement(dataset([planned]), planned, TRUTH, medium(layers=1), rng))
+    job = _job(tuple(made), deal_folds(tuple(made), 2))
+    return run_analysis("cases", record, Settings(), plan(record, job, Settings()))
 
 
 @pytest.fixture(scope="module")
 def compared():
-    return _answer(must_win=True)
+    return _answer(positive_control=True)
 
 
 def test_laws_tie_where_strains_are_small_and_a_straight_line_loses(compared):
-    table = compared.frames["against"].set_index("candidate")
+    table = compared.frames["comparison"].set_index("candidate")
     assert table["verdict"].to_dict() == {"ogden": "reference", "linear": "tie", "straight": "behind"}
     assert abs(table.loc["linear", "difference"]) < 3.0
     assert table.loc["straight", "difference"] < -20.0
@@ -167,10 +172,10 @@ def test_laws_tie_where_strains_are_small_and_a_straight_line_loses(compared):
 
 
 def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
-    scores, table = compared.frames["scores"], compared.frames["against"].set_index("candidate")
+    scores, table = compared.frames["scores"], compared.frames["comparison"].set_index("candidate")
     assert scores["log_density_se"].max() < 0.2 and scores["pareto_k"].max() < 0.7
     own = compared.frames["differences"].query("candidate == 'linear'")
-    scatter = summed(own["difference"], own["group"])[1]
+    scatter = sum_differences(own["difference"], own["group"])[1]
     drawn = table.loc[["linear", "ogden"], "draws_se"]
     assert table.loc["linear", "difference_se"] == pytest.approx(math.hypot(scatter, *drawn))
     assert table.loc["ogden", "difference_se"] == 0.0

@@ -4,18 +4,18 @@ import numpy as np
 import pytest
 
 from needlefit.inference.predictive import Mixture, worst_level
-from needlefit.validation.coverage import share, wilson
+from needlefit.validation.proportions import estimate_proportion, wilson_interval
 
 
 def test_wilson_gives_the_textbook_interval():
-    low, high = wilson(0.5, 10)  # scipy.stats.binomtest(5, 10).proportion_ci(method="wilson")
+    low, high = wilson_interval(0.5, 10)  # scipy.stats.binomtest(5, 10).proportion_ci(method="wilson")
     assert (low, high) == pytest.approx((0.236593, 0.763407), abs=1e-6)
-    assert wilson(1.0, 6)[1] == 1.0
+    assert wilson_interval(1.0, 6)[1] == 1.0
 
 
 def test_repeats_of_one_specimen_do_not_narrow_the_interval():
-    alone = share([True, True, False], ["1", "2", "3"])
-    repeated = share([True] * 8 + [False] * 4, [n for n in "123" for _ in range(4)])
+    alone = estimate_proportion([True, True, False], ["1", "2", "3"])
+    repeated = estimate_proportion([True] * 8 + [False] * 4, [n for n in "123" for _ in range(4)])
     assert (repeated.hits, repeated.trials, repeated.groups) == (8, 12, 3)
     assert (repeated.low, repeated.high) == pytest.approx((alone.low, alone.high))
 

@@ -8,11 +8,11 @@ from test_cli import run
 from needlefit.errors import DataError
 from needlefit.reporting.differences import differences_layout, said
 from needlefit.reporting.rebuild import rebuild
-from needlefit.validation.differences import differences
+from needlefit.validation.run_differences import compare_runs
 
 ERRORS = pd.DataFrame(
     {
-        "fold": "all", "role": "validate", "rival": "fitted", "boundaries": "measured",
+        "fold": "all", "role": "validate", "method": "fitted", "boundaries": "measured",
         "insertion": ["a", "b", "c", "d"],
         "ipe_mean_mm": [0.1, 0.2, 0.3, 0.4], "te_mm": [0.2, 0.4, 0.6, 0.8],
     }
@@ -40,12 +40,12 @@ def first(tmp_path):
 
 
 def test_equal_runs_do_not_differ(first, tmp_path):
-    found = differences(first, write(tmp_path / "b"))
+    found = compare_runs(first, write(tmp_path / "b"))
     assert found == [] and said(found) == "The runs do not differ."
 
 
 def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_path):
-    found = differences(first, write(tmp_path / "b", recipe={"seed": 2, "starts": 8}))
+    found = compare_runs(first, write(tmp_path / "b", recipe={"seed": 2, "starts": 8}))
     assert [(one.what, one.where, one.before, one.after, one.matters) for one in found] == [
         ("input", "recipe.seed", 1, 2, None)
     ]
@@ -57,17 +57,17 @@ def test_a_parameter_matters_by_its_own_deviation_and_what_is_tied_to_it_does_no
     part, matters, first, tmp_path
 ):
     moved = PARAMETERS.assign(value_used=[1e5 * np.exp(0.1 * part), 1e5 * np.exp(0.1 * part), 0.1])
-    (one,) = differences(first, write(tmp_path / "b", parameters=moved))
+    (one,) = compare_runs(first, write(tmp_path / "b", parameters=moved))
     assert (one.what, one.where, one.matters) == ("parameter", "mu1_pa", matters)
     assert one.why == f"{part:.2g} of its standard deviation"
 
 
 def test_what_is_not_determined_may_move_and_a_verdict_may_not(first, tmp_path):
     moved = PARAMETERS.assign(value_used=[1e5, 1e5, 0.3])
-    (one,) = differences(first, write(tmp_path / "b", parameters=moved))
+    (one,) = compare_runs(first, write(tmp_path / "b", parameters=moved))
     assert not one.matters and one.why.endswith("not determined")
     flipped = PARAMETERS.assign(determined=[True, True, True])
-    (one,) = differences(first, write(tmp_path / "c", parameters=flipped))
+    (one,) = compare_runs(first, write(tmp_path / "c", parameters=flipped))
     assert (one.what, one.before, one.after, one.matters) == ("state", "not determined", "determined", True)
 
 
@@ -82,14 +82,14 @@ def test_what_is_not_determined_may_move_and_a_verdict_may_not(first, tmp_path):
 )
 def test_errors_are_compared_insertion_by_insertion(gap, matters, slight, first, tmp_path):
     changed = ERRORS.assign(ipe_mean_mm=ERRORS["ipe_mean_mm"] + gap)
-    (one,) = differences(first, write(tmp_path / "b", errors=changed.iloc[::-1]))
+    (one,) = compare_runs(first, write(tmp_path / "b", errors=changed.iloc[::-1]))
     assert (one.what, one.matters, one.slight) == ("error", matters, slight)
     assert one.after - one.before == pytest.approx(np.mean(gap))
     assert len(differences_layout([one]).rows) == (0 if slight else 1)
 
 
 def test_insertions_of_one_run_only_are_told(first, tmp_path):
-    (one,) = differences(first, write(tmp_path / "b", errors=ERRORS.iloc[:3]))
+    (one,) = compare_runs(first, write(tmp_path / "b", errors=ERRORS.iloc[:3]))
     assert (one.where, one.before, one.after, one.matters) == ("scored rows", 4, 3, True)
 
 
@@ -115,7 +115,7 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
     one = table(tmp_path / "a", "identify", [row])
     two = table(tmp_path / "b", "identify", [{**row, "determined": False, "sd": 0.2}])
     (two / "run.json").write_text('{"design": {"dataset": {"name": "other"}}}')
-    named, verdict, wider = differences(one, two)
+    named, verdict, wider = compare_runs(one, two)
     assert (named.what, named.where, named.after) == ("input", "dataset.name", "other")
     assert (verdict.before, verdict.after, verdict.matters) == ("determined", "not determined", True)
     assert (wider.why, wider.matters) == ("2 times as large", True)
@@ -127,15 +127,22 @@ def test_a_tip_that_was_foretold_elsewhere_is_told_in_its_deviations(tmp_path):
     one = table(tmp_path / "a", "forecast", [row])
     for moved, matters in ((0.4, False), (0.6, True)):
         two = table(tmp_path / "b", "forecast", [{**row, "needle_median_mm": 2.0 + moved}])
-        (found,) = differences(one, two)
+        (found,) = compare_runs(one, two)
         assert found.why == f"{moved:g} of its standard deviation" and found.matters is matters
 
 
 def test_counts_of_a_calibration_matter_where_their_verdict_changed(tmp_path):
-    row = {"quantity": "mu1_pa", "level": 0.5, "covered": 50, "least": 40, "most": 60, "passes": True}
+    row = {
+        "quantity": "mu1_pa",
+        "level": 0.5,
+        "covered": 50,
+        "count_low": 40,
+        "count_high": 60,
+        "passes": True,
+    }
     one = table(tmp_path / "a", "coverage", [row, {**row, "level": 0.9, "covered": 90}])
     changes = [{**row, "covered": 45}, {**row, "level": 0.9, "covered": 70, "passes": False}]
-    found = differences(one, table(tmp_path / "b", "coverage", changes))
+    found = compare_runs(one, table(tmp_path / "b", "coverage", changes))
     assert [(one.where, one.matters) for one in found] == [
         ("mu1_pa, 50 % interval", False),
         ("mu1_pa, 90 % interval", True),
@@ -145,7 +152,7 @@ def test_counts_of_a_calibration_matter_where_their_verdict_changed(tmp_path):
 def test_runs_of_different_kinds_are_not_compared(tmp_path):
     one, two = (table(tmp_path / name, name, [{"x": 1}]) for name in ("replicates", "forecast"))
     with pytest.raises(DataError, match="answer different questions"):
-        differences(one, two)
+        compare_runs(one, two)
 
 
 @pytest.mark.parametrize(

@@ -18,22 +18,21 @@ from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import positions
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.recipe import LikelihoodRecord, SampleRecord
+from needlefit.project.locate import find_file
 from needlefit.reporting.files import write_json
 from needlefit.reporting.forecast import forecast_layout, forecast_table, tip
-from needlefit.validation.forecast import forecast
-from needlefit.validation.foreknown import foreknown, require_same
+from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
+from needlefit.schemas.study import FitRecord
+from needlefit.validation.forecast import draw_parameters, forecast, require_same_configuration
 from needlefit.validation.job import Settings, prepare
-from needlefit.validation.provenance import work
+from needlefit.validation.provenance import describe_configuration
 
 SCENE = needlefit.open_scene("study2")
 
 
 @pytest.fixture(scope="module")
 def job():
-    record = load(find("fit", "phantom2"), FitRecord).model_copy(update={"recipe": "quick"})
+    record = load(find_file("fit", "phantom2"), FitRecord).model_copy(update={"recipe": "quick"})
     small = record.tune.model_copy(update={"insertions": ("phantom2-15", "phantom2-16")})
     return prepare("small", record.model_copy(update={"tune": small}), Settings())
 
@@ -127,30 +126,30 @@ def test_a_forecast_from_a_posterior_that_has_not_converged_says_so(job):
 
 
 def test_a_posterior_of_other_data_is_refused(job, tmp_path):
-    said = {key: work(job)[key] for key in ("medium", "folds", "dataset", "recipe")}
+    said = {key: describe_configuration(job)[key] for key in ("medium", "folds", "dataset", "recipe")}
     write_json(tmp_path / "run.json", said)
-    require_same(job, tmp_path)
+    require_same_configuration(job, tmp_path)
     write_json(tmp_path / "run.json", said | {"dataset": {}})
     with pytest.raises(ConfigError, match="another dataset"):
-        require_same(job, tmp_path)
+        require_same_configuration(job, tmp_path)
     other = job.recipe.model_copy(update={"likelihood": LikelihoodRecord(noise="independent")})
     write_json(tmp_path / "run.json", said)
     with pytest.raises(ConfigError, match="another likelihood"):
-        require_same(replace(job, recipe=other), tmp_path)
+        require_same_configuration(replace(job, recipe=other), tmp_path)
     (tmp_path / "run.json").write_text("{")
     with pytest.raises(DataError):
-        require_same(job, tmp_path)
+        require_same_configuration(job, tmp_path)
 
 
 def test_a_run_that_is_named_must_hold_a_posterior(job, tmp_path):
     with pytest.raises(ConfigError, match=r"holds no posterior\.nc"):
-        foreknown(job, tmp_path, Settings(), required=True)
+        draw_parameters(job, tmp_path, Settings(), required=True)
 
 
 def test_a_search_that_was_interrupted_foretells_nothing_and_one_that_ended_early_says_so(job, tmp_path):
-    assert foreknown(job, tmp_path, Settings(stop=lambda: True)) is None
+    assert draw_parameters(job, tmp_path, Settings(stop=lambda: True)) is None
     short = replace(job, recipe=job.recipe.model_copy(update={"evaluations": 4}))
-    found = foreknown(short, tmp_path, Settings())
+    found = draw_parameters(short, tmp_path, Settings())
     assert found.faults[0] == "no start of the search ended at a minimum (budget)"
 
 
@@ -158,9 +157,9 @@ def test_a_search_that_was_interrupted_foretells_nothing_and_one_that_ended_earl
 def test_what_is_foretold_without_sampling_is_the_posterior(job, tmp_path):
     """Weighed draws and walked ones have the same middle and width, in the stiff and the sloppy direction."""
     problem = job.problem(job.folds[0])
-    weighed = foreknown(job, tmp_path, Settings()).thetas
+    weighed = draw_parameters(job, tmp_path, Settings()).thetas
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    walked = sample(problem, fit.theta, SampleRecord(steps=400, every=200), np.random.default_rng(2))
+    walked = sample(problem, fit.theta, SampleRecord(steps=400, check_interval=200), np.random.default_rng(2))
     thetas = from_posterior(walked, job.parameters, 2000).thetas
     axes = np.linalg.eigh(np.cov(thetas.T))[1]
     for direction in axes.T:
@@ -171,12 +170,12 @@ def test_what_is_foretold_without_sampling_is_the_posterior(job, tmp_path):
 
 def test_the_command(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    fit = find("fit", "phantom2").read_text(encoding="utf-8").replace('"default"', '"quick"')
+    fit = find_file("fit", "phantom2").read_text(encoding="utf-8").replace('"default"', '"quick"')
     (tmp_path / "gel.toml").write_text(fit + 'insertions = ["phantom2-15", "phantom2-16"]\n')
     words = ("predict", "./gel.toml", "--scene", "study2", "--depth", "30", "-q")
     assert run(*words, "--json") == 0
     said = json.loads(capsys.readouterr().out)
-    assert said["from"] == "importance" and said["draws"] + said["failed_solves"] == 400
+    assert said["draw_source"] == "importance" and said["draws"] + said["failed_solves"] == 400
     tip = said["tip"]
     assert tip["s_mm"] == 30
     assert tip["needle_95_low_mm"] < tip["needle_median_mm"] < tip["needle_95_high_mm"]

@@ -9,17 +9,24 @@ from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.likelihood.pose import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.study import StudyRecord
+from needlefit.project.locate import find_file
 from needlefit.reporting.foretold import foretold_layout
-from needlefit.validation.heldout import BANDS, PREDICTIVE, STATIONS, drawn, foreseen, foretold
+from needlefit.schemas.study import StudyRecord
+from needlefit.validation.held_out_predictions import (
+    BAND_COLUMNS,
+    BAND_POINTS,
+    PREDICTIVE_COLUMNS,
+    draw_fold_parameters,
+    predict_held_out,
+    tabulate_held_out,
+)
 from needlefit.validation.job import Settings, prepare
-from needlefit.validation.placed import Known
+from needlefit.validation.needles_in_scan import FoldFit
 
 
 @pytest.fixture(scope="module")
 def job():
-    record = load(find("study", "study2"), StudyRecord).model_copy(update={"recipe": "quick"})
+    record = load(find_file("study", "study2"), StudyRecord).model_copy(update={"recipe": "quick"})
     return prepare("small", record, Settings())
 
 
@@ -27,7 +34,7 @@ def job():
 def known(job):
     problem = job.problem(job.folds[0])
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
-    return drawn(job, job.folds[0], Known(fit, identify(problem, fit)))[0]
+    return draw_fold_parameters(job, job.folds[0], FoldFit(fit, identify(problem, fit)))[0]
 
 
 @pytest.fixture(scope="module")
@@ -50,17 +57,17 @@ def exact(insertion):
 
 def test_with_sure_parameters_and_depths_the_pose_and_the_points_are_left(job, known):
     insertion = exact(job.folds[0].validate[0])
-    (row,) = foretold(job, of(job, insertion), sure(known))
+    (row,) = tabulate_held_out(job, of(job, insertion), sure(known))
     shift, angle, _ = pose_sds(insertion, job.dataset.noise)
     half = (row["tip_95_high_mm"] - row["tip_95_low_mm"]) / 2
     least = 1.959964 * np.hypot(shift, angle * insertion.planar[-1, 0])
     assert least < half < 1.15 * least  # the points' own noise, and a shift along, are small beside it
-    assert tuple(row) == PREDICTIVE and row["from"] == "importance" and row["certified"]
+    assert tuple(row) == PREDICTIVE_COLUMNS and row["draw_source"] == "importance" and row["certified"]
 
 
 def test_the_band_ends_where_the_tip_was_foretold(job, known):
-    (one,) = foreseen(job, of(job, exact(job.folds[0].validate[0])), sure(known))
-    assert len(one.band) == STATIONS and all(tuple(point) == BANDS for point in one.band)
+    (one,) = predict_held_out(job, of(job, exact(job.folds[0].validate[0])), sure(known))
+    assert len(one.band) == BAND_POINTS and all(tuple(point) == BAND_COLUMNS for point in one.band)
     last = one.band[-1]
     for name in ("low_50", "high_50", "low_95", "high_95"):
         side, level = name.split("_")
@@ -75,15 +82,15 @@ def test_without_a_stated_noise_nothing_is_predicted_but_where_the_points_have_t
     dataset = replace(job.dataset, noise=replace(job.dataset.noise, point_sd=0.0, correlated_sd=0.0))
     silent, insertion = replace(job, dataset=dataset), exact(job.folds[0].validate[0])
     with_sd = replace(insertion, sd=np.full(len(insertion.planar), 0.05))
-    assert list(foretold(silent, of(job, replace(insertion, sd=None)), sure(known))) == []
-    assert len(list(foretold(silent, of(job, with_sd), sure(known)))) == 1
+    assert list(tabulate_held_out(silent, of(job, replace(insertion, sd=None)), sure(known))) == []
+    assert len(list(tabulate_held_out(silent, of(job, with_sd), sure(known)))) == 1
 
 
 def test_open_depths_and_parameters_widen_it(job, known):
     insertion = job.folds[0].validate[0]
 
     def width(one, what):
-        (row,) = foretold(job, of(job, one), what)
+        (row,) = tabulate_held_out(job, of(job, one), what)
         return row["tip_95_high_mm"] - row["tip_95_low_mm"]
 
     assert width(exact(insertion), sure(known)) < width(insertion, sure(known)) < width(insertion, known)
@@ -92,19 +99,21 @@ def test_open_depths_and_parameters_widen_it(job, known):
 def test_the_measured_shape_is_only_compared(job, known):
     insertion = job.folds[0].validate[0]
     bent = replace(insertion, planar=insertion.planar + np.array([0.0, 5.0]))
-    (as_is,), (moved,) = (tuple(foretold(job, of(job, one), sure(known))) for one in (insertion, bent))
+    (as_is,), (moved,) = (
+        tuple(tabulate_held_out(job, of(job, one), sure(known))) for one in (insertion, bent)
+    )
     assert moved["tip_median_mm"] == pytest.approx(as_is["tip_median_mm"], abs=1e-9)
     assert moved["tip_measured_mm"] == pytest.approx(as_is["tip_measured_mm"] + 5.0)
-    assert moved["tip_level"] > 0.99 and not moved["tip_in_95"]
-    assert moved["points_in_95"] < 0.1 and not moved["shape_in_95"] and moved["shape_level"] > 0.99
+    assert moved["tip_pit"] > 0.99 and not moved["tip_in_95"]
+    assert moved["points_in_95"] < 0.1 and not moved["shape_in_95"] and moved["shape_pit"] > 0.99
     assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
 
 
 def test_the_same_study_foretells_the_same(job, few_draws):
     few = of(job, *job.folds[0].validate[:2])
-    first, again = (list(foretold(job, few, few_draws)) for _ in range(2))
+    first, again = (list(tabulate_held_out(job, few, few_draws)) for _ in range(2))
     assert first == again
-    alone = list(foretold(job, of(job, job.folds[0].validate[1]), few_draws))
+    alone = list(tabulate_held_out(job, of(job, job.folds[0].validate[1]), few_draws))
     assert alone == first[1:]  # an insertion does not depend on the others
 
 
@@ -112,7 +121,7 @@ def test_the_table_counts_what_fell_where(job, few_draws):
     import pandas as pd
     from reporting_results import study
 
-    rows = list(foretold(job, of(job, *job.folds[0].validate[:2]), few_draws))
+    rows = list(tabulate_held_out(job, of(job, *job.folds[0].validate[:2]), few_draws))
     rows[0] |= {"tip_in_50": True, "tip_in_95": True}
     rows[1] |= {"tip_in_50": False, "tip_in_95": True}
     table = foretold_layout(replace(study(2), predictive=pd.DataFrame(rows)))
@@ -124,6 +133,6 @@ def test_the_scale_of_the_noise_is_that_of_what_is_foretold(job, known):
     insertion = exact(job.folds[0].validate[0])
     doubled = job.recipe.likelihood.model_copy(update={"noise_scale": 2.0})
     wide = replace(job, recipe=job.recipe.model_copy(update={"likelihood": doubled}))
-    (one,), (two,) = (tuple(foretold(each, of(job, insertion), sure(known))) for each in (job, wide))
+    (one,), (two,) = (tuple(tabulate_held_out(each, of(job, insertion), sure(known))) for each in (job, wide))
     widths = [row["tip_95_high_mm"] - row["tip_95_low_mm"] for row in (one, two)]
     assert widths[1] == pytest.approx(2 * widths[0], rel=1e-6)

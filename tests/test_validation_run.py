@@ -18,13 +18,12 @@ from needlefit.mechanics.shape import inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.load import load
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.study import StudyRecord
 from needlefit.reporting.sentences import failures_said
 from needlefit.reporting.write import write
-from needlefit.validation.folds import folds
-from needlefit.validation.planned import planned_layers
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.validation.folds import make_folds
+from needlefit.validation.planned_insertions import planned_layers
 from needlefit.validation.results import COLUMNS, Results
 from needlefit.validation.run import Settings, run
 
@@ -44,7 +43,7 @@ tolerance = 1e-6
 [sample]
 walkers = 8
 steps = 30
-every = 10
+check_interval = 10
 """
 
 
@@ -90,7 +89,7 @@ def assert_same(one: Results, two: Results) -> None:
 
 
 def fitted(results: Results) -> dict[str, float]:
-    rows = results.parameters[results.parameters["rival"] == "fitted"]
+    rows = results.parameters[results.parameters["method"] == "fitted"]
     return dict(zip(rows["parameter"], rows["value"], strict=True))
 
 
@@ -98,7 +97,7 @@ def test_truth_is_recovered_and_scored_with_no_error(clean: Results) -> None:
     results = clean
     assert fitted(results)["mu1_pa"] == pytest.approx(needles.MU[0] * 1e6, rel=0.05)
     assert fitted(results)["bevel_mm"] == pytest.approx(needles.BEVEL, rel=0.01)
-    errors = results.errors[results.errors["rival"] == "fitted"]
+    errors = results.errors[results.errors["method"] == "fitted"]
     assert set(errors["role"]) == {"tune", "validate"}
     assert errors["te_mm"].max() < 0.01
     assert (errors["deflection_mm"] > 0).all()  # toward the bevel, whichever side it faces
@@ -109,7 +108,7 @@ def test_truth_is_recovered_and_scored_with_no_error(clean: Results) -> None:
 def test_measured_and_planned_crossings_agree_on_a_flat_interface(clean: Results) -> None:
     """The interface is normal to the needle: where it bends to does not matter."""
     errors = clean.errors
-    wide = errors[errors["rival"] == "fitted"].pivot_table(
+    wide = errors[errors["method"] == "fitted"].pivot_table(
         index=["role", "insertion"], columns="boundaries", values="te_mm"
     )
     np.testing.assert_allclose(wide["planned"], wide["measured"], atol=2e-3)
@@ -118,7 +117,7 @@ def test_measured_and_planned_crossings_agree_on_a_flat_interface(clean: Results
 def test_baselines_stand_beside_the_model_and_lose_on_its_own_needles(clean: Results) -> None:
     errors = clean.errors
     held_out = errors[(errors["role"] == "validate") & (errors["boundaries"] == "measured")]
-    mean = held_out.groupby("rival")["ipe_mean_mm"].mean()
+    mean = held_out.groupby("method")["ipe_mean_mm"].mean()
     assert set(mean.index) == {"fitted", "straight", "constant_curvature", "linear_curvature"}
     assert (mean.drop("fitted") > 10 * mean["fitted"]).all()
 
@@ -209,7 +208,7 @@ def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(
 
 def test_leaving_specimens_out_never_splits_one(project: Path) -> None:
     record = study(tune={}, validate=[], leave_out="specimen")
-    found = folds(record, read(project / "data" / "needles" / "dataset.toml"))
+    found = make_folds(record, read(project / "data" / "needles" / "dataset.toml"))
     assert [fold.name for fold in found] == ["without piece1", "without piece2"]
     for fold in found:
         assert not {i.specimen for i in fold.tune} & {i.specimen for i in fold.validate}
@@ -226,7 +225,7 @@ def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
     with pytest.raises(ConfigError, match="has no mu2_pa"):
         medium = project / "configs" / "media" / "gel.toml"
         medium.write_text(MEDIUM.replace("mu2_pa = { fixed = 2e7 }", "mu2_pa = { bounds = [1e3, 1e9] }"))
-        run("hand", study(hand_tuned="chicken"), Settings())
+        run("hand", study(paper_parameters="chicken"), Settings())
 
 
 @pytest.mark.parametrize("steep", [0.5, 2.0])
@@ -263,16 +262,16 @@ def test_a_fit_with_everything_fixed_only_scores(project: Path) -> None:
     rewrite(project, "media", "mu1_pa = { bounds = [3e4, 3e6] }", "mu1_pa = { fixed = 3e5 }")
     rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { fixed = 0.09 }")
     results = run("fixed", study(), Settings())
-    errors = results.errors[results.errors["rival"] == "fitted"]
+    errors = results.errors[results.errors["method"] == "fitted"]
     assert errors["te_mm"].max() < 1e-3
     assert set(results.parameters["status"]) == {"fixed"}
 
 
 def test_a_fixed_bevel_is_not_tuned_anew_about_the_paper_s_set(project: Path) -> None:
     rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { fixed = 0.09 }")
-    fit = {"schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel", "hand_tuned": "study2"}
+    fit = {"schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel", "paper_parameters": "study2"}
     found = run("gel", FitRecord.model_validate(fit | {"tune": {"specimens": ["piece1"]}}), Settings())
-    assert "hand_tuned_b" not in set(found.errors["rival"]) and "hand_tuned" in set(found.errors["rival"])
+    assert "hand_tuned_b" not in set(found.errors["method"]) and "hand_tuned" in set(found.errors["method"])
 
 
 def test_what_is_tied_to_a_fixed_parameter_is_fixed(project: Path) -> None:

@@ -19,9 +19,9 @@ from needlefit.inference.predict import predict
 from needlefit.mechanics.shape import NeedleShape, inserted_points
 from needlefit.reporting.numbers import number
 from needlefit.reporting.parameters import parameters_table
-from needlefit.validation.folds import folds
+from needlefit.validation.folds import make_folds
 from needlefit.validation.run import Settings, run
-from needlefit.validation.score import Scorer, curve_rival, model_rival
+from needlefit.validation.score import Scorer, curve_predictor, model_predictor
 
 __all__ = ["project"]  # the fixture
 
@@ -60,7 +60,7 @@ def planned() -> Insertion:
 
 
 def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_measured(planned) -> None:
-    curves = model_rival(WRONG, medium(), dataset([planned]))(oblique(planned))
+    curves = model_predictor(WRONG, medium(), dataset([planned]))(oblique(planned))
     s = np.linspace(0, 41, 42)
     crossing = own_crossing(planned)
     assert 14 < crossing < 15
@@ -71,7 +71,7 @@ def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_mea
 
 
 def test_without_surfaces_there_is_nothing_to_plan(planned) -> None:
-    assert list(model_rival(WRONG, medium(), dataset([planned]))(planned)) == ["measured"]
+    assert list(model_predictor(WRONG, medium(), dataset([planned]))(planned)) == ["measured"]
 
 
 # ---- one row
@@ -94,9 +94,9 @@ def along_x(scored: Insertion):
 @pytest.mark.parametrize(("bend", "flagged"), [(0.1, True), (0.24, True), (0.26, False), (3.0, False)])
 @pytest.mark.parametrize("side", [1, -1])
 def test_a_deflection_under_the_floor_of_the_tip_is_flagged(bend: float, flagged: bool, side: int) -> None:
-    (row,), _ = scorer().score({}, straight(bend, side), curve_rival(along_x))
+    (row,), _ = scorer().score({}, straight(bend, side), curve_predictor(along_x))
     assert row["edp_flagged"] is flagged
-    (row,), _ = scorer(NoiseFloor(*[math.nan] * 4)).score({}, straight(bend, side), curve_rival(along_x))
+    (row,), _ = scorer(NoiseFloor(*[math.nan] * 4)).score({}, straight(bend, side), curve_predictor(along_x))
     assert row["edp_flagged"] is False
 
 
@@ -106,8 +106,8 @@ def test_a_row_by_hand(side: int) -> None:
 
     IPE_j = |(2 f, 1 - 6 f)| at fractions f of the length (8 mm against 10 along x).
     """
-    flat = curve_rival(lambda scored: lambda s: np.column_stack([s, np.full_like(s, side * 1.0)]))
-    place = {"fold": "all", "role": "validate", "rival": "fitted"}
+    flat = curve_predictor(lambda scored: lambda s: np.column_stack([s, np.full_like(s, side * 1.0)]))
+    place = {"fold": "all", "role": "validate", "method": "fitted"}
     (row,), points = scorer().score(place, straight(6.0, side), flat)
     f = np.linspace(0, 1, 101)
     ipe = np.hypot(2 * f, 1 - 6 * f)
@@ -146,8 +146,8 @@ PUBLISHED = {"mu1_pa": 2.2e5, "alpha1": 1.0, "mu2_pa": 3.2e7, "alpha2": -1.0}
 
 
 def test_the_papers_set_keeps_everything_but_its_bevel(project: Path) -> None:
-    results = run("rivals", study(hand_tuned="study1"), Settings())
-    sets = {name: rows.set_index("parameter") for name, rows in results.parameters.groupby("rival")}
+    results = run("methods", study(paper_parameters="study1"), Settings())
+    sets = {name: rows.set_index("parameter") for name, rows in results.parameters.groupby("method")}
     paper, retuned = (sets[name]["value"].to_dict() for name in ("hand_tuned", "hand_tuned_b"))
     assert paper == {**PUBLISHED, "bevel_mm": 0.085}
     assert retuned == {**PUBLISHED, "bevel_mm": retuned["bevel_mm"]}
@@ -160,7 +160,7 @@ def test_the_papers_set_keeps_everything_but_its_bevel(project: Path) -> None:
         assert (starts[name] == value).all()
     assert fitted(results)["mu2_pa"] == 2e7  # the medium's own
     tuned = results.errors.query("role == 'tune' and boundaries == 'measured'")
-    ipe = tuned.groupby("rival")["ipe_mean_mm"].mean()
+    ipe = tuned.groupby("method")["ipe_mean_mm"].mean()
     assert ipe["fitted"] < min(ipe["hand_tuned"], ipe["hand_tuned_b"])
 
 
@@ -170,15 +170,15 @@ def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(project: P
     (project / "configs" / "recipes" / "gel.toml").write_text(recipe)
     results = run("both", study(), Settings())
     both = {"fitted", "fitted_metric"} if metric else {"fitted"}
-    assert set(results.starts["fit"]) == set(results.parameters["rival"]) == both
-    assert set(results.errors["rival"]) & {"fitted", "fitted_metric"} == both
+    assert set(results.starts["fit"]) == set(results.parameters["method"]) == both
+    assert set(results.errors["method"]) & {"fitted", "fitted_metric"} == both
     printed = parameters_table(results).set_index("parameter")
     if not metric:
         assert set(printed["fitted_metric"]) == {""}
         return
     minimized = results.starts.groupby("fit")["minimized"].unique()
     assert (minimized["fitted"], minimized["fitted_metric"]) == (["posterior"], ["metric"])
-    second = results.parameters.query("rival == 'fitted_metric'").set_index("parameter")["value"]
+    second = results.parameters.query("method == 'fitted_metric'").set_index("parameter")["value"]
     assert second["mu2_pa"] == 2e7 and abs(second["bevel_mm"] / fitted(results)["bevel_mm"] - 1) < 0.01
     assert printed["fitted_metric_value_used"].to_dict() == second.to_dict()
     assert printed.loc["bevel_mm", "fitted_metric"] == number(second["bevel_mm"])
@@ -190,7 +190,7 @@ def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     fixed = MEDIUM.replace("mu1_pa = { bounds = [3e4, 3e6] }", "mu1_pa = { fixed = 3e5 }")
     (project / "configs" / "media" / "gel.toml").write_text(fixed)
-    record = study(tune={}, validate=[], leave_out="specimen", hand_tuned="study1")
+    record = study(tune={}, validate=[], leave_out="specimen", paper_parameters="study1")
     starts = run("starts", record, Settings()).starts
     assert len(starts) == 2 * 2 * 3
     assert (starts["evaluations"] == 1).all()
@@ -204,16 +204,16 @@ def test_every_search_of_every_fold_begins_in_places_of_its_own(project: Path) -
 def test_leaving_one_out_scores_each_insertion_once_by_a_fit_to_the_others(project: Path) -> None:
     (project / "configs" / "recipes" / "gel.toml").write_text(ONE_EVALUATION)
     record = study(tune={}, validate=[], leave_out="insertion")
-    found = folds(record, read(project / "data" / "needles" / "dataset.toml"))
+    found = make_folds(record, read(project / "data" / "needles" / "dataset.toml"))
     ids = [f"needle-{n}" for n in (1, 2, 3, 4)]
     assert [fold.name for fold in found] == [f"without {id_}" for id_ in ids]
     assert [[i.id for i in fold.validate] for fold in found] == [[id_] for id_ in ids]
     assert [[i.id for i in fold.tune] for fold in found] == [[i for i in ids if i != id_] for id_ in ids]
     results = run("loo", record, Settings())
-    held_out = results.errors.query("role == 'validate' and rival == 'fitted' and boundaries == 'measured'")
+    held_out = results.errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
     pairs = list(zip(held_out["fold"], held_out["insertion"], strict=True))
     assert pairs == [(f"without {id_}", id_) for id_ in ids]
-    tuned = results.errors.query("role == 'tune' and rival == 'straight'")
+    tuned = results.errors.query("role == 'tune' and method == 'straight'")
     assert tuned.groupby("fold")["insertion"].nunique().tolist() == [3, 3, 3, 3]
     design = results.design.set_index("role")
     assert design.loc["tune", "insertions"] == design.loc["validate", "insertions"] == 4

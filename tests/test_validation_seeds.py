@@ -7,15 +7,23 @@ import pandas as pd
 import pytest
 
 from needlefit.datasets.read import read
-from needlefit.project.places import find
+from needlefit.project.locate import find_file
 from needlefit.reporting.inquiries.pages import PAGES
-from needlefit.synthetic.design import named
-from needlefit.synthetic.unscanned import unscanned
-from needlefit.validation.inquiries.kinds import ask, inquiry
-from needlefit.validation.inquiries.tables.cells import ERRORS, cells
-from needlefit.validation.inquiries.tables.pattern import generalising, threshold
-from needlefit.validation.inquiries.tables.seeds.contests import contests, interval
-from needlefit.validation.inquiries.tables.seeds.explained import UNEXPLAINED, explained
+from needlefit.synthetic.build import build_unscanned
+from needlefit.synthetic.design import select_planned_insertions
+from needlefit.validation.analyses.kinds import load_analysis, run
+from needlefit.validation.analyses.paper_cells import (
+    ERROR_COLUMNS,
+    generalisation_threshold,
+    tabulate_cells,
+    tabulate_generalisation,
+)
+from needlefit.validation.analyses.seeds.run import (
+    UNEXPLAINED,
+    bootstrap_interval,
+    compare_methods,
+    explain_losses,
+)
 from needlefit.validation.job import Settings
 from needlefit.validation.results import METRICS
 
@@ -27,16 +35,18 @@ def errors(**columns: list) -> pd.DataFrame:
     count = len(next(iter(columns.values())))
     rest = {"study": "study3", "role": "validate", "medium": "phantom1", "specimen": "a", "layers": 3}
     rest |= dict.fromkeys([*METRICS, "deflection_mm", "predicted_deflection_mm"], 1.0)
-    rest |= dict.fromkeys([name for name in ERRORS if name.startswith("floor_")], 0.1)
-    rest |= {"insertion": "i", "rival": "fitted", "converged": True, "seed": 1}
+    rest |= dict.fromkeys([name for name in ERROR_COLUMNS if name.startswith("floor_")], 0.1)
+    rest |= {"insertion": "i", "method": "fitted", "converged": True, "seed": 1}
     return pd.DataFrame({**{name: [value] * count for name, value in rest.items()}, **columns})
 
 
 def test_a_twin_that_is_not_scanned_is_nearly_the_one_that_was(tmp_path):
     """Same truth, same places of the markers: what differs is what voxels add."""
     names = ("phantom2-03", "phantom3-05", "chicken-02")
-    found = {one.id: one for one in read(unscanned(tmp_path, 1, named(names))).insertions}
-    scanned = {one.id: one for one in read(find("dataset", "twin")).insertions}
+    found = {
+        one.id: one for one in read(build_unscanned(tmp_path, 1, select_planned_insertions(names))).insertions
+    }
+    scanned = {one.id: one for one in read(find_file("dataset", "twin")).insertions}
     for name in names:
         one, other = found[name], scanned[name]
         assert one.sequence == other.sequence and one.side == other.side
@@ -52,7 +62,7 @@ def test_an_interval_over_twins_is_that_of_their_means():
     rng = np.random.default_rng(2)
     twins = rng.normal(size=20)
     values = np.repeat(twins[:, None], 50, axis=1)
-    low, high = interval(values, 4000, np.random.default_rng(3))
+    low, high = bootstrap_interval(values, 4000, np.random.default_rng(3))
     width = 2 * 1.96 * twins.std() / np.sqrt(20)
     assert high - low == pytest.approx(width, rel=0.05)
     assert low < twins.mean() < high
@@ -63,16 +73,20 @@ def test_a_contest_is_won_where_the_interval_leaves_zero_out():
     pairs = [{"seed": int(s), "insertion": f"i{k % 3}"} for k, s in enumerate(seeds)]
     noise = np.random.default_rng(1).normal(size=24)
     parts = []
-    for rival, te in (("fitted", 0.5 + 0.0 * noise), ("straight", 1.0 + 0.1 * noise), ("truth", 0.5 + noise)):
-        parts.append(errors(**pd.DataFrame(pairs).to_dict("list"), te_mm=te.tolist(), rival=[rival] * 24))
-    found = contests(pd.concat(parts), "x", 500).query("metric == 'te_mm'").set_index("rival")
+    for method, te in (
+        ("fitted", 0.5 + 0.0 * noise),
+        ("straight", 1.0 + 0.1 * noise),
+        ("truth", 0.5 + noise),
+    ):
+        parts.append(errors(**pd.DataFrame(pairs).to_dict("list"), te_mm=te.tolist(), method=[method] * 24))
+    found = compare_methods(pd.concat(parts), "x", 500).query("metric == 'te_mm'").set_index("method")
     assert found["verdict"].to_dict() == {"straight": "wins", "truth": "open"}
     assert found.loc["straight", "difference_mm"] == pytest.approx(-0.5 - 0.1 * noise.mean())
     assert found.loc["straight", ["twins", "insertions", "twins_better"]].tolist() == [8, 3, 8]
 
 
 def test_a_loss_has_a_reason_only_where_the_data_bear_it_out():
-    """A rival that bends less everywhere is excused on a medium that bends less, and nowhere else."""
+    """A method that bends less everywhere is excused on a medium that bends less, and nowhere else."""
     rows = [
         ("tune", "phantom2", "fitted", 0.1, 3.0),
         ("tune", "phantom2", "straight", 3.0, 0.0),
@@ -81,34 +95,36 @@ def test_a_loss_has_a_reason_only_where_the_data_bear_it_out():
     ]
     columns = dict(
         zip(
-            ("role", "medium", "rival", "te_mm", "predicted_deflection_mm"),
+            ("role", "medium", "method", "te_mm", "predicted_deflection_mm"),
             zip(*rows, strict=True),
             strict=True,
         )
     )
     frame = errors(**{name: list(values) for name, values in columns.items()})
-    lost = {"study": "study3", "medium": "phantom1", "layers": 3, "rival": "straight", "metric": "te_mm"}
+    lost = {"study": "study3", "medium": "phantom1", "layers": 3, "method": "straight", "metric": "te_mm"}
     contest = pd.DataFrame([{**lost, "verdict": "loses", "difference_mm": 1.0, "floor_mm": 0.1}])
     none = pd.DataFrame(
         {"study": [], "parameter": pd.Series([], dtype=str), "value": [], "true": [], "paper": []}
     )
-    (why,) = explained(contest, frame, none)["explanation"]
-    assert "bends by 1.00 mm: the fit foretells 3.00, the rival 0.00" in why
-    frame.loc[1, "te_mm"] = 0.05  # now the rival errs less on what was tuned on as well
-    assert explained(contest, frame, none)["explanation"].tolist() == [UNEXPLAINED]
-    assert explained(contest.assign(verdict="wins"), frame, none)["explanation"].tolist() == [""]
+    (why,) = explain_losses(contest, frame, none)["explanation"]
+    assert "bends by 1.00 mm: the fit predicts 3.00, the method 0.00" in why
+    frame.loc[1, "te_mm"] = 0.05  # now the method errs less on what was tuned on as well
+    assert explain_losses(contest, frame, none)["explanation"].tolist() == [UNEXPLAINED]
+    assert explain_losses(contest.assign(verdict="wins"), frame, none)["explanation"].tolist() == [""]
 
 
 def test_the_threshold_lies_in_the_gap_of_the_papers_table():
-    assert threshold() == pytest.approx((0.46 * 1.18) ** 0.5)
-    found = generalising(errors(study=["a", "b"], ipe_mean_mm=[0.7, 0.8]), ())
+    assert generalisation_threshold() == pytest.approx((0.46 * 1.18) ** 0.5)
+    found = tabulate_generalisation(errors(study=["a", "b"], ipe_mean_mm=[0.7, 0.8]), ())
     assert found["generalises"].tolist() == [True, False]
 
 
 def test_every_cell_stands_beside_the_papers_own():
     held_out = errors(te_mm=[1.0, 2.0, np.inf], converged=[True, True, False])
     fits = errors(study=["phantom2"] * 2, role=["tune"] * 2, medium=["phantom2"] * 2, layers=[4, 3])
-    found = cells(pd.concat([held_out, fits]), {"study3": 3}).set_index(["table", "layers", "metric"])
+    found = tabulate_cells(pd.concat([held_out, fits]), {"study3": 3}).set_index(
+        ["table", "layers", "metric"]
+    )
     cell = found.loc[("validation", 3, "te_mm")]
     assert (cell["value"], cell["paper"], cell["insertions"], cell["not_converged"]) == (1.5, 2.82, 3, 1)
     assert found.loc[("tuning_by_layers", 4, "edp_percent"), ["paper", "unit"]].tolist() == [10.3, "percent"]
@@ -119,23 +135,24 @@ def test_the_studies_on_two_twins_are_told(tmp_path, monkeypatch):
     for folder in ("studies", "configs/recipes"):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
-    head = 'schema = 1\ndataset = "twin"\nmedium = "chicken"\nrecipe = "few"\nhand_tuned = "study5"\n'
+    head = 'schema = 1\ndataset = "twin"\nmedium = "chicken"\nrecipe = "few"\npaper_parameters = "study5"\n'
     chosen = '[tune]\ninsertions = ["chicken-01"]\n[[validate]]\ninsertions = ["chicken-04", "chicken-05"]\n'
     (tmp_path / "studies/small.toml").write_text(f"{head}paper_study = 5\n{chosen}")
-    keys = 'kind = "seeds"\nstudies = ["small"]\ngeneralising = ["small"]\nseeds = 2\nresamples = 100\n'
+    keys = 'kind = "seeds"\nstudies = ["small"]\nseeds = 2\nresamples = 100\n'
+    keys += 'generalization_studies = ["small"]\n'
     (tmp_path / "studies/two.toml").write_text(f"schema = 1\n{keys}")
     monkeypatch.chdir(tmp_path)
-    record = inquiry(find("study", "two"))
+    record = load_analysis(find_file("study", "two"))
     assert record is not None
-    answer = ask("two", record, Settings())
+    answer = run("two", record, Settings())
     table = answer.frames["errors"]
-    truth = table[(table["rival"] == "truth") & (table["role"] == "validate")]
+    truth = table[(table["method"] == "truth") & (table["role"] == "validate")]
     assert truth["te_mm"].max() < 0.5 and truth["seed"].nunique() == 2  # registration alone
     assert answer.run["seeds"] == [1, 2] and answer.run["twins"] == "not scanned"
     page = PAGES["seeds"]
     assert "holds on 2 of 2 twins" in page.said(answer)[0]
-    assert {"generalising.pdf", "contests.pdf", "cells.pdf"} == {
+    assert {"generalising.pdf", "comparisons.pdf", "cells.pdf"} == {
         p.name for p in page.draw(answer, tmp_path).values()
     }
     lost = {table.name: table for table in page.layouts(answer)}["lost"]
-    assert len(lost.rows) == (answer.frames["contests"]["verdict"] == "loses").sum()
+    assert len(lost.rows) == (answer.frames["comparisons"]["verdict"] == "loses").sum()

@@ -8,12 +8,12 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.inference.predict import predict, rules
-from needlefit.project.places import find
-from needlefit.project.records.sensitivity import VariationRecord
+from needlefit.project.locate import find_file
 from needlefit.reporting.inquiries.pages import PAGES
-from needlefit.validation.inquiries.kinds import ask, inquiry
-from needlefit.validation.inquiries.tables.cells import every_job
-from needlefit.validation.inquiries.tables.sensitivity.varied import varied
+from needlefit.schemas.analyses import VariationRecord
+from needlefit.validation.analyses.kinds import load_analysis, run
+from needlefit.validation.analyses.paper_cells import prepare_jobs
+from needlefit.validation.analyses.sensitivity import apply_variation
 from needlefit.validation.job import Settings
 
 RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
@@ -32,22 +32,27 @@ kind = "sensitivity"
 studies = ["small"]
 starts = 1
 [[variations]]
-of = "rigidity"
+factor = "rigidity"
 name = "10 % more"
 rigidity_factor = 1.1
 [[variations]]
-of = "constraint spacing"
+factor = "constraint spacing"
 name = "2 mm"
 constraint_spacing_mm = 2.0
 """
 
 
 def test_a_variation_changes_what_it_names_and_nothing_else():
-    job = every_job(["study2"], [], Settings())["study2"]
+    job = prepare_jobs(["study2"], [], Settings())["study2"]
     variation = VariationRecord(
-        of="x", name="y", constraint_switch=0.0, first_cell_mm=0.5, thickness_mm=20.0, boundary_shift_sd=2.0
+        factor="x",
+        name="y",
+        constraint_switch=0.0,
+        first_cell_mm=0.5,
+        thickness_mm=20.0,
+        boundary_shift_sd=2.0,
     )
-    changed = varied(job, variation)
+    changed = apply_variation(job, variation)
     now, before = rules(changed.medium), rules(job.medium)
     assert (now.switch, now.tangent, now.first_cell, now.spacing) == (0.0, 1.0, 0.5, before.spacing)
     assert changed.medium.thickness_mm == 20.0 and changed.dataset.needle == job.dataset.needle
@@ -57,9 +62,9 @@ def test_a_variation_changes_what_it_names_and_nothing_else():
 
 
 def test_a_stiffer_needle_in_as_much_stiffer_tissue_bends_alike():
-    job = every_job(["study2"], [], Settings())["study2"]
-    stiff = varied(job, VariationRecord(of="rigidity", name="more", rigidity_factor=1.1))
-    hollow = varied(job, VariationRecord(of="rigidity", name="tube", inner_diameter_mm=1.27 / 2))
+    job = prepare_jobs(["study2"], [], Settings())["study2"]
+    stiff = apply_variation(job, VariationRecord(factor="rigidity", name="more", rigidity_factor=1.1))
+    hollow = apply_variation(job, VariationRecord(factor="rigidity", name="tube", inner_diameter_mm=1.27 / 2))
     assert hollow.dataset.needle.flexural_rigidity == pytest.approx(
         15 / 16 * job.dataset.needle.flexural_rigidity
     )
@@ -77,7 +82,7 @@ def test_a_variation_that_changes_nothing_is_refused(tmp_path):
     file = tmp_path / "nothing.toml"
     file.write_text(INQUIRY.replace("rigidity_factor = 1.1\n", ""))
     with pytest.raises(ConfigError, match="changes nothing"):
-        inquiry(file)
+        load_analysis(file)
 
 
 def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
@@ -87,14 +92,14 @@ def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
     (tmp_path / "studies/small.toml").write_text(STUDY)
     (tmp_path / "studies/varied.toml").write_text(INQUIRY)
     monkeypatch.chdir(tmp_path)
-    record = inquiry(find("study", "varied"))
+    record = load_analysis(find_file("study", "varied"))
     assert record is not None
-    answer = ask("varied", record, Settings())
-    studies = answer.frames["studies"].set_index(["of", "tuned"])
+    answer = run("varied", record, Settings())
+    studies = answer.frames["studies"].set_index(["aspect", "tuned"])
     assert abs(studies.loc[("rigidity", "again"), "te_change_mm"]) < 1e-3
     assert abs(studies.loc[("rigidity", "kept"), "te_change_mm"]) > 1e-3
     assert ("constraint spacing", "kept") not in studies.index  # b is per spacing
-    ratios = answer.frames["parameter_changes"].set_index(["of", "parameter"])["ratio"]
+    ratios = answer.frames["parameter_changes"].set_index(["aspect", "parameter"])["ratio"]
     assert ratios["rigidity", "mu1_pa"] == pytest.approx(1.1, rel=0.01)
     assert pd.isna(ratios["constraint spacing", "bevel_mm"])
     page = PAGES["sensitivity"]

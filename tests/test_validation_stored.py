@@ -13,22 +13,22 @@ from needlefit.inference.sampling.posterior import save
 from needlefit.reporting.files import write_json
 from needlefit.reporting.rebuild import rebuild
 from needlefit.reporting.together import write_all
-from needlefit.validation.packing import NAME
+from needlefit.validation.packing import RESULTS_FILE
 from needlefit.validation.results import COLUMNS
-from needlefit.validation.stored import restore, store
+from needlefit.validation.stored import restore_results, store_results
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
 def test_what_is_stored_comes_back_to_the_last_digit(results, tmp_path):
-    store(results, tmp_path)
-    found = restore(tmp_path)
+    store_results(results, tmp_path)
+    found = restore_results(tmp_path)
     for name in COLUMNS:
         pd.testing.assert_frame_equal(getattr(found, name), getattr(results, name), check_exact=True)
     assert found.record == results.record and type(found.record) is type(results.record)
     assert found.needles.keys() == results.needles.keys()
     again = tmp_path / "again"
     again.mkdir()
-    assert store(found, again).read_bytes() == (tmp_path / NAME).read_bytes()
+    assert store_results(found, again).read_bytes() == (tmp_path / RESULTS_FILE).read_bytes()
 
 
 def test_floats_that_are_no_numbers_and_cells_that_are_empty_survive(tmp_path):
@@ -37,43 +37,43 @@ def test_floats_that_are_no_numbers_and_cells_that_are_empty_survive(tmp_path):
     starts.loc[0, "objective"] = np.inf
     starts.loc[1, "objective"] = np.nan
     starts["joined"] = [None, *range(len(starts) - 1)]
-    store(dataclasses.replace(one, starts=starts), tmp_path)
-    found = restore(tmp_path).starts
+    store_results(dataclasses.replace(one, starts=starts), tmp_path)
+    found = restore_results(tmp_path).starts
     pd.testing.assert_frame_equal(found, starts, check_exact=True)
     assert found["joined"].dtype == starts["joined"].dtype
 
 
 def test_a_folder_without_results_says_what_is_missing(tmp_path):
     with pytest.raises(DataError, match="holds no stored results"):
-        restore(tmp_path)
+        restore_results(tmp_path)
 
 
 @pytest.mark.parametrize(
     "damage", [lambda b: b[: len(b) // 2], lambda b: b"{}", lambda b: gzip.compress(b"{}")]
 )
 def test_damaged_results_are_told(damage, tmp_path):
-    path = store(study(1), tmp_path)
+    path = store_results(study(1), tmp_path)
     path.write_bytes(damage(path.read_bytes()))
     with pytest.raises(DataError) as caught:
-        restore(tmp_path)
-    assert NAME in caught.value.where and caught.value.mend
+        restore_results(tmp_path)
+    assert RESULTS_FILE in caught.value.where and caught.value.fix
 
 
 def test_results_of_another_format_are_refused(tmp_path):
-    path = store(study(1), tmp_path)
+    path = store_results(study(1), tmp_path)
     head, content = gzip.decompress(path.read_bytes()).split(b"\n")
     path.write_bytes(gzip.compress(json.dumps(json.loads(head) | {"format": 99}).encode() + b"\n" + content))
     with pytest.raises(DataError, match="format"):
-        restore(tmp_path)
+        restore_results(tmp_path)
 
 
 def test_a_posterior_is_read_from_the_file_beside(tmp_path):
     one = sampled(0.08, 0.09)
     (posterior,) = one.posteriors.values()
-    store(one, tmp_path)
+    store_results(one, tmp_path)
     save(posterior, tmp_path / "posterior.nc")
-    (fold,) = restore(tmp_path).posteriors
-    found = restore(tmp_path).posteriors[fold]
+    (fold,) = restore_results(tmp_path).posteriors
+    found = restore_results(tmp_path).posteriors[fold]
     assert fold in one.posteriors and found.names == posterior.names
     assert np.array_equal(found.draws, posterior.draws)
 
@@ -82,7 +82,7 @@ def test_several_runs_reported_together_are_made_again_from_those_beside(tmp_pat
     every = [dataclasses.replace(study(k), name=f"study{k}") for k in (1, 5)]
     for one in every:
         (tmp_path / one.name).mkdir()
-        store(one, tmp_path / one.name)
+        store_results(one, tmp_path / one.name)
         write_json(tmp_path / one.name / "run.json", one.run)
     write_all(every, [], tmp_path / "all")
     rebuild(tmp_path / "all", tmp_path / "again")

@@ -10,14 +10,14 @@ from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.inference.outside import outside
 from needlefit.inference.predict import predict
-from needlefit.project.limits import MAX_LAYERS
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import RecipeRecord, SampleRecord
-from needlefit.project.records.scene import SceneRecord
-from needlefit.project.records.sensitivity import VariationRecord
-from needlefit.project.result_warnings import warnings_of
-from needlefit.validation.score import Scorer, model_rival
-from needlefit.validation.validity import ValidityCounts, outside_words, validity_warnings
+from needlefit.project.result_warnings import read_warnings
+from needlefit.schemas.analyses import VariationRecord
+from needlefit.schemas.limits import MAX_LAYERS
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord, SampleRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.validation.score import Scorer, model_predictor
+from needlefit.validation.validity import ValidityCounts, describe_outside, validity_warnings
 
 STEEP = {**TRUTH, "bevel_mm": 0.9}
 
@@ -38,30 +38,30 @@ def test_scored_simulations_are_counted_and_named():
     one = insertion(41.0, (25.0,), (1, 2))
     data = dataset([one])
     scorer = Scorer(data, "listed", {one.id: NoiseFloor(0.1, 0.11, 0.3, 0.25)})
-    for rival, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
-        place = {"fold": "all", "role": "tune", "rival": rival}
-        scorer.score(place, one, model_rival(values, medium(), data))
+    for method, values in (("fitted", TRUTH), ("fitted", STEEP), ("hand_tuned", STEEP)):
+        place = {"fold": "all", "role": "tune", "method": method}
+        scorer.score(place, one, model_predictor(values, medium(), data))
     assert predict(STEEP, medium(), NEEDLE, one).converged
     table = json.loads(json.dumps(scorer.counts.table()))
     assert table["scored"] == {"simulations": 3, "outside": 2}
     assert table["fitted_outside"] == 1
-    assert [row["rival"] for row in table["scored_outside"]] == ["fitted", "hand_tuned"]
-    (row,) = [row for row in table["scored_outside"] if row["rival"] == "fitted"]
+    assert [row["method"] for row in table["scored_outside"]] == ["fitted", "hand_tuned"]
+    (row,) = [row for row in table["scored_outside"] if row["method"] == "fitted"]
     assert row["insertion"] == one.id and row["faults"]
     (warning,) = validity_warnings({"validity": table})
     assert warning.kind == "validity" and "1 " in warning.what
-    assert "2 of 3" in outside_words({"validity": table})
+    assert "2 of 3" in describe_outside({"validity": table})
 
 
 def test_a_run_inside_its_limits_says_nothing():
     counts = ValidityCounts()
     counts.draws.add(400, 0)
     assert list(validity_warnings({"validity": counts.table()})) == []
-    assert outside_words({"validity": counts.table()}) == ""
-    assert outside_words({}) == "" and list(validity_warnings({})) == []  # an earlier version's run
+    assert describe_outside({"validity": counts.table()}) == ""
+    assert describe_outside({}) == "" and list(validity_warnings({})) == []  # an earlier version's run
     counts.draws.add(400, 3)
     assert len(list(validity_warnings({"validity": counts.table()}))) == 1
-    assert warnings_of({}) == ()
+    assert read_warnings({}) == ()
 
 
 BASE = {"schema": 1, "layers": 1, "parameters": {}}

@@ -17,8 +17,9 @@ from needlefit.errors import DataError
 from needlefit.geometry.compare import compare
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import Frame, align_rigid, entry_frame
-from needlefit.imaging import volume as scans
-from needlefit.imaging.volume import Volume, to_patient, write
+from needlefit.imaging import volume_files as scans
+from needlefit.imaging.volume import Volume, to_patient
+from needlefit.imaging.volume_files import write_volume
 from needlefit.inference.as_scene import as_scene
 from needlefit.inference.comparison import scored_points
 from needlefit.inference.predict import predict
@@ -28,9 +29,9 @@ from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape, positions
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
-from needlefit.viewer.overlay.band import Spread, band, spread_of
-from needlefit.viewer.overlay.measured import live_errors, measured_of
-from needlefit.viewer.overlay.slice import Scanned, scanned, slice_of
+from needlefit.viewer.overlay.band import ParameterDraws, compute_band, select_layer_draws
+from needlefit.viewer.overlay.measured import compute_live_errors, make_measured_overlay
+from needlefit.viewer.overlay.slice import InsertionScan, find_scan, read_slice
 
 PLAN = insertion(40.0, [17.5], (1, 2))
 MEASURED = measure(TRUTH, medium(), PLAN)
@@ -50,13 +51,15 @@ def oblique(angle: float, depth: float = 40.0):
 
 
 def of(one, pose="known", floor=0.2, shape=None, drop=0.0):
-    return measured_of(dataset([one], pose=pose, drop=drop), one, floor, shape or straight(one.depth))
+    return make_measured_overlay(
+        dataset([one], pose=pose, drop=drop), one, floor, shape or straight(one.depth)
+    )
 
 
 @pytest.mark.parametrize(("depth", "whole"), [(12.5, False), (39.999, False), (40.0, True), (55.0, False)])
 def test_errors_up_to_the_depth_in_common(depth, whole):
     angle, upto = 0.05, min(depth, 40.0)
-    found = live_errors(of(oblique(angle)), straight(depth))
+    found = compute_live_errors(of(oblique(angle)), straight(depth))
     chord = 2 * upto * math.sin(angle / 2)
     assert found.te == pytest.approx(chord) and found.ipe_max == pytest.approx(chord)
     assert found.ipe_mean == pytest.approx(chord / 2)
@@ -67,7 +70,7 @@ def test_errors_up_to_the_depth_in_common(depth, whole):
 def test_errors_grow_into_those_of_the_whole_needle():
     """The measured curve is longer than its depth, as one is that does not begin in the plane of entry."""
     one = of(dataclasses.replace(oblique(0.05), planar=1.03 * oblique(0.05).planar))
-    almost, there = (live_errors(one, straight(depth)) for depth in (40.0 - 1e-5, 40.0))
+    almost, there = (compute_live_errors(one, straight(depth)) for depth in (40.0 - 1e-5, 40.0))
     assert (almost.whole, there.whole) == (False, True)
     assert almost.te == pytest.approx(there.te, abs=1e-4) and there.te > 1.2
 
@@ -75,18 +78,18 @@ def test_errors_grow_into_those_of_the_whole_needle():
 def test_at_the_measured_depth_errors_are_those_of_a_study():
     shape = predict(OFF, medium(), dataset([MEASURED]).needle, MEASURED)
     expected = compare(*scored_points("known", 0.0, MEASURED, lambda s: positions(shape, s)))
-    found = live_errors(of(MEASURED), shape)
+    found = compute_live_errors(of(MEASURED), shape)
     assert (found.te, found.ipe_mean, found.ipe_max) == (expected.te, expected.mean, expected.maximum)
     assert found.edp == expected.edp
 
 
 def test_what_cannot_be_compared_has_no_errors():
     one = of(oblique(0.05), floor=math.nan)
-    assert live_errors(one, straight(0.5)) is None
-    assert live_errors(one, straight(40.0, "over-compressed")) is None
-    assert live_errors(one, straight(40.0)).floor is None
+    assert compute_live_errors(one, straight(0.5)) is None
+    assert compute_live_errors(one, straight(40.0, "over-compressed")) is None
+    assert compute_live_errors(one, straight(40.0)).floor is None
     shifted = dataclasses.replace(oblique(0.0), planar=np.add(oblique(0.0).planar, [0.0, 0.3]))
-    found = live_errors(of(shifted), straight(40.0))
+    found = compute_live_errors(of(shifted), straight(40.0))
     assert found.te == pytest.approx(0.3) and found.edp is None  # no deflection to divide by
 
 
@@ -96,8 +99,8 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     shape = predict(OFF, medium(), dataset([free]).needle, free)
     one = of(free, "free", shape=shape, drop=5.0)
     expected = compare(*scored_points("free", 5.0, free, lambda s: positions(shape, s)))
-    assert live_errors(one, shape).te == expected.te
-    assert live_errors(one, straight(30.0)) is None
+    assert compute_live_errors(one, shape).te == expected.te
+    assert compute_live_errors(one, straight(30.0)) is None
     onto = positions(shape, one.s)
     assert np.linalg.norm(one.points - onto, axis=1).max() < 0.3  # from 30 mm away
     np.testing.assert_allclose(align_rigid(one.points, onto), one.points, atol=1e-9)
@@ -107,13 +110,13 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
 SCENE = Scene.from_record(as_scene(TRUTH, medium(), dataset([PLAN]), PLAN))
 
 
-def spread(count: int = 60) -> Spread:
+def spread(count: int = 60) -> ParameterDraws:
     rng = np.random.default_rng(3)
     factors = np.exp(0.2 * rng.normal(size=(count, 3)))
     names = ["mu1_pa", "mu2_pa", "bevel_mm"]
     draws = {name: TRUTH[name] * factors[:, n] for n, name in enumerate(names)}
     alphas = {f"alpha{n}": rng.uniform(-30.0, 30.0, count) for n in (1, 2)}  # so far that they tell
-    return spread_of(pd.DataFrame(draws | alphas), (1, 2))
+    return select_layer_draws(pd.DataFrame(draws | alphas), (1, 2))
 
 
 def led() -> Session:
@@ -129,7 +132,7 @@ def led() -> Session:
 
 def test_the_band_holds_the_needles_of_all_draws_led_as_the_hand_led():
     session, drawn = led(), spread()
-    found = band(drawn, SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 0.7)
+    found = compute_band(drawn, SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 0.7)
     s = np.linspace(0.0, session.depth, len(found.x))
     heights, x = [], []
     for mu, alpha, offset in zip(drawn.mu, drawn.alpha, drawn.offset, strict=True):
@@ -146,22 +149,22 @@ def test_the_band_holds_the_needles_of_all_draws_led_as_the_hand_led():
 
 def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
     same = spread(5)
-    same = Spread(*(part[[0] * 5] for part in (same.mu, same.alpha, same.offset)))
+    same = ParameterDraws(*(part[[0] * 5] for part in (same.mu, same.alpha, same.offset)))
     same.offset[3] = np.nan
     args = (SCENE.needle, SCENE.tissue, SCENE.steps, SCENE.rules, 1.0)
-    found = band(same, *args)
+    found = compute_band(same, *args)
     assert found.failed == 1
     np.testing.assert_allclose(found.low, found.high, atol=1e-9)
     tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], alpha=same.alpha[0])
     bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.offset[0]))
     alone = follow(SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules)
     assert found.low[-1] == pytest.approx(alone.deflection, abs=1e-6)
-    assert band(Spread(same.mu, same.alpha, same.offset * np.nan), *args) is None
+    assert compute_band(ParameterDraws(same.mu, same.alpha, same.offset * np.nan), *args) is None
 
 
 def test_before_first_contact_there_is_no_band():
     session = Session(SCENE.needle, SCENE.tissue, SCENE.steps[0].bevel)
-    assert band(spread(5), SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 1.0) is None
+    assert compute_band(spread(5), SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 1.0) is None
 
 
 def bent(s: np.ndarray) -> np.ndarray:
@@ -193,12 +196,12 @@ def scan(tmp_path_factory: pytest.TempPathFactory):
     values = np.ascontiguousarray(bright.reshape(size).T.astype(np.float32))
     volume = dataclasses.replace(volume, values=values)
     path = tmp_path_factory.mktemp("scan") / "one.nrrd"
-    write(volume, path)
-    return Scanned(ScanVolume(path), one)
+    write_volume(volume, path)
+    return InsertionScan(ScanVolume(path), one)
 
 
 def test_the_needle_lies_on_its_shadow_in_the_slice(scan):
-    found = slice_of(scan)
+    found = read_slice(scan)
     picture = matplotlib.image.imread(io.BytesIO(found.png))  # the top row first
     left, right, bottom, top = found.extent
     height, width = picture.shape[:2]
@@ -215,16 +218,16 @@ def test_the_needle_lies_on_its_shadow_in_the_slice(scan):
 
 def test_a_dataset_says_where_its_scans_lie_and_what_is_lacking_is_told(scan, tmp_path, monkeypatch):
     whole = dataclasses.replace(dataset([scan.insertion]), path=tmp_path / "dataset.toml")
-    assert scanned(whole, scan.insertion) == (None, "")  # nothing was promised
+    assert find_scan(whole, scan.insertion) == (None, "")  # nothing was promised
     write_volumes(tmp_path, {"other": ScanVolume(Path("x")), scan.insertion.id: scan.volume})
-    found, lacking = scanned(whole, scan.insertion)
+    found, lacking = find_scan(whole, scan.insertion)
     assert lacking == "" and found.volume == ScanVolume(scan.volume.path.resolve())
-    monkeypatch.setattr("needlefit.viewer.overlay.slice.installed", lambda: False)
-    assert "pip install 'needlefit[ct]'" in scanned(whole, scan.insertion)[1]
+    monkeypatch.setattr("needlefit.viewer.overlay.slice.ct_packages_installed", lambda: False)
+    assert "pip install 'needlefit[ct]'" in find_scan(whole, scan.insertion)[1]
     monkeypatch.undo()
     (tmp_path / "volumes.csv").write_text(f"id,volume,series\n{scan.insertion.id},scans/a,2\n")
     assert volume_of(whole, scan.insertion.id) == ScanVolume(tmp_path / "scans/a", "2")
-    found, lacking = scanned(whole, scan.insertion)
+    found, lacking = find_scan(whole, scan.insertion)
     assert found is None and f"not at {tmp_path / 'scans/a'} any more" in lacking
     (tmp_path / "volumes.csv").write_text("id,file\na,b\n")
     with pytest.raises(DataError, match="volume"):
@@ -232,6 +235,6 @@ def test_a_dataset_says_where_its_scans_lie_and_what_is_lacking_is_told(scan, tm
 
 
 def test_the_packages_that_read_scans_are_looked_for(monkeypatch):
-    assert scans.installed()
+    assert scans.ct_packages_installed()
     monkeypatch.setattr(scans, "find_spec", lambda name: None if name == "pydicom" else object())
-    assert not scans.installed()
+    assert not scans.ct_packages_installed()

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from test_cli import run as command
-from test_viewer_subject import FIT
+from test_viewer_opening import FIT
 
 from needlefit.datasets.read import read as read_dataset
 from needlefit.errors import ConfigError
@@ -16,16 +16,16 @@ from needlefit.geometry.placement import Placement
 from needlefit.inference.comparison import target
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import positions
-from needlefit.project.records.study import StudyRecord
+from needlefit.schemas.study import StudyRecord
 from needlefit.validation.job import Settings
-from needlefit.validation.placed import STATIONS
+from needlefit.validation.needles_in_scan import NEEDLE_POINTS
 from needlefit.validation.run import run
-from needlefit.validation.stored import store
-from needlefit.viewer.exports.outcome import carry_out
-from needlefit.viewer.hand.inputs import Change
-from needlefit.viewer.hand.steering import Steering
-from needlefit.viewer.opening import open_subject
-from needlefit.viewer.recording.log import Recorded, Recorder, head_of, read
+from needlefit.validation.stored import store_results
+from needlefit.viewer.export import replay_to_end
+from needlefit.viewer.interaction.inputs import Change
+from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording
 
 QUICK = "schema = 1\nstarts = 1\nevaluations = 10\ntolerance = 1e-3\n"
 ID, DEPTH = "needle-3", needles.DEPTHS[2]
@@ -51,20 +51,20 @@ def fitted(folder: Path, pose: str):
     results = run("small", study, Settings())
     out = folder / "reports" / "small"
     out.mkdir(parents=True)
-    store(results, out)
+    store_results(results, out)
     (out / "run.json").write_text(json.dumps(results.run))
     return results
 
 
 def steered(path: Path) -> None:
     """Record how the needle of the run is inserted to its measured depth."""
-    subject = open_subject("reports/small", ID)
-    scene = subject.record.model_dump(mode="json", by_alias=True)
-    steering = Steering(Scene.from_record(subject.record), subject.first_cell)
+    viewed_scene = open_target("reports/small", ID)
+    scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
+    steering = SteeredNeedle(Scene.from_record(viewed_scene.record), viewed_scene.first_cell)
     change = Change("depth_mm", None, DEPTH)
     steering.apply([change])
-    head = head_of(subject.name, subject.first_cell, scene, subject.placement)
-    Recorder(path, head).write(Recorded(1, 0.5, (change,), steering.now.shape.deflection))
+    head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
+    RecordingWriter(path, head).write(RecordedStep(1, 0.5, (change,), steering.now.shape.deflection))
 
 
 @pytest.mark.parametrize("pose", ["known", "free"])
@@ -72,10 +72,10 @@ def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, 
     monkeypatch.chdir(tmp_path)
     results = fitted(tmp_path, pose)
     steered(tmp_path / "log.csv")
-    outcome = carry_out(read(tmp_path / "log.csv"))
+    outcome = replay_to_end(read_recording(tmp_path / "log.csv"))
     one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
-    s = target(pose, 2.0 if pose == "free" else 0.0, one, STATIONS).s
-    found = outcome.placement.to_patient(positions(outcome.moment.shape, s))
+    s = target(pose, 2.0 if pose == "free" else 0.0, one, NEEDLE_POINTS).s
+    found = outcome.placement.to_patient(positions(outcome.state.shape, s))
     np.testing.assert_allclose(found, results.needles[ID].fitted, rtol=0, atol=1e-6)
 
 
@@ -88,12 +88,12 @@ def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
     steered(tmp_path / "log.csv")
     (tmp_path / "data").rename(tmp_path / "gone")
     files = ("--csv", "a.csv", "--slicer", "a.mrk.json", "--plot", "a.svg", "--json")
-    assert command("simulate", "--inputs", "log.csv", *files) == 0
+    assert command("simulate", "--recording", "log.csv", *files) == 0
     tip = json.loads(capsys.readouterr().out)["tip_mm"]
     (curve,) = json.loads(Path("a.mrk.json").read_text())["markups"]
     points = np.array([point["position"] for point in curve["controlPoints"]])
     assert curve["coordinateSystem"] == "LPS"
-    np.testing.assert_allclose(points[-STATIONS:], expected, rtol=0, atol=1e-6)
+    np.testing.assert_allclose(points[-NEEDLE_POINTS:], expected, rtol=0, atol=1e-6)
     table = pd.read_csv("a.csv")
     x, y, z = expected[-1]
     world = table[["world_x_mm", "world_y_mm", "world_z_mm"]].to_numpy()
@@ -103,21 +103,21 @@ def test_the_files_of_a_recording_are_in_the_scan_and_in_the_world_of_the_data(
 
 
 def test_a_placement_is_written_with_all_its_bits(tmp_path) -> None:
-    subject = open_subject("twin/phantom2-05")
-    scene = subject.record.model_dump(mode="json", by_alias=True)
-    head = head_of(subject.name, subject.first_cell, scene, subject.placement)
-    Recorder(tmp_path / "log.csv", head).begin()
-    assert read(tmp_path / "log.csv").head == head
+    viewed_scene = open_target("twin/phantom2-05")
+    scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
+    head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
+    RecordingWriter(tmp_path / "log.csv", head).begin()
+    assert read_recording(tmp_path / "log.csv").head == head
     frame = Placement.from_record(head.placement).frame
-    assert np.array_equal(frame.rows, np.array(subject.placement.entry_to_world))
+    assert np.array_equal(frame.rows, np.array(viewed_scene.placement.entry_to_world))
     assert np.linalg.norm(frame.origin) == pytest.approx(np.hypot(13.0, 3.0))
 
 
 def test_a_placement_that_is_no_rigid_motion_is_refused(tmp_path) -> None:
-    subject = open_subject("twin/phantom2-05")
-    scene = subject.record.model_dump(mode="json", by_alias=True)
-    Recorder(tmp_path / "log.csv", head_of("a", 1.0, scene, subject.placement)).begin()
+    viewed_scene = open_target("twin/phantom2-05")
+    scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
+    RecordingWriter(tmp_path / "log.csv", make_head("a", 1.0, scene, viewed_scene.placement)).begin()
     text = (tmp_path / "log.csv").read_text().replace("lps_to_world = [[-0.", "lps_to_world = [[-1.")
     (tmp_path / "log.csv").write_text(text)
     with pytest.raises(ConfigError, match=r"placement.lps_to_world.*rotation"):
-        read(tmp_path / "log.csv")
+        read_recording(tmp_path / "log.csv")

@@ -8,22 +8,21 @@ from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import follow
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.scene import SceneRecord
-from needlefit.viewer.hand.inputs import Change, changes_to
-from needlefit.viewer.hand.steering import Steering
-from needlefit.viewer.recording.log import Recorded, Recorder, head_of, read
-from needlefit.viewer.recording.replay import replay
+from needlefit.project.locate import find_file
+from needlefit.schemas.scene import SceneRecord
+from needlefit.viewer.interaction.inputs import Change, find_changes
+from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.recording import RecordedStep, RecordingWriter, make_head, read_recording, replay
 
-RECORD = load(find("scene", "figure1"), SceneRecord)
-PLAIN = load(find("scene", "study2"), SceneRecord)
-
-
-def steer(record: SceneRecord = PLAIN, first_cell: float = 1.0) -> Steering:
-    return Steering(Scene.from_record(record), first_cell)
+RECORD = load(find_file("scene", "figure1"), SceneRecord)
+PLAIN = load(find_file("scene", "study2"), SceneRecord)
 
 
-def act(steering: Steering, *said) -> None:
+def steer(record: SceneRecord = PLAIN, first_cell: float = 1.0) -> SteeredNeedle:
+    return SteeredNeedle(Scene.from_record(record), first_cell)
+
+
+def act(steering: SteeredNeedle, *said) -> None:
     steering.apply([Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in said])
 
 
@@ -40,7 +39,7 @@ WANDERING = [
     [("offset_throughout_mm", 0.05)],
     [("tip_held", 1.0)],
     [("tip_y_mm", 0.5)],
-    [("depth_mm", 18.0), ("tip_held", 0.0), ("guide_holds", 2, 0.0)],
+    [("depth_mm", 18.0), ("tip_held", 0.0), ("guide_engaged", 2, 0.0)],
     [("return_to", 0.0)],
     [("depth_mm", 5.0)],
 ]
@@ -49,14 +48,14 @@ WANDERING = [
 def recorded(path, said=WANDERING) -> list[np.ndarray]:
     """Write a recording of what was said; return the deflections after each step."""
     steering = steer()
-    recorder = Recorder(path, head_of("study2", 1.0, PLAIN.model_dump(mode="json", by_alias=True)))
+    recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN.model_dump(mode="json", by_alias=True)))
     found = [steering.now.shape.u]
     for n, changes in enumerate(said, start=1):
         act(steering, *changes)
         if n == 2:
             steering.keep()
         given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in changes)
-        recorder.write(Recorded(n, 0.25 * n, given, float(steering.now.shape.u[-1])))
+        recorder.write(RecordedStep(n, 0.25 * n, given, float(steering.now.shape.u[-1])))
         found.append(steering.now.shape.u)
     return found
 
@@ -64,11 +63,11 @@ def recorded(path, said=WANDERING) -> list[np.ndarray]:
 def test_a_replay_finds_the_same_bits_after_every_step(tmp_path) -> None:
     path = tmp_path / "log.csv"
     found = recorded(path)
-    again = list(replay(read(path)))
+    again = list(replay(read_recording(path)))
     assert len(again) == len(found) == len(WANDERING) + 1
     for replayed, expected in zip(again, found, strict=True):
-        np.testing.assert_array_equal(replayed.moment.shape.u, expected)
-    assert max(replayed.off for replayed in again) == 0.0
+        np.testing.assert_array_equal(replayed.state.shape.u, expected)
+    assert max(replayed.tip_offset_mm for replayed in again) == 0.0
     assert again[4].time == 1.0
 
 
@@ -78,7 +77,7 @@ def test_a_recording_cut_off_in_its_last_step_has_all_before(tmp_path, cut: int)
     path = tmp_path / "log.csv"
     recorded(path, [*WANDERING, [("depth_mm", 9.0), ("bevel_side", -1.0)]])
     path.write_bytes(path.read_bytes()[:-cut])
-    assert [step.number for step in read(path).steps] == list(range(1, len(WANDERING) + 1))
+    assert [step.number for step in read_recording(path).steps] == list(range(1, len(WANDERING) + 1))
 
 
 def test_a_recording_is_a_table_for_others(tmp_path) -> None:
@@ -116,7 +115,7 @@ def test_a_faulty_recording_is_refused_with_its_place(tmp_path, old, new, fault)
     assert old in text
     path.write_text(text.replace(old, new, 1))
     with pytest.raises(NeedlefitError, match=f"log.csv.*{fault}"):
-        list(replay(read(path)))
+        list(replay(read_recording(path)))
 
 
 def test_an_insertion_by_hand_is_the_simulated_one() -> None:
@@ -164,7 +163,7 @@ def test_guides_keep_their_numbers_and_names() -> None:
     act(steering, ("guide_x_mm", 1, -5.0), ("guide_y_mm", 1, 0.0))
     act(steering, ("guide_x_mm", 2, 4.0))
     assert steering.now.step.controls.guides == (Guide(-5.0), Guide(4.0, in_tissue=True))
-    act(steering, ("guide_holds", 1, 0.0))
+    act(steering, ("guide_engaged", 1, 0.0))
     act(steering, ("guide_turns_freely", 2, 1.0), ("tip_y_mm", 0.1))
     assert steering.now.step.controls.guides == (Guide(4.0, 0.0, None, True),)
     assert steering.now.step.controls.tip == TrackedTip(0.1)
@@ -174,6 +173,6 @@ def test_the_steps_of_a_scene_can_be_carried_out_by_hand() -> None:
     scene = Scene.from_record(RECORD)
     steering = steer(RECORD)
     for step in steering.scene.steps:
-        changes = changes_to(step, steering.now.step, steering.names)
+        changes = find_changes(step, steering.now.step, steering.names)
         steering.apply([*changes, Change("depth_mm", None, step.depth)])
     assert steering.now.step == scene.steps[-1]

@@ -9,14 +9,18 @@ from contextlib import asynccontextmanager
 import aiohttp
 import pytest
 
-from needlefit.viewer.opening import open_subject
-from needlefit.viewer.recording.log import read
-from needlefit.viewer.recording.replay import replay
-from needlefit.viewer.serving.door import BURST, LARGEST, Door, Pace
-from needlefit.viewer.serving.lines import MOST_WINDOWS
-from needlefit.viewer.serving.messages import read as read_message
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.recording import read_recording, replay
+from needlefit.viewer.serving.access_control import (
+    MAX_BURST_MESSAGES,
+    MAX_MESSAGE_BYTES,
+    AccessControl,
+    RateLimit,
+)
+from needlefit.viewer.serving.connections import MAX_WINDOWS
+from needlefit.viewer.serving.messages import read_message as read_message
 from needlefit.viewer.serving.server import serve
-from needlefit.viewer.serving.trials import MOST, Trials
+from needlefit.viewer.serving.trials import MAX_TRIALS, TrialRegistry
 
 
 class Page:
@@ -43,23 +47,23 @@ class Page:
 class House:
     """A running server, its door, and a client."""
 
-    def __init__(self, door: Door, client: aiohttp.ClientSession, trials: Trials) -> None:
-        self.door, self.client, self.trials = door, client, trials
-        self.base = f"http://127.0.0.1:{door.port}"
+    def __init__(self, access: AccessControl, client: aiohttp.ClientSession, trials: TrialRegistry) -> None:
+        self.access, self.client, self.trials = access, client, trials
+        self.base = f"http://127.0.0.1:{access.port}"
 
     async def connect(self, **headers):
         return await self.client.ws_connect(f"{self.base}/ws", headers={"Origin": self.base} | headers)
 
     async def page(self, needle: str | None = None) -> Page:
         page = Page(await self.connect())
-        page.first = await page.say("hello", token=self.door.token, needle=needle)
+        page.first = await page.say("hello", token=self.access.token, needle=needle)
         return page
 
 
 @asynccontextmanager
 async def house(folder, name: str = "study2"):
-    subject = open_subject(name)
-    trials = Trials(subject, folder, lambda insertion: open_subject(subject.name, insertion))
+    viewed_scene = open_target(name)
+    trials = TrialRegistry(viewed_scene, folder, lambda insertion: open_target(viewed_scene.name, insertion))
     opened: asyncio.Future = asyncio.get_running_loop().create_future()
     end = asyncio.Event()
     server = asyncio.create_task(serve(trials, 0, opened.set_result, end.wait))
@@ -83,7 +87,7 @@ def visit(test):
 async def test_a_window_steers_its_needle(tmp_path) -> None:
     async with house(tmp_path) as server:
         page = await server.page()
-        assert page.first["depth_mm"] == 0 and page.scene["subject"] == "study2"
+        assert page.first["depth_mm"] == 0 and page.scene["target"] == "study2"
         state = await page.say("change", insert_mm=30, set=[["base_y_mm", None, 0.5]])
         assert (state["depth_mm"], state["base"]["y"], state["step"]) == (30, 0.5, 1)
         assert len(state["x"]) == len(state["y"]) > 50
@@ -147,9 +151,9 @@ async def test_what_is_recorded_is_there_at_every_moment_and_replays(tmp_path) -
         assert not path.exists()
         for n in range(1, 6):
             state = await page.say("change", insert_mm=3.3, set=[["base_slope", None, 0.001 * n]])
-            steps = list(replay(read(path)))
+            steps = list(replay(read_recording(path)))
             assert len(steps) == n + 1
-            assert steps[-1].moment.shape.deflection == state["tip"]["deflection_mm"]
+            assert steps[-1].state.shape.deflection == state["tip"]["deflection_mm"]
         again = await page.say("replay", times=1000)
         assert again["playing"] and page.scene["recording"] != path.name
         await asyncio.sleep(0.02)
@@ -247,19 +251,19 @@ async def test_a_needle_taken_while_its_window_looks_for_another_has_one_window(
 @visit
 async def test_so_many_windows_and_no_more_but_each_finds_its_needle(tmp_path) -> None:
     async with house(tmp_path) as server:
-        pages = [await server.page() for _ in range(MOST_WINDOWS)]
+        pages = [await server.page() for _ in range(MAX_WINDOWS)]
         socket = await server.connect()
-        await socket.send_json({"do": "hello", "id": 0, "token": server.door.token})
+        await socket.send_json({"do": "hello", "id": 0, "token": server.access.token})
         assert (await socket.receive()).data == 1013
         assert (await server.page(pages[3].scene["needle"])).first["depth_mm"] == 0
 
 
 def test_only_needles_that_nobody_steers_are_let_go(tmp_path) -> None:
-    subject = open_subject("study2")
-    trials = Trials(subject, tmp_path, lambda insertion: subject)
+    viewed_scene = open_target("study2")
+    trials = TrialRegistry(viewed_scene, tmp_path, lambda insertion: viewed_scene)
     steered, left = trials.open(""), trials.open("")
     trials.close(left)
-    for _ in range(MOST):
+    for _ in range(MAX_TRIALS):
         trials.close(trials.open(""))
     assert trials.known(steered.name) is steered and trials.known(left.name) is None
 
@@ -322,11 +326,11 @@ async def test_strangers_are_kept_out(tmp_path) -> None:
                 await server.connect(**headers)
         async with server.client.get(server.base, headers={"Host": "evil.example"}) as answer:
             assert answer.status == 421
-        for token in ("", "wrong", None, 7, server.door.token[:-1]):
+        for token in ("", "wrong", None, 7, server.access.token[:-1]):
             socket = await server.connect()
             await socket.send_json({"do": "hello", "id": 0, "token": token})
             assert (await socket.receive()).data == 4401
-        right = {"Authorization": f"Bearer {server.door.token}"}
+        right = {"Authorization": f"Bearer {server.access.token}"}
         wrong = {"Authorization": "Bearer wrong", "Origin": server.base}
         for headers in ({}, wrong, right, right | {"Origin": "http://evil.example"}):
             async with server.client.post(f"{server.base}/export/inputs.csv", headers=headers) as answer:
@@ -335,22 +339,24 @@ async def test_strangers_are_kept_out(tmp_path) -> None:
             async with server.client.get(server.base + path) as answer:
                 assert answer.status in (403, 404)
         async with server.client.get(server.base) as answer:
-            assert server.door.token not in await answer.text()
+            assert server.access.token not in await answer.text()
             assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
 
 
 @visit
 async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(tmp_path, monkeypatch) -> None:
-    monkeypatch.setattr("needlefit.viewer.serving.door.FASTEST", 0.0)  # however slowly this machine sends
+    monkeypatch.setattr(
+        "needlefit.viewer.serving.access_control.FASTEST", 0.0
+    )  # however slowly this machine sends
     async with house(tmp_path) as server:
         page = await server.page()
         await page.say("change", insert_mm=10)
-        await page.socket.send_str("x" * (LARGEST + 1))
+        await page.socket.send_str("x" * (MAX_MESSAGE_BYTES + 1))
         assert (await page.socket.receive()).data == 1009
         back = await server.page(page.scene["needle"])
         assert back.first["depth_mm"] == 10
         with pytest.raises(ConnectionError):
-            for _ in range(int(BURST) + 1):
+            for _ in range(int(MAX_BURST_MESSAGES) + 1):
                 await back.socket.send_str('{"do": "frame", "id": 1}')
             while (await back.socket.receive(timeout=10)).type is aiohttp.WSMsgType.TEXT:
                 pass
@@ -360,8 +366,12 @@ async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(tmp_
 
 
 def test_a_pause_allows_a_burst_and_no_more() -> None:
-    pace = Pace()
-    assert BURST <= sum(pace.allows() for _ in range(int(2 * BURST))) < 1.2 * BURST
+    pace = RateLimit()
+    assert (
+        MAX_BURST_MESSAGES
+        <= sum(pace.allows() for _ in range(int(2 * MAX_BURST_MESSAGES)))
+        < 1.2 * MAX_BURST_MESSAGES
+    )
 
 
 @visit
@@ -369,7 +379,7 @@ async def test_inputs_can_be_taken_away_as_they_were_recorded(tmp_path) -> None:
     async with house(tmp_path) as server:
         page = await server.page()
         await page.say("change", insert_mm=10)
-        headers = {"Authorization": f"Bearer {server.door.token}", "Origin": server.base}
+        headers = {"Authorization": f"Bearer {server.access.token}", "Origin": server.base}
         url, needle = f"{server.base}/export", {"needle": page.scene["needle"]}
         async with server.client.post(f"{url}/inputs.csv", headers=headers, json=needle) as answer:
             assert await answer.read() == (tmp_path / page.scene["recording"]).read_bytes()

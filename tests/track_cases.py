@@ -11,7 +11,7 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.tracks.course import tips
 from needlefit.inference.tracks.problem import TrackProblem
 from needlefit.mechanics.needle import Needle
-from needlefit.project.records.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord
 
 NEEDLE = Needle(200.0, 2.5e4)
 NOISE = Noise(point_sd=0.02)

@@ -9,7 +9,7 @@ from pages import keep
 from sphinx.application import Sphinx
 
 from needlefit.cli.application import build
-from needlefit.cli.failure import EXIT_CODES
+from needlefit.cli.exit_codes import EXIT_CODES
 
 PAGE = "reference/commands.md"
 

@@ -6,8 +6,8 @@ from collections.abc import Iterator
 from pages import keep
 from sphinx.application import Sphinx
 
-from needlefit.project.places import shipped
-from needlefit.validation.inquiries.kinds import KINDS
+from needlefit.project.locate import shipped_folder
+from needlefit.validation.analyses.kinds import ANALYSIS_KINDS
 
 PAGE = "reference/shipped.md"
 FOLDERS = {
@@ -40,7 +40,7 @@ def _write(app: Sphinx) -> None:
 
 
 def _page() -> Iterator[str]:
-    yield OPENING.format(kinds=", ".join(_record(kind) for kind in KINDS))
+    yield OPENING.format(kinds=", ".join(_record(kind) for kind in ANALYSIS_KINDS))
     yield from ("| name | kind | what it asks |", "|---|---|---|")
     for name, said in _files("studies"):
         yield f"| `{name}` | {_cell(said, 'kind')} | {_cell(said, 'question', 'title')} |"
@@ -51,13 +51,13 @@ def _page() -> Iterator[str]:
 
 def _record(kind: str) -> str:
     """Return a kind of study as a link to what its file holds."""
-    record = KINDS[kind].record
+    record = ANALYSIS_KINDS[kind].record
     return f"{{py:obj}}`{kind} <{record.__module__}.{record.__qualname__}>`"
 
 
 def _files(folder: str) -> Iterator[tuple[str, dict[str, object]]]:
     """Yield the name of every TOML file of a folder, and what it says."""
-    for path in sorted((shipped() / folder).glob("*.toml")):
+    for path in sorted((shipped_folder() / folder).glob("*.toml")):
         yield path.stem, tomllib.loads(path.read_text(encoding="utf-8"))
 
 

@@ -3,22 +3,22 @@
 import sys
 from collections.abc import Sequence
 
-from needlefit.cli import failure, streams
+from needlefit.cli import exit_codes, standard_streams
 from needlefit.cli.application import build
 from needlefit.cli.invocation import Invocation
-from needlefit.project.threads import begin_with_one_thread
+from needlefit.project.threads import limit_to_one_thread
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run one command and leave the interpreter with its exit code."""
-    streams.install()
-    begin_with_one_thread()
+    standard_streams.install_streams()
+    limit_to_one_thread()
     words = tuple(sys.argv[1:] if arguments is None else arguments)
     try:
         build()(args=list(words), prog_name="needlefit", obj=Invocation(words))
     except SystemExit as leaving:
-        fault = streams.fault_of_stdout()
+        fault = standard_streams.find_stdout_fault()
         if fault is None:
             raise
-        code = failure.report(fault, Invocation(words))
+        code = exit_codes.report_error(fault, Invocation(words))
         raise SystemExit(leaving.code or code) from None

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 import typer
 from typer.core import TyperGroup
 
-from needlefit.cli import failure
+from needlefit.cli import exit_codes
 from needlefit.cli.calibrate import calibrate
 from needlefit.cli.check import check
 from needlefit.cli.credibility import credibility
@@ -15,9 +15,8 @@ from needlefit.cli.identify import identify
 from needlefit.cli.material import material
 from needlefit.cli.paper import paper
 from needlefit.cli.predict import predict
-from needlefit.cli.reconstruct import reconstruct
+from needlefit.cli.reconstruct import MultiFileCommand, reconstruct
 from needlefit.cli.report import report
-from needlefit.cli.several_layers import SeveralLayers
 from needlefit.cli.simulate import simulate
 from needlefit.cli.start import init, new_dataset
 from needlefit.cli.tune import tune
@@ -34,7 +33,7 @@ _COMMANDS: tuple[Callable[..., None], ...] = (
 _EPILOG = (
     "A noun is a path (holds / or ends in .toml) or a bare name, looked up in the working folder's project, "
     "then in the shipped one. Results go to ./reports/. Exit codes: "
-    + ", ".join(f"{code} {meaning}" for code, meaning in failure.EXIT_CODES.items())
+    + ", ".join(f"{code} {meaning}" for code, meaning in exit_codes.EXIT_CODES.items())
     + "."
 )
 
@@ -46,21 +45,21 @@ class _Guarded(TyperGroup):
         try:
             return super().make_context(*args, **kwargs)
         except Exception as error:
-            failure.make_printable(error)
+            exit_codes.make_printable(error)
             raise
 
     def invoke(self, ctx: typer.Context) -> object:  # type: ignore[override]
         try:
             result = super().invoke(ctx)
         except BaseException as error:
-            code = failure.report(error, ctx.find_root().obj)
+            code = exit_codes.report_error(error, ctx.find_root().obj)
             if code is None:
-                failure.make_printable(error)
+                exit_codes.make_printable(error)
                 raise
             raise typer.Exit(code) from None
         invocation = ctx.find_root().obj
         if invocation.strict and invocation.warned:
-            raise typer.Exit(failure.NOT_CONVERGED)
+            raise typer.Exit(exit_codes.NOT_CONVERGED)
         return result
 
 
@@ -71,7 +70,7 @@ def build() -> typer.Typer:
     app.callback()(_needlefit)
     for command in _COMMANDS:
         app.command()(command)
-    app.command(cls=SeveralLayers)(reconstruct)
+    app.command(cls=MultiFileCommand)(reconstruct)
     twin = typer.Typer(help="The synthetic dataset.", **plain)  # type: ignore[arg-type]
     twin.callback()(_group)
     twin.command("build")(twin_build)

@@ -5,22 +5,23 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from needlefit.cli import failure, options, screen
-from needlefit.cli.completion import targets
-from needlefit.cli.execution import Execution, cores, remark
-from needlefit.cli.interruption import stopping
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.completion import complete_targets
+from needlefit.cli.execution import Execution, count_cores, print_remark
+from needlefit.cli.exit_codes import catch_interrupts
 from needlefit.cli.invocation import Invocation
-from needlefit.cli.progress import progress
-from needlefit.cli.tune import fit_of, in_target
-from needlefit.cli.warn import warn_of
-from needlefit.project.limits import MAX_REPLICATES
+from needlefit.cli.progress import show_progress
+from needlefit.cli.screen import print_run_warnings
+from needlefit.cli.tune import add_target_context, load_fit
+from needlefit.schemas.limits import MAX_REPLICATES
 
 if TYPE_CHECKING:
-    from needlefit.project.records.fit import FitRecord
-    from needlefit.validation.calibration.controls import Control
+    from needlefit.schemas.study import FitRecord
+    from needlefit.validation.calibration.replicate import Control
     from needlefit.validation.calibration.run import Calibration
 
-REPLICATES, SAMPLED = 500, 100
+
+DEFAULT_REPLICATES, DEFAULT_SAMPLED_REPLICATES = 500, 100
 """By default: by importance, and by the sampler."""
 
 ALL = "all"
@@ -31,7 +32,9 @@ def calibrate(
     target: Annotated[
         str,
         typer.Argument(
-            metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
+            metavar="TARGET",
+            autocompletion=complete_targets,
+            help="A study, a fit in configs/fits, or a path.",
         ),
     ],
     replicates: Annotated[
@@ -67,14 +70,14 @@ def calibrate(
     computation, not the model. Results go to OUT/calibrate-TARGET/ (or -CONTROL). Exit code 6 where they
     are not, or where a control is not noticed; 5 where a sampler has not converged.
     """
-    with stopping() as stop:
-        target_name, record = fit_of(target)
+    with catch_interrupts() as stop:
+        target_name, record = load_fit(target)
         name = target_name.removesuffix("-tune")
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop)
-        count = replicates or (SAMPLED if sample else REPLICATES)
+        count = replicates or (DEFAULT_SAMPLED_REPLICATES if sample else DEFAULT_REPLICATES)
         runs = {f"calibrate-{name}{_suffix(one, sample)}": one for one in _controls(control)}
         execution.prepare(runs)
-        with in_target(target):
+        with add_target_context(target):
             found = {
                 str(execution.folder(folder)): _run(execution, (name, record), (folder, one), count, sample)
                 for folder, one in runs.items()
@@ -95,29 +98,29 @@ def _run(
     from needlefit.validation.job import Settings
 
     folder, control = run
-    with progress(execution.invocation.quiet) as report:
+    with show_progress(execution.invocation.quiet) as report:
         settings = Settings(
             seed=execution.seed,
-            jobs=execution.jobs or cores(),
+            jobs=execution.jobs or count_cores(),
             checkpoint=execution.checkpoint(folder),
             resume=execution.resume,
             sample=sample,
             progress=report,
             stop=execution.stop,
-            note=remark,
+            note=print_remark,
         )
         found = repeat(*fit, settings, count, control)
     if found.interrupted:
         raise execution.interrupted()
     write_calibration(found, execution.folder(folder))
-    execution.forget(folder)
+    execution.remove_checkpoint(folder)
     return found
 
 
 def _controls(named: str | None) -> "list[Control | None]":
     if named is None:
         return [None]
-    from needlefit.validation.calibration.controls import CONTROLS
+    from needlefit.validation.calibration.replicate import CONTROLS
 
     if named == ALL:
         return list(CONTROLS)
@@ -142,18 +145,18 @@ def _end(invocation: Invocation, found: "dict[str, Calibration]", json: bool) ->
     else:
         for folder, one in found.items():
             for sentence in said(one):
-                screen.say(sentence)
-            screen.say()
+                screen.print_line(sentence)
+            screen.print_line()
             screen.show_display(layout(one))
-            screen.say(f"written: {folder}/")
-        screen.say(PROVES)
+            screen.print_line(f"written: {folder}/")
+        screen.print_line(PROVES)
     for one in found.values():
-        warn_of(invocation, one.run)
-    wrong = [folder for folder, one in found.items() if one.telling and not one.passes]
+        print_run_warnings(invocation, one.run)
+    wrong = [folder for folder, one in found.items() if one.conclusive and not one.passes]
     for folder in wrong:
-        screen.note(f"needlefit: {folder}: {said(found[folder])[0]}")
+        screen.print_note(f"needlefit: {folder}: {said(found[folder])[0]}")
     if wrong:
-        raise typer.Exit(failure.VERIFICATION_FAILED)
-    few = any(not one.telling and not one.failing for one in found.values())
+        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
+    few = any(not one.conclusive and not one.failing for one in found.values())
     if few or any(one.untrusted for one in found.values() if one.control is None):
-        raise typer.Exit(failure.NOT_CONVERGED)
+        raise typer.Exit(exit_codes.NOT_CONVERGED)

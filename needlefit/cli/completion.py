@@ -1,47 +1,47 @@
-"""The names that the shell completes."""
+"""Shell completion of names."""
 
-from needlefit.project.places import GROUPS, names, run_names
+from needlefit.project.locate import STUDY_GROUPS, list_names, list_runs
 
 
-def scenes(incomplete: str) -> list[str]:
+def complete_scenes(incomplete: str) -> list[str]:
     """Return the scenes whose names begin so."""
-    return _beginning(names("scene"), incomplete)
+    return _with_prefix(list_names("scene"), incomplete)
 
 
-def studies(incomplete: str) -> list[str]:
+def complete_studies(incomplete: str) -> list[str]:
     """Return the studies whose names begin so, and the names of several."""
-    return _beginning([*names("study"), *GROUPS], incomplete)
+    return _with_prefix([*list_names("study"), *STUDY_GROUPS], incomplete)
 
 
-def targets(incomplete: str) -> list[str]:
+def complete_targets(incomplete: str) -> list[str]:
     """Return the studies and fits whose names begin so."""
-    return _beginning([*names("study"), *names("fit")], incomplete)
+    return _with_prefix([*list_names("study"), *list_names("fit")], incomplete)
 
 
-def runs(incomplete: str) -> list[str]:
+def complete_runs(incomplete: str) -> list[str]:
     """Return the runs in reports/ whose names begin so."""
-    return [name for name in run_names() if name.startswith(incomplete)]
+    return [name for name in list_runs() if name.startswith(incomplete)]
 
 
-def datasets(incomplete: str) -> list[str]:
+def complete_datasets(incomplete: str) -> list[str]:
     """Return the datasets whose names begin so."""
-    return _beginning(names("dataset"), incomplete)
+    return _with_prefix(list_names("dataset"), incomplete)
 
 
-def scans(incomplete: str) -> list[str]:
+def complete_scans(incomplete: str) -> list[str]:
     """Return the tables of scans whose names begin so."""
-    return _beginning(names("scans"), incomplete)
+    return _with_prefix(list_names("scans"), incomplete)
 
 
-def reconstructions(incomplete: str) -> list[str]:
+def complete_reconstructions(incomplete: str) -> list[str]:
     """Return the recipes of reconstruction whose names begin so."""
-    return _beginning(names("reconstruction"), incomplete)
+    return _with_prefix(list_names("reconstruction"), incomplete)
 
 
-def subjects(incomplete: str) -> list[str]:
+def complete_view_targets(incomplete: str) -> list[str]:
     """Return the scenes, runs and datasets whose names begin so."""
-    return _beginning([*names("scene"), *run_names(), *names("dataset")], incomplete)
+    return _with_prefix([*list_names("scene"), *list_runs(), *list_names("dataset")], incomplete)
 
 
-def _beginning(known: list[str], incomplete: str) -> list[str]:
+def _with_prefix(known: list[str], incomplete: str) -> list[str]:
     return [name for name in known if name.startswith(incomplete)]

@@ -1,4 +1,4 @@
-"""`needlefit credibility`: what speaks for a run's credibility, in one document, gaps left empty."""
+"""`needlefit credibility`: collect the credibility evidence of a run in one document."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import runs
+from needlefit.cli.completion import complete_runs
 
 if TYPE_CHECKING:
     from needlefit.reporting.credibility.case import Case
@@ -17,7 +17,9 @@ def credibility(
     run: Annotated[
         str,
         typer.Argument(
-            metavar="RUN", autocompletion=runs, help="A folder of results, or its bare name in reports/."
+            metavar="RUN",
+            autocompletion=complete_runs,
+            help="A folder of results, or its bare name in reports/.",
         ),
     ],
     evidence: Annotated[
@@ -28,7 +30,7 @@ def credibility(
             "those of its kind beside RUN.",
         ),
     ] = None,
-    about: Annotated[
+    statements: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="TOML with what only people can say: question, context, risk."),
     ] = None,
@@ -43,30 +45,30 @@ def credibility(
     other commands left beside it. What is missing stays visibly empty, what is of another version or dataset
     is not counted; nothing is graded. Results go to OUT/credibility-RUN/.
     """
+    from needlefit.project.input_files import convert_stored_errors
     from needlefit.project.load import load
+    from needlefit.project.locate import find_run
     from needlefit.project.ownership import require_replaceable
-    from needlefit.project.places import find_run
-    from needlefit.project.reading import stored_values
-    from needlefit.project.records.about import AboutRecord
     from needlefit.reporting.credibility.case import NOBODY, case
     from needlefit.reporting.credibility.entries import entries
     from needlefit.reporting.credibility.write import as_json, write_bundle
+    from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 
     folder = find_run(run)
-    stated = NOBODY if about is None else load(about, AboutRecord)
-    with stored_values(folder):
-        found = case(folder, evidence or (), stated, "" if about is None else about.name)
+    stated = NOBODY if statements is None else load(statements, CredibilityStatementsRecord)
+    with convert_stored_errors(folder):
+        found = case(folder, evidence or (), stated, "" if statements is None else statements.name)
         target = out / f"credibility-{found.name}"
         require_replaceable(target)
         every = entries(found)
         write_bundle(found, every, folder.resolve(), target)
     for fault in found.damaged:
-        screen.note(f"needlefit: damaged, and not used: {fault}")
+        screen.print_note(f"needlefit: damaged, and not used: {fault}")
     if json:
         screen.show_json(as_json(found, every))
         return
     _show(found, every)
-    screen.say(f"written: {target}/")
+    screen.print_line(f"written: {target}/")
 
 
 def _show(found: "Case", every: "list[Entry]") -> None:
@@ -76,10 +78,10 @@ def _show(found: "Case", every: "list[Entry]") -> None:
     screen.show_display(overview(every))
     if found.evidence:
         screen.show_display(evidence_layout(found.evidence))
-    open_keys = [one.factor.key for one in every if one.factor.by_people and one.factor.mend in one.gaps]
+    open_keys = [one.factor.key for one in every if one.factor.by_people and one.factor.fix in one.gaps]
     if open_keys:
-        screen.say(
+        screen.print_line(
             "Not for a program to say: a TOML file with `schema = 1` and texts for any of these keys, given "
-            f"by --about FILE, fills their boxes: {', '.join(open_keys)}."
+            f"by --statements FILE, fills their boxes: {', '.join(open_keys)}."
         )
-    screen.say(DISCLAIMER)
+    screen.print_line(DISCLAIMER)

@@ -5,11 +5,11 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import runs
+from needlefit.cli.completion import complete_runs
 
 _Run = Annotated[
     str,
-    typer.Argument(autocompletion=runs, help="A folder of results, or its bare name in reports/."),
+    typer.Argument(autocompletion=complete_runs, help="A folder of results, or its bare name in reports/."),
 ]
 
 
@@ -18,14 +18,14 @@ def diff(run_a: _Run, run_b: _Run, json: options.Json = False, verbose: options.
 
     And whether it matters: beside each change stands how large it is in its own uncertainty.
     """
-    from needlefit.project.places import find_run
+    from needlefit.project.locate import find_run
     from needlefit.reporting.differences import as_json, differences_layout, said
-    from needlefit.validation.differences import differences
+    from needlefit.validation.run_differences import compare_runs
 
-    found = differences(find_run(run_a), find_run(run_b))
+    found = compare_runs(find_run(run_a), find_run(run_b))
     if json:
         screen.show_json(as_json(found))
         return
-    screen.say(said(found))
+    screen.print_line(said(found))
     if found:
         screen.show_display(differences_layout(found))

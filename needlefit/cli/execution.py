@@ -1,4 +1,4 @@
-"""Running studies and fits: settings, progress, Ctrl-C, where results and checkpoints go."""
+"""Settings of a run: options, progress, and the folders of results and checkpoints."""
 
 import os
 from collections.abc import Callable, Iterable
@@ -8,18 +8,16 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from needlefit.cli import failure, screen
+from needlefit.cli import exit_codes, screen
 from needlefit.cli.invocation import Invocation
-from needlefit.cli.progress import progress
+from needlefit.cli.progress import show_progress
 from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
-    from needlefit.project.records.fit import FitRecord
-    from needlefit.project.records.inquiry import InquiryRecord
-    from needlefit.project.records.study import StudyRecord
-    from needlefit.project.records.track_study import TrackStudyRecord
-    from needlefit.project.watching import Progress
-    from needlefit.validation.inquiries.answer import Answer
+    from needlefit.project.progress import Progress
+    from needlefit.schemas.analyses import AnalysisRecord
+    from needlefit.schemas.study import FitRecord, StudyRecord, TrackStudyRecord
+    from needlefit.validation.analyses.runner import AnalysisResult
     from needlefit.validation.job import Settings
     from needlefit.validation.results import Results
     from needlefit.validation.tracks.results import TrackResults
@@ -60,7 +58,7 @@ class Execution:
                 raise ConfigError(
                     "holds a sampled posterior, which this run would replace by none",
                     where=str(self.folder(name)),
-                    mend="sample again with --sample, write elsewhere with --out, or remove it",
+                    fix="sample again with --sample, write elsewhere with --out, or remove it",
                 )
         screen.compile_ahead("lanes", "sensitivity", quiet=self.invocation.quiet)
 
@@ -76,35 +74,35 @@ class Execution:
         """Run one study or fit; where `stop` says so it stops early and is marked `interrupted`."""
         from needlefit.validation.run import run
 
-        with progress(self.invocation.quiet) as report:
+        with show_progress(self.invocation.quiet) as report:
             return run(name, record, self._settings(name, report))
 
     def run_tracks(self, name: str, record: "TrackStudyRecord") -> "TrackResults":
         """Run one study of tip tracks; else as `run`."""
         from needlefit.validation.tracks.run import run
 
-        with progress(self.invocation.quiet) as report:
+        with show_progress(self.invocation.quiet) as report:
             return run(name, record, self._settings(name, report))
 
-    def ask(self, name: str, record: "InquiryRecord") -> "Answer":
-        """Carry out one inquiry; else as `run`."""
-        from needlefit.validation.inquiries.kinds import ask
+    def run_analysis(self, name: str, record: "AnalysisRecord") -> "AnalysisResult":
+        """Run one analysis; else as `run`."""
+        from needlefit.validation.analyses.kinds import run
 
-        with progress(self.invocation.quiet) as report:
-            return ask(name, record, self._settings(name, report))
+        with show_progress(self.invocation.quiet) as report:
+            return run(name, record, self._settings(name, report))
 
     def _settings(self, name: str, report: "Progress") -> "Settings":
         from needlefit.validation.job import Settings
 
         return Settings(
             seed=self.seed,
-            jobs=self.jobs or cores(),
+            jobs=self.jobs or count_cores(),
             checkpoint=self.checkpoint(name),
             resume=self.resume,
             sample=self.sample,
             progress=report,
             stop=self.stop,
-            note=remark,
+            note=print_remark,
             file=self.file,
         )
 
@@ -117,24 +115,24 @@ class Execution:
         write(results, folder, posterior_files(results))
         return folder
 
-    def forget(self, name: str) -> None:
+    def remove_checkpoint(self, name: str) -> None:
         """Remove the checkpoint of a run that is complete."""
-        from needlefit.project.partial import forget
+        from needlefit.project.checkpoint_folder import remove_checkpoint
 
-        forget(self.checkpoint(name), remark)
+        remove_checkpoint(self.checkpoint(name), print_remark)
 
     def interrupted(self) -> typer.Exit:
         """Say how to go on; return the exit to raise."""
-        screen.note(f"needlefit: interrupted; to go on: {self.invocation.resuming()}")
-        return typer.Exit(failure.INTERRUPTED)
+        screen.print_note(f"needlefit: interrupted; to go on: {self.invocation.resuming()}")
+        return typer.Exit(exit_codes.INTERRUPTED)
 
 
-def remark(line: str) -> None:
+def print_remark(line: str) -> None:
     """Print a line about what was found on the way, that is no result, to stderr."""
-    screen.note(f"needlefit: {line}")
+    screen.print_note(f"needlefit: {line}")
 
 
-def cores() -> int:
+def count_cores() -> int:
     """Return the number of cores that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
@@ -144,12 +142,12 @@ def require_converged(results: "Results") -> None:
 
     The results are written by then, marked.
     """
-    require_no_faults(faults_of(results))
+    require_no_faults(list_faults(results))
 
 
-def faults_of(results: "Results") -> list[str]:
+def list_faults(results: "Results") -> list[str]:
     """Return what did not converge: scored simulations of the fit, its search, a posterior."""
-    fitted = results.errors[results.errors["rival"] == "fitted"]
+    fitted = results.errors[results.errors["method"] == "fitted"]
     failed = int((~fitted["converged"].astype(bool)).sum())
     faults = [f"{failed} of {len(fitted)} simulations of the fit did not converge"] if failed else []
     for fold, found in results.run.get("search_faults", {}).items():
@@ -161,8 +159,8 @@ def faults_of(results: "Results") -> list[str]:
 
 def require_no_faults(faults: Iterable[str]) -> None:
     """Say all faults and end with the exit code of what did not converge, if there is one."""
-    said = list(faults)
-    for fault in said:
-        screen.note(f"needlefit: {fault}")
-    if said:
-        raise typer.Exit(failure.NOT_CONVERGED)
+    listed = list(faults)
+    for fault in listed:
+        screen.print_note(f"needlefit: {fault}")
+    if listed:
+        raise typer.Exit(exit_codes.NOT_CONVERGED)

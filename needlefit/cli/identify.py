@@ -6,14 +6,14 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import targets
-from needlefit.cli.execution import Execution, cores
-from needlefit.cli.interruption import stopping
-from needlefit.cli.tune import fit_of, in_target
-from needlefit.cli.warn import warn
+from needlefit.cli.completion import complete_targets
+from needlefit.cli.execution import Execution, count_cores
+from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.screen import print_warnings
+from needlefit.cli.tune import add_target_context, load_fit
 
 if TYPE_CHECKING:
-    from needlefit.validation.identify import Identification
+    from needlefit.validation.design_identification import Identification
     from needlefit.validation.results import Results
 
 
@@ -22,7 +22,9 @@ def identify(
     target: Annotated[
         str,
         typer.Argument(
-            metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
+            metavar="TARGET",
+            autocompletion=complete_targets,
+            help="A study, a fit in configs/fits, or a path.",
         ),
     ],
     fit: Annotated[
@@ -44,31 +46,31 @@ def identify(
     likelihoods and contraction against the prior go to OUT/identify-<target>/.
     """
     from needlefit.reporting.identification import as_json, warnings_of_both, write_identification
-    from needlefit.validation.identify import identify_design
+    from needlefit.validation.design_identification import identify_design
     from needlefit.validation.run import Settings
 
-    with stopping() as stop:
-        target_name, record = fit_of(target)
+    with catch_interrupts() as stop:
+        target_name, record = load_fit(target)
         name = f"identify-{target_name.removesuffix('-tune')}"
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop)
         execution.prepare([name])
-        with in_target(target):
+        with add_target_context(target):
             fitted = execution.run(name, record) if fit else None
         if fitted is not None and fitted.interrupted:
             raise execution.interrupted()
-        settings = Settings(seed=seed, jobs=jobs or cores(), stop=stop)
-        with in_target(target):
+        settings = Settings(seed=seed, jobs=jobs or count_cores(), stop=stop)
+        with add_target_context(target):
             found = identify_design(name, record, settings, _fitted_values(fitted))
         if stop():
             raise execution.interrupted()
         write_identification(found, fitted, execution.folder(name))
-        execution.forget(name)
+        execution.remove_checkpoint(name)
     if json:
         screen.show_json(as_json(found, fitted))
     else:
         _show(found, fitted)
-        screen.say(f"written: {execution.folder(name)}/")
-    warn(execution.invocation, warnings_of_both(found, fitted))
+        screen.print_line(f"written: {execution.folder(name)}/")
+    print_warnings(execution.invocation, warnings_of_both(found, fitted))
 
 
 def _show(found: "Identification", fitted: "Results | None") -> None:
@@ -76,18 +78,18 @@ def _show(found: "Identification", fitted: "Results | None") -> None:
     from needlefit.reporting.identification_said import design_said, verdict_said
 
     for sentence in design_said(found):
-        screen.say(sentence)
-    screen.say()
+        screen.print_line(sentence)
+    screen.print_line()
     screen.show_display(identification_layout(found.identification, expected=True))
     screen.show_display(directions_expected_layout(found.expectation))
     if fitted is not None:
         screen.show_display(identification_layout(fitted.identification))
         for sentence in verdict_said(fitted.identification):
-            screen.say(sentence)
+            screen.print_line(sentence)
 
 
 def _fitted_values(fitted: "Results | None") -> dict[str, float] | None:
     if fitted is None:
         return None
-    rows = fitted.parameters.query("rival == 'fitted'")
+    rows = fitted.parameters.query("method == 'fitted'")
     return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))

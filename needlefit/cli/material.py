@@ -37,10 +37,10 @@ def material(
     from needlefit.datasets.compression import read_compression
     from needlefit.inference.material_prior import Foundation
     from needlefit.inference.population import fit_material
-    from needlefit.project.names import require_file_name
     from needlefit.project.ownership import require_replaceable
     from needlefit.reporting.material import Report, as_json, layout, write_material
     from needlefit.reporting.material_said import summary
+    from needlefit.schemas.names import require_file_name
 
     require_file_name(file.stem, str(file))
     name = f"material-{file.stem}"
@@ -54,7 +54,7 @@ def material(
         return
     screen.show_display(layout(report))
     for sentence in (*test.remarks, *summary(report.material, stated)):
-        screen.say(f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}.")
+        screen.print_line(f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}.")
     if report.material.alpha_identified:
-        screen.say(f'For layer 1 of a fit: priors = {{ 1 = "{out / name}/prior.toml" }}')
-    screen.say(f"written: {out / name}/")
+        screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{out / name}/prior.toml" }}')
+    screen.print_line(f"written: {out / name}/")

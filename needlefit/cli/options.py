@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from needlefit.project.limits import MAX_SEED
+from needlefit.schemas.limits import MAX_SEED
 
 
 def _set_quiet(context: typer.Context, value: bool) -> bool:

@@ -5,14 +5,14 @@ from typing import Annotated
 
 import typer
 
-from needlefit.cli import failure, options, screen
-from needlefit.cli.completion import scenes, targets
-from needlefit.cli.execution import cores
-from needlefit.cli.interruption import stopping
-from needlefit.cli.progress import progress
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.completion import complete_scenes, complete_targets
+from needlefit.cli.execution import count_cores
+from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.progress import show_progress
 from needlefit.cli.scene_options import Depth, Set, scene_record
-from needlefit.cli.warn import warn
-from needlefit.project.result_warnings import KEY, as_rows, stored
+from needlefit.cli.screen import print_warnings
+from needlefit.project.result_warnings import WARNINGS_KEY, to_rows, warnings_entry
 
 
 def predict(
@@ -20,13 +20,18 @@ def predict(
     target: Annotated[
         str,
         typer.Argument(
-            metavar="TARGET", autocompletion=targets, help="What was tuned: a study, a fit, or a path."
+            metavar="TARGET",
+            autocompletion=complete_targets,
+            help="What was tuned: a study, a fit, or a path.",
         ),
     ],
     scene: Annotated[
         str,
         typer.Option(
-            "--scene", metavar="SCENE", autocompletion=scenes, help="The planned insertion: a name or a path."
+            "--scene",
+            metavar="SCENE",
+            autocompletion=complete_scenes,
+            help="The planned insertion: a name or a path.",
         ),
     ],
     run: Annotated[
@@ -50,45 +55,54 @@ def predict(
     Prints tip and bands, and writes shape and picture to OUT/predict-TARGET-SCENE/.
     """
     invocation = context.find_root().obj
-    with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        from needlefit.cli.tune import fit_of, in_target
+    with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        from needlefit.cli.tune import add_target_context, load_fit
         from needlefit.mechanics.scene import Scene
-        from needlefit.project.names import require_file_name
         from needlefit.project.ownership import require_replaceable
         from needlefit.project.unit_warnings import scene_warnings
         from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
-        from needlefit.validation.forecast import forecast, outside_warnings
-        from needlefit.validation.foreknown import foreknown
+        from needlefit.schemas.names import require_file_name
+        from needlefit.validation.forecast import draw_parameters, forecast, outside_warnings
         from needlefit.validation.job import Settings, prepare
-        from needlefit.validation.provenance import work
+        from needlefit.validation.provenance import describe_configuration
 
         where, planned = scene_record(scene, depth, set_ or [])
-        name, record = fit_of(target)
+        name, record = load_fit(target)
         require_file_name(Path(scene).stem, scene)
         folder = out / f"predict-{name.removesuffix('-tune')}-{Path(scene).stem}"
         require_replaceable(folder)
         screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
-        with progress(invocation.quiet) as report:
-            settings = Settings(seed=seed, jobs=jobs or cores(), progress=report, stop=stop)
-            with in_target(target):
+        with show_progress(invocation.quiet) as report:
+            settings = Settings(seed=seed, jobs=jobs or count_cores(), progress=report, stop=stop)
+            with add_target_context(target):
                 job = prepare(name, record, settings)
-            draws = foreknown(job, run or out / name, settings, required=run is not None)
+            draws = draw_parameters(job, run or out / name, settings, required=run is not None)
         if draws is None:
-            screen.note("needlefit: interrupted; nothing was written")
-            raise typer.Exit(failure.INTERRUPTED)
+            screen.print_note("needlefit: interrupted; nothing was written")
+            raise typer.Exit(exit_codes.INTERRUPTED)
         found = forecast(Scene.from_record(planned, where), draws, job)
         title, synthetic = planned.title or scene, job.dataset.origin == "synthetic"
         warned = [*job.warnings, *scene_warnings(planned, where), *outside_warnings(found)]
-        said = {**work(job), "scene": planned.model_dump(mode="json", by_alias=True), **stored(warned)}
-        write_forecast(found, folder, title, said, synthetic)
+        run_table = {
+            **describe_configuration(job),
+            "scene": planned.model_dump(mode="json", by_alias=True),
+            **warnings_entry(warned),
+        }
+        write_forecast(found, folder, title, run_table, synthetic)
     if json:
         screen.show_json(
-            {"target": name, "scene": scene, **tip(found), KEY: as_rows(warned), "written": str(folder)}
+            {
+                "target": name,
+                "scene": scene,
+                **tip(found),
+                WARNINGS_KEY: to_rows(warned),
+                "written": str(folder),
+            }
         )
     else:
         screen.show_display(forecast_layout(found, title, synthetic))
-        screen.say(f"written: {folder}/")
-    warn(invocation, warned)
+        screen.print_line(f"written: {folder}/")
+    print_warnings(invocation, warned)
     if found.faults:
-        screen.note(f"needlefit: {name}: the posterior has {unconverged(found)}")
-        raise typer.Exit(failure.NOT_CONVERGED)
+        screen.print_note(f"needlefit: {name}: the posterior has {unconverged(found)}")
+        raise typer.Exit(exit_codes.NOT_CONVERGED)

@@ -8,11 +8,11 @@ from contextlib import contextmanager
 from typing import TextIO
 
 Report = Callable[[str, int, int], None]
-EVERY_SECONDS = 60.0
+LINE_INTERVAL_SECONDS = 60.0
 
 
 @contextmanager
-def progress(quiet: bool = False) -> Iterator[Report]:
+def show_progress(quiet: bool = False) -> Iterator[Report]:
     """Yield the function that a run calls with what it does, how many steps are done, and of how many."""
     if quiet:
         yield lambda label, done, total: None
@@ -20,16 +20,16 @@ def progress(quiet: bool = False) -> Iterator[Report]:
         with _bar() as report:
             yield report
     else:
-        yield lines(sys.stderr)
+        yield report_lines(sys.stderr)
 
 
-def lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Report:
+def report_lines(stream: TextIO, clock: Callable[[], float] = time.monotonic) -> Report:
     """Return a reporter that writes at most one line a minute."""
     lock, last = threading.Lock(), [clock()]
 
     def report(label: str, done: int, total: int) -> None:
         with lock:
-            if clock() - last[0] < EVERY_SECONDS:
+            if clock() - last[0] < LINE_INTERVAL_SECONDS:
                 return
             last[0] = clock()
             print(f"needlefit: {label}: {done} of {total}", file=stream, flush=True)

@@ -5,28 +5,30 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import typer
+from typer.core import TyperCommand
 
-from needlefit.cli import failure, options, screen
-from needlefit.cli.completion import reconstructions
-from needlefit.cli.completion import scans as complete_scans
-from needlefit.cli.execution import cores, remark
-from needlefit.cli.interruption import stopping
-from needlefit.cli.progress import progress
-from needlefit.cli.warn import warn
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.completion import complete_reconstructions
+from needlefit.cli.completion import complete_scans as complete_scans
+from needlefit.cli.execution import count_cores, print_remark
+from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.progress import show_progress
+from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
-from needlefit.project.reading import is_there
-from needlefit.project.result_warnings import KEY, as_rows
+from needlefit.project.input_files import path_exists
+from needlefit.project.result_warnings import WARNINGS_KEY, to_rows
 
 if TYPE_CHECKING:
-    from needlefit.imaging.batch import Failure
+    from needlefit.imaging.batch import ReconstructionFailure
     from needlefit.imaging.reconstruction import Reconstruction
     from needlefit.imaging.scan import Scan
     from needlefit.project.result_warnings import ResultWarning
 
-MOST_JOBS = 2
+
+MAX_DEFAULT_JOBS = 2
 """Scans at once unless somebody wants more: each takes several times the memory of its volume."""
 
-EACH_ITS_OWN = "each file"
+CHECKPOINT_WORK = "each file"
 """In the stamp of the checkpoint: each reconstruction in it has a stamp of what decided it."""
 
 
@@ -69,7 +71,9 @@ def reconstruct(
     recipe: Annotated[
         str,
         typer.Option(
-            metavar="RECIPE", autocompletion=reconstructions, help="configs/reconstruction, or a path."
+            metavar="RECIPE",
+            autocompletion=complete_reconstructions,
+            help="configs/reconstruction, or a path.",
         ),
     ] = "default",
     title: Annotated[str, typer.Option(help="Title of the dataset.")] = "",
@@ -86,7 +90,7 @@ def reconstruct(
 
     Needle, markers and tissue are found in each scan; its markers lay it on the world. DATASET takes the
     dataset, tables of what was found, and for every scan a quality page (quality/) and files for 3D Slicer
-    (slicer/). A scan that fails is named, with what would mend it (exit code 3), and the others are written.
+    (slicer/). A scan that fails is named, with how to fix it (exit code 3), and the others are written.
     """
     named = {
         "markers": markers,
@@ -98,17 +102,17 @@ def reconstruct(
         "medium": medium,
     }
     invocation = context.find_root().obj
-    with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        from needlefit.imaging.assemble import About
-        from needlefit.imaging.batch import Batch, Failure, reconstruct_all
+    with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        from needlefit.imaging.assembly import DatasetDescription
+        from needlefit.imaging.batch import ReconstructionBatch, ReconstructionFailure, reconstruct_all
+        from needlefit.project.checkpoint_folder import claim_checkpoint, remove_checkpoint
         from needlefit.project.load import load
-        from needlefit.project.names import require_file_name
+        from needlefit.project.locate import find_file
         from needlefit.project.outputs import require_no_inputs_within
         from needlefit.project.ownership import require_own_checkpoint, require_replaceable
-        from needlefit.project.partial import claim, forget
-        from needlefit.project.places import find
-        from needlefit.project.records.reconstruction import ReconstructionRecord
         from needlefit.reporting.reconstructed import write_reconstructed
+        from needlefit.schemas.names import require_file_name
+        from needlefit.schemas.reconstruction import ReconstructionRecord
 
         require_file_name(out.resolve().name, str(out))
         require_replaceable(out)
@@ -116,28 +120,32 @@ def reconstruct(
         require_own_checkpoint(keep)
         wanted = _scans(scans, {name: value for name, value in named.items() if value not in (None, [])})
         require_no_inputs_within(out, [*scans, *(path for one in wanted for path in one.files)])
-        record = load(find("reconstruction", recipe), ReconstructionRecord)
-        lock = claim(keep, EACH_ITS_OWN, resume, remark)
-        with progress(invocation.quiet) as report:
+        record = load(find_file("reconstruction", recipe), ReconstructionRecord)
+        lock = claim_checkpoint(keep, CHECKPOINT_WORK, resume, print_remark)
+        with show_progress(invocation.quiet) as report:
             found = reconstruct_all(
-                wanted, record, Batch(jobs or min(MOST_JOBS, cores()), keep, resume, report, stop, remark)
+                wanted,
+                record,
+                ReconstructionBatch(
+                    jobs or min(MAX_DEFAULT_JOBS, count_cores()), keep, resume, report, stop, print_remark
+                ),
             )
             if len(found) < len(wanted):
-                screen.note(f"needlefit: interrupted; to go on: {invocation.resuming()}")
-                raise typer.Exit(failure.INTERRUPTED)
-            failed = [one for one in found if isinstance(one, Failure)]
-            ones = [one for one in found if not isinstance(one, Failure)]
+                screen.print_note(f"needlefit: interrupted; to go on: {invocation.resuming()}")
+                raise typer.Exit(exit_codes.INTERRUPTED)
+            failed = [one for one in found if isinstance(one, ReconstructionFailure)]
+            ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
             if ones:
-                about = About(out.resolve().name, title)
+                about = DatasetDescription(out.resolve().name, title)
                 kept, faulty = write_reconstructed(out, ones, record, about, report)
                 ones, failed = list(kept), [*failed, *faulty]
     warnings = warnings_in(out) if ones else []
     _show(out, ones, failed, warnings if json else None)
-    warn(invocation, warnings)
+    print_warnings(invocation, warnings)
     if failed and ones:
-        screen.note(f"needlefit: what is finished is kept in {keep}; to go on: {invocation.resuming()}")
+        screen.print_note(f"needlefit: what is finished is kept in {keep}; to go on: {invocation.resuming()}")
     else:
-        forget(keep, remark)
+        remove_checkpoint(keep, print_remark)
     if lock is not None:
         lock.release()
     if failed:
@@ -146,13 +154,13 @@ def reconstruct(
 
 def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
     """Return the scans that the arguments mean: the rows of a table, or volumes that share what is named."""
-    from needlefit.imaging.scans import read_scans, scans_of
-    from needlefit.project.places import find, names
+    from needlefit.imaging.scan_table import make_scans, read_scans
+    from needlefit.project.locate import find_file, list_names
 
-    if len(scans) == 1 and not is_there(scans[0]) and str(scans[0]) in names("scans"):
-        scans = [find("scans", str(scans[0]))]
+    if len(scans) == 1 and not path_exists(scans[0]) and str(scans[0]) in list_names("scans"):
+        scans = [find_file("scans", str(scans[0]))]
     if not any(path.suffix.lower() == ".csv" for path in scans):
-        return scans_of(scans, **named)
+        return make_scans(scans, **named)
     if len(scans) > 1 or named:
         raise typer.BadParameter(
             "a table of scans stands alone: markers, fiducials, layers, masks, series, media are its columns"
@@ -170,7 +178,7 @@ def warnings_in(dataset: Path) -> "list[ResultWarning]":
 def _show(
     out: Path,
     ones: "Sequence[Reconstruction]",
-    failed: "Sequence[Failure]",
+    failed: "Sequence[ReconstructionFailure]",
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
@@ -181,23 +189,71 @@ def _show(
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
-        about = {"dataset": str(out) if ones else None, KEY: as_rows(as_json)}
+        about = {"dataset": str(out) if ones else None, WARNINGS_KEY: to_rows(as_json)}
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif ones:
         screen.show_display(reconstructions_layout(ones))
-        screen.say(f"written: {out}/")
+        screen.print_line(f"written: {out}/")
     for one in failed:
-        screen.note(f"needlefit: {_told(one)}")
+        screen.print_note(f"needlefit: {_describe_failure(one)}")
     if failed and len(ones):
-        screen.note(
+        screen.print_note(
             f"needlefit: {len(failed)} of {len(failed) + len(ones)} scans failed; the others are written"
         )
 
 
-def _told(failure: "Failure") -> str:
+def _describe_failure(failure: "ReconstructionFailure") -> str:
     """Return the error of a scan, behind its id unless the error begins with the volume of that name."""
-    from needlefit.imaging.scans import id_of
+    from needlefit.imaging.scan_table import scan_id
 
     error, scan = failure.error, failure.scan
-    named = error.where == str(scan.volume) and id_of(scan.volume) == scan.id
+    named = error.where == str(scan.volume) and scan_id(scan.volume) == scan.id
     return str(error) if named else f"{scan.id}: {error}"
+
+
+LAYERS_OPTION = "--layers"
+
+NO_SCAN_MESSAGE = (
+    "no SCAN is left: --layers takes every word up to the next option as a file; put SCAN first, "
+    "before the options"
+)
+
+
+class MultiFileCommand(TyperCommand):
+    """A command whose `--layers` takes all words up to the next option."""
+
+    def parse_args(self, ctx: typer.Context, args: list[str]) -> list[str]:  # type: ignore[override]
+        """Repeat `--layers` before each of its files, as typer wants it."""
+        if not ctx.resilient_parsing and _names_no_file(args):  # a shell may complete half a line
+            raise typer.BadParameter("--layers names no file: FILES... follow it, or leave it out")
+        try:
+            return super().parse_args(ctx, repeat_option(args))
+        except Exception as error:
+            missing = getattr(getattr(error, "param", None), "name", "")
+            if missing == "scans" and any(map(_is_layers_option, args)):
+                raise typer.BadParameter(NO_SCAN_MESSAGE) from None
+            raise
+
+
+def repeat_option(args: list[str]) -> list[str]:
+    """Return the words of a command with `--layers` before each of the files that follow it."""
+    words, files = list[str](), False
+    for word in args:
+        if word.startswith("-"):
+            files = _is_layers_option(word)
+            words += [] if word == LAYERS_OPTION else [word]
+        else:
+            words += [LAYERS_OPTION, word] if files else [word]
+    return words
+
+
+def _is_layers_option(word: str) -> bool:
+    """Whether files of layers follow a word."""
+    return word == LAYERS_OPTION or word.startswith(f"{LAYERS_OPTION}=")
+
+
+def _names_no_file(args: list[str]) -> bool:
+    return any(
+        word == LAYERS_OPTION and after.startswith("-")
+        for word, after in zip(args, [*args[1:], "--"], strict=True)
+    )

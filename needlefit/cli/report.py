@@ -6,14 +6,16 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import runs
+from needlefit.cli.completion import complete_runs
 
 
 def report(
     run: Annotated[
         str,
         typer.Argument(
-            metavar="RUN", autocompletion=runs, help="A folder of results, or its bare name in reports/."
+            metavar="RUN",
+            autocompletion=complete_runs,
+            help="A folder of results, or its bare name in reports/.",
         ),
     ],
     out: Annotated[
@@ -29,13 +31,13 @@ def report(
     where files were lost. A file that was changed is never replaced: remove it first. `all` is made again
     from the runs beside it.
     """
-    from needlefit.project.places import find_run
+    from needlefit.project.locate import find_run
     from needlefit.reporting.rebuild import rebuild
-    from needlefit.validation.damage import damaged_files
+    from needlefit.validation.csv_tables import find_damaged_files
 
     folder = find_run(run)
-    damaged = damaged_files(folder)
+    damaged = find_damaged_files(folder)
     written = rebuild(folder, folder if out is None else out)
     for name, what in damaged.items():
-        screen.note(f"needlefit: damaged, and not used: {folder}/{name} {what}")
-    screen.say(f"written: {written}/")
+        screen.print_note(f"needlefit: damaged, and not used: {folder}/{name} {what}")
+    screen.print_line(f"written: {written}/")

@@ -5,7 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 if TYPE_CHECKING:
-    from needlefit.project.records.scene import SceneRecord
+    from needlefit.schemas.scene import SceneRecord
+
 
 Depth = Annotated[
     float | None,
@@ -26,11 +27,11 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
     """Return where the scene stands and what it says, with what the options change."""
     pairs = [_pair(text) for text in assignments]
     from needlefit.project.load import check, load, read_toml
+    from needlefit.project.locate import file_label, find_file
     from needlefit.project.overrides import override
-    from needlefit.project.places import find, label
-    from needlefit.project.records.scene import SceneRecord
+    from needlefit.schemas.scene import SceneRecord
 
-    path = find("scene", name)
+    path = find_file("scene", name)
     record = load(path, SceneRecord)
     if depth is not None:
         if record.steps:
@@ -41,9 +42,9 @@ def scene_record(name: str, depth: float | None, assignments: list[str]) -> tupl
             )
         pairs.append(("depth_mm", repr(depth)))
     if not pairs:
-        return label(path), record
-    where = f"{label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
-    return where, check(override(read_toml(path), pairs, SceneRecord, label(path)), SceneRecord, where)
+        return file_label(path), record
+    where = f"{file_label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
+    return where, check(override(read_toml(path), pairs, SceneRecord, file_label(path)), SceneRecord, where)
 
 
 def _pair(text: str) -> tuple[str, str]:

@@ -1,40 +1,45 @@
-"""What goes to stdout: tables for people, JSON for machines."""
+"""Print results to stdout (tables or JSON), and notes and warnings to stderr."""
 
 import json
 import math
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from needlefit.cli import screen
+from needlefit.cli.invocation import Invocation
 from needlefit.errors import without_controls
-from needlefit.project.plain import plain
+from needlefit.project.json_values import to_json_values
+from needlefit.project.result_warnings import ResultWarning, read_warnings
 
 if TYPE_CHECKING:
     from needlefit.reporting.display import Display
 
 
-def say(text: str = "") -> None:
+def print_line(text: str = "") -> None:
     """Print a line of the result; control characters, which names and paths may hold, are escaped."""
     print(without_controls(text))
 
 
-def note(text: str) -> None:
+def print_note(text: str) -> None:
     """Print a line that is no result to stderr, behind all that stdout was given before."""
     sys.stdout.flush()  # else, where both go to one file, it stands before the result
     print(without_controls(text), file=sys.stderr)
 
 
-def compile_ahead(*rooms: str, quiet: bool = False) -> None:
+def compile_ahead(*kernel_parts: str, quiet: bool = False) -> None:
     """Compile the model, or further rooms of its kernel, where they are not; say so, as it takes a while."""
     from needlefit.mechanics.kernel.cache import VARIABLE, folder, is_complete
 
-    wanted = ("kernel", *rooms)
-    if all(is_complete(room) for room in wanted):
+    wanted = ("kernel", *kernel_parts)
+    if all(is_complete(part) for part in wanted):
         return
     if not quiet:
         why = folder().why_temporary
         once = f"in every run: {why}; set {VARIABLE} to another folder" if why else "once"
-        note(f"needlefit: compiling the model; this takes some seconds, {once}")
+        print_note(f"needlefit: compiling the model; this takes some seconds, {once}")
     from needlefit.mechanics.warm import warm
 
     warm(*wanted)
@@ -46,7 +51,7 @@ def show_json(value: object) -> None:
     Where stdout has not all characters they are escaped, as JSON can.
     """
     escaped = not (sys.stdout.encoding or "").lower().startswith("utf")
-    print(json.dumps(plain(value), indent=2, ensure_ascii=escaped, allow_nan=False))
+    print(json.dumps(to_json_values(value), indent=2, ensure_ascii=escaped, allow_nan=False))
 
 
 def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFrame, not imported here
@@ -54,17 +59,17 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
     rows = [[_cell(value) for value in row] for row in frame.itertuples(index=False)]
     right = [any(is_number for _, is_number in column) for column in zip(*rows, strict=True)]
     columns = [(str(name), at_right) for name, at_right in zip(frame.columns, right, strict=True)]
-    say(title)
+    print_line(title)
     _show(columns, [[text for text, _ in row] for row in rows])
 
 
 def show_display(table: "Display") -> None:
     """Print a table that is ready to be set: its caption, its cells, its notes."""
     columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
-    say(table.caption)
+    print_line(table.caption)
     _show(columns, table.rows, table.breaks, table.strong)
     for line in table.notes:
-        say(line)
+        print_line(line)
 
 
 def _show(
@@ -96,7 +101,7 @@ def _show(
     console = Console(width=None if sys.stdout.isatty() else 1000)
     wide = build(1)
     console.print(wide if console.measure(wide).maximum <= console.width else build(0))
-    say()
+    print_line()
 
 
 def _cell(value: object) -> tuple[str, bool]:
@@ -106,3 +111,22 @@ def _cell(value: object) -> tuple[str, bool]:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return str(value), False
     return (f"{value:.4g}" if isinstance(value, float) else str(value)), True
+
+
+def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning]) -> None:
+    """Print warnings to stderr; with `--strict` the command then ends with exit code 5."""
+    for one in warnings:
+        invocation.warned = True
+        screen.print_note(f"needlefit: warning: {one}")
+
+
+def print_run_warnings(invocation: Invocation, run: Mapping[str, Any], dataset: str = "") -> None:
+    """Print the warnings that a run keeps; `dataset` is the file of its data, if that is known."""
+    folder = Path(dataset).parent
+    print_warnings(invocation, (_with_folder(one, folder) for one in read_warnings(run)))
+
+
+def _with_folder(one: ResultWarning, folder: Path) -> ResultWarning:
+    """Return a warning about a file of a folder with the file's path."""
+    file = one.where.rpartition(":")[0] or one.where
+    return replace(one, where=str(folder / one.where)) if file and (folder / file).is_file() else one

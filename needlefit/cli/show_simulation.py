@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.shape import NeedleShape
 
 
-def summary(
+def summarize_simulation(
     scene: "Scene", shapes: "Sequence[NeedleShape]", placement: "Placement | None" = None
 ) -> dict[str, Any]:
     """Return what `--json` prints, of the last step that was tried and, in `steps`, of each; lengths in mm.
@@ -23,7 +23,7 @@ def summary(
 
     pairs = zip(scene.steps, shapes, strict=False)
     steps = [
-        {"depth_mm": step.depth} | _summary_of_step(scene.entry, shape, placement) for step, shape in pairs
+        {"depth_mm": step.depth} | _summarize_step(scene.entry, shape, placement) for step, shape in pairs
     ]
     for step, before in zip(steps[:0:-1], steps[-2::-1], strict=True):
         step["iterations"] -= before["iterations"]  # a shape counts from first contact
@@ -43,7 +43,7 @@ def summary(
     }
 
 
-def _summary_of_step(entry: "Entry", shape: "NeedleShape", placement: "Placement | None") -> dict[str, Any]:
+def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement | None") -> dict[str, Any]:
     from needlefit.mechanics.shape import positions
 
     slope = float(shape.slope[-1])
@@ -59,49 +59,51 @@ def _summary_of_step(entry: "Entry", shape: "NeedleShape", placement: "Placement
     }
 
 
-def show_summary(title: str, answer: dict[str, Any]) -> None:
+def show_summary(title: str, summary: dict[str, Any]) -> None:
     """Print a summary in lines under a title."""
-    interfaces = ", ".join(f"{depth:g}" for depth in answer["boundaries_mm"]) or "none"
-    state = "yes" if answer["converged"] else f"NO: {answer['status']}"
+    interfaces = ", ".join(f"{depth:g}" for depth in summary["boundaries_mm"]) or "none"
+    state = "yes" if summary["converged"] else f"NO: {summary['status']}"
     rows = [
-        ("depth", f"{answer['depth_mm']:g} mm"),
-        ("deflection", f"{_found(answer['deflection_mm'])} mm, tip in the constraint frame"),
-        ("tip", f"({', '.join(map(_found, answer['tip_mm']))}) mm in the world"),
+        ("depth", f"{summary['depth_mm']:g} mm"),
+        ("deflection", f"{_format_length(summary['deflection_mm'])} mm, tip in the constraint frame"),
+        ("tip", f"({', '.join(map(_format_length, summary['tip_mm']))}) mm in the world"),
         ("boundaries", interfaces + (" mm" if interfaces != "none" else "")),
-        ("converged", f"{state} ({answer['iterations']} Newton iterations)"),
-        ("valid", _valid(answer)),
+        ("converged", f"{state} ({summary['iterations']} Newton iterations)"),
+        ("valid", _describe_validity(summary)),
     ]
-    if "replayed" in answer:
-        rows.append(("replayed", _replayed(**answer["replayed"])))
-    screen.say(title)
-    if len(answer["steps"]) > 1:
-        for n, step in enumerate(answer["steps"], start=1):
-            screen.say(f"  {f'step {n}':<11} {_line(step)}")
+    if "replayed" in summary:
+        rows.append(("replayed", _describe_replay(**summary["replayed"])))
+    screen.print_line(title)
+    if len(summary["steps"]) > 1:
+        for n, step in enumerate(summary["steps"], start=1):
+            screen.print_line(f"  {f'step {n}':<11} {_format_step(step)}")
     for label, text in rows:
-        screen.say(f"  {label:<11} {text}")
+        screen.print_line(f"  {label:<11} {text}")
 
 
-def _valid(answer: dict[str, Any]) -> str:
+def _describe_validity(summary: dict[str, Any]) -> str:
     """Return whether the needle keeps to what the model assumes."""
-    if not answer["converged"]:
+    if not summary["converged"]:
         return "NO: no solution"
-    faults = answer["validity"]["faults"]
-    return f"NO: {'; '.join(faults)}" if faults else f"yes (slopes up to {answer['max_slope']:.3f})"
+    faults = summary["validity"]["faults"]
+    return f"NO: {'; '.join(faults)}" if faults else f"yes (slopes up to {summary['max_slope']:.3f})"
 
 
-def _replayed(steps: int, off_mm: float) -> str:
-    said = f"{steps} step{'' if steps == 1 else 's'}, the tip "
-    return said + (
-        f"up to {off_mm:.1g} mm from where it was recorded" if off_mm else "as recorded, bit for bit"
+def _describe_replay(steps: int, tip_offset_mm: float) -> str:
+    text = f"{steps} step{'' if steps == 1 else 's'}, the tip "
+    return text + (
+        f"up to {tip_offset_mm:.1g} mm from where it was recorded"
+        if tip_offset_mm
+        else "as recorded, bit for bit"
     )
 
 
-def _found(value: float) -> str:
+def _format_length(value: float) -> str:
     """Return a length in print; a dash where the needle was not found."""
     return f"{value:z.3f}" if math.isfinite(value) else "–"
 
 
-def _line(step: dict[str, Any]) -> str:
+def _format_step(step: dict[str, Any]) -> str:
     """Return a step in one line."""
     depth = f"{step['depth_mm']:g} mm deep"
     if not step["converged"]:

@@ -6,16 +6,16 @@ from typing import Annotated
 
 import typer
 
-from needlefit.cli import failure, options, screen
-from needlefit.cli.completion import scenes
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.completion import complete_scenes
 from needlefit.cli.invocation import Invocation
 from needlefit.cli.scene_options import Depth, Set, scene_record
-from needlefit.cli.show_simulation import show_summary, summary
-from needlefit.cli.simulated import Simulated, of_recording, of_scene
-from needlefit.cli.warn import warn
+from needlefit.cli.screen import print_warnings
+from needlefit.cli.show_simulation import show_summary, summarize_simulation
+from needlefit.cli.simulation_outcome import SimulationOutcome, replay_recording, simulate_scene
+from needlefit.project.locate import find_file
 from needlefit.project.outputs import require_output_files
-from needlefit.project.places import find
-from needlefit.project.result_warnings import KEY, ResultWarning, as_rows
+from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows
 
 
 def simulate(
@@ -24,14 +24,14 @@ def simulate(
         str | None,
         typer.Argument(
             metavar="SCENE",
-            autocompletion=scenes,
+            autocompletion=complete_scenes,
             show_default=False,
-            help="configs/scenes/<name>.toml or a path; none with --inputs.",
+            help="configs/scenes/<name>.toml or a path; none with --recording.",
         ),
     ] = None,
     depth: Depth = None,
     set_: Set = None,
-    inputs: Annotated[
+    recording: Annotated[
         Path | None,
         typer.Option(metavar="LOG", help="Replay what `needlefit view` recorded: a CSV; no SCENE."),
     ] = None,
@@ -71,44 +71,46 @@ def simulate(
     """
     files = {"--plot": plot, "--csv": csv, "--slicer": slicer, "--animation": animation}
     written = {option: path for option, path in files.items() if path is not None}
-    if inputs is None:
+    if recording is None:
         if scene is None:
-            raise typer.BadParameter("give a SCENE, or a recording with --inputs", param_hint="SCENE")
+            raise typer.BadParameter("give a SCENE, or a recording with --recording", param_hint="SCENE")
         if step is not None:
             raise typer.BadParameter(
-                "counts the steps of a recording: it needs --inputs", param_hint="--step"
+                "counts the steps of a recording: it needs --recording", param_hint="--step"
             )
-        require_output_files(written, [find("scene", scene)])
+        require_output_files(written, [find_file("scene", scene)])
         where, record = scene_record(scene, depth, set_ or [])
-        done = of_scene(scene, record, where)
+        done = simulate_scene(scene, record, where)
     else:
         if scene is not None or depth is not None or set_:
             raise typer.BadParameter(
-                "the recording holds its scene: leave out SCENE, --depth and --set", param_hint="--inputs"
+                "the recording holds its scene: leave out SCENE, --depth and --set", param_hint="--recording"
             )
-        done = of_recording(inputs, step, written)
+        done = replay_recording(recording, step, written)
     # before anything is printed: a name may be none of a picture
     for option, path in written.items():
         if done.files[option.removeprefix("--")](path) is not False:
-            screen.note(f"{'drawn' if option == '--plot' else 'written'}: {path}")
+            screen.print_note(f"{'drawn' if option == '--plot' else 'written'}: {path}")
     _show(context.find_root().obj, done, json)
 
 
-def _show(invocation: Invocation, done: Simulated, json: bool) -> None:
+def _show(invocation: Invocation, done: SimulationOutcome, json: bool) -> None:
     """Print where the needle ends; leave with an exit code of its own where it was not found."""
-    answer = summary(done.scene, done.shapes, done.placement) | done.more
-    warnings = [*done.warnings, *validity_warnings(answer["validity"]["faults"])]
-    answer |= {KEY: as_rows(warnings)}
+    summary = summarize_simulation(done.scene, done.shapes, done.placement) | done.more
+    warnings = [*done.warnings, *validity_warnings(summary["validity"]["faults"])]
+    summary |= {WARNINGS_KEY: to_rows(warnings)}
     if json:
-        screen.show_json(answer)
+        screen.show_json(summary)
     else:
-        show_summary(done.title, answer)
-    warn(invocation, warnings)
-    if not answer["converged"]:
+        show_summary(done.title, summary)
+    print_warnings(invocation, warnings)
+    if not summary["converged"]:
         steps = len(done.scene.steps)
         failed = f"step {len(done.shapes)} of {steps}" if steps > 1 else "the solution"
-        screen.note(f"needlefit: {failed} did not converge ({answer['status']}); what it prints is no result")
-        raise typer.Exit(failure.NOT_CONVERGED)
+        screen.print_note(
+            f"needlefit: {failed} did not converge ({summary['status']}); what it prints is no result"
+        )
+        raise typer.Exit(exit_codes.NOT_CONVERGED)
 
 
 def validity_warnings(faults: Sequence[str]) -> Iterator[ResultWarning]:

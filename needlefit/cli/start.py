@@ -20,8 +20,8 @@ def init(
     from needlefit.project.init import copy_project
 
     for written in copy_project(folder):
-        screen.say(str(written))
-    screen.note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
+        screen.print_line(str(written))
+    screen.print_note(f"edit them, then: {shlex.join(('cd', str(folder)))} && needlefit validate study3")
 
 
 def new_dataset(
@@ -44,6 +44,6 @@ def new_dataset(
     """
     from needlefit.datasets.template import template
 
-    screen.say(str(template(folder, source, screen.note)))
+    screen.print_line(str(template(folder, source, screen.print_note)))
     path = str(folder) if folder.is_absolute() else f"./{folder}"
-    screen.note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")
+    screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")

@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import targets
+from needlefit.cli.completion import complete_targets
 from needlefit.cli.execution import Execution, require_converged
-from needlefit.cli.interruption import stopping
-from needlefit.cli.show_tuning import as_json, show_tuning
-from needlefit.cli.warn import warn_of
+from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.screen import print_run_warnings
+from needlefit.cli.show_results import show_tuning, tuning_json
 from needlefit.errors import ConfigError
 
 if TYPE_CHECKING:
     from contextlib import AbstractContextManager
 
-    from needlefit.project.records.fit import FitRecord
+    from needlefit.schemas.study import FitRecord
 
 
 def tune(
@@ -24,7 +24,9 @@ def tune(
     target: Annotated[
         str,
         typer.Argument(
-            metavar="TARGET", autocompletion=targets, help="A study, a fit in configs/fits, or a path."
+            metavar="TARGET",
+            autocompletion=complete_targets,
+            help="A study, a fit in configs/fits, or a path.",
         ),
     ],
     sample: options.Sample = False,
@@ -45,44 +47,43 @@ def tune(
     its 95 % band, for 3D Slicer. Ctrl-C once writes the best so far, marked, and prints
     the line that goes on; twice leaves at once.
     """
-    with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        name, record = fit_of(target)
+    with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        name, record = load_fit(target)
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
         execution.prepare([name])
-        with in_target(target):
+        with add_target_context(target):
             results = execution.run(name, record)
-        if results.interrupted and "fitted" not in set(results.errors["rival"]):
+        if results.interrupted and "fitted" not in set(results.errors["method"]):
             raise execution.interrupted()  # nothing found yet: an earlier result stays
         written = execution.write(results)
         if json:
-            screen.show_json(as_json(results))
+            screen.show_json(tuning_json(results))
         else:
             show_tuning(results)
-            screen.say(f"written: {written}/")
-        warn_of(execution.invocation, results.run, results.timing.get("dataset", ""))
+            screen.print_line(f"written: {written}/")
+        print_run_warnings(execution.invocation, results.run, results.timing.get("dataset", ""))
         if results.interrupted:
             raise execution.interrupted()
-        execution.forget(name)
+        execution.remove_checkpoint(name)
     require_converged(results)
 
 
-def in_target(target: str) -> "AbstractContextManager[None]":
+def add_target_context(target: str) -> "AbstractContextManager[None]":
     """Have errors that name only a key name the file of the study or fit, and the line."""
-    from needlefit.project.places import find_target
-    from needlefit.project.toml_lines import in_file
+    from needlefit.project.locate import find_study_or_fit
+    from needlefit.project.toml_lines import add_file_context
 
-    return in_file(find_target(target)[1])
+    return add_file_context(find_study_or_fit(target)[1])
 
 
-def fit_of(target: str) -> "tuple[str, FitRecord]":
+def load_fit(target: str) -> "tuple[str, FitRecord]":
     """Return the name of the results and the fit that the argument means."""
     from needlefit.project.load import load
-    from needlefit.project.places import find_target
-    from needlefit.project.records.fit import FitRecord
-    from needlefit.project.records.study import StudyRecord
+    from needlefit.project.locate import find_study_or_fit
+    from needlefit.schemas.study import FitRecord, StudyRecord
     from needlefit.validation.studies import load_study
 
-    kind, path = find_target(target)
+    kind, path = find_study_or_fit(target)
     if kind == "fit":
         return path.stem, load(path, FitRecord)
     record = load_study(path)
@@ -90,6 +91,6 @@ def fit_of(target: str) -> "tuple[str, FitRecord]":
         raise ConfigError(
             "is a study that does more than tune, and is not tuned by itself",
             where=str(path),
-            mend=f"use: needlefit validate {target}",
+            fix=f"use: needlefit validate {target}",
         )
     return f"{path.stem}-tune", record.tuning()

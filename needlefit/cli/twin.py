@@ -6,8 +6,8 @@ from typing import Annotated, Literal
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.execution import cores
-from needlefit.cli.progress import progress
+from needlefit.cli.execution import count_cores
+from needlefit.cli.progress import show_progress
 
 Jobs = Annotated[int | None, typer.Option(min=1, help="Processes (default: all cores); changes no byte.")]
 
@@ -28,15 +28,15 @@ def twin_build(
     The same seed gives the same bytes. DIR is replaced only if it holds a twin, and
     nothing else.
     """
-    from needlefit.project.replace import replacing
-    from needlefit.synthetic.build import build
-    from needlefit.synthetic.twin import SEED
+    from needlefit.project.atomic_write import replace_folder
+    from needlefit.synthetic.build import build_dataset
+    from needlefit.synthetic.insertion import TWIN_SEED
 
-    seed = SEED if seed is None else seed
+    seed = TWIN_SEED if seed is None else seed
     screen.compile_ahead(quiet=quiet)
-    with replacing(out) as fresh, progress(context.find_root().obj.quiet) as report:
-        build(fresh, seed, jobs=jobs or cores(), progress=report)
-    screen.say(f"{out}: synthetic dataset, seed {seed}")
+    with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
+        build_dataset(fresh, seed, jobs=jobs or count_cores(), progress=report)
+    screen.print_line(f"{out}: synthetic dataset, seed {seed}")
 
 
 def twin_ct(
@@ -58,13 +58,13 @@ def twin_ct(
     A volume is some 20 MB. The same seed gives the same bytes. DIR is replaced only if it holds such
     scans, and nothing else.
     """
-    from needlefit.project.replace import replacing
-    from needlefit.synthetic.design import named
+    from needlefit.project.atomic_write import replace_folder
+    from needlefit.synthetic.design import select_planned_insertions
+    from needlefit.synthetic.insertion import TWIN_SEED
     from needlefit.synthetic.scans import write_scans
-    from needlefit.synthetic.twin import SEED
 
-    seed, plan = SEED if seed is None else seed, named(ids or ())
+    seed, plan = TWIN_SEED if seed is None else seed, select_planned_insertions(ids or ())
     screen.compile_ahead(quiet=quiet)
-    with replacing(out) as fresh, progress(context.find_root().obj.quiet) as report:
-        write_scans(fresh, plan, seed, form, jobs or cores(), report)
-    screen.say(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")
+    with replace_folder(out) as fresh, show_progress(context.find_root().obj.quiet) as report:
+        write_scans(fresh, plan, seed, form, jobs or count_cores(), report)
+    screen.print_line(f"{out}: {len(plan)} synthetic scan{'s' * (len(plan) > 1)}, seed {seed}")

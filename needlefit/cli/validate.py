@@ -6,12 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import studies
+from needlefit.cli.completion import complete_studies
 from needlefit.cli.execution import Execution, require_no_faults
-from needlefit.cli.interruption import stopping
+from needlefit.cli.exit_codes import catch_interrupts
 
 if TYPE_CHECKING:
-    from needlefit.cli.carried import Carried
+    from needlefit.cli.run_study import StudyOutcomes
 
 
 def validate(
@@ -20,7 +20,7 @@ def validate(
         str,
         typer.Argument(
             metavar="STUDY",
-            autocompletion=studies,
+            autocompletion=complete_studies,
             help="study1 ... study5, all (those five), everything, another, or a path.",
         ),
     ],
@@ -48,41 +48,41 @@ def validate(
 
     Ctrl-C once saves what is finished and prints the line that goes on; twice leaves at once.
     """
-    with stopping() as stop:  # from here on, so that Ctrl-C never cuts an import in two
-        from needlefit.cli.carried import carry_out, works
+    with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
+        from needlefit.cli.run_study import plan_studies, run_studies
 
         execution = Execution(context.find_root().obj, out, seed, jobs, resume, stop, sample)
-        todo = works(study)
-        execution.prepare([*(work.name for work in todo if not work.sampled), *_together(study)])
+        todo = plan_studies(study)
+        execution.prepare([*(work.name for work in todo if not work.sampled), *_combined_report_names(study)])
         execution.prepare([work.name for work in todo if work.sampled], replaces_posterior=True)
         if reference:
             execution.prepare([f"reference/{work.name}" for work in todo], replaces_posterior=True)
-        done = carry_out(execution, todo, json)
-        if _together(study):
-            _write_all(execution, study, done, json)
+        done = run_studies(execution, todo, json)
+        if _combined_report_names(study):
+            _write_combined_report(execution, study, done, json)
         if reference:
             done.write_reference(out / "reference")
         if json:
             screen.show_json(done.as_json())
         for work in todo:  # not before all are done: a group is resumed as a whole
-            execution.forget(work.name)
+            execution.remove_checkpoint(work.name)
     require_no_faults(done.faults())
 
 
-def _together(study: str) -> list[str]:
+def _combined_report_names(study: str) -> list[str]:
     """Return the folder of the report of several studies together, if there is one."""
-    from needlefit.project.places import GROUPS
+    from needlefit.project.locate import STUDY_GROUPS
 
-    return [study] if study in GROUPS else []
+    return [study] if study in STUDY_GROUPS else []
 
 
-def _write_all(execution: Execution, study: str, done: "Carried", json: bool) -> None:
+def _write_combined_report(execution: Execution, study: str, done: "StudyOutcomes", json: bool) -> None:
     from needlefit.reporting.layouts import tuning_layout
     from needlefit.reporting.together import write_all
 
     folder = execution.folder(study)
-    write_all(done.scored, done.tuned, folder, done.answers)
+    write_all(done.scored, done.tuned, folder, done.analyses)
     if not json:
         for by in ("layers", "media"):
             screen.show_display(tuning_layout(done.tuned, by))
-        screen.say(f"written: {folder}/")
+        screen.print_line(f"written: {folder}/")

@@ -6,11 +6,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from needlefit.cli import failure, options, screen
-from needlefit.cli.progress import progress
+from needlefit.cli import exit_codes, options, screen
+from needlefit.cli.progress import show_progress
 
 if TYPE_CHECKING:
     from needlefit.verification.run import Verification
+
 
 FOLDER = "verification"
 
@@ -37,11 +38,11 @@ def verify(
     invocation = context.find_root().obj
     screen.compile_ahead("lanes", "sensitivity", quiet=invocation.quiet)
     started = time.perf_counter()
-    with progress(invocation.quiet) as report:
+    with show_progress(invocation.quiet) as report:
         found = measure(seed, progress=report)
     if invocation.verbose:
         for trace in found.traces:
-            screen.note(trace)
+            screen.print_note(trace)
     write_verification(found, folder, {"seconds": round(time.perf_counter() - started, 2)})
     if json:
         screen.show_json(
@@ -50,11 +51,11 @@ def verify(
     else:
         _show(found, folder)
     for row in found.failed:
-        screen.note(
+        screen.print_note(
             f"needlefit: {row.title}: {row.quantity}: fails{f' ({row.remark})' if row.remark else ''}"
         )
     if found.failed:
-        raise typer.Exit(failure.VERIFICATION_FAILED)
+        raise typer.Exit(exit_codes.VERIFICATION_FAILED)
 
 
 def _show(found: "Verification", folder: Path) -> None:
@@ -62,5 +63,5 @@ def _show(found: "Verification", folder: Path) -> None:
 
     for part in layouts(found):
         screen.show_display(part)
-    screen.say(summary(found))
-    screen.say(f"written: {folder}/")
+    screen.print_line(summary(found))
+    screen.print_line(f"written: {folder}/")

@@ -1,4 +1,4 @@
-"""`needlefit view`: a needle in one's own hand, in the browser."""
+"""`needlefit view`: interactive simulation in the browser."""
 
 import asyncio
 import shlex
@@ -12,30 +12,30 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import subjects
+from needlefit.cli.completion import complete_view_targets
 from needlefit.cli.invocation import Invocation
-from needlefit.cli.warn import warn
+from needlefit.cli.screen import print_warnings
 from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
-    from needlefit.viewer.serving.door import Door
-    from needlefit.viewer.serving.trials import Trials
+    from needlefit.viewer.serving.access_control import AccessControl
+    from needlefit.viewer.serving.trials import TrialRegistry
 
 
 def view(
     context: typer.Context,
-    subject: Annotated[
+    target: Annotated[
         str | None,
         typer.Argument(
             metavar="SCENE | RUN[/ID] | DATASET/ID",
-            autocompletion=subjects,
+            autocompletion=complete_view_targets,
             show_default=False,
             help="What to steer: a scene; a run's fit of an insertion, with its band; a measured insertion.",
         ),
     ] = None,
-    inputs: Annotated[
+    recording: Annotated[
         Path | None,
-        typer.Option(metavar="LOG", help="A recording to carry out again, and to go on from; no SUBJECT."),
+        typer.Option(metavar="LOG", help="A recording to carry out again, and to go on from; no TARGET."),
     ] = None,
     port: Annotated[
         int, typer.Option(metavar="N", min=0, max=65535, help="Port on 127.0.0.1 (0: one that is free).")
@@ -50,25 +50,25 @@ def view(
     """Steer a needle by hand, in real time, in the browser.
 
     The page is served to this machine alone. Everything done there is recorded to OUT/view/, a CSV for each
-    needle, as it happens; `needlefit simulate --inputs LOG` replays it. Ctrl-C ends.
+    needle, as it happens; `needlefit simulate --recording LOG` replays it. Ctrl-C ends.
     """
-    if inputs is not None and subject is not None:
-        raise typer.BadParameter("the recording says what it is about: leave it out", param_hint="SUBJECT")
+    if recording is not None and target is not None:
+        raise typer.BadParameter("the recording says what it is about: leave it out", param_hint="TARGET")
     require_writable(out / "view")
     serve = _server()
     screen.compile_ahead("lanes", quiet=quiet)
-    trials = _trials(context.find_root().obj, subject, inputs, out / "view")
+    trials = _trials(context.find_root().obj, target, recording, out / "view")
 
-    def ready(door: "Door") -> None:
-        screen.say(door.address)
-        screen.note("needlefit: Ctrl-C ends")
+    def ready(access: "AccessControl") -> None:
+        screen.print_line(access.address)
+        screen.print_note("needlefit: Ctrl-C ends")
         if browser:  # some browsers hold up whoever calls them
-            threading.Thread(target=webbrowser.open, args=(door.address,), daemon=True).start()
+            threading.Thread(target=webbrowser.open, args=(access.address,), daemon=True).start()
 
     asyncio.run(serve(trials, port, ready, _until_stopped))
     for path in trials.written():
-        screen.say(f"recorded: {path}")
-        screen.note(f"replay it: {shlex.join(('needlefit', 'simulate', '--inputs', str(path)))}")
+        screen.print_line(f"recorded: {path}")
+        screen.print_note(f"replay it: {shlex.join(('needlefit', 'simulate', '--recording', str(path)))}")
 
 
 def _server() -> Callable[..., "Coroutine[None, None, None]"]:
@@ -82,21 +82,22 @@ def _server() -> Callable[..., "Coroutine[None, None, None]"]:
 
         raise ConfigError(
             "the interactive simulation needs aiohttp, which is not installed",
-            mend="pip install 'needlefit[view]'",
+            fix="pip install 'needlefit[view]'",
         ) from None
     return serve
 
 
-def _trials(invocation: Invocation, subject: str | None, inputs: Path | None, folder: Path) -> "Trials":
-    from needlefit.viewer.opening import open_subject
-    from needlefit.viewer.opening.recorded import open_recorded
-    from needlefit.viewer.recording.log import read
-    from needlefit.viewer.serving.trials import Trials
+def _trials(
+    invocation: Invocation, target: str | None, recording: Path | None, folder: Path
+) -> "TrialRegistry":
+    from needlefit.viewer.opening import open_recording, open_target
+    from needlefit.viewer.recording import read_recording
+    from needlefit.viewer.serving.trials import TrialRegistry
 
-    source = None if inputs is None else read(inputs)
-    shown = open_subject(subject) if source is None else open_recorded(source)
-    warn(invocation, shown.warnings)
-    return Trials(shown, folder, lambda insertion: open_subject(shown.name, insertion), source)
+    source = None if recording is None else read_recording(recording)
+    shown = open_target(target) if source is None else open_recording(source)
+    print_warnings(invocation, shown.warnings)
+    return TrialRegistry(shown, folder, lambda insertion: open_target(shown.name, insertion), source)
 
 
 async def _until_stopped() -> None:

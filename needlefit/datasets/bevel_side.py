@@ -11,7 +11,7 @@ from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.noise import MEAN_OF_NORM
 from needlefit.datasets.schema import Floats
 from needlefit.datasets.tracks.track import Track
-from needlefit.project.places import listed
+from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
 SURE_SD = 3.0
@@ -121,7 +121,7 @@ def side_warnings(bent: Sequence[Bent], column: str, what: str) -> Iterator[Resu
         told = f"all {clear} {what} that bend clearly bend away from their bevel side"
         fix = f"the side convention is probably flipped: change the sign of `{column}` in every row"
     else:
-        names = listed([one.id for one in away], MAX_NAMED)
+        names = join_names([one.id for one in away], MAX_NAMED)
         told = f"{names} bend{'s' if len(away) == 1 else ''} away from the bevel side"
         told += f" ({len(away)} of {clear} {what} that bend clearly)"
         fix = f"check `{column}` and the bevel direction of these rows"
@@ -150,7 +150,7 @@ def pooled_side_warnings(bents: Sequence[Bent], column: str) -> Iterator[ResultW
         z = pooled_z(group)
         if len(group) > 1 and z < -REVERSED_SD:
             worst = sorted((one for one in group if one.z < 0), key=lambda one: one.z)
-            names = listed([one.id for one in worst], MAX_NAMED)
+            names = join_names([one.id for one in worst], MAX_NAMED)
             what = (
                 f"the bevel sides of medium {medium} are probably all reversed: its {len(group)} insertions "
             )

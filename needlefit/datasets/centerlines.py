@@ -15,7 +15,7 @@ from needlefit.datasets.schema import InsertionRow
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.patient import IN_PATIENT
-from needlefit.project.records.dataset import DatasetRecord, FrameRecord, InsertionsRecord
+from needlefit.schemas.dataset import DatasetRecord, FrameRecord, InsertionsRecord
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def _varying(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> N
                         where,
                         f"column `{column}` changes within insertion {name}",
                         "one value",
-                        "mend the cells, or tell the insertions apart by this column too (group_by)",
+                        "fix the cells, or tell the insertions apart by this column too (group_by)",
                     )
                 )
 
@@ -149,7 +149,7 @@ def _finite(points: Points, found: list[Fault]) -> Points | None:
             points.where(int(bad[0])),
             f"has {len(bad)} points that are NaN, infinite or too far away",
             "finite numbers, mm",
-            "remove or mend these points",
+            "remove or fix these points",
         )
     )
     return None

@@ -6,8 +6,8 @@ from difflib import SequenceMatcher
 from pathlib import Path
 
 from needlefit.datasets.schema import COLUMNS, MOVED, POINT, POSE, SCAN, SD
-from needlefit.project.records.dataset import DatasetRecord
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.dataset import DatasetRecord
 
 LEAST_SIMILARITY = 0.8
 """Ratio of `difflib` from which on two names are taken for one, mistyped."""

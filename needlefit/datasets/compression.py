@@ -18,8 +18,8 @@ from needlefit.datasets.formats.csv import read_table
 from needlefit.errors import DataError
 from needlefit.mechanics.compression import Measure
 from needlefit.project.files import sha256
-from needlefit.project.names import EXPECTED, name_fault
-from needlefit.project.reading import is_file
+from needlefit.project.input_files import is_file
+from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 Floats = NDArray[np.float64]
 
@@ -62,7 +62,7 @@ def read_compression(path: Path, stated: Measure | None = None) -> CompressionTe
         Listing every fault: missing or doubtful columns, cells, strains for stretches, tension, cycles.
     """
     if not is_file(path):
-        raise DataError("there is no such file", where=str(path), mend="check the path")
+        raise DataError("there is no such file", where=str(path), fix="check the path")
     table, found = read_table(path), list[Fault]()
     columns = find_columns(table, stated, found)
     if columns is None:
@@ -74,7 +74,9 @@ def read_compression(path: Path, stated: Measure | None = None) -> CompressionTe
         found.append(Fault(table.where(row), f"{columns.sample} is empty", "a name", "name the specimen"))
     for n, name in enumerate(who):
         if fault := name_fault(str(name)):
-            found.append(Fault(table.where(n), f"specimen is {str(name)!r}: {fault}", EXPECTED, "rename it"))
+            found.append(
+                Fault(table.where(n), f"specimen is {str(name)!r}: {fault}", EXPECTED_NAME, "rename it")
+            )
     if found:
         raise as_error(found, path)
     records = [

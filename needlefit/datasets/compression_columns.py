@@ -109,8 +109,8 @@ def _size(table: Table, column: str, who: NDArray[np.str_], found: list[Fault]) 
             continue
         said = ", ".join(f"{value:g}" for value in stated) or "nowhere"
         what = f"{column} of specimen {name} is {said}"
-        mend = "give the size that it had before it was compressed, in its first row or in all of them"
-        found.append(Fault(table.where(int(rows[0])), what, "one number above 0 for each specimen", mend))
+        fix = "give the size that it had before it was compressed, in its first row or in all of them"
+        found.append(Fault(table.where(int(rows[0])), what, "one number above 0 for each specimen", fix))
     return sizes
 
 
@@ -131,18 +131,18 @@ def _one_of(
 
 def _no_stretch(names: list[str], where: str, found: list[Fault]) -> None:
     strains = [name for name in names if "strain" in name.lower()]
-    mend = "name the column so, or add it"
+    fix = "name the column so, or add it"
     if strains:
-        mend = f"add stretch = 1 - strain (in compression): `{strains[0]}` does not say its sign, or percent"
-    found.append(Fault(where, _lacking("stretch", names), SAYS_STRETCH, mend))
+        fix = f"add stretch = 1 - strain (in compression): `{strains[0]}` does not say its sign, or percent"
+    found.append(Fault(where, _lacking("stretch", names), SAYS_STRETCH, fix))
 
 
 def _no_stress(names: list[str], where: str, found: list[Fault]) -> None:
     near = [name for name in names if "stress" in name.lower() or "force" in name.lower()]
-    mend = "name the column so, or add it"
+    fix = "name the column so, or add it"
     if near:
-        mend = f"rename `{near[0]}`: its name must say the unit, and a force needs the specimen's area"
-    found.append(Fault(where, _lacking("stress", names), SAYS_STRESS, mend))
+        fix = f"rename `{near[0]}`: its name must say the unit, and a force needs the specimen's area"
+    found.append(Fault(where, _lacking("stress", names), SAYS_STRESS, fix))
 
 
 def _lacking(what: str, names: list[str]) -> str:
@@ -155,11 +155,11 @@ def _measure(column: str, stated: Measure | None, where: str, found: list[Fault]
     said = "nominal" if column == "force_n" else said  # over the area before, by the columns' meaning
     if said is None and stated is None:
         expected = "nominal (force over the area before compression) or true (over the area at that moment)"
-        mend = f"rename it to nominal_{column} or true_{column}, or give --stress nominal|true"
-        found.append(Fault(where, f"`{column}` does not say which stress it is", expected, mend))
+        fix = f"rename it to nominal_{column} or true_{column}, or give --stress nominal|true"
+        found.append(Fault(where, f"`{column}` does not say which stress it is", expected, fix))
     elif said is not None and stated not in (None, said):
-        mend = "leave --stress out, or rename the column"
+        fix = "leave --stress out, or rename the column"
         what = f"`{column}` is the {said} stress, but --stress says {stated}"
-        found.append(Fault(where, what, "one of the two", mend))
+        found.append(Fault(where, what, "one of the two", fix))
         return None
     return said or stated

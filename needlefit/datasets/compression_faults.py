@@ -33,9 +33,9 @@ def stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) -> It
     if high > 3:
         yield Fault(where, f"{here}: this looks like percent", expected, "divide the column by 100")
     elif _rests_at_zero(stretch, stress) and high < 1 + ABOVE_ONE:
-        mend = "stretch = 1 - strain, where the strain is positive in compression"
+        fix = "stretch = 1 - strain, where the strain is positive in compression"
         yield Fault(
-            where, f"{here} and is about 0 where the stress is: this looks like strain", expected, mend
+            where, f"{here} and is about 0 where the stress is: this looks like strain", expected, fix
         )
     elif low <= 0:
         yield Fault(where, here, expected, "a height cannot reach 0: check height_mm, or the unit")
@@ -44,11 +44,11 @@ def stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) -> It
             where, f"{here}: it is hardly compressed", expected, "compress it further, or check the unit"
         )
     elif low >= 1 - ABOVE_ONE:
-        mend = "measure in compression: the model's tissue is compressed only (stretch at most 1)"
-        yield Fault(where, f"{here}: this is tension", expected, mend)
+        fix = "measure in compression: the model's tissue is compressed only (stretch at most 1)"
+        yield Fault(where, f"{here}: this is tension", expected, fix)
     elif high > 1 + ABOVE_ONE:
-        mend = "keep the rows in compression; displacement_mm, if it is that, is positive toward the specimen"
-        yield Fault(where, f"{here}: tension and compression in one test", expected, mend)
+        fix = "keep the rows in compression; displacement_mm, if it is that, is positive toward the specimen"
+        yield Fault(where, f"{here}: tension and compression in one test", expected, fix)
 
 
 def stress_faults(stress: Floats, where: str, name: str) -> Iterator[Fault]:

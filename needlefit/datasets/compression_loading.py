@@ -67,8 +67,8 @@ def record_faults(record: Record) -> list[Fault]:
     at = turns(record.stretch)
     if len(at) > 1:
         what = f"specimen {name} turns round {len(at)} times, first here"
-        mend = "keep one loading (the last, if the first ones were to condition it), and sort scattered rows"
-        found.append(Fault(record.where[at[0]], what, "one loading, or a loading and its unloading", mend))
+        fix = "keep one loading (the last, if the first ones were to condition it), and sort scattered rows"
+        found.append(Fault(record.where[at[0]], what, "one loading, or a loading and its unloading", fix))
     elif 0 < record.end < FEWEST - 1:
         what = f"specimen {name} is loaded in {record.end + 1} rows only, then it is unloaded"
         found.append(Fault(where, what, f"at least {FEWEST} rows of loading", "give the rows of its loading"))

@@ -14,9 +14,9 @@ from needlefit.datasets.formats.csv import read_curve, read_table
 from needlefit.datasets.formats.points import Points
 from needlefit.datasets.schema import POINT, SD
 from needlefit.errors import DataError
-from needlefit.project.names import EXPECTED, name_fault
-from needlefit.project.places import listed
-from needlefit.project.reading import is_file
+from needlefit.project.input_files import is_file
+from needlefit.project.locate import join_names
+from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 READS = (
     "--from reads a CSV with the columns x_mm, y_mm, z_mm, sd_mm if known and, for more than one curve, id "
@@ -63,19 +63,19 @@ def read_source(path: Path) -> Source:
     suffix = path.suffix.lower()
     if suffix not in READERS:
         expected = ", ".join(READERS)
-        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=expected, mend=READS)
+        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=expected, fix=READS)
     try:
         curves, remarks = READERS[suffix](path)
     except DataError as error:
-        mend = "check the path" if not is_file(path) else error.mend or READS
-        raise DataError(error.what, where=error.where, expected=error.expected, mend=mend) from None
+        fix = "check the path" if not is_file(path) else error.fix or READS
+        raise DataError(error.what, where=error.where, expected=error.expected, fix=fix) from None
     found = [fault for name, points in curves.items() for fault in _unusable(name, points)]
     if found:
         raise as_error(found, path)
     named = _named(curves, path)
     changed = [f"{theirs!r} is {name}" for theirs, name in zip(curves, named, strict=True) if theirs != name]
     if changed:
-        remarks = [*remarks, f"ids name files, so that {listed(changed, MAX_SHOWN_NAMES)}"]
+        remarks = [*remarks, f"ids name files, so that {join_names(changed, MAX_SHOWN_NAMES)}"]
     return Source(path, named, tuple(remarks))
 
 
@@ -116,20 +116,20 @@ READERS: Mapping[str, Callable[[Path], Found]] = {
 
 
 def _without_mapping(fault: Fault) -> Fault:
-    """Return a fault whose mend speaks of `--from`, which knows no `columns` of a dataset.toml."""
-    return replace(fault, mend=f"rename it; {READS}") if "is missing" in fault.what else fault
+    """Return a fault whose fix speaks of `--from`, which knows no `columns` of a dataset.toml."""
+    return replace(fault, fix=f"rename it; {READS}") if "is missing" in fault.what else fault
 
 
 def _unusable(name: str, points: Points) -> list[Fault]:
     if len(points.values) < MIN_POINTS:
-        mend = f"sample the needle more densely; {READS}"
+        fix = f"sample the needle more densely; {READS}"
         what = f"curve {name} has only {len(points.values)} points"
-        return [Fault(points.where(), what, f"at least {MIN_POINTS}", mend)]
+        return [Fault(points.where(), what, f"at least {MIN_POINTS}", fix)]
     bad = points.unusable()
     if len(bad) == 0:
         return []
     what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
-    return [Fault(points.where(int(bad[0])), what, "finite numbers, mm", "remove or mend these points")]
+    return [Fault(points.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
 
 
 def _named(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
@@ -143,8 +143,8 @@ def _named(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
             raise DataError(
                 f"the name {theirs[:MAX_SHOWN_NAME]!r} of a curve is refused: {fault}",
                 where=points.where(),
-                expected=EXPECTED,
-                mend=f"rename it in {path.name}" if theirs != path.stem else "rename the file",
+                expected=EXPECTED_NAME,
+                fix=f"rename it in {path.name}" if theirs != path.stem else "rename the file",
             )
         name = re.sub(r"[^A-Za-z0-9._-]+", "_", theirs).lstrip("._-") or "curve"
         if name in named:
@@ -152,7 +152,7 @@ def _named(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
                 f"id {theirs!r} becomes {name}, as another one does",
                 where=points.where(),
                 expected="ids that differ in letters, digits, `.`, `_`, `-`: they name files",
-                mend=f"rename one of them in {path.name}",
+                fix=f"rename one of them in {path.name}",
             )
         named[name] = points
     return named

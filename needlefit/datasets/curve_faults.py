@@ -9,8 +9,8 @@ from needlefit.datasets.formats.points import Points
 from needlefit.datasets.rows import called
 from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.geometry.curves import arc_length
-from needlefit.project.records.dataset import DatasetRecord
 from needlefit.project.unit_warnings import LENGTH_UNITS
+from needlefit.schemas.dataset import DatasetRecord
 
 MIN_POINTS = 5
 """Fewer points are no curve."""

@@ -10,10 +10,9 @@ from needlefit.datasets.formats.csv import Table
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers_met import Placed
 from needlefit.datasets.noise_warnings import noise_warnings, stated_warnings
-from needlefit.project.records.dataset import DatasetRecord, SourceRecord
-from needlefit.project.records.tip_tracks import TrackDatasetRecord
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import Where, layer_warnings, needle_warnings, where_in
+from needlefit.project.unit_warnings import FormatPlace, format_place, layer_warnings, needle_warnings
+from needlefit.schemas.dataset import DatasetRecord, SourceRecord, TrackDatasetRecord
 
 FILL_IN = "TO FILL IN"
 """Marks what a template cannot know."""
@@ -24,12 +23,12 @@ _WRITE = "write what was measured; reports print it"
 
 def record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> list[ResultWarning]:
     """Return what is suspicious in a `dataset.toml` by itself."""
-    where = where_in(file)
+    where = format_place(file)
     found = [*placeholder_warnings(record, where), *needle_warnings(record.needle, where)]
     return [*found, *stated_warnings(record.noise, record.needle.length_mm, where)]
 
 
-def placeholder_warnings(record: SourceRecord, where: Where) -> Iterator[ResultWarning]:
+def placeholder_warnings(record: SourceRecord, where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield a warning if texts of a template are still there."""
     keys = list(_holding(record.model_dump(by_alias=True)))
     if keys:
@@ -70,7 +69,7 @@ def insertion_warnings(
     record: DatasetRecord, placed: Sequence[Placed], noise: Noise, file: Path
 ) -> list[ResultWarning]:
     """Return what is suspicious in sound insertions."""
-    where, insertions = where_in(file), [one.insertion for one in placed]
+    where, insertions = format_place(file), [one.insertion for one in placed]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
     bents = [bent(one.insertion, one.where, noise) for one in placed]
     return [
@@ -84,7 +83,7 @@ def insertion_warnings(
 
 
 def _boundary_warnings(
-    record: DatasetRecord, insertions: Sequence[Insertion], where: Where
+    record: DatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
 ) -> Iterator[ResultWarning]:
     for name, medium in record.media.items():
         depths = [one.depth for one in insertions if one.medium == name]
@@ -93,7 +92,7 @@ def _boundary_warnings(
             yield from layer_warnings(medium.boundaries_mm, max(depths), where, key)
 
 
-def _missed_warnings(insertions: Sequence[Insertion], where: Where) -> Iterator[ResultWarning]:
+def _missed_warnings(insertions: Sequence[Insertion], where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield a warning for each medium with surfaces of which no insertion meets any."""
     for name in dict.fromkeys(one.medium for one in insertions):
         group = [one for one in insertions if one.medium == name]

@@ -9,12 +9,12 @@ from needlefit.errors import DataError, NeedlefitError
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: `where` (file, with line where there is one), `what`, what was `expected`, how to `mend`."""
+    """One fault: `where` (file, with line where there is one), `what`, what was `expected`, how to `fix`."""
 
     where: str
     what: str
     expected: str = ""
-    mend: str = ""
+    fix: str = ""
 
     def __str__(self) -> str:
         return str(as_error([self], Path(self.where)))
@@ -22,13 +22,13 @@ class Fault:
 
 def from_error(error: NeedlefitError, where: str = "") -> Fault:
     """Return the fault that an error describes, at `where` unless the error knows better."""
-    return Fault(error.where or where, error.what, error.expected, error.mend)
+    return Fault(error.where or where, error.what, error.expected, error.fix)
 
 
 def as_error(faults: Sequence[Fault], path: Path) -> DataError:
     """Return the error that lists every fault of what `path` holds."""
     if len(faults) == 1:
         fault = faults[0]
-        return DataError(fault.what, where=fault.where, expected=fault.expected, mend=fault.mend)
+        return DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)
     listed = "\n".join(str(fault) for fault in faults)
     return DataError(f"has {len(faults)} faults\n{listed}", where=str(path))

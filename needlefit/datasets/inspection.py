@@ -19,13 +19,13 @@ from needlefit.datasets.rows import parse_rows
 from needlefit.datasets.sources import checksum_faults, dataset_file, digest, folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
+from needlefit.project.input_files import is_file
 from needlefit.project.load import load
-from needlefit.project.reading import is_file
-from needlefit.project.records.dataset import LEAST_SD_MM, DatasetRecord, NoiseRecord
-from needlefit.project.records.scene import NeedleRecord
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import place_of
+from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import likely_modulus
+from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord
+from needlefit.schemas.scene import NeedleRecord
 
 STIFFEST_GPA = 1000.0
 """No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
@@ -103,7 +103,7 @@ def _insertions(
             insertion = reduce(row, points, medium, row.patient or patient_frame(record.frame))
         except DataError as error:
             fault = from_error(error, where)
-            found.append(replace(fault, mend=fault.mend or POINT_ACROSS))
+            found.append(replace(fault, fix=fault.fix or POINT_ACROSS))
             continue
         yield Placed(insertion, where)
 
@@ -115,7 +115,7 @@ def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
         return
     unit, in_gpa = likely_modulus(modulus)
     yield Fault(
-        place_of(file, "needle.youngs_modulus_gpa"),
+        locate_key(file, "needle.youngs_modulus_gpa"),
         f"needle.youngs_modulus_gpa is {modulus:g}{f': this looks like {unit}' if unit else ''}",
         "GPa: about 200 for steel, 40 to 80 for nitinol",
         f"write {in_gpa:.3g}" if unit else "write it in GPa",
@@ -142,7 +142,7 @@ def reach_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) ->
         try:
             reach_from_tip(record.frame.drop_proximal_mm, one.insertion)
         except DataError as error:
-            yield from_error(error, place_of(file, "frame.drop_proximal_mm"))
+            yield from_error(error, locate_key(file, "frame.drop_proximal_mm"))
 
 
 def sd_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) -> Iterator[Fault]:
@@ -150,12 +150,12 @@ def sd_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) -> It
     if noise_of(record.noise).stated:
         return
     for one in placed:
-        if one.insertion.sd is not None and (one.insertion.sd < LEAST_SD_MM).any():
+        if one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
             yield Fault(
                 one.where,
                 f"{one.insertion.id} has points whose sd_mm is 0, and no other noise is stated",
                 "a standard deviation above 0, mm",
-                f"correct the column, or state noise.point_sd_mm in {place_of(file, 'noise.point_sd_mm')}",
+                f"correct the column, or state noise.point_sd_mm in {locate_key(file, 'noise.point_sd_mm')}",
             )
 
 

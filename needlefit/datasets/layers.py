@@ -12,8 +12,8 @@ from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import Surface, read_surface, surface_faults
-from needlefit.project.reading import is_file
-from needlefit.project.records.dataset import DatasetRecord, SurfaceRecord
+from needlefit.project.input_files import is_file
+from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
 SMALLEST_SURFACE, LARGEST_SURFACE = 1.0, 2000.0
 """A surface whose greatest extent is less or more than this, mm, was written in metres or micrometres."""
@@ -67,9 +67,9 @@ def _read(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | No
 
 
 def file_fault(error: DataError, path: Path) -> Fault:
-    """Return the fault of a surface's file that could not be read, and how to mend it."""
+    """Return the fault of a surface's file that could not be read, and how to fix it."""
     fault = from_error(error)
-    return fault if fault.mend else replace(fault, mend=RESTORE if not is_file(path) else EXPORT)
+    return fault if fault.fix else replace(fault, fix=RESTORE if not is_file(path) else EXPORT)
 
 
 def mesh_faults(surface: Surface, path: Path) -> Iterator[Fault]:
@@ -79,7 +79,7 @@ def mesh_faults(surface: Surface, path: Path) -> Iterator[Fault]:
         "sheet": "one piece with one rim, larger than the tissue it parts",
     }[surface.kind]
     for what in surface_faults(surface.mesh, surface.kind):
-        yield Fault(str(path), f"the {surface.kind} {what}", expected, "mend the mesh (e.g. MeshLab, Slicer)")
+        yield Fault(str(path), f"the {surface.kind} {what}", expected, "fix the mesh (e.g. MeshLab, Slicer)")
     extent = float(np.ptp(surface.mesh.vertices, axis=0).max())
     if extent < SMALLEST_SURFACE:
         yield Fault(

@@ -12,9 +12,9 @@ from needlefit.datasets.layers import layers_before
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.surfaces import Surface, moved
-from needlefit.project.records.dataset import DatasetRecord
-from needlefit.project.toml_lines import place_of
+from needlefit.project.toml_lines import locate_key
 from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
+from needlefit.schemas.dataset import DatasetRecord
 
 HALF_TURN = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
 """From RAS to LPS, and back: x and y change their signs."""
@@ -36,7 +36,7 @@ def media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
         if skipped:
             listed = ", ".join(map(str, sorted(numbers)))
             yield Fault(
-                place_of(file, f"media.{name}.surfaces"),
+                locate_key(file, f"media.{name}.surfaces"),
                 f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
                 "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
                 "correct `into`, or add the surface that is missing",
@@ -49,12 +49,12 @@ def surface_faults(placed: Sequence[Placed], record: DatasetRecord, file: Path) 
         group = [one for one in placed if one.insertion.medium == name]
         copies = _copies(group[0].insertion.surfaces)
         if copies:  # their layers cannot be counted
-            yield from (_twice(place_of(file, f"media.{name}.surfaces"), name, *pair) for pair in copies)
+            yield from (_twice(locate_key(file, f"media.{name}.surfaces"), name, *pair) for pair in copies)
             continue
         unit = _boundary_unit(group, record.media[name].boundaries_mm or ())
         if unit:
             yield Fault(
-                place_of(file, f"media.{name}.boundaries_mm"),
+                locate_key(file, f"media.{name}.boundaries_mm"),
                 f"boundaries_mm of medium {name} do not give the layers listed for its insertions, and do so "
                 f"once they are multiplied by {LENGTH_UNITS[unit]:g}: this looks like {unit}",
                 "depths along the needle, mm",
@@ -64,7 +64,7 @@ def surface_faults(placed: Sequence[Placed], record: DatasetRecord, file: Path) 
         missed = all(one.insertion.surfaces and one.insertion.sequence == (1,) for one in group)
         if missed and all(_meets_turned(one.insertion) for one in group):
             yield Fault(
-                place_of(file, f"media.{name}.surfaces"),
+                locate_key(file, f"media.{name}.surfaces"),
                 f"all {len(group)} insertions into {name} miss all its surfaces, and meet them once x and y "
                 "change their signs: surfaces and centrelines are one in LPS and one in RAS",
                 "surfaces and centrelines in one frame",

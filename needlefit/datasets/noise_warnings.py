@@ -7,9 +7,9 @@ import numpy as np
 
 from needlefit.datasets.insertion import Floats, Insertion, Noise
 from needlefit.datasets.layers_met import Placed
-from needlefit.project.records.dataset import DatasetRecord, NoiseRecord
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.unit_warnings import Where
+from needlefit.project.unit_warnings import FormatPlace
+from needlefit.schemas.dataset import DatasetRecord, NoiseRecord
 
 LEAST_POINT_SD_MM = 5e-4
 """Of the points of a centreline: less was written in another unit."""
@@ -26,7 +26,7 @@ CLEAR_NOISE = 0.5
 """Part of the largest deflection from which on noise hides what there is to fit."""
 
 
-def stated_warnings(noise: NoiseRecord, length_mm: float, where: Where) -> Iterator[ResultWarning]:
+def stated_warnings(noise: NoiseRecord, length_mm: float, where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield a warning for each value of `[noise]` that no measurement has, for a needle of `length_mm`."""
     largest = max(noise.point_sd_mm, noise.correlated_sd_mm)
     if 0 < largest < LEAST_POINT_SD_MM:
@@ -45,13 +45,13 @@ def stated_warnings(noise: NoiseRecord, length_mm: float, where: Where) -> Itera
         yield ResultWarning("units", what, where(key), "check its unit, mm")
 
 
-def _too_small(key: str, value: float, where: Where) -> ResultWarning:
+def _too_small(key: str, value: float, where: FormatPlace) -> ResultWarning:
     what = f"`{key}` is {value:g} mm, less than any needle is measured to: this looks like metres"
     return ResultWarning("units", what, where(key), f"write {1e3 * value:g}")
 
 
 def noise_warnings(
-    record: DatasetRecord, placed: Sequence[Placed], noise: Noise, where: Where
+    record: DatasetRecord, placed: Sequence[Placed], noise: Noise, where: FormatPlace
 ) -> list[ResultWarning]:
     """Return what is suspicious in the errors stated, beside the insertions themselves."""
     insertions = [one.insertion for one in placed]
@@ -70,7 +70,7 @@ def _largest_deflection(insertions: Sequence[Insertion]) -> float:
 
 
 def _beside_deflection(
-    insertions: Sequence[Insertion], noise: Noise, where: Where
+    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace
 ) -> Iterator[ResultWarning]:
     largest = _largest_deflection(insertions)
     sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
@@ -81,7 +81,7 @@ def _beside_deflection(
 
 
 def _registration_beside_deflection(
-    record: DatasetRecord, insertions: Sequence[Insertion], where: Where
+    record: DatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
 ) -> Iterator[ResultWarning]:
     largest, value = _largest_deflection(insertions), record.noise.registration_mean_mm
     if record.frame.pose == "known" and largest < value <= LARGEST_POSE_SD_MM:
@@ -90,7 +90,7 @@ def _registration_beside_deflection(
         yield ResultWarning("noise", what, where(key), "check its unit, mm")
 
 
-def spacing_warnings(noise: Noise, depths: Sequence[Floats], where: Where) -> Iterator[ResultWarning]:
+def spacing_warnings(noise: Noise, depths: Sequence[Floats], where: FormatPlace) -> Iterator[ResultWarning]:
     """Yield a warning if the correlation is shorter than points, at `depths` (N,) each, are apart."""
     if noise.correlated_sd <= 0 or not depths:
         return
@@ -138,7 +138,7 @@ def _angle_deg(insertion: Insertion) -> float:
 
 
 def _column_warnings(
-    record: DatasetRecord, placed: Sequence[Placed], where: Where
+    record: DatasetRecord, placed: Sequence[Placed], where: FormatPlace
 ) -> Iterator[ResultWarning]:
     """Yield a warning for each column of deviations of the table that holds values hard to believe."""
     source = record.insertions
@@ -153,7 +153,9 @@ def _column_warnings(
             yield ResultWarning("units", what, place, check.fix)
 
 
-def _none_stated(insertions: Sequence[Insertion], noise: Noise, where: Where) -> Iterator[ResultWarning]:
+def _none_stated(
+    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace
+) -> Iterator[ResultWarning]:
     if not noise.stated and any(one.sd is None for one in insertions):
         key = "noise.point_sd_mm"
         what = "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"

@@ -17,6 +17,6 @@ def reach_from_tip(drop: float, insertion: Insertion) -> float:
     if reach <= 0:
         raise DataError(
             f"insertion `{insertion.id}` is not longer than the {drop:g} mm that are left out",
-            mend="lessen frame.drop_proximal_mm, or leave the insertion out",
+            fix="lessen frame.drop_proximal_mm, or leave the insertion out",
         )
     return reach

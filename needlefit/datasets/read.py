@@ -23,7 +23,7 @@ def read(path: Path) -> Dataset:
             "holds tip tracks, no shapes",
             where=str(dataset_file(path)),
             expected="a dataset with [centerlines]",
-            mend='fit it by a study with `observes = "tip tracks"`',
+            fix='fit it by a study with `observable = "tip tracks"`',
         )
     found = inspect(path)
     if found.dataset is None:

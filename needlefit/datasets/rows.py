@@ -25,9 +25,9 @@ from needlefit.datasets.schema import (
     InsertionRow,
 )
 from needlefit.geometry.frames import Frame
-from needlefit.project.names import EXPECTED, name_fault
-from needlefit.project.records.dataset import DatasetRecord, InsertionsRecord
 from needlefit.project.unit_warnings import LENGTH_UNITS
+from needlefit.schemas.dataset import DatasetRecord, InsertionsRecord
+from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 UNIT = 1e-3
 """Greatest deviation of a direction's length from 1."""
@@ -155,11 +155,11 @@ def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterato
         )
     fault = name_fault(row.specimen)
     if fault:
-        yield Fault(where, f"specimen is {row.specimen!r}: {fault}", EXPECTED, "rename it")
+        yield Fault(where, f"specimen is {row.specimen!r}: {fault}", EXPECTED_NAME, "rename it")
     if row.medium not in record.media:
         listed = ", ".join(record.media) or "(none)"
-        mend = "correct it, or add a table [media.NAME] to dataset.toml"
-        yield Fault(where, f"medium {row.medium!r} is unknown", f"one of {listed}", mend)
+        fix = "correct it, or add a table [media.NAME] to dataset.toml"
+        yield Fault(where, f"medium {row.medium!r} is unknown", f"one of {listed}", fix)
     if row.layers < 1 or (row.layers_alternative or 0) < 1:
         yield Fault(
             where,
@@ -195,8 +195,8 @@ def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Itera
     length, guide = record.needle.length_mm, row.guide_distance
     depth_mm = called(record, "depth_mm")
     if row.depth <= 0:
-        mend = "give the length from the entry to the tip, without a sign"
-        yield Fault(where, f"{depth_mm} is {row.depth:g}", "an inserted length above 0", mend)
+        fix = "give the length from the entry to the tip, without a sign"
+        yield Fault(where, f"{depth_mm} is {row.depth:g}", "an inserted length above 0", fix)
     elif row.depth < SMALLEST_DEPTH:
         yield Fault(
             where,
@@ -253,13 +253,13 @@ def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterat
         return
     if row.pose_source not in POSE_SOURCES[:-1]:
         expected = f"one of {', '.join(POSE_SOURCES[:-1])}"
-        mend = 'say where the entry pose comes from; where there is none, frame.pose is "free"'
-        yield Fault(where, f"pose_source is {row.pose_source!r}", expected, mend)
+        fix = 'say where the entry pose comes from; where there is none, frame.pose is "free"'
+        yield Fault(where, f"pose_source is {row.pose_source!r}", expected, fix)
     length = float(np.linalg.norm(row.direction))
     if abs(length - 1) > UNIT:
-        mend = "divide the three numbers by their length" if length else "give the direction of insertion"
+        fix = "divide the three numbers by their length" if length else "give the direction of insertion"
         yield Fault(
-            where, f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)", mend
+            where, f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)", fix
         )
 
 

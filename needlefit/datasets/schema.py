@@ -38,7 +38,7 @@ COLUMNS = (
 """The columns of `insertions.csv` in the order in which they are written; `MOVED` follows where any base was
 moved, and `SCAN` where any insertion has a motion of its own."""
 
-MOVED = "base_moved_mm"
+MOVED = "base_shift_mm"
 
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 

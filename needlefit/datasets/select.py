@@ -4,18 +4,21 @@ from collections.abc import Iterable
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.errors import ConfigError
-from needlefit.project.places import listed, nearest_first
-from needlefit.project.records.fit import Reading, SelectionRecord
-from needlefit.project.toml_lines import at_key
+from needlefit.project.locate import join_names, sort_by_similarity
+from needlefit.project.toml_lines import add_key_context
+from needlefit.schemas.study import LayerCountRule, SelectionRecord
 
 
 def select(
-    dataset: Dataset, selection: SelectionRecord, reading: Reading = "listed", key: str = "tune"
+    dataset: Dataset,
+    selection: SelectionRecord,
+    layer_count_rule: LayerCountRule = "listed",
+    key: str = "tune",
 ) -> tuple[Insertion, ...]:
     """Return the insertions that meet every key of `selection`, in the dataset's order.
 
-    `reading` decides which count of layers holds for an insertion that ends at a boundary; `key` is where
-    the selection stands in its file.
+    `layer_count_rule` decides which count of layers holds for an insertion that ends at a boundary; `key` is
+    where the selection stands in its file.
 
     Raises
     ------
@@ -23,39 +26,39 @@ def select(
         If a medium, specimen or insertion is unknown, or no insertion is left.
     """
     known = dataset.insertions
-    with at_key(f"{key}.medium"):
+    with add_key_context(f"{key}.medium"):
         _all_known("medium", [selection.medium] if selection.medium else (), dataset.media)
-    with at_key(f"{key}.specimens"):
+    with add_key_context(f"{key}.specimens"):
         _all_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
-    with at_key(f"{key}.insertions"):
+    with add_key_context(f"{key}.insertions"):
         _all_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
-    chosen = tuple(insertion for insertion in known if _meets(insertion, selection, reading))
+    chosen = tuple(insertion for insertion in known if _meets(insertion, selection, layer_count_rule))
     if not chosen:
         given = selection.model_dump(exclude_none=True)
         raise ConfigError(
             f"no insertion of dataset {dataset.name} has {' and '.join(map(_said, given, given.values()))}",
-            expected=f"a selection that leaves at least one; there are {_there_are(known, reading)}",
-            mend="widen or correct the selection",
+            expected=f"a selection that leaves at least one; there are {_there_are(known, layer_count_rule)}",
+            fix="widen or correct the selection",
             key=key,
         )
     return chosen
 
 
-def layers_of(insertion: Insertion, reading: Reading) -> int:
+def layers_of(insertion: Insertion, layer_count_rule: LayerCountRule) -> int:
     """Return how many layers an insertion traverses by this reading."""
-    return insertion.layers if reading == "listed" else insertion.layers_alternative
+    return insertion.layers if layer_count_rule == "listed" else insertion.layers_alternative
 
 
-def other_reading(reading: Reading) -> Reading:
+def other_reading(layer_count_rule: LayerCountRule) -> LayerCountRule:
     """Return the reading that a study does not use."""
-    return "alternative" if reading == "listed" else "listed"
+    return "alternative" if layer_count_rule == "listed" else "listed"
 
 
-def _meets(insertion: Insertion, selection: SelectionRecord, reading: Reading) -> bool:
+def _meets(insertion: Insertion, selection: SelectionRecord, layer_count_rule: LayerCountRule) -> bool:
     low, high = selection.depth_min_mm, selection.depth_max_mm
     return (
         (selection.medium is None or insertion.medium == selection.medium)
-        and (selection.layers is None or layers_of(insertion, reading) in selection.layers)
+        and (selection.layers is None or layers_of(insertion, layer_count_rule) in selection.layers)
         and (selection.specimens is None or insertion.specimen in selection.specimens)
         and (selection.insertions is None or insertion.id in selection.insertions)
         and (low is None or insertion.depth >= low)
@@ -70,14 +73,16 @@ def _said(key: str, value: object) -> str:
     return f"{key} = {f'[{listed}]' if isinstance(value, tuple) else listed}"
 
 
-def _there_are(insertions: Iterable[Insertion], reading: Reading) -> str:
+def _there_are(insertions: Iterable[Insertion], layer_count_rule: LayerCountRule) -> str:
     """Return what there is to select from: by medium, how many, of how many layers, how deep."""
     by_medium: dict[str, list[Insertion]] = {}
     for insertion in insertions:
         by_medium.setdefault(insertion.medium, []).append(insertion)
     said = []
     for medium, group in by_medium.items():
-        layers = ", ".join(str(n) for n in sorted({layers_of(insertion, reading) for insertion in group}))
+        layers = ", ".join(
+            str(n) for n in sorted({layers_of(insertion, layer_count_rule) for insertion in group})
+        )
         depths = [insertion.depth for insertion in group]
         said.append(
             f"{len(group)} in {medium} (layers {layers}; depths {min(depths):g} to {max(depths):g} mm)"
@@ -91,6 +96,6 @@ def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
     if unknown:
         raise ConfigError(
             f"{kind} {', '.join(unknown)} is not in the dataset",
-            expected=f"one of {listed(nearest_first(unknown[0], names)) or '(none)'}",
-            mend="correct the selection",
+            expected=f"one of {join_names(sort_by_similarity(unknown[0], names)) or '(none)'}",
+            fix="correct the selection",
         )

@@ -8,9 +8,9 @@ from pathlib import Path
 from needlefit.datasets.faults import Fault
 from needlefit.errors import DataError
 from needlefit.project.files import sha256
+from needlefit.project.input_files import is_dir, is_file
 from needlefit.project.load import read_toml
-from needlefit.project.reading import is_dir, is_file
-from needlefit.project.records.dataset import SourceRecord
+from needlefit.schemas.dataset import SourceRecord
 
 
 def dataset_file(path: Path) -> Path:
@@ -33,7 +33,7 @@ def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
             f"root is {record.root}, and that environment variable is not set",
             where=str(path),
             expected="the variable, naming the folder that holds the dataset folders",
-            mend=record.how_to_get or "set it and run again",
+            fix=record.how_to_get or "set it and run again",
         )
     absolute, found = _matching(record.root, path)
     if not found:
@@ -41,7 +41,7 @@ def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
             f"no folder matches root {record.root}",
             where=str(path),
             expected=str(absolute),
-            mend=record.how_to_get or "check the path",
+            fix=record.how_to_get or "check the path",
         )
     return found
 
@@ -76,9 +76,9 @@ def checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
                 )
             )
         elif (actual := sha256(file)) != expected.lower():
-            mend = f"restore the file, or, if the change is meant, write {actual} under [checksums]"
+            fix = f"restore the file, or, if the change is meant, write {actual} under [checksums]"
             faults.append(
-                Fault(str(file), "is not the file described: wrong checksum", f"sha256 {expected}", mend)
+                Fault(str(file), "is not the file described: wrong checksum", f"sha256 {expected}", fix)
             )
     return faults
 

@@ -13,9 +13,9 @@ from needlefit.datasets.schema import Floats, InsertionRow
 from needlefit.datasets.write import write_dataset
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.surfaces import sheet
-from needlefit.project.names import require_file_name
-from needlefit.project.records.dataset import DatasetRecord
-from needlefit.project.replace import new_folder, require_new
+from needlefit.project.atomic_write import create_folder, require_new
+from needlefit.schemas.dataset import DatasetRecord
+from needlefit.schemas.names import require_file_name
 
 PLACEHOLDER_SD_MM = 0.1
 """Noise of a point before its maker states one: about what tracing a needle in a CT scan leaves."""
@@ -60,11 +60,11 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
     require_new(folder)
     require_file_name(folder.resolve().name, str(folder))
     if source is None:
-        with new_folder(folder) as fresh:
+        with create_folder(folder) as fresh:
             _finish(_example(fresh), EXAMPLE_NOTE)
         return folder / "dataset.toml"
     read = read_source(source)
-    with new_folder(folder) as fresh:
+    with create_folder(folder) as fresh:
         curves = {name: points.written() for name, points in read.curves.items()}
         faults = _finish(_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
         if faults:

@@ -9,7 +9,7 @@ from pathlib import Path
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats.csv import missing_columns, read_table
 from needlefit.datasets.insertion import Dataset
-from needlefit.project.reading import is_file
+from needlefit.project.input_files import is_file
 
 NAME = "volumes.csv"
 COLUMNS = ("id", "volume", "series")

@@ -13,7 +13,7 @@ from needlefit.datasets.schema import COLUMNS, MOVED, POINT, SCAN, SD, Floats, I
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface, write_surface
 from needlefit.project.files import sha256
-from needlefit.project.records.dataset import DatasetRecord
+from needlefit.schemas.dataset import DatasetRecord
 
 
 def write_dataset(

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from needlefit.geometry.frames import Frame
 from needlefit.geometry.patient import IN_PATIENT
-from needlefit.project.records.recording import PlacementRecord
+from needlefit.schemas.recording import PlacementRecord
 
 Floats = NDArray[np.float64]
 

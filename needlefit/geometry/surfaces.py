@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame, unit
 from needlefit.geometry.plane import any_normal
-from needlefit.project.reading import read_bytes
+from needlefit.project.input_files import read_bytes
 
 Kind = Literal["sheet", "solid"]
 
@@ -135,7 +135,7 @@ def _no_mesh(path: Path, what: str) -> DataError:
         what,
         where=str(path),
         expected="an STL, PLY or OBJ file of triangles, in mm",
-        mend="export the surface again, as binary STL",
+        fix="export the surface again, as binary STL",
     )
 
 

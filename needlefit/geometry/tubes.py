@@ -66,7 +66,7 @@ def _cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Floats]:
         raise DataError(
             "two neighbouring points of a curve coincide",
             expected="points that differ",
-            mend="remove the repeated points",
+            fix="remove the repeated points",
         )
     steps = steps / lengths
     tangents = np.vstack([steps[:1], steps[1:] + steps[:-1], steps[-1:]])

@@ -1,1 +1,3 @@
-"""From a scan to points in millimetres: one arrow a file; the only home of SimpleITK, pydicom and skimage."""
+"""From a CT scan to the needle's centreline in mm. Only this package imports SimpleITK, pydicom and
+skimage.
+"""

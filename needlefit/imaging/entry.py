@@ -7,8 +7,8 @@ which it was pushed, plus a cubic that the tissue's pull at the entry bends,
     q(s) = q0 + q1 s + d h0(x) + g L h1(x),     x = 1 + s / L,   h0 = 3 x^2 - 2 x^3,   h1 = x^3 - x^2,
 
 s from the entry (s < 0 outside), L the free length, d and g what the entry moved and turned. q0, q1 are the
-pose; d and g take priors (`[entry] bend_mm, bend_deg`), for a short shaft tells them from the axis only
-poorly, and the deviation of the pose says how poorly.
+pose; d and g take priors (`[entry] entry_shift_sd_mm, entry_tilt_sd_deg`), for a short shaft tells them from
+the axis only poorly, and the deviation of the pose says how poorly.
 """
 
 from dataclasses import dataclass, replace
@@ -23,31 +23,31 @@ from needlefit.geometry.plane import any_normal
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import Registration, target_covariance
-from needlefit.imaging.scan import Stage
+from needlefit.imaging.scan import StagePose
 
 Floats = NDArray[np.float64]
 
-SHORTEST_SHAFT = 10.0
+MIN_SHAFT_LENGTH_MM = 10.0
 """Length of shaft outside the tissue, mm, below which no axis is drawn through it."""
 
-CLEAR = 1.0
+SHAFT_CLEARANCE_MM = 1.0
 """The shaft is used up to this far from the entry, mm, where the surface still shows in it."""
 
-CORRELATED = 7.5
+CORRELATION_LENGTH_MM = 7.5
 """Length along the needle over which errors of the traced axis hang together, mm: half a knot's distance."""
 
-REACH = 80.0
+SURFACE_REACH_MM = 80.0
 """How far from the place where the needle enters the axis is followed to the tissue's surface, mm."""
 
-GROSS = 10.0
+MAX_AXIS_DISAGREEMENT_SD = 10.0
 """Deviations from which on the stage's axis and the shaft's are not one needle's."""
 
-FARTHEST = 5.0
+MAX_ENTRY_DISTANCE_MM = 5.0
 """Greatest distance of a centreline's first point from the entry, mm; as datasets demand it."""
 
 
 @dataclass(frozen=True)
-class Shaft:
+class OutsideShaft:
     """The needle outside the tissue.
 
     Attributes
@@ -76,27 +76,27 @@ class Shaft:
 class Disagreement:
     """Two axes at first contact: distance across (mm) and angle (rad), with the deviation of each."""
 
-    beside: float
-    beside_sd: float
+    offset: float
+    offset_sd: float
     turn: float
     turn_sd: float
 
     @property
     def worst(self) -> float:
         """The larger of both in deviations."""
-        return max(self.beside / self.beside_sd, self.turn / self.turn_sd)
+        return max(self.offset / self.offset_sd, self.turn / self.turn_sd)
 
     @property
-    def said(self) -> str:
+    def sentence(self) -> str:
         """The same in words."""
         turn, turn_sd = np.degrees([self.turn, self.turn_sd])
         return (
-            f"the shaft outside the tissue stands {self.beside:.2f} +- {self.beside_sd:.2f} mm beside the "
+            f"the shaft outside the tissue stands {self.offset:.2f} +- {self.offset_sd:.2f} mm beside the "
             f"stage's axis and is turned by {turn:.2f} +- {turn_sd:.2f} degrees against it"
         )
 
 
-def from_stage(stage: Stage, registration: Registration | None, patient_entry: Floats) -> EntryPose:
+def pose_from_stage(stage: StagePose, registration: Registration | None, patient_entry: Floats) -> EntryPose:
     """Return the pose that the stage states, with deviations against the centreline.
 
     The scan brings the registration's error with it: its shift at the entry (`patient_entry` (3,), LPS) and
@@ -105,8 +105,11 @@ def from_stage(stage: Stage, registration: Registration | None, patient_entry: F
     shift, turn, along = 0.0, 0.0, 0.0
     if registration is not None:
         error = target_covariance(registration, patient_entry[None])[0]
-        shift, along = _across(error, stage.direction), float(stage.direction @ error @ stage.direction)
-        turn = _across(registration.covariance[:3, :3], stage.direction)
+        shift, along = (
+            _variance_across(error, stage.direction),
+            float(stage.direction @ error @ stage.direction),
+        )
+        turn = _variance_across(registration.covariance[:3, :3], stage.direction)
     return EntryPose(
         origin=stage.entry,
         direction=stage.direction,
@@ -117,13 +120,13 @@ def from_stage(stage: Stage, registration: Registration | None, patient_entry: F
     )
 
 
-def shown(shaft: Shaft) -> float:
+def usable_length(shaft: OutsideShaft) -> float:
     """Return the length of the shaft that can be used, mm."""
-    use = shaft.s[shaft.s < -CLEAR]
+    use = shaft.s[shaft.s < -SHAFT_CLEARANCE_MM]
     return float(np.ptp(use)) if len(use) else 0.0
 
 
-def from_shaft(shaft: Shaft, along_sd: float) -> EntryPose:
+def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
     """Return the pose of the axis on which the shaft was pushed; its origin is where that axis enters.
 
     Raises
@@ -131,13 +134,13 @@ def from_shaft(shaft: Shaft, along_sd: float) -> EntryPose:
     DataError
         If too little of the shaft shows.
     """
-    use = shaft.s < -CLEAR
-    if shown(shaft) < SHORTEST_SHAFT:
+    use = shaft.s < -SHAFT_CLEARANCE_MM
+    if usable_length(shaft) < MIN_SHAFT_LENGTH_MM:
         raise DataError(
-            f"{shown(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
+            f"{usable_length(shaft):.1f} mm of the shaft show outside the tissue, too few to draw its axis",
             where="entry pose",
-            expected=f"at least {SHORTEST_SHAFT:g} mm, or the pose of the stage",
-            mend="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
+            expected=f"at least {MIN_SHAFT_LENGTH_MM:g} mm, or the pose of the stage",
+            fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or scan more of the needle",
         )
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
     chord = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
@@ -145,7 +148,9 @@ def from_shaft(shaft: Shaft, along_sd: float) -> EntryPose:
     line = points[-1] + (s - s[-1])[:, None] * chord  # what is left to explain is across it
     x = 1 + s / shaft.free
     design = np.column_stack([np.ones_like(s), s, 3 * x**2 - 2 * x**3, shaft.free * (x**3 - x**2)])
-    noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / CORRELATED) + np.diag((0.1 * sd) ** 2)
+    noise = np.outer(sd, sd) * np.exp(-np.abs(s[:, None] - s) / CORRELATION_LENGTH_MM) + np.diag(
+        (0.1 * sd) ** 2
+    )
     whitened = np.linalg.solve(noise, design)
     prior = np.diag([0.0, 0.0, shaft.bend**-2, shaft.turn**-2])
     covariance = np.linalg.inv(design.T @ whitened + prior)
@@ -158,14 +163,14 @@ def from_shaft(shaft: Shaft, along_sd: float) -> EntryPose:
     )
 
 
-def disagreement(stage: EntryPose, shaft: EntryPose) -> Disagreement:
+def compare_poses(stage: EntryPose, shaft: EntryPose) -> Disagreement:
     """Return by how much the shaft outside the tissue stands beside the stage's axis, at first contact."""
     apart = shaft.origin - stage.origin
-    beside = apart - (apart @ stage.direction) * stage.direction
+    offset = apart - (apart @ stage.direction) * stage.direction
     turn = float(np.arccos(np.clip(stage.direction @ shaft.direction, -1, 1)))
     return Disagreement(
-        beside=float(np.linalg.norm(beside)),
-        beside_sd=float(np.hypot(stage.shift_sd, shaft.shift_sd)),
+        offset=float(np.linalg.norm(offset)),
+        offset_sd=float(np.hypot(stage.shift_sd, shaft.shift_sd)),
         turn=turn,
         turn_sd=float(np.hypot(stage.angle_sd, shaft.angle_sd)),
     )
@@ -173,33 +178,33 @@ def disagreement(stage: EntryPose, shaft: EntryPose) -> Disagreement:
 
 def require_agreement(stage: EntryPose, shaft: EntryPose) -> None:
     """Raise DataError if the stage's axis and the shaft cannot be the same needle's."""
-    found = disagreement(stage, shaft)
-    if found.worst <= GROSS:
+    found = compare_poses(stage, shaft)
+    if found.worst <= MAX_AXIS_DISAGREEMENT_SD:
         return
     raise DataError(
-        found.said,
+        found.sentence,
         where="entry pose",
         expected="the axis on which the needle was pushed",
-        mend="check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS), and "
+        fix="check entry_x_mm ... entry_dz: their frame (the world of the markers), signs (LPS or RAS), and "
         "the deviations stated; or leave the stage out, and the shaft is taken",
     )
 
 
-def on_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose:
+def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose:
     """Return the pose with its origin where its axis meets the tissue's own surface (`into = 1`).
 
     Of several such places the one nearest to the origin counts; where there is none, the origin stays.
     """
-    ends = pose.origin + np.outer([-REACH, REACH], pose.direction)
+    ends = pose.origin + np.outer([-SURFACE_REACH_MM, SURFACE_REACH_MM], pose.direction)
     hits = [surface_hits(ends, surface) for surface in surfaces if surface.into == 1]
     arcs = np.concatenate(hits) if hits else np.empty(0)
     if not len(arcs):
         return pose
-    nearest = float(arcs[np.argmin(np.abs(arcs - REACH))])
+    nearest = float(arcs[np.argmin(np.abs(arcs - SURFACE_REACH_MM))])
     return replace(pose, origin=ends[0] + nearest * pose.direction)
 
 
-def start(points: Floats, pose: EntryPose) -> float:
+def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     """Return the arc length along `points` (N, 3) at which they cross the plane of first contact.
 
     Raises
@@ -215,23 +220,23 @@ def start(points: Floats, pose: EntryPose) -> float:
             "along the entry direction",
             where="entry pose",
             expected="an entry between the needle's base and its tip, a direction into the tissue",
-            mend="check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of "
+            fix="check entry_x_mm ... entry_dz, their frame (the world of the markers), and the sign of "
             "the direction",
         )
     n = int(before[0])
     s = arc_length(points)
     at: float = s[n] - along[n] / (along[n + 1] - along[n]) * (s[n + 1] - s[n])
     away = float(np.linalg.norm(at_arc(points, [at])[0] - pose.origin))
-    if away > FARTHEST:
+    if away > MAX_ENTRY_DISTANCE_MM:
         raise DataError(
             f"the needle crosses the plane of first contact {away:.1f} mm from the entry",
             where="entry pose",
-            expected=f"within {FARTHEST:g} mm of it",
-            mend="check the entry pose, the known places of the markers, and that both are in one frame",
+            expected=f"within {MAX_ENTRY_DISTANCE_MM:g} mm of it",
+            fix="check the entry pose, the known places of the markers, and that both are in one frame",
         )
     return at
 
 
-def _across(covariance: Floats, direction: Floats) -> float:
+def _variance_across(covariance: Floats, direction: Floats) -> float:
     """Return the variance in any one direction across `direction` (3,)."""
     return float((np.trace(covariance) - direction @ covariance @ direction) / 2)

@@ -14,26 +14,35 @@ import SimpleITK as sitk
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.imaging.grid import SHEARED, SQUARE, STRAIGHT, STRAIGHTEN, Grid, check_grid, described, squared
-from needlefit.imaging.headers.promise import cut_short, no_image
-from needlefit.imaging.volume import Volume
-from needlefit.project.caged import Results
-from needlefit.project.replace import replacing_file
+from needlefit.imaging.header_checks import truncated_voxels_error, unreadable_image_error
+from needlefit.imaging.volume import (
+    AXES_COSINE_TOLERANCE,
+    EXPECTED_AXES,
+    SHEARED_AXES_FAULT,
+    SHEARED_AXES_FIX,
+    Volume,
+    VoxelGrid,
+    check_grid,
+    grid_to_json,
+    orthogonalize,
+)
+from needlefit.project.atomic_write import replace_file
+from needlefit.project.sandbox import SandboxArrays
 
 Floats = NDArray[np.float64]
 
-IMAGE_HOMES = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
+IMAGE_IOS = {".nrrd": "NrrdImageIO", ".nhdr": "NrrdImageIO", ".mha": "MetaImageIO", ".mhd": "MetaImageIO"}
 _COMPLEX = (sitk.sitkComplexFloat32, sitk.sitkComplexFloat64)
 _MILLIMETRES = {1: 1e3, 2: 1.0, 3: 1e-3}
 """One unit of a NIfTI header by its code (metre, millimetre, micrometre) in mm."""
-_BLOCK = 2**20
-_COMPRESSION = 1
+_BLOCK_BYTES = 2**20
+_COMPRESSION_LEVEL = 1
 """zlib's fastest level: on noise, higher ones cost ten times the time for a few per cent."""
 
 sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
 
 
-def read_image(results: Results, path: str, layers: bool = False, header: str = "") -> dict[str, Any]:
+def read_image(results: SandboxArrays, path: str, layers: bool = False, header: str = "") -> dict[str, Any]:
     """Read an NRRD, NIfTI or MetaImage file whose header passed: the array "values", and its grid.
 
     Parameters
@@ -50,11 +59,11 @@ def read_image(results: Results, path: str, layers: bool = False, header: str = 
         system it stands, or claims an absurd size.
     """
     file = Path(path)
-    with _readable(file, header) as named:
+    with _open_readable(file, header) as named:
         reader = sitk.ImageFileReader()
-        reader.SetImageIO(IMAGE_HOMES.get(file.suffix.lower(), "NiftiImageIO"))
+        reader.SetImageIO(IMAGE_IOS.get(file.suffix.lower(), "NiftiImageIO"))
         reader.SetFileName(str(named))
-        grid, parts = _header(reader, file, layers)
+        grid, parts = _read_grid(reader, file, layers)
         check_grid(grid, path)
         if reader.GetImageIO() == "NiftiImageIO":
             _check_length(reader, file, grid)  # its reader takes what is missing for zeros
@@ -63,14 +72,14 @@ def read_image(results: Results, path: str, layers: bool = False, header: str = 
         try:
             image = reader.Execute()
         except RuntimeError as error:
-            raise cut_short(file) from error
+            raise truncated_voxels_error(file) from error
     values[...] = sitk.GetArrayViewFromImage(image).reshape(shape)
     _check_finite(values, file)
-    return described(replace(grid, direction=squared(grid.direction)))
+    return grid_to_json(replace(grid, direction=orthogonalize(grid.direction)))
 
 
 @contextmanager
-def _readable(file: Path, header: str) -> Iterator[Path]:
+def _open_readable(file: Path, header: str) -> Iterator[Path]:
     """Yield what SimpleITK is to read: the file, or another header of it."""
     if not header:
         yield file
@@ -83,24 +92,24 @@ def _readable(file: Path, header: str) -> Iterator[Path]:
 
 def write_image(volume: Volume, path: Path, description: str) -> None:
     """Write a volume as NRRD, NIfTI or MetaImage, compressed unless it is .nii."""
-    image = sitk.GetImageFromArray(stored(volume.values))
+    image = sitk.GetImageFromArray(to_int16_if_exact(volume.values))
     image.SetOrigin(volume.origin.tolist())
     image.SetSpacing(volume.spacing.tolist())
     image.SetDirection(volume.direction.ravel().tolist())
     if description:
         image.SetMetaData("ITK_FileNotes" if ".nii" in path.name.lower() else "description", description)
-    with replacing_file(path) as fresh:
-        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION)
+    with replace_file(path) as fresh:
+        sitk.WriteImage(image, str(fresh), useCompression=True, compressionLevel=_COMPRESSION_LEVEL)
 
 
-def stored(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
+def to_int16_if_exact(values: NDArray[np.float32]) -> NDArray[np.float32] | NDArray[np.int16]:
     """Return `values` as int16 where that loses nothing, which halves a file."""
     with np.errstate(invalid="ignore"):  # what does not fit is seen by the comparison
         whole = values.astype(np.int16)
     return whole if np.array_equal(whole, values) else values
 
 
-def _header(reader: sitk.ImageFileReader, path: Path, layers: bool) -> tuple[Grid, int]:
+def _read_grid(reader: sitk.ImageFileReader, path: Path, layers: bool) -> tuple[VoxelGrid, int]:
     """Return what the header says of the voxels, and how many numbers each has, one unless `layers`.
 
     No voxel is read, nothing of their size allocated.
@@ -108,14 +117,14 @@ def _header(reader: sitk.ImageFileReader, path: Path, layers: bool) -> tuple[Gri
     try:
         reader.ReadImageInformation()
     except RuntimeError as error:
-        raise _no_information(path, str(error)) from error
+        raise _unreadable_header_error(path, str(error)) from error
     parts = 2 if reader.GetPixelID() in _COMPLEX else reader.GetNumberOfComponents()
     if reader.GetDimension() != 3 or (parts != 1 and not layers):
         size = " x ".join(map(str, reader.GetSize()))
-        raise _several(path, f"{size} voxels of {parts} number{'s' * (parts > 1)}")
+        raise _not_one_volume_error(path, f"{size} voxels of {parts} number{'s' * (parts > 1)}")
     _check_space(reader, path)
     columns, rows, slices = reader.GetSize()
-    grid = Grid(
+    grid = VoxelGrid(
         (columns, rows, slices),
         np.array(reader.GetOrigin()),
         np.array(reader.GetSpacing()),
@@ -126,56 +135,60 @@ def _header(reader: sitk.ImageFileReader, path: Path, layers: bool) -> tuple[Gri
 
 def _check_space(reader: sitk.ImageFileReader, path: Path) -> None:
     """See that the file itself says where the patient's left is (MetaImage: LPS by its definition)."""
-    said = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
+    metadata = {key: reader.GetMetaData(key) for key in reader.GetMetaDataKeys()}
     if reader.GetImageIO() == "NiftiImageIO":
-        _check_nifti(said, np.array(reader.GetSpacing()), path)
-    elif reader.GetImageIO() == "NrrdImageIO" and said.get("NRRD_space") != "left-posterior-superior":
-        space = said.get("NRRD_space")
+        _check_nifti(metadata, np.array(reader.GetSpacing()), path)
+    elif reader.GetImageIO() == "NrrdImageIO" and metadata.get("NRRD_space") != "left-posterior-superior":
+        space = metadata.get("NRRD_space")
         raise DataError(
             f"its space is {space}, which says nothing of the patient" if space else "does not say its space",
             where=str(path),
             expected="`space: left-posterior-superior` or another anatomical one in the header",
-            mend="export it from a program that knows the patient's axes, such as 3D Slicer",
+            fix="export it from a program that knows the patient's axes, such as 3D Slicer",
         )
 
 
-def _check_nifti(said: dict[str, str], spacing: Floats, path: Path) -> None:
+def _check_nifti(metadata: dict[str, str], spacing: Floats, path: Path) -> None:
     """See that the header has an orientation and one spacing; SimpleITK would make one up, mix the other."""
-    if said["qform_code"] == said["sform_code"] == "0":
+    if metadata["qform_code"] == metadata["sform_code"] == "0":
         raise DataError(
             "does not say where it stands in the patient: qform_code and sform_code are 0",
             where=str(path),
             expected="a NIfTI header with a qform or an sform",
-            mend="convert the scan from its DICOM series again",
+            fix="convert the scan from its DICOM series again",
         )
-    rows = np.array([said[f"srow_{axis}"].split()[:3] for axis in "xyz"], dtype=np.float64)
-    steps = np.linalg.norm(rows, axis=0) * _MILLIMETRES.get(int(said["xyzt_units"]) % 8, 1.0)
-    if said["sform_code"] != "0" and not np.allclose(steps, spacing, rtol=SQUARE, atol=0.0):
+    rows = np.array([metadata[f"srow_{axis}"].split()[:3] for axis in "xyz"], dtype=np.float64)
+    steps = np.linalg.norm(rows, axis=0) * _MILLIMETRES.get(int(metadata["xyzt_units"]) % 8, 1.0)
+    if metadata["sform_code"] != "0" and not np.allclose(
+        steps, spacing, rtol=AXES_COSINE_TOLERANCE, atol=0.0
+    ):
         raise DataError(
             f"has two spacings: {spacing.tolist()} mm by pixdim, {steps.round(6).tolist()} mm by its sform",
             where=str(path),
             expected="the same spacing in both",
-            mend="convert the scan from its DICOM series again",
+            fix="convert the scan from its DICOM series again",
         )
 
 
-def _check_length(reader: sitk.ImageFileReader, path: Path, grid: Grid) -> None:
+def _check_length(reader: sitk.ImageFileReader, path: Path, grid: VoxelGrid) -> None:
     """Count the bytes of a NIfTI file, unpacked, against what its header promises."""
     start, bits = (int(float(reader.GetMetaData(key))) for key in ("vox_offset", "bitpix"))
     needed = start + bits // 8 * int(np.prod(grid.size, dtype=np.int64))
     try:
-        found = _unpacked(path, needed) if path.suffix.lower() == ".gz" else path.stat().st_size
+        found = _unpacked_size(path, needed) if path.suffix.lower() == ".gz" else path.stat().st_size
     except (EOFError, OSError, zlib.error) as error:
-        raise cut_short(path) from error
+        raise truncated_voxels_error(path) from error
     if found < needed:
-        raise cut_short(path)
+        raise truncated_voxels_error(path)
 
 
-def _unpacked(path: Path, enough: int) -> int:
+def _unpacked_size(path: Path, enough: int) -> int:
     """Return how many bytes a gzip file unpacks to; counting stops beyond `enough`."""
     total = 0
     with gzip.open(path) as file:
-        while total <= enough and (block := file.read(_BLOCK)):  # its end, too: there stands the checksum
+        while total <= enough and (
+            block := file.read(_BLOCK_BYTES)
+        ):  # its end, too: there stands the checksum
             total += len(block)
     return total
 
@@ -186,23 +199,23 @@ def _check_finite(values: NDArray[np.float32], path: Path) -> None:
             f"holds {np.count_nonzero(~np.isfinite(values))} voxels that are no finite number",
             where=str(path),
             expected="a number in every voxel",
-            mend="give voxels outside the scan the value of air, e.g. -1000",
+            fix="give voxels outside the scan the value of air, e.g. -1000",
         )
 
 
-def _no_information(path: Path, reason: str) -> DataError:
+def _unreadable_header_error(path: Path, reason: str) -> DataError:
     """Return the error for a header that SimpleITK cannot read."""
     if "orthonormal" in reason:
-        return DataError(SHEARED, where=str(path), expected=STRAIGHT, mend=STRAIGHTEN)
+        return DataError(SHEARED_AXES_FAULT, where=str(path), expected=EXPECTED_AXES, fix=SHEARED_AXES_FIX)
     if "number of domain axes" in reason:
-        return _several(path, "more than three dimensions")
-    return no_image(path, "SimpleITK does not take its header")
+        return _not_one_volume_error(path, "more than three dimensions")
+    return unreadable_image_error(path, "SimpleITK does not take its header")
 
 
-def _several(path: Path, what: str) -> DataError:
+def _not_one_volume_error(path: Path, what: str) -> DataError:
     return DataError(
         f"is no single volume: {what}",
         where=str(path),
         expected="three dimensions, one number a voxel",
-        mend="export one time point, or one segment, as a volume of its own",
+        fix="export one time point, or one segment, as a volume of its own",
     )

@@ -1,5 +1,8 @@
-"""The layers' surfaces as files hold them, brought into the world, and where the needle crosses them."""
+"""Read the surfaces of layers (meshes or a segmentation) into the world, and find where the needle crosses
+them.
+"""
 
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,28 +10,96 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.datasets.faults import Fault, as_error, from_error
-from needlefit.datasets.layers import depths_of
+from needlefit.datasets.layers import depths_of, file_fault, mesh_faults
 from needlefit.errors import DataError
 from needlefit.geometry.crossings import crossings
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import Floats, Frame
-from needlefit.geometry.surfaces import Surface, moved, nearest
-from needlefit.imaging.grid import Grid
+from needlefit.geometry.patient import SIGNS, System
+from needlefit.geometry.surfaces import MAX_MESH_BYTES, Surface, moved, nearest, read_surface
 from needlefit.imaging.reconstruction import EntryPose, Layers
-from needlefit.imaging.registration.register import Registration, frame_of, target_covariance
+from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
 from needlefit.imaging.scan import LayerSource, Scan
-from needlefit.imaging.surface_files import read_mesh
-from needlefit.imaging.volume import IMAGE_SUFFIXES, packages
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.imaging.volume import IMAGE_SUFFIXES, VoxelGrid
+from needlefit.imaging.volume_files import explain_missing_packages
+from needlefit.project.input_files import open_regular
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
-STEP = 0.5
+HEADER_BYTES = 4096
+"""Bytes at the beginning of a file in which its coordinate system is looked for."""
+
+MAX_OPENING_RATIO = 0.25
+"""An open mesh is a solid with a hole rather than a sheet if its opening is less than this part of its area:
+a plane has 1, half a ball 1 / 2, a cube without a face 1 / 5."""
+
+_SPACE_PATTERN = re.compile(rb"SPACE=(LPS|RAS)")
+
+
+def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | None:
+    """Return the surface in an STL, PLY or OBJ file, None after a fault.
+
+    A file of which 3D Slicer says that it stands in RAS is turned to LPS; one that says nothing is taken as
+    it is. Without a stated kind, what is closed is a solid.
+    """
+    try:
+        surface = read_surface(source.path, source.kind or "sheet", into)
+    except DataError as error:
+        found.append(file_fault(error, source.path))
+        return None
+    if source.kind is None and surface.mesh.is_watertight:
+        surface = Surface(surface.name, surface.mesh, "solid", into)
+    faults = list(mesh_faults(surface, source.path))
+    if source.kind is None and surface.kind == "sheet" and not faults:
+        faults = _hole_fault(surface, source.path)
+    found += faults
+    return None if faults else _to_lps(surface, read_coordinate_system(source.path))
+
+
+def read_coordinate_system(path: Path) -> System | None:
+    """Return the coordinate system that 3D Slicer wrote into a mesh; None where nothing is said.
+
+    It stands in the header of an STL, in a comment of a PLY or OBJ, as `SPACE=LPS` or `SPACE=RAS`.
+    """
+    with open_regular(path, MAX_MESH_BYTES) as file:
+        match = _SPACE_PATTERN.search(file.read(HEADER_BYTES))
+    if match is None:
+        return None
+    return "RAS" if match[1] == b"RAS" else "LPS"
+
+
+def _to_lps(surface: Surface, system: System | None) -> Surface:
+    """Return a surface turned to LPS: from RAS that is half a turn about z."""
+    return surface if system in (None, "LPS") else moved(surface, Frame(np.zeros(3), np.diag(SIGNS["RAS"])))
+
+
+def _hole_fault(surface: Surface, path: Path) -> list[Fault]:
+    """Return the fault of an open mesh that looks like a solid with a hole.
+
+    The vectors of its triangles' areas add up to that of its opening, whatever the mesh does between.
+    """
+    mesh = surface.mesh
+    areas = np.asarray(mesh.area_faces, dtype=np.float64)
+    opening = float(np.linalg.norm(areas @ mesh.face_normals))
+    if opening >= MAX_OPENING_RATIO * areas.sum():
+        return []
+    what = (
+        f"is open, but its opening, {opening:.0f} mm^2, is small against its area, {areas.sum():.0f} mm^2: "
+        "it looks like a solid with a hole"
+    )
+    expected = "a closed surface, or a sheet with its rim outside the tissue"
+    return [
+        Fault(str(path), what, expected, f"close the hole, or list it as {path.name}=sheet:{surface.into}")
+    ]
+
+
+TANGENT_STEP_MM = 0.5
 """How far to either side of a crossing the needle's direction is taken, mm."""
 
-GRAZING = 0.02
+MIN_CROSSING_COSINE = 0.02
 """Least cosine between needle and normal: a needle that lies in a surface crosses it anywhere."""
 
 
-def read_layers(scan: Scan, patient: Frame, grid: Grid | None = None) -> tuple[Surface, ...]:
+def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tuple[Surface, ...]:
     """Return the surfaces of the layers in the world.
 
     A mesh leads into layer 2, 3, ... by its place in the list, unless it says otherwise; it is a solid where
@@ -49,15 +120,15 @@ def read_layers(scan: Scan, patient: Frame, grid: Grid | None = None) -> tuple[S
     found: list[Fault] = []
     segmentations = [source for source in scan.surfaces if is_segmentation(source)]
     if segmentations:
-        surfaces = _segmented(segmentations, scan, found)
+        surfaces = _read_segmentation(segmentations, scan, found)
     else:
-        numbers = _numbers(scan.surfaces)
+        numbers = _number_layers(scan.surfaces)
         read = [read_mesh(one, into, found) for one, into in zip(scan.surfaces, numbers, strict=True)]
         surfaces = [surface for surface in read if surface is not None]
-        found += _skipped(numbers, scan)
-    world = tuple(moved(one, patient) if in_scan(scan) else one for one in surfaces)
-    if grid is not None and in_scan(scan):  # those of the world may be larger than what was scanned
-        found += _elsewhere(world, patient, grid, scan)
+        found += _skipped_layer_faults(numbers, scan)
+    world = tuple(moved(one, patient) if layers_in_scan(scan) else one for one in surfaces)
+    if grid is not None and layers_in_scan(scan):  # those of the world may be larger than what was scanned
+        found += _misplaced_surface_faults(world, patient, grid, scan)
     if found:
         raise as_error(found, scan.volume)
     return world
@@ -68,12 +139,12 @@ def is_segmentation(source: LayerSource) -> bool:
     return source.path.name.lower().endswith(IMAGE_SUFFIXES)
 
 
-def in_scan(scan: Scan) -> bool:
+def layers_in_scan(scan: Scan) -> bool:
     """Whether the layers lie in the frame of the scan, and so move with its needle."""
     return scan.surfaces_in == "scan" or any(map(is_segmentation, scan.surfaces))
 
 
-def _segmented(sources: list[LayerSource], scan: Scan, found: list[Fault]) -> list[Surface]:
+def _read_segmentation(sources: list[LayerSource], scan: Scan, found: list[Fault]) -> list[Surface]:
     if len(scan.surfaces) > 1:
         names = ", ".join(source.path.name for source in scan.surfaces)
         expected = "meshes, or one segmentation of all layers"
@@ -81,16 +152,18 @@ def _segmented(sources: list[LayerSource], scan: Scan, found: list[Fault]) -> li
         found.append(Fault(str(sources[0].path), what, expected, "list it alone"))
         return []
     try:
-        with packages():
-            from needlefit.imaging.label_surfaces import label_surfaces  # skimage takes its time to load
+        with explain_missing_packages():
+            from needlefit.imaging.label_surfaces import (
+                extract_label_surfaces,  # skimage takes its time to load
+            )
 
-            return list(label_surfaces(sources[0].path))
+            return list(extract_label_surfaces(sources[0].path))
     except DataError as error:
         found.append(from_error(error))
         return []
 
 
-def _numbers(sources: tuple[LayerSource, ...]) -> list[int]:
+def _number_layers(sources: tuple[LayerSource, ...]) -> list[int]:
     """Return the layer into which each mesh leads; the tissue's own surface takes no place."""
     numbers, place = [], 2
     for source in sources:
@@ -99,7 +172,7 @@ def _numbers(sources: tuple[LayerSource, ...]) -> list[int]:
     return numbers
 
 
-def _skipped(numbers: list[int], scan: Scan) -> Iterator[Fault]:
+def _skipped_layer_faults(numbers: list[int], scan: Scan) -> Iterator[Fault]:
     for missing in sorted(set(range(2, max(numbers, default=1))) - set(numbers))[:1]:
         yield Fault(
             str(scan.volume),
@@ -109,20 +182,22 @@ def _skipped(numbers: list[int], scan: Scan) -> Iterator[Fault]:
         )
 
 
-def _elsewhere(world: Sequence[Surface], patient: Frame, grid: Grid, scan: Scan) -> Iterator[Fault]:
+def _misplaced_surface_faults(
+    world: Sequence[Surface], patient: Frame, grid: VoxelGrid, scan: Scan
+) -> Iterator[Fault]:
     """Say which surfaces lie wholly outside the scan."""
     for surface in world:
         steps = (patient.to_local(surface.mesh.vertices) - grid.origin) @ grid.direction / grid.spacing
         if (steps.max(axis=0) < -0.5).any() or (steps.min(axis=0) > np.array(grid.size) - 0.5).any():
             yield Fault(
-                str(_file_of(surface, scan)),
+                str(_surface_file(surface, scan)),
                 f"the surface {surface.name} lies outside the scan {scan.volume}",
                 "surfaces and scan in one place",
                 "see whether it belongs to this scan, stands in its frame or the world's, in LPS or RAS",
             )
 
 
-def _file_of(surface: Surface, scan: Scan) -> Path:
+def _surface_file(surface: Surface, scan: Scan) -> Path:
     """Return the file that a surface is from: a mesh is called as its file, all others are of the first."""
     own = (source.path for source in scan.surfaces if source.path.stem == surface.name)
     return next(own, scan.surfaces[0].path)
@@ -150,7 +225,7 @@ class LayerErrors:
     registration: Registration | None = None
 
 
-def layer_errors(
+def estimate_layer_errors(
     scan: Scan,
     recipe: ReconstructionRecord,
     centerline: Floats,
@@ -162,16 +237,18 @@ def layer_errors(
     The stage's entry stands in the world as the surfaces do. One found in the scan errs against surfaces of
     the world by the registration, too, unless it is where the tissue's own surface is.
     """
-    between = None if in_scan(scan) else registration
+    between = None if layers_in_scan(scan) else registration
     along = pose.along_sd if scan.stage is None else scan.stage.shift_sd
     if scan.stage is None and between is not None and not any(s.into == 1 for s in scan.surfaces):
-        here = frame_of(between).to_local(pose.origin[None])
+        here = scan_frame(between).to_local(pose.origin[None])
         covariance = target_covariance(between, here)[0]
         along = float(np.sqrt(along**2 + pose.direction @ covariance @ pose.direction))
     return LayerErrors(recipe.layers.surface_sd_mm, centerline, along, between)
 
 
-def met(points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors) -> Layers:
+def find_crossed_layers(
+    points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors
+) -> Layers:
     """Return the layers that a needle meets.
 
     Parameters
@@ -193,26 +270,28 @@ def met(points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: Lay
     crossed = crossings(points, surfaces)
     sd = np.empty(0)
     if len(crossed.arc):
-        sd = _deviations(points, frame, surfaces, errors, crossed.arc)
+        sd = _crossing_sd(points, frame, surfaces, errors, crossed.arc)
     return Layers(surfaces, depths_of(crossed.points, frame), sd, crossed.points, crossed.sequence)
 
 
-def _deviations(
+def _crossing_sd(
     points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors, arc: Floats
 ) -> Floats:
     """Return the standard deviations (m,) of the depths at which a needle crosses surfaces, mm."""
     places = at_arc(points, arc)
-    tangents = at_arc(points, arc + STEP) - at_arc(points, arc - STEP)
+    tangents = at_arc(points, arc + TANGENT_STEP_MM) - at_arc(points, arc - TANGENT_STEP_MM)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     normals = nearest(places, surfaces).normals
     cosines = np.abs(np.sum(normals * tangents, axis=1))
     across = np.interp(arc, arc_length(points), errors.centerline)
     variances = errors.surface**2 + across**2 * (1 - cosines**2)
     if errors.registration is not None:
-        in_patient = frame_of(errors.registration).to_local(places)
+        in_patient = scan_frame(errors.registration).to_local(places)
         covariances = target_covariance(errors.registration, in_patient)
         sideways = normals - np.sum(normals * tangents, axis=1)[:, None] * tangents
         variances += np.einsum("ni,nij,nj->n", sideways, covariances, sideways)
     along = np.abs(tangents @ frame.rotation[:, 0])
-    deviations: Floats = np.hypot(along * np.sqrt(variances) / np.maximum(cosines, GRAZING), errors.along)
+    deviations: Floats = np.hypot(
+        along * np.sqrt(variances) / np.maximum(cosines, MIN_CROSSING_COSINE), errors.along
+    )
     return deviations

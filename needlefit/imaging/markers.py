@@ -1,4 +1,6 @@
-"""The markers in a scan: balls found in the volume, or fiducials placed by hand and laid on such balls."""
+"""The markers in a scan: spheres found in the volume, or fiducials placed by hand and moved to such
+spheres.
+"""
 
 from pathlib import Path
 
@@ -11,30 +13,30 @@ from needlefit.datasets.formats import slicer
 from needlefit.datasets.formats.csv import read_points, read_table
 from needlefit.datasets.schema import POINT
 from needlefit.errors import DataError
-from needlefit.imaging.ball.blobs import blobs
-from needlefit.imaging.ball.fit import MOST_BLUR, Ball, lay
-from needlefit.imaging.reconstruction import Markers
-from needlefit.imaging.registration.suspicion import check_frame
-from needlefit.imaging.scan_row import DOCUMENTED
+from needlefit.imaging.marker_blobs import find_blobs
+from needlefit.imaging.reconstruction import MarkerResult
+from needlefit.imaging.registration.mirror_check import check_axis_signs
+from needlefit.imaging.scan import SCANS_DOCUMENT
+from needlefit.imaging.sphere_fit import MAX_BLUR_MM, SphereFit, fit_sphere
 from needlefit.imaging.volume import Volume, to_index, to_patient
-from needlefit.project.records.reconstruction import MarkersRecord, ReconstructionRecord
+from needlefit.schemas.reconstruction import MarkersRecord, ReconstructionRecord
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-MISFIT = 0.15
+MAX_RELATIVE_MISFIT = 0.15
 """What fits worse, in parts of its height, is no ball of this size."""
 
-SURE = 2.0
+MAX_FIDUCIAL_SD = 2.0
 """A fiducial may be off by so many of its deviations."""
 
-RENAME = "name the columns x_mm, y_mm, z_mm in the file's first line"
-"""What mends a missing column of a file of places."""
+RENAME_FIX = "name the columns x_mm, y_mm, z_mm in the file's first line"
+"""What fixes a missing column of a file of places."""
 
-READS = "a CSV with the columns x_mm, y_mm, z_mm, or a .fcsv or .mrk.json of 3D Slicer"
+READABLE_MARKER_FILES = "a CSV with the columns x_mm, y_mm, z_mm, or a .fcsv or .mrk.json of 3D Slicer"
 
 
-def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> Markers:
+def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None) -> MarkerResult:
     """Return the balls of `recipe.markers.diameter_mm` in a scan.
 
     Parameters
@@ -57,19 +59,19 @@ def find_markers(volume: Volume, recipe: ReconstructionRecord, exclude: Ints | N
     """
     rules = recipe.markers
     tried: list[Floats] = []
-    balls: list[Ball] = []
-    for blob in blobs(volume, rules.diameter_mm, rules.threshold_hu, exclude):
+    balls: list[SphereFit] = []
+    for blob in find_blobs(volume, rules.diameter_mm, rules.threshold_hu, exclude):
         middle = to_patient(volume, blob.voxels.mean(axis=0)[None])[0]
-        if _near(middle, tried, rules.diameter_mm / 2):
+        if _is_near(middle, tried, rules.diameter_mm / 2):
             continue
         tried.append(middle)
-        ball = lay(volume, blob, rules.diameter_mm / 2)
+        ball = fit_sphere(volume, blob, rules.diameter_mm / 2)
         moved = float(np.linalg.norm(ball.center - middle))
-        if moved < rules.diameter_mm / 2 and _is_ball(volume, ball, rules):
+        if moved < rules.diameter_mm / 2 and _is_marker(volume, ball, rules):
             tried.append(ball.center)
             balls.append(ball)
     centers = np.array([ball.center for ball in balls]).reshape(-1, 3)
-    return Markers(centers, np.array([ball.sd for ball in balls]), "volume")
+    return MarkerResult(centers, np.array([ball.sd for ball in balls]), "volume")
 
 
 def read_markers(path: Path) -> Floats:
@@ -84,27 +86,32 @@ def read_markers(path: Path) -> Floats:
     if suffix in slicer.ENDINGS:
         return slicer.read_markups(path).points
     if suffix != ".csv":
-        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=READS, mend="save it as that")
+        raise DataError(
+            f"has the ending {suffix!r}",
+            where=str(path),
+            expected=READABLE_MARKER_FILES,
+            fix="save it as that",
+        )
     found: list[Fault] = []
-    points = read_points(read_table(path, DOCUMENTED), POINT, {}, found, RENAME)
+    points = read_points(read_table(path, SCANS_DOCUMENT), POINT, {}, found, RENAME_FIX)
     if points is None:
         raise as_error(found, path)
     return points.values
 
 
-def given_markers(path: Path, recipe: ReconstructionRecord) -> Markers:
+def read_fiducials(path: Path, recipe: ReconstructionRecord) -> MarkerResult:
     """Return fiducials that somebody placed in the scan; a CSV holds LPS. DataError as `read_markers`."""
     points = read_markers(path)
-    return Markers(points, np.full(len(points), recipe.markers.fiducial_sd_mm), "fiducials")
+    return MarkerResult(points, np.full(len(points), recipe.markers.fiducial_sd_mm), "fiducials")
 
 
-def check_fiducials(
-    given: Markers, volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None
-) -> Markers:
+def refine_fiducials(
+    given: MarkerResult, volume: Volume, recipe: ReconstructionRecord, exclude: Ints | None = None
+) -> MarkerResult:
     """Return fiducials, moved to the balls that they mark; the ball's deviation tells which were.
 
-    A ball within half a diameter and `SURE` deviations of a fiducial is its own: a click may hit the ball's
-    surface. Where the volume shows no ball, a fiducial stays as it was placed.
+    A ball within half a diameter and `MAX_FIDUCIAL_SD` deviations of a fiducial is its own: a click may hit
+    the ball's surface. Where the volume shows no ball, a fiducial stays as it was placed.
 
     Raises
     ------
@@ -115,15 +122,15 @@ def check_fiducials(
     try:
         balls = find_markers(volume, recipe, exclude)
     except DataError:  # landmarks, not metal
-        balls = Markers(np.empty((0, 3)), np.empty(0), "volume")
+        balls = MarkerResult(np.empty((0, 3)), np.empty(0), "volume")
     if len(balls.centers):
-        check_frame(given.centers, balls.centers, rules.fiducial_sd_mm)
+        check_axis_signs(given.centers, balls.centers, rules.fiducial_sd_mm)
     _refuse_outside(given, volume)
-    reach = rules.diameter_mm / 2 + SURE * rules.fiducial_sd_mm
-    return _moved(given, balls, reach)
+    reach = rules.diameter_mm / 2 + MAX_FIDUCIAL_SD * rules.fiducial_sd_mm
+    return _move_to_balls(given, balls, reach)
 
 
-def _moved(given: Markers, balls: Markers, reach: float) -> Markers:
+def _move_to_balls(given: MarkerResult, balls: MarkerResult, reach: float) -> MarkerResult:
     """Return the fiducials, those within `reach` (mm) of a ball moved there: the nearest pair first."""
     centers, sd = given.centers.copy(), given.sd.copy()
     apart = cdist(given.centers, balls.centers)
@@ -131,10 +138,10 @@ def _moved(given: Markers, balls: Markers, reach: float) -> Markers:
         mark, ball = np.unravel_index(int(apart.argmin()), apart.shape)
         centers[mark], sd[mark] = balls.centers[ball], balls.sd[ball]
         apart[mark], apart[:, ball] = np.inf, np.inf
-    return Markers(centers, sd, given.source)
+    return MarkerResult(centers, sd, given.source)
 
 
-def _refuse_outside(given: Markers, volume: Volume) -> None:
+def _refuse_outside(given: MarkerResult, volume: Volume) -> None:
     index = to_index(volume, given.centers)
     last = np.array(volume.values.shape[::-1]) - 1
     outside = np.flatnonzero(((index < -1) | (index > last + 1)).any(axis=1))
@@ -145,17 +152,21 @@ def _refuse_outside(given: Markers, volume: Volume) -> None:
         f"{len(outside)} of {len(given.centers)} fiducials lie outside the volume, one at L, P, S = {at} mm",
         where="fiducials",
         expected="places in the scan, LPS, mm",
-        mend="take the fiducials of this scan; check that the file states its coordinate system (RAS or LPS)",
+        fix="take the fiducials of this scan; check that the file states its coordinate system (RAS or LPS)",
     )
 
 
-def _is_ball(volume: Volume, ball: Ball, rules: MarkersRecord) -> bool:
+def _is_marker(volume: Volume, ball: SphereFit, rules: MarkersRecord) -> bool:
     """Whether a fit shows a ball, the whole of it in the volume."""
     index = to_index(volume, ball.center[None])[0]
     last = np.array(volume.values.shape[::-1]) - 1
     margin = float((np.minimum(index, last - index) * volume.spacing).min())
-    return ball.misfit <= MISFIT and ball.blur < 0.99 * MOST_BLUR and margin >= rules.diameter_mm / 2
+    return (
+        ball.misfit <= MAX_RELATIVE_MISFIT
+        and ball.blur < 0.99 * MAX_BLUR_MM
+        and margin >= rules.diameter_mm / 2
+    )
 
 
-def _near(point: Floats, others: list[Floats], reach: float) -> bool:
+def _is_near(point: Floats, others: list[Floats], reach: float) -> bool:
     return any(float(np.linalg.norm(point - other)) < reach for other in others)

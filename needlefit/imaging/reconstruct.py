@@ -1,4 +1,6 @@
-"""One scan -> its needle in the world, its entry, its layers: the steps in their order."""
+"""Reconstruct one scan: the needle's centreline in the world, its entry pose, and the layers that it
+crosses.
+"""
 
 from dataclasses import replace
 from typing import Literal
@@ -7,35 +9,124 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
+from needlefit.geometry.crossings import surface_hits
 from needlefit.geometry.curves import arc_length, at_arc
 from needlefit.geometry.frames import Frame, entry_frame
 from needlefit.geometry.plane import bending_plane
+from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
-from needlefit.imaging.contact import first_contact
-from needlefit.imaging.grid import Grid
-from needlefit.imaging.layer_doubts import doubts, refuse_tunnels
-from needlefit.imaging.layers import layer_errors, met, read_layers
+from needlefit.imaging.detections import Detections, detect
+from needlefit.imaging.intensity_profile import find_tissue_edge
+from needlefit.imaging.layers import estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.reconstruction import EntryPose, Reconstruction
-from needlefit.imaging.registration.register import predicted_mean_target_error
-from needlefit.imaging.remarks import remarks
-from needlefit.imaging.scan import Scan
-from needlefit.imaging.scan_row import ACROSS
-from needlefit.imaging.seen import Seen, see
-from needlefit.imaging.views import views
-from needlefit.imaging.volume import read
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.imaging.reconstruction_checks import (
+    MAX_DISAGREEMENT_SD,
+    check_layer_count,
+    collect_warnings,
+    refuse_tunnels,
+)
+from needlefit.imaging.registration.register import predict_mean_target_error
+from needlefit.imaging.scan import BEVEL_FIX, Scan
+from needlefit.imaging.views import render_views
+from needlefit.imaging.volume import VoxelGrid
+from needlefit.imaging.volume_files import read_volume
 from needlefit.project.threads import one_thread
+from needlefit.schemas.reconstruction import ReconstructionRecord
+
+
+def estimate_first_contact(
+    detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+) -> tuple[EntryPose, EntryPose | None]:
+    """Return the entry pose, and the one of the shaft outside the tissue where it shows."""
+    if scan.stage is None:
+        at, at_sd = _locate_tissue(detections, scan, surfaces, recipe)
+        shaft = entry.move_to_surface(
+            entry.pose_from_shaft(_select_outside_shaft(detections, scan, recipe, at), at_sd), surfaces
+        )
+        return shaft, shaft
+    (here,) = detections.patient.to_local(scan.stage.entry[None])
+    stage = entry.pose_from_stage(scan.stage, detections.registration, here)
+    outside = _select_outside_shaft(
+        detections, scan, recipe, entry.find_entry_arc_length(detections.world, stage)
+    )
+    if entry.usable_length(outside) < entry.MIN_SHAFT_LENGTH_MM:
+        return stage, None
+    other = entry.pose_from_shaft(outside, stage.along_sd)
+    entry.require_agreement(stage, other)
+    return stage, other
+
+
+def _select_outside_shaft(
+    detections: Detections, scan: Scan, recipe: ReconstructionRecord, at: float
+) -> entry.OutsideShaft:
+    """Return the needle before `at` (mm along it), where it enters the tissue."""
+    world = detections.world
+    s = arc_length(world)
+    base = recipe.needle.length_mm - (s[-1] - at)
+    return entry.OutsideShaft(
+        points=world[s < at],
+        sd=detections.needle_axis.sd[s < at],
+        s=s[s < at] - at,
+        free=base if scan.guide_distance is None else scan.guide_distance,
+        bend=recipe.entry.entry_shift_sd_mm,
+        turn=np.radians(recipe.entry.entry_tilt_sd_deg),
+    )
+
+
+def _locate_tissue(
+    detections: Detections, scan: Scan, surfaces: tuple[Surface, ...], recipe: ReconstructionRecord
+) -> tuple[float, float]:
+    """Return where along the whole needle the tissue begins, and how sure that is, mm.
+
+    The tissue's own surface says it where there is one, else the change of brightness around the needle.
+    """
+    outer = [surface for surface in surfaces if surface.into == 1]
+    hits = (
+        np.concatenate([surface_hits(detections.world, surface) for surface in outer])
+        if outer
+        else np.empty(0)
+    )
+    edge = find_tissue_edge(detections.profile)
+    if len(hits):
+        at = float(hits.min())
+        _refuse_distant_surface(at, edge, scan)
+        return at, recipe.layers.surface_sd_mm
+    if edge is None:
+        raise DataError(
+            "the scan does not show where the needle enters the tissue",
+            where=str(scan.volume),
+            expected="air before the tissue along the needle, the tissue's surface (into = 1), or the stage",
+            fix="state the stage (entry_x_mm ... pose_angle_sd_deg), or add the tissue's own surface to the "
+            "layers, as FILE=sheet:1 or FILE=solid:1",
+        )
+    return edge
+
+
+def _refuse_distant_surface(at: float, edge: tuple[float, float] | None, scan: Scan) -> None:
+    """Refuse a tissue whose own surface the needle meets (`at`) far from where the scan shows it to begin."""
+    if edge is None or abs(at - edge[0]) <= entry.MAX_ENTRY_DISTANCE_MM + MAX_DISAGREEMENT_SD * edge[1]:
+        return
+    side = "behind" if at > edge[0] else "before"
+    raise DataError(
+        f"the needle crosses the tissue's own surface {abs(at - edge[0]):.1f} mm {side} the place where the "
+        "scan shows tissue to begin",
+        where=str(scan.volume),
+        expected=f"within {entry.MAX_ENTRY_DISTANCE_MM:g} mm of it",
+        fix="see both in 3D Slicer: label the needle's voxels as the tissue around them, check the frame of "
+        "the surfaces; if they are right, state the stage (entry_x_mm ... pose_angle_sd_deg)",
+    )
+
 
 Floats = NDArray[np.float64]
-Plane = Literal["stated", "bevel", "shape"]
+PlaneSource = Literal["stated", "bevel", "shape"]
 
 
 @one_thread
 def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
-    """Return what a scan tells of its needle.
+    """Reconstruct the needle of a scan.
 
     The needle's axis and tip are traced in the scan, the scan is laid on the world by its markers, and
-    everything else is told in the world: the pose at first contact, the centreline from there to the tip,
+    everything else is derived in the world: the pose at first contact, the centreline from there to the tip,
     the plane in which it bends, the layers that it meets.
 
     Raises
@@ -45,15 +136,17 @@ def reconstruct(scan: Scan, recipe: ReconstructionRecord) -> Reconstruction:
     ConfigError
         If the packages that read scans are not installed.
     """
-    volume = read(scan.volume, scan.series)
-    seen = see(volume, scan, recipe)
-    found = told(seen, scan, recipe, volume.grid)
-    pictures = views(volume, seen.patient, found.frame, seen.traced.points)
-    return replace(found, views=pictures, remarks=(*volume.remarks, *found.remarks))
+    volume = read_volume(scan.volume, scan.series)
+    detections = detect(volume, scan, recipe)
+    found = derive_reconstruction(detections, scan, recipe, volume.grid)
+    pictures = render_views(volume, detections.patient, found.frame, detections.needle_axis.points)
+    return replace(found, views=pictures, warnings=(*volume.warnings, *found.warnings))
 
 
-def told(seen: Seen, scan: Scan, recipe: ReconstructionRecord, grid: Grid) -> Reconstruction:
-    """Return what follows, without another look at the volume, from what was seen in it; without pictures.
+def derive_reconstruction(
+    detections: Detections, scan: Scan, recipe: ReconstructionRecord, grid: VoxelGrid
+) -> Reconstruction:
+    """Derive the reconstruction from what was detected in the volume; without views.
 
     Parameters
     ----------
@@ -65,21 +158,23 @@ def told(seen: Seen, scan: Scan, recipe: ReconstructionRecord, grid: Grid) -> Re
     DataError
         As `reconstruct`.
     """
-    surfaces = read_layers(scan, seen.patient, grid)
-    refuse_tunnels(scan, surfaces, seen.world)
-    pose, shaft = first_contact(seen, scan, surfaces, recipe)
-    begin = entry.start(seen.world, pose)
-    points, sd = _inserted(seen, begin, recipe.centerline.station_mm)
-    frame, plane = _bending(seen, scan, pose, points, recipe)
-    layers = met(points, frame, surfaces, layer_errors(scan, recipe, sd, pose, seen.registration))
-    said = doubts(scan, layers, points, seen.patient)
+    surfaces = read_layers(scan, detections.patient, grid)
+    refuse_tunnels(scan, surfaces, detections.world)
+    pose, shaft = estimate_first_contact(detections, scan, surfaces, recipe)
+    begin = entry.find_entry_arc_length(detections.world, pose)
+    points, sd = _sample_inserted(detections, begin, recipe.centerline.station_spacing_mm)
+    frame, plane = _find_bending_frame(detections, scan, pose, points, recipe)
+    layers = find_crossed_layers(
+        points, frame, surfaces, estimate_layer_errors(scan, recipe, sd, pose, detections.registration)
+    )
+    notes = check_layer_count(scan, layers, points, detections.patient)
     found = Reconstruction(
         scan=scan,
         spacing=grid.spacing,
-        traced=seen.traced,
-        markers=seen.markers,
-        registration=seen.registration,
-        patient=seen.patient,
+        needle_axis=detections.needle_axis,
+        markers=detections.markers,
+        registration=detections.registration,
+        patient=detections.patient,
         pose=pose,
         shaft=shaft,
         frame=frame,
@@ -87,44 +182,44 @@ def told(seen: Seen, scan: Scan, recipe: ReconstructionRecord, grid: Grid) -> Re
         points=points,
         sd=sd,
         depth=float(arc_length(points)[-1]),
-        depth_sd=float(np.hypot(seen.traced.tip_sd[0], pose.along_sd)),
-        target_error=_target_error(seen, points),
+        depth_sd=float(np.hypot(detections.needle_axis.tip_sd[0], pose.along_sd)),
+        target_error=_predict_target_error(detections, points),
         layers=layers,
-        profile=replace(seen.profile, s=seen.profile.s - begin),
+        profile=replace(detections.profile, s=detections.profile.s - begin),
         views=(),
-        remarks=(),
+        warnings=(),
     )
-    return replace(found, remarks=(*remarks(found), *said))
+    return replace(found, warnings=(*collect_warnings(found), *notes))
 
 
-def _inserted(seen: Seen, begin: float, station: float) -> tuple[Floats, Floats]:
+def _sample_inserted(detections: Detections, begin: float, station: float) -> tuple[Floats, Floats]:
     """Return the needle from `begin` (mm along it) to its tip: points (N, 3), world, and deviations (N,)."""
-    along = arc_length(seen.world)
+    along = arc_length(detections.world)
     count = int(np.ceil((along[-1] - begin) / station)) + 1
     s = np.linspace(begin, along[-1], count)
-    return at_arc(seen.world, s), np.interp(s, along, seen.traced.sd)
+    return at_arc(detections.world, s), np.interp(s, along, detections.needle_axis.sd)
 
 
-def _target_error(seen: Seen, points: Floats) -> Floats:
+def _predict_target_error(detections: Detections, points: Floats) -> Floats:
     """Return the mean error (2,) that the registration leaves at the entry and at the tip, predicted, mm."""
-    if seen.registration is None:
+    if detections.registration is None:
         return np.zeros(2)
-    return predicted_mean_target_error(seen.registration, seen.patient.to_local(points[[0, -1]]))
+    return predict_mean_target_error(detections.registration, detections.patient.to_local(points[[0, -1]]))
 
 
-def _bending(
-    seen: Seen, scan: Scan, pose: EntryPose, points: Floats, recipe: ReconstructionRecord
-) -> tuple[Frame, Plane]:
+def _find_bending_frame(
+    detections: Detections, scan: Scan, pose: EntryPose, points: Floats, recipe: ReconstructionRecord
+) -> tuple[Frame, PlaneSource]:
     """Return the constraint frame, and what fixes its plane."""
-    plane: Plane
+    plane: PlaneSource
     if scan.bevel is None and scan.side < 0:
         raise DataError(
             "bevel_side is -1, but no bevel direction is stated",
             where=f"scan {scan.id}",
             expected="bevel_x, bevel_y, bevel_z beside it: without them +y points to where the needle went",
-            mend="state the bevel's direction, or leave bevel_side empty",
+            fix="state the bevel's direction, or leave bevel_side empty",
         )
-    bevel = seen.patient.rotation @ seen.traced.bevel
+    bevel = detections.patient.rotation @ detections.needle_axis.bevel
     if scan.bevel is not None:
         toward, plane = scan.bevel, "stated"
     elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
@@ -134,4 +229,4 @@ def _bending(
     try:
         return entry_frame(pose.origin, pose.direction, toward), plane
     except DataError as error:
-        raise DataError(error.what, where=str(scan.volume), expected=error.expected, mend=ACROSS) from None
+        raise DataError(error.what, where=str(scan.volume), expected=error.expected, fix=BEVEL_FIX) from None

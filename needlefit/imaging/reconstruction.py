@@ -1,4 +1,4 @@
-"""What a scan tells of its needle: the noun that `reconstruct` returns."""
+"""The result of reconstructing one scan; `reconstruct` returns it."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Markers:
+class MarkerResult:
     """Markers in the scan.
 
     Attributes
@@ -59,7 +59,7 @@ class EntryPose:
 
 
 @dataclass(frozen=True)
-class Profile:
+class IntensityProfile:
     """Brightness along the needle.
 
     Attributes
@@ -76,7 +76,7 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class View:
+class ScanView:
     """A picture of the scan along two axes of the constraint frame.
 
     Attributes
@@ -129,7 +129,7 @@ class Reconstruction:
     scan : Scan
     spacing : (3,) array
         Of the voxels along i, j, k, mm.
-    traced : Centerline
+    needle_axis : Centerline
         The whole needle, LPS.
     markers : Markers or None
         None where the world is the patient frame.
@@ -154,14 +154,14 @@ class Reconstruction:
     layers : Layers
     profile : Profile
     views : tuple of View
-    remarks : tuple of str
+    warnings : tuple of str
         What a person should know.
     """
 
     scan: Scan
     spacing: Floats
-    traced: Centerline
-    markers: Markers | None
+    needle_axis: Centerline
+    markers: MarkerResult | None
     registration: Registration | None
     patient: Frame
     pose: EntryPose
@@ -174,9 +174,9 @@ class Reconstruction:
     depth_sd: float
     target_error: Floats
     layers: Layers
-    profile: Profile
-    views: tuple[View, ...]
-    remarks: tuple[str, ...]
+    profile: IntensityProfile
+    views: tuple[ScanView, ...]
+    warnings: tuple[str, ...]
 
     @property
     def local(self) -> Floats:

@@ -1,34 +1,144 @@
-"""A CT volume in the patient's coordinates: the noun, its coordinates, and the files it comes from."""
+"""A CT volume: its voxel grid in the patient's coordinates (LPS, mm), its values, and the checks of the
+grid.
+"""
 
-import os
-import sys
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import math
 from dataclasses import dataclass
-from importlib.util import find_spec
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from needlefit.errors import ConfigError, DataError
-from needlefit.imaging.grid import Grid, check_grid, max_voxels
-from needlefit.project.caged import limits, read_caged
-from needlefit.project.reading import is_there, opened, unreadable
+from needlefit.errors import DataError
+from needlefit.project.sandbox import MEMORY_VARIABLE, stated_memory_bytes
 
 Floats = NDArray[np.float64]
 
+DEFAULT_MAX_VOXELS = 2**30
+"""Largest volume that is read, 1024^3: 4 GB in memory, unless the user states another size."""
+
+MIN_SPACING_MM, MAX_SPACING_MM = 1e-3, 50.0
+"""Spacings of real scans, mm; outside, the unit of the file is not mm."""
+
+AXES_COSINE_TOLERANCE = 2e-4
+"""Axes may miss right angles and unit length by this much, as cosines printed with four decimals do."""
+
+SHEARED_AXES_FAULT = "the axes of the voxels are not perpendicular unit vectors"
+EXPECTED_AXES = "three directions at right angles, without shear"
+SHEARED_AXES_FIX = "a tilted gantry shears a volume: resample it onto a straight grid and export it again"
+
+
+@dataclass(frozen=True)
+class VoxelGrid:
+    """Where voxels stand in the patient, as a header says.
+
+    Attributes
+    ----------
+    size : tuple of int
+        Voxels along i (columns), j (rows), k (slices).
+    origin : (3,) array
+        Centre of voxel (0, 0, 0), LPS, mm.
+    spacing : (3,) array
+        Distance of centres along i, j, k, mm.
+    direction : (3, 3) array
+        Its columns are the LPS unit vectors of i, j, k; either handedness.
+    """
+
+    size: tuple[int, int, int]
+    origin: Floats
+    spacing: Floats
+    direction: Floats
+
+
+def check_grid(grid: VoxelGrid, where: str = "") -> None:
+    """Say what is wrong with a grid, before any voxel of it is read.
+
+    Raises
+    ------
+    DataError
+        If the size is absurd, the spacing is not that of a scan in mm, a number is not finite, or the
+        axes are not perpendicular.
+    """
+    check_size(grid.size, where)
+    _check_numbers(grid, where)
+    if not (np.abs(grid.direction.T @ grid.direction - np.eye(3)) <= AXES_COSINE_TOLERANCE).all():
+        raise DataError(
+            f"{SHEARED_AXES_FAULT}: {_round_rows(grid.direction.T)}",
+            where=where,
+            expected=EXPECTED_AXES,
+            fix=SHEARED_AXES_FIX,
+        )
+
+
+def grid_to_json(grid: VoxelGrid) -> dict[str, list[Any]]:
+    """Return a grid as JSON; `VoxelGrid` of its parts as arrays gives it back to the bit."""
+    parts = {"origin": grid.origin, "spacing": grid.spacing, "direction": grid.direction}
+    return {"size": list(grid.size), **{name: array.tolist() for name, array in parts.items()}}
+
+
+def orthogonalize(direction: Floats) -> Floats:
+    """Return the axes (3, 3) that are perpendicular to the last digit and nearest to `direction` (3, 3)."""
+    u, _, vt = np.linalg.svd(direction)
+    nearest: Floats = u @ vt
+    return nearest
+
+
+def max_voxels() -> int:
+    """Return the number of voxels of the largest volume that is read, as float32."""
+    stated = stated_memory_bytes()
+    return DEFAULT_MAX_VOXELS if stated is None else stated // 4
+
+
+def check_size(size: tuple[int, int, int], where: str) -> None:
+    """See that there is a volume, and not more than is read.
+
+    Raises
+    ------
+    DataError
+    """
+    shown, count = " x ".join(map(str, size)), math.prod(size)
+    if min(size) < 2:
+        raise DataError(
+            f"holds {shown} voxels, no volume",
+            where=where,
+            expected="at least two voxels along each axis",
+            fix="export the whole volume, not one image of it",
+        )
+    if count > max_voxels():
+        raise DataError(
+            f"its header claims {shown} voxels, {4 * count / 1e9:.3g} GB in memory",
+            where=where,
+            expected=f"at most {max_voxels():.3g} voxels",
+            fix="crop the volume to the needle and its markers, or check where the file comes from; if it "
+            f"is right and memory allows, set {MEMORY_VARIABLE} to the GiB that it may take",
+        )
+
+
+def _check_numbers(grid: VoxelGrid, where: str) -> None:
+    if not all(np.isfinite(array).all() for array in (grid.origin, grid.spacing, grid.direction)):
+        raise DataError(
+            "its origin, spacing or axes are not finite numbers",
+            where=where,
+            expected="positions of voxels in mm",
+            fix="export the volume again",
+        )
+    if grid.spacing.min() < MIN_SPACING_MM or grid.spacing.max() > MAX_SPACING_MM:
+        raise DataError(
+            f"the spacing of the voxels is {' x '.join(f'{step:g}' for step in grid.spacing)} mm",
+            where=where,
+            expected=f"{MIN_SPACING_MM:g} to {MAX_SPACING_MM:g} mm",
+            fix="check in which unit the spacing was written; it must be mm",
+        )
+
+
+def _round_rows(rows: Floats) -> list[list[float]]:
+    return [[round(float(value), 4) + 0.0 for value in row] for row in rows]
+
+
 IMAGE_SUFFIXES = (".nrrd", ".nhdr", ".nii", ".nii.gz", ".mha", ".mhd")
-PACKAGES = ("SimpleITK", "pydicom")
-READ_BYTES_PER_SECOND = 8 * 2**20
-"""A volume that is read more slowly, in processor time, is taken for one that never ends."""
 
-HEADER_SECONDS = 0.1
-UNPACKED_BYTES_PER_SECOND = 2**20
-"""The same for a DICOM header, and for compressed slices."""
 
-READABLE = (
+READABLE_VOLUMES = (
     "a folder with a DICOM series, one file of it, NRRD (.nrrd), NIfTI (.nii, .nii.gz) or MetaImage (.mha)"
 )
 
@@ -47,7 +157,7 @@ class Volume:
         Distance of centres along i, j, k, mm.
     direction : (3, 3) array
         Its columns are the LPS unit vectors of i, j, k; either handedness.
-    remarks : tuple of str
+    warnings : tuple of str
         What a person should know of its files.
 
     Raises
@@ -60,7 +170,7 @@ class Volume:
     origin: Floats
     spacing: Floats
     direction: Floats
-    remarks: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         """Refuse what no file could hold."""
@@ -71,10 +181,10 @@ class Volume:
         check_grid(self.grid)
 
     @property
-    def grid(self) -> Grid:
+    def grid(self) -> VoxelGrid:
         """Where the voxels stand."""
         slices, rows, columns = self.values.shape
-        return Grid((columns, rows, slices), self.origin, self.spacing, self.direction)
+        return VoxelGrid((columns, rows, slices), self.origin, self.spacing, self.direction)
 
 
 def to_patient(volume: Volume, ijk: ArrayLike) -> Floats:
@@ -89,169 +199,3 @@ def to_index(volume: Volume, points: ArrayLike) -> Floats:
     steps = (np.asarray(points, dtype=np.float64) - volume.origin) @ volume.direction
     index: Floats = steps / volume.spacing
     return index
-
-
-def read(path: Path, series: str | None = None) -> Volume:
-    """Return the volume in a file or folder, after its geometry was checked.
-
-    Parameters
-    ----------
-    path : Path
-        A folder with a DICOM series, one file of the series, or an NRRD, NIfTI or MetaImage file.
-    series : str, optional
-        Number or UID of the DICOM series, where a folder holds several.
-
-    Raises
-    ------
-    DataError
-        If there is no such volume, or its geometry cannot be trusted; nothing is guessed.
-    ConfigError
-        If the packages that read scans are not installed.
-    """
-    path = Path(path)
-    if not is_there(path):
-        raise DataError(
-            "there is no such file or folder", where=str(path), expected=READABLE, mend="check the path"
-        )
-    if any("\ud800" <= letter <= "\udfff" for letter in str(path)):  # SimpleITK takes names in UTF-8 only
-        raise DataError(
-            "its name is not valid UTF-8", where=str(path), expected="a name in UTF-8", mend="rename it"
-        )
-    with packages():
-        _require_packages()
-        if not path.is_dir() and path.name.lower().endswith(IMAGE_SUFFIXES):
-            return _read_image(path)
-        return _read_series(path, series)
-
-
-def read_planes(path: Path) -> tuple[Volume, ...]:
-    """Read an image file whose voxels may have several numbers: a volume for each; else as `read`."""
-    with packages():
-        _require_packages()
-        parts, arrays = _read_arrays(path, layers=True)
-    values = arrays["values"]
-    return tuple(_volume(parts, {"values": values[..., n]}, path) for n in range(values.shape[-1]))
-
-
-def _read_image(path: Path) -> Volume:
-    return _volume(*_read_arrays(path, layers=False), path)
-
-
-def _read_arrays(path: Path, layers: bool) -> tuple[Any, dict[str, NDArray[Any]]]:
-    """Return the grid of an image file, and its voxels as "values"."""
-    from needlefit.imaging.headers.check import check_image_header
-    from needlefit.imaging.headers.nrrd_single import single_volume_header
-
-    header = check_image_header(path)
-    native = (
-        2 * header.content_bytes + header.float_bytes + header.packed_bytes
-    )  # a buffer, one to convert into
-    seconds = (header.content_bytes + header.packed_bytes) / READ_BYTES_PER_SECOND
-    allowed = limits(native, header.float_bytes, seconds)
-    one_volume = len(header.size) > 3 and path.name.lower().endswith((".nrrd", ".nhdr"))
-    instead = single_volume_header(path) if one_volume else ""
-    arguments = {"path": str(path), "layers": layers, "header": instead}
-    return read_caged("needlefit.imaging.image_files:read_image", path, allowed, arguments)
-
-
-def _read_series(path: Path, series: str | None) -> Volume:
-    folder = path
-    if not path.is_dir():
-        folder = path.parent
-        with opened(path, sys.maxsize):  # a regular file
-            pass
-    try:
-        sizes = [entry.stat().st_size for entry in os.scandir(folder) if entry.is_file()]
-    except OSError as fault:
-        raise unreadable(fault, DataError, str(folder)) from None
-    seconds = len(sizes) * HEADER_SECONDS + sum(sizes) / UNPACKED_BYTES_PER_SECOND
-    allowed = limits(max(sizes, default=0), 4 * max_voxels(), seconds)
-    arguments = {"path": str(path), "series": series}
-    return _volume(*read_caged("needlefit.imaging.dicom.read:read_series", path, allowed, arguments), path)
-
-
-def _volume(parts: Any, arrays: Mapping[str, NDArray[Any]], path: Path) -> Volume:  # noqa: ANN401 - JSON
-    """Return the volume that a reader described and filled; DataError if the two do not agree."""
-    try:
-        origin, spacing, direction = (
-            np.array(parts[name], np.float64) for name in ("origin", "spacing", "direction")
-        )
-        values, remarks = arrays["values"], tuple(map(str, parts.get("remarks", ())))
-        if values.shape != tuple(parts["size"])[::-1] or direction.shape != (3, 3):
-            raise ValueError
-    except (AttributeError, KeyError, TypeError, ValueError):
-        raise DataError(
-            "the process that read it gave no volume",
-            where=str(path),
-            expected=READABLE,
-            mend="read it again",
-        ) from None
-    return Volume(values, origin, spacing, direction, remarks)
-
-
-def _require_packages() -> None:
-    """See that what reads scans is there, before a process is started for it."""
-    for name in PACKAGES:
-        if find_spec(name) is None:
-            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
-
-
-def write(volume: Volume, path: Path, description: str = "") -> None:
-    """Write a volume whole or not at all; the same volume gives the same bytes.
-
-    Parameters
-    ----------
-    path : Path
-        A .nrrd, .nii, .nii.gz or .mha file, which is replaced, or a new folder (no suffix): a DICOM series.
-    description : str
-        What the volume is, e.g. that it is synthetic; stands in the file's header.
-
-    Notes
-    -----
-    NRRD, NIfTI and MetaImage keep values to the bit. DICOM holds 16 bits: whole numbers in their range
-    are kept, others rounded to 1/65535 of the range of the values. NIfTI stores its geometry in single
-    precision (1e-5 mm), the others in double.
-
-    Raises
-    ------
-    DataError
-        If the suffix is unknown, or a value is not finite.
-    ConfigError
-        If nothing can be written there, or the packages that write scans are not installed.
-    """
-    path = Path(path)
-    if not np.isfinite(volume.values.min() + volume.values.max()):
-        raise DataError("the volume holds values that are not finite", expected="numbers everywhere")
-    with packages():
-        if path.name.lower().endswith((".nrrd", ".nii", ".nii.gz", ".mha")):
-            from needlefit.imaging.image_files import write_image
-
-            write_image(volume, path, description)
-        elif path.suffix:
-            raise DataError(
-                f"{path.suffix} is no kind of volume that is written",
-                where=str(path),
-                expected=".nrrd, .nii, .nii.gz, .mha, or a folder for a DICOM series",
-            )
-        else:
-            from needlefit.imaging.dicom.write import write_series
-
-            write_series(volume, path, description)
-
-
-def installed() -> bool:
-    """Return whether the packages that read scans are there."""
-    return all(find_spec(name) is not None for name in PACKAGES)
-
-
-@contextmanager
-def packages() -> Iterator[None]:
-    """Turn a missing package into the line that installs it."""
-    try:
-        yield
-    except ModuleNotFoundError as error:
-        raise ConfigError(
-            f"scans need the package {error.name}, which is not installed",
-            expected="the packages of the extra `ct`",
-            mend="pip install 'needlefit[ct]'",
-        ) from None

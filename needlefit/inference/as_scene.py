@@ -3,16 +3,16 @@
 from collections.abc import Mapping
 
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.scene import (
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import (
     BevelRecord,
     ControlsRecord,
     LayerRecord,
     NeedleRecord,
     RulesRecord,
     SceneRecord,
+    StepRecord,
 )
-from needlefit.project.records.steps import StepRecord
 
 
 def as_scene(

@@ -18,7 +18,7 @@ from needlefit.inference.likelihood.evidence import Evidence, evidence, whitened
 from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.parameters import SCALES
 from needlefit.mechanics.baselines import BASELINES
-from needlefit.project.records.recipe import LikelihoodRecord
+from needlefit.schemas.recipe import LikelihoodRecord
 
 Floats = NDArray[np.float64]
 

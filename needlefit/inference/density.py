@@ -27,7 +27,7 @@ from needlefit.mechanics.batch import NeedleShapes, deflections_each, positions_
 from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import positions
-from needlefit.project.records.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord
 
 Floats = NDArray[np.float64]
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
-from needlefit.project.records.recipe import Minimized
+from needlefit.schemas.recipe import ObjectiveName
 
 Floats = NDArray[np.float64]
 
@@ -39,7 +39,7 @@ class Bounded(Box, Protocol):
 class Led(Bounded, Protocol):
     """What may know something easier with its best points close by."""
 
-    def approach(self, minimized: Minimized) -> "Weighed | None":
+    def approach(self, minimized: ObjectiveName) -> "Weighed | None":
         """Return what leads to the best points of what is minimised; None if nothing is easier."""
 
 
@@ -113,7 +113,7 @@ APPROACHED = 1e-6
 """The same on the way to where a search begins; small enough to see which starts met."""
 
 
-def goal_of(problem: Weighed, minimized: Minimized) -> Goal:
+def goal_of(problem: Weighed, minimized: ObjectiveName) -> Goal:
     """Return what a recipe's `minimize` names, of one problem, and what leads to its minima.
 
     Raises

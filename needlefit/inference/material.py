@@ -118,7 +118,7 @@ def fit_specimen(specimen: Specimen, measure: Measure) -> SpecimenFit:
     if not minima:
         raise FitError(
             f"no positive mu fits the stresses of specimen {specimen.name}",
-            mend="check the signs and the zero of its stresses",
+            fix="check the signs and the zero of its stresses",
         )
     (log_mu, alpha), residuals = minima[0]
     neighbours, independent = _worth(residuals)

@@ -13,8 +13,7 @@ import numpy as np
 
 from needlefit.errors import ConfigError
 from needlefit.inference.population import Material
-from needlefit.project.records.medium import MediumRecord, ParameterRecord
-from needlefit.project.records.prior import MaterialRecord, PriorRecord
+from needlefit.schemas.medium import MaterialRecord, MediumRecord, ParameterRecord, PriorRecord
 
 REACH = 4.0
 """A fixed alpha that a test says something of becomes free within this many standard deviations."""
@@ -100,12 +99,12 @@ def _freed(name: str, parameter: ParameterRecord, stated: PriorRecord) -> Parame
         bounds = (stated.mean - REACH * stated.sd, stated.mean + REACH * stated.sd)
     if bounds is None:
         state = "tied" if parameter.tie else "fixed"
-        mend = (
+        fix = (
             "give it bounds, or the prior to the layer that it is tied to"
             if parameter.tie
             else "give it bounds"
         )
-        raise ConfigError(f"a prior is stated for {name}, which is {state}", mend=mend)
+        raise ConfigError(f"a prior is stated for {name}, which is {state}", fix=fix)
     return ParameterRecord(bounds=bounds, prior=stated)
 
 

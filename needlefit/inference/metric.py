@@ -10,7 +10,7 @@ which is smooth and at most e shorter.
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.project.records.recipe import WeightsRecord
+from needlefit.schemas.recipe import WeightsRecord
 
 Floats = NDArray[np.float64]
 

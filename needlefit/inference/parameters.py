@@ -17,7 +17,7 @@ from needlefit.errors import ConfigError
 from needlefit.inference.prior import Prior, prior_of
 from needlefit.inference.ties import NOISE_SCALE, dimension, parse, resolve
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
 
 Floats = NDArray[np.float64]
 Theta = Sequence[float] | Floats
@@ -144,7 +144,7 @@ class Parameters:
         known = {**self.fixed, **values}
         lost = [name for name in held if name not in known]
         if lost:
-            raise ConfigError(f"no value is given for {', '.join(lost)}", mend="give one, or leave it free")
+            raise ConfigError(f"no value is given for {', '.join(lost)}", fix="give one, or leave it free")
         return replace(
             self,
             bounds={name: self.bounds[name] for name in self.free if name in free},
@@ -179,7 +179,7 @@ def tissue(
     if beyond:
         raise ConfigError(
             f"an insertion meets layer {beyond[0]}, the medium `{medium.title}` has {medium.layers}",
-            mend="use the configuration of the medium that the needle went into",
+            fix="use the configuration of the medium that the needle went into",
         )
     return Tissue(
         mu=np.array([values[f"mu{layer}_pa"] * 1e-6 for layer in sequence]),
@@ -206,7 +206,7 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
             "; ".join(faults),
             key=f"parameters.{extra[0]}" if extra else "parameters",
             expected=f"{', '.join(needed)} ({record.layers} layers), and guide_distance_mm if wanted",
-            mend=_fix(missing, extra, record.layers),
+            fix=_fix(missing, extra, record.layers),
         )
     return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
 
@@ -235,5 +235,5 @@ def _check_positive(name: str, parameter: ParameterRecord) -> None:
             f"{name} may be {low:g}, which is not above 0",
             key=f"parameters.{name}",
             expected="a positive number: it is searched in logarithms",
-            mend="raise the lower bound, or the fixed value",
+            fix="raise the lower bound, or the fixed value",
         )

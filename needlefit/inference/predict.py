@@ -16,7 +16,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord
 
 Floats = NDArray[np.float64]
 

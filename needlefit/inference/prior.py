@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
 from needlefit.inference.ties import dimension
-from needlefit.project.records.medium import ParameterRecord
-from needlefit.project.records.prior import PriorRecord
+from needlefit.schemas.medium import ParameterRecord, PriorRecord
 
 Floats = NDArray[np.float64]
 
@@ -123,7 +122,7 @@ def _check(
         raise ConfigError(
             f"peaks at {_peak(one):g}, outside the bounds {bounds[0]:g} to {bounds[1]:g}",
             key=key,
-            mend="widen the bounds, or look whether prior and bounds mean the same unit",
+            fix="widen the bounds, or look whether prior and bounds mean the same unit",
         )
     if one.correlation and (dimension(name) != "modulus" or _alpha_of(name) not in stated):
         expected = "a prior of mu whose layer's alpha has a prior too"

@@ -19,8 +19,8 @@ from needlefit.inference.parameters import Parameters, Theta, with_noise_scale
 from needlefit.inference.predict import predict
 from needlefit.inference.slopes import predict_with_slopes
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import LikelihoodRecord, Minimized, WeightsRecord
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
 
 Floats = NDArray[np.float64]
 
@@ -163,7 +163,7 @@ class Problem:
         at = np.asarray(theta)
         return bool(np.all(at >= self.lower) and np.all(at <= self.upper))
 
-    def approach(self, minimized: Minimized) -> "Problem | None":
+    def approach(self, minimized: ObjectiveName) -> "Problem | None":
         """Return what is cheaper or smoother than what is minimised and has its best points close by.
 
         For the posterior that is the one with all depths as stated, one needle instead of 2 d + 1 or more;

@@ -11,7 +11,7 @@ from needlefit.inference.predict import conditions
 from needlefit.mechanics.linearize import linearize_along, moved
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import positions
-from needlefit.project.records.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord
 
 Floats = NDArray[np.float64]
 

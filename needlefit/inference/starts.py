@@ -7,8 +7,8 @@ from types import MappingProxyType
 from typing import Any
 
 from needlefit.errors import FitError
-from needlefit.project.records.recipe import Minimized
-from needlefit.project.watching import never
+from needlefit.project.progress import never_stop
+from needlefit.schemas.recipe import ObjectiveName
 
 INTERRUPTED = "interrupted"
 
@@ -98,7 +98,7 @@ class Fit:
     evaluations: int
     failures: int
     interrupted: bool
-    minimized: Minimized = "posterior"
+    minimized: ObjectiveName = "posterior"
     gradients: int = 0
 
     @property
@@ -140,7 +140,7 @@ class Watch:
 
     finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
     report: Callable[[Start], None] = _ignore
-    stop: Callable[[], bool] = never
+    stop: Callable[[], bool] = never_stop
     step: Callable[[int, int], None] = _uncounted
     jobs: int = 1
 
@@ -179,5 +179,5 @@ def from_dict(table: Mapping[str, Any]) -> Start:
         )
     except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise FitError(
-            f"the checkpoint holds a damaged start: {error!r}", mend="run again without --resume"
+            f"the checkpoint holds a damaged start: {error!r}", fix="run again without --resume"
         ) from None

@@ -26,7 +26,7 @@ def dimension(name: str) -> str:
         raise ConfigError(
             f"there is no parameter called `{name}`",
             expected="mu1_pa, alpha1, mu2_pa, ..., bevel_mm, guide_distance_mm",
-            mend="correct the name",
+            fix="correct the name",
         )
     if name == NOISE_SCALE:
         return "factor"
@@ -78,14 +78,14 @@ def _follow(name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[s
             raise ConfigError(
                 f"ties run in a circle: {' -> '.join([*seen, at])}",
                 key=f"parameters.{name}.tie",
-                mend="leave one of them free or fixed",
+                fix="leave one of them free or fixed",
             )
         if at not in known:
             raise ConfigError(
                 f"`{seen[-1]}` is tied to `{at}`, which this medium has not",
                 key=f"parameters.{name}.tie",
                 expected=f"one of {', '.join(sorted(known - set(seen)))}",
-                mend="tie it to one of these, or give it bounds",
+                fix="tie it to one of these, or give it bounds",
             )
         seen.append(at)
     return factor, at
@@ -96,5 +96,5 @@ def _wrong(name: str, tie: str, fault: str) -> ConfigError:
         f"the tie `{tie}` {fault}",
         key=f"parameters.{name}.tie",
         expected='another parameter of the same kind, with a factor if wanted: "mu1_pa" or "10 * mu1_pa"',
-        mend="correct the tie, or give the parameter bounds",
+        fix="correct the tie, or give the parameter bounds",
     )

@@ -52,14 +52,14 @@ def inflated(
     """
     names = tuple(name for name in new.free if name in old.names)
     if not names:
-        raise ConfigError("old and new medium have no parameter in common", mend="name media that resemble")
+        raise ConfigError("old and new medium have no parameter in common", fix="name media that resemble")
     for name in names:
         low, high = new.bounds[name]
         if not low - ROUNDING * abs(low) <= fit[name] <= high + ROUNDING * abs(high):
             raise ConfigError(
                 f"{name} of the old medium is {fit[name]:.3g}, outside the new medium's bounds",
                 expected=f"{low:g} to {high:g}",
-                mend="widen the bounds of the new medium",
+                fix="widen the bounds of the new medium",
             )
     centre = np.array([coordinate(name, fit[name]) for name in names])
     drawn = [old.values(theta) for theta in thetas]

@@ -18,7 +18,7 @@ from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import Validity, validity_of
-from needlefit.project.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES
+from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -92,7 +92,7 @@ class Batch:
             raise ModelError(
                 f"a batch of {len(self)} sets is {solves:.3g} elements to be solved for, {nodes:.3g} nodes",
                 expected=f"at most {MAX_BATCH_ELEMENT_SOLVES:.3g}, and {MAX_BATCH_NODES:.3g} nodes",
-                mend="divide the sets among several batches, one call after the other",
+                fix="divide the sets among several batches, one call after the other",
             )
 
     def one(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:

@@ -7,14 +7,14 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.finite import finite
-from needlefit.project.limits import (
+from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
     MAX_GUIDES,
     MAX_ITERATIONS,
     MAX_NEEDLE_LENGTH_MM,
     MIN_ELEMENT_MM,
 )
-from needlefit.project.records.scene import BevelRecord, RulesRecord
+from needlefit.schemas.scene import BevelRecord, RulesRecord
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ class Guide:
             raise ModelError(
                 f"guide stands at x = {self.x} mm",
                 expected="x < 0 before the tissue, x >= 0 with in_tissue",
-                mend="move it before the entry, or say that it stands in the tissue",
+                fix="move it before the entry, or say that it stands in the tissue",
             )
 
 
@@ -120,7 +120,7 @@ class Controls:
                 raise ModelError(
                     f"two guides stand at the same x = {one.x:g} mm",
                     expected="guides at different x",
-                    mend="move one of them, or leave it out",
+                    fix="move one of them, or leave it out",
                 )
         object.__setattr__(self, "guides", ordered)
 
@@ -203,20 +203,20 @@ class Rules:
             raise ModelError(
                 f"elements of {min(self.element, self.spacing):g} mm",
                 expected=f"{MIN_ELEMENT_MM:g} mm or more: rounding grows as they shrink",
-                mend="1 mm elements leave less than 0.001 mm at the tip, as `needlefit verify` shows",
+                fix="1 mm elements leave less than 0.001 mm at the tip, as `needlefit verify` shows",
             )
         if self.spacing > MAX_CONSTRAINT_SPACING_MM:
             raise ModelError(
                 f"constraint spacing is {self.spacing:g} mm",
                 expected=f"at most {MAX_CONSTRAINT_SPACING_MM:g} mm",
-                mend="1 mm is the model's; a larger one needs its own fit",
+                fix="1 mm is the model's; a larger one needs its own fit",
             )
         ratio = self.spacing / self.element if self.element > 0 else 0.0
         if not (self.spacing > 0 and round(ratio) >= 1 and math.isclose(ratio, round(ratio), rel_tol=1e-3)):
             raise ModelError(
                 f"element size {self.element} mm does not divide the constraint spacing {self.spacing} mm",
                 expected="element_mm = constraint_spacing_mm / 1, 2, 3, ... (to three digits)",
-                mend="leave element_mm out of the scene: it then follows the spacing",
+                fix="leave element_mm out of the scene: it then follows the spacing",
             )
         object.__setattr__(self, "element", self.spacing / round(ratio))  # 0.333 means a third
 

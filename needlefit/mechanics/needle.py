@@ -6,8 +6,8 @@ from typing import Self
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.finite import finite
-from needlefit.project.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM
-from needlefit.project.records.scene import NeedleRecord
+from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM
+from needlefit.schemas.scene import NeedleRecord
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,7 @@ from functools import lru_cache
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Rules, Step
-from needlefit.project.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS
+from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS
 
 NEAR = 1e-9
 """Two depths nearer than this are the same, mm."""
@@ -250,14 +250,14 @@ def check_size(depths: tuple[float, ...], rules: Rules) -> None:
         raise ModelError(
             f"{deepest:g} mm of depth are {deepest / rules.element:.0f} elements of {rules.element:g} mm",
             expected=f"at most {MAX_ELEMENTS} elements",
-            mend="insert less deep, or take a larger constraint spacing and longer elements",
+            fix="insert less deep, or take a larger constraint spacing and longer elements",
         )
     solves = element_solves(depths, rules.spacing, rules.element)
     if solves > 1.01 * MAX_ELEMENT_SOLVES:  # the deepest insertion is allowed, whatever its first cell
         raise ModelError(
             f"{len(depths)} steps are {solves:.3g} elements to be solved for in all equilibria",
             expected=f"at most {MAX_ELEMENT_SOLVES:.3g}",
-            mend="take fewer steps, insert less deep, or take a larger constraint spacing",
+            fix="take fewer steps, insert less deep, or take a larger constraint spacing",
         )
 
 
@@ -275,10 +275,10 @@ def check_reach(length: float, depth: float, controls: Controls) -> None:
         raise ModelError(
             f"{needle} does not even reach the tissue{through}",
             expected=f"a needle longer than {depth + before:g} mm to go {depth:g} mm deep{nearer}",
-            mend="give the needle's true length, or move the guide toward the tissue",
+            fix="give the needle's true length, or move the guide toward the tissue",
         )
     raise ModelError(
         f"{needle} cannot be inserted {depth:g} mm{through}",
         expected=f"a depth below {length - before:g} mm{nearer}",
-        mend=f"lessen the depth,{' move the guide,' if nearer else ''} or give the needle's true length",
+        fix=f"lessen the depth,{' move the guide,' if nearer else ''} or give the needle's true length",
     )

@@ -19,9 +19,7 @@ from needlefit.mechanics.plan import NEAR, Lattice, check_reach, check_size, lat
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.scene import EntryRecord, SceneRecord
-from needlefit.project.records.steps import GuideRecord
-from needlefit.project.schedule import WholeStep, schedule
+from needlefit.schemas.scene import GuideRecord, ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +36,7 @@ class Entry:
     angle: float = 0.0
 
     @classmethod
-    def from_record(cls, record: EntryRecord) -> Self:
+    def from_record(cls, record: SceneEntryRecord) -> Self:
         """Return the pose that a checked record describes."""
         return cls(record.x_mm, record.y_mm, math.radians(record.angle_deg))
 
@@ -75,7 +73,7 @@ class Entry:
                 f"an axis at {math.degrees(angle):g} degrees in the world lies {math.degrees(abs(turn)):g} "
                 f"degrees off the insertion axis",
                 expected=f"less than 45 degrees off the entry's {math.degrees(self.angle):g} degrees",
-                mend="give the direction in which the needle slides, not the one across it",
+                fix="give the direction in which the needle slides, not the one across it",
             )
         return math.tan(turn)
 
@@ -127,7 +125,7 @@ class Scene:
             rules = Rules.from_record(record.rules)
         with _naming(where, "law"):
             laws.power_terms(tissue.law, tissue.alpha)  # refused here, where the key is known
-        steps = tuple(_step(whole, needle, entry, where) for whole in schedule(record))
+        steps = tuple(_step(whole, needle, entry, where) for whole in resolve_steps(record))
         with _naming(where, *_sizing(record)):
             check_size(tuple(step.depth for step in steps), rules)
         names = tuple(layer.name for layer in record.layers)
@@ -161,12 +159,12 @@ def at_contact(scene: Scene, first_cell: float) -> Session:
     return Session(scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules)
 
 
-def _step(whole: WholeStep, needle: Needle, entry: Entry, where: str) -> Step:
+def _step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) -> Step:
     """Return a step whose guides and stage, given in the world, are seen from C."""
     held = whole.controls
     with _naming(where, "controls.stage_angle_deg"):
         stage = 0.0 if held.stage_angle_deg is None else entry.slope_of(math.radians(held.stage_angle_deg))
-    guides = [(key, _guide(guide, entry, key, where)) for key, guide in whole.guides if guide.holds]
+    guides = [(key, _guide(guide, entry, key, where)) for key, guide in whole.guides if guide.engaged]
     if held.guide_distance_mm is not None:
         guides.append(("controls.guide_distance_mm", Guide(-held.guide_distance_mm)))
     tip = None
@@ -190,7 +188,7 @@ def _at_one_x(guides: Sequence[tuple[str, Guide]]) -> list[str]:
     return [key for key, guide in guides if sum(guide.x == other.x for _, other in guides) > 1]
 
 
-def _reaching(whole: WholeStep, needle: Needle, guides: Sequence[tuple[str, Guide]]) -> list[str]:
+def _reaching(whole: ResolvedStep, needle: Needle, guides: Sequence[tuple[str, Guide]]) -> list[str]:
     """Return the keys that decide whether the needle is long enough."""
     key, first = min(guides, key=lambda keyed: keyed[1].x, default=("", None))
     if first is None or first.in_tissue:
@@ -221,5 +219,5 @@ def _naming(where: str, *keys: str) -> Iterator[None]:
             f"key{'s' if len(keys) > 1 else ''} {' and '.join(f'`{key}`' for key in keys)}: " if keys else ""
         )
         raise ConfigError(
-            f"{named}{error.what}", where=where, expected=error.expected, mend=error.mend
+            f"{named}{error.what}", where=where, expected=error.expected, fix=error.fix
         ) from error

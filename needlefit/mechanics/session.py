@@ -29,7 +29,7 @@ from needlefit.mechanics.plan import (
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack, read
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.limits import MAX_ELEMENTS, MAX_STEPS
+from needlefit.schemas.limits import MAX_ELEMENTS, MAX_STEPS
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_RULES = Rules()
@@ -254,7 +254,7 @@ def _check_rays(count: int) -> None:
         raise ModelError(
             f"the needle has changed its course {count} times on its way",
             expected=f"at most {MAX_STEPS + MAX_ELEMENTS} times",
-            mend="retract it, or begin anew",
+            fix="retract it, or begin anew",
         )
 
 

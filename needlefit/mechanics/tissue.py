@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.errors import ModelError
-from needlefit.project.limits import MAX_LAYERS
-from needlefit.project.records.scene import LayerRecord
+from needlefit.schemas.limits import MAX_LAYERS
+from needlefit.schemas.scene import LayerRecord
 
 Floats = NDArray[np.float64]
 

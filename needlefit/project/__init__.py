@@ -1,1 +1,1 @@
-"""Where a project's files lie (`places`), and how a TOML file becomes a checked record (`load`)."""
+"""Files of a project: how they are found (`locate`), read (`load`) and written (`atomic_write`)."""

@@ -13,13 +13,13 @@ from numpy.typing import NDArray
 class Hook(NamedTuple):
     """How a type that is no dataclass of plain values is taken apart, and built again."""
 
-    apart: Callable[[Any], object]
-    together: Callable[[Any], object]
+    to_plain: Callable[[Any], object]
+    from_plain: Callable[[Any], object]
     kind: Any
 
 
 Hooks = Mapping[type, Hook]
-"""By the type; `kind` declares what `apart` returns and `together` is given."""
+"""By the type; `kind` declares what `to_plain` returns and `from_plain` is given."""
 
 Arrays = dict[str, NDArray[Any]]
 
@@ -27,7 +27,7 @@ Arrays = dict[str, NDArray[Any]]
 def encode(value: object, hooks: Hooks, arrays: Arrays, place: str = "") -> object:
     """Return a value as JSON values; its arrays are added to `arrays`, and stand there by their place."""
     if type(value) in hooks:
-        return encode(hooks[type(value)].apart(value), hooks, arrays, place)
+        return encode(hooks[type(value)].to_plain(value), hooks, arrays, place)
     if is_dataclass(value) and not isinstance(value, type):
         parts = ((one.name, getattr(value, one.name)) for one in fields(value))
         return {name: encode(part, hooks, arrays, f"{place}.{name}") for name, part in parts}
@@ -51,7 +51,7 @@ def decode(kind: Any, value: Any, hooks: Hooks, arrays: Mapping[str, NDArray[Any
     """
     if kind in hooks:
         hook = hooks[kind]
-        return hook.together(decode(hook.kind, value, hooks, arrays))
+        return hook.from_plain(decode(hook.kind, value, hooks, arrays))
     origin = get_origin(kind)
     if origin in _OF_ORIGIN:
         return _OF_ORIGIN[origin](kind, value, hooks, arrays)

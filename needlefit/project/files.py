@@ -1,4 +1,4 @@
-"""What a folder holds, and what a file's bytes sum up to."""
+"""List, hash and remove files."""
 
 import hashlib
 import shutil
@@ -6,7 +6,7 @@ from collections.abc import Container
 from pathlib import Path
 
 
-def held(folder: Path) -> list[str]:
+def list_files(folder: Path) -> list[str]:
     """Return the files (and links) in a folder, relative to it, sorted."""
     paths = (path for path in sorted(folder.rglob("*")) if path.is_symlink() or not path.is_dir())
     return [path.relative_to(folder).as_posix() for path in paths]
@@ -28,10 +28,10 @@ def remove_folder(folder: Path, last: Container[str]) -> None:
     folder.rmdir()
 
 
-def remove_contents(folder: Path, last: Container[str], kept: Container[str] = ()) -> None:
-    """Remove what lies in a folder but for the names `kept`; else as `remove_folder`."""
+def remove_contents(folder: Path, last: Container[str], keep: Container[str] = ()) -> None:
+    """Remove what lies in a folder but for the names `keep`; else as `remove_folder`."""
     for path in sorted(folder.iterdir(), key=lambda path: (path.name in last, path.name)):
         if path.is_dir() and not path.is_symlink():
             shutil.rmtree(path)
-        elif path.name not in kept:
+        elif path.name not in keep:
             path.unlink()

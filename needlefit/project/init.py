@@ -4,9 +4,9 @@ import shutil
 from pathlib import Path
 
 from needlefit.errors import ConfigError
+from needlefit.project.atomic_write import create_folder
+from needlefit.project.locate import PROJECT_FOLDERS, join_names, shipped_folder
 from needlefit.project.outputs import require_writable
-from needlefit.project.places import PARTS, listed, shipped
-from needlefit.project.replace import new_folder
 
 MAX_LISTED_NAMES = 5
 """Files that a message names."""
@@ -29,12 +29,12 @@ def copy_project(folder: Path) -> list[Path]:
     ConfigError
         If `folder` is a file, the root or the user's home, or holds anything that is not hidden.
     """
-    targets = [folder / part for part in PARTS]
+    targets = [folder / part for part in PROJECT_FOLDERS]
     require_writable(folder)
     _require_unused(folder)
-    for part, target in zip(PARTS, targets, strict=True):
-        with new_folder(target) as fresh:
-            shutil.copytree(shipped() / part, fresh, ignore=_IGNORED, dirs_exist_ok=True)
+    for part, target in zip(PROJECT_FOLDERS, targets, strict=True):
+        with create_folder(target) as fresh:
+            shutil.copytree(shipped_folder() / part, fresh, ignore=_IGNORED, dirs_exist_ok=True)
     return targets
 
 
@@ -50,10 +50,10 @@ def _require_unused(folder: Path) -> None:
         shown = [str(path) for path in held if not path.name.startswith(".")]
         if not shown:
             return
-        what = f"exists already, and holds {listed(shown, MAX_LISTED_NAMES)}"
+        what = f"exists already, and holds {join_names(shown, MAX_LISTED_NAMES)}"
     raise ConfigError(
         what,
         where=str(folder),
         expected="a new folder, or an empty one",
-        mend="choose another folder: nothing is overwritten",
+        fix="choose another folder: nothing is overwritten",
     )

@@ -24,16 +24,16 @@ def require_writable(place: Path) -> None:
     Nothing is made: the nearest folder above that exists must be writable, and take the names.
     """
     if "\0" in str(place):
-        raise not_writable(Path(repr(place.name)), "its name holds a zero byte")
+        raise not_writable_error(Path(repr(place.name)), "its name holds a zero byte")
     place = Path(os.path.realpath(place))  # what Path.resolve refuses is judged below
     if place == place.parent:
-        raise not_writable(place, "it is the root of the file system")
+        raise not_writable_error(place, "it is the root of the file system")
     folder = place.parent
     while not _is_there(folder) and folder != folder.parent:
         folder = folder.parent
     effective = os.access in os.supports_effective_ids
     if not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK, effective_ids=effective):
-        raise not_writable(folder, "you may not write there" if folder.is_dir() else "it is a file")
+        raise not_writable_error(folder, "you may not write there" if folder.is_dir() else "it is a file")
     _require_names(place, folder)
 
 
@@ -60,7 +60,7 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
                 "is a folder",
                 where=str(path),
                 expected="the name of a file",
-                mend=f"name a file with {option}",
+                fix=f"name a file with {option}",
             )
         _require_no_input(option, path, sources)
         if _is_there(path) and not stat.S_ISREG(path.stat().st_mode):
@@ -72,14 +72,14 @@ def require_output_files(outputs: Mapping[str, Path], inputs: Iterable[Path]) ->
                 f"is named by both {one} and {other}",
                 where=str(path),
                 expected="a file of its own for each",
-                mend="choose another name for one of them",
+                fix="choose another name for one of them",
             )
 
 
 def require_folder(path: Path) -> None:
     """Raise ConfigError unless the folder of a file to write exists."""
     if not path.parent.is_dir():
-        raise ConfigError("there is no such folder", where=str(path.parent), mend="make it first")
+        raise ConfigError("there is no such folder", where=str(path.parent), fix="make it first")
 
 
 def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
@@ -91,17 +91,17 @@ def require_no_inputs_within(folder: Path, inputs: Iterable[Path]) -> None:
                 f"holds an input of this run: {path}",
                 where=str(folder),
                 expected="a folder of results that is not read",
-                mend="choose another folder with --out",
+                fix="choose another folder with --out",
             )
 
 
-def not_writable(place: Path, reason: str) -> ConfigError:
+def not_writable_error(place: Path, reason: str) -> ConfigError:
     """Return what is raised of a place where nothing can be written."""
     return ConfigError(
         f"cannot be written to: {reason}",
         where=str(place),
         expected="a folder in which you may write",
-        mend="choose another one with --out, or check its permissions",
+        fix="choose another one with --out, or check its permissions",
     )
 
 
@@ -112,7 +112,7 @@ def _require_no_input(option: str, path: Path, inputs: Iterable[Path]) -> None:
                 f"is an input of this run, which {option} would replace",
                 where=str(path),
                 expected="a new file, or one that may be lost",
-                mend=f"choose another name with {option}",
+                fix=f"choose another name with {option}",
             )
 
 
@@ -159,5 +159,5 @@ def _too_long(folder: Path, what: str, most: int) -> ConfigError:
         f"{what} is too long to write results under it",
         where=str(folder),
         expected=f"at most {most} bytes",
-        mend="choose a shorter name",
+        fix="choose a shorter name",
     )

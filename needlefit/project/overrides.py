@@ -9,7 +9,7 @@ from typing import Any, get_args, get_origin
 from pydantic import BaseModel
 
 from needlefit.errors import ConfigError
-from needlefit.project.reading import parse_toml
+from needlefit.project.input_files import parse_toml
 
 
 def override(
@@ -25,7 +25,7 @@ def override(
         If the record `kind` has no such key; the nearest ones are listed.
     """
     changed = copy.deepcopy(dict(tables))
-    known = list(keys(kind, tables))
+    known = list(list_keys(kind, tables))
     for key, text in assignments:
         if key not in known:
             near = difflib.get_close_matches(key, known, n=3, cutoff=0.5) or known
@@ -33,13 +33,13 @@ def override(
                 f"there is no key `{key}`",
                 where=where,
                 expected=f"one of {', '.join(near)}",
-                mend="use one of these keys; layers, guides and steps are numbered from 1",
+                fix="use one of these keys; layers, guides and steps are numbered from 1",
             )
         _assign(changed, key.split("."), _parsed(text, f"{where}, --set {key}"))
     return changed
 
 
-def keys(kind: type[BaseModel], tables: Mapping[str, Any]) -> Iterator[str]:
+def list_keys(kind: type[BaseModel], tables: Mapping[str, Any]) -> Iterator[str]:
     """Yield every dotted key that a file of this kind may hold; lists are as long as in `tables`.
 
     The tables of a mapping are called like the members of the file's list of the same name: what a step

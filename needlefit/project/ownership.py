@@ -15,10 +15,10 @@ from pathlib import Path, PurePosixPath
 from typing import Any, Literal
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.project.earlier import earlier_files
 from needlefit.project.files import sha256
+from needlefit.project.input_files import read_bytes, read_json
 from needlefit.project.outputs import require_writable
-from needlefit.project.reading import read_bytes, read_json
+from needlefit.project.unstamped import unstamped_files
 
 STAMP = "needlefit.json"
 STAMPS = (STAMP, "work.sha256")
@@ -26,19 +26,19 @@ STAMPS = (STAMP, "work.sha256")
 
 FORMAT = 1
 
-Holds = Literal["result", "checkpoint"]
+FolderKind = Literal["result", "checkpoint"]
 
-UNLISTED = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
+FILE_MANAGER_FILES = frozenset({".DS_Store", "Thumbs.db", "desktop.ini"})
 """What a file manager leaves in a folder that it shows; nobody's work."""
 
-TIMES = "timing.json"
+TIMING_FILE = "timing.json"
 """The one file of a result that differs from run to run; without its digest the stamp does not."""
 
-LISTED_NAMES = 5
+MAX_LISTED_FILES = 5
 """Foreign files that a message names."""
 
 _CHECKPOINT = re.compile(
-    r"(lock|work\.sha256|[0-9a-f]{16}\.jsonl|[0-9a-f]{16}\.posterior/\d{5}\.(kept|h5)|[^/]+\.kept)(\.torn-\d+)?"
+    r"(lock|work\.sha256|[0-9a-f]{16}\.jsonl|[0-9a-f]{16}\.posterior/\d{5}\.(checkpoint|kept|h5)|[^/]+\.(checkpoint|kept))(\.(damaged|torn)-\d+)?"
     r"|([^/]+/)?\.[^/]+\.needlefit-[^/]+/.*"
 )
 """Files of a checkpoint: those of runs and of reconstructions, what was damaged, and, as a kill leaves them,
@@ -62,7 +62,11 @@ _LOCK_TEXT, _MAX_LOCK_BYTES = re.compile(rb"\d* ?[0-9a-f]{0,16}\n?"), 64
 
 def write_stamp(folder: Path) -> None:
     """Write the stamp of a result: all that lies in `folder` is from here on known to be needlefit's."""
-    files = {name: None if name == TIMES else sha256(folder / name) for name in held(folder) if name != STAMP}
+    files = {
+        name: None if name == TIMING_FILE else sha256(folder / name)
+        for name in list_readable_files(folder)
+        if name != STAMP
+    }
     _write(folder / STAMP, {"holds": "result", "files": files})
 
 
@@ -86,7 +90,7 @@ def read_stamp(folder: Path) -> dict[str, Any]:
     raise DataError("is not a stamp of needlefit", where=str(path), expected=f"one of format {FORMAT}")
 
 
-def foreign(folder: Path, holds: Holds = "result") -> list[str]:
+def find_foreign(folder: Path, holds: FolderKind = "result") -> list[str]:
     """Return what lies in a folder that needlefit did not write, each with the reason; empty if nothing does.
 
     Links are not followed.
@@ -96,7 +100,7 @@ def foreign(folder: Path, holds: Holds = "result") -> list[str]:
     ConfigError
         If the folder cannot be looked into.
     """
-    names = [name for name in held(folder) if Path(name).name not in UNLISTED]
+    names = [name for name in list_readable_files(folder) if Path(name).name not in FILE_MANAGER_FILES]
     if holds == "checkpoint":
         faults = _foreign_in_checkpoint(folder, names)
         return [*faults, *_empty_folders(folder, names, _CHECKPOINT_FOLDER.fullmatch)]
@@ -104,7 +108,7 @@ def foreign(folder: Path, holds: Holds = "result") -> list[str]:
         faults = [fault for name in names if name != STAMP and (fault := _fault(folder, name, listed))]
         ours: Collection[str] = listed.keys()
     else:
-        ours = frozenset() if (folder / STAMP).is_file() else earlier_files(folder)
+        ours = frozenset() if (folder / STAMP).is_file() else unstamped_files(folder)
         faults = [name for name in names if name not in ours or not _is_file(folder / name)]
     parents = {str(parent) for name in ours for parent in PurePosixPath(name).parents}
     return [*faults, *_empty_folders(folder, names, parents.__contains__)]
@@ -122,7 +126,7 @@ def listed_files(folder: Path) -> dict[str, Any]:
 def changed_files(folder: Path) -> list[str]:
     """Return the files that were changed since the stamp of a result was written; none without a stamp."""
     listed = listed_files(folder)
-    return [name for name in held(folder) if name in listed and _fault(folder, name, listed)]
+    return [name for name in list_readable_files(folder) if name in listed and _fault(folder, name, listed)]
 
 
 def require_replaceable(folder: Path) -> None:
@@ -137,19 +141,19 @@ def require_own_checkpoint(folder: Path) -> None:
     _require_own(folder.resolve(), "checkpoint")
 
 
-def not_replaced(folder: Path, faults: list[str]) -> ConfigError:
+def not_replaced_error(folder: Path, faults: list[str]) -> ConfigError:
     """Return what is raised of a folder that holds what is foreign."""
-    more = len(faults) - LISTED_NAMES
-    named = ", ".join(faults[:LISTED_NAMES]) + (f" and {more} more" if more > 0 else "")
+    more = len(faults) - MAX_LISTED_FILES
+    named = ", ".join(faults[:MAX_LISTED_FILES]) + (f" and {more} more" if more > 0 else "")
     return ConfigError(
         f"is not replaced: needlefit did not write this in it, or it was changed since: {named}",
         where=str(folder),
         expected=f"no such folder, an empty one, or one that holds only what its {STAMP} lists, unchanged",
-        mend="move those files away, or choose another folder with --out",
+        fix="move those files away, or choose another folder with --out",
     )
 
 
-def held(folder: Path) -> list[str]:
+def list_readable_files(folder: Path) -> list[str]:
     """Return the files in a folder and those below, and links to whatever, relative to it, sorted.
 
     Raises
@@ -164,7 +168,7 @@ def _entries(folder: Path) -> Iterator[Path]:
     def fail(fault: OSError) -> None:
         reason = fault.strerror or type(fault).__name__
         raise ConfigError(
-            f"cannot be looked into: {reason}", where=str(fault.filename), mend="check its permissions"
+            f"cannot be looked into: {reason}", where=str(fault.filename), fix="check its permissions"
         )
 
     for place, folders, files in os.walk(folder, onerror=fail):  # follows no link
@@ -172,12 +176,12 @@ def _entries(folder: Path) -> Iterator[Path]:
         yield from (Path(place, name) for name in folders if Path(place, name).is_symlink())
 
 
-def _require_own(folder: Path, holds: Holds) -> None:
+def _require_own(folder: Path, holds: FolderKind) -> None:
     if not folder.exists() and not folder.is_symlink():
         return
-    faults = foreign(folder, holds) if folder.is_dir() else ["it is a file"]
+    faults = find_foreign(folder, holds) if folder.is_dir() else ["it is a file"]
     if faults:
-        raise not_replaced(folder, faults)
+        raise not_replaced_error(folder, faults)
 
 
 def _foreign_in_checkpoint(folder: Path, names: list[str]) -> list[str]:
@@ -186,7 +190,7 @@ def _foreign_in_checkpoint(folder: Path, names: list[str]) -> list[str]:
     A run that ended before its stamp was written leaves its lock, and the stamp half written beside it.
     """
     if not any(_is_checkpoint_stamp(folder / name) for name in STAMPS):
-        return [] if begun(folder) else names
+        return [] if is_lock_only(folder) else names
     return [
         name
         for name in names
@@ -215,7 +219,7 @@ def _fault(folder: Path, name: str, listed: dict[str, Any]) -> str:
     path = folder / name
     if name not in listed or not _is_file(path):
         return name
-    if name == TIMES:
+    if name == TIMING_FILE:
         return ""
     try:
         return "" if sha256(path) == listed[name] else f"{name} (changed since it was written)"
@@ -223,9 +227,9 @@ def _fault(folder: Path, name: str, listed: dict[str, Any]) -> str:
         return name
 
 
-def begun(folder: Path) -> bool:
+def is_lock_only(folder: Path) -> bool:
     """Whether a checkpoint's process had no more than its lock, and perhaps half a stamp, when it ended."""
-    names = held(folder)
+    names = list_readable_files(folder)
     only = all(_BEGUN.fullmatch(name) and _is_file(folder / name) for name in names)
     return only and _is_lock(folder / "lock")
 

@@ -14,15 +14,15 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from needlefit.errors import ConfigError
-from needlefit.project.threads import begin_with_one_thread
-from needlefit.project.watching import Stop, never
+from needlefit.project.progress import Stop, never_stop
+from needlefit.project.threads import limit_to_one_thread
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 
-def in_processes(
-    work: Callable[[Item], Result], items: Sequence[Item], jobs: int, stop: Stop = never
+def run_in_processes(
+    work: Callable[[Item], Result], items: Sequence[Item], jobs: int, stop: Stop = never_stop
 ) -> Iterator[tuple[int, Result]]:
     """Yield the number of each item and what `work` makes of it, as they are finished.
 
@@ -48,7 +48,7 @@ def in_processes(
             yield n, work(item)
         return
     # a fork would copy threads that hold locks
-    with ProcessPoolExecutor(min(jobs, len(items)), get_context("spawn"), initializer=_alone) as pool:
+    with ProcessPoolExecutor(min(jobs, len(items)), get_context("spawn"), initializer=_limit_worker) as pool:
         waiting = list(range(len(items)))[::-1]
         running: dict[Future[Result], int] = {}
         while True:
@@ -61,11 +61,11 @@ def in_processes(
                 yield running.pop(future), _result(future)
 
 
-def in_order(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
-    """Yield what `work` makes of each item, in their order; else as `in_processes`."""
+def run_in_order(work: Callable[[Item], Result], items: Sequence[Item], jobs: int) -> Iterator[Result]:
+    """Yield what `work` makes of each item, in their order; else as `run_in_processes`."""
     finished: dict[int, Result] = {}
     due = 0
-    for n, result in in_processes(work, items, jobs):
+    for n, result in run_in_processes(work, items, jobs):
         finished[n] = result
         while due in finished:
             yield finished.pop(due)
@@ -79,11 +79,11 @@ def _result(future: "Future[Result]") -> Result:
         raise ConfigError(
             "one of the processes was ended from outside, or could not begin",
             expected="memory for as many at once as --jobs says",
-            mend="use fewer with --jobs",
+            fix="use fewer with --jobs",
         ) from None
 
 
-def _alone() -> None:
+def _limit_worker() -> None:
     """Keep this process to one thread, and leave Ctrl-C to the one that started it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    begin_with_one_thread()
+    limit_to_one_thread()

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, replace
 from typing import Any
 
-KEY = "warnings"
+WARNINGS_KEY = "warnings"
 """Of `run.json` and of `--json`."""
 
 
@@ -38,16 +38,16 @@ class ResultWarning:
         return f"{head}; {self.fix}" if self.fix else head
 
 
-def as_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
+def to_rows(warnings: Iterable[ResultWarning]) -> list[dict[str, str]]:
     """Return warnings as JSON values, each once, with the paths that this machine knows."""
     return [asdict(one) for one in dict.fromkeys(warnings)]
 
 
-def stored(warnings: Iterable[ResultWarning]) -> dict[str, list[dict[str, str]]]:
+def warnings_entry(warnings: Iterable[ResultWarning]) -> dict[str, list[dict[str, str]]]:
     """Return the entry of `run.json`; files stand there by their names alone, wherever they lie."""
-    return {KEY: as_rows(replace(one, where=one.where.rpartition("/")[2]) for one in warnings)}
+    return {WARNINGS_KEY: to_rows(replace(one, where=one.where.rpartition("/")[2]) for one in warnings)}
 
 
-def warnings_of(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
+def read_warnings(run: Mapping[str, Any]) -> tuple[ResultWarning, ...]:
     """Return the warnings that a run keeps; an earlier version kept none."""
-    return tuple(ResultWarning(**row) for row in run.get(KEY, ()))
+    return tuple(ResultWarning(**row) for row in run.get(WARNINGS_KEY, ()))

@@ -1,4 +1,4 @@
-"""`run.json`: what a run was computed with; and how a stored table is held against its declared form."""
+"""Read `run.json`, which says with what a run was computed, and check stored tables against their schemas."""
 
 from pathlib import Path
 from typing import Any
@@ -6,8 +6,8 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from needlefit.errors import DataError
-from needlefit.project.reading import is_file, read_json
-from needlefit.project.records.stored import RunTable, StagesTable, TimingTable
+from needlefit.project.input_files import is_file, read_json
+from needlefit.schemas.result_files import RunTable, StagesTable, TimingTable
 
 RUN_FILE, TIMING_FILE = "run.json", "timing.json"
 
@@ -26,12 +26,12 @@ def read_run(folder: Path) -> dict[str, Any]:
     path = folder / RUN_FILE
     table = read_json(path, MAX_RUN_BYTES)
     if not isinstance(table, dict):
-        raise DataError("holds no table", where=str(path), expected="a JSON object", mend="run it again")
-    if is_several(table):
+        raise DataError("holds no table", where=str(path), expected="a JSON object", fix="run it again")
+    if holds_several_runs(table):
         for name, part in table.items():
-            require_form(part, RunTable, f"{path}, key {name}")
+            require_schema(part, RunTable, f"{path}, key {name}")
     else:
-        require_form(table, StagesTable if "design" in table else RunTable, str(path))
+        require_schema(table, StagesTable if "design" in table else RunTable, str(path))
     return table
 
 
@@ -47,16 +47,16 @@ def read_timing(folder: Path) -> dict[str, Any]:
     if not is_file(path):
         return {}
     table = read_json(path, MAX_RUN_BYTES)
-    require_form(table, TimingTable, str(path))
+    require_schema(table, TimingTable, str(path))
     return dict(table)
 
 
-def is_several(table: dict[str, Any]) -> bool:
+def holds_several_runs(table: dict[str, Any]) -> bool:
     """Return whether a `run.json` is that of several runs, by name: of a single one some values are words."""
     return bool(table) and "design" not in table and all(isinstance(part, dict) for part in table.values())
 
 
-def require_form(table: object, form: type[BaseModel], where: str) -> None:
+def require_schema(table: object, form: type[BaseModel], where: str) -> None:
     """Raise DataError, with the first key at fault, if a table read from a file has not its declared form."""
     try:
         form.model_validate(table)
@@ -67,5 +67,5 @@ def require_form(table: object, form: type[BaseModel], where: str) -> None:
             f"is damaged: {fault['msg'][:200]}",
             where=f"{where}, key `{key}`" if key else where,
             expected="what needlefit wrote there",
-            mend="run it again, or take the file from a copy",
+            fix="run it again, or take the file from a copy",
         ) from None

@@ -16,15 +16,15 @@ from typing import ParamSpec, TypeVar
 Given = ParamSpec("Given")
 Returned = TypeVar("Returned")
 
-VARIABLES = (
+THREAD_VARIABLES = (
     *("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "BLIS_NUM_THREADS"),
     *("VECLIB_MAXIMUM_THREADS", "NUMBA_NUM_THREADS"),
 )
 
 
-def begin_with_one_thread() -> None:
+def limit_to_one_thread() -> None:
     """Keep this process, and those that it starts, to one thread; before numpy is imported."""
-    os.environ.update(dict.fromkeys(VARIABLES, "1"))
+    os.environ.update(dict.fromkeys(THREAD_VARIABLES, "1"))
 
 
 def one_thread(function: Callable[Given, Returned]) -> Callable[Given, Returned]:

@@ -6,17 +6,17 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.project.places import label
-from needlefit.project.reading import MAX_CONFIG_BYTES, read_text
+from needlefit.project.input_files import MAX_CONFIG_BYTES, read_text
+from needlefit.project.locate import file_label
 
-MAX_CANDIDATES = 100
+MAX_CANDIDATE_LINES = 100
 """Lines that are tried; a key that is repeated more often gets no line."""
 
 MAX_STATEMENT_LINES = 400
 """Lines of one key and its value."""
 
 
-def line_of(text: str, key: str) -> int | None:
+def find_line(text: str, key: str) -> int | None:
     """Return the line, from 1, on which a key of a TOML text stands; of a missing key that of its table.
 
     `key` is dotted, members of lists are numbered from 1: `tune.medium`, `validate.2.layers`. None where
@@ -31,8 +31,8 @@ def line_of(text: str, key: str) -> int | None:
         return None
     lines = text.splitlines()
     candidates = [number for number, line in enumerate(lines) if named[-1] in line]
-    for number in dict.fromkeys(_statement(lines, one) for one in candidates[:MAX_CANDIDATES]):
-        if _begins(lines, number, parts):
+    for number in dict.fromkeys(_statement_start(lines, one) for one in candidates[:MAX_CANDIDATE_LINES]):
+        if _statement_sets(lines, number, parts):
             return number + 1
     return None
 
@@ -57,22 +57,22 @@ def _known_parts(tables: object, parts: Sequence[str]) -> list[str | int]:
     return known
 
 
-def _statement(lines: Sequence[str], number: int) -> int:
+def _statement_start(lines: Sequence[str], number: int) -> int:
     """Return the line, from 0, on which the statement begins that a line belongs to."""
     first = max(0, number - MAX_STATEMENT_LINES)
-    return next((n for n in range(number, first, -1) if _holds(lines[:n], ()) is not None), first)
+    return next((n for n in range(number, first, -1) if _contains_key(lines[:n], ()) is not None), first)
 
 
-def _begins(lines: Sequence[str], number: int, parts: Sequence[str | int]) -> bool:
+def _statement_sets(lines: Sequence[str], number: int, parts: Sequence[str | int]) -> bool:
     """Whether the statement that begins on a line gives the key its value."""
     for end in range(number + 1, min(len(lines), number + MAX_STATEMENT_LINES) + 1):
-        held = _holds(lines[:end], parts)
+        held = _contains_key(lines[:end], parts)
         if held is not None:
             return held
     return False
 
 
-def _holds(lines: Sequence[str], parts: Sequence[str | int]) -> bool | None:
+def _contains_key(lines: Sequence[str], parts: Sequence[str | int]) -> bool | None:
     """Whether the first lines of a file hold a key; None where they end within a statement."""
     try:
         value: object = tomllib.loads("\n".join(lines))
@@ -86,33 +86,33 @@ def _holds(lines: Sequence[str], parts: Sequence[str | int]) -> bool | None:
     return True
 
 
-def place_of(path: Path, key: str) -> str:
+def locate_key(path: Path, key: str) -> str:
     """Return how messages name a key of a TOML file: file and line, or the file where no line is known."""
     try:
-        line = line_of(read_text(path, MAX_CONFIG_BYTES), key)
+        line = find_line(read_text(path, MAX_CONFIG_BYTES), key)
     except NeedlefitError:
         line = None
-    name = label(path)
+    name = file_label(path)
     if line is None:
         return name
     return f"{name}:{line}" if name == str(path) else f"{name}, line {line}"
 
 
 @contextmanager
-def in_file(path: Path) -> Iterator[None]:
+def add_file_context(path: Path) -> Iterator[None]:
     """Have every ConfigError from within that names only a key name this file, and the key's line."""
     try:
         yield
     except ConfigError as error:
         if not error.key:
             raise
-        located = error.at(place_of(path, error.key))
+        located = error.at(locate_key(path, error.key))
         located.key = ""  # of this file: no other is looked through for it
         raise located from None
 
 
 @contextmanager
-def at_key(key: str) -> Iterator[None]:
+def add_key_context(key: str) -> Iterator[None]:
     """Have every ConfigError from within that names no place name this key of the file read."""
     try:
         yield

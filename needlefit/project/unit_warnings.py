@@ -9,10 +9,10 @@ from collections.abc import Callable, Iterator, Sequence
 from itertools import pairwise
 from pathlib import Path
 
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.scene import NeedleRecord, SceneRecord
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import place_of
+from needlefit.project.toml_lines import locate_key
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import NeedleRecord, SceneRecord
 
 DIAMETER_TO_LENGTH = (1e-3, 0.05)
 """Of a needle, least and most: 0.2 mm of 200, 3 mm of 60."""
@@ -22,7 +22,7 @@ MODULUS_GPA = (0.5, 1000.0)
 """Young's modulus of a needle: polymers have 1 to 5, nitinol 40 to 80, steel 200, tungsten carbide 700."""
 MU_PA = (100.0, 1e10)
 """Foundation modulus of a tissue, least and most."""
-SHARPEST_OFFSET = 2.0
+MAX_OFFSET_TO_SPACING = 2.0
 """Offset of the cut per mm: a tip that turns by 63 degrees in one."""
 BOUNDARY_TO_DEPTH = 2e-3
 """Thickness of a layer over the depth of the insertion: a skin of 0.1 mm before 50 mm."""
@@ -46,10 +46,10 @@ TYPICAL_GPA = (3.0, 40.0, 75.0, 110.0, STEEL_GPA)
 DIAMETER_MM = (0.15, 5.0)
 """Outer diameter of a needle, least and most: 34 gauge has 0.18, 10 gauge 3.4."""
 
-LEAST_INNER_MM = 0.05
+MIN_INNER_DIAMETER_MM = 0.05
 """Inner diameter of a tube: 34 gauge has 0.08."""
 
-THINNEST_WALL = 0.03
+MIN_WALL_TO_DIAMETER = 0.03
 """Wall of a tube over its outer diameter; ultra-thin walls have 0.08."""
 
 GAUGES_MM = {
@@ -59,22 +59,22 @@ GAUGES_MM = {
 }
 """Outer diameters of needles by their gauge."""
 
-FEWEST_CELLS = 5
+MIN_CELLS = 5
 """Constraint cells of an insertion: its tip's way is made of as many straight cuts."""
 
-KIND = "units"
+WARNING_KIND = "units"
 
-Where = Callable[[str], str]
+FormatPlace = Callable[[str], str]
 """The key of a value -> file and line."""
 
 
-def where_in(file: Path | str) -> Where:
+def format_place(file: Path | str) -> FormatPlace:
     """Return what names a key's place: the line of a file, or a text as it is, such as a recording's name."""
     path = Path(file)
-    return lambda key: place_of(path, key) if path.is_file() else str(file)
+    return lambda key: locate_key(path, key) if path.is_file() else str(file)
 
 
-def needle_warnings(needle: NeedleRecord, where: Where, key: str = "needle") -> Iterator[ResultWarning]:
+def needle_warnings(needle: NeedleRecord, where: FormatPlace, key: str = "needle") -> Iterator[ResultWarning]:
     """Yield a warning for each value of a needle that is hard to believe."""
     diameter, rigidity = needle.outer_diameter_mm, needle.flexural_rigidity_nmm2
     modulus = needle.youngs_modulus_gpa
@@ -89,7 +89,7 @@ def needle_warnings(needle: NeedleRecord, where: Where, key: str = "needle") -> 
         yield from _stubby_warnings(rigidity, needle.length_mm, where, f"{key}.length_mm")
 
 
-def _stubby_warnings(rigidity: float, length: float, where: Where, key: str) -> Iterator[ResultWarning]:
+def _stubby_warnings(rigidity: float, length: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
     """Yield a warning if a needle is too short for its rigidity; a length in metres is a fault."""
     rod = (64e-3 * rigidity / (math.pi * STEEL_GPA)) ** 0.25  # no steel needle is thinner
     if length >= 1.0 and rod > DIAMETER_TO_LENGTH[1] * length and rigidity <= RIGIDITY_NMM2[1]:
@@ -97,7 +97,9 @@ def _stubby_warnings(rigidity: float, length: float, where: Where, key: str) -> 
         yield _length_warning(length, rod, what, where, key)
 
 
-def _diameter_warnings(diameter: float, length: float, where: Where, table: str) -> Iterator[ResultWarning]:
+def _diameter_warnings(
+    diameter: float, length: float, where: FormatPlace, table: str
+) -> Iterator[ResultWarning]:
     """Yield a warning if a diameter, or a length beside it, is no needle's; both may be in another unit."""
     key, ratio = f"{table}.outer_diameter_mm", diameter / length
     if length < 1.0:  # a length in metres is a fault
@@ -105,7 +107,7 @@ def _diameter_warnings(diameter: float, length: float, where: Where, table: str)
     what = f"`{key}` is {diameter:g} on a needle of {length:g} mm"
     if not DIAMETER_MM[0] <= diameter <= DIAMETER_MM[1]:
         looks, fix = _likely_diameter(diameter, length)
-        yield ResultWarning(KIND, what + looks, where(key), fix)
+        yield ResultWarning(WARNING_KIND, what + looks, where(key), fix)
     elif ratio < DIAMETER_TO_LENGTH[0]:
         yield _length_warning(length, diameter, what, where, f"{table}.length_mm")
     elif ratio > DIAMETER_TO_LENGTH[1]:
@@ -139,7 +141,7 @@ def _off_gauge(diameter: float) -> float:
     return min(abs(math.log(diameter / gauge)) for gauge in GAUGES_MM.values())
 
 
-def _length_warning(length: float, diameter: float, what: str, where: Where, key: str) -> ResultWarning:
+def _length_warning(length: float, diameter: float, what: str, where: FormatPlace, key: str) -> ResultWarning:
     """Return the warning that a needle of such a diameter, mm, has no such length."""
     likely = [
         f"{factor * length:g} if it is in {unit}"
@@ -148,28 +150,30 @@ def _length_warning(length: float, diameter: float, what: str, where: Where, key
     ]
     what = what if f"`{key}`" in what else f"`{key}` is {length:g}: {what}"
     return ResultWarning(
-        KIND, what, where(key), f"write {', '.join(likely)}" if likely else "check both, in mm"
+        WARNING_KIND, what, where(key), f"write {', '.join(likely)}" if likely else "check both, in mm"
     )
 
 
-def _wall_warnings(inner: float, outer: float, where: Where, key: str) -> Iterator[ResultWarning]:
+def _wall_warnings(inner: float, outer: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
     what = f"`{key}` is {inner:g} in a tube of {outer:g} mm"
-    if 0 < inner < min(LEAST_INNER_MM, outer):
+    if 0 < inner < min(MIN_INNER_DIAMETER_MM, outer):
         yield ResultWarning(
-            KIND, f"{what}, less than any tube has", where(key), "check it, in mm; 0 if solid"
+            WARNING_KIND, f"{what}, less than any tube has", where(key), "check it, in mm; 0 if solid"
         )
     wall = 0.5 * (outer - inner)
-    if wall < THINNEST_WALL * outer:
+    if wall < MIN_WALL_TO_DIAMETER * outer:
         what += f", which leaves a wall of {wall:.2g} mm"
-        yield ResultWarning(KIND, what, where(key), "check both diameters, in mm; 0 if solid")
+        yield ResultWarning(WARNING_KIND, what, where(key), "check both diameters, in mm; 0 if solid")
 
 
-def _modulus_warning(modulus: float, where: Where, key: str) -> ResultWarning:
+def _modulus_warning(modulus: float, where: FormatPlace, key: str) -> ResultWarning:
     what = f"`{key}` is {modulus:g}, and needles have {MODULUS_GPA[0]:g} to {MODULUS_GPA[1]:g}"
     unit, in_gpa = likely_modulus(modulus)
     if unit:
-        return ResultWarning(KIND, f"{what}: this looks like {unit}", where(key), f"write {in_gpa:.3g}")
-    return ResultWarning(KIND, what, where(key), "write it in GPa: about 200 for steel")
+        return ResultWarning(
+            WARNING_KIND, f"{what}: this looks like {unit}", where(key), f"write {in_gpa:.3g}"
+        )
+    return ResultWarning(WARNING_KIND, what, where(key), "write it in GPa: about 200 for steel")
 
 
 def likely_modulus(modulus: float) -> tuple[str, float]:
@@ -191,25 +195,25 @@ def _off_typical(modulus: float) -> float:
 
 
 def _rigidity_warnings(
-    rigidity: float, diameter: float | None, where: Where, key: str
+    rigidity: float, diameter: float | None, where: FormatPlace, key: str
 ) -> Iterator[ResultWarning]:
     if not RIGIDITY_NMM2[0] <= rigidity <= RIGIDITY_NMM2[1]:
         what = f"`{key}` is {rigidity:g}, and needles have {RIGIDITY_NMM2[0]:g} to {RIGIDITY_NMM2[1]:g}"
         in_nm2 = RIGIDITY_NMM2[0] <= rigidity * 1e6 <= RIGIDITY_NMM2[1]
         fix = f"if it is in N m^2, write {1e6 * rigidity:g}" if in_nm2 else "write it in N mm^2"
-        yield ResultWarning(KIND, what, where(key), fix)
+        yield ResultWarning(WARNING_KIND, what, where(key), fix)
     elif diameter is not None:
         modulus = 1e-3 * rigidity / (math.pi * diameter**4 / 64)  # of a solid rod, the least there can be
         if not modulus <= MODULUS_GPA[1]:
             what = (
                 f"`{key}` is {rigidity:g}: a rod of {diameter:g} mm then has a modulus of {modulus:.3g} GPa"
             )
-            yield ResultWarning(KIND, what, where(key), "check rigidity and diameter")
+            yield ResultWarning(WARNING_KIND, what, where(key), "check rigidity and diameter")
 
 
 def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
     """Yield a warning for each value of a scene that is hard to believe; `file` is named as its place."""
-    where = where_in(file)
+    where = format_place(file)
     yield from needle_warnings(scene.needle, where)
     for n, layer in enumerate(scene.layers, start=1):
         yield from _mu_warnings(layer.mu_pa, where, f"layers.{n}.mu_pa")
@@ -220,10 +224,10 @@ def scene_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Result
     offsets += [(f"steps.{n}", step.offset_mm or 0.0) for n, step in enumerate(scene.steps, start=1)]
     spacing = scene.rules.constraint_spacing_mm
     for key, offset in offsets:
-        if offset > SHARPEST_OFFSET * spacing:
+        if offset > MAX_OFFSET_TO_SPACING * spacing:
             name = f"{key}.offset_mm"
             what = f"`{name}` is {offset:g} per {spacing:g} mm of depth, a very sharp turn"
-            yield ResultWarning(KIND, what, where(name), "write it in mm")
+            yield ResultWarning(WARNING_KIND, what, where(name), "write it in mm")
 
 
 def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[ResultWarning]:
@@ -233,11 +237,11 @@ def coarse_warnings(scene: SceneRecord, file: Path | str = "") -> Iterator[Resul
     """
     spacing, deepest = scene.rules.constraint_spacing_mm, _deepest(scene)
     cells = math.ceil(deepest / spacing - 1e-9)
-    if 0 < cells < FEWEST_CELLS:
+    if 0 < cells < MIN_CELLS:
         key = "rules.constraint_spacing_mm"
         what = f"`{key}` is {spacing:g}: an insertion of {deepest:g} mm has only {cells} constraint cells"
-        fix = f"take {FEWEST_CELLS} or more, and the bevel offset for that spacing"
-        yield ResultWarning("coarse", what, where_in(file)(key), fix)
+        fix = f"take {MIN_CELLS} or more, and the bevel offset for that spacing"
+        yield ResultWarning("coarse", what, format_place(file)(key), fix)
 
 
 def _deepest(scene: SceneRecord) -> float:
@@ -246,7 +250,7 @@ def _deepest(scene: SceneRecord) -> float:
 
 def medium_warnings(medium: MediumRecord, file: Path) -> Iterator[ResultWarning]:
     """Yield a warning for each modulus of a medium that is fixed, or bounded, far from any tissue's."""
-    where = where_in(file)
+    where = format_place(file)
     for name, parameter in medium.parameters.items():
         if not name.startswith("mu"):
             continue
@@ -256,24 +260,24 @@ def medium_warnings(medium: MediumRecord, file: Path) -> Iterator[ResultWarning]
             yield from _mu_warnings(parameter.bounds[1], where, f"parameters.{name}")
 
 
-def _mu_warnings(mu: float, where: Where, key: str) -> Iterator[ResultWarning]:
+def _mu_warnings(mu: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
     if not MU_PA[0] <= mu <= MU_PA[1]:
         what = f"`{key}` is {mu:g}, very {'little' if mu < MU_PA[0] else 'much'} for a tissue"
-        yield ResultWarning(KIND, what, where(key), "write it in Pa")
+        yield ResultWarning(WARNING_KIND, what, where(key), "write it in Pa")
 
 
-def boundary_warnings(first: float, depth: float, where: Where, key: str) -> Iterator[ResultWarning]:
+def boundary_warnings(first: float, depth: float, where: FormatPlace, key: str) -> Iterator[ResultWarning]:
     """Yield a warning if the first boundary is very shallow beside the `depth` of insertions, mm."""
     if 0 < first < BOUNDARY_TO_DEPTH * depth:
         what = f"`{key}` has a boundary at {first:g} mm before insertions of {depth:g} mm"
         metres = BOUNDARY_TO_DEPTH * depth <= 1e3 * first <= 2 * depth
         looks = ": this looks like metres" if metres else ""
         fix = f"write {1e3 * first:g}" if metres else "check it, in mm"
-        yield ResultWarning(KIND, what + looks, where(key), fix)
+        yield ResultWarning(WARNING_KIND, what + looks, where(key), fix)
 
 
 def layer_warnings(
-    boundaries: Sequence[float], deepest: float, where: Where, key: str
+    boundaries: Sequence[float], deepest: float, where: FormatPlace, key: str
 ) -> Iterator[ResultWarning]:
     """Yield a warning for each doubt about the boundaries, mm, of insertions down to `deepest`, mm."""
     if not boundaries:
@@ -283,14 +287,14 @@ def layer_warnings(
     what = f"`{key}` is {', '.join(f'{one:g}' for one in boundaries)}"
     if not shallow and len(boundaries) > 1 and boundaries[-1] < BOUNDARIES_TO_DEPTH * deepest:
         what += f", all at the top of insertions of {deepest:g} mm: this looks like centimetres or inches"
-        yield ResultWarning(KIND, what, where(key), "if so, multiply by 10 or 25.4")
+        yield ResultWarning(WARNING_KIND, what, where(key), "if so, multiply by 10 or 25.4")
     elif boundaries[-1] >= deepest:
         what += f", and no insertion is deeper than {deepest:g} mm"
         micro = boundaries[0] > deepest > 1e-3 * boundaries[0] > BOUNDARY_TO_DEPTH * deepest
         what += ": this looks like micrometres" if micro else ""
         fix = "divide by 1000" if micro else "check its unit, mm, or leave out what no insertion reaches"
-        yield ResultWarning(KIND, what, where(key), fix)
+        yield ResultWarning(WARNING_KIND, what, where(key), fix)
     for top, end in pairwise(boundaries):
         if end - top < BOUNDARY_TO_DEPTH * deepest:
             what = f"`{key}` has boundaries at {top:g} and {end:g}, nearly one"
-            yield ResultWarning(KIND, what, where(key), "remove one of them, or correct it, in mm")
+            yield ResultWarning(WARNING_KIND, what, where(key), "remove one of them, or correct it, in mm")

@@ -3,16 +3,15 @@
 from pathlib import Path
 from typing import Any
 
-from needlefit.project.replace import replacing
-from needlefit.project.result_warnings import KEY, as_rows, warnings_of
+from needlefit.project.atomic_write import replace_folder
+from needlefit.project.result_warnings import WARNINGS_KEY, read_warnings, to_rows
 from needlefit.reporting import document
 from needlefit.reporting.calibration_said import PROVES, caption, layout, said
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.ranks import draw_ranks
 from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.tables import records
-from needlefit.validation.calibration.run import Calibration
-from needlefit.validation.calibration.stored import store_calibration
+from needlefit.validation.calibration.run import Calibration, store_calibration
 
 
 def write_calibration(found: Calibration, folder: Path) -> list[Path]:
@@ -27,7 +26,7 @@ def write_calibration(found: Calibration, folder: Path) -> list[Path]:
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         for name in ("replicates", "coverage"):
             write_csv(getattr(found, name).assign(origin=found.origin), new / f"{name}.csv")
         figure = draw_ranks(found, new / "ranks.pdf")
@@ -41,11 +40,11 @@ def write_calibration(found: Calibration, folder: Path) -> list[Path]:
 def as_json(found: Calibration) -> dict[str, Any]:
     """Return the result for machines."""
     about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title}
-    warnings = as_rows(warnings_of(found.run))
+    warnings = to_rows(read_warnings(found.run))
     return {
         **about,
         **_outcome(found),
-        KEY: warnings,
+        WARNINGS_KEY: warnings,
         "said": said(found),
         "coverage": records(found.coverage),
     }
@@ -56,7 +55,7 @@ def _outcome(found: Calibration) -> dict[str, Any]:
         "control": found.control,
         "passes": found.passes,
         "not_calibrated": found.failing,
-        "by": found.replicates["by"].value_counts().to_dict(),
+        "draw_source": found.replicates["draw_source"].value_counts().to_dict(),
         "untrusted": found.untrusted,
         "redrawn": int(found.replicates["redrawn"].sum()),
         "interrupted": found.interrupted,

@@ -3,10 +3,14 @@
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.numbers import in_symbols, symbol
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.calibration.controls import TOO_SURE, Control
-from needlefit.validation.calibration.judged import ERROR, each_error
 from needlefit.validation.calibration.quantities import DESIGN, FIT, LIKELIHOOD, TIP
-from needlefit.validation.calibration.ranks import DRAWS, LEVELS
+from needlefit.validation.calibration.rank_statistics import (
+    FAMILY_ERROR,
+    LEVELS,
+    RANK_DRAWS,
+    single_check_error,
+)
+from needlefit.validation.calibration.replicate import UNDERSTATED_SD_FACTOR, Control
 from needlefit.validation.calibration.run import Calibration
 
 PROVES = (
@@ -21,7 +25,7 @@ QUANTITIES = {
     LIKELIHOOD: "log likelihood",
 }
 WRONG: dict[Control, str] = {
-    "sigma": f"noise and pose taken for {TOO_SURE} of what they were",
+    "sigma": f"noise and pose taken for {UNDERSTATED_SD_FACTOR} of what they were",
     "prior": "the prior returned as the posterior",
     "pose": "errors of the pose left out",
     "shuffled": "one insertion with another's shape, or on the wrong side",
@@ -41,7 +45,7 @@ def layout(found: Calibration) -> Display:
         (
             quantity(name),
             *(_cell(row) for row in levels),
-            f"{out} of {DRAWS} outside" if (out := int(outside.get(name, 0))) else "inside",
+            f"{out} of {RANK_DRAWS} outside" if (out := int(outside.get(name, 0))) else "inside",
             "NO" if name in found.failing else "yes",
         )
         for name, levels in tables.items()
@@ -50,8 +54,10 @@ def layout(found: Calibration) -> Display:
     columns = (text("Quantity"), *heads, text("ECDF of the ranks"), text("Calibrated"))
     note = (
         f"How often the central interval held the truth, and between which counts chance keeps it; ranks "
-        f"among {DRAWS} draws. Each check may fail with probability {each_error(len(rows)):.1e}, all "
-        f"together with {ERROR:g} at most (Bonferroni). Stiffest: the combination of parameters that the "
+        f"among {RANK_DRAWS} draws. Each check may fail with probability "
+        f"{single_check_error(len(rows)):.1e}, all "
+        f"together with {FAMILY_ERROR:g} at most (Bonferroni). Stiffest: the combination of parameters that "
+        f"the "
         "design, or the data at their fit, tell best."
     )
     return Display("calibration", caption(found), columns, rows, notes=(note,))
@@ -75,12 +81,12 @@ def _outcome(found: Calibration) -> str:
     few = f"{count} replicate{' is' if count == 1 else 's are'} too few to tell"
     if found.control is not None:
         seen = f"is noticed, by {names}" if found.failing else "is NOT noticed"
-        if not found.failing and not found.telling:
+        if not found.failing and not found.conclusive:
             seen = f"{few} whether it is noticed"
         return f"Control: {WRONG[found.control]}: {seen}."
     if found.failing:
         return f"NOT calibrated: {names}."
-    if not found.telling:
+    if not found.conclusive:
         return f"{few} whether anything is wrong."
     return f"All {found.coverage['quantity'].nunique()} quantities are calibrated."
 
@@ -100,7 +106,7 @@ def _design(found: Calibration) -> str:
 def _computed(found: Calibration) -> list[str]:
     """Return who computed the posteriors, and how many nobody certified."""
     count = len(found.replicates)
-    by = found.replicates["by"].value_counts().to_dict()
+    by = found.replicates["draw_source"].value_counts().to_dict()
     parts = [f"{one} by {who} ({100 * one / count:.1f} %)" for who, one in by.items()]
     lines = [f"Posteriors: {', '.join(parts)}; none was left out."]
     if found.untrusted and found.control is None:
@@ -116,7 +122,7 @@ def _redrawn(found: Calibration) -> str:
 
 def _cell(row: Row) -> str:
     mark = "" if row["passes"] else " !"
-    return f"{row['covered']} ({row['least']}–{row['most']}){mark}"
+    return f"{row['covered']} ({row['count_low']}–{row['count_high']}){mark}"
 
 
 def _by_quantity(rows: list[Row]) -> dict[str, list[Row]]:

@@ -1,10 +1,10 @@
 """What is said of the rivals: who does better than the fitted model, by how much, on how many insertions."""
 
-from needlefit.reporting.names import RIVAL_NAMES, rival_name
+from needlefit.reporting.names import METHOD_NAMES, method_name
 from needlefit.reporting.numbers import MISSING
 from needlefit.reporting.tables import Row, records, study_label
 from needlefit.validation.results import BASELINES, Results
-from needlefit.validation.summary import beats_fit, paired
+from needlefit.validation.summary import beats_fit, compare_methods
 
 _SETS = ("hand_tuned", "hand_tuned_b")
 
@@ -22,9 +22,9 @@ def rivals_said(results: Results) -> str:
 
 
 def losses_said(results: Results) -> str:
-    """Return every rival that does better than the fitted model on the scored points, or nothing."""
+    """Return every method that does better than the fitted model on the scored points, or nothing."""
     table = _table(results)
-    losses = [f"{rival_name(name, results)} ({_gap(row)})" for name, row in _better(table).items()]
+    losses = [f"{method_name(name, results)} ({_gap(row)})" for name, row in _better(table).items()]
     said = (
         f"{_study(results)}: better than the fit on the same points: {'; '.join(losses)}." if losses else ""
     )
@@ -36,7 +36,7 @@ def compared_said(results: Results) -> str:
     curves = {name: row for name, row in _table(results).items() if name in BASELINES}
     if not curves:
         return ""
-    said = "; ".join(f"{RIVAL_NAMES[name]} {_gap(row)}" for name, row in curves.items())
+    said = "; ".join(f"{METHOD_NAMES[name]} {_gap(row)}" for name, row in curves.items())
     return f"Mean IPE minus the fit’s on the same points, negative where the curve does better: {said}."
 
 
@@ -44,7 +44,7 @@ def _curves_said(results: Results, table: dict[str, Row]) -> str:
     curves = {name: row for name, row in table.items() if name in BASELINES}
     if not curves:
         return "No empirical curve was scored beside the model."
-    winners = [f"{RIVAL_NAMES[name]} ({_gap(row)})" for name, row in _better(curves).items()]
+    winners = [f"{METHOD_NAMES[name]} ({_gap(row)})" for name, row in _better(curves).items()]
     if winners:
         points = "held-out points" if scored_role(results) == "validate" else "points"
         return (
@@ -59,7 +59,7 @@ def _curves_said(results: Results, table: dict[str, Row]) -> str:
     best = min(known, key=lambda name: curves[name]["difference_mm"])
     return (
         "No empirical curve does better than the fitted model on these insertions; the nearest is "
-        f"{RIVAL_NAMES[best]} ({_gap(curves[best])})."
+        f"{METHOD_NAMES[best]} ({_gap(curves[best])})."
     )
 
 
@@ -68,12 +68,12 @@ def _sets_said(results: Results, table: dict[str, Row]) -> str:
     close, winners = _close_said(results, sets), _better(sets)
     if not winners:
         return close
-    said = "; ".join(f"{rival_name(name, results)} ({_gap(row)})" for name, row in winners.items())
+    said = "; ".join(f"{method_name(name, results)} ({_gap(row)})" for name, row in winners.items())
     return f"The paper’s parameters do better here than the fitted ones: {said}." + _after(close)
 
 
 def _table(results: Results) -> dict[str, Row]:
-    return {row["rival"]: row for row in records(paired(results, role=scored_role(results)))}
+    return {row["method"]: row for row in records(compare_methods(results, role=scored_role(results)))}
 
 
 def _better(table: dict[str, Row]) -> dict[str, Row]:
@@ -84,7 +84,7 @@ def _better(table: dict[str, Row]) -> dict[str, Row]:
 def _close_said(results: Results, table: dict[str, Row]) -> str:
     """Return the rivals that err less, but by no more than chance gives, or nothing."""
     close = {name: row for name, row in table.items() if _ahead(row) and not beats_fit(row)}
-    said = "; ".join(f"{rival_name(name, results)} ({_gap(row)})" for name, row in close.items())
+    said = "; ".join(f"{method_name(name, results)} ({_gap(row)})" for name, row in close.items())
     alone = all(row["difference_se_mm"] is None for row in close.values())
     least = "half of its error, on one insertion" if alone else "two standard errors"
     return f"Not told apart from the fit, by less than {least}: {said}." if close else ""

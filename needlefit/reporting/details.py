@@ -4,13 +4,13 @@ import re
 from collections.abc import Sequence
 
 from needlefit.reporting.display import Column, Display, text, without, without_empty
-from needlefit.reporting.names import medium_name, rival_name
+from needlefit.reporting.names import medium_name, method_name
 from needlefit.reporting.numbers import MISSING, fixed, in_symbols, number, percent, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table
 from needlefit.reporting.tables import Row, records, study_label
 from needlefit.validation.paper.claims import Claim
 from needlefit.validation.results import Results
-from needlefit.validation.summary import paired
+from needlefit.validation.summary import compare_methods
 
 _AS_GOOD = (
     "“As good” is the range over starts whose objective is practically the best; it is left empty for what "
@@ -71,7 +71,7 @@ def _parameters_display(table: list[Row]) -> Display:
 
 
 def rivals_layout(results: Sequence[Results], role: str) -> Display:
-    """Return every rival's errors and its paired difference from the fit on the same insertions."""
+    """Return every method's errors and its paired difference from the fit on the same insertions."""
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
     strong: list[int] = []
@@ -79,21 +79,21 @@ def rivals_layout(results: Sequence[Results], role: str) -> Display:
         breaks += [len(rows)] if rows else []
         strong.append(len(rows))
         digits = 3 if (one.errors["comparison"] == "aligned").any() else 2
-        for i, row in enumerate(records(paired(one, role=role))):
-            ours = row["rival"] == "fitted"
+        for i, row in enumerate(records(compare_methods(one, role=role))):
+            ours = row["method"] == "fitted"
             cells = (fixed(row["ipe_mean_mm"], digits), fixed(row["te_mm"], digits))
             gap = MISSING if ours else _difference(row)
             better = "" if ours else f"{row['better']} of {row['insertions']}"
-            name = rival_name(row["rival"], one)
+            name = method_name(row["method"], one)
             head = str(study_label(one)) if i == 0 else ""
             rows.append((head, name, str(row["insertions"]), *cells, gap, better, one.origin))
     columns = (
-        *(text("Study"), text("Rival"), Column("n"), Column("IPE", "mm"), Column("TE", "mm")),
+        *(text("Study"), text("Method"), Column("n"), Column("IPE", "mm"), Column("TE", "mm")),
         *(Column("IPE − fitted", "mm"), Column("Fit better on"), text("Origin")),
     )
     notes = (
         "Means over the insertions that both could be scored on, measured boundaries. The difference is "
-        "paired over insertions, ± its standard error; a negative one means that the rival does better.",
+        "paired over insertions, ± its standard error; a negative one means that the method does better.",
     )
     where = "held-out" if role == "validate" else "tuning"
     caption = f"What the model has to beat, on the same {where} insertions and points."
@@ -104,7 +104,7 @@ def insertions_layout(results: Results, role: str) -> Display:
     """Return the fitted model's errors on single insertions beside their noise floor."""
     rows: list[tuple[str, ...]] = []
     for row in records(results.errors):
-        if (row["role"], row["rival"], row["boundaries"]) == (role, "fitted", "measured"):
+        if (row["role"], row["method"], row["boundaries"]) == (role, "fitted", "measured"):
             rows.append((*_insertion(row), results.origin))
     columns = (
         *(text("Insertion"), text("Medium"), Column("Layers"), Column("Depth", "mm")),
@@ -145,7 +145,8 @@ def contradictions_layout(claims: Sequence[Claim]) -> Display:
         text("Note", wide=True),
     )
     rows = tuple(
-        (c.topic, f"{c.place}: {c.says}", f"{c.other_place}: {c.other_says}", c.note) for c in claims
+        (c.topic, f"{c.place}: {c.statement}", f"{c.other_place}: {c.other_statement}", c.note)
+        for c in claims
     )
     breaks = tuple(range(1, len(rows)))
     return Display(

@@ -3,10 +3,10 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 
-from needlefit.project.plain import plain
+from needlefit.project.json_values import to_json_values
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.numbers import number
-from needlefit.validation.difference import Difference
+from needlefit.validation.table_differences import Difference
 
 LONGEST = 40
 """Characters of a value that a table shows."""
@@ -58,7 +58,7 @@ def differences_layout(found: Sequence[Difference]) -> Display:
 
 def as_json(found: Sequence[Difference]) -> list[object]:
     """Return the differences as plain JSON values."""
-    return [plain(asdict(one)) for one in found]
+    return [to_json_values(asdict(one)) for one in found]
 
 
 _MARKS = {True: "yes", False: "no", None: ""}

@@ -13,7 +13,7 @@ from typing import Any
 
 import typst
 
-from needlefit.project.result_warnings import warnings_of
+from needlefit.project.result_warnings import read_warnings
 from needlefit.reporting.display import Display
 
 Block = dict[str, Any]
@@ -70,7 +70,7 @@ def warning(words: str) -> Block:
 
 def warnings_in(run: Mapping[str, Any], name: str) -> list[Block]:
     """Return a block for each warning that the run called `name` keeps."""
-    return [warning(f"WARNING: {name}: {one}.") for one in warnings_of(run)]
+    return [warning(f"WARNING: {name}: {one}.") for one in read_warnings(run)]
 
 
 def empty(words: str) -> Block:

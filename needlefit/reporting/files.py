@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.project.plain import plain
+from needlefit.project.json_values import to_json_values
 
 
 def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> None:
@@ -17,7 +17,7 @@ def write_csv(frame: pd.DataFrame, path: Path, digits: str | None = "%.8g") -> N
 
 def write_json(path: Path, value: Mapping[str, Any]) -> None:
     """Write values as JSON, NaN and infinity as null, keys in order."""
-    text = json.dumps(plain(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
+    text = json.dumps(to_json_values(value), indent=2, sort_keys=True, ensure_ascii=False, allow_nan=False)
     path.write_text(text + "\n", encoding="utf-8")
 
 

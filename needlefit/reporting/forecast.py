@@ -8,17 +8,17 @@ from typing import Any
 import pandas as pd
 
 from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
-from needlefit.project.plain import plain
-from needlefit.project.reading import stored_values
-from needlefit.project.records.stored import ForecastTable
-from needlefit.project.replace import replacing
-from needlefit.project.run_file import require_form
+from needlefit.project.atomic_write import replace_folder
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.json_values import to_json_values
+from needlefit.project.run_file import require_schema
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.forecast import draw_forecast
 from needlefit.reporting.files import write_json
 from needlefit.reporting.numbers import fixed
+from needlefit.schemas.result_files import PredictionTable
 from needlefit.validation.forecast import Forecast
-from needlefit.validation.packing import NAME, pack, packed, unpacked
+from needlefit.validation.packing import RESULTS_FILE, pack, pack_frame, unpack_frame
 
 KIND = "forecast"
 """Of what a run stores."""
@@ -43,7 +43,7 @@ def tip(forecast: Forecast) -> dict[str, Any]:
     """Return the last station's row, and what the forecast rests on, for machines."""
     row = {name: float(value) for name, value in forecast_table(forecast).iloc[-1].items()}
     draws = len(forecast.needle.means)
-    about = {"from": forecast.source, "draws": draws, "failed_solves": forecast.failed}
+    about = {"draw_source": forecast.source, "draws": draws, "failed_solves": forecast.failed}
     about["outside_validity"] = forecast.outside
     return {"tip": row, **about, "not_converged": list(forecast.faults)}
 
@@ -105,18 +105,18 @@ def write_forecast(
 def write_foretold(foretold: Foretold, folder: Path) -> None:
     """Write the files of a prediction; else as `write_forecast`."""
     table = foretold.table
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         draw_forecast(table, foretold.title, float(table["s_mm"].max()), new / "forecast.pdf")
-        packs = {"title": foretold.title, "table": packed(table), "run": plain(foretold.run)}
+        packs = {"title": foretold.title, "table": pack_frame(table), "run": to_json_values(foretold.run)}
         pack({"kind": KIND, **packs}, new)
         write_json(new / "run.json", foretold.run)
 
 
 def restored(table: Mapping[str, Any], folder: Path) -> Foretold:
     """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
-    require_form(table, ForecastTable, str(folder / NAME))
-    with stored_values(folder / NAME):
-        return Foretold(table["title"], unpacked(table["table"]), table["run"])
+    require_schema(table, PredictionTable, str(folder / RESULTS_FILE))
+    with convert_stored_errors(folder / RESULTS_FILE):
+        return Foretold(table["title"], unpack_frame(table["table"]), table["run"])
 
 
 def _marked(title: str, forecast: Forecast) -> str:

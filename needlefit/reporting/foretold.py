@@ -6,7 +6,7 @@ from needlefit.datasets.independent import groups
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import fixed
-from needlefit.validation.coverage import Share, share
+from needlefit.validation.proportions import Proportion, estimate_proportion
 from needlefit.validation.results import Results
 
 _NOTES = (
@@ -41,7 +41,7 @@ def foretold_layout(results: Results) -> Display:
             else ()
         ),
     )
-    said = " and ".join(_SOURCES[str(source)] for source in pd.unique(results.predictive["from"]))
+    said = " and ".join(_SOURCES[str(source)] for source in pd.unique(results.predictive["draw_source"]))
     return Display(
         "foretold", f"How well held-out needles were foretold, by {said}.", columns, tuple(rows), notes=notes
     )
@@ -51,11 +51,11 @@ def told_cells(told: pd.DataFrame) -> tuple[str, ...]:
     """Return the cells under `TOLD` of some needles: shares within their intervals, and mean scores."""
     together = groups(list(told["insertion"]), list(told["specimen"]))
     held = (f"{what}_in_{level}" for what in ("tip", "shape") for level in (50, 95))
-    shares = (said_of(share(list(told[column]), together)) for column in held)
+    shares = (said_of(estimate_proportion(list(told[column]), together)) for column in held)
     scores = (fixed(told[f"{what}_crps_mm"].mean(), 3) for what in ("tip", "shape"))
     return (*shares, *scores)
 
 
-def said_of(found: Share) -> str:
+def said_of(found: Proportion) -> str:
     """Return counts and the interval of their share: "9 of 10 (60–98 %)"."""
     return f"{found.hits} of {found.trials} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"

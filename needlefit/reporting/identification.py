@@ -7,19 +7,19 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.project.plain import plain
-from needlefit.project.reading import stored_values
-from needlefit.project.records.stored import IdentificationTable
-from needlefit.project.replace import replacing
-from needlefit.project.result_warnings import KEY, ResultWarning, as_rows, warnings_of
-from needlefit.project.run_file import require_form
+from needlefit.project.atomic_write import replace_folder
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.json_values import to_json_values
+from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
+from needlefit.project.run_file import require_schema
 from needlefit.reporting.figures.profiles import draw_profiles
 from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.identification_layout import directions_table, identification_table
 from needlefit.reporting.identification_said import design_said, verdict_said
 from needlefit.reporting.tables import records
-from needlefit.validation.identify import Identification
-from needlefit.validation.packing import NAME, pack, packed, unpacked
+from needlefit.schemas.result_files import IdentificationTable
+from needlefit.validation.design_identification import Identification
+from needlefit.validation.packing import RESULTS_FILE, pack, pack_frame, unpack_frame
 from needlefit.validation.results import Results
 
 KIND = "identification"
@@ -66,7 +66,7 @@ def write_identification(found: Identification, fitted: Results | None, folder: 
 def write_stages(written: Written, folder: Path) -> list[Path]:
     """Write the files of a verdict; else as `write_identification`."""
     origin, last = written.origin, list(written.stages)[-1]
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         tables = [
             identification_table(stage.rows, origin).assign(stage=name)
             for name, stage in written.stages.items()
@@ -83,28 +83,32 @@ def write_stages(written: Written, folder: Path) -> list[Path]:
 
 def restored(table: Mapping[str, Any], folder: Path) -> Written:
     """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
-    require_form(table, IdentificationTable, str(folder / NAME))
-    with stored_values(folder / NAME):
+    require_schema(table, IdentificationTable, str(folder / RESULTS_FILE))
+    with convert_stored_errors(folder / RESULTS_FILE):
         stages = {
-            name: Stage(unpacked(stage["rows"]), unpacked(stage["profiles"]), stage["run"])
+            name: Stage(unpack_frame(stage["rows"]), unpack_frame(stage["profiles"]), stage["run"])
             for name, stage in table["stages"].items()
         }
-        return Written(table["origin"], stages, unpacked(table["directions"]))
+        return Written(table["origin"], stages, unpack_frame(table["directions"]))
 
 
 def _store(written: Written, folder: Path) -> None:
     stages = {
-        name: {"rows": packed(stage.rows), "profiles": packed(stage.profiles), "run": plain(stage.run)}
+        name: {
+            "rows": pack_frame(stage.rows),
+            "profiles": pack_frame(stage.profiles),
+            "run": to_json_values(stage.run),
+        }
         for name, stage in written.stages.items()
     }
     table = {"kind": KIND, "origin": written.origin, "stages": stages}
-    pack({**table, "directions": packed(written.directions)}, folder)
+    pack({**table, "directions": pack_frame(written.directions)}, folder)
 
 
 def warnings_of_both(found: Identification, fitted: Results | None) -> tuple[ResultWarning, ...]:
     """Return the warnings of the design, and of the fit if there is one, each once."""
     runs = [found.run, *([] if fitted is None else [fitted.run])]
-    return tuple(dict.fromkeys(one for run in runs for one in warnings_of(run)))
+    return tuple(dict.fromkeys(one for run in runs for one in read_warnings(run)))
 
 
 def as_json(found: Identification, fitted: Results | None) -> dict[str, Any]:
@@ -117,7 +121,7 @@ def as_json(found: Identification, fitted: Results | None) -> dict[str, Any]:
         rows["fit"] = records(identification_table(fitted.identification, found.origin))
     return {
         **about,
-        KEY: as_rows(warnings_of_both(found, fitted)),
+        WARNINGS_KEY: to_rows(warnings_of_both(found, fitted)),
         "said": said,
         **rows,
         "directions": records(directions_table(found.expectation, found.origin)),

@@ -9,7 +9,7 @@ from needlefit.reporting.display import Column, Display, text, without_empty
 from needlefit.reporting.identification_said import millimetres
 from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.identification import IDENTIFICATION
+from needlefit.validation.identification import IDENTIFICATION_COLUMNS
 
 _NOTE = (
     "“Sd” is what Fisher information and bounds say together, of ln for μ and b, of the value for α; "
@@ -52,7 +52,7 @@ def directions_expected_layout(expectation: Expectation) -> Display:
         (
             in_symbols(str(row["combination"])),
             *(number(row[key]) for key in ("sd", "sd_low", "sd_high")),
-            fixed(row["contraction"], 3),
+            fixed(row["sd_ratio"], 3),
             in_symbols(str(row["words"]).split(" is ", 1)[1]),
         )
         for row in records(directions_table(expectation, ""))
@@ -73,7 +73,7 @@ def directions_table(expectation: Expectation, origin: str) -> pd.DataFrame:
             "sd_low": float(expectation.direction_sds[:, k].min()),
             "sd_high": float(expectation.direction_sds[:, k].max()),
             "prior_sd": float(expectation.direction_prior_sds[k]),
-            "contraction": direction.sd / float(expectation.direction_prior_sds[k]),
+            "sd_ratio": direction.sd / float(expectation.direction_prior_sds[k]),
             "words": direction.words,
             **{f"weight_{n}": w for n, w in zip(expectation.names, direction.weights, strict=True)},
             "origin": origin,
@@ -100,9 +100,9 @@ def _cells(row: Row) -> tuple[str, ...]:
         state,
         number(sd),
         *ends,
-        fixed(row["contraction"], 2),
-        "" if row["contraction_sampled"] is None else fixed(row["contraction_sampled"], 2),
-        "" if row["tip_moves_mm"] is None else millimetres(row["tip_moves_mm"]),
+        fixed(row["sd_ratio"], 2),
+        "" if row["sd_ratio_sampled"] is None else fixed(row["sd_ratio_sampled"], 2),
+        "" if row["tip_range_mm"] is None else millimetres(row["tip_range_mm"]),
     )
 
 
@@ -112,4 +112,4 @@ def identification_table(identification: pd.DataFrame, origin: str) -> pd.DataFr
     `value` is where the profile is lowest, or where a design was looked at; without `determined` it is no
     estimate.
     """
-    return identification.assign(origin=origin).reindex(columns=[*IDENTIFICATION, "origin"])
+    return identification.assign(origin=origin).reindex(columns=[*IDENTIFICATION_COLUMNS, "origin"])

@@ -12,7 +12,7 @@ from needlefit.inference.identifiability.information import NEARLY_FREE, combina
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting.numbers import number
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.identify import Identification
+from needlefit.validation.design_identification import Identification
 
 
 def verdict_said(identification: pd.DataFrame) -> list[str]:
@@ -21,7 +21,7 @@ def verdict_said(identification: pd.DataFrame) -> list[str]:
     for row in records(identification):
         held = f" (fixed at {number(row['value'])})" if row["status"] == "fixed" else ""
         doubt = "" if row["agreement"] == AGREE else f"; {row['agreement']}"
-        said.append(f"{short(str(row['parameter']))}{held}: {row['says']}{doubt}.")
+        said.append(f"{short(str(row['parameter']))}{held}: {row['profile_verdict']}{doubt}.")
     if said and all(row["agreement"] == AGREE for row in records(identification)):
         said.append(f"{AGREE.capitalize()} on every parameter.")
     return said
@@ -51,11 +51,12 @@ def _expected(expectation: Expectation, name: str, row: Row) -> str:
     known = known_words(name, sd)
     if row["determined"]:
         return f"{short(name)}: {known}{near}."
-    if row["contraction"] > NOTHING:
+    if row["sd_ratio"] > NOTHING:
         return f"{short(name)}: not at all, left as its bounds have it ({known}{near})."
     only = _only_as(expectation, name)
-    if is_small(name, sd, sd / float(row["contraction"])):
-        return f"{short(name)}: {known} by the information{near}, but its profile is {row['says']}{only}."
+    if is_small(name, sd, sd / float(row["sd_ratio"])):
+        shape = row["profile_verdict"]
+        return f"{short(name)}: {known} by the information{near}, but its profile is {shape}{only}."
     return f"{short(name)}: not by itself ({known}{near}){only}."
 
 
@@ -81,7 +82,7 @@ def _between(name: str, low: float, high: float) -> str:
 
 def _unseen(row: Row, thickness: float) -> str:
     """Return that an alpha cannot be told, and how little depends on it."""
-    moved, name = row["tip_moves_mm"], short(str(row["parameter"]))
+    moved, name = row["tip_range_mm"], short(str(row["parameter"]))
     way = "" if moved is None else f": the tip moves {millimetres(moved)} mm over its whole range"
     return f"{name}: not at all{way} at t = {thickness:g} mm; fixed at {number(row['value'])}."
 

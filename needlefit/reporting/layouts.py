@@ -58,7 +58,7 @@ def validation_layout(results: Sequence[Results]) -> Display:
 
 def tuning_layout(results: Sequence[Results], by: str) -> Display:
     """Return the in-sample errors `by` "layers" or "media", beside the paper's tuned models."""
-    table = [row for row in records(tuning_table(*results, both=True)) if row["by"] == by]
+    table = [row for row in records(tuning_table(*results, both=True)) if row["grouping"] == by]
     heads = (text("Fit of"), text("Tuned on"), Column("Layers"), Column("n"), text("Row"))
     what = "number of layers" if by == "layers" else "medium"
     return _stacked(
@@ -117,7 +117,7 @@ def _stacked(
     compared = [f"{'; '.join(heads)}: {sentence}" for sentence, heads in same.items()]
     names = {row[len(head)] for row in rows for head, _ in groups[:1]}
     said = [sentence for way, sentence in _WAYS.items() if way in names]
-    said += [_REREAD] if any(row["reread"] for _, row in groups) else []
+    said += [_REREAD] if any(row["alternate_count"] for _, row in groups) else []
     said += [_ALIGNED] if any(row["comparison"] == "aligned" for _, row in groups) else []
     caption = frame.caption.removesuffix(".") + (", beside the paper’s." if "paper" in names else ".")
     notes = (" ".join(said), *compared, *caveats) if said else ()
@@ -126,7 +126,7 @@ def _stacked(
 
 def _block(row: Row, ways: list[tuple[str, str]]) -> list[tuple[str, tuple[str, ...]]]:
     digits = 3 if row.get("comparison") == "aligned" else 2
-    told = [way for way in ways if not row["reread"] or way[1] in ("", "pooled_")]
+    told = [way for way in ways if not row["alternate_count"] or way[1] in ("", "pooled_")]
     lines = [(name, _scores(row, prefix, digits)) for name, prefix in told]
     lines += [("noise floor", _scores(row, "floor_", digits)), ("paper", _scores(row, "paper_", 2))]
     return [(name, cells) for name, cells in lines if any(cell != MISSING for cell in cells)]
@@ -146,7 +146,7 @@ def _scores(row: Row, prefix: str, digits: int) -> tuple[str, ...]:
 
 
 def _group(row: Row, medium: str, layers: int | None) -> tuple[str, ...]:
-    count = str(layers or "all") + (_OTHERWISE if row["reread"] else "")
+    count = str(layers or "all") + (_OTHERWISE if row["alternate_count"] else "")
     return (str(row["study"]), medium_name(medium), count, str(row["insertions"]))
 
 

@@ -13,14 +13,14 @@ from needlefit.datasets.formats.toml import dumps
 from needlefit.inference.material import ALPHA_RANGE, SpecimenFit
 from needlefit.inference.material_prior import Foundation, prior_of_material
 from needlefit.inference.population import Material
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.material import draw_curves, draw_profiles
 from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.material_said import prior_note, summary, verdict
 from needlefit.reporting.material_tables import curves, profiles, table
 from needlefit.reporting.numbers import number
-from needlefit.validation.provenance import versions
+from needlefit.validation.provenance import package_versions
 
 _PACKAGES = ("numpy", "scipy")
 _NOTES = (
@@ -63,7 +63,7 @@ def write_material(report: Report, folder: Path) -> list[Path]:
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     material = report.material
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         write_csv(pd.DataFrame(table(material)), new / "material.csv")
         draw_curves(report.test.measure, curves(material), new / "curves.pdf")
         draw_profiles(profiles(material), new / "profiles.pdf")
@@ -85,7 +85,7 @@ def provenance(report: Report) -> dict[str, Any]:
     """Return what a reader needs to repeat the fit; no time and no path."""
     return {
         "name": report.name,
-        "versions": versions(_PACKAGES),
+        "versions": package_versions(_PACKAGES),
         "file": report.test.path.name,
         "sha256": report.test.digest,
         "columns": list(report.test.columns),

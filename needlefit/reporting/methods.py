@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from importlib.resources import files
 from typing import Any
 
-from needlefit.project.records.study import StudyRecord
 from needlefit.reporting.latex import escape
 from needlefit.reporting.numbers import number, symbol
+from needlefit.schemas.study import StudyRecord
 from needlefit.validation.results import Results
 
 
@@ -155,7 +155,7 @@ def _foretold(results: Results) -> Iterator[Sentence]:
         return
     count = told["draws"].iloc[0]
     rest = "errors of depths, pose and points drawn as they are stated"
-    if (told["from"] == "posterior").all():
+    if (told["draw_source"] == "posterior").all():
         yield Sentence(f"They were foretold by {count} draws of that posterior, with {rest}.")
         return
     worst = results.draws["pareto_k"].max()

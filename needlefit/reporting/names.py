@@ -4,7 +4,7 @@ from needlefit.validation.results import Results
 
 INK, GREY, PAPER, SYNTHETIC = "#1a1a1a", "#8a8a8a", "#D55E00", "#B23A00"
 
-RIVAL_NAMES = {
+METHOD_NAMES = {
     "fitted": "needlefit, fitted",
     "fitted_metric": "fitted to IPE, TE, EDP",
     "hand_tuned": "paper's hand-tuned set",
@@ -14,7 +14,7 @@ RIVAL_NAMES = {
     "linear_curvature": "curvature linear in arc length",
     "truth": "the twin’s own parameters",
 }
-RIVAL_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
+METHOD_COLOURS = {  # Okabe and Ito's palette, told apart by colour-blind readers
     "fitted": "#0072B2",
     "fitted_metric": "#0A2F4A",
     "hand_tuned": "#E69F00",
@@ -28,7 +28,7 @@ CANDIDATE_NAMES = {
     "ogden": "Ogden foundation",
     "linear": "linear foundation",
     "neo_hookean": "neo-Hookean foundation",
-    **{name: RIVAL_NAMES[name] for name in ("linear_curvature", "constant_curvature", "straight")},
+    **{name: METHOD_NAMES[name] for name in ("linear_curvature", "constant_curvature", "straight")},
 }
 WAY_NAMES = {
     "inflated": "old posterior, inflated",
@@ -40,14 +40,14 @@ WAY_COLOURS = {"inflated": "#0072B2", "new": "#009E73", "none": "#8a8a8a"}
 PLAN_NAMES = {
     "expected": "least expected squared miss",
     "best_fit": "best fit, taken for certain",
-    "hand_tuned": RIVAL_NAMES["hand_tuned"],
+    "hand_tuned": METHOD_NAMES["hand_tuned"],
     "straight": "straight at the target",
 }
 PLAN_COLOURS = {
-    "expected": RIVAL_COLOURS["fitted"],
+    "expected": METHOD_COLOURS["fitted"],
     "best_fit": "#CC79A7",
-    "hand_tuned": RIVAL_COLOURS["hand_tuned"],
-    "straight": RIVAL_COLOURS["straight"],
+    "hand_tuned": METHOD_COLOURS["hand_tuned"],
+    "straight": METHOD_COLOURS["straight"],
 }
 POPULATION_NAMES = {"mean": "mean", "spread": "spread", "new": "a further one"}
 """What is told of a parameter of a population of specimens."""
@@ -80,8 +80,8 @@ def way_in_name(entry: str, angle_deg: float) -> str:
     return entry if angle_deg == 0 else f"{entry}, {angle_deg:g}°".replace("-", "−")
 
 
-def rival_name(rival: str, results: Results) -> str:
-    """Return the rival's name; on synthetic data the paper's set was not tuned on this data."""
-    name = RIVAL_NAMES.get(rival, rival)
-    foreign = rival == "hand_tuned" and results.origin == "synthetic"
+def method_name(method: str, results: Results) -> str:
+    """Return the method's name; on synthetic data the paper's set was not tuned on this data."""
+    name = METHOD_NAMES.get(method, method)
+    foreign = method == "hand_tuned" and results.origin == "synthetic"
     return f"{name} (not tuned on this data)" if foreign else name

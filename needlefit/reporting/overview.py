@@ -92,7 +92,7 @@ def _parameters(studies: Sequence[Results], tunings: Sequence[Results], syntheti
 
 
 def _contradictions(synthetic: bool) -> list[Block]:
-    found = paper.contradictions()
+    found = paper.find_contradictions()
     return [
         document.heading("Where the paper contradicts itself"),
         document.text(

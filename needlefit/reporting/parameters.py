@@ -44,15 +44,15 @@ def held_fixed(results: Results) -> list[str]:
 
 
 def _named(results: Results, wanted: Callable[[Row], bool]) -> list[str]:
-    rows = [row for row in records(results.parameters) if row["rival"] == "fitted" and wanted(row)]
+    rows = [row for row in records(results.parameters) if row["method"] == "fitted" and wanted(row)]
     return list(dict.fromkeys(str(row["parameter"]) for row in rows))
 
 
 def _rows(results: Results) -> list[Row]:
-    cells = {(r["rival"], r["fold"], r["parameter"]): r for r in records(results.parameters)}
+    cells = {(r["method"], r["fold"], r["parameter"]): r for r in records(results.parameters)}
     rows = []
-    for (rival, fold, name), ours in cells.items():
-        if rival != "fitted":
+    for (method, fold, name), ours in cells.items():
+        if method != "fitted":
             continue
         retuned = cells.get(("hand_tuned_b", fold, name))
         metric = cells.get(("fitted_metric", fold, name))

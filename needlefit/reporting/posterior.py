@@ -13,7 +13,7 @@ from needlefit.reporting.numbers import fixed, number, symbol, typeset
 from needlefit.reporting.parameters import NOT_DETERMINED
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.results import Results
-from needlefit.validation.stored import posterior_names
+from needlefit.validation.stored import posterior_file_names
 
 
 def percentiles_table(results: Results) -> pd.DataFrame:
@@ -105,14 +105,14 @@ def posterior_files(results: Results) -> Mapping[str, Callable[[Path], object]]:
     if not results.posteriors:
         return {}
     posteriors = results.posteriors.values()
-    names = posterior_names(len(posteriors))
+    names = posterior_file_names(len(posteriors))
     draws = {name: partial(save, posterior) for name, posterior in zip(names, posteriors, strict=True)}
     table = percentiles_table(results)
     return {**draws, "posterior.csv": partial(table.to_csv, index=False, float_format="%.8g")}
 
 
 def _fitted(results: Results) -> list[Row]:
-    return [row for row in records(results.parameters) if row["rival"] == "fitted"]
+    return [row for row in records(results.parameters) if row["method"] == "fitted"]
 
 
 def _rows(fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], Row]) -> list[dict[str, object]]:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.project.replace import replacing_file
+from needlefit.project.atomic_write import replace_file
 from needlefit.reporting import document
 from needlefit.reporting.figures.across import across
 from needlefit.reporting.figures.along import along
@@ -15,8 +15,8 @@ from needlefit.reporting.numbers import fixed
 
 Fact = tuple[str, str]
 
-MOST_REMARKS = 10
-"""Remarks on a page; the table of the batch has all."""
+MAX_LISTED_WARNINGS = 10
+"""Warnings on a page; the table of the batch has all."""
 
 _ALONG = (
     "Above, the scan in slabs that follow the needle (crosses: centres of markers nearby); below, "
@@ -43,7 +43,7 @@ def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
             across(reconstruction, Path(name, "across.pdf")),
         ]
         page = document.set_page("quality.typ", _payload(reconstruction), document.by_name(pictures))
-    with replacing_file(path) as new:
+    with replace_file(path) as new:
         new.write_bytes(page)
     return path
 
@@ -64,17 +64,17 @@ def _payload(reconstruction: Reconstruction) -> document.Block:
         "mark": "SYNTHETIC DATA",
         "version": document.version_text(),
         "groups": facts(reconstruction),
-        "remarks": _remarks(reconstruction.remarks),
+        "warnings": _list_warnings(reconstruction.warnings),
         "caption": _ALONG,
         "along": _ALONG,
         "across": _ACROSS,
     }
 
 
-def _remarks(remarks: tuple[str, ...]) -> list[str]:
-    """Return as many remarks as a page holds, and how many more there are."""
-    left = len(remarks) - MOST_REMARKS
-    shown = [remark.replace("+-", "±") for remark in remarks[:MOST_REMARKS]]
+def _list_warnings(warnings: tuple[str, ...]) -> list[str]:
+    """Return as many warnings as a page holds, and how many more there are."""
+    left = len(warnings) - MAX_LISTED_WARNINGS
+    shown = [warning.replace("+-", "±") for warning in warnings[:MAX_LISTED_WARNINGS]]
     return [*shown, f"and {left} more, in reconstruction.csv"] if left > 0 else shown
 
 
@@ -114,7 +114,7 @@ def _placed(reconstruction: Reconstruction) -> list[Fact]:
 
 
 def _needle(reconstruction: Reconstruction) -> list[Fact]:
-    along_sd, across_sd = reconstruction.traced.tip_sd
+    along_sd, across_sd = reconstruction.needle_axis.tip_sd
     return [
         ("inserted length", _with_sd(reconstruction.depth, reconstruction.depth_sd)),
         ("tip's deflection", f"{fixed(float(reconstruction.local[-1, 1]))} mm"),

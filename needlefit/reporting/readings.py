@@ -15,7 +15,9 @@ Group = tuple[str, int]
 
 def reread(results: Results) -> Results:
     """Return the same results with the insertions grouped by the other reading."""
-    record = results.record.model_copy(update={"reading": other_reading(results.record.reading)})
+    record = results.record.model_copy(
+        update={"layer_count_rule": other_reading(results.record.layer_count_rule)}
+    )
     errors = results.errors.assign(
         layers=results.errors["layers_other"], layers_other=results.errors["layers"]
     )

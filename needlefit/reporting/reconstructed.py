@@ -5,18 +5,17 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.datasets.volumes import ScanVolume, write_volumes
-from needlefit.imaging.assemble import About
-from needlefit.imaging.batch import PACKAGES, Failure
+from needlefit.imaging.assembly import DatasetDescription, assemble_checked
+from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.sound import assemble_sound
-from needlefit.project.records.reconstruction import ReconstructionRecord
-from needlefit.project.replace import replacing
-from needlefit.project.watching import Progress
+from needlefit.project.atomic_write import replace_folder
+from needlefit.project.progress import Progress
 from needlefit.reporting.files import write_json
 from needlefit.reporting.quality import write_quality
 from needlefit.reporting.reconstructions import write_tables
 from needlefit.reporting.slicer_scan import write_scan
-from needlefit.validation.provenance import versions
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.validation.provenance import package_versions
 
 ABOUT = "reconstruction.json"
 
@@ -25,9 +24,9 @@ def write_reconstructed(
     folder: Path,
     ones: Sequence[Reconstruction],
     recipe: ReconstructionRecord,
-    about: About,
+    about: DatasetDescription,
     progress: Progress,
-) -> tuple[tuple[Reconstruction, ...], tuple[Failure, ...]]:
+) -> tuple[tuple[Reconstruction, ...], tuple[ReconstructionFailure, ...]]:
     """Write `folder`, whole or not at all; return what is in it, and what a dataset cannot hold.
 
     Where none can be held nothing is written, and what was there stays.
@@ -42,8 +41,8 @@ def write_reconstructed(
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as fresh:
-        kept, failures = assemble_sound(fresh, ones, recipe, about)
+    with replace_folder(folder) as fresh:
+        kept, failures = assemble_checked(fresh, ones, recipe, about)
         if not kept:
             return kept, failures
         volumes = {one.scan.id: ScanVolume(one.scan.volume, one.scan.series) for one in kept}
@@ -58,4 +57,7 @@ def write_reconstructed(
 
 
 def _said(recipe: ReconstructionRecord) -> dict[str, Any]:
-    return {"versions": versions(PACKAGES), "recipe": recipe.model_dump(mode="json", by_alias=True)}
+    return {
+        "versions": package_versions(VERSIONED_PACKAGES),
+        "recipe": recipe.model_dump(mode="json", by_alias=True),
+    }

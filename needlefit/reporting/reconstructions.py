@@ -18,10 +18,10 @@ Row = dict[str, Any]
 _SCAN = (
     *("id", "origin", "medium", "specimen", "scan", "voxel_i_mm", "voxel_j_mm", "voxel_k_mm"),
     *("markers_from", "markers_found", "markers_known", "markers_paired", "fre_mm", "expected_fre_mm"),
-    *("fre_chance", "pairing_doubt", "target_error_entry_mm", "target_error_tip_mm"),
+    *("fre_p_value", "wrong_pairing_probability", "target_error_entry_mm", "target_error_tip_mm"),
     *("entry_pose_from", "entry_along_sd_mm", "entry_shift_sd_mm", "entry_angle_sd_deg"),
     *("bending_plane_from", "out_of_plane_rms_mm", "out_of_plane_max_mm", "depth_mm", "depth_sd_mm"),
-    *("deflection_mm", "tip_along_sd_mm", "tip_across_sd_mm", "centerline_sd_rms_mm", "layers", "remarks"),
+    *("deflection_mm", "tip_along_sd_mm", "tip_across_sd_mm", "centerline_sd_rms_mm", "layers", "warnings"),
 )
 _MARKER = (
     *("id", "found", "known", "found_x_mm", "found_y_mm", "found_z_mm", "found_sd_mm", "residual_x_mm"),
@@ -91,7 +91,7 @@ def _cells(one: Reconstruction) -> tuple[str, ...]:
         f"{row['markers_paired']}/{row['markers_known']}" if registered else MISSING,
         *(fixed(row["fre_mm"]), fixed(row["expected_fre_mm"])),
         fixed(one.target_error[1]) if registered else MISSING,
-        *(one.pose.source, depths or MISSING, str(len(one.remarks) or "")),
+        *(one.pose.source, depths or MISSING, str(len(one.warnings) or "")),
     )
 
 
@@ -100,7 +100,7 @@ def _scan(one: Reconstruction) -> Row:
     i, j, k = one.spacing
     named = {"id": scan.id, "origin": scan.origin, "medium": scan.medium, "specimen": scan.specimen}
     voxel = {"voxel_i_mm": i, "voxel_j_mm": j, "voxel_k_mm": k}
-    return named | {"scan": scan.volume.name} | voxel | {"remarks": "; ".join(one.remarks)}
+    return named | {"scan": scan.volume.name} | voxel | {"warnings": "; ".join(one.warnings)}
 
 
 def _registered(one: Reconstruction) -> Row:
@@ -114,8 +114,8 @@ def _registered(one: Reconstruction) -> Row:
         "markers_paired": len(registration.pairs),
         "fre_mm": registration.fre,
         "expected_fre_mm": registration.expected_fre,
-        "fre_chance": registration.chance,
-        "pairing_doubt": registration.doubt,
+        "fre_p_value": registration.p_value,
+        "wrong_pairing_probability": registration.wrong_pairing_probability,
         "target_error_entry_mm": one.target_error[0],
         "target_error_tip_mm": one.target_error[1],
     }
@@ -135,7 +135,7 @@ def _placed(one: Reconstruction) -> Row:
 
 
 def _needle(one: Reconstruction) -> Row:
-    along_sd, across_sd = one.traced.tip_sd
+    along_sd, across_sd = one.needle_axis.tip_sd
     return {
         "depth_mm": one.depth,
         "depth_sd_mm": one.depth_sd,

@@ -11,15 +11,14 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.parameters import parameters_table
 from needlefit.reporting.tables import tuning_table, validation_table
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 from needlefit.validation.results import Results
-from needlefit.validation.tracks.results import TrackResults
-from needlefit.validation.tracks.summary import coverage, paired_runs
-from needlefit.validation.validity import KEY
+from needlefit.validation.tracks.results import TrackResults, compare_methods_by_run, tabulate_coverage
+from needlefit.validation.validity import VALIDITY_KEY
 
 DECIMALS = 3
 """Of a length in mm."""
@@ -30,10 +29,17 @@ DIGITS = 3
 MOST = 500
 """Rows of a table that is kept: longer ones are what shorter ones were made of, and no one reviews them."""
 
-_COUNTED = ("searches", "evaluations", "failed_solves", "failed_solves_of_sampler", "recorded_failures", KEY)
+_COUNTED = (
+    "searches",
+    "evaluations",
+    "failed_solves",
+    "failed_solves_of_sampler",
+    "recorded_failures",
+    VALIDITY_KEY,
+)
 
 
-def write_reference(one: Results | Answer | TrackResults, folder: Path) -> Path:
+def write_reference(one: Results | AnalysisResult | TrackResults, folder: Path) -> Path:
     """Write the tables of a run, rounded, and its `run.json` to `folder`; return it.
 
     Raises
@@ -41,7 +47,7 @@ def write_reference(one: Results | Answer | TrackResults, folder: Path) -> Path:
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         for name, frame in _frames(one).items():
             if 0 < len(frame) <= MOST:
                 write_csv(rounded(frame).assign(origin=one.origin), new / f"{name}.csv")
@@ -54,11 +60,15 @@ def rounded(frame: pd.DataFrame) -> pd.DataFrame:
     return frame.assign(**{str(name): _rounded(frame[name], str(name)) for name in frame})
 
 
-def _frames(one: Results | Answer | TrackResults) -> Mapping[str, pd.DataFrame]:
-    if isinstance(one, Answer):
+def _frames(one: Results | AnalysisResult | TrackResults) -> Mapping[str, pd.DataFrame]:
+    if isinstance(one, AnalysisResult):
         return one.frames
     if isinstance(one, TrackResults):
-        return {"paired": paired_runs(one), "coverage": coverage(one), "parameters": one.parameters}
+        return {
+            "paired": compare_methods_by_run(one),
+            "coverage": tabulate_coverage(one),
+            "parameters": one.parameters,
+        }
     tables = {"validation": validation_table(one), "tuning": tuning_table(one)}
     return tables | {"parameters": parameters_table(one), "errors": one.errors, "predictive": one.predictive}
 

@@ -26,7 +26,7 @@ def draws_said(results: Results) -> str:
     """Return whose draws stand for the posterior, whether they can be trusted, and along what they lie."""
     fold = results.draws["fold"].iloc[0]
     draws = results.draws[results.draws["fold"] == fold]
-    source, k, certified = (draws[name].iloc[0] for name in ("from", "pareto_k", "certified"))
+    source, k, certified = (draws[name].iloc[0] for name in ("draw_source", "pareto_k", "certified"))
     said = f"{len(draws)} draws of the sampled posterior"
     if source == "importance":
         said = f"{len(draws)} draws weighed about the modes of the fit, Pareto k {k:.2f}".replace("-", "−")
@@ -55,7 +55,7 @@ def _several(results: Results) -> bool:
 def free(results: Results) -> list[str]:
     """Return the parameters that were estimated."""
     known = results.parameters
-    rows = known[(known["rival"] == "fitted") & (known["status"] == "free")]
+    rows = known[(known["method"] == "fitted") & (known["status"] == "free")]
     return list(dict.fromkeys(rows["parameter"]))
 
 

@@ -2,18 +2,28 @@
 
 from collections.abc import Mapping
 
-from needlefit.project.result_warnings import KEY
+from needlefit.project.result_warnings import WARNINGS_KEY
 from needlefit.reporting.contest import compared_said, losses_said, scored_role
 from needlefit.reporting.names import layers_name, medium_name
 from needlefit.reporting.numbers import fixed, symbol
 from needlefit.reporting.parameters import held_fixed, undetermined
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
-from needlefit.validation.summary import aggregate, reasons
-from needlefit.validation.validity import KEY as VALIDITY
-from needlefit.validation.validity import outside_words
+from needlefit.validation.summary import aggregate, count_reasons
+from needlefit.validation.validity import VALIDITY_KEY as VALIDITY
+from needlefit.validation.validity import describe_outside
 
-_SHOWN_ELSEWHERE = ("name", "study", "fit", "medium", "folds", "searches", "hand_tuned", KEY, VALIDITY)
+_SHOWN_ELSEWHERE = (
+    "name",
+    "study",
+    "fit",
+    "medium",
+    "folds",
+    "searches",
+    "hand_tuned",
+    WARNINGS_KEY,
+    VALIDITY,
+)
 
 
 def in_short(results: Results) -> list[str]:
@@ -33,7 +43,7 @@ def in_short(results: Results) -> list[str]:
 def undetermined_said(results: Results) -> str:
     """Return which parameters the data leave open."""
     open_ones = undetermined(results)
-    if not (results.parameters["rival"] == "fitted").any():
+    if not (results.parameters["method"] == "fitted").any():
         return "The search gave no parameters."
     fixed_ones = held_fixed(results)
     alone = "" if len(results.identification) else " Judged by the information at the optimum alone."
@@ -55,7 +65,7 @@ def failures_said(results: Results) -> str:
     if not failed + sampled:
         return ""
     recorded = len(results.failures)
-    counts = ", ".join(f"{count} {reason}" for reason, count in reasons(results.failures).items())
+    counts = ", ".join(f"{count} {reason}" for reason, count in count_reasons(results.failures).items())
     said = f"{failed} of {evaluations} evaluations failed"
     said += f", and {sampled} of the sampler's" if sampled else ""
     if recorded == failed + sampled:
@@ -65,7 +75,7 @@ def failures_said(results: Results) -> str:
 
 def validity_said(results: Results) -> str:
     """Return how many simulations are outside what the model assumes; nothing if none is."""
-    words = outside_words(results.run)
+    words = describe_outside(results.run)
     return f"Outside what the model assumes: {words}." if words else ""
 
 
@@ -135,8 +145,8 @@ def _symbols(names: list[str]) -> str:
 def _overall(results: Results) -> Row | None:
     """Return the fitted model's errors over everything it is scored on, or None if it was not."""
     wanted = (scored_role(results), "fitted", "measured")
-    rows = records(aggregate(results, ("role", "rival", "boundaries")))
-    return next((r for r in rows if (r["role"], r["rival"], r["boundaries"]) == wanted), None)
+    rows = records(aggregate(results, ("role", "method", "boundaries")))
+    return next((r for r in rows if (r["role"], r["method"], r["boundaries"]) == wanted), None)
 
 
 def _digits(value: float | None) -> int:

@@ -14,8 +14,8 @@ from needlefit.geometry.placement import Placement
 from needlefit.geometry.tubes import tube, write_ply
 from needlefit.mechanics.shape import NeedleShape, positions
 from needlefit.project.outputs import require_folder
-from needlefit.reporting.names import PAPER, RIVAL_COLOURS, rgb
-from needlefit.validation.placed import DIAMETER, Band, PlacedNeedle
+from needlefit.reporting.names import METHOD_COLOURS, PAPER, rgb
+from needlefit.validation.needles_in_scan import DEFAULT_DIAMETER_MM, Band, NeedleInScan
 from needlefit.validation.results import Results
 
 Floats = NDArray[np.float64]
@@ -26,7 +26,7 @@ THICK, THIN = 0.6, 0.3
 BEFORE, INSERTED = 25, 51
 """Points of a simulated needle before its entry into the tissue, and from there on."""
 
-_MEASURED, _FITTED, _BAND = PAPER, RIVAL_COLOURS["fitted"], RIVAL_COLOURS["linear_curvature"]
+_MEASURED, _FITTED, _BAND = PAPER, METHOD_COLOURS["fitted"], METHOD_COLOURS["linear_curvature"]
 
 
 def write_needles(results: Results, folder: Path) -> None:
@@ -65,7 +65,7 @@ def write_scene(
     if not curves:
         return False
     if path.suffix.lower() == ".ply":
-        radius = (DIAMETER if diameter is None else diameter) / 2
+        radius = (DEFAULT_DIAMETER_MM if diameter is None else diameter) / 2
         write_ply(tube(curves[-1][0], radius, placement.across), path)
         return True
     steps = [f"needle, step {n}" for n in range(1, len(curves) + 1)] if len(shapes) > 1 else ["needle"]
@@ -77,12 +77,12 @@ def write_scene(
     return True
 
 
-def _unconverged(needle: PlacedNeedle) -> bool:
+def _unconverged(needle: NeedleInScan) -> bool:
     """Whether the band is drawn from a posterior that has not converged."""
     return needle.band is not None and not needle.band.converged
 
 
-def _curves(needle: PlacedNeedle, said: str) -> Iterator[tuple[Markups, Look]]:
+def _curves(needle: NeedleInScan, said: str) -> Iterator[tuple[Markups, Look]]:
     found = "predicted" if needle.role == "validate" else "fitted"
     lines = [("measured", needle.measured, _MEASURED, THICK)]
     if needle.fitted is not None:
@@ -104,7 +104,7 @@ def _edges(band: Band) -> Iterable[tuple[str, Floats, str, float]]:
     yield f"95 % band, high, {source}", band.high, _BAND, THIN
 
 
-def _bodies(needle: PlacedNeedle) -> Iterator[tuple[str, Floats, Floats]]:
+def _bodies(needle: NeedleInScan) -> Iterator[tuple[str, Floats, Floats]]:
     """Yield the name, axis (K, 3) and half widths (K, 2) of each body: in its plane, and across it."""
     radius = needle.diameter / 2
     if needle.fitted is not None:
@@ -135,6 +135,6 @@ def _check(path: Path) -> None:
             f"cannot write a `{path.suffix}` file for 3D Slicer",
             where=str(path),
             expected="a name that ends in .mrk.json or .ply",
-            mend=f"write to {path.stem or 'needle'}.mrk.json",
+            fix=f"write to {path.stem or 'needle'}.mrk.json",
         )
     require_folder(path)

@@ -11,7 +11,7 @@ from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.tubes import tube, write_ply
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.reporting.names import GREY, PAPER, RIVAL_COLOURS, rgb
+from needlefit.reporting.names import GREY, METHOD_COLOURS, PAPER, rgb
 from needlefit.reporting.slicer import THICK, THIN
 
 Floats = NDArray[np.float64]
@@ -19,8 +19,8 @@ Floats = NDArray[np.float64]
 POINT = 1.5
 """Points, mm."""
 
-_WHOLE, _INSERTED = GREY, RIVAL_COLOURS["fitted"]
-_BAND, _MARKER = RIVAL_COLOURS["linear_curvature"], RIVAL_COLOURS["constant_curvature"]
+_WHOLE, _INSERTED = GREY, METHOD_COLOURS["fitted"]
+_BAND, _MARKER = METHOD_COLOURS["linear_curvature"], METHOD_COLOURS["constant_curvature"]
 _NINETY_FIVE = 1.96
 
 
@@ -46,7 +46,7 @@ def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) ->
 
 
 def _lists(reconstruction: Reconstruction, said: str) -> Iterator[tuple[Markups, Look]]:
-    whole, inserted = reconstruction.traced.points, _inserted(reconstruction)
+    whole, inserted = reconstruction.needle_axis.points, _inserted(reconstruction)
     depth = reconstruction.depth
     half = _NINETY_FIVE * reconstruction.sd[:, None] * _toward(reconstruction)
     along = arc_length(whole)
@@ -100,7 +100,7 @@ def marker_names(reconstruction: Reconstruction) -> tuple[str, ...]:
 
 def _bodies(reconstruction: Reconstruction, diameter: float) -> Iterator[tuple[str, Floats, Floats]]:
     """Yield the name, axis (K, 3) and half widths (K, 2) of each body."""
-    whole = reconstruction.traced.points
+    whole = reconstruction.needle_axis.points
     yield "needle", whole, np.full((len(whole), 2), diameter / 2)
     wide = diameter / 2 + _NINETY_FIVE * reconstruction.sd
     yield "band", _inserted(reconstruction), np.column_stack([wide, wide])

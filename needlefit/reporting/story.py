@@ -104,7 +104,7 @@ def _methods(results: Results) -> list[Block]:
 def tuning_blocks(results: Sequence[Results], synthetic: bool) -> list[Block]:
     """Return the in-sample tables; by media only where the paper has a cell, else it says nothing new."""
     rows = records(tuning_table(*results))
-    printed = any(row["by"] == "media" and row["paper_te_mm"] is not None for row in rows)
+    printed = any(row["grouping"] == "media" and row["paper_te_mm"] is not None for row in rows)
     ways = ("layers", "media") if printed else ("layers",)
     return [document.table(layouts.tuning_layout(results, by), synthetic) for by in ways if rows]
 
@@ -189,5 +189,5 @@ def _insertions(results: Results, figures: Figures, synthetic: bool) -> list[Blo
 
 
 def _failures(results: Results) -> int:
-    errors = results.errors[results.errors["rival"] == "fitted"]
+    errors = results.errors[results.errors["method"] == "fitted"]
     return int((~errors["converged"].astype(bool)).sum())

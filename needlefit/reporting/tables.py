@@ -11,14 +11,14 @@ import pandas as pd
 from needlefit.reporting.comparability import comparable_tuning, comparable_validation
 from needlefit.reporting.readings import regrouped, reread
 from needlefit.validation import paper
-from needlefit.validation.results import FLOORS, METRICS, RIVALS, Results
+from needlefit.validation.results import FLOOR_COLUMNS, METHODS, METRICS, Results
 from needlefit.validation.summary import aggregate
 
 _KEYS = ("study", "validate_medium", "validate_layers")
 _COUNTS = ("insertions", "not_converged", "edp_flagged", "edp_unflagged_percent")
-_BY = ("role", "rival", "boundaries", "medium", "layers")
-_ABOUT = ("reading", "reread", "comparable", "comparison", "origin")
-_RATIOS = [f"{floor.removeprefix('floor_').removesuffix('_mm')}_over_floor" for floor in FLOORS]
+_BY = ("role", "method", "boundaries", "medium", "layers")
+_ABOUT = ("layer_count_rule", "alternate_count", "comparable", "comparison", "origin")
+_RATIOS = [f"{floor.removeprefix('floor_').removesuffix('_mm')}_over_floor" for floor in FLOOR_COLUMNS]
 _POOLED_RATIOS = ["pooled_ipe_mean_over_floor", "pooled_te_over_floor"]
 """Of all points together the floor's median and maximum are others than the mean of each insertion's."""
 
@@ -33,11 +33,11 @@ def validation_table(*results: Results, both: bool = False) -> pd.DataFrame:
     over insertions). `floor_*` is what perfect parameters would still show, `*_over_floor` the error as a
     multiple of that; `planned_*` the same score with boundaries from the planned straight path, because the
     measured crossings of a held-out insertion leak its outcome; `pooled_*` the statistics of all points
-    together; `<rival>_ipe_mean_mm` and `<rival>_te_mm` the rivals; `paper_*` the paper's cell, blank where
+    together; `<method>_ipe_mean_mm` and `<method>_te_mm` the rivals; `paper_*` the paper's cell, blank where
     it has none; `comparable` says what makes the two comparable or not.
 
     With `both`, groups that the two readings of the number of layers fill differently stand there once
-    more (`reread`), by the other `reading`: the same fit and predictions in other groups.
+    more (`alternate_count`), by the other `layer_count_rule`: the same fit and predictions in other groups.
     """
     rows = [row for one in results for row in _read(one, _validation_rows, "validate", both)]
     return _frame(rows, _validation_columns())
@@ -48,7 +48,7 @@ def tuning_table(*results: Results, both: bool = False) -> pd.DataFrame:
 
     `both` as in `validation_table`.
     """
-    columns = [*("study", "by", "medium", "layers"), *METRICS, *_COUNTS, *FLOORS, *_RATIOS]
+    columns = [*("study", "grouping", "medium", "layers"), *METRICS, *_COUNTS, *FLOOR_COLUMNS, *_RATIOS]
     columns += [f"pooled_{m}" for m in METRICS] + _POOLED_RATIOS
     columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions", *_ABOUT]
     return _frame([row for one in results for row in _read(one, _tuning_rows, "tune", both)], columns)
@@ -104,7 +104,12 @@ def _made(results: Results, rows_of: RowsOf, role: str, both: bool) -> Iterator[
             if one is results or (medium, layers) in groups:
                 ratios = {name: over_floor(row, f"{name.removesuffix('_over_floor')}_mm") for name in _RATIOS}
                 ratios |= {n: over_floor(row, f"{n.removesuffix('_over_floor')}_mm") for n in _POOLED_RATIOS}
-                yield {**row, **ratios, "reading": one.record.reading, "reread": one is not results}
+                yield {
+                    **row,
+                    **ratios,
+                    "layer_count_rule": one.record.layer_count_rule,
+                    "alternate_count": one is not results,
+                }
 
 
 def _validation_rows(results: Results) -> list[Row]:
@@ -114,7 +119,7 @@ def _validation_rows(results: Results) -> list[Row]:
         same = {"medium": ours["medium"], "layers": ours["layers"]}
         rows.append(
             dict(zip(_KEYS, (study_label(results), ours["medium"], ours["layers"]), strict=True))
-            | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOORS)}
+            | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOOR_COLUMNS)}
             | _prefixed("planned", _pick(macro, "fitted", "planned", **same), METRICS)
             | _prefixed("pooled", _pick(pooled, "fitted", "measured", **same), METRICS)
             | _rivals(macro, same)
@@ -125,23 +130,23 @@ def _validation_rows(results: Results) -> list[Row]:
 
 
 def _validation_columns() -> list[str]:
-    columns = [*_KEYS, *METRICS, *_COUNTS, *FLOORS, *_RATIOS]
+    columns = [*_KEYS, *METRICS, *_COUNTS, *FLOOR_COLUMNS, *_RATIOS]
     columns += [f"{way}_{m}" for way in ("planned", "pooled") for m in METRICS] + _POOLED_RATIOS
-    columns += [f"{rival}_{m}" for rival in RIVALS[1:] for m in _compared(rival)]
+    columns += [f"{method}_{m}" for method in METHODS[1:] for m in _compared(method)]
     columns += [*(f"paper_{m}" for m in METRICS), "paper_insertions"]
     return [*columns, *_ABOUT]
 
 
 def _rivals(macro: list[Row], same: Row) -> Row:
     found: Row = {}
-    for rival in RIVALS[1:]:
-        found |= _prefixed(rival, _pick(macro, rival, "measured", **same), _compared(rival))
+    for method in METHODS[1:]:
+        found |= _prefixed(method, _pick(macro, method, "measured", **same), _compared(method))
     return found
 
 
-def _compared(rival: str) -> tuple[str, ...]:
-    """Return the metrics given of a rival: all of the model's other fit, which has a row of its own."""
-    return METRICS if rival == "fitted_metric" else ("ipe_mean_mm", "te_mm")
+def _compared(method: str) -> tuple[str, ...]:
+    """Return the metrics given of a method: all of the model's other fit, which has a row of its own."""
+    return METRICS if method == "fitted_metric" else ("ipe_mean_mm", "te_mm")
 
 
 def _paper_row(results: Results, ours: Row) -> Row:
@@ -160,16 +165,16 @@ def _paper_row(results: Results, ours: Row) -> Row:
 def _tuning_rows(results: Results) -> list[Row]:
     rows = []
     for by, keys in (("layers", ("medium", "layers")), ("media", ("medium",))):
-        macro, pooled = _aggregated(results, ("role", "rival", "boundaries", *keys), "tune")
+        macro, pooled = _aggregated(results, ("role", "method", "boundaries", *keys), "tune")
         for ours in _pick(macro, "fitted", "measured"):
             match = {key: ours[key] for key in keys}
             listed = [r["insertions"] for r in _matching("insertions", match)]
             printed = _matching("tuning_by_layers" if by == "layers" else "tuning_by_media", match)
             count = sum(listed) if printed else None
             rows.append(
-                {"study": study_label(results), "by": by, "medium": ours["medium"]}
+                {"study": study_label(results), "grouping": by, "medium": ours["medium"]}
                 | {"layers": ours.get("layers")}
-                | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOORS)}
+                | {name: ours[name] for name in (*METRICS, *_COUNTS, *FLOOR_COLUMNS)}
                 | _prefixed("pooled", _pick(pooled, "fitted", "measured", **match), METRICS)
                 | _prefixed("paper", printed, METRICS)
                 | {"paper_insertions": count, "comparison": _comparison(results), "origin": results.origin}
@@ -179,22 +184,26 @@ def _tuning_rows(results: Results) -> list[Row]:
 
 
 def _aggregated(results: Results, by: tuple[str, ...], role: str) -> tuple[list[Row], list[Row]]:
-    """Return the rows of a role: means over insertions of every rival, all points pooled of the fit."""
+    """Return the rows of a role: means over insertions of every method, all points pooled of the fit."""
     here = replace(results, errors=results.errors[results.errors["role"] == role])
     fitted = replace(
         here,
-        errors=here.errors[here.errors["rival"] == "fitted"],
-        shapes=results.shapes[(results.shapes["role"] == role) & (results.shapes["rival"] == "fitted")],
+        errors=here.errors[here.errors["method"] == "fitted"],
+        shapes=results.shapes[(results.shapes["role"] == role) & (results.shapes["method"] == "fitted")],
     )
     return records(aggregate(here, by)), records(aggregate(fitted, by, "pooled"))
 
 
-def _matching(name: paper.Table, match: Row) -> list[Row]:
-    return [r for r in records(paper.table(name)) if all(r[key] == value for key, value in match.items())]
+def _matching(name: paper.TableName, match: Row) -> list[Row]:
+    return [
+        r
+        for r in records(paper.read_published_table(name))
+        if all(r[key] == value for key, value in match.items())
+    ]
 
 
-def _pick(rows: list[Row], rival: str, boundaries: str, **match: Any) -> list[Row]:  # noqa: ANN401
-    wanted = {"rival": rival, "boundaries": boundaries, **match}
+def _pick(rows: list[Row], method: str, boundaries: str, **match: Any) -> list[Row]:  # noqa: ANN401
+    wanted = {"method": method, "boundaries": boundaries, **match}
     return [row for row in rows if all(row[key] == value for key, value in wanted.items())]
 
 

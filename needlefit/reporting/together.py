@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from pathlib import Path
 
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting import document
 from needlefit.reporting.document import Block
 from needlefit.reporting.files import all_files, write_json
@@ -11,12 +11,15 @@ from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.reporting.inquiries.write import cautions
 from needlefit.reporting.overview import overview
 from needlefit.reporting.write import draw_scores, write_for_papers, write_report, write_tables
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 from needlefit.validation.results import Results
 
 
 def write_all(
-    studies: Sequence[Results], tunings: Sequence[Results], folder: Path, answers: Sequence[Answer] = ()
+    studies: Sequence[Results],
+    tunings: Sequence[Results],
+    folder: Path,
+    answers: Sequence[AnalysisResult] = (),
 ) -> list[Path]:
     """Write the tables, figures and report of several studies together; return the files.
 
@@ -28,7 +31,7 @@ def write_all(
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         write_tables(studies, tunings or studies, new)
         drawn = draw_scores(studies, new)
         beyond = [block for answer in answers for block in _told(answer, new)]
@@ -41,7 +44,7 @@ def write_all(
     return all_files(folder)
 
 
-def _told(answer: Answer, folder: Path) -> list[Block]:
+def _told(answer: AnalysisResult, folder: Path) -> list[Block]:
     """Return an answer in short: question, what it says, its first figure; its own report has the others."""
     page = PAGES[answer.kind]
     (folder / answer.name).mkdir()

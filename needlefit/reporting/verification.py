@@ -11,14 +11,14 @@ from typing import Any
 import pandas as pd
 
 from needlefit.mechanics.control import Rules
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting.captions import CONVERGENCE
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import by_name, set_page
 from needlefit.reporting.figures.convergence import convergence
 from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.numbers import MISSING, number, typeset
-from needlefit.validation.provenance import versions
+from needlefit.validation.provenance import package_versions
 from needlefit.verification.check import Bound, Row
 from needlefit.verification.run import Verification
 
@@ -94,7 +94,7 @@ def write_verification(verification: Verification, folder: Path, timing: Mapping
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         rows, studies = table(verification), refinements(verification)
         write_csv(pd.DataFrame(rows), new / "verification.csv")
         write_json(new / "verification.json", {"summary": summary(verification), "rows": rows})
@@ -112,7 +112,7 @@ def provenance(verification: Verification) -> dict[str, Any]:
     """Return what a reader needs to repeat the table: versions, seed and rules; no time and no path."""
     return {
         "name": "verification",
-        "versions": versions(_PACKAGES),
+        "versions": package_versions(_PACKAGES),
         "machine": platform.machine(),
         "seed": verification.seed,
         "rules": asdict(Rules()),

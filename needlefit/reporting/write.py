@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.project.threads import one_thread
 from needlefit.reporting import details, figures, layouts
 from needlefit.reporting.contest import scored_role
@@ -24,7 +24,7 @@ from needlefit.reporting.slicer import write_needles
 from needlefit.reporting.story import story
 from needlefit.reporting.tables import tuning_table, validation_table
 from needlefit.validation.results import Results
-from needlefit.validation.stored import store
+from needlefit.validation.stored import store_results
 
 Also = Mapping[str, Callable[[Path], object]]
 
@@ -42,7 +42,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         _frames(results, new)
         write_tables([results], [results], new)
         drawn = _draw(results, new)
@@ -52,7 +52,7 @@ def write(results: Results, folder: Path, also: Also | None = None) -> list[Path
             save(new / name)
         write_report(story(results, drawn), new)
         write_for_papers([results], new)
-        store(results, new)
+        store_results(results, new)
         write_json(new / "run.json", results.run)
         write_json(new / "timing.json", results.timing)
     return all_files(folder)
@@ -134,4 +134,4 @@ def draw_scores(results: Sequence[Results], folder: Path) -> dict[str, Path]:
 
 
 def _has(frame: pd.DataFrame, role: str) -> bool:
-    return bool(((frame["role"] == role) & (frame["rival"] == "fitted")).any())
+    return bool(((frame["role"] == role) & (frame["method"] == "fitted")).any())

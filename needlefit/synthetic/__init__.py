@@ -1,1 +1,1 @@
-"""The twin: 47 synthetic insertions whose truth is known, and is not the model that is fitted to them."""
+"""The synthetic data set: 47 insertions whose truth is known; the model that is fitted to them is another."""

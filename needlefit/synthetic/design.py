@@ -20,7 +20,7 @@ Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Planned:
+class PlannedInsertion:
     """An insertion as it is planned.
 
     Attributes
@@ -51,7 +51,7 @@ class Planned:
     y: float
     z: float
     side: int
-    grain: float = 0.0
+    fibre_angle: float = 0.0
 
     @property
     def origin(self) -> Floats:
@@ -131,7 +131,7 @@ _CHICKEN = (
 )
 
 
-def insertions() -> tuple[Planned, ...]:
+def list_planned_insertions() -> tuple[PlannedInsertion, ...]:
     """Return all 47 insertions, phantom by phantom; the plan is the same for every seed."""
     phantoms = (
         *(_in_phantom("phantom1", n, (*row, 3, 3)) for n, row in enumerate(_PHANTOM1, start=1)),
@@ -140,17 +140,19 @@ def insertions() -> tuple[Planned, ...]:
     )
     pieces = (1, 1, 1, 2, 2, 2, 3, 3, 3, 3, 3, 3)
     chicken = (
-        Planned(f"chicken-{n:02}", "chicken", f"chicken-piece{piece}", 1, 1, *row[:4], int(row[4]), row[5])
+        PlannedInsertion(
+            f"chicken-{n:02}", "chicken", f"chicken-piece{piece}", 1, 1, *row[:4], int(row[4]), row[5]
+        )
         for n, piece, row in zip(count(1), pieces, _CHICKEN, strict=False)
     )
     return (*phantoms, *chicken)
 
 
-SAMPLE = Planned("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
+SAMPLE_INSERTION = PlannedInsertion("sample", "phantom2", "sample", 2, 2, 25.0, 0.0, 2.5, -3.0, 1)
 """A short insertion for the sample volume; it is none of the 47."""
 
 
-def named(names: Sequence[str]) -> tuple[Planned, ...]:
+def select_planned_insertions(names: Sequence[str]) -> tuple[PlannedInsertion, ...]:
     """Return the insertions of these ids, in this order; all 47 if there are none.
 
     Raises
@@ -158,17 +160,19 @@ def named(names: Sequence[str]) -> tuple[Planned, ...]:
     ConfigError
         If there is no such insertion; the nearest ids are listed.
     """
-    known = {planned.id: planned for planned in (*insertions(), SAMPLE)}
+    known = {planned.id: planned for planned in (*list_planned_insertions(), SAMPLE_INSERTION)}
     for name in names:
         if name not in known:
             near = difflib.get_close_matches(name, known, n=3, cutoff=0.4) or list(known)
             raise ConfigError(
                 f"no insertion of the twin is called `{name}`", expected=f"one of {', '.join(near)}"
             )
-    return tuple(known[name] for name in dict.fromkeys(names)) or insertions()
+    return tuple(known[name] for name in dict.fromkeys(names)) or list_planned_insertions()
 
 
-def _in_phantom(medium: str, n: int, row: tuple[float, float, float, float, int, int, int]) -> Planned:
+def _in_phantom(
+    medium: str, n: int, row: tuple[float, float, float, float, int, int, int]
+) -> PlannedInsertion:
     *pose, side, layers, alternative = row
     depth, tilt, y, z = pose
-    return Planned(f"{medium}-{n:02}", medium, medium, layers, alternative, depth, tilt, y, z, side)
+    return PlannedInsertion(f"{medium}-{n:02}", medium, medium, layers, alternative, depth, tilt, y, z, side)

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from needlefit.geometry.surfaces import Surface, cylinder, sheet
 
-BOX = 80.0
+BOX_MM = 80.0
 """Edge of the box, mm."""
 
 
@@ -52,7 +52,7 @@ PHANTOMS = {
 }
 
 
-def displaced(phantom: Phantom, shifts: Sequence[float]) -> Phantom:
+def displace(phantom: Phantom, shifts: Sequence[float]) -> Phantom:
     """Return the phantom with its boundaries moved along x by `shifts` (mm), from the entry inwards."""
     interfaces = tuple(x + dx for x, dx in zip(phantom.interfaces, shifts, strict=False))
     if phantom.cylinder is None:
@@ -60,10 +60,10 @@ def displaced(phantom: Phantom, shifts: Sequence[float]) -> Phantom:
     return Phantom(interfaces, replace(phantom.cylinder, top=phantom.cylinder.top + shifts[-1]))
 
 
-def surfaces(phantom: Phantom) -> tuple[Surface, ...]:
+def make_surfaces(phantom: Phantom) -> tuple[Surface, ...]:
     """Return the boundaries of a phantom's layers, from the entry inwards."""
     sheets = tuple(
-        sheet(f"interface{n}", (x, 0, 0), (1, 0, 0), BOX, into=n + 1)
+        sheet(f"interface{n}", (x, 0, 0), (1, 0, 0), BOX_MM, into=n + 1)
         for n, x in enumerate(phantom.interfaces, start=1)
     )
     if phantom.cylinder is None:
@@ -73,6 +73,6 @@ def surfaces(phantom: Phantom) -> tuple[Surface, ...]:
     return (*sheets, cylinder("cylinder", ends, phantom.cylinder.radius, into=4))
 
 
-def surface_file(medium: str, surface: Surface) -> str:
+def surface_file_name(medium: str, surface: Surface) -> str:
     """Return the name of a surface's file among a medium's layers."""
     return f"layers/{medium}_{surface.name}.stl"

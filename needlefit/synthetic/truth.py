@@ -1,18 +1,52 @@
-"""What is true in the twin: needle, specimens, the deviations of each insertion."""
+"""True parameters of the synthetic data set: needle, specimens, deviations of each insertion from its
+plan.
+"""
 
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
-from needlefit.project.streams import stream
-from needlefit.synthetic.design import Planned
-from needlefit.synthetic.field import Field
-from needlefit.synthetic.phantoms import PHANTOMS, Phantom, displaced, surfaces
+from needlefit.project.random_streams import random_stream
+from needlefit.synthetic.design import PlannedInsertion
+from needlefit.synthetic.phantoms import PHANTOMS, Phantom, displace, make_surfaces
 
 Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class RandomField:
+    """A stationary, isotropic field of mean 0, the sum of plane waves of random direction and phase.
+
+    Wave vectors drawn from N(0, 1/l^2) give the covariance sd^2 exp(-r^2 / (2 l^2)).
+
+    Attributes
+    ----------
+    waves : (n, 3) array
+        Wave vectors, rad/mm.
+    phases : (n,) array
+        rad.
+    sd : float
+        Standard deviation over all fields.
+    """
+
+    waves: Floats
+    phases: Floats
+    sd: float
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, sd: float, length: float, waves: int = 64) -> Self:
+        """Draw a field of deviation `sd` and correlation length `length` (mm)."""
+        return cls(rng.normal(0, 1 / length, (waves, 3)), rng.uniform(0, 2 * np.pi, waves), sd)
+
+    def at(self, points: ArrayLike) -> Floats:
+        """Return the field (N,) at world `points` (N, 3)."""
+        angles = np.asarray(points, dtype=np.float64) @ self.waves.T + self.phases  # (N, n)
+        field: Floats = self.sd * np.sqrt(2 / len(self.phases)) * np.cos(angles).sum(axis=1)
+        return field
 
 
 @dataclass(frozen=True)
@@ -38,29 +72,32 @@ class MediumTruth:
     hu: tuple[float, ...]
 
 
-GELS = (20.0, 90.0, 35.0, 105.0)
+GEL_HU = (20.0, 90.0, 35.0, 105.0)
 """A stiffer gel holds more solids, and reads brighter."""
 
-MEDIA = {
-    "phantom1": MediumTruth((2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GELS),
-    "phantom2": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2, GELS),
-    "phantom3": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GELS),
+TRUE_MEDIA = {
+    "phantom1": MediumTruth((2e5, 3.3e7, 2e6, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GEL_HU),
+    "phantom2": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.103, 0.2, GEL_HU),
+    "phantom3": MediumTruth((2e5, 3.3e7, 2e5, 3.3e7), (1, -1, 1, -1), 0.03, 0.2, GEL_HU),
     "chicken": MediumTruth((1e3,), (1,), 0.33, 0.1, (55.0,)),
 }
 
-NOMINAL = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
+NOMINAL_NEEDLE = Needle.from_tube(length=150.0, outer_diameter=1.27, youngs_modulus=80e3)
 """The needle as the dataset states it."""
 
-RIGIDITY_OFF = (0.02, 0.05)  # relative deviation of the true EI from the nominal one, up or down
-MU_SD = {"phantom1": 0.1, "phantom2": 0.1, "phantom3": 0.1, "chicken": 0.3}  # of ln mu, between specimens
-FIELD_SD, FIELD_LENGTH = 0.4, 12.0  # of ln mu within a piece of chicken, and mm
-LAYER_SD = 0.1  # of a layer's boundary about the place its surface file says, mm along x
-ROLL_SD = 3.0  # degrees between the stated and the true bevel plane
-POSE_SHIFT_SD, POSE_ANGLE_SD = 0.05, 0.05  # of the stage axis in the world, mm and degrees, per direction
+RIGIDITY_DEVIATION = (0.02, 0.05)  # relative deviation of the true EI from the nominal one, up or down
+LOG_MU_SD = {"phantom1": 0.1, "phantom2": 0.1, "phantom3": 0.1, "chicken": 0.3}  # of ln mu, between specimens
+FIELD_LOG_MU_SD, FIELD_LENGTH_MM = 0.4, 12.0  # of ln mu within a piece of chicken, and mm
+LAYER_SD_MM = 0.1  # of a layer's boundary about the place its surface file says, mm along x
+ROLL_SD_DEG = 3.0  # degrees between the stated and the true bevel plane
+POSE_SHIFT_SD_MM, POSE_ANGLE_SD_DEG = (
+    0.05,
+    0.05,
+)  # of the stage axis in the world, mm and degrees, per direction
 
 
 @dataclass(frozen=True)
-class Specimen:
+class TrueSpecimen:
     """One phantom, or one piece of chicken, as it really is.
 
     Attributes
@@ -85,11 +122,11 @@ class Specimen:
     friction: float
     phantom: Phantom
     surfaces: tuple[Surface, ...]
-    field: Field | None = None
+    field: RandomField | None = None
 
 
 @dataclass(frozen=True)
-class Deviations:
+class PlanDeviations:
     """How one insertion departs from its plan.
 
     Attributes
@@ -110,20 +147,20 @@ class Deviations:
     out_of_plane: Floats
 
 
-def true_needle(seed: int) -> Needle:
+def draw_needle(seed: int) -> Needle:
     """Return the needle as it really is: its rigidity is a few percent off."""
-    rng = stream(seed, "twin", "needle")
-    off = rng.choice([-1, 1]) * rng.uniform(*RIGIDITY_OFF)
-    return Needle(NOMINAL.length, NOMINAL.flexural_rigidity * (1 + float(off)))
+    rng = random_stream(seed, "twin", "needle")
+    off = rng.choice([-1, 1]) * rng.uniform(*RIGIDITY_DEVIATION)
+    return Needle(NOMINAL_NEEDLE.length, NOMINAL_NEEDLE.flexural_rigidity * (1 + float(off)))
 
 
-def true_specimen(seed: int, medium: str, name: str) -> Specimen:
+def draw_specimen(seed: int, medium: str, name: str) -> TrueSpecimen:
     """Return a specimen drawn around its medium."""
-    truth, rng = MEDIA[medium], stream(seed, "twin", "specimen", name)
-    factors = np.exp(MU_SD[medium] * rng.normal(size=len(truth.mu_pa)))
-    shifts = LAYER_SD * rng.normal(size=PHANTOMS[medium].boundaries)
-    phantom = displaced(PHANTOMS[medium], shifts.tolist())
-    return Specimen(
+    truth, rng = TRUE_MEDIA[medium], random_stream(seed, "twin", "specimen", name)
+    factors = np.exp(LOG_MU_SD[medium] * rng.normal(size=len(truth.mu_pa)))
+    shifts = LAYER_SD_MM * rng.normal(size=PHANTOMS[medium].boundaries)
+    phantom = displace(PHANTOMS[medium], shifts.tolist())
+    return TrueSpecimen(
         name=name,
         medium=medium,
         mu=1e-6 * np.array(truth.mu_pa) * factors,
@@ -131,23 +168,23 @@ def true_specimen(seed: int, medium: str, name: str) -> Specimen:
         bevel=truth.bevel,
         friction=truth.friction,
         phantom=phantom,
-        surfaces=surfaces(phantom),
-        field=Field.draw(rng, FIELD_SD, FIELD_LENGTH) if medium == "chicken" else None,
+        surfaces=make_surfaces(phantom),
+        field=RandomField.draw(rng, FIELD_LOG_MU_SD, FIELD_LENGTH_MM) if medium == "chicken" else None,
     )
 
 
-def true_deviations(seed: int, planned: Planned) -> Deviations:
+def draw_deviations(seed: int, planned: PlannedInsertion) -> PlanDeviations:
     """Return how an insertion departs from its plan; keyed by its id alone."""
-    rng = stream(seed, "twin", "insertion", planned.id)
-    return Deviations(
-        shift=POSE_SHIFT_SD * rng.normal(size=2),
-        tilt=np.radians(POSE_ANGLE_SD) * rng.normal(size=2),
-        roll=float(np.radians(ROLL_SD) * rng.normal()),
+    rng = random_stream(seed, "twin", "insertion", planned.id)
+    return PlanDeviations(
+        shift=POSE_SHIFT_SD_MM * rng.normal(size=2),
+        tilt=np.radians(POSE_ANGLE_SD_DEG) * rng.normal(size=2),
+        roll=float(np.radians(ROLL_SD_DEG) * rng.normal()),
         out_of_plane=rng.normal(size=2),
     )
 
 
-def true_bevel(specimen: Specimen, planned: Planned) -> float:
+def bevel_offset(specimen: TrueSpecimen, planned: PlannedInsertion) -> float:
     """Return the bevel offset (mm) of an insertion.
 
     A phantom cuts alike in every direction. Muscle is cut along its fibres rather than across them: the
@@ -155,4 +192,4 @@ def true_bevel(specimen: Specimen, planned: Planned) -> float:
     """
     if specimen.medium != "chicken":
         return specimen.bevel
-    return float(specimen.bevel * 2 * np.cos(np.radians(planned.grain)) ** 2)
+    return float(specimen.bevel * 2 * np.cos(np.radians(planned.fibre_angle)) ** 2)

@@ -10,11 +10,11 @@ from typing import Any
 from needlefit.errors import DataError, FitError
 from needlefit.inference.sampling.snapshots import Snapshots
 from needlefit.inference.starts import Start, from_dict, to_dict
-from needlefit.project.kept import MAX_KEPT_BYTES, set_aside
-from needlefit.project.partial import Lock, claim, digest_of
-from needlefit.project.reading import parse_json, read_bytes
-from needlefit.project.replace import replacing_file
-from needlefit.project.watching import Note, unheard
+from needlefit.project.atomic_write import replace_file
+from needlefit.project.checkpoint_file import MAX_CHECKPOINT_BYTES, set_aside
+from needlefit.project.checkpoint_folder import Lock, claim_checkpoint, hash_work
+from needlefit.project.input_files import parse_json, read_bytes
+from needlefit.project.progress import Note, no_note
 
 _DIGEST_CHARACTERS = 16
 
@@ -28,7 +28,7 @@ class Checkpoint:
     """
 
     folder: Path | None
-    note: Note = unheard
+    note: Note = no_note
     lock: Lock | None = field(default=None, repr=False, compare=False)
 
     def finished(self, search: str) -> dict[int, Start]:
@@ -44,47 +44,47 @@ class Checkpoint:
         """Add a finished start."""
         self.keep_row(search, to_dict(start))
 
-    def rows(self, of: str, keys: Sequence[str] = ()) -> list[dict[str, Any]]:
+    def rows(self, work: str, keys: Sequence[str] = ()) -> list[dict[str, Any]]:
         """Return the rows, with these `keys`, that are kept of some work.
 
         A line torn by a kill, or changed since, is none.
         """
-        if self.folder is None or not self._file(of).is_file():
+        if self.folder is None or not self._file(work).is_file():
             return []
-        lines = [line for line in read_bytes(self._file(of), MAX_KEPT_BYTES).split(b"\n") if line]
-        found = [(line, _row(line, keys)) for line in lines]
+        lines = [line for line in read_bytes(self._file(work), MAX_CHECKPOINT_BYTES).split(b"\n") if line]
+        found = [(line, _parse_row(line, keys)) for line in lines]
         if any(row is None for _, row in found):
-            self._set_aside(of, [line for line, row in found if row is not None])
+            self._set_aside(work, [line for line, row in found if row is not None])
         return [row for _, row in found if row is not None]
 
-    def keep_row(self, of: str, row: Mapping[str, Any]) -> None:
+    def keep_row(self, work: str, row: Mapping[str, Any]) -> None:
         """Add a row; every float survives exactly."""
         if self.folder is None:
             return
         text = json.dumps(row).encode("ascii")
-        with self._file(of).open("ab") as file:
+        with self._file(work).open("ab") as file:
             file.write(b"\n" + _digest(text) + b" " + text + b"\n")  # the line before may be torn
 
     def snapshots(self, fold: str) -> Snapshots:
         """Return where the sampler of one fold keeps its steps."""
-        folder = None if self.folder is None else self.folder / f"{_key(fold)}.posterior"
+        folder = None if self.folder is None else self.folder / f"{_hash_name(fold)}.posterior"
         return Snapshots(folder, self.note)
 
     def _file(self, search: str) -> Path:
         assert self.folder is not None
-        return self.folder / f"{_key(search)}.jsonl"
+        return self.folder / f"{_hash_name(search)}.jsonl"
 
-    def _set_aside(self, of: str, whole: list[bytes]) -> None:
+    def _set_aside(self, work: str, whole: list[bytes]) -> None:
         """Give the damaged file another name, and keep its whole lines under the old one."""
-        file = self._file(of)
+        file = self._file(work)
         aside = set_aside(file)
-        with replacing_file(file) as fresh:
+        with replace_file(file) as fresh:
             fresh.write_bytes(b"".join(line + b"\n" for line in whole))
         self.note(f"{file} was damaged: it is now {aside.name}; {len(whole)} whole rows of it are used")
 
 
 def open_checkpoint(
-    folder: Path | None, resume: bool, work: Mapping[str, Any], note: Note = unheard
+    folder: Path | None, resume: bool, work: Mapping[str, Any], note: Note = no_note
 ) -> Checkpoint:
     """Return the checkpoint in `folder` for the given work; without `resume` an old one is emptied.
 
@@ -105,10 +105,10 @@ def open_checkpoint(
     """
     if folder is None:
         return Checkpoint(None)
-    return Checkpoint(folder, note, claim(folder, digest_of(work), resume, note))
+    return Checkpoint(folder, note, claim_checkpoint(folder, hash_work(work), resume, note))
 
 
-def _row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
+def _parse_row(line: bytes, keys: Sequence[str]) -> dict[str, Any] | None:
     """Return the row in a line; None if it is not as it was written."""
     digest, _, text = line.partition(b" ")
     if digest != _digest(text):
@@ -124,6 +124,6 @@ def _digest(text: bytes) -> bytes:
     return hashlib.sha256(text).hexdigest()[:_DIGEST_CHARACTERS].encode("ascii")
 
 
-def _key(name: str) -> str:
+def _hash_name(name: str) -> str:
     """Return a name for files: a fold may be named anything."""
     return hashlib.sha256(name.encode()).hexdigest()[:16]

@@ -1,7 +1,10 @@
-"""Read the CSV tables of a run again: a file that is damaged is an error with its name and column."""
+"""Read the CSV tables of a run again, and find its damaged files.
+
+A damaged table is an error that names the file and the column.
+"""
 
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
@@ -10,11 +13,13 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import DataError
-from needlefit.project.reading import read_bytes
+from needlefit.project.input_files import read_bytes
+from needlefit.project.ownership import changed_files, listed_files
+from needlefit.project.run_file import RUN_FILE, read_run
 
 
 @dataclass(frozen=True)
-class TableForm:
+class TableSchema:
     """The columns of a table that are used, by what their cells hold; any cell may be empty.
 
     Attributes
@@ -37,13 +42,13 @@ class TableForm:
     finite_where: str = ""
 
 
-ANY = TableForm()
+ANY_COLUMNS = TableSchema()
 
 _TOO_LARGE = re.compile(r"\s*[+-]?\d[\d.]*[eE]\+?(309|3[1-9]\d|[4-9]\d\d|\d{4})\s*")
 """A number that no float holds, as text beside words such as "not determined"."""
 
 
-def read_table(path: Path, form: TableForm = ANY) -> pd.DataFrame:
+def read_table(path: Path, form: TableSchema = ANY_COLUMNS) -> pd.DataFrame:
     """Return the table in a CSV file that a run wrote; a file of blank lines is an empty one.
 
     Other columns than those of its form are as pandas finds them.
@@ -57,50 +62,52 @@ def read_table(path: Path, form: TableForm = ANY) -> pd.DataFrame:
     """
     texts = (*form.keys, *form.texts)
     data = read_bytes(path)
-    frame = _parsed(data, path, texts)
+    frame = _parse_table(data, path, texts)
     if not len(frame.columns):
         return frame
     lacking = [name for name in (*texts, *form.numbers, *form.flags) if name not in frame]
     if lacking:
-        raise _damaged(path, f"lacks the column {', '.join(lacking)}")
+        raise _damage_error(path, f"lacks the column {', '.join(lacking)}")
     for name in form.numbers:
-        right = pd.to_numeric(frame[name], errors="coerce").notna() & ~_flagged(frame[name])
+        right = pd.to_numeric(frame[name], errors="coerce").notna() & ~_find_flags(frame[name])
         _require(right, frame, name, path)
         frame[name] = frame[name].astype(np.float64)
     for name in form.flags:
-        _require(_flagged(frame[name]), frame, name, path)
+        _require(_find_flags(frame[name]), frame, name, path)
     for name in form.finite:
-        _require_finite(np.isinf(frame[name]) & _finite_rows(frame, form), name, path)
+        _require_finite(np.isinf(frame[name]) & _find_finite_rows(frame, form), name, path)
     repeated = frame.duplicated(list(form.keys)) if form.keys else pd.Series(dtype=bool)
     if repeated.any():
-        raise _damaged(path, f"row {_row(repeated)} repeats the {', '.join(form.keys)} of an earlier one")
+        raise _damage_error(
+            path, f"row {_row_number(repeated)} repeats the {', '.join(form.keys)} of an earlier one"
+        )
     return frame
 
 
-def _parsed(data: bytes, path: Path, texts: Sequence[str]) -> pd.DataFrame:
+def _parse_table(data: bytes, path: Path, texts: Sequence[str]) -> pd.DataFrame:
     if not data:
-        raise _damaged(path, "is empty")
+        raise _damage_error(path, "is empty")
     if not data.strip():
         return pd.DataFrame()
     try:
         frame = pd.read_csv(BytesIO(data), dtype=dict.fromkeys(texts, "str"), low_memory=False)
     except (ValueError, OverflowError, RuntimeError):  # pandas' ParserError and UnicodeDecodeError among them
-        raise _damaged(path, "is not a table of equal rows, as UTF-8") from None
+        raise _damage_error(path, "is not a table of equal rows, as UTF-8") from None
     if not isinstance(frame.index, pd.RangeIndex):  # pandas takes cells beyond the head for names of rows
-        raise _damaged(path, "has rows of more cells than its head")
+        raise _damage_error(path, "has rows of more cells than its head")
     for number, name in enumerate(frame):
         if name not in texts:
-            _require_finite(_overflowed(frame[name], number, data), str(name), path)
+            _require_finite(_find_overflows(frame[name], number, data), str(name), path)
     return frame
 
 
-def _finite_rows(frame: pd.DataFrame, form: TableForm) -> "pd.Series":
+def _find_finite_rows(frame: pd.DataFrame, form: TableSchema) -> "pd.Series":
     if form.finite_where not in frame:
         return pd.Series(True, frame.index)
     return frame[form.finite_where].map(lambda cell: cell is True or cell is np.True_).astype(bool)
 
 
-def _overflowed(column: "pd.Series", number: int, data: bytes) -> "pd.Series":
+def _find_overflows(column: "pd.Series", number: int, data: bytes) -> "pd.Series":
     """Return which cells are numbers too large for a float: an infinite one is only ever written as inf."""
     if pd.api.types.is_float_dtype(column):
         if not np.isinf(column).any():
@@ -114,28 +121,66 @@ def _overflowed(column: "pd.Series", number: int, data: bytes) -> "pd.Series":
 
 def _require_finite(wrong: "pd.Series", name: str, path: Path) -> None:
     if wrong.any():
-        raise _damaged(path, f"the number in row {_row(wrong)} is infinite", name)
+        raise _damage_error(path, f"the number in row {_row_number(wrong)} is infinite", name)
 
 
-def _flagged(column: "pd.Series") -> "pd.Series":
+def _find_flags(column: "pd.Series") -> "pd.Series":
     return column.map(lambda cell: isinstance(cell, bool | np.bool_)).astype(bool)
 
 
 def _require(right: "pd.Series", frame: pd.DataFrame, name: str, path: Path) -> None:
     wrong = frame[name].notna() & ~right
     if wrong.any():
-        raise _damaged(path, f"the cell in row {_row(wrong)} is of another type than its column", name)
+        raise _damage_error(
+            path, f"the cell in row {_row_number(wrong)} is of another type than its column", name
+        )
 
 
-def _row(wrong: "pd.Series") -> int:
+def _row_number(wrong: "pd.Series") -> int:
     """Return the number of the first row at fault; the head of the table is row 1."""
     return int(np.argmax(wrong.to_numpy())) + 2
 
 
-def _damaged(path: Path, what: str, column: str = "") -> DataError:
+def _damage_error(path: Path, what: str, column: str = "") -> DataError:
     return DataError(
         what,
         where=f"{path}, column {column}" if column else str(path),
         expected="the table as needlefit wrote it",
-        mend="make it again with `needlefit report RUN`, or run it again",
+        fix="make it again with `needlefit report RUN`, or run it again",
     )
+
+
+def find_damaged_files(folder: Path) -> dict[str, str]:
+    """Return what is wrong with each damaged file of a run, by its name; empty if nothing is.
+
+    `run.json` and the CSV tables are read; every other file is compared with its digest in the stamp of the
+    folder, and a sampled posterior without one is read. Files that are missing are not looked for.
+    """
+    found = dict(_find_unreadable(folder))
+    changed = dict.fromkeys(changed_files(folder), "was changed since it was written")
+    return {name: {**changed, **found}[name] for name in sorted({*changed, *found})}
+
+
+def _find_unreadable(folder: Path) -> Iterator[tuple[str, str]]:
+    try:
+        read_run(folder)
+    except DataError as error:
+        yield RUN_FILE, error.what
+    for path in sorted(folder.glob("*.csv")):
+        try:
+            read_table(path)
+        except DataError as error:
+            yield path.name, error.what
+    listed = listed_files(folder)
+    for path in sorted(folder.glob("posterior*.nc")):
+        if path.name not in listed:
+            yield from _unreadable_posterior(path)
+
+
+def _unreadable_posterior(path: Path) -> Iterator[tuple[str, str]]:
+    from needlefit.inference.sampling.posterior import load  # xarray takes a second
+
+    try:
+        load(path)
+    except DataError as error:
+        yield path.name, error.what

@@ -9,35 +9,35 @@ import pandas as pd
 
 from needlefit.inference.identifiability.identify import AT_BOUND
 from needlefit.inference.parameters import Parameters, in_logarithm
-from needlefit.project.result_warnings import ResultWarning, stored, warnings_of
+from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.validation.job import Job
 from needlefit.validation.results import BASELINES, Results
-from needlefit.validation.summary import beats_fit, paired
+from needlefit.validation.summary import beats_fit, compare_methods
 from needlefit.validation.validity import validity_warnings
 
-_NAMES = {
+_CURVE_NAMES = {
     "straight": "a straight line",
     "constant_curvature": "a circular arc",
     "linear_curvature": "a clothoid (curvature linear in arc length)",
 }
 
 
-def with_warnings(results: Results, job: Job) -> Results:
+def add_warnings(results: Results, job: Job) -> Results:
     """Return results whose `run` also keeps the warnings about data, study and fit."""
-    found = [*warnings_of(results.run), *job.warnings]
+    found = [*read_warnings(results.run), *job.warnings]
     found += validity_warnings(results.run)
     found += [] if results.interrupted else [*bound_warnings(results), *baseline_warnings(results)]
-    return replace(results, run={**results.run, **stored(found)})
+    return replace(results, run={**results.run, **warnings_entry(found)})
 
 
 def bound_warnings(results: Results) -> Iterator[ResultWarning]:
     """Yield the parameters that a fit left at a bound, with how many folds did."""
     table = results.parameters
-    free = table[(table["rival"] == "fitted") & (table["status"] == "free")]
+    free = table[(table["method"] == "fitted") & (table["status"] == "free")]
     folds = table["fold"].nunique()
     for name, rows in free.groupby("parameter", sort=False):
         columns = (rows[key].to_numpy(dtype=np.float64) for key in ("value", "bound_low", "bound_high"))
-        ends = [_bound(str(name), *row) for row in zip(*columns, strict=True)]
+        ends = [_describe_bound(str(name), *row) for row in zip(*columns, strict=True)]
         yield from _bound_warning(f"the fitted {name}", ends, f" of {folds} folds" if folds > 1 else "")
 
 
@@ -57,7 +57,9 @@ def analysis_bound_warnings(
         bounds = parameters[str(name)].bounds
         for parameter, rows in members.groupby("parameter", sort=False):
             if parameter in bounds:
-                ends = [_bound(str(parameter), value, *bounds[str(parameter)]) for value in rows["value"]]
+                ends = [
+                    _describe_bound(str(parameter), value, *bounds[str(parameter)]) for value in rows["value"]
+                ]
                 yield from _bound_warning(f"the fitted {parameter} of {name}", ends, f" of {len(rows)} fits")
 
 
@@ -74,7 +76,7 @@ def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWa
         )
 
 
-def _bound(name: str, value: float, low: float, high: float) -> str:
+def _describe_bound(name: str, value: float, low: float, high: float) -> str:
     """Return at which bound a fitted value lies, "" if at none."""
     least, at, most = (math.log(one) if in_logarithm(name) else one for one in (low, value, high))
     place = (at - least) / (most - least)
@@ -92,22 +94,24 @@ def baseline_warnings(results: Results) -> Iterator[ResultWarning]:
     """
     held_out = bool((results.errors["role"] == "validate").any())
     role = "validate" if held_out else "tune"
-    table = paired(results, role=role)
-    better = [row for _, row in table.iterrows() if row["rival"] in BASELINES and beats_fit(row)]
-    better = better if held_out else [row for row in better if -row["difference_mm"] > _floor(results)]
+    table = compare_methods(results, role=role)
+    better = [row for _, row in table.iterrows() if row["method"] in BASELINES and beats_fit(row)]
+    better = (
+        better if held_out else [row for row in better if -row["difference_mm"] > _mean_noise_floor(results)]
+    )
     if better:
         best = min(better, key=lambda row: float(row["difference_mm"]))
         error, fit = best["ipe_mean_mm"], best["ipe_mean_mm"] - best["difference_mm"]
         which = "held-out insertions" if held_out else "insertions fitted to"
         yield ResultWarning(
             "worse_than_baseline",
-            f"{_NAMES[str(best['rival'])]} is closer to the {which} than the fitted model "
+            f"{_CURVE_NAMES[str(best['method'])]} is closer to the {which} than the fitted model "
             f"(mean in-plane error {error:.3f} mm against {fit:.3f} mm)",
             fix="do not rely on this model there; check bevel sides, layers and needle of the data",
         )
 
 
-def _floor(results: Results) -> float:
+def _mean_noise_floor(results: Results) -> float:
     """Return the mean in-plane error that measurement noise alone gives, mm; 0 where none is stated."""
     floors = results.errors["floor_ipe_mean_mm"].to_numpy(dtype=np.float64)
     return float(np.mean(floors[np.isfinite(floors)])) if np.isfinite(floors).any() else 0.0

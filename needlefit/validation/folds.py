@@ -7,12 +7,11 @@ from needlefit.datasets.copies import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.select import select
 from needlefit.errors import ConfigError
-from needlefit.project.places import listed
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.study import StudyRecord
+from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.study import FitRecord, StudyRecord
 
-MAX_NAMED = 8
+MAX_NAMED_SPECIMENS = 8
 """Specimens that a warning names."""
 
 
@@ -25,7 +24,7 @@ class Fold:
     validate: tuple[Insertion, ...]
 
 
-def folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
+def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]:
     """Return the folds of a study, or the single one of a fit, which scores nothing.
 
     Raises
@@ -33,27 +32,27 @@ def folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold, ...]
     ConfigError
         If a selection matches nothing, an insertion stands on both sides, or there is nothing to leave out.
     """
-    tune = select(dataset, record.tune, record.reading)
+    tune = select(dataset, record.tune, record.layer_count_rule)
     if not isinstance(record, StudyRecord):
         return (Fold("all", tune, ()),)
     if record.leave_out is not None:
         return leave_out(tune, record.leave_out)
     validate: dict[str, Insertion] = {}
     for n, selection in enumerate(record.validate_, start=1):
-        chosen = select(dataset, selection, record.reading, f"validate.{n}")
+        chosen = select(dataset, selection, record.layer_count_rule, f"validate.{n}")
         validate |= {insertion.id: insertion for insertion in chosen}
     both = sorted(validate.keys() & {insertion.id for insertion in tune})
     if both:
         raise ConfigError(
             f"{', '.join(both)} would both tune and validate",
             expected="insertions on one side only",
-            mend="narrow [tune] or [[validate]]",
+            fix="narrow [tune] or [[validate]]",
             key="validate",
         )
     return (Fold("all", tune, tuple(validate.values())),)
 
 
-def shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> list[ResultWarning]:
+def warn_shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> list[ResultWarning]:
     """Return the warning that insertions are held out whose specimens are fitted to, if any are.
 
     Such a study says how well a model knows the specimens that it was fitted to, not others.
@@ -69,7 +68,7 @@ def shared_specimens(name: str, folds: Iterable[Fold], where: str = "") -> list[
 
 def specimen_warning(name: str, specimens: list[str], where: str = "") -> ResultWarning:
     """Return the warning that a study, `name` at `where`, fits to specimens that it is validated on."""
-    named = listed(specimens, MAX_NAMED)
+    named = join_names(specimens, MAX_NAMED_SPECIMENS)
     return ResultWarning(
         "same_specimen",
         f"insertions into a specimen are fitted to and held out ({named}): errors in new specimens may "
@@ -87,11 +86,11 @@ def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
     ConfigError
         If there is only one.
     """
-    held = groups(insertions, what)
+    held = group_insertions(insertions, what)
     if len(held) < 2:
         raise ConfigError(
             f"there is only one {what}: none can be left out",
-            mend="select more, or give [[validate]]",
+            fix="select more, or give [[validate]]",
             key="leave_out",
         )
     return tuple(
@@ -100,7 +99,7 @@ def leave_out(insertions: tuple[Insertion, ...], what: str) -> tuple[Fold, ...]:
     )
 
 
-def groups(insertions: tuple[Insertion, ...], what: str) -> dict[str, tuple[Insertion, ...]]:
+def group_insertions(insertions: tuple[Insertion, ...], what: str) -> dict[str, tuple[Insertion, ...]]:
     """Return the insertions by their "specimen", or each "insertion" by itself, in their order."""
     names = [insertion.specimen if what == "specimen" else insertion.id for insertion in insertions]
     return {

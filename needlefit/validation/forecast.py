@@ -1,39 +1,49 @@
 """What a fit predicts of a planned insertion: where the needle will be, and where it would be measured.
 
-Two bands are told apart. The *needle's* comes from the draws of the parameters, and of the depths of layers
+There are two bands. The *needle's* comes from the draws of the parameters, and of the depths of layers
 and tip. The *measurement's* adds what a scan of it would err by: the errors that the dataset states of its
 points and of the entry pose. Neither knows what the model misses.
 """
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.draws import Draws, Source, noise_factor
+from needlefit.inference.draws import Draws, Source, from_posterior, noise_factor
 from needlefit.inference.likelihood.depths import in_order
 from needlefit.inference.likelihood.pose import pose_sds
+from needlefit.inference.optimize import minimize
 from needlefit.inference.predict import rules
 from needlefit.inference.predictive import Mixture
+from needlefit.inference.sampling.posterior import load
+from needlefit.inference.starts import Watch
+from needlefit.inference.weighing.about_fit import by_importance
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import positions
 from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
-from needlefit.project.records.medium import MediumRecord
+from needlefit.project.input_files import convert_stored_errors, is_file
+from needlefit.project.json_values import to_json_values
+from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.streams import stream
+from needlefit.project.run_file import read_run
 from needlefit.project.threads import one_thread
-from needlefit.validation.job import Job
+from needlefit.schemas.medium import MediumRecord
+from needlefit.validation.job import Job, Settings
+from needlefit.validation.provenance import describe_configuration
+from needlefit.validation.stored import posterior_file_names
 
 Floats = NDArray[np.float64]
 
-STATIONS = 101
+FORECAST_POINTS = 101
 """Points of a predicted needle, from entry to tip."""
 
-ALIKE = 0.02
+RIGIDITY_TOLERANCE = 0.02
 """Relative difference of two needles' rigidity from which on they are two needles."""
 
 
@@ -84,16 +94,16 @@ def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
         If no draw can be solved.
     """
     _check(scene, job.medium, job.dataset)
-    rng = stream(job.recipe.seed, job.name, "forecast")
-    s = np.linspace(0.0, scene.depth, STATIONS)
-    curves = [_curve(scene, job.parameters.values(theta), job, s, rng) for theta in draws.thetas]
+    rng = random_stream(job.recipe.seed, job.name, "forecast")
+    s = np.linspace(0.0, scene.depth, FORECAST_POINTS)
+    curves = [_solve_curve(scene, job.parameters.values(theta), job, s, rng) for theta in draws.thetas]
     kept = [curve for curve in curves if curve is not None]
     solved = np.array([points for points, _ in kept])  # (B, K, 2)
     if not len(solved):
         raise ModelError(
             f"none of {len(curves)} draws of the parameters can be solved for this scene",
             expected="an insertion that the model can follow",
-            mend="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
+            fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     y = solved[:, :, 1]
     factor = noise_factor(draws, job.parameters, job.recipe.likelihood.noise_scale)
@@ -101,7 +111,7 @@ def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
         s=s,
         x=np.median(solved[:, :, 0], axis=0),
         needle=Mixture(y, np.zeros(len(s))),
-        measured=Mixture(y, factor * _measurement(s, job.dataset)),
+        measured=Mixture(y, factor * _measurement_sd(s, job.dataset)),
         source=draws.source,
         failed=len(curves) - len(solved),
         outside=sum(not valid for _, valid in kept),
@@ -120,7 +130,7 @@ def outside_warnings(forecast: Forecast) -> Iterator[ResultWarning]:
         )
 
 
-def _curve(
+def _solve_curve(
     scene: Scene, values: Mapping[str, float], job: Job, s: Floats, rng: np.random.Generator
 ) -> tuple[Floats, bool] | None:
     """Return the points (K, 2) of one draw's needle at arc lengths `s`, and its validity; or None."""
@@ -143,7 +153,7 @@ def _curve(
     return (positions(shape, s + deep), shape.valid) if shape.converged else None
 
 
-def _measurement(s: Floats, dataset: Dataset) -> Floats:
+def _measurement_sd(s: Floats, dataset: Dataset) -> Floats:
     """Return the deviation (K,) of a measured y about the needle's, mm; of a typical insertion."""
     noise = dataset.noise
     pose = np.array([pose_sds(one, noise) for one in dataset.insertions])  # (N, 3)
@@ -157,12 +167,73 @@ def _check(scene: Scene, medium: MediumRecord, dataset: Dataset) -> None:
         raise ConfigError(
             f"the scene has {scene.tissue.layers} layers, the fitted medium {medium.layers}",
             expected="at most as many: layer n of the scene is layer n of the medium",
-            mend="name a scene of the fitted medium, or fit a medium with more layers",
+            fix="name a scene of the fitted medium, or fit a medium with more layers",
         )
     ours, fitted = scene.needle.flexural_rigidity, dataset.needle.flexural_rigidity
-    if abs(ours - fitted) > ALIKE * fitted:
+    if abs(ours - fitted) > RIGIDITY_TOLERANCE * fitted:
         raise ConfigError(
             f"the scene's needle has a flexural rigidity of {ours:.4g} N mm^2, the fitted one {fitted:.4g}",
             expected="the needle that the parameters were fitted with: mu and b depend on it",
-            mend="correct [needle] of the scene",
+            fix="correct [needle] of the scene",
         )
+
+
+FORECAST_DRAWS = 400
+"""Of the parameters, of which a planned needle is predicted."""
+
+(POSTERIOR_FILE,) = posterior_file_names(1)
+
+
+@one_thread
+def draw_parameters(job: Job, run: Path, settings: Settings, required: bool = False) -> Draws | None:
+    """Return draws of the posterior in the folder `run`, or, where none was sampled, about a fit made now.
+
+    Returns
+    -------
+    Draws or None
+        None where the search was interrupted.
+
+    Raises
+    ------
+    ConfigError
+        If the posterior is of other data or another configuration, or there is none though it is required.
+    """
+    if is_file(run / POSTERIOR_FILE):
+        require_same_configuration(job, run)
+        with convert_stored_errors(run / POSTERIOR_FILE):
+            return from_posterior(load(run / POSTERIOR_FILE), job.parameters, FORECAST_DRAWS)
+    if required:
+        raise ConfigError(
+            f"holds no {POSTERIOR_FILE}",
+            where=str(run),
+            expected="the folder of a run of one fold that was sampled",
+            fix="sample it (`needlefit tune TARGET --sample`), or leave --run out",
+        )
+    (fold,) = job.folds
+    problem = job.problem(fold)
+    rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted", "starts")
+    fit = minimize(problem, job.recipe, rng, Watch(stop=settings.stop, jobs=settings.jobs))
+    if fit.interrupted:
+        return None
+    found = by_importance(
+        problem, fit, FORECAST_DRAWS, random_stream(job.recipe.seed, job.name, "predict"), settings.jobs
+    )
+    faults = (*((fit.fault,) if fit.fault else ()), *found.faults)
+    return Draws(found.thetas, found.source, faults)
+
+
+def require_same_configuration(job: Job, run: Path) -> None:
+    """Raise ConfigError if the run in a folder is of other data or another configuration than `job`."""
+    recorded, ours = read_run(run), describe_configuration(job)
+    pairs = {key: (recorded.get(key), ours[key]) for key in ("dataset", "medium", "folds")}
+    recipe = recorded.get("recipe")
+    theirs = recipe.get("likelihood") if isinstance(recipe, dict) else None
+    pairs["likelihood"] = (theirs, job.recipe.likelihood.model_dump(mode="json"))
+    for key, (found, wanted) in pairs.items():
+        if found != to_json_values(wanted):
+            raise ConfigError(
+                f"its posterior is of another {key}",
+                where=str(run),
+                expected=f"the {key} that {job.name} names now",
+                fix="sample again (`needlefit tune TARGET --sample`), or name the right one with --run",
+            )

@@ -17,7 +17,7 @@ from needlefit.inference.sampling.posterior import Posterior
 
 Row = dict[str, Any]
 
-IDENTIFICATION = (
+IDENTIFICATION_COLUMNS = (
     *(
         "fold",
         "parameter",
@@ -30,14 +30,14 @@ IDENTIFICATION = (
         "sd_high",
         "fisher_sd",
     ),
-    *("contraction", "contraction_sampled", "interval_low", "interval_high", "end_low", "end_high"),
-    *("rise", "minima", "tip_moves_mm", "says", "agreement"),
+    *("sd_ratio", "sd_ratio_sampled", "interval_low", "interval_high", "end_low", "end_high"),
+    *("rise", "minima", "tip_range_mm", "profile_verdict", "agreement"),
 )
-PROFILES = ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold")
+PROFILE_COLUMNS = ("fold", "parameter", "value", "deviance", "slope", "fisher_deviance", "threshold")
 
 
 @dataclass(frozen=True)
-class Identified:
+class IdentificationRows:
     """What was found out about every parameter of one fold, before or after the fit.
 
     Attributes
@@ -53,9 +53,9 @@ class Identified:
     points: tuple[Row, ...]
 
 
-def identified(
+def identify_parameters(
     problem: Problem, examination: Examination, sds: Mapping[str, float], verdict: Verdict | None = None
-) -> Identified:
+) -> IdentificationRows:
     """Return what examination and deviations say together.
 
     Parameters
@@ -75,19 +75,19 @@ def identified(
         alone = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd)
         sd = sds.get(one.name, alone)
         scatter = 1.0 if verdict is None else sd / alone
-        judged = judge(one, (sd, prior_sd), _equal(one, verdict), scatter)
+        judged = judge(one, (sd, prior_sd), _equal_starts_range(one, verdict), scatter)
         judgements[one.name] = judged
         if verdict is None:
-            told = is_small(one.name, sd, prior_sd)
+            is_determined = is_small(one.name, sd, prior_sd)
         else:
-            told = verdict.determined.get(one.name, False)
-        known = told and judged.determined and one.fixed_at is None
-        rows.append(_row(one, judged, prior_sd, sd) | {"determined": known})
-        points += _points(problem.parameters, one)
-    return Identified(judgements, tuple(rows), tuple(points))
+            is_determined = verdict.determined.get(one.name, False)
+        known = is_determined and judged.determined and one.fixed_at is None
+        rows.append(_parameter_row(one, judged, prior_sd, sd) | {"determined": known})
+        points += _profile_rows(problem.parameters, one)
+    return IdentificationRows(judgements, tuple(rows), tuple(points))
 
 
-def confirmed(verdict: Verdict, judgements: Mapping[str, Judgement]) -> Verdict:
+def reconcile_verdict(verdict: Verdict, judgements: Mapping[str, Judgement]) -> Verdict:
     """Return the verdict without the parameters whose profiles contradict it, and say so in their notes."""
     denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.determined}
     return replace(
@@ -100,18 +100,18 @@ def confirmed(verdict: Verdict, judgements: Mapping[str, Judgement]) -> Verdict:
     )
 
 
-def sampled_contractions(posterior: Posterior, rows: list[Row]) -> None:
+def add_sampled_ratios(posterior: Posterior, rows: list[Row]) -> None:
     """Write into `rows`, of one fold, what the draws say of the contraction."""
     flat = posterior.draws.reshape(-1, len(posterior.names))
     for row in rows:
         if row["parameter"] in posterior.names:
             draws = flat[:, posterior.names.index(row["parameter"])]
             draws = np.log(draws) if in_logarithm(row["parameter"]) else draws
-            row["contraction_sampled"] = float(np.std(draws)) / row["prior_sd"]
-            row["agreement"] = unlike(row["agreement"], row["contraction"], row["contraction_sampled"])
+            row["sd_ratio_sampled"] = float(np.std(draws)) / row["prior_sd"]
+            row["agreement"] = unlike(row["agreement"], row["sd_ratio"], row["sd_ratio_sampled"])
 
 
-def _equal(one: Examined, verdict: Verdict | None) -> tuple[float, float] | None:
+def _equal_starts_range(one: Examined, verdict: Verdict | None) -> tuple[float, float] | None:
     """Return between which coordinates equally good starts ended, where there are several."""
     if verdict is None or verdict.equal_starts < 2 or one.name not in verdict.spread_low:
         return None
@@ -119,53 +119,53 @@ def _equal(one: Examined, verdict: Verdict | None) -> tuple[float, float] | None
     return (math.log(ends[0]), math.log(ends[1])) if in_logarithm(one.name) else ends
 
 
-def _row(one: Examined, judged: Judgement, prior_sd: float, sd: float) -> Row:
+def _parameter_row(one: Examined, judged: Judgement, prior_sd: float, sd: float) -> Row:
     profile, nothing = one.profile, math.nan
     return {
         "parameter": one.name,
         "status": "free" if one.fixed_at is None else "fixed",
-        "value": _value(one.name, profile.best) if one.fixed_at is None else one.fixed_at,
+        "value": _to_value(one.name, profile.best) if one.fixed_at is None else one.fixed_at,
         "prior_sd": prior_sd,
         "sd": sd,
         "sd_low": nothing,
         "sd_high": nothing,
         "fisher_sd": profile.sd,
-        "contraction": sd / prior_sd,
-        "contraction_sampled": nothing,
+        "sd_ratio": sd / prior_sd,
+        "sd_ratio_sampled": nothing,
         "interval_low": judged.interval[0],
         "interval_high": judged.interval[1],
         "end_low": profile.ends[0],
         "end_high": profile.ends[1],
         "rise": profile.rise,
         "minima": profile.minima,
-        "tip_moves_mm": nothing if one.tip_moves is None else one.tip_moves,
-        "says": judged.says,
+        "tip_range_mm": nothing if one.tip_moves is None else one.tip_moves,
+        "profile_verdict": judged.says,
         "agreement": judged.agreement,
     }
 
 
-def _points(parameters: Parameters, one: Examined) -> list[Row]:
+def _profile_rows(parameters: Parameters, one: Examined) -> list[Row]:
     """Return the computed points of one profile, with where all other parameters went."""
     profile = one.profile
     # a freed alpha is not among the fit's parameters: it stands under its own name, theirs keep theirs
-    names = parameters.free if one.fixed_at is None else _with(parameters, one.name)
+    names = parameters.free if one.fixed_at is None else _names_with(parameters, one.name)
     return [
         {
             "parameter": one.name,
-            "value": _value(one.name, float(profile.at[k])),
+            "value": _to_value(one.name, float(profile.at[k])),
             "deviance": float(profile.deviance[k]),
             "slope": float(profile.slope[k]),
             "fisher_deviance": float(profile.parabola(profile.at[k : k + 1])[0]),
             "threshold": THRESHOLD,
-            **{name: _value(name, float(at)) for name, at in zip(names, profile.thetas[k], strict=True)},
+            **{name: _to_value(name, float(at)) for name, at in zip(names, profile.thetas[k], strict=True)},
         }
         for k in range(len(profile.at))
     ]
 
 
-def _with(parameters: Parameters, name: str) -> tuple[str, ...]:
+def _names_with(parameters: Parameters, name: str) -> tuple[str, ...]:
     return tuple(n for n in parameters.names if n in parameters.bounds or n == name)
 
 
-def _value(name: str, coordinate: float) -> float:
+def _to_value(name: str, coordinate: float) -> float:
     return math.exp(coordinate) if in_logarithm(name) else coordinate

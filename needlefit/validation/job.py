@@ -1,4 +1,4 @@
-"""A study or fit with everything it names: its dataset, medium, recipe, hand-tuned rival and folds."""
+"""A study or fit with everything it names: its dataset, medium, recipe, hand-tuned method and folds."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,23 +14,21 @@ from needlefit.inference.predict import rules as mesh
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
 from needlefit.mechanics.plan import check_size, element_solves
-from needlefit.project.limits import MAX_EVALUATION_ELEMENT_SOLVES
 from needlefit.project.load import load
-from needlefit.project.places import Kind, find
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.prior import MaterialRecord
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.records.study import StudyRecord
+from needlefit.project.locate import FileKind, find_file
+from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
+from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.streams import stream
-from needlefit.project.toml_lines import at_key, in_file, place_of
+from needlefit.project.toml_lines import add_file_context, add_key_context, locate_key
 from needlefit.project.unit_warnings import medium_warnings
-from needlefit.project.watching import Note, Progress, Stop, never, silent, unheard
+from needlefit.schemas.limits import MAX_EVALUATION_ELEMENT_SOLVES
+from needlefit.schemas.medium import MaterialRecord, MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.validation import paper
-from needlefit.validation.folds import Fold, folds, shared_specimens
+from needlefit.validation.folds import Fold, make_folds, warn_shared_specimens
 
-_GUIDE = "guide_distance_mm"
+_GUIDE_PARAMETER = "guide_distance_mm"
 
 
 @dataclass(frozen=True)
@@ -64,14 +62,14 @@ class Settings:
     checkpoint: Path | None = None
     resume: bool = False
     sample: bool = False
-    progress: Progress = silent
-    stop: Stop = never
-    note: Note = unheard
+    progress: Progress = no_progress
+    stop: Stop = never_stop
+    note: Note = no_note
     file: Path | None = None
 
     def place(self, key: str) -> str:
         """Return how messages name a key of the study's file; "" where that is not known."""
-        return "" if self.file is None else place_of(self.file, key)
+        return "" if self.file is None else locate_key(self.file, key)
 
 
 @dataclass(frozen=True)
@@ -104,7 +102,7 @@ class Job:
 
     def recipe_of(self, search: str) -> RecipeRecord:
         """Return the recipe of one search: all minimise the same, but the one named after the metric."""
-        return by_metric(self.recipe) if search == "fitted_metric" else self.recipe
+        return metric_recipe(self.recipe) if search == "fitted_metric" else self.recipe
 
     @property
     def insertions(self) -> tuple[Insertion, ...]:
@@ -114,7 +112,9 @@ class Job:
 
     def floor(self, insertion: Insertion) -> NoiseFloor:
         """Return the noise floor of an insertion, the same whatever else is asked of it."""
-        return noise_floor(self.dataset, insertion, stream(self.recipe.seed, "noise floor", insertion.id))
+        return noise_floor(
+            self.dataset, insertion, random_stream(self.recipe.seed, "noise floor", insertion.id)
+        )
 
     def problem(self, fold: Fold, search: str = "fitted") -> Problem:
         """Return what one search of a fold minimises: everything free, or the bevel about the paper's set."""
@@ -134,7 +134,7 @@ class Job:
         return everything
 
 
-def by_metric(recipe: RecipeRecord) -> RecipeRecord:
+def metric_recipe(recipe: RecipeRecord) -> RecipeRecord:
     """Return the recipe that minimises the metric objective instead of the posterior."""
     return recipe.model_copy(update={"minimize": "metric", "algorithm": recipe.metric_algorithm})
 
@@ -151,28 +151,28 @@ def prepare(
     """
     dataset = read(find_named("dataset", record.dataset)) if dataset is None else dataset
     medium_file = find_named("medium", record.medium)
-    medium = _medium(record, medium_file)
+    medium = _load_medium(record, medium_file)
     recipe = load(find_named("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
     if recipe.minimize == "posterior" and not dataset.noise.stated:
-        recipe = by_metric(recipe)  # without noise a posterior has no width, and no peak
-    with in_file(medium_file):
+        recipe = metric_recipe(recipe)  # without noise a posterior has no width, and no peak
+    with add_file_context(medium_file):
         parameters = Parameters.from_record(medium)
-    with at_key("hand_tuned"):
+    with add_key_context("paper_parameters"):
         hand = (
             None
-            if record.hand_tuned is None
-            else hand_tuned_set(record.hand_tuned, parameters, record.medium)
+            if record.paper_parameters is None
+            else hand_tuned_set(record.paper_parameters, parameters, record.medium)
         )
     if recipe.likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)
         hand = None if hand is None else {**hand, NOISE_SCALE: 1.0}
-    divided = folds(record, dataset)
+    divided = make_folds(record, dataset)
     warnings = [*dataset.warnings, *medium_warnings(medium, medium_file)]
     if isinstance(record, StudyRecord) and not record.same_specimen:
         key = "validate" if record.leave_out is None else "leave_out"
-        warnings += shared_specimens(name, divided, settings.place(key))
+        warnings += warn_shared_specimens(name, divided, settings.place(key))
     job = Job(name, record, dataset, medium, parameters, recipe, hand, divided, tuple(warnings))
     _check_layers(job)
     _check_reach(job)
@@ -180,25 +180,25 @@ def prepare(
     return job
 
 
-def find_named(key: Kind, name: str) -> Path:
+def find_named(key: FileKind, name: str) -> Path:
     """Return the file that a study names under `key`, which is also what kind of file it is."""
-    with at_key(key):
-        return find(key, name)
+    with add_key_context(key):
+        return find_file(key, name)
 
 
-def _medium(record: FitRecord | StudyRecord, file: Path) -> MediumRecord:
+def _load_medium(record: FitRecord | StudyRecord, file: Path) -> MediumRecord:
     """Return the medium, its layers with the priors that the fit names."""
     medium = load(file, MediumRecord)
     for layer, path in record.priors.items():
         material = load(Path(path), MaterialRecord)
-        with at_key(f"priors.{layer}"):
+        with add_key_context(f"priors.{layer}"):
             medium = with_material(medium, layer, material)
     return medium
 
 
 def _in_medium(job: Job, key: str) -> str:
     """Return how messages name a key of the medium's file."""
-    return place_of(find("medium", job.record.medium), key)
+    return locate_key(find_file("medium", job.record.medium), key)
 
 
 def _check_layers(job: Job) -> None:
@@ -209,16 +209,16 @@ def _check_layers(job: Job) -> None:
             raise ConfigError(
                 f"medium {job.record.medium} has {count}, insertion {insertion.id} meets "
                 f"layer {max(insertion.sequence)}",
-                mend="name the medium that the needle went into, or select other insertions",
+                fix="name the medium that the needle went into, or select other insertions",
                 key="medium",
             )
 
 
 def farthest_guide(parameters: Parameters, insertion: Insertion) -> float:
     """Return how far before the tissue, mm, a guide can hold the needle; 0 without one."""
-    if _GUIDE in parameters.bounds:
-        return parameters.bounds[_GUIDE][1]
-    return parameters.fixed.get(_GUIDE, insertion.guide_distance or 0.0)
+    if _GUIDE_PARAMETER in parameters.bounds:
+        return parameters.bounds[_GUIDE_PARAMETER][1]
+    return parameters.fixed.get(_GUIDE_PARAMETER, insertion.guide_distance or 0.0)
 
 
 def _check_reach(job: Job) -> None:
@@ -229,9 +229,9 @@ def _check_reach(job: Job) -> None:
             raise ConfigError(
                 f"insertion {insertion.id} is {insertion.depth:g} mm deep; with a guide {guide:g} mm before "
                 f"the tissue the needle of {job.dataset.needle.length:g} mm is too short",
-                where=_in_medium(job, f"parameters.{_GUIDE}"),
+                where=_in_medium(job, f"parameters.{_GUIDE_PARAMETER}"),
                 expected=f"below {job.dataset.needle.length - insertion.depth:g} mm",
-                mend="lessen the guide's distance or its upper bound",
+                fix="lessen the guide's distance or its upper bound",
             )
 
 
@@ -246,7 +246,7 @@ def _check_size(job: Job) -> None:
                 f"insertion {insertion.id}: {error.what}",
                 where=_in_medium(job, "constraint_spacing_mm"),
                 expected=error.expected,
-                mend=error.mend,
+                fix=error.fix,
             ) from None
         conditions = 1 + 2 * len(insertion.sequence) if job.recipe.likelihood.depths != "fixed" else 1
         total += conditions * element_solves((insertion.depth,), rules.spacing, rules.element)
@@ -255,17 +255,17 @@ def _check_size(job: Job) -> None:
             f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",
             where=_in_medium(job, "constraint_spacing_mm"),
             expected=f"at most {MAX_EVALUATION_ELEMENT_SOLVES:.3g}",
-            mend="select fewer insertions, or take a larger constraint spacing",
+            fix="select fewer insertions, or take a larger constraint spacing",
         )
 
 
 def hand_tuned_set(name: str, parameters: Parameters, medium: str) -> dict[str, float]:
     """Return the paper's set, completed by what the medium fixes; ConfigError where it is of other layers."""
-    published = {**parameters.fixed, **paper.hand_tuned(name)}
+    published = {**parameters.fixed, **paper.read_hand_tuned(name)}
     missing = [p for p in parameters.names if p not in published]
     if missing:
         raise ConfigError(
             f"the paper's set `{name}` has no {', '.join(missing)}, which medium `{medium}` needs",
-            mend="name a set of the same layers, or leave hand_tuned out",
+            fix="name a set of the same layers, or leave hand_tuned out",
         )
     return {p: published[p] for p in parameters.names}

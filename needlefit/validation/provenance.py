@@ -7,21 +7,21 @@ from importlib.metadata import version
 from typing import Any
 
 from needlefit.inference.predict import rules as mesh
-from needlefit.project.records.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord
 from needlefit.validation.job import Job
-from needlefit.validation.summary import reasons
-from needlefit.validation.tabulate import Tables
-from needlefit.validation.validity import KEY
+from needlefit.validation.result_rows import ResultRows
+from needlefit.validation.summary import count_reasons
+from needlefit.validation.validity import VALIDITY_KEY
 
 PACKAGES = ("numpy", "scipy", "numba", "nlopt", "emcee", "pandas", "trimesh")
 """Whose versions decide the result of a study."""
 
 
-def work(job: Job) -> dict[str, Any]:
+def describe_configuration(job: Job) -> dict[str, Any]:
     """Return all that decides the result of a job, as JSON values."""
     return {
         "name": job.name,
-        "versions": versions(PACKAGES),
+        "versions": package_versions(PACKAGES),
         "dataset": {
             "name": job.dataset.name,
             "origin": job.dataset.origin,
@@ -37,17 +37,17 @@ def work(job: Job) -> dict[str, Any]:
             {"name": f.name, "tune": [i.id for i in f.tune], "validate": [i.id for i in f.validate]}
             for f in job.folds
         ],
-        "rules": rules(job.medium),
+        "rules": describe_model_options(job.medium),
     }
 
 
-def versions(packages: Sequence[str]) -> dict[str, str]:
+def package_versions(packages: Sequence[str]) -> dict[str, str]:
     """Return the versions of Python, of needlefit and of these packages."""
     each = {package: version(package) for package in ("needlefit", *packages)}
     return {"python": platform.python_version(), **each}
 
 
-def rules(medium: MediumRecord) -> dict[str, Any]:
+def describe_model_options(medium: MediumRecord) -> dict[str, Any]:
     """Return the model rules that the fitted numbers depend on; fits under other rules are not comparable."""
     return {
         "constraint_spacing_mm": medium.constraint_spacing_mm,
@@ -55,8 +55,8 @@ def rules(medium: MediumRecord) -> dict[str, Any]:
         "law": medium.law,
         "friction": 0.0,
         "element_mm": mesh(medium).element,
-        "tie": _tie(medium.constraint_switch),
-        "advance": _advance(medium.tangent_part),
+        "tie": _describe_tie(medium.constraint_switch),
+        "advance": _describe_advance(medium.tangent_part),
         "first_cell": "the depth's remainder over the spacing, or a whole cell"
         if medium.first_cell_mm is None
         else f"{medium.first_cell_mm:g} mm, whatever the depth",
@@ -65,7 +65,7 @@ def rules(medium: MediumRecord) -> dict[str, Any]:
     }
 
 
-def _tie(switch: float) -> str:
+def _describe_tie(switch: float) -> str:
     if switch in (0, 1):
         return f"every cell has the constraint point {'behind' if switch else 'ahead'}"
     which = "nearest constraint at each quadrature point"
@@ -74,13 +74,13 @@ def _tie(switch: float) -> str:
     return f"{which}, quadrature split where it changes"
 
 
-def _advance(tangent: float) -> str:
+def _describe_advance(tangent: float) -> str:
     if tangent in (0, 1):
         return "along the tangent" if tangent else "a shift in x"
     return f"along {tangent:g} of the tip's slope"
 
 
-def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:
+def summarize_searches(tables: ResultRows, interrupted: bool) -> dict[str, Any]:
     """Return what the searches came to, by fold, then by fit, and what failed in them and in the sampler."""
     every = [search for fold in tables.searches.values() for search in fold.values()]
     sampled = {
@@ -97,8 +97,8 @@ def outcome(tables: Tables, interrupted: bool) -> dict[str, Any]:
         "failed_solves": sum(search["failed_solves"] for search in every),
         **(sampled if tables.posteriors else {}),
         "search_faults": tables.search_faults,
-        KEY: tables.counts.table(),
-        "recorded_failures": reasons(tables.frame("failures")),
+        VALIDITY_KEY: tables.counts.table(),
+        "recorded_failures": count_reasons(tables.frame("failures")),
         "interrupted": interrupted,
         "budget_limited": False,  # every budget is counted in evaluations, none in time
     }

@@ -1,4 +1,4 @@
-"""The answer of a study or a fit: tidy frames, and what a reader needs to know about where they come from."""
+"""The result of a study or a fit: tidy frames, and what a reader needs to know about where they come from."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -8,18 +8,17 @@ from typing import Any, Literal
 import pandas as pd
 
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.study import StudyRecord
-from needlefit.validation.heldout import BANDS, PREDICTIVE
-from needlefit.validation.identification import IDENTIFICATION, PROFILES
-from needlefit.validation.placed import PlacedNeedle
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.validation.held_out_predictions import BAND_COLUMNS, PREDICTIVE_COLUMNS
+from needlefit.validation.identification import IDENTIFICATION_COLUMNS, PROFILE_COLUMNS
+from needlefit.validation.needles_in_scan import NeedleInScan
 
 METRICS = ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent")
-FLOORS = ("floor_median_err_mm", "floor_ipe_mean_mm", "floor_ipe_max_mm", "floor_te_mm")
+FLOOR_COLUMNS = ("floor_median_err_mm", "floor_ipe_mean_mm", "floor_ipe_max_mm", "floor_te_mm")
 BASELINES = ("straight", "constant_curvature", "linear_curvature")
-RIVALS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b", *BASELINES)
-DRAWS = ("fold", "from", "pareto_k", "certified")
-SCORED = ("fold", "role", "insertion", "rival", "boundaries")
+METHODS = ("fitted", "fitted_metric", "hand_tuned", "hand_tuned_b", *BASELINES)
+DRAW_COLUMNS = ("fold", "draw_source", "pareto_k", "certified")
+SCORE_KEYS = ("fold", "role", "insertion", "method", "boundaries")
 
 COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
@@ -29,28 +28,28 @@ COLUMNS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         ),
         "errors": (
             *("fold", "role", "insertion", "medium", "specimen", "layers", "layers_other", "depth_mm"),
-            *("rival", "boundaries", "comparison"),
+            *("method", "boundaries", "comparison"),
             *METRICS,
             *("deflection_mm", "predicted_deflection_mm"),
-            *FLOORS,
+            *FLOOR_COLUMNS,
             *("edp_flagged", "converged"),
         ),
-        "shapes": (*SCORED, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
+        "shapes": (*SCORE_KEYS, "j", "measured_x_mm", "measured_y_mm", "simulated_x_mm", "simulated_y_mm"),
         "starts": (
-            *("fold", "fit", "start", "minimized", "objective", "excess", "as_good"),
+            *("fold", "fit", "start", "minimized", "objective", "excess", "within_tolerance"),
             *("evaluations", "gradients", "failed_solves", "stopped", "joined"),
         ),
         "failures": ("fold", "fit", "start", "insertion", "reason"),
         "parameters": (
-            *("fold", "rival", "parameter", "value", "status", "bound_low", "bound_high"),
+            *("fold", "method", "parameter", "value", "status", "bound_low", "bound_high"),
             *("sd", "spread_low", "spread_high", "determined", "note"),
         ),
         "directions": ("fold", "sd", "words"),
-        "identification": IDENTIFICATION,
-        "profiles": PROFILES,
-        "predictive": PREDICTIVE,
-        "bands": BANDS,
-        "draws": DRAWS,
+        "identification": IDENTIFICATION_COLUMNS,
+        "profiles": PROFILE_COLUMNS,
+        "predictive": PREDICTIVE_COLUMNS,
+        "bands": BAND_COLUMNS,
+        "draws": DRAW_COLUMNS,
     }
 )
 
@@ -74,7 +73,7 @@ class Results:
         "validate"), medium and layers; `insertions_other` is how many of the same insertions count so by the
         other reading of needles that end at a boundary.
     errors : DataFrame
-        One row per fold, role, insertion, rival and boundaries ("measured", as the paper does;
+        One row per fold, role, insertion, method and boundaries ("measured", as the paper does;
         "planned"). `layers` is by the study's reading, `layers_other` by the other. `comparison` is "world",
         or "aligned" for shapes known only up to a rigid motion;
         `edp_flagged` marks a deflection under the noise floor.
@@ -83,15 +82,15 @@ class Results:
     starts : DataFrame
         Every start of every search, then one column per parameter. `objective` is what was `minimized`: the
         negative log "posterior", or mm of the "metric"; `excess` is how far it is above the best of its
-        search, in units of what still counts as practically as good (0.1; 1 % or 0.002 mm), `as_good` whether
-        that is at most 1; `gradients` are the evaluations with derivatives among all;
-        `joined` is the start that it met on its approach and went on with, empty if none.
+        search, in units of what still counts as practically as good (0.1; 1 % or 0.002 mm),
+        `within_tolerance` whether that is at most 1; `gradients` are the evaluations with derivatives among
+        all; `joined` is the start that it met on its approach and went on with, empty if none.
     failures : DataFrame
         The first evaluations that failed, of every start and of every ensemble of the sampler (`fit` is
         then "posterior"): the insertion without a solution, why it has none, then one column per
         parameter. Simulated again with these values it fails again; `starts` counts all.
     parameters : DataFrame
-        Values per fold and rival; `sd` is of ln for moduli and lengths, of the value for alpha;
+        Values per fold and method; `sd` is of ln for moduli and lengths, of the value for alpha;
         `spread_low`, `spread_high` is the range among starts practically as good as the best.
     directions : DataFrame
         Combinations of parameters in words, with the standard deviation to which each is known.
@@ -100,10 +99,10 @@ class Results:
         its ends `end_low`, `end_high` came about, how far the deviance rises at most) and the posterior's
         contraction against the prior say, and whether they agree; alphas that were fixed are freed for it.
     predictive : DataFrame
-        The distribution foretold of every insertion held out (`validation/heldout.py`), and how what was
-        measured fell in it.
+        The distribution predicted of every insertion held out (`validation/held_out_predictions.py`), and how
+        what was measured fell in it.
     bands : DataFrame
-        Where each insertion held out was foretold to be measured, point by point.
+        Where each insertion held out was predicted to be measured, point by point.
     draws : DataFrame
         Of what each fold knows of the parameters: some draws of its sampled posterior, or of the one weighed
         about the modes of its fit, then with Pareto's k of the weights; then one column per parameter.
@@ -144,12 +143,14 @@ class Results:
     timing: dict[str, Any]
     interrupted: bool
     posteriors: Mapping[str, Posterior] = field(default_factory=dict)
-    needles: Mapping[str, PlacedNeedle] = field(default_factory=dict)
-    identification: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(IDENTIFICATION)))
-    profiles: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PROFILES)))
-    bands: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(BANDS)))
-    draws: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(DRAWS)))
-    predictive: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PREDICTIVE)))
+    needles: Mapping[str, NeedleInScan] = field(default_factory=dict)
+    identification: pd.DataFrame = field(
+        default_factory=lambda: pd.DataFrame(columns=list(IDENTIFICATION_COLUMNS))
+    )
+    profiles: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PROFILE_COLUMNS)))
+    bands: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(BAND_COLUMNS)))
+    draws: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(DRAW_COLUMNS)))
+    predictive: pd.DataFrame = field(default_factory=lambda: pd.DataFrame(columns=list(PREDICTIVE_COLUMNS)))
 
     def __post_init__(self) -> None:
         for frame, columns in COLUMNS.items():

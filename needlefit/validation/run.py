@@ -1,4 +1,4 @@
-"""The verb: tune on these insertions, score on those, each fold beside its rivals."""
+"""Carry out a study or a fit: tune on these insertions, score on those, each fold by every method."""
 
 import math
 import time
@@ -12,27 +12,26 @@ from needlefit.inference.identifiability.identify import practically_equal
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Fit, Start, Watch
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.study import StudyRecord
-from needlefit.project.streams import stream
+from needlefit.project.random_streams import random_stream
 from needlefit.project.threads import one_thread
+from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.validation import provenance
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
-from needlefit.validation.division import division
-from needlefit.validation.fit_warnings import with_warnings
+from needlefit.validation.fit_warnings import add_warnings
 from needlefit.validation.folds import Fold
-from needlefit.validation.heldout import drawn, foreseen
+from needlefit.validation.held_out_predictions import draw_fold_parameters, predict_held_out
 from needlefit.validation.job import Job, Settings, prepare
-from needlefit.validation.placed import Known, PlacedNeedle, place
+from needlefit.validation.needles_in_scan import FoldFit, NeedleInScan, place_needles
+from needlefit.validation.result_rows import (
+    ResultRows,
+    tabulate_draws,
+    tabulate_fold,
+    tabulate_posterior,
+    tabulate_predictions,
+)
 from needlefit.validation.results import COLUMNS, Results
 from needlefit.validation.score import Scorer
-from needlefit.validation.tabulate import (
-    Tables,
-    tabulate,
-    tabulate_draws,
-    tabulate_foreseen,
-    tabulate_posterior,
-)
+from needlefit.validation.summary import tabulate_design
 
 __all__ = ["Settings", "run"]
 
@@ -53,27 +52,27 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
     """
     begin = time.time()
     job = prepare(name, record, settings)
-    work = provenance.work(job)
+    work = provenance.describe_configuration(job)
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, work, settings.note)
     floors = {insertion.id: job.floor(insertion) for insertion in job.insertions}
-    tables, interrupted = Tables(job.parameters.names), False
-    scorer = Scorer(job.dataset, job.record.reading, floors, tables.counts)
-    needles: dict[str, PlacedNeedle] = {}
+    tables, interrupted = ResultRows(job.parameters.names), False
+    scorer = Scorer(job.dataset, job.record.layer_count_rule, floors, tables.counts)
+    needles: dict[str, NeedleInScan] = {}
     for number, fold in enumerate(job.folds):
-        fits = _search(job, fold, number, settings, checkpoint)
+        fits = _run_searches(job, fold, number, settings, checkpoint)
         interrupted = any(fit.interrupted for fit in fits.values()) or len(fits) < len(job.searches)
         examination = None if interrupted else _examine(job, fold, fits, settings)
         interrupted = interrupted or settings.stop()
-        tabulate(job, fold, fits, scorer, tables, examination)
+        tabulate_fold(job, fold, fits, scorer, tables, examination)
         if settings.sample and not interrupted:
             interrupted = _sample(job, fold, fits["fitted"], settings, checkpoint, tables)
         if fold.name in tables.verdicts:
-            known = Known(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
-            needles |= place(job, fold, known, settings.jobs)
+            known = FoldFit(fits["fitted"], tables.verdicts[fold.name], tables.posteriors.get(fold.name))
+            needles |= place_needles(job, fold, known, settings.jobs)
             if fold.validate or not interrupted:
-                few, many = drawn(job, fold, known, settings.jobs)
+                few, many = draw_fold_parameters(job, fold, known, settings.jobs)
                 tabulate_draws(job, fold, many, tables)
-                tabulate_foreseen(foreseen(job, fold, few), tables)
+                tabulate_predictions(predict_held_out(job, fold, few), tables)
         if interrupted:
             break
     found = Results(
@@ -83,18 +82,20 @@ def run(name: str, record: FitRecord | StudyRecord, settings: Settings) -> Resul
         record=record,
         origin=job.dataset.origin,
         dataset_title=job.dataset.title or job.dataset.name,
-        design=division(job),
+        design=tabulate_design(job),
         **{frame: tables.frame(frame) for frame in COLUMNS if frame != "design"},
         posteriors=tables.posteriors,
         needles=needles,
-        run={**work, **provenance.outcome(tables, interrupted)},
+        run={**work, **provenance.summarize_searches(tables, interrupted)},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(job.dataset.path)},
         interrupted=interrupted,
     )
-    return with_warnings(found, job)
+    return add_warnings(found, job)
 
 
-def _search(job: Job, fold: Fold, number: int, settings: Settings, checkpoint: Checkpoint) -> dict[str, Fit]:
+def _run_searches(
+    job: Job, fold: Fold, number: int, settings: Settings, checkpoint: Checkpoint
+) -> dict[str, Fit]:
     """Return the fit of everything free, by the metric too if asked, and of b alone about the paper's."""
     fits = {}
     total = len(job.folds) * len(job.searches) * job.recipe.starts
@@ -105,15 +106,15 @@ def _search(job: Job, fold: Fold, number: int, settings: Settings, checkpoint: C
         label = f"{job.name}: {search.replace('_', ' ')}" + (f" {fold.name}" if len(job.folds) > 1 else "")
         key = f"{fold.name}/{search}"
         kept = checkpoint.finished(key)
-        counter = _Counter(settings, label, done + len(kept), total, key, checkpoint)
+        counter = _StartCounter(settings, label, done + len(kept), total, key, checkpoint)
         watch = Watch(kept, counter.report, settings.stop, counter.approach, settings.jobs)
-        rng = stream(job.recipe.seed, job.name, fold.name, search, "starts")
+        rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
         fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, watch)
     return fits
 
 
 @dataclass
-class _Counter:
+class _StartCounter:
     """Keeps each finished start and says how far the run is."""
 
     settings: Settings
@@ -141,14 +142,14 @@ def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> 
 
 
 def _sample(
-    job: Job, fold: Fold, fit: Fit, settings: Settings, checkpoint: Checkpoint, tables: Tables
+    job: Job, fold: Fold, fit: Fit, settings: Settings, checkpoint: Checkpoint, tables: ResultRows
 ) -> bool:
     """Sample the posterior of one fold; return whether it was interrupted."""
 
     def step(done: int, total: int) -> None:
         settings.progress(f"{job.name}: posterior", done, total)
 
-    rng = stream(job.recipe.seed, job.name, fold.name, "posterior")
+    rng = random_stream(job.recipe.seed, job.name, fold.name, "posterior")
     watch = Watch(stop=settings.stop, step=step, jobs=settings.jobs)
     others = [start.theta for start in practically_equal(fit) if start.theta != fit.theta]
     ends = np.array([fit.theta, *others])

@@ -1,4 +1,4 @@
-"""Scoring: every rival's curve against every measured one, as rows of the frames of `Results`."""
+"""Scoring: every method's curve against every measured one, as rows of the frames of `Results`."""
 
 import math
 from collections.abc import Callable, Mapping
@@ -15,20 +15,20 @@ from needlefit.geometry.compare import compare
 from needlefit.inference.comparison import Curve, SimulatedCurve, curve_of, scored_points
 from needlefit.inference.predict import predict
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.project.records.fit import Reading
-from needlefit.project.records.medium import MediumRecord
-from needlefit.validation.planned import planned_layers
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.study import LayerCountRule
+from needlefit.validation.planned_insertions import planned_layers
 from needlefit.validation.validity import ValidityCounts
 
 Floats = NDArray[np.float64]
 Row = dict[str, Any]
 
-Rival = Callable[[Insertion], Mapping[str, Curve | None]]
+Predictor = Callable[[Insertion], Mapping[str, Curve | None]]
 """An insertion -> a curve by kind of boundaries ("measured", "planned"); None where the solve failed."""
 
 
-def model_rival(values: Mapping[str, float], medium: MediumRecord, dataset: Dataset) -> Rival:
-    """Return the rival that simulates with given parameter values.
+def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: Dataset) -> Predictor:
+    """Return the method that simulates with given parameter values.
 
     Where the layers are surfaces it is scored twice: with the measured crossings, as the paper does,
     though they leak a held-out needle's outcome, and with the crossings of the planned needle.
@@ -50,14 +50,14 @@ def model_rival(values: Mapping[str, float], medium: MediumRecord, dataset: Data
     return curves
 
 
-def curve_rival(curve: Callable[[Insertion], Curve]) -> Rival:
-    """Return the rival that knows no layers: an empirical curve."""
+def curve_predictor(curve: Callable[[Insertion], Curve]) -> Predictor:
+    """Return the method that knows no layers: an empirical curve."""
     return lambda insertion: {"measured": curve(insertion)}
 
 
 @dataclass(frozen=True)
 class Scorer:
-    """What a score needs to know besides rival and insertion.
+    """What a score needs to know besides method and insertion.
 
     Attributes
     ----------
@@ -71,25 +71,25 @@ class Scorer:
     """
 
     dataset: Dataset
-    reading: Reading
+    layer_count_rule: LayerCountRule
     floors: Mapping[str, NoiseFloor]
     counts: ValidityCounts = field(default_factory=ValidityCounts)
 
-    def score(self, place: Row, insertion: Insertion, rival: Rival) -> tuple[list[Row], list[Row]]:
-        """Return the rows of `errors` and of `shapes`; `place` holds fold, role and rival."""
+    def score(self, place: Row, insertion: Insertion, method: Predictor) -> tuple[list[Row], list[Row]]:
+        """Return the rows of `errors` and of `shapes`; `place` holds fold, role and method."""
         errors, shapes = [], []
-        for boundaries, curve in rival(insertion).items():
+        for boundaries, curve in method(insertion).items():
             where = {**place, "insertion": insertion.id, "boundaries": boundaries}
             row = {**where, **self._about(insertion)}
             if curve is None:
-                errors.append({**row, **_FAILED})
+                errors.append({**row, **_FAILED_ERRORS})
                 continue
             if isinstance(curve, SimulatedCurve):
                 self.counts.score(where, curve.shape.validity)
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
             simulated, measured = scored_points(pose, drop, insertion, curve)
             errors.append({**row, **self._errors(insertion, simulated, measured)})
-            shapes += _points(where, simulated, measured)
+            shapes += _shape_rows(where, simulated, measured)
         return errors, shapes
 
     def _about(self, insertion: Insertion) -> Row:
@@ -97,8 +97,8 @@ class Scorer:
         return {
             "medium": insertion.medium,
             "specimen": insertion.specimen,
-            "layers": layers_of(insertion, self.reading),
-            "layers_other": layers_of(insertion, other_reading(self.reading)),
+            "layers": layers_of(insertion, self.layer_count_rule),
+            "layers_other": layers_of(insertion, other_reading(self.layer_count_rule)),
             "depth_mm": insertion.depth,
             "comparison": "world" if self.dataset.pose == "known" else "aligned",
             **floor,
@@ -122,7 +122,7 @@ class Scorer:
         }
 
 
-_FAILED = {
+_FAILED_ERRORS = {
     **dict.fromkeys(
         ("median_err_mm", "ipe_mean_mm", "ipe_std_mm", "ipe_max_mm", "te_mm", "edp_percent"), math.inf
     ),
@@ -133,7 +133,7 @@ _FAILED = {
 }
 
 
-def _points(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
+def _shape_rows(where: Row, simulated: Floats, measured: Floats) -> list[Row]:
     return [
         {
             **where,

@@ -12,38 +12,37 @@ from typing import Any
 import numpy as np
 
 from needlefit.inference.sampling.posterior import Posterior, load
-from needlefit.project.plain import plain
-from needlefit.project.reading import stored_values
-from needlefit.project.records.fit import FitRecord
-from needlefit.project.records.stored import ResultsTable
-from needlefit.project.records.study import StudyRecord
-from needlefit.project.run_file import read_timing, require_form
-from needlefit.validation.packing import NAME, pack, packed, unpack, unpacked
-from needlefit.validation.placed import Band, PlacedNeedle
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.json_values import to_json_values
+from needlefit.project.run_file import read_timing, require_schema
+from needlefit.schemas.result_files import ResultsTable
+from needlefit.schemas.study import FitRecord, StudyRecord
+from needlefit.validation.needles_in_scan import Band, NeedleInScan
+from needlefit.validation.packing import RESULTS_FILE, pack, pack_frame, unpack, unpack_frame
 from needlefit.validation.results import COLUMNS, Results
 
 _PLAIN = ("name", "title", "question", "origin", "dataset_title", "interrupted", "run")
 
 
-def posterior_names(count: int) -> tuple[str, ...]:
+def posterior_file_names(count: int) -> tuple[str, ...]:
     """Return the files that hold the posteriors of a run, in the order of its folds."""
     return ("posterior.nc",) if count == 1 else tuple(f"posterior_{k + 1}.nc" for k in range(count))
 
 
-def store(results: Results, folder: Path) -> Path:
+def store_results(results: Results, folder: Path) -> Path:
     """Write all of `results` but its posteriors and times to `folder`; equal results give equal bytes."""
     table = {
         "kind": "study" if isinstance(results.record, StudyRecord) else "fit",
         "record": results.record.model_dump(mode="json", by_alias=True),
-        **{key: plain(getattr(results, key)) for key in _PLAIN},
-        "frames": {key: packed(getattr(results, key)) for key in COLUMNS},
+        **{key: to_json_values(getattr(results, key)) for key in _PLAIN},
+        "frames": {key: pack_frame(getattr(results, key)) for key in COLUMNS},
         "needles": [asdict(needle) for needle in results.needles.values()],
         "posteriors": list(results.posteriors),
     }
     return pack(table, folder)
 
 
-def restore(folder: Path) -> Results:
+def restore_results(folder: Path) -> Results:
     """Return the results that a run left in `folder`.
 
     Raises
@@ -52,36 +51,36 @@ def restore(folder: Path) -> Results:
         If it holds none, or what it holds is damaged or of another version.
     """
     table = unpack(folder)
-    require_form(table, ResultsTable, str(folder / NAME))
-    with stored_values(folder / NAME):
-        return _restored(table, folder)
+    require_schema(table, ResultsTable, str(folder / RESULTS_FILE))
+    with convert_stored_errors(folder / RESULTS_FILE):
+        return _restore_results(table, folder)
 
 
-def _restored(table: Mapping[str, Any], folder: Path) -> Results:
+def _restore_results(table: Mapping[str, Any], folder: Path) -> Results:
     about: dict[str, Any] = {key: table[key] for key in _PLAIN}
-    frames: dict[str, Any] = {key: unpacked(table["frames"][key]) for key in COLUMNS}
+    frames: dict[str, Any] = {key: unpack_frame(table["frames"][key]) for key in COLUMNS}
     kind = StudyRecord if table["kind"] == "study" else FitRecord
     return Results(
         record=kind.model_validate(table["record"]),
         timing=read_timing(folder),
-        posteriors=_posteriors(table["posteriors"], folder),
-        needles={row["insertion"]: _needle(row) for row in table["needles"]},
+        posteriors=_load_posteriors(table["posteriors"], folder),
+        needles={row["insertion"]: _restore_needle(row) for row in table["needles"]},
         **about,
         **frames,
     )
 
 
-def _posteriors(folds: list[str], folder: Path) -> dict[str, Posterior]:
-    files = posterior_names(len(folds))
+def _load_posteriors(folds: list[str], folder: Path) -> dict[str, Posterior]:
+    files = posterior_file_names(len(folds))
     return {fold: load(folder / file) for fold, file in zip(folds, files, strict=True)}
 
 
-def _needle(row: Mapping[str, Any]) -> PlacedNeedle:
+def _restore_needle(row: Mapping[str, Any]) -> NeedleInScan:
     arrays = {key: None if row[key] is None else np.array(row[key]) for key in _ARRAYS}
     band = row["band"]
     if band is not None:
         band = Band(**{**band, **{key: np.array(band[key]) for key in ("low", "middle", "high")}})
-    return PlacedNeedle(**{**row, **arrays, "band": band})
+    return NeedleInScan(**{**row, **arrays, "band": band})
 
 
 _ARRAYS = ("measured", "toward", "fitted")

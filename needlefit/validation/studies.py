@@ -5,13 +5,12 @@ from pathlib import Path
 
 from needlefit.datasets.sources import dataset_file, lacking
 from needlefit.project.load import load, read_toml
-from needlefit.project.places import find
-from needlefit.project.records.inquiry import InquiryRecord
-from needlefit.project.records.study import StudyRecord
-from needlefit.project.records.track_study import TrackStudyRecord
-from needlefit.validation.inquiries.kinds import inquiry
+from needlefit.project.locate import find_file
+from needlefit.schemas.analyses import AnalysisRecord
+from needlefit.schemas.study import StudyRecord, TrackStudyRecord
+from needlefit.validation.analyses.kinds import load_analysis
 
-AnyStudy = StudyRecord | TrackStudyRecord | InquiryRecord
+AnyStudy = StudyRecord | TrackStudyRecord | AnalysisRecord
 
 
 def load_study(path: Path) -> AnyStudy:
@@ -22,15 +21,15 @@ def load_study(path: Path) -> AnyStudy:
     ConfigError
         If it does not hold what a study of its kind wants.
     """
-    if "observes" in read_toml(path):
+    if "observable" in read_toml(path):
         return load(path, TrackStudyRecord)
-    return inquiry(path) or load(path, StudyRecord)
+    return load_analysis(path) or load(path, StudyRecord)
 
 
-def lacking_data(path: Path) -> list[str]:
+def find_missing_data(path: Path) -> list[str]:
     """Return the datasets that a study file names and whose data lie elsewhere, and are not there."""
     named = dict.fromkeys(_datasets(read_toml(path)))
-    return [name for name in named if lacking(dataset_file(find("dataset", name)))]
+    return [name for name in named if lacking(dataset_file(find_file("dataset", name)))]
 
 
 def _datasets(table: object) -> Iterator[str]:

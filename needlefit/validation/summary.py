@@ -1,29 +1,34 @@
 """Errors of single insertions, aggregated over insertions in the two ways that differ."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 
 from needlefit.datasets.independent import groups
-from needlefit.validation.results import FLOORS, METRICS, RIVALS, SCORED, Results
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.select import layers_of, other_reading
+from needlefit.schemas.study import LayerCountRule
+from needlefit.validation.job import Job
+from needlefit.validation.results import COLUMNS, FLOOR_COLUMNS, METHODS, METRICS, SCORE_KEYS, Results
+from needlefit.validation.score import Row
 
-How = Literal["macro", "pooled"]
-_PAIRED = (
-    *("rival", "boundaries", "insertions", "ipe_mean_mm", "te_mm"),
+Averaging = Literal["macro", "pooled"]
+PAIRED_COLUMNS = (
+    *("method", "boundaries", "insertions", "ipe_mean_mm", "te_mm"),
     *("difference_mm", "difference_se_mm", "better"),
 )
 
 
-def reasons(failures: pd.DataFrame) -> dict[str, int]:
+def count_reasons(failures: pd.DataFrame) -> dict[str, int]:
     """Return how many rows of `Results.failures` have which reason, most first; of an error its kind."""
     kinds = (str(reason).partition(":")[0] for reason in failures["reason"])
     return dict(Counter(kinds).most_common())
 
 
-def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.DataFrame:
+def aggregate(results: Results, by: Sequence[str], how: Averaging = "macro") -> pd.DataFrame:
     """Return one row per group of `results.errors`, groups in the order of their first insertion.
 
     `macro` takes the mean over insertions of each insertion's own value, as the paper's tables do
@@ -39,7 +44,7 @@ def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.Dat
     results : Results
         What to aggregate.
     by : sequence of str
-        Columns of `results.errors`; name `rival` and `boundaries` unless one of each is present.
+        Columns of `results.errors`; name `method` and `boundaries` unless one of each is present.
     how : str
         "macro" or "pooled".
 
@@ -49,21 +54,29 @@ def aggregate(results: Results, by: Sequence[str], how: How = "macro") -> pd.Dat
         The columns `by`, the metrics and floors (mm, percent), `insertions`, `edp_flagged`,
         `edp_unflagged_percent` and `not_converged` (counts of insertions).
     """
-    errors = results.errors.assign(**{m: _finite(results.errors[m]) for m in (*METRICS, *FLOORS)})
-    clouds = _clouds(results, errors, by) if how == "pooled" else {}
+    errors = results.errors.assign(**{m: _finite(results.errors[m]) for m in (*METRICS, *FLOOR_COLUMNS)})
+    clouds = _point_errors(results, errors, by) if how == "pooled" else {}
     rows = []
     for key, group in errors.groupby(list(by), sort=False):
         row: dict[str, Any] = dict(zip(by, key, strict=True))
-        row |= {name: group[name].mean() for name in (*METRICS, *FLOORS)}
+        row |= {name: group[name].mean() for name in (*METRICS, *FLOOR_COLUMNS)}
         if how == "pooled":
             row |= _pooled(group, clouds.get(key, pd.Series(dtype=float)))
         rows.append(row | _counts(group))
-    columns = [*by, *METRICS, *FLOORS, "insertions", "edp_flagged", "edp_unflagged_percent", "not_converged"]
+    columns = [
+        *by,
+        *METRICS,
+        *FLOOR_COLUMNS,
+        "insertions",
+        "edp_flagged",
+        "edp_unflagged_percent",
+        "not_converged",
+    ]
     return pd.DataFrame(rows, columns=columns)
 
 
-def paired(results: Results, against: str = "fitted", role: str = "validate") -> pd.DataFrame:
-    """Return how every rival compares with `against` on the same insertions, folds and points.
+def compare_methods(results: Results, against: str = "fitted", role: str = "validate") -> pd.DataFrame:
+    """Return how every method compares with `against` on the same insertions, folds and points.
 
     Repeats in one specimen are first averaged where there are specimens enough (`datasets.independent`):
     the four depths of one hole are no four needles.
@@ -71,69 +84,71 @@ def paired(results: Results, against: str = "fitted", role: str = "validate") ->
     Returns
     -------
     DataFrame
-        `rival`, `boundaries` ("measured"), `insertions` (or groups of repeats), macro `ipe_mean_mm` and
-        `te_mm`, `difference_mm` (mean over them of the rival's mean IPE minus that of `against`; positive:
-        the rival is worse), `difference_se_mm` (its standard error) and `better` (insertions on which
+        `method`, `boundaries` ("measured"), `insertions` (or groups of repeats), macro `ipe_mean_mm` and
+        `te_mm`, `difference_mm` (mean over them of the method's mean IPE minus that of `against`; positive:
+        the method is worse), `difference_se_mm` (its standard error) and `better` (insertions on which
         `against` has the smaller mean IPE).
     """
     errors = results.errors[(results.errors["role"] == role) & (results.errors["boundaries"] == "measured")]
     errors = errors.assign(group=groups(list(errors["insertion"]), list(errors["specimen"])))
     ipe, te = (
         errors.assign(value=_finite(errors[metric])).pivot_table(
-            index=["fold", "group"], columns="rival", values="value", sort=False
+            index=["fold", "group"], columns="method", values="value", sort=False
         )
         for metric in ("ipe_mean_mm", "te_mm")
     )
     rows = []
-    for rival in [name for name in RIVALS if name in ipe and against in ipe]:
-        both = np.isfinite(ipe[rival]) & np.isfinite(ipe[against])
-        gap = (ipe[rival] - ipe[against])[both].to_numpy(dtype=np.float64)
+    for method in [name for name in METHODS if name in ipe and against in ipe]:
+        both = np.isfinite(ipe[method]) & np.isfinite(ipe[against])
+        gap = (ipe[method] - ipe[against])[both].to_numpy(dtype=np.float64)
         n = len(gap)
         rows.append(
             {
-                "rival": rival,
+                "method": method,
                 "boundaries": "measured",
                 "insertions": n,
-                "ipe_mean_mm": ipe[rival][both].mean(),
-                "te_mm": te[rival][both].mean(),
+                "ipe_mean_mm": ipe[method][both].mean(),
+                "te_mm": te[method][both].mean(),
                 "difference_mm": gap.mean() if n else np.nan,
                 "difference_se_mm": gap.std(ddof=1) / np.sqrt(n) if n > 1 else np.nan,
                 "better": int((gap > 0).sum()),
             }
         )
-    return pd.DataFrame(rows, columns=_PAIRED)
+    return pd.DataFrame(rows, columns=PAIRED_COLUMNS)
 
 
-DISTINCT_SE = 2.0
+SIGNIFICANT_SE = 2.0
 """Standard errors up to which a difference may be chance."""
 
 LONE_ERROR_RATIO = 0.5
-"""Error of a rival over that of the fit, down to which a difference on one insertion may be chance."""
+"""Error of a method over that of the fit, down to which a difference on one insertion may be chance."""
 
 
 def beats_fit(row: Mapping[str, Any] | pd.Series) -> bool:
-    """Whether a row of `paired` errs less than the fit by more than chance gives.
+    """Whether a row of `compare_methods` errs less than the fit by more than chance gives.
 
     Of two insertions or more: by over two standard errors of the difference. A single one has no standard
-    error: there a rival must err by less than `LONE_ERROR_RATIO` of the fit's error.
+    error: there a method must err by less than `LONE_ERROR_RATIO` of the fit's error.
     """
     gap, se, error = (_number(row[key]) for key in ("difference_mm", "difference_se_mm", "ipe_mean_mm"))
     if np.isnan(se):
         return error < LONE_ERROR_RATIO * (error - gap)
-    return gap < 0 and abs(gap) > DISTINCT_SE * se
+    return gap < 0 and abs(gap) > SIGNIFICANT_SE * se
 
 
 def _number(value: float | None) -> float:
     return np.nan if value is None else float(value)
 
 
-def points(results: Results) -> pd.DataFrame:
+def tabulate_points(results: Results) -> pd.DataFrame:
     """Return `results.shapes` with `ipe_mm`, the in-plane error of every point, and medium and layers."""
-    about = results.errors[[*SCORED, "medium", "layers"]]
-    return results.shapes.assign(ipe_mm=_gap(results.shapes)).merge(about, on=list(SCORED), how="inner")
+    about = results.errors[[*SCORE_KEYS, "medium", "layers"]]
+    return results.shapes.assign(ipe_mm=_point_distance(results.shapes)).merge(
+        about, on=list(SCORE_KEYS), how="inner"
+    )
 
 
-def bevel_sides(results: Results) -> dict[str, int]:
+def find_bevel_sides(results: Results) -> dict[str, int]:
     """Return by insertion the side of C's x axis that its bevel faces, +1 or -1: deflections are toward it.
 
     A needle that did not bend at all is taken to face +1.
@@ -144,14 +159,16 @@ def bevel_sides(results: Results) -> dict[str, int]:
     return {str(name): -1 if across[name] * toward[name] < 0 else 1 for name in across.index}
 
 
-def _clouds(results: Results, errors: pd.DataFrame, by: Sequence[str]) -> dict[Any, pd.Series]:
+def _point_errors(results: Results, errors: pd.DataFrame, by: Sequence[str]) -> dict[Any, pd.Series]:
     """Return the in-plane errors of all points by group."""
-    keys = errors[[*SCORED, *(name for name in by if name not in SCORED)]]
-    cloud = results.shapes.assign(ipe_mm=_gap(results.shapes)).merge(keys, on=list(SCORED), how="inner")
+    keys = errors[[*SCORE_KEYS, *(name for name in by if name not in SCORE_KEYS)]]
+    cloud = results.shapes.assign(ipe_mm=_point_distance(results.shapes)).merge(
+        keys, on=list(SCORE_KEYS), how="inner"
+    )
     return {key: group["ipe_mm"] for key, group in cloud.groupby(list(by), sort=False)}
 
 
-def _gap(shapes: pd.DataFrame) -> pd.Series:
+def _point_distance(shapes: pd.DataFrame) -> pd.Series:
     """Return the distance between the two curves at every point, mm."""
     across, along = (shapes[f"simulated_{axis}_mm"] - shapes[f"measured_{axis}_mm"] for axis in ("y", "x"))
     return pd.Series(np.hypot(across, along), index=shapes.index)
@@ -184,3 +201,50 @@ def _counts(group: pd.DataFrame) -> dict[str, Any]:
 def _finite(values: pd.Series) -> pd.Series:
     """Return the values with infinities as NaN, so that a failed solve never enters a mean."""
     return values.astype(float).where(np.isfinite(values.astype(float)))
+
+
+Group = tuple[str, str, int]
+
+
+def tabulate_design(job: Job) -> pd.DataFrame:
+    """Return a row per role, medium and layers; folds share their insertions.
+
+    `insertions_other` is how many of the same insertions the other reading counts there; a group that only
+    the other reading has is left out of the first count.
+    """
+    ours, others = (
+        _group_by_layers(job, r)
+        for r in (job.record.layer_count_rule, other_reading(job.record.layer_count_rule))
+    )
+    rows = [_design_row(group, ours.get(group, {}), others.get(group, {})) for group in {**ours, **others}]
+    return pd.DataFrame(rows, columns=list(COLUMNS["design"])).sort_values(
+        ["role", "medium", "layers"], ascending=[True, True, False], ignore_index=True
+    )
+
+
+def _group_by_layers(job: Job, layer_count_rule: LayerCountRule) -> dict[Group, dict[str, Insertion]]:
+    found: dict[Group, dict[str, Insertion]] = {}
+    for role, insertion in _iterate_roles(job):
+        group = (role, insertion.medium, layers_of(insertion, layer_count_rule))
+        found.setdefault(group, {})[insertion.id] = insertion
+    return found
+
+
+def _iterate_roles(job: Job) -> Iterator[tuple[str, Insertion]]:
+    for fold in job.folds:
+        yield from (("tune", insertion) for insertion in fold.tune)
+        yield from (("validate", insertion) for insertion in fold.validate)
+
+
+def _design_row(group: Group, ours: dict[str, Insertion], others: dict[str, Insertion]) -> Row:
+    members = (ours or others).values()
+    depths, deflections = [one.depth for one in members], [one.deflection for one in members]
+    return {
+        **dict(zip(("role", "medium", "layers"), group, strict=True)),
+        "insertions": len(ours),
+        "insertions_other": len(others),
+        "depth_min_mm": min(depths),
+        "depth_max_mm": max(depths),
+        "deflection_min_mm": min(deflections),
+        "deflection_max_mm": max(deflections),
+    }

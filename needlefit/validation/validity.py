@@ -7,13 +7,13 @@ from typing import Any
 from needlefit.mechanics.validity import LIMITS, Validity
 from needlefit.project.result_warnings import ResultWarning
 
-KEY = "validity"
+VALIDITY_KEY = "validity"
 """Of `run.json`."""
 
-FITTED = ("fitted", "fitted_metric")
+FITTED_METHODS = ("fitted", "fitted_metric")
 """Rivals of which a warning is given; how far a published set strains the model is counted only."""
 
-SHOWN_ROWS = 20
+MAX_LISTED_ROWS = 20
 """Scored simulations outside that are listed; the others are counted."""
 
 _WORDS = {
@@ -25,7 +25,7 @@ _WORDS = {
 
 
 @dataclass
-class Count:
+class ValidityCount:
     """Simulations, and how many of them are outside."""
 
     simulations: int = 0
@@ -50,12 +50,13 @@ class ValidityCounts:
     predicted : Count
         Needles predicted of held-out insertions, one for each draw.
     scored : list of dict
-        Fold, role, rival, insertion and boundaries of every scored simulation, with `faults` (empty: inside).
+        Fold, role, method, insertion and boundaries of every scored simulation, with `faults` (empty:
+        inside).
     """
 
-    starts: Count = field(default_factory=Count)
-    draws: Count = field(default_factory=Count)
-    predicted: Count = field(default_factory=Count)
+    starts: ValidityCount = field(default_factory=ValidityCount)
+    draws: ValidityCount = field(default_factory=ValidityCount)
+    predicted: ValidityCount = field(default_factory=ValidityCount)
     scored: list[dict[str, Any]] = field(default_factory=list)
 
     def score(self, place: Mapping[str, Any], validity: Validity) -> None:
@@ -65,18 +66,18 @@ class ValidityCounts:
     def table(self) -> dict[str, Any]:
         """Return the counts as JSON values."""
         beyond = [row for row in self.scored if row["faults"]]
-        counts = {"scored": Count(len(self.scored), len(beyond))}
+        counts = {"scored": ValidityCount(len(self.scored), len(beyond))}
         counts |= {name: getattr(self, name) for name in ("starts", "draws", "predicted")}
         table: dict[str, Any] = {name: vars(count) for name, count in counts.items()}
         table["limits"] = {name: limit for name, limit, _ in LIMITS}
-        table["fitted_outside"] = sum(row["rival"] in FITTED for row in beyond)
-        table["scored_outside"] = beyond[:SHOWN_ROWS]
+        table["fitted_outside"] = sum(row["method"] in FITTED_METHODS for row in beyond)
+        table["scored_outside"] = beyond[:MAX_LISTED_ROWS]
         return table
 
 
 def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
     """Yield a warning where what was fitted, drawn or predicted is outside what the model assumes."""
-    table = run.get(KEY, {})
+    table = run.get(VALIDITY_KEY, {})
     fitted = table.get("fitted_outside", 0)
     parts = [f"{fitted} scored simulations of the fit"] if fitted else []
     parts += _shares(table, ("draws", "predicted"))
@@ -88,9 +89,9 @@ def validity_warnings(run: Mapping[str, Any]) -> Iterator[ResultWarning]:
         )
 
 
-def outside_words(run: Mapping[str, Any]) -> str:
+def describe_outside(run: Mapping[str, Any]) -> str:
     """Return how many simulations of a run are outside, in a clause; nothing where none is."""
-    return ", ".join(_shares(run.get(KEY, {}), tuple(_WORDS)))
+    return ", ".join(_shares(run.get(VALIDITY_KEY, {}), tuple(_WORDS)))
 
 
 def _shares(table: Mapping[str, Any], names: Sequence[str]) -> list[str]:

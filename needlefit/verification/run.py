@@ -6,7 +6,7 @@ import traceback
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
-from needlefit.project.streams import stream
+from needlefit.project.random_streams import random_stream
 from needlefit.verification import checks
 from needlefit.verification.check import Check, Curve, Group, Outcome, Row
 
@@ -60,7 +60,7 @@ def verify(
     for done, check in enumerate(every):
         progress(check.title, done, len(every))
         try:
-            outcome = check.measure(stream(seed, "verify", check.group.title, check.title))
+            outcome = check.measure(random_stream(seed, "verify", check.group.title, check.title))
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
             outcome = Outcome((float("nan"),) * len(check.quantities), f"not measured: {reason}")

@@ -1,1 +1,1 @@
-"""The interactive simulation: a needle in somebody's hand, in the browser."""
+"""Interactive simulation of an insertion, in the browser."""

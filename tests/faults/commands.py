@@ -18,7 +18,7 @@ tolerance = 1e-2
 [sample]
 walkers = 8
 steps = 60
-every = 20
+check_interval = 20
 """
 
 FIT = """\
@@ -38,7 +38,7 @@ paper_study = 2
 dataset = "twin"
 medium = "phantom2"
 recipe = "tiny"
-hand_tuned = "study2"
+paper_parameters = "study2"
 tune = { insertions = ["phantom2-16"] }
 validate = [{ insertions = ["phantom2-15"] }]
 """

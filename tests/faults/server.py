@@ -99,28 +99,30 @@ _SVG = b'<svg width="10pt"><image xlink:href="data:image/svg+xml;base64,PHN2Zy8+
 def _make_small_twin() -> None:
     """Let `twin build` make one insertion of its 47, and that once: it is written by the same steps."""
     from needlefit.synthetic import build, design
-    from needlefit.synthetic.twin import SEED
+    from needlefit.synthetic.insertion import TWIN_SEED
 
-    plan, built = design.named(("phantom2-16",)), _once(build._built)
-    build._built = lambda scratch, seed, recipe, planned: built(planned.id, scratch, SEED, recipe, planned)
-    build.build = partial(build.build, plan=plan)
+    plan, built = design.select_planned_insertions(("phantom2-16",)), _once(build._build_insertion)
+    build._build_insertion = lambda scratch, seed, recipe, planned: built(
+        planned.id, scratch, TWIN_SEED, recipe, planned
+    )
+    build.build_dataset = partial(build.build_dataset, plan=plan)
     with tempfile.TemporaryDirectory() as folder:
-        build.build(Path(folder))
+        build.build_dataset(Path(folder))
 
 
 def _reconstruct_once() -> None:
     """Let `reconstruct` find what it found the first time: it writes nothing while it looks."""
     from faults.commands import SCANS
     from needlefit.imaging import batch
-    from needlefit.imaging.scans import read_scans
+    from needlefit.imaging.scan_table import read_scans
     from needlefit.project.load import load
-    from needlefit.project.places import find
-    from needlefit.project.records.reconstruction import ReconstructionRecord
+    from needlefit.project.locate import find_file
+    from needlefit.schemas.reconstruction import ReconstructionRecord
 
     found = _once(batch.reconstruct)
     batch.reconstruct = lambda scan, recipe: found(scan.id, scan, recipe)
     for scan in read_scans(SCANS):
-        batch.reconstruct(scan, load(find("reconstruction", "default"), ReconstructionRecord))
+        batch.reconstruct(scan, load(find_file("reconstruction", "default"), ReconstructionRecord))
 
 
 _PREPARE: dict[str, Callable[[], None]] = {"twin": _make_small_twin, "reconstruct": _reconstruct_once}
@@ -167,15 +169,15 @@ def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
 
 def _count_exchanges(injector: Any) -> None:
     """Count the exchange of two folders, a call of the system's that Python does not have."""
-    from needlefit.project import replace
+    from needlefit.project import atomic_write
 
-    real = replace._exchanged
+    real = atomic_write._try_exchange
 
     def exchanged(one: Path, other: Path) -> bool:
         injector.step("rename", other)
         return real(one, other)
 
-    replace._exchanged = exchanged
+    atomic_write._try_exchange = exchanged
 
 
 class _Told(list):

@@ -71,7 +71,7 @@ def _call(name: str, path: Path) -> object:
 
 
 def _load(record: str, path: Path) -> object:
-    return _late("project.load.load")(path, _late(f"project.records.{record}"))
+    return _late("project.load.load")(path, _late(f"schemas.{record}"))
 
 
 # ---- TOML
@@ -106,7 +106,7 @@ def _dataset(path: Path) -> object:
 def _mesh(path: Path) -> object:
     found: list = []
     source = _late("imaging.scan.LayerSource")(path)
-    surface = _late("imaging.surface_files.read_mesh")(source, 2, found)
+    surface = _late("imaging.layers.read_mesh")(source, 2, found)
     if found:
         raise _late("datasets.faults.as_error")(found, path)
     return surface
@@ -134,7 +134,7 @@ def _checkpoint(folder: Path) -> object:
 def _rows(path: Path) -> object:
     """Keep rows with right digests, and take them as starts."""
     kept = _late("validation.checkpoint.open_checkpoint")(path.with_name("run.partial"), False, seeds.WORK)
-    values = _late("project.reading.read_json")(path)
+    values = _late("project.input_files.read_json")(path)
     for row in values if isinstance(values, list) else [values]:
         kept.keep_row("fit", row)
     return kept.finished("fit")
@@ -142,11 +142,13 @@ def _rows(path: Path) -> object:
 
 def _kept(folder: Path) -> object:
     batch = import_module("needlefit.imaging.batch")
-    kept = _late("project.kept.read_kept")(folder / "one.kept", batch.KIND, "stamp")
-    values = _late("project.reading.read_json")(folder / "values.json")
+    kept = _late("project.checkpoint_file.read_checkpoint_file")(
+        folder / "one.checkpoint", batch.CHECKPOINT_KIND, "stamp"
+    )
+    values = _late("project.input_files.read_json")(folder / "values.json")
     if kept is None or not isinstance(values, dict):
         return None
-    return batch._decoded(replace(kept, values=values), folder / "one.kept")
+    return batch._decode_checkpoint(replace(kept, values=values), folder / "one.checkpoint")
 
 
 def _run(folder: Path) -> object:
@@ -170,8 +172,8 @@ def _manifest(folder: Path) -> object:
 
 def _assignments(path: Path) -> object:
     """Apply each line as `--set` does."""
-    scene = _late("project.records.scene.SceneRecord")
-    file = _late("project.places.find")("scene", "figure1")
+    scene = _late("schemas.scene.SceneRecord")
+    file = _late("project.locate.find_file")("scene", "figure1")
     tables = _late("project.load.read_toml")(file)
     override, check = _late("project.overrides.override"), _late("project.load.check")
     pairs = [line.partition("=")[::2] for line in _text(path).splitlines() if "=" in line]
@@ -180,7 +182,7 @@ def _assignments(path: Path) -> object:
 
 def _message(path: Path) -> object:
     """Read a message as the page's server does; a fault in it is an answer, not an exception."""
-    found = _late("viewer.serving.messages.read")(_text(path))
+    found = _late("viewer.serving.messages.read_message")(_text(path))
     if found.fault is not None:
         raise found.fault
     return found.text("what"), found.gesture, found.number("to_mm", 0.0)
@@ -188,12 +190,12 @@ def _message(path: Path) -> object:
 
 def _names(path: Path) -> object:
     """Look one name up as every kind of thing."""
-    name, places = _text(path), import_module("needlefit.project.places")
+    name, locate = _text(path), import_module("needlefit.project.locate")
     kinds = ("scene", "recipe", "study", "fit", "medium", "dataset", "scans", "reconstruction")
     lookups = [
-        *(partial(places.find, kind) for kind in kinds),
-        *(places.find_target, places.find_studies, places.find_run),
-        _late("project.subjects.find_subject"),
+        *(partial(locate.find_file, kind) for kind in kinds),
+        *(locate.find_study_or_fit, locate.find_studies, locate.find_run),
+        _late("project.view_targets.find_view_target"),
     ]
     error, found = None, []
     for lookup in lookups:
@@ -208,7 +210,7 @@ def _names(path: Path) -> object:
 
 def _command(path: Path) -> object:
     """Run a whole command; its exit code must be one of those that are documented, and not that of a bug."""
-    failure = import_module("needlefit.cli.failure")
+    failure = import_module("needlefit.cli.exit_codes")
     words = _text(path).splitlines()
     try:
         _late("cli.main")(words)
@@ -227,7 +229,9 @@ def _text(path: Path) -> str:
 READERS: dict[str, Reader] = {
     "scene": Reader(_scene, partial(project_files, "configs/scenes/*.toml", "scene.toml")),
     "study": Reader(_study, partial(project_files, "studies/*.toml", "study.toml")),
-    "fit": Reader(partial(_load, "fit.FitRecord"), partial(project_files, "configs/fits/*.toml", "fit.toml")),
+    "fit": Reader(
+        partial(_load, "study.FitRecord"), partial(project_files, "configs/fits/*.toml", "fit.toml")
+    ),
     "recipe": Reader(
         partial(_load, "recipe.RecipeRecord"), partial(project_files, "configs/recipes/*.toml", "recipe.toml")
     ),
@@ -236,19 +240,19 @@ READERS: dict[str, Reader] = {
         partial(_load, "reconstruction.ReconstructionRecord"),
         partial(project_files, "configs/reconstruction/*.toml", "reconstruction.toml"),
     ),
-    "prior": Reader(partial(_load, "prior.MaterialRecord"), seeds.priors),
+    "prior": Reader(partial(_load, "medium.MaterialRecord"), seeds.priors),
     "dataset": Reader(_dataset, seeds.datasets, 80),
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
-    "scans": Reader(partial(_call, "imaging.scans.read_scans"), seeds.scans, 80),
+    "scans": Reader(partial(_call, "imaging.scan_table.read_scans"), seeds.scans, 80),
     "markups": Reader(partial(_call, "datasets.conversion.read_source"), seeds.markups),
     "source": Reader(partial(_call, "datasets.conversion.read_source"), seeds.sources),
     "mat": Reader(partial(_call, "datasets.conversion.read_source"), seeds.matlab, NATIVE),
-    "volume": Reader(partial(_call, "imaging.volume.read"), seeds.volumes, NATIVE, packed=True),
-    "labels": Reader(partial(_call, "imaging.label_volumes.read_labels"), seeds.labels, NATIVE, packed=True),
-    "dicom": Reader(partial(_call, "imaging.volume.read"), seeds.dicom, SLOWEST),
+    "volume": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.volumes, NATIVE, packed=True),
+    "labels": Reader(partial(_call, "imaging.label_surfaces.read_labels"), seeds.labels, NATIVE, packed=True),
+    "dicom": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.dicom, SLOWEST),
     "mesh": Reader(_mesh, seeds.meshes, 100),
-    "recording": Reader(partial(_call, "viewer.recording.log.read"), seeds.recordings),
+    "recording": Reader(partial(_call, "viewer.recording.read_recording"), seeds.recordings),
     "results": Reader(_results, seeds.results, 40, packed=True),
     "content": Reader(_content, seeds.contents),
     "posterior": Reader(partial(_call, "inference.sampling.posterior.load"), seeds.posteriors, NATIVE),

@@ -222,7 +222,7 @@ def volumes() -> list[Seed]:
 
     def whole(name: str) -> Seed:
         image = cases.volume_of(cases.VALUES)
-        return written(lambda folder: cases.write(image, folder / name), name)
+        return written(lambda folder: cases.write_volume(image, folder / name), name)
 
     header = written(
         lambda folder: (
@@ -334,10 +334,10 @@ def results() -> list[Seed]:
     """What runs store: a study, a fit with its posterior, an analysis."""
     from reporting_results import stereo, study
 
-    from needlefit.validation.stored import store
+    from needlefit.validation.stored import store_results
 
     return [
-        written(lambda folder, of=of: store(of, folder), ".", ("results.json.gz",))
+        written(lambda folder, of=of: store_results(of, folder), ".", ("results.json.gz",))
         for of in (study(1), stereo())
     ]
 
@@ -349,13 +349,13 @@ def contents() -> list[Seed]:
     from reporting_results import study
 
     from needlefit.validation.results import COLUMNS
-    from needlefit.validation.stored import store
+    from needlefit.validation.stored import store_results
 
     whole = study(1)
     small = replace(whole, **{name: getattr(whole, name).head(20) for name in COLUMNS})
 
     def write(folder: Path) -> None:
-        content = gzip.decompress(store(small, folder).read_bytes()).split(b"\n")[1]
+        content = gzip.decompress(store_results(small, folder).read_bytes()).split(b"\n")[1]
         (folder / "content.json").write_bytes(content)
 
     return [written(write, "content.json", ("content.json",))]
@@ -413,14 +413,16 @@ def kept() -> list[Seed]:
     """A reconstruction that was kept, and what it says, before the digest."""
     from reconstruction_cases import small
 
-    from needlefit.imaging.batch import _HOOKS, KIND
+    from needlefit.imaging.batch import _HOOKS, CHECKPOINT_KIND
+    from needlefit.project.checkpoint_file import CheckpointContent, write_checkpoint_file
     from needlefit.project.encode import encode
-    from needlefit.project.kept import Kept, write_kept
 
     def write(folder: Path) -> None:
         arrays: dict = {}
-        values = {KIND: encode(small(), _HOOKS, arrays)}
-        write_kept(folder / "one.kept", KIND, "stamp", Kept(values, arrays))
+        values = {CHECKPOINT_KIND: encode(small(), _HOOKS, arrays)}
+        write_checkpoint_file(
+            folder / "one.checkpoint", CHECKPOINT_KIND, "stamp", CheckpointContent(values, arrays)
+        )
         (folder / "values.json").write_text(json.dumps(values))
 
     return [written(write, ".")]

@@ -15,7 +15,7 @@ from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.points import LARGEST, Points
 from needlefit.datasets.schema import POINT, SD
 from needlefit.errors import DataError
-from needlefit.project.reading import read_text
+from needlefit.project.input_files import read_text
 
 Floats = NDArray[np.float64]
 
@@ -31,7 +31,7 @@ SHOWN = 5
 """Bad cells of one column that are listed one by one; the rest is counted."""
 
 MAPPED = "add the column, or name the one that holds it under `columns` in dataset.toml"
-"""What mends a missing column of a dataset."""
+"""What fixes a missing column of a dataset."""
 
 OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
@@ -75,7 +75,7 @@ def read_table(path: Path, documented: str = "data/README.md") -> Table:
             "is empty",
             where=str(path),
             expected="a header line and rows below it",
-            mend=f"fill it, or restore it; {documented} lists the columns",
+            fix=f"fill it, or restore it; {documented} lists the columns",
         )
     (top, header), body = rows[0], rows[1:]
     _check_header(header, f"{path}:{top}")
@@ -84,7 +84,7 @@ def read_table(path: Path, documented: str = "data/README.md") -> Table:
             "has a header but no rows",
             where=f"{path}:{top}",
             expected="one row a line below it",
-            mend="add the rows, or restore the file",
+            fix="add the rows, or restore the file",
         )
     for line, row in body:
         if len(row) > len(header):
@@ -92,7 +92,7 @@ def read_table(path: Path, documented: str = "data/README.md") -> Table:
                 f"has {len(row)} cells under {len(header)} columns",
                 where=f"{path}:{line}",
                 expected=f"{len(header)} cells, decimal points (not decimal commas)",
-                mend="remove the cells that are too many, or put text that holds a comma in quotes",
+                fix="remove the cells that are too many, or put text that holds a comma in quotes",
             )
     width = len(header)
     cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
@@ -118,7 +118,7 @@ def numbers(
                 table.where(row),
                 f"{table.called(column)} {problem}",
                 f"a finite number, at most {largest:g}",
-                "mend the cell",
+                "fix the cell",
             )
         )
     if len(bad) > SHOWN:
@@ -128,18 +128,18 @@ def numbers(
                 f"{table.path}:{line}",
                 f"{table.called(column)} has {more} more such cells from here on",
                 "finite numbers",
-                "mend the cells",
+                "fix the cells",
             )
         )
     return values
 
 
 def read_points(
-    table: Table, columns: Sequence[str], names: Mapping[str, str], found: list[Fault], mend: str = MAPPED
+    table: Table, columns: Sequence[str], names: Mapping[str, str], found: list[Fault], fix: str = MAPPED
 ) -> Points | None:
     """Return the points under the three `columns` (renamed by `names`), or None after a fault."""
     wanted = [names.get(column, column) for column in columns]
-    if missing_columns(table, wanted, found, mend):
+    if missing_columns(table, wanted, found, fix):
         return None
     before = len(found)
     values = np.column_stack([numbers(table, column, found) for column in wanted])
@@ -169,14 +169,14 @@ def _deviations(table: Table, column: str, found: list[Fault]) -> Floats | None:
                 table.where(int(row)),
                 f"{column} is {values[row]:g}",
                 "a standard deviation, 0 or more, mm",
-                "mend the cell, or leave the whole column out",
+                "fix the cell, or leave the whole column out",
             )
         )
     return values
 
 
-def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], mend: str = MAPPED) -> bool:
-    """Note every column of `wanted` that the table lacks, and its `mend`; say whether there was one."""
+def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], fix: str = MAPPED) -> bool:
+    """Note every column of `wanted` that the table lacks, and its `fix`; say whether there was one."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
         found.append(
@@ -184,7 +184,7 @@ def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], men
                 f"{table.path}:1",
                 f"column `{column}` is missing",
                 f"a column of that name; there are {columns_there(table.cells.columns)}",
-                mend,
+                fix,
             )
         )
     return bool(missing)
@@ -207,7 +207,7 @@ def _rows(path: Path) -> list[tuple[int, list[str]]]:
             f"cannot be read: {error}",
             where=f"{path}:{end + 1}",
             expected="a CSV file",
-            mend="save it again as CSV",
+            fix="save it again as CSV",
         ) from None
     return rows
 
@@ -219,7 +219,7 @@ def _check_extent(rows: int, columns: int, where: str) -> None:
             f"is too large: row {rows} of {columns} columns",
             where=where,
             expected=f"at most {MAX_COLUMNS} columns, and {MAX_CELLS:,} cells",
-            mend="check that it is the file that you meant, or divide it",
+            fix="check that it is the file that you meant, or divide it",
         )
 
 
@@ -237,7 +237,7 @@ def _check_header(header: list[str], where: str) -> None:
                 f"columns are separated by {name}",
                 where=where,
                 expected="commas between columns, points in decimals",
-                mend="save it again as comma-separated values",
+                fix="save it again as comma-separated values",
             )
     twice = sorted({name for name in header if header.count(name) > 1})
     if twice:
@@ -245,5 +245,5 @@ def _check_header(header: list[str], where: str) -> None:
             f"has more than one column `{'`, `'.join(name[:SHOWN_CHARS] for name in twice[:SHOWN])}`",
             where=where,
             expected="a name for every column",
-            mend="rename or remove one of them",
+            fix="rename or remove one of them",
         )

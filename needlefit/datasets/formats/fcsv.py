@@ -15,7 +15,7 @@ from needlefit.datasets.formats.markups import (
 )
 from needlefit.errors import DataError
 from needlefit.geometry.patient import lps
-from needlefit.project.reading import read_text
+from needlefit.project.input_files import read_text
 
 COLUMNS = (
     *("id", "x", "y", "z", "ow", "ox", "oy", "oz"),
@@ -55,7 +55,7 @@ def read_fcsv(path: Path) -> Markups:
             "does not say its coordinate system",
             where=str(path),
             expected=f"a line `# CoordinateSystem = LPS` above the points: {EXPECTED_SYSTEM}",
-            mend="add the line"
+            fix="add the line"
             + ("" if versioned else " (lists of Slicer 3 are RAS)")
             + ", or save the list again in Slicer",
         )
@@ -88,7 +88,7 @@ def _columns(path: Path, named: str | None, versioned: bool) -> tuple[str, ...]:
             f"its columns, {named!r}, lack {', '.join(missing)}",
             where=str(path),
             expected=f"# columns = {','.join(COLUMNS)}",
-            mend="correct the line, or save the list again in Slicer",
+            fix="correct the line, or save the list again in Slicer",
         )
     return columns
 
@@ -98,7 +98,7 @@ def _cells(line: str, where: str) -> list[str]:
         (cells,) = csv.reader([line])
     except (csv.Error, ValueError) as error:
         raise DataError(
-            f"cannot be read: {error}", where=where, expected="cells between commas", mend="mend the line"
+            f"cannot be read: {error}", where=where, expected="cells between commas", fix="fix the line"
         ) from None
     return [cell.strip() for cell in cells]
 

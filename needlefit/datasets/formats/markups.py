@@ -64,7 +64,7 @@ class Markups:
             f"`{self.name}` is a {self.kind}, which is no centreline",
             where=str(self.path),
             expected="an open curve (Curve), or points (Fiducial) from the entry to the tip",
-            mend="draw the needle in Slicer as an open curve, and save that",
+            fix="draw the needle in Slicer as an open curve, and save that",
         )
 
 
@@ -77,7 +77,7 @@ def system_of(said: str, where: str) -> System:
         f"the coordinate system is {said!r}" + (": voxels of a volume that the file does not hold" * ijk),
         where=where,
         expected=EXPECTED_SYSTEM,
-        mend="load it into Slicer with its volume, and save it again" if ijk else "correct it",
+        fix="load it into Slicer with its volume, and save it again" if ijk else "correct it",
     )
 
 
@@ -90,7 +90,7 @@ def position_of(values: object, where: str) -> list[float]:
         f"the position is {str(values)[:80]}",
         where=where,
         expected=f"three finite numbers, at most {LARGEST:g}",
-        mend="place the point again in Slicer, or remove it",
+        fix="place the point again in Slicer, or remove it",
     )
 
 
@@ -113,5 +113,5 @@ def require_points(markups: Markups) -> Markups:
         f"list `{markups.name}` is empty" + (f": its {unset} points were never placed" if unset else ""),
         where=str(markups.path),
         expected="a list with points",
-        mend="place its points in Slicer and save it again, or take another file",
+        fix="place its points in Slicer and save it again, or take another file",
     )

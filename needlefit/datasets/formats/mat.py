@@ -13,8 +13,14 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.formats.points import Points
 from needlefit.errors import DataError
-from needlefit.project.caged import READER_BYTES, Results, limits, read_caged, stated_memory_bytes
-from needlefit.project.reading import read_bytes
+from needlefit.project.input_files import read_bytes
+from needlefit.project.sandbox import (
+    READER_BYTES,
+    SandboxArrays,
+    limits_for,
+    read_in_sandbox,
+    stated_memory_bytes,
+)
 
 Floats = NDArray[np.float64]
 
@@ -58,8 +64,8 @@ def read_curves(path: Path) -> dict[str, Points]:
     if not _is_hdf(data):
         _check_elements(data, path)
     memory = stated_memory_bytes() or EXPANSION * len(data)
-    allowed = limits(memory, READER_BYTES + memory, len(data) / READ_BYTES_PER_SECOND)
-    variables, found = read_caged(
+    allowed = limits_for(memory, READER_BYTES + memory, len(data) / READ_BYTES_PER_SECOND)
+    variables, found = read_in_sandbox(
         "needlefit.datasets.formats.mat:read_variables", path, allowed, {"path": str(path)}
     )
     if not found:
@@ -67,12 +73,12 @@ def read_curves(path: Path) -> dict[str, Points]:
             f"holds no curve; its variables are {', '.join(map(str, variables[:SHOWN])) or '(none)'}",
             where=str(path),
             expected=EXPECTED,
-            mend="save the points of the centreline as one N x 3 array",
+            fix="save the points of the centreline as one N x 3 array",
         )
     return {name: Points(path, array) for name, array in found.items()}
 
 
-def read_variables(results: Results, path: str) -> list[str]:
+def read_variables(results: SandboxArrays, path: str) -> list[str]:
     """In the child: fill an array for every curve in a file; return the names of all variables."""
     data = read_bytes(Path(path))
     try:
@@ -109,7 +115,7 @@ def _check_elements(data: bytes, path: Path) -> None:
 
 
 def _unreadable(path: Path, reason: str) -> DataError:
-    return DataError(f"cannot be read: {reason}", where=str(path), expected=READABLE, mend=SAVE)
+    return DataError(f"cannot be read: {reason}", where=str(path), expected=READABLE, fix=SAVE)
 
 
 def read_points(path: Path) -> Points:
@@ -120,7 +126,7 @@ def read_points(path: Path) -> Points:
             f"holds {len(curves)} curves: {', '.join(curves)}",
             where=str(path),
             expected="one N x 3 array",
-            mend="save one insertion a file",
+            fix="save one insertion a file",
         )
     return next(iter(curves.values()))
 

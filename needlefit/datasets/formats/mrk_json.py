@@ -18,7 +18,7 @@ from needlefit.datasets.formats.markups import (
 )
 from needlefit.errors import DataError
 from needlefit.geometry.patient import lps
-from needlefit.project.reading import read_json
+from needlefit.project.input_files import read_json
 
 SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
@@ -64,7 +64,7 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
             f"holds no list of points, but {kinds}",
             where=str(path),
             expected="a point list (Fiducial), a Curve or a Line",
-            mend="save such a list in Slicer",
+            fix="save such a list in Slicer",
         )
     return tuple(found)
 
@@ -87,7 +87,7 @@ def _lists(path: Path) -> Sequence[dict[str, Any]]:
             "has no `markups`",
             where=str(path),
             expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
-            mend=SAVE_AGAIN,
+            fix=SAVE_AGAIN,
         )
     schema = whole.get("@schema", SCHEMA)
     if not (isinstance(schema, str) and _SCHEMA.search(schema)):
@@ -95,7 +95,7 @@ def _lists(path: Path) -> Sequence[dict[str, Any]]:
             f"its schema is {str(schema)[:120]!r}",
             where=str(path),
             expected="markups-schema-v1.x.y.json",
-            mend=SAVE_AGAIN,
+            fix=SAVE_AGAIN,
         )
     return lists
 
@@ -105,19 +105,19 @@ def _markups(path: Path, one: dict[str, Any], number: int) -> Markups:
     where = f"{path}, list {number} `{name}`"
     kind = one.get("type")
     if not isinstance(kind, str):
-        raise DataError("has no `type`", where=where, expected="Fiducial, Curve, ...", mend=SAVE_AGAIN)
+        raise DataError("has no `type`", where=where, expected="Fiducial, Curve, ...", fix=SAVE_AGAIN)
     if one.get("coordinateSystem") in (None, ""):
         raise DataError(
             "does not say its coordinate system",
             where=where,
             expected=f'"coordinateSystem": {EXPECTED_SYSTEM}',
-            mend="add the key (Slicer writes it, and takes LPS where it is missing), or " + SAVE_AGAIN,
+            fix="add the key (Slicer writes it, and takes LPS where it is missing), or " + SAVE_AGAIN,
         )
     system = system_of(str(one["coordinateSystem"]), where)
     scale = _scale(one.get("coordinateUnits", "mm"), where)
     points = one.get("controlPoints", [])
     if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
-        raise DataError("`controlPoints` is no list of points", where=where, mend=SAVE_AGAIN)
+        raise DataError("`controlPoints` is no list of points", where=where, fix=SAVE_AGAIN)
     labels, positions, unset = [], [], []
     for n, point in enumerate(points, start=1):
         label = str(point.get("label") or "")
@@ -140,7 +140,7 @@ def _scale(units: object, where: str) -> float:
         f"coordinateUnits is {str(units)[:80]}",
         where=where,
         expected=f"one of {', '.join(UNITS)} (UCUM)",
-        mend="save the list in mm",
+        fix="save the list in mm",
     )
 
 
@@ -152,7 +152,7 @@ def _is_set(point: dict[str, Any], where: str) -> bool:
             f"positionStatus is {str(status)[:80]!r}",
             where=where,
             expected=f"one of {', '.join((*SET, *UNSET))}",
-            mend=SAVE_AGAIN,
+            fix=SAVE_AGAIN,
         )
     return status in SET and point.get("position") not in (None, "", [])
 

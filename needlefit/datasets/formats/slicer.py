@@ -24,7 +24,7 @@ def read_lists(path: Path) -> tuple[Markups, ...]:
         f"has the ending {path.suffix!r}",
         where=str(path),
         expected=".mrk.json or .fcsv",
-        mend="save it as that",
+        fix="save it as that",
     )
 
 
@@ -45,7 +45,7 @@ def read_markups(path: Path, name: str | None = None) -> Markups:
         f"holds {len(lists)} lists: {listed}",
         where=str(path),
         expected="one list" if name is None else f"one called `{name}`",
-        mend="save the list that is meant on its own",
+        fix="save the list that is meant on its own",
     )
 
 
@@ -75,6 +75,6 @@ def read_curves(path: Path) -> Mapping[str, Points]:
                 f"holds {names.count(name)} lists called `{name}`",
                 where=str(path),
                 expected="names that differ: they become ids",
-                mend="rename them in Slicer, and save them again",
+                fix="rename them in Slicer, and save them again",
             )
     return {one.name: one.as_curve() for one in curves}

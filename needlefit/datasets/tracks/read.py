@@ -16,10 +16,10 @@ from needlefit.datasets.tracks.track import Track, TrackDataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.load import load, read_toml
-from needlefit.project.records.tip_tracks import TrackDatasetRecord
 from needlefit.project.result_warnings import ResultWarning
-from needlefit.project.toml_lines import place_of
-from needlefit.project.unit_warnings import layer_warnings, where_in
+from needlefit.project.toml_lines import locate_key
+from needlefit.project.unit_warnings import format_place, layer_warnings
+from needlefit.schemas.dataset import TrackDatasetRecord
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ def _noise_faults(record: TrackDatasetRecord, file: Path) -> Iterator[Fault]:
     """Say whether readings have no noise: every fit of tip tracks samples a posterior, which needs one."""
     if record.noise.point_sd_mm <= 0:
         yield Fault(
-            place_of(file, "noise.point_sd_mm"),
+            locate_key(file, "noise.point_sd_mm"),
             "no noise of the readings is stated",
             "noise.point_sd_mm above 0",
             "write the standard deviation of a reading, mm",
@@ -104,12 +104,12 @@ def _run_warnings(
     column = record.tip_tracks.columns.get("bevel_side", "bevel_side")
     bent = [Bent(one.id, table, bend_of_track(one, noise_of(record.noise))) for one in tracks]
     yield from side_warnings(bent, column, "runs")
-    yield from spacing_warnings(noise_of(record.noise), [one.depth for one in tracks], where_in(file))
+    yield from spacing_warnings(noise_of(record.noise), [one.depth for one in tracks], format_place(file))
     for name, medium in record.media.items():
         depths = [float(one.depth[-1]) for one in tracks if one.medium == name]
         if medium.boundaries_mm and depths:
             key = f"media.{name}.boundaries_mm"
-            yield from layer_warnings(medium.boundaries_mm, max(depths), where_in(file), key)
+            yield from layer_warnings(medium.boundaries_mm, max(depths), format_place(file), key)
 
 
 def _dataset(

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 from needlefit.datasets.faults import Fault
 from needlefit.datasets.formats.csv import MAPPED, Table, missing_columns, numbers
 from needlefit.datasets.tracks.track import Track
-from needlefit.project.names import EXPECTED, name_fault
-from needlefit.project.records.tip_tracks import TrackDatasetRecord
+from needlefit.schemas.dataset import TrackDatasetRecord
+from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
 Floats = NDArray[np.float64]
 
@@ -108,11 +108,11 @@ def _faults(run: _Rows, table: Table, record: TrackDatasetRecord) -> Iterator[Fa
     if not run.id:
         yield Fault(first, "a reading has no id", "the run that it belongs to", "fill the cell")
     elif fault := name_fault(run.id):
-        yield Fault(first, f"id is {run.id!r}: {fault}", EXPECTED, "rename the run")
+        yield Fault(first, f"id is {run.id!r}: {fault}", EXPECTED_NAME, "rename the run")
     if run.medium not in record.media:
         known = ", ".join(record.media)
-        mend = "correct it, or add a table [media.NAME] to dataset.toml"
-        yield Fault(first, f"run {run.id} went into {run.medium!r}, which is not described", known, mend)
+        fix = "correct it, or add a table [media.NAME] to dataset.toml"
+        yield Fault(first, f"run {run.id} went into {run.medium!r}, which is not described", known, fix)
     if len(depth) < FEWEST:
         yield Fault(
             first,

@@ -2,11 +2,11 @@
 
 from needlefit.datasets.tracks.track import Track, TrackDataset
 from needlefit.errors import ConfigError
-from needlefit.project.places import listed, nearest_first
-from needlefit.project.records.track_study import RunsRecord
+from needlefit.project.locate import join_names, sort_by_similarity
+from needlefit.schemas.study import TrackSelectionRecord
 
 
-def select_runs(dataset: TrackDataset, wanted: RunsRecord) -> tuple[Track, ...]:
+def select_runs(dataset: TrackDataset, wanted: TrackSelectionRecord) -> tuple[Track, ...]:
     """Return the runs that meet every key of `wanted`, in the dataset's order.
 
     Raises
@@ -22,20 +22,20 @@ def select_runs(dataset: TrackDataset, wanted: RunsRecord) -> tuple[Track, ...]:
             if name not in known:
                 raise ConfigError(
                     f"{kind} {name} is not in dataset {dataset.name}, or is left out",
-                    expected=f"one of {listed(nearest_first(name, known))}",
-                    mend="correct the selection",
+                    expected=f"one of {join_names(sort_by_similarity(name, known))}",
+                    fix="correct the selection",
                 )
     chosen = tuple(track for track in dataset.tracks if _meets(track, wanted))
     if not chosen:
         raise ConfigError(
             f"no run of dataset {dataset.name} meets {wanted.model_dump(exclude_defaults=True)}",
             expected="a selection that leaves at least one",
-            mend="widen or correct the selection",
+            fix="widen or correct the selection",
         )
     return chosen
 
 
-def _meets(track: Track, wanted: RunsRecord) -> bool:
+def _meets(track: Track, wanted: TrackSelectionRecord) -> bool:
     return (
         (not wanted.media or track.medium in wanted.media)
         and (not wanted.runs or track.id in wanted.runs)

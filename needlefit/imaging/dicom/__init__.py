@@ -1,1 +1,3 @@
-"""DICOM series: `header` (one file), `series` (which one), `stack` (what is wrong with it), read, write."""
+"""DICOM series: `header` (one file), `stack` (slices to a grid, and its checks), `series` (find, read,
+write).
+"""

@@ -14,11 +14,11 @@ from pydicom.errors import InvalidDicomError
 from pydicom.uid import UID, ImplicitVRLittleEndian
 
 from needlefit.errors import DataError
-from needlefit.project.reading import opened
+from needlefit.project.input_files import open_regular
 
 Floats = NDArray[np.float64]
 
-TAGS = (
+READ_TAGS = (
     *("SOPClassUID", "SeriesInstanceUID", "SeriesNumber", "SeriesDescription", "FrameOfReferenceUID"),
     *("Modality", "GantryDetectorTilt"),
     *("ImageType", "Rows", "Columns", "NumberOfFrames", "SamplesPerPixel", "BitsAllocated"),
@@ -27,12 +27,12 @@ TAGS = (
     *("PixelPaddingRangeLimit",),
 )
 _SUFFIXES = (".dcm", ".ima", ".dicom")
-_PREAMBLE = 132
-SMALL_BYTES = 256
+_PREAMBLE_BYTES = 132
+MAX_OVERREAD_BYTES = 256
 """So much more may be asked for than there is: a preamble, the head of an element behind the last."""
 
 
-class _Bounded:
+class _BoundedFile:
     """A file in which no element may reach beyond the end: pydicom would allocate what its length claims."""
 
     def __init__(self, file: BinaryIO) -> None:
@@ -42,7 +42,7 @@ class _Bounded:
 
     def read(self, size: int = -1, /) -> bytes:
         """Read bytes; EOFError if many more are asked for than there are."""
-        if size > max(self._size - self.tell(), 0) + SMALL_BYTES:
+        if size > max(self._size - self.tell(), 0) + MAX_OVERREAD_BYTES:
             raise EOFError
         return self._file.read(size)
 
@@ -55,7 +55,7 @@ class _Bounded:
 
 
 @dataclass(frozen=True)
-class Slice:
+class DicomSlice:
     """One image of a series, as its header says.
 
     Attributes
@@ -110,7 +110,7 @@ class Slice:
     table: bool
 
 
-def read_header(file: Path) -> Slice | None:
+def read_header(file: Path) -> DicomSlice | None:
     """Return what a file says of its slice; None if it is no DICOM image but, say, a report or a text.
 
     Raises
@@ -123,130 +123,135 @@ def read_header(file: Path) -> Slice | None:
             "ignore"
         )  # what pydicom doubts and we use is checked here, the rest is not ours
         try:
-            with opened(file, sys.maxsize) as content:
-                data = pydicom.dcmread(_Bounded(content), stop_before_pixels=True, specific_tags=list(TAGS))
+            with open_regular(file, sys.maxsize) as content:
+                data = pydicom.dcmread(
+                    _BoundedFile(content), stop_before_pixels=True, specific_tags=list(READ_TAGS)
+                )
         except InvalidDicomError as error:
             if file.suffix.lower() in _SUFFIXES:
-                raise damaged(file) from error
+                raise damaged_file_error(file) from error
             return None
         except DataError:  # no file that may be read
             raise
         except Exception as error:  # whatever the bytes provoke
-            raise damaged(file) from error
+            raise damaged_file_error(file) from error
         storage = str(data.file_meta.get("MediaStorageSOPClassUID") or data.get("SOPClassUID") or "")
         if storage and "Image Storage" not in UID(storage).name:
             if UID(storage).name == storage and "SOPClassUID" not in data:  # a UID cut short, nothing behind
-                raise damaged(file)
+                raise damaged_file_error(file)
             return None
         if not all(name in data for name in ("SeriesInstanceUID", "Rows", "Columns")):
-            raise damaged(file)
-        return _slice(file, data)
+            raise damaged_file_error(file)
+        return _parse_slice(file, data)
 
 
-def _slice(file: Path, data: pydicom.Dataset) -> Slice:
+def _parse_slice(file: Path, data: pydicom.Dataset) -> DicomSlice:
     kind = data.get("ImageType") or ()
-    return Slice(
+    return DicomSlice(
         file=file,
         series=str(data.SeriesInstanceUID),
-        number=_text(data.get("SeriesNumber")),
-        description=_text(data.get("SeriesDescription")),
-        modality=_text(data.get("Modality")).upper(),
-        tilt=_tilt(file, data),
+        number=_to_text(data.get("SeriesNumber")),
+        description=_to_text(data.get("SeriesDescription")),
+        modality=_to_text(data.get("Modality")).upper(),
+        tilt=_parse_tilt(file, data),
         syntax=UID(str(data.file_meta.get("TransferSyntaxUID") or ImplicitVRLittleEndian)),
-        frame_of_reference=_text(data.get("FrameOfReferenceUID")),
+        frame_of_reference=_to_text(data.get("FrameOfReferenceUID")),
         kind=(kind,) if isinstance(kind, str) else tuple(map(str, kind)),
-        rows=_whole(file, data, "Rows", 0),
-        columns=_whole(file, data, "Columns", 0),
-        frames=_whole(file, data, "NumberOfFrames", 1),
-        samples=_whole(file, data, "SamplesPerPixel", 1),
-        bits=_whole(file, data, "BitsAllocated", 16),
-        position=_numbers(file, data, ("ImagePositionPatient",), (3,)),
-        axes=_numbers(file, data, ("ImageOrientationPatient",), (2, 3)),
-        pixel=_numbers(file, data, ("PixelSpacing",), (2,)),
-        rescale=_numbers(file, data, ("RescaleSlope", "RescaleIntercept"), (2,)),
-        padding=_padding(file, data),
+        rows=_parse_whole_number(file, data, "Rows", 0),
+        columns=_parse_whole_number(file, data, "Columns", 0),
+        frames=_parse_whole_number(file, data, "NumberOfFrames", 1),
+        samples=_parse_whole_number(file, data, "SamplesPerPixel", 1),
+        bits=_parse_whole_number(file, data, "BitsAllocated", 16),
+        position=_parse_numbers(file, data, ("ImagePositionPatient",), (3,)),
+        axes=_parse_numbers(file, data, ("ImageOrientationPatient",), (2, 3)),
+        pixel=_parse_numbers(file, data, ("PixelSpacing",), (2,)),
+        rescale=_parse_numbers(file, data, ("RescaleSlope", "RescaleIntercept"), (2,)),
+        padding=_parse_padding(file, data),
         table="ModalityLUTSequence" in data,
     )
 
 
-def _tilt(file: Path, data: pydicom.Dataset) -> float:
-    angle = _numbers(file, data, ("GantryDetectorTilt",), (1,))
+def _parse_tilt(file: Path, data: pydicom.Dataset) -> float:
+    angle = _parse_numbers(file, data, ("GantryDetectorTilt",), (1,))
     return 0.0 if angle is None else float(angle[0])
 
 
-def _padding(file: Path, data: pydicom.Dataset) -> Floats | None:
+def _parse_padding(file: Path, data: pydicom.Dataset) -> Floats | None:
     """Return the least and the greatest padding value as they are stored, with their sign."""
     values = [
-        _whole(file, data, name, 0)
+        _parse_whole_number(file, data, name, 0)
         for name in ("PixelPaddingValue", "PixelPaddingRangeLimit")
         if data.get(name) is not None
     ]
     if not values or data.get("PixelPaddingValue") is None:
         return None
     if data.get("PixelRepresentation") == 1:  # some scanners write -2000 as 63536
-        turn = 2 ** _whole(file, data, "BitsAllocated", 16)
+        turn = 2 ** _parse_whole_number(file, data, "BitsAllocated", 16)
         values = [value - turn if value >= turn // 2 else value for value in values]
     return np.array([min(values), max(values)], dtype=np.float64)
 
 
-def _numbers(
+def _parse_numbers(
     file: Path, data: pydicom.Dataset, names: tuple[str, ...], shape: tuple[int, ...]
 ) -> Floats | None:
     """Return the entries `names` as one array of `shape`; None if all are missing or empty."""
-    entries = [_entry(file, data, name) for name in names]
+    entries = [_read_entry(file, data, name) for name in names]
     if all(entry is None or entry == "" for entry in entries):
         return None
     try:
         array = np.array(entries, dtype=np.float64).reshape(shape)
     except (TypeError, ValueError):
-        raise _unclear(file, " and ".join(names), entries) from None
+        raise _unclear_entry_error(file, " and ".join(names), entries) from None
     if not np.isfinite(array).all():
-        raise _unclear(file, " and ".join(names), entries)
+        raise _unclear_entry_error(file, " and ".join(names), entries)
     return array
 
 
-def _whole(file: Path, data: pydicom.Dataset, name: str, default: int) -> int:
-    value = _entry(file, data, name)
+def _parse_whole_number(file: Path, data: pydicom.Dataset, name: str, default: int) -> int:
+    value = _read_entry(file, data, name)
     if value is None or value == "":
         return default
     try:
         return int(value)
     except (TypeError, ValueError):
-        raise _unclear(file, name, value) from None
+        raise _unclear_entry_error(file, name, value) from None
 
 
-def _entry(file: Path, data: pydicom.Dataset, name: str) -> Any:  # noqa: ANN401 - whatever the file holds
+def _read_entry(file: Path, data: pydicom.Dataset, name: str) -> Any:  # noqa: ANN401 - whatever the file holds
     try:
         return data.get(name)
     except Exception:  # pydicom parses an entry when it is asked for, and raises what its bytes provoke
-        raise _unclear(file, name, "unreadable") from None
+        raise _unclear_entry_error(file, name, "unreadable") from None
 
 
-def _text(value: object) -> str:
+def _to_text(value: object) -> str:
     return "" if value is None else str(value).strip()
 
 
-def _unclear(file: Path, name: str, value: object) -> DataError:
+def _unclear_entry_error(file: Path, name: str, value: object) -> DataError:
     return DataError(
         f"{name} is {value}",
         where=str(file),
         expected="finite numbers, as many as the DICOM standard asks for",
-        mend="export the series from the scanner or the archive again",
+        fix="export the series from the scanner or the archive again",
     )
 
 
 def is_dicom(file: Path) -> bool:
     """Return whether a file begins as DICOM files do."""
-    with opened(file, sys.maxsize) as content:
-        return content.read(_PREAMBLE).endswith(b"DICM")
+    with open_regular(file, sys.maxsize) as content:
+        return content.read(_PREAMBLE_BYTES).endswith(b"DICM")
 
 
-def damaged(file: Path) -> DataError:
+def damaged_file_error(file: Path) -> DataError:
     """Return the error for a file of a series that is none, or not whole."""
-    empty = file.stat().st_size <= _PREAMBLE
+    empty = file.stat().st_size <= _PREAMBLE_BYTES
     return DataError(
         "is empty" if empty else "its DICOM header is damaged or cut short",
         where=str(file),
         expected="a whole DICOM file",
-        mend="copy the file again, or export the series again",
+        fix="copy the file again, or export the series again",
     )
+
+
+LOCALIZER = "LOCALIZER"

@@ -1,17 +1,31 @@
-"""Which series of a folder is meant."""
+"""Find, read and write DICOM series."""
 
+import hashlib
 import re
+import uuid
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
+
+import numpy as np
+import SimpleITK as sitk
+from numpy.typing import NDArray
+from pydicom.dataset import Dataset, FileDataset, FileMetaDataset
+from pydicom.uid import UID, CTImageStorage, ExplicitVRLittleEndian
+from pydicom.valuerep import DSfloat
 
 from needlefit.errors import DataError
-from needlefit.imaging.dicom.header import Slice, damaged, is_dicom, read_header
-from needlefit.project.reading import is_file
+from needlefit.imaging.dicom.header import LOCALIZER, DicomSlice, damaged_file_error, is_dicom, read_header
+from needlefit.imaging.dicom.stack import describe_tilt, stack_slices
+from needlefit.imaging.volume import Volume, grid_to_json, to_patient
+from needlefit.project.atomic_write import create_folder, require_new
+from needlefit.project.input_files import is_file
+from needlefit.project.sandbox import SandboxArrays, allow_memory
 
-LOCALIZER = "LOCALIZER"
-_SHOWN = 10
+_MAX_LISTED = 10
 
 
-def find_series(path: Path, series: str | None = None) -> list[Slice]:
+def find_series(path: Path, series: str | None = None) -> list[DicomSlice]:
     """Return the slices of the one series that `path` means, in no order.
 
     Parameters
@@ -27,37 +41,37 @@ def find_series(path: Path, series: str | None = None) -> list[Slice]:
         If there is no DICOM image there, no series of the name, or several to choose from.
     """
     if is_file(path):
-        return _of_file(path)
-    groups = _groups(path)
+        return _find_series_of_file(path)
+    groups = _group_slices(path)
     if not groups:
-        raise _nothing(path)
+        raise _no_series_error(path)
     if series is not None:
-        return _named(path, groups, series)
+        return _select_series(path, groups, series)
     stacks = {uid: slices for uid, slices in groups.items() if _may_be_volume(slices)} or groups
     if len(stacks) > 1:
         raise DataError(
-            f"holds {len(stacks)} series: {_list(stacks)}",
+            f"holds {len(stacks)} series: {_list_series(stacks)}",
             where=str(path),
             expected="one series, or the name of the one that is meant",
-            mend="give the number or the UID of the one that is meant with --series, or under `series` in a "
+            fix="give the number or the UID of the one that is meant with --series, or under `series` in a "
             "table of scans",
         )
     return next(iter(stacks.values()))
 
 
-def _of_file(path: Path) -> list[Slice]:
+def _find_series_of_file(path: Path) -> list[DicomSlice]:
     header = read_header(path)
     if header is None:
         raise DataError(
             "is not a volume that can be read",
             where=str(path),
             expected="a DICOM image, or a file that ends in .nrrd, .nii, .nii.gz or .mha",
-            mend="export the scan in one of these formats",
+            fix="export the scan in one of these formats",
         )
-    return _groups(path.parent)[header.series]
+    return _group_slices(path.parent)[header.series]
 
 
-def _groups(folder: Path) -> dict[str, list[Slice]]:
+def _group_slices(folder: Path) -> dict[str, list[DicomSlice]]:
     """Return the slices of every series in `folder`, by UID; the same order on every machine.
 
     Raises
@@ -65,7 +79,7 @@ def _groups(folder: Path) -> dict[str, list[Slice]]:
     DataError
         If a slice is damaged: so is a file named as the others are, by a number, that is no DICOM file.
     """
-    groups: dict[str, list[Slice]] = {}
+    groups: dict[str, list[DicomSlice]] = {}
     others: list[Path] = []
     for file in sorted(file for file in folder.iterdir() if is_file(file) and file.name[0] != "."):
         header = read_header(file)
@@ -73,56 +87,224 @@ def _groups(folder: Path) -> dict[str, list[Slice]]:
             others.append(file)
         else:
             groups.setdefault(header.series, []).append(header)
-    slice_names = {_pattern(item.file) for slices in groups.values() for item in slices}
+    slice_names = {_name_pattern(item.file) for slices in groups.values() for item in slices}
     for file in others:
-        if _pattern(file) in slice_names and not is_dicom(file):
-            raise damaged(file)
+        if _name_pattern(file) in slice_names and not is_dicom(file):
+            raise damaged_file_error(file)
     return groups
 
 
-def _pattern(file: Path) -> str:
+def _name_pattern(file: Path) -> str:
     """Return a file's name with every number replaced by the same sign."""
     return re.sub(r"\d+", "#", file.name)
 
 
-def _may_be_volume(slices: list[Slice]) -> bool:
+def _may_be_volume(slices: list[DicomSlice]) -> bool:
     """Tell a stack of slices from overviews, single images and pictures of reports."""
     if any(item.frames > 1 for item in slices):
         return True
-    placed = [item for item in slices if item.position is not None and LOCALIZER not in item.kind]
-    return len(placed) > 1
+    positioned = [item for item in slices if item.position is not None and LOCALIZER not in item.kind]
+    return len(positioned) > 1
 
 
-def _named(path: Path, groups: dict[str, list[Slice]], series: str) -> list[Slice]:
+def _select_series(path: Path, groups: dict[str, list[DicomSlice]], series: str) -> list[DicomSlice]:
     found = {
         uid: slices for uid, slices in groups.items() if series == uid or series.strip() == slices[0].number
     }
     if len(found) != 1:
         called = f"{len(found) or 'no'} series {'are' if found else 'is'} called {series}"
         raise DataError(
-            f"{called}; it holds {_list(groups)}",
+            f"{called}; it holds {_list_series(groups)}",
             where=str(path),
             expected="the number or the UID of one of them",
-            mend="give the UID" if found else "give one of the numbers listed",
+            fix="give the UID" if found else "give one of the numbers listed",
         )
     return next(iter(found.values()))
 
 
-def _list(groups: dict[str, list[Slice]]) -> str:
+def _list_series(groups: dict[str, list[DicomSlice]]) -> str:
     lines = [
         f"number {slices[0].number or '(none)'} {slices[0].description!r}, {len(slices)} files, UID {uid}"
         for uid, slices in groups.items()
     ]
-    more = [f"and {len(lines) - _SHOWN} more"] if len(lines) > _SHOWN else []
-    return "; ".join(lines[:_SHOWN] + more)
+    more = [f"and {len(lines) - _MAX_LISTED} more"] if len(lines) > _MAX_LISTED else []
+    return "; ".join(lines[:_MAX_LISTED] + more)
 
 
-def _nothing(path: Path) -> DataError:
+def _no_series_error(path: Path) -> DataError:
     inside = sorted(entry.name + "/" * entry.is_dir() for entry in path.iterdir())
-    shown = ", ".join(inside[:_SHOWN]) + (", ..." if len(inside) > _SHOWN else "")
+    shown = ", ".join(inside[:_MAX_LISTED]) + (", ..." if len(inside) > _MAX_LISTED else "")
     return DataError(
         f"holds no DICOM image; there is {shown}" if inside else "is an empty folder",
         where=str(path),
         expected="the files of a DICOM series, directly in the folder",
-        mend="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
+        fix="name the folder in which the slices lie, or the .nrrd or .nii.gz file itself",
     )
+
+
+SLICE_BYTES_PER_PIXEL = 32
+"""A slice stands in memory packed, unpacked, and in double precision."""
+
+sitk.ProcessObject.SetGlobalWarningDisplay(False)  # what is wrong is said once, in our own words
+
+
+def read_series(results: SandboxArrays, path: str, series: str | None) -> dict[str, Any]:
+    """Read the one series that `path` means: the array "values", its grid, and warnings.
+
+    Values are rescaled slice by slice; voxels that were not measured (padding) get the least value that
+    was, so that no threshold and no edge finds them.
+
+    Raises
+    ------
+    DataError
+        If the series is not one sound stack, or a voxel cannot be read.
+    """
+    slices, grid = stack_slices(find_series(Path(path), series))
+    _allow_slice_memory(slices)
+    columns, rows, count = grid.size
+    values = results.new("values", (count, rows, columns), "float32")
+    reader = sitk.ImageFileReader()
+    reader.SetImageIO("GDCMImageIO")
+    for item, plane in zip(slices, values, strict=True):
+        plane[...] = _read_voxels(reader, item)
+    _fill_padding(values, slices)
+    return {**grid_to_json(grid), "warnings": describe_tilt(slices)}
+
+
+def _allow_slice_memory(slices: Sequence[DicomSlice]) -> None:
+    """Grant the memory of one slice, unpacked, to the readers that turn it over."""
+    allow_memory(max(item.rows * item.columns for item in slices) * SLICE_BYTES_PER_PIXEL)
+
+
+def _read_voxels(reader: sitk.ImageFileReader, item: DicomSlice) -> NDArray[np.float64]:
+    """Return the rescaled values (rows, columns) of a slice; padding is NaN."""
+    reader.SetFileName(str(item.file))
+    try:
+        image = reader.Execute()
+    except RuntimeError as error:
+        packed = f"; it is compressed as {item.syntax.name}" if item.syntax.is_compressed else ""
+        raise DataError(
+            f"its voxels cannot be read{packed}",
+            where=str(item.file),
+            expected="a whole DICOM file",
+            fix="it is cut short or damaged: copy it again, or export the series again"
+            + (", uncompressed" if packed else ""),
+        ) from error
+    voxels = np.array(sitk.GetArrayViewFromImage(image), dtype=np.float64).reshape(item.rows, item.columns)
+    if item.padding is not None:
+        assert item.rescale is not None  # the stack was checked
+        slope, intercept = item.rescale
+        kept = (voxels - intercept) / slope
+        voxels[(kept > item.padding[0] - 0.5) & (kept < item.padding[1] + 0.5)] = np.nan
+    return voxels
+
+
+def _fill_padding(values: NDArray[np.float32], slices: Sequence[DicomSlice]) -> None:
+    """Give padding the least measured value of the volume."""
+    if all(item.padding is None for item in slices):
+        return
+    least = np.fmin.reduce(values, axis=None)
+    if np.isnan(least):
+        raise DataError(
+            "holds nothing but padding",
+            where=str(slices[0].file.parent),
+            expected="measured values; padding is what PixelPaddingValue says",
+            fix="check PixelPaddingValue, or export the series again",
+        )
+    for plane in values:
+        plane[np.isnan(plane)] = least
+
+
+_INT16_LEVELS = 2**16 - 1
+_UID_NAMESPACE = uuid.uuid5(uuid.NAMESPACE_DNS, "needlefit")
+
+
+def write_series(volume: Volume, folder: Path, description: str) -> None:
+    """Write `volume` as the series of a new `folder`, a slice a file.
+
+    Its UIDs are made of its content, and it bears no date, so that the same volume gives the same bytes.
+
+    Raises
+    ------
+    ConfigError
+        If the folder is there and not empty: a second series in it would make both unreadable.
+    """
+    require_new(folder)
+    numbers, slope, intercept = _to_int16(volume.values)
+    series = _common_dataset(volume, description, slope, intercept)
+    content = hashlib.sha256(series.to_json().encode())
+    content.update(np.ascontiguousarray(numbers, dtype="<i2").data)
+    for array in (volume.origin, volume.spacing, volume.direction):
+        content.update(np.asarray(array, dtype="<f8").tobytes())
+    digest = content.hexdigest()
+    with create_folder(folder) as fresh:
+        for k, plane in enumerate(numbers):
+            file = fresh / f"{k + 1:05d}.dcm"
+            corner = to_patient(volume, [[0.0, 0.0, k]])[0]
+            _slice_dataset(file, series, digest, k, corner, plane).save_as(file, enforce_file_format=True)
+
+
+def _to_int16(values: NDArray[np.float32]) -> tuple[NDArray[np.int16], float, float]:
+    """Return `values` as int16, with the slope and the intercept that give them back."""
+    least, most = float(values.min()), float(values.max())
+    limits = np.iinfo(np.int16)
+    if limits.min <= least and most <= limits.max:
+        whole = values.astype(np.int16)
+        if np.array_equal(whole, values):
+            return whole, 1.0, 0.0
+    slope = float(DSfloat((most - least) / _INT16_LEVELS, auto_format=True)) or 1.0
+    intercept = float(DSfloat(least - limits.min * slope, auto_format=True))
+    planes = [np.rint((plane.astype(np.float64) - intercept) / slope) for plane in values]
+    return np.array([np.clip(p, limits.min, limits.max).astype(np.int16) for p in planes]), slope, intercept
+
+
+def _common_dataset(volume: Volume, description: str, slope: float, intercept: float) -> Dataset:
+    """Return what all slices have in common."""
+    data = Dataset()
+    data.SpecificCharacterSet = "ISO_IR 192"
+    data.ImageType = ["DERIVED", "SECONDARY", "AXIAL"]
+    data.SOPClassUID = CTImageStorage
+    data.StudyDate = data.StudyTime = data.AccessionNumber = data.ReferringPhysicianName = ""
+    data.Modality, data.Manufacturer, data.SeriesDescription = "CT", "needlefit", description[:64]
+    data.PatientName = data.PatientID = data.StudyID = "needlefit"
+    data.PatientBirthDate = data.PatientSex = data.KVP = data.AcquisitionNumber = ""
+    data.SeriesNumber, data.PatientPosition, data.PositionReferenceIndicator = 1, "HFS", ""
+    data.SliceThickness = _decimal(volume.spacing[2])
+    data.ImageOrientationPatient = [_decimal(x) for x in volume.direction[:, :2].T.ravel()]
+    data.PixelSpacing = [_decimal(volume.spacing[1]), _decimal(volume.spacing[0])]
+    data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
+    data.Rows, data.Columns = volume.values.shape[1:]
+    data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, 16, 15, 1
+    data.RescaleSlope, data.RescaleIntercept, data.RescaleType = _decimal(slope), _decimal(intercept), "HU"
+    return data
+
+
+def _slice_dataset(
+    file: Path, series: Dataset, digest: str, k: int, corner: NDArray[np.float64], plane: NDArray[np.int16]
+) -> FileDataset:
+    """Return the file of slice `k`, whose first voxel stands at `corner`, LPS, mm."""
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID = CTImageStorage
+    meta.MediaStorageSOPInstanceUID = _uid(digest, f"slice {k}")
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    meta.ImplementationClassUID = _uid("", "implementation")
+    meta.ImplementationVersionName = "NEEDLEFIT"
+    data = FileDataset(str(file), series, file_meta=meta, preamble=b"\0" * 128)
+    data.SOPInstanceUID = meta.MediaStorageSOPInstanceUID
+    data.StudyInstanceUID, data.SeriesInstanceUID = _uid(digest, "study"), _uid(digest, "series")
+    data.FrameOfReferenceUID = _uid(digest, "frame of reference")
+    data.InstanceNumber = k + 1
+    data.ImagePositionPatient = [_decimal(x) for x in corner]
+    data.PixelData = plane.astype("<i2").tobytes()
+    data["PixelData"].VR = "OW"
+    return data
+
+
+def _decimal(value: float) -> DSfloat:
+    """Return `value` in the 16 characters that DICOM has for a number."""
+    return DSfloat(float(value) + 0.0, auto_format=True)
+
+
+def _uid(digest: str, part: str) -> UID:
+    """Return the UID of a part of the series with this content."""
+    return UID(f"2.25.{uuid.uuid5(_UID_NAMESPACE, f'{digest} {part}').int}")

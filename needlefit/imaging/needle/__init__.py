@@ -1,1 +1,1 @@
-"""The needle in a scan: `segmentation` > `centerline` > `spine`, `sections`, `tip`."""
+"""The needle in a scan: `segmentation` > `centerline` > `axis`, `sections`, `tip`."""

@@ -7,34 +7,49 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.needle.sections import Sections, centroids, disc, fit, in_volume, sample, taken, unseen
-from needlefit.imaging.needle.segmentation import AIR_BELOW, Component, main_axes
-from needlefit.imaging.needle.spine import Frames, Spine, deviation, draw, extended, frames, reversed_spine
-from needlefit.imaging.needle.tip import End, bevel_length, find_end
+from needlefit.imaging.needle.axis_spline import (
+    AxisFrames,
+    AxisSpline,
+    CrossSections,
+    axis_frames,
+    axis_sd,
+    disc_points,
+    estimate_shared_sd,
+    extend_axis,
+    find_centroids,
+    fit_axis,
+    fit_sections,
+    in_volume,
+    reverse_axis,
+    sample_planes,
+    select_sections,
+)
+from needlefit.imaging.needle.segmentation import MAX_AIR_HU, Component, principal_axes
+from needlefit.imaging.needle.tip import TipFit, bevel_length, fit_tip
 from needlefit.imaging.volume import Volume, to_index, to_patient
-from needlefit.project.records.reconstruction import ReconstructionRecord
+from needlefit.schemas.reconstruction import ReconstructionRecord
 
 Floats = NDArray[np.float64]
 
-BIN = 2.0
+BIN_LENGTH_MM = 2.0
 """Length of the pieces whose centroids are the first axis, mm."""
 
-BLUNT = 1.2
+BEVEL_MARGIN_MM = 1.2
 """How far from its end a needle still looks shorter than it is, mm."""
 
-FAINT = 0.3
+MIN_RELATIVE_AMPLITUDE = 0.3
 """Cross-sections fainter than this part of the middle one are left out."""
 
-ROUNDS = 3
+AXIS_FIT_ROUNDS = 3
 """Rounds of fits across the axis, each on the axis of the one before."""
 
-LEAST_SECTIONS = 8
+MIN_SECTIONS = 8
 """Fewer do not make an axis."""
 
-AT_EDGE = 3.0
+MAX_EDGE_DISTANCE_MM = 3.0
 """An end this near to the volume's face (mm) has left it."""
 
-SYSTEMATIC = 0.002
+SYSTEMATIC_SD_MM = 0.002
 """What no scatter along the needle shows, mm: the grid's own pattern."""
 
 
@@ -72,7 +87,7 @@ class Centerline:
     residuals: Floats
 
 
-def trace(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
+def trace_needle(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Centerline:
     """Return the axis of the needle whose voxels are `component`.
 
     Raises
@@ -80,61 +95,66 @@ def trace(volume: Volume, component: Component, recipe: ReconstructionRecord) ->
     DataError
         If the needle's tip lies outside the volume, or cannot be told from its base.
     """
-    spine = tip_last(volume, rough_spine(volume, component, recipe), recipe)
-    heel = bevel_length(recipe.needle) + BLUNT
-    spine = refined(volume, spine, recipe, spine.length - heel)
-    end = find_end(volume, spine, recipe.needle, spine.length + heel)
-    spine = refined(volume, spine, recipe, end.at - heel)
-    end = find_end(volume, spine, recipe.needle, end.at)
-    return _centerline(with_tip(spine, end, recipe), end, recipe)
+    axis = orient_axis(volume, fit_rough_axis(volume, component, recipe), recipe)
+    heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
+    axis = refine_axis(volume, axis, recipe, axis.length - heel)
+    end = fit_tip(volume, axis, recipe.needle, axis.length + heel)
+    axis = refine_axis(volume, axis, recipe, end.at - heel)
+    end = fit_tip(volume, axis, recipe.needle, end.at)
+    return _sample_centerline(add_tip(axis, end, recipe), end, recipe)
 
 
-def rough_spine(volume: Volume, component: Component, recipe: ReconstructionRecord) -> Spine:
+def fit_rough_axis(volume: Volume, component: Component, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the spline through the bright centroids of the component's pieces along its main axis."""
     points = to_patient(volume, component.voxels)
     i, j, k = component.voxels.T
     bright = volume.values[k, j, i].astype(np.float64)
     bright -= bright.min() - 1.0
-    center, axes = main_axes(points)
+    center, axes = principal_axes(points)
     along = (points - center) @ axes[0]
-    piece = np.floor((along - along.min()) / BIN).astype(int)
+    piece = np.floor((along - along.min()) / BIN_LENGTH_MM).astype(int)
     mass = np.bincount(piece, bright)
     moments = np.stack([np.bincount(piece, bright * axis) for axis in points.T], axis=1)
     pieces: Floats = moments[mass > 0] / mass[mass > 0, None]
-    return draw(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * recipe.centerline.knot_mm)
+    return fit_axis(arc_length(pieces), pieces, np.ones(len(pieces)), 2 * recipe.centerline.knot_spacing_mm)
 
 
-def refined(volume: Volume, spine: Spine, recipe: ReconstructionRecord, stop: float) -> Spine:
+def refine_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord, stop: float) -> AxisSpline:
     """Return the spline through the cross-sections from the spine's start to `stop` (mm along it)."""
     rules = recipe.centerline
-    plane = disc(rules.patch_mm)
-    stop = max(stop, 8 * rules.station_mm)
-    for round_ in range(ROUNDS):
-        s = np.arange(0.0, stop, rules.station_mm)
-        values = sample(volume, frames(spine, s), plane)
-        seen = in_volume(values)
-        if seen.sum() < LEAST_SECTIONS:
-            raise _too_few(int(seen.sum()))
-        where, values = frames(spine, s[seen]), values[seen]
-        rough = found = centroids(values, plane, recipe.needle.diameter_mm)
+    plane = disc_points(rules.patch_width_mm)
+    stop = max(stop, 8 * rules.station_spacing_mm)
+    for round_ in range(AXIS_FIT_ROUNDS):
+        s = np.arange(0.0, stop, rules.station_spacing_mm)
+        values = sample_planes(volume, axis_frames(axis, s), plane)
+        valid = in_volume(values)
+        if valid.sum() < MIN_SECTIONS:
+            raise _too_few_sections_error(int(valid.sum()))
+        where, values = axis_frames(axis, s[valid]), values[valid]
+        rough = found = find_centroids(values, plane, recipe.needle.diameter_mm)
         if round_ > 0:
-            found = fit(values, plane, fit(values, plane, rough))
-        spine = _through(where, found, recipe)
-        stop = spine.length + 1e-6
-    good = _shown(found, recipe)
-    return replace(spine, unseen=unseen(taken(rough, good), taken(found, good), rules.station_mm))
+            found = fit_sections(values, plane, fit_sections(values, plane, rough))
+        axis = _fit_axis_through(where, found, recipe)
+        stop = axis.length + 1e-6
+    good = _find_usable_sections(found, recipe)
+    return replace(
+        axis,
+        shared_sd=estimate_shared_sd(
+            select_sections(rough, good), select_sections(found, good), rules.station_spacing_mm
+        ),
+    )
 
 
-def with_tip(spine: Spine, end: End, recipe: ReconstructionRecord) -> Spine:
+def add_tip(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the spline drawn through the tip as well: beyond the last cross-section it is no guess then."""
-    sd = max(float(end.sd[1]), SYSTEMATIC)
-    return extended(spine, end.at, end.point, sd, recipe.centerline.knot_mm)
+    sd = max(float(end.sd[1]), SYSTEMATIC_SD_MM)
+    return extend_axis(axis, end.at, end.point, sd, recipe.centerline.knot_spacing_mm)
 
 
-def tip_last(volume: Volume, spine: Spine, recipe: ReconstructionRecord) -> Spine:
+def orient_axis(volume: Volume, axis: AxisSpline, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the spine run through from base to tip, or raise DataError if which is which is unknown."""
-    ends = spine.spline(np.array([0.0, spine.length]))
-    cut = [_leaves(volume, end) for end in ends]
+    ends = axis.spline(np.array([0.0, axis.length]))
+    cut = [_is_at_edge(volume, end) for end in ends]
     where = "; ".join(", ".join(f"{x:.0f}" for x in end) for end in ends)
     direction = recipe.centerline.entry_direction
     if direction is not None:
@@ -142,13 +162,13 @@ def tip_last(volume: Volume, spine: Spine, recipe: ReconstructionRecord) -> Spin
     elif cut[0] != cut[1]:
         forward = cut[0]
     else:
-        tissue = [_in_tissue(volume, spine, at) for at in (-4.0, spine.length + 4.0)]
+        tissue = [_in_tissue(volume, axis, at) for at in (-4.0, axis.length + 4.0)]
         if tissue[0] == tissue[1] and not all(cut):
             raise DataError(
                 "both ends of the needle lie in " + ("tissue" if tissue[0] else "air"),
                 where=f"ends at L, P, S = {where} mm",
                 expected="one end in tissue or the other beyond the volume",
-                mend="set centerline.entry_direction (LPS, from base to tip) in the recipe",
+                fix="set centerline.entry_direction (LPS, from base to tip) in the recipe",
             )
         forward = tissue[1]
     if cut[1 if forward else 0]:
@@ -156,65 +176,65 @@ def tip_last(volume: Volume, spine: Spine, recipe: ReconstructionRecord) -> Spin
             "the needle leaves the volume with its tip",
             where=f"ends at L, P, S = {where} mm",
             expected="the tip and some tissue beyond it in the scan",
-            mend="scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction",
+            fix="scan with the tip in view; or, if the other end is the tip, set centerline.entry_direction",
         )
-    return spine if forward else reversed_spine(spine)
+    return axis if forward else reverse_axis(axis)
 
 
-def _through(where: Frames, found: Sections, recipe: ReconstructionRecord) -> Spine:
+def _fit_axis_through(where: AxisFrames, found: CrossSections, recipe: ReconstructionRecord) -> AxisSpline:
     """Return the spline through the sections that show the needle."""
-    good = _shown(found, recipe)
-    if good.sum() < LEAST_SECTIONS:
-        raise _too_few(int(good.sum()))
+    good = _find_usable_sections(found, recipe)
+    if good.sum() < MIN_SECTIONS:
+        raise _too_few_sections_error(int(good.sum()))
     points = where.origins + found.shifts[:, :1] * where.u + found.shifts[:, 1:] * where.v
     points = points[good]
     s = arc_length(points)
     noise = found.noise[good] / found.amplitude[good]
     weights = 1 / (1 + (noise / np.median(noise)) ** 2)
-    return draw(s, points, weights / weights.mean(), recipe.centerline.knot_mm)
+    return fit_axis(s, points, weights / weights.mean(), recipe.centerline.knot_spacing_mm)
 
 
-def _shown(found: Sections, recipe: ReconstructionRecord) -> NDArray[np.bool_]:
+def _find_usable_sections(found: CrossSections, recipe: ReconstructionRecord) -> NDArray[np.bool_]:
     """Whether each section is bright enough, and near enough to where it was looked for, to be the needle."""
-    shown: NDArray[np.bool_] = found.amplitude > FAINT * np.median(found.amplitude)
+    shown: NDArray[np.bool_] = found.amplitude > MIN_RELATIVE_AMPLITUDE * np.median(found.amplitude)
     shown &= np.linalg.norm(found.shifts, axis=1) < recipe.needle.diameter_mm
     return shown
 
 
-def _centerline(spine: Spine, end: End, recipe: ReconstructionRecord) -> Centerline:
+def _sample_centerline(axis: AxisSpline, end: TipFit, recipe: ReconstructionRecord) -> Centerline:
     """Return the points every station from the first cross-section to the tip."""
-    count = int(np.ceil(end.at / recipe.centerline.station_mm)) + 1
+    count = int(np.ceil(end.at / recipe.centerline.station_spacing_mm)) + 1
     s = np.linspace(0.0, end.at, count)
-    heel = bevel_length(recipe.needle) + BLUNT
+    heel = bevel_length(recipe.needle) + BEVEL_MARGIN_MM
     swung = end.sd[1] * np.clip((s - end.at + heel) / heel, 0, 1)  # the rod alone holds the axis there
-    sd = np.maximum(np.hypot(deviation(spine, s), SYSTEMATIC), swung)
-    points, tip_sd = spine.spline(s), np.array([end.sd[0], sd[-1]])
-    sections = spine.s[:-1]  # the last is the tip
-    beside = spine.points[:-1] - spine.spline(sections)
-    tangents = frames(spine, sections).tangents
+    sd = np.maximum(np.hypot(axis_sd(axis, s), SYSTEMATIC_SD_MM), swung)
+    points, tip_sd = axis.spline(s), np.array([end.sd[0], sd[-1]])
+    sections = axis.s[:-1]  # the last is the tip
+    beside = axis.points[:-1] - axis.spline(sections)
+    tangents = axis_frames(axis, sections).tangents
     beside -= np.einsum("sd,sd->s", beside, tangents)[:, None] * tangents
     return Centerline(points, sd, points[-1], tip_sd, end.bevel, sections, beside)
 
 
-def _too_few(count: int) -> DataError:
+def _too_few_sections_error(count: int) -> DataError:
     return DataError(
         f"the needle shows in {count} cross-sections only",
-        expected=f"{LEAST_SECTIONS} or more",
-        mend="check the mask or the thresholds, or lower centerline.station_mm",
+        expected=f"{MIN_SECTIONS} or more",
+        fix="check the mask or the thresholds, or lower centerline.station_spacing_mm",
     )
 
 
-def _leaves(volume: Volume, point: Floats) -> bool:
-    """Whether a point lies within `AT_EDGE` mm of the volume's faces."""
+def _is_at_edge(volume: Volume, point: Floats) -> bool:
+    """Whether a point lies within `MAX_EDGE_DISTANCE_MM` mm of the volume's faces."""
     index = to_index(volume, point[None])[0]
     shape = np.array(volume.values.shape[::-1])
     nearest = np.minimum(index, shape - 1 - index) * volume.spacing
-    return bool(nearest.min() < AT_EDGE)
+    return bool(nearest.min() < MAX_EDGE_DISTANCE_MM)
 
 
-def _in_tissue(volume: Volume, spine: Spine, at: float) -> bool:
+def _in_tissue(volume: Volume, axis: AxisSpline, at: float) -> bool:
     """Whether what surrounds the needle at `at` (mm along it) is denser than air."""
-    plane = disc(5.0)
+    plane = disc_points(5.0)
     ring = plane[np.hypot(*plane.T) > 3.0]
-    values = sample(volume, frames(spine, np.array([at])), ring)
-    return bool(np.isfinite(values).any() and np.nanmedian(values) > AIR_BELOW)
+    values = sample_planes(volume, axis_frames(axis, np.array([at])), ring)
+    return bool(np.isfinite(values).any() and np.nanmedian(values) > MAX_AIR_HU)

@@ -1,1 +1,1 @@
-"""Markers seen in a scan laid on their known places: `register` > `pairing`, `rigid`, `target_error`."""
+"""Register the markers of a scan with their known positions in the world; `register` is the entry point."""

@@ -8,17 +8,17 @@ from numpy.typing import ArrayLike
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Floats
 
-FEWEST = 3
+MIN_MARKERS = 3
 """Markers that fix a rigid motion."""
 
-FOUND, KNOWN = "markers found in the scan", "known markers"
+FOUND_SET, KNOWN_SET = "markers found in the scan", "known markers"
 """Where an error stands that is of one set alone."""
 
-MORE = {
-    FOUND: "lower the markers' threshold, give their places by hand, or scan with all markers in view",
-    KNOWN: "list every marker of the layout; where there are no more, add markers and scan again",
+TOO_FEW_FIXES = {
+    FOUND_SET: "lower the markers' threshold, give their places by hand, or scan with all markers in view",
+    KNOWN_SET: "list every marker of the layout; where there are no more, add markers and scan again",
 }
-"""What mends a set of too few."""
+"""What fixes a set of too few."""
 
 
 @dataclass(frozen=True)
@@ -43,12 +43,12 @@ class MarkerSets:
     known_covariance: Floats
 
     @property
-    def fewer(self) -> int:
+    def smaller_count(self) -> int:
         """The number of markers in the smaller set: no pairing has more pairs."""
         return min(len(self.found), len(self.known))
 
     @property
-    def bound(self) -> Floats:
+    def variance_bound(self) -> Floats:
         """A variance (M, N), mm^2, that no pair exceeds in any direction, whatever the rotation."""
         found = np.linalg.eigvalsh(self.found_covariance)[:, -1]
         known = np.linalg.eigvalsh(self.known_covariance)[:, -1]
@@ -68,7 +68,9 @@ class MarkerSets:
         return float(np.max(np.linalg.norm(self.known[:, None] - self.known[None], axis=-1)))
 
 
-def marker_sets(found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike) -> MarkerSets:
+def make_marker_sets(
+    found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_sd: ArrayLike
+) -> MarkerSets:
     """Check and return both sets.
 
     A deviation is one number, one per marker (M,), one per marker and axis (M, 3), or covariances
@@ -79,41 +81,42 @@ def marker_sets(found: ArrayLike, known: ArrayLike, found_sd: ArrayLike, known_s
     DataError
         If a set has fewer than three markers, a number is not finite, or the deviations are not positive.
     """
-    places = _points(found, FOUND), _points(known, KNOWN)
+    places = _check_points(found, FOUND_SET), _check_points(known, KNOWN_SET)
     covariances = [
-        _covariances(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
+        _to_covariances(sd, len(points)) for sd, points in zip((found_sd, known_sd), places, strict=True)
     ]
     sets = MarkerSets(*places, *covariances)
     if not (
-        np.isfinite(sets.bound).all() and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
+        np.isfinite(sets.variance_bound).all()
+        and np.linalg.eigvalsh(np.concatenate(covariances)).min() >= -1e-12
     ):
         raise DataError(
             "a deviation of a marker is negative or not finite",
             where="deviations of the markers",
             expected="one number, one per marker, one per marker and axis, or covariances",
-            mend="state the deviation of a marker's centre per direction, mm",
+            fix="state the deviation of a marker's centre per direction, mm",
         )
-    if sets.bound.min() <= 0:
+    if sets.variance_bound.min() <= 0:
         raise DataError(
             "the deviations of the markers are zero",
             where="deviations of the markers",
             expected="a positive deviation in the scan or in the world: it decides which pairing is believed",
-            mend="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
+            fix="state what finding a marker's centre leaves, about a tenth to a fifth of a voxel",
         )
     return sets
 
 
-def mirrored(sets: MarkerSets) -> MarkerSets:
+def mirror(sets: MarkerSets) -> MarkerSets:
     """Return the sets with the found markers reflected through the origin (as good as through any plane)."""
     return replace(sets, found=-sets.found)
 
 
-def stretched(sets: MarkerSets, factors: ArrayLike) -> MarkerSets:
+def stretch(sets: MarkerSets, factors: ArrayLike) -> MarkerSets:
     """Return the sets with the scan stretched by `factors` (3,) along its axes; to ask, never to use."""
     return replace(sets, found=sets.found * np.asarray(factors))
 
 
-def noisier(sets: MarkerSets, factor: float) -> MarkerSets:
+def scale_noise(sets: MarkerSets, factor: float) -> MarkerSets:
     """Return the sets with all deviations multiplied."""
     return replace(
         sets,
@@ -122,7 +125,7 @@ def noisier(sets: MarkerSets, factor: float) -> MarkerSets:
     )
 
 
-def _points(given: ArrayLike, name: str) -> Floats:
+def _check_points(given: ArrayLike, name: str) -> Floats:
     points = np.asarray(given, dtype=np.float64)
     if points.size == 0:
         points = points.reshape(0, 3)
@@ -131,19 +134,19 @@ def _points(given: ArrayLike, name: str) -> Floats:
             f"the array of shape {points.shape} is no list of finite points",
             where=name,
             expected="three finite coordinates per marker, mm",
-            mend="look for empty cells and for columns that are no coordinates",
+            fix="look for empty cells and for columns that are no coordinates",
         )
-    if len(points) < FEWEST:
+    if len(points) < MIN_MARKERS:
         raise DataError(
             f"{len(points)} markers are too few",
             where=name,
             expected="at least three markers that are not on a line",
-            mend=MORE[name],
+            fix=TOO_FEW_FIXES[name],
         )
     return points
 
 
-def _covariances(given: ArrayLike, count: int) -> Floats:
+def _to_covariances(given: ArrayLike, count: int) -> Floats:
     sd = np.asarray(given, dtype=np.float64)
     if sd.shape == (count, 3, 3):
         return sd
@@ -152,7 +155,7 @@ def _covariances(given: ArrayLike, count: int) -> Floats:
             f"deviations of shape {sd.shape} do not belong to {count} markers, or some are negative",
             where="deviations of the markers",
             expected=f"a number, or an array of shape ({count},), ({count}, 3) or ({count}, 3, 3)",
-            mend="state the deviation of a marker's centre per direction, mm",
+            fix="state the deviation of a marker's centre per direction, mm",
         )
     per_axis = np.broadcast_to(sd[..., None] if sd.ndim == 1 else sd, (count, 3))
     covariances: Floats = per_axis[:, :, None] ** 2 * np.eye(3)

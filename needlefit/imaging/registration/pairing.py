@@ -1,45 +1,62 @@
-"""Which found marker is which known one: all pairings that the noise allows, and the doubt in the likeliest.
+"""Which found marker is which known one: all pairings that the noise allows, and the symmetries of a layout.
 
 Every pairing of a given number of pairs is looked at, but a partial one is dropped with all its followers as
-soon as it cannot be mended: a distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in
+soon as it cannot be fixed: a distance that two pairs change by D costs at least D^2 / (v_1 + v_2) in
 chi-squared however the sets are laid on each other, and pairs added to others never lessen their misfit. The
 variances v bound those of every direction, so nothing within the limit is lost.
 
 Two pairings of as many pairs differ in likelihood by exp(-chi2 / 2); what the likeliest must share with
-pairings that contradict it is the doubt in it. Fewer pairs than markers may be chance: the number of pairings
-of unrelated markers that would fit as well is estimated and bounded.
+pairings that contradict it is the probability that it is wrong. Fewer pairs than markers may be chance: the
+number of pairings of unrelated markers that would fit as well is estimated and bounded.
+
+Whether a layout of markers can be taken for itself the wrong way round, under the noise of its markers.
+
+A permutation of the known markers has a misfit m^2: the chi-squared that its best rigid motion leaves when
+there is no noise. With noise, the wrong pairing's chi-squared exceeds the right one's by a Gaussian number of
+mean m^2 and deviation 2 m. A wrong pairing is noticed in 99 % only if that exceeds `MIN_CHI2_GAP` in 99 %,
+which asks for m >= z + sqrt(z^2 + MIN_CHI2_GAP), z = 2.33. Permutations below that are the layout's
+symmetries.
 """
 
 from dataclasses import dataclass
 from math import comb, factorial
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import csr_array
+from scipy.sparse.csgraph import connected_components
 from scipy.stats import chi2 as chi_squared
+from scipy.stats import norm
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Floats, Frame
-from needlefit.imaging.registration.marker_sets import FEWEST, MarkerSets
-from needlefit.imaging.registration.rigid import Alignment, Pairs, align, misfits
+from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, make_marker_sets
+from needlefit.imaging.registration.rigid import (
+    Alignment,
+    Pairs,
+    align_pairs,
+    fit_kabsch,
+    sum_squared_residuals,
+)
 
-FALSE_ALARM = 1e-4
+FALSE_ALARM_PROBABILITY = 1e-4
 """Probability that the noise as stated makes the right pairing look too bad to be believed."""
 
-DOUBT = 1e-3
+MAX_WRONG_PAIRING_PROBABILITY = 1e-3
 """Probability of another pairing that is tolerated; also the number of chance pairings that is."""
 
-GAP = 2 * np.log(1 / DOUBT)
-"""Chi-squared by which a rival must be worse to leave no more than that doubt."""
+MIN_CHI2_GAP = 2 * np.log(1 / MAX_WRONG_PAIRING_PROBABILITY)
+"""Chi-squared by which an alternative must be worse to leave no more than that doubt."""
 
-LEAST_SHARE = 0.6
+MIN_PAIRED_FRACTION = 0.6
 """Share of the smaller set that must pair: few that agree among many are part of something else."""
 
-BUDGET = 50_000
+MAX_PARTIAL_PAIRINGS = 50_000
 """Partial pairings kept at once; beyond it the markers are too alike or too many."""
 
 
 @dataclass(frozen=True)
-class Candidate:
+class MarkerPairingCandidate:
     """A pairing within the limits, and its fit."""
 
     pairs: Pairs
@@ -54,65 +71,76 @@ class Pairing:
     ----------
     best : Candidate
         The likeliest.
-    rivals : tuple of Candidate
+    alternatives : tuple of Candidate
         Those as large that contradict it, likeliest first.
-    doubt : float
+    wrong_pairing_probability : float
         Probability that one of them is right instead; nan if not all pairings were tried.
     """
 
-    best: Candidate
-    rivals: tuple[Candidate, ...]
-    doubt: float
+    best: MarkerPairingCandidate
+    alternatives: tuple[MarkerPairingCandidate, ...]
+    wrong_pairing_probability: float
 
 
-def limit(count: int) -> float:
-    """Return the chi-squared that the right pairing of so many markers exceeds with `FALSE_ALARM`."""
-    return float(chi_squared.isf(FALSE_ALARM, 3 * count - 6))
+def chi2_limit(count: int) -> float:
+    """Return the chi-squared that the right pairing of so many markers exceeds with
+    `FALSE_ALARM_PROBABILITY`.
+    """
+    return float(chi_squared.isf(FALSE_ALARM_PROBABILITY, 3 * count - 6))
 
 
-def most(sets: MarkerSets) -> list[Candidate]:
+def find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
     """Return the candidates of the largest number of pairs of which one fits; empty if none does.
 
-    Those up to `GAP` beyond the limit come with them, as rivals. The best is the first. Fewer pairs than
-    `LEAST_SHARE` of the smaller set, or than chance may bring, are not looked for.
+    Those up to `MIN_CHI2_GAP` beyond the limit come with them, as alternatives. The best is the first. Fewer
+    pairs than `MIN_PAIRED_FRACTION` of the smaller set, or than chance may bring, are not looked for.
     """
-    least = max(FEWEST, int(np.ceil(LEAST_SHARE * sets.fewer)))
-    for count in range(sets.fewer, least - 1, -1):
+    least = max(MIN_MARKERS, int(np.ceil(MIN_PAIRED_FRACTION * sets.smaller_count)))
+    for count in range(sets.smaller_count, least - 1, -1):
         if may_be_chance(sets, count):
             break
-        candidates = of_size(sets, count)
-        if candidates and candidates[0].alignment.chi2 <= limit(count):
+        candidates = find_pairings(sets, count)
+        if candidates and candidates[0].alignment.chi2 <= chi2_limit(count):
             return candidates
     return []
 
 
-def fitting(sets: MarkerSets) -> list[Candidate]:
-    """Return `most`, or nothing if that would take too long: for asking what else might be the matter."""
+def try_find_largest_pairings(sets: MarkerSets) -> list[MarkerPairingCandidate]:
+    """Return `find_largest_pairings`, or nothing if that would take too long: for asking what else might be
+    the matter.
+    """
     try:
-        return most(sets)
+        return find_largest_pairings(sets)
     except DataError:
         return []
 
 
 def may_be_chance(sets: MarkerSets, count: int) -> bool:
     """Say whether so many pairs, with markers left over, might fit though found and known are unrelated."""
-    return count < max(len(sets.found), len(sets.known)) and by_chance(sets, count) > DOUBT
+    return (
+        count < max(len(sets.found), len(sets.known))
+        and expected_chance_pairings(sets, count) > MAX_WRONG_PAIRING_PROBABILITY
+    )
 
 
-def of_size(sets: MarkerSets, count: int) -> list[Candidate]:
-    """Return all pairings of so many pairs up to `GAP` beyond the limit, likeliest first."""
-    bound = limit(count) + GAP
-    rows = search(sets.found, sets.known, sets.bound, count, bound)
-    candidates = [Candidate(pairs, align(sets, pairs)) for pairs in map(_pairs, rows)]
+def find_pairings(sets: MarkerSets, count: int) -> list[MarkerPairingCandidate]:
+    """Return all pairings of so many pairs up to `MIN_CHI2_GAP` beyond the limit, likeliest first."""
+    bound = chi2_limit(count) + MIN_CHI2_GAP
+    rows = search_pairings(sets.found, sets.known, sets.variance_bound, count, bound)
+    candidates = [
+        MarkerPairingCandidate(pairs, align_pairs(sets, pairs)) for pairs in map(_row_to_pairs, rows)
+    ]
     within = [candidate for candidate in candidates if candidate.alignment.chi2 <= bound]
     return sorted(within, key=lambda candidate: candidate.alignment.chi2)
 
 
-def weigh(candidates: list[Candidate], near: Frame | None = None, found: Floats | None = None) -> Pairing:
-    """Return the likeliest candidate, its rivals, and the doubt that they leave.
+def select_likeliest(
+    candidates: list[MarkerPairingCandidate], near: Frame | None = None, found: Floats | None = None
+) -> Pairing:
+    """Return the likeliest candidate, the alternatives that contradict it, and their probability.
 
     With the rough pose `near`, candidates that move the found markers (M, 3) more than twice as far from
-    where that has them as the nearest candidate does are no rivals any more.
+    where that has them as the nearest candidate does are no alternatives any more.
     """
     if near is not None and found is not None:
         expected = near.to_world(found)
@@ -124,12 +152,12 @@ def weigh(candidates: list[Candidate], near: Frame | None = None, found: Floats 
         reach = 2 * min(away) + noise
         candidates = [one for one, far in zip(candidates, away, strict=True) if far <= reach]
     best = candidates[0]
-    rivals = tuple(one for one in candidates[1:] if contradict(best.pairs, one.pairs))
-    share = sum(np.exp((best.alignment.chi2 - one.alignment.chi2) / 2) for one in rivals)
-    return Pairing(best, rivals, float(share / (1 + share)))
+    alternatives = tuple(one for one in candidates[1:] if pairings_contradict(best.pairs, one.pairs))
+    share = sum(np.exp((best.alignment.chi2 - one.alignment.chi2) / 2) for one in alternatives)
+    return Pairing(best, alternatives, float(share / (1 + share)))
 
 
-def contradict(one: Pairs, other: Pairs) -> bool:
+def pairings_contradict(one: Pairs, other: Pairs) -> bool:
     """Say whether two pairings give a marker, found or known, to different ones."""
     return any(
         dict(map(tuple, one[:, order])).get(key, value) != value
@@ -138,18 +166,20 @@ def contradict(one: Pairs, other: Pairs) -> bool:
     )
 
 
-def by_chance(sets: MarkerSets, count: int) -> float:
+def expected_chance_pairings(sets: MarkerSets, count: int) -> float:
     """Return how many pairings of so many pairs would fit if found and known had nothing in common.
 
     Each of the 3 P - 6 distances or coordinates that are left after the motion meets its counterpart within
     +- z deviations, among values spread over the layout's extent; z is the limit's root.
     """
-    hit = min(1.0, 2 * np.sqrt(2 * limit(count)) * sets.typical_sd / sets.extent)
+    hit = min(1.0, 2 * np.sqrt(2 * chi2_limit(count)) * sets.typical_sd / sets.extent)
     tried = comb(len(sets.found), count) * comb(len(sets.known), count) * factorial(count)
     return float(tried * hit ** (3 * count - 6))
 
 
-def search(found: Floats, known: Floats, variance: Floats, count: int, bound: float) -> NDArray[np.int64]:
+def search_pairings(
+    found: Floats, known: Floats, variance: Floats, count: int, bound: float
+) -> NDArray[np.int64]:
     """Return all pairings (S, M) of `count` pairs with a misfit within `bound`; -1 where one has no partner.
 
     Markers enter one after the other, all partial pairings at once; `variance` is (M, N).
@@ -157,32 +187,33 @@ def search(found: Floats, known: Floats, variance: Floats, count: int, bound: fl
     Raises
     ------
     DataError
-        If more than `BUDGET` partial pairings must be kept.
+        If more than `MAX_PARTIAL_PAIRINGS` partial pairings must be kept.
     """
-    order = _apart(found)
+    order = _order_by_distance(found)
     rows = np.empty((1, 0), dtype=np.int64)
     for depth in range(1, len(found) + 1):
-        rows = _extended(rows, len(known), len(found) - count, count)
+        rows = _extend_rows(rows, len(known), len(found) - count, count)
         rows = rows[_distances_agree(rows, found[order], known, variance[order], bound)]
-        rows = rows[_fits(rows, found[order[:depth]], known, variance[order[:depth]], bound)]
-        if len(rows) > BUDGET:
+        rows = rows[_rows_fit(rows, found[order[:depth]], known, variance[order[:depth]], bound)]
+        if len(rows) > MAX_PARTIAL_PAIRINGS:
             raise DataError(
-                f"more than {BUDGET} partial pairings of {len(found)} and {len(known)} markers fit",
+                f"more than {MAX_PARTIAL_PAIRINGS} partial pairings of {len(found)} and {len(known)} markers "
+                f"fit",
                 where="markers",
                 expected="markers whose mutual distances differ by more than their noise",
-                mend="give the pairs, or leave out spurious markers, or state smaller deviations if they are",
+                fix="give the pairs, or leave out spurious markers, or state smaller deviations if they are",
             )
     pairing = np.empty_like(rows)
     pairing[:, order] = rows
     return pairing
 
 
-def _pairs(row: NDArray[np.int64]) -> Pairs:
+def _row_to_pairs(row: NDArray[np.int64]) -> Pairs:
     taken = np.flatnonzero(row >= 0)
     return np.column_stack([taken, row[taken]])
 
 
-def _apart(points: Floats) -> NDArray[np.int64]:
+def _order_by_distance(points: Floats) -> NDArray[np.int64]:
     """Return an order in which each point is far from those before it: long distances tell most."""
     distance = np.linalg.norm(points[:, None] - points[None], axis=-1)
     order = [int(np.argmax(distance.sum(axis=1)))]
@@ -193,7 +224,7 @@ def _apart(points: Floats) -> NDArray[np.int64]:
     return np.array(order)
 
 
-def _extended(rows: NDArray[np.int64], known: int, spare: int, count: int) -> NDArray[np.int64]:
+def _extend_rows(rows: NDArray[np.int64], known: int, spare: int, count: int) -> NDArray[np.int64]:
     """Return `rows` (L, n) with every partner, or none, for the next marker: (L', n + 1)."""
     size, depth = rows.shape
     options = np.arange(-1, known)
@@ -221,16 +252,58 @@ def _distances_agree(
     return agree
 
 
-def _fits(
+def _rows_fit(
     rows: NDArray[np.int64], found: Floats, known: Floats, variance: Floats, bound: float
 ) -> NDArray[np.bool_]:
     """Say of each partial pairing (L, n) whether its own best motion leaves less than `bound`."""
     fits = np.ones(len(rows), dtype=np.bool_)
-    enough = np.flatnonzero(((rows >= 0).sum(axis=1) >= FEWEST) & (rows[:, -1] >= 0))
+    enough = np.flatnonzero(((rows >= 0).sum(axis=1) >= MIN_MARKERS) & (rows[:, -1] >= 0))
     if enough.size == 0:
         return fits
     some = rows[enough]
     weights = np.where(some >= 0, 1 / variance[np.arange(some.shape[1]), some], 0.0)
     moving = np.broadcast_to(found, (*some.shape, 3))
-    fits[enough] = misfits(moving, known[some], weights) <= bound
+    fits[enough] = sum_squared_residuals(moving, known[some], weights) <= bound
     return fits
+
+
+DETECTION_PROBABILITY = 0.99
+"""Share of wrong pairings that must be noticed."""
+
+_DETECTION_QUANTILE = float(norm.ppf(DETECTION_PROBABILITY))
+MIN_SQUARED_MISFIT = (_DETECTION_QUANTILE + np.sqrt(_DETECTION_QUANTILE**2 + MIN_CHI2_GAP)) ** 2
+"""Misfit m^2 from which on a permutation is told from the right pairing."""
+
+
+def find_symmetries(known: ArrayLike, sd: ArrayLike) -> NDArray[np.int64]:
+    """Return the permutations (S, N) that lay `known` (N, 3) on itself within the noise; the identity first.
+
+    `sd` is the deviation of a pair, found and known together, per direction, mm: a number or one per marker.
+    Only turns count: a layout that is merely its own mirror image has the identity alone.
+    """
+    sets = make_marker_sets(known, known, sd, 0.0)
+    points, variance = sets.known, sets.variance_bound
+    pair = np.maximum(variance, variance.T)  # the noisier of the two: no symmetry is missed
+    rows = search_pairings(points, points, pair, len(points), MIN_SQUARED_MISFIT)
+    moved = np.count_nonzero(rows != np.arange(len(points)), axis=1)
+    ordered: NDArray[np.int64] = rows[np.argsort(moved, kind="stable")]
+    return ordered
+
+
+def group_interchangeable(permutations: NDArray[np.int64]) -> tuple[tuple[int, ...], ...]:
+    """Return the groups of markers that the permutations (S, N) carry into each other; singles left out."""
+    count = permutations.shape[1]
+    mapped = np.zeros((count, count))
+    mapped[np.tile(np.arange(count), len(permutations)), permutations.ravel()] = 1
+    groups, group = connected_components(csr_array(mapped), directed=False)
+    names = [tuple(np.flatnonzero(group == g).tolist()) for g in range(groups)]
+    return tuple(name for name in names if len(name) > 1)
+
+
+def find_turn(known: Floats, permutation: NDArray[np.int64]) -> tuple[float, Floats]:
+    """Return angle (degrees) and axis (3,) of the turn that carries each marker to its permuted one."""
+    rotation = fit_kabsch(known, known[permutation], np.ones(len(known))).rotation
+    angle = float(np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1))))
+    values, vectors = np.linalg.eigh((rotation + rotation.T) / 2)
+    axis: Floats = vectors[:, np.argmax(values)]
+    return angle, axis * np.sign(axis[np.argmax(np.abs(axis))])

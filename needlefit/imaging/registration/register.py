@@ -1,9 +1,9 @@
-"""From the scan to the world: radiopaque markers paired, laid on their known places, and doubted.
+"""Register a scan with the world by its radiopaque markers, with the error that this leaves.
 
 All pairings are tried (`pairing`); the likeliest is kept if it fits the stated noise and no other is nearly
-as likely. A rough pose only settles what the markers leave open, or begins `icp` where they are too many.
-The motion is a turn and a shift. Scale and reflection are looked for, so that they can be said, and never
-applied (`scale`, `suspicion`).
+as likely. A rough pose only settles what the markers leave open, or starts ICP (`rigid`) where they are too
+many. The motion is a rotation and a translation. Scale and reflection are estimated for error messages, and
+never applied (`mirror_check`).
 """
 
 from dataclasses import dataclass
@@ -14,19 +14,109 @@ from scipy.stats import chi2 as chi_squared
 
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Floats, Frame
-from needlefit.imaging.registration import target_error
-from needlefit.imaging.registration.choice import accept, choose
-from needlefit.imaging.registration.marker_sets import FEWEST, MarkerSets, marker_sets
-from needlefit.imaging.registration.pairing import Pairing
-from needlefit.imaging.registration.remarks import remarks
-from needlefit.imaging.registration.rigid import Pairs, expected_fre, expected_left_out, kabsch
-from needlefit.imaging.registration.scale import Scale, scales
-from needlefit.imaging.registration.suspicion import turned_over
+from needlefit.imaging.registration import rigid
+from needlefit.imaging.registration.marker_sets import MIN_MARKERS, MarkerSets, make_marker_sets, mirror
+from needlefit.imaging.registration.mirror_check import (
+    MIN_SIGNIFICANCE_SD,
+    ScaleEstimate,
+    estimate_scales,
+    sign_change_error,
+)
+from needlefit.imaging.registration.pairing import MIN_CHI2_GAP, Pairing
+from needlefit.imaging.registration.pairing_selection import check_given_pairs, select_pairing
+from needlefit.imaging.registration.rigid import (
+    Pairs,
+    align_pairs,
+    expected_fre,
+    expected_left_out,
+    fit_kabsch,
+    pair_by_icp,
+)
 
-LARGEST_TURN = 0.1
+MAX_ROUGH_ANGLE_DEG = 30.0
+"""Degrees by which a pose may differ from the rough one without a word."""
+
+
+def collect_warnings(
+    sets: MarkerSets, chosen: Pairing, suggested: tuple[ScaleEstimate, ...], rough: Frame | None
+) -> tuple[str, ...]:
+    """Return the warnings on a pairing, the most important first."""
+    return (
+        *_unpaired_warnings(sets, chosen),
+        *_scale_warnings(suggested),
+        *_flat_warnings(sets, chosen),
+        *_ambiguity_warnings(chosen),
+        *(_rough_pose_warnings(sets, chosen, rough) if rough is not None else ()),
+    )
+
+
+def _unpaired_warnings(sets: MarkerSets, chosen: Pairing) -> list[str]:
+    found = np.setdiff1d(np.arange(len(sets.found)), chosen.best.pairs[:, 0])
+    known = np.setdiff1d(np.arange(len(sets.known)), chosen.best.pairs[:, 1])
+    notes = []
+    if found.size:
+        notes.append(f"found markers {_list_numbers(found)} (counted from 0) belong to no known one")
+    if known.size:
+        notes.append(f"known markers {_list_numbers(known)} (counted from 0) were not found")
+    here = chosen.best.alignment.frame.to_world(sets.found[found])
+    for i, place in zip(found, here, strict=True):
+        away = np.linalg.norm(sets.known[known] - place, axis=1)
+        if away.size and away.min() < 0.1 * sets.extent:
+            notes.append(
+                f"found marker {i} lies {away.min():.2f} mm from known marker {known[np.argmin(away)]}: "
+                "one of them has moved, or is measured wrongly"
+            )
+    return notes
+
+
+def _scale_warnings(suggested: tuple[ScaleEstimate, ...]) -> list[str]:
+    worst = max(suggested, key=lambda one: one.significance, default=None)
+    if worst is None or worst.significance <= MIN_SIGNIFICANCE_SD:
+        return []
+    return [
+        f"the scan would have to be stretched {worst.along} by {worst.factor:.4f} +- {worst.sd:.4f}, which "
+        "was not done: check the voxel spacing"
+    ]
+
+
+def _flat_warnings(sets: MarkerSets, chosen: Pairing) -> list[str]:
+    """Say if the paired markers would fit a mirrored scan nearly as well, as flat layouts always do."""
+    reflected = align_pairs(mirror(sets), chosen.best.pairs)
+    if reflected.chi2 - chosen.best.alignment.chi2 > MIN_CHI2_GAP:
+        return []
+    return ["the paired markers are flat within the noise: a mirrored scan would pass unseen"]
+
+
+def _ambiguity_warnings(chosen: Pairing) -> list[str]:
+    if np.isnan(chosen.wrong_pairing_probability):
+        return ["too many pairings to try them all: the pairs come from closest points and the rough pose"]
+    if chosen.alternatives and chosen.wrong_pairing_probability > 1e-2:
+        return ["other pairings fit as well; the one given was taken"]
+    return []
+
+
+def _rough_pose_warnings(sets: MarkerSets, chosen: Pairing, rough: Frame) -> list[str]:
+    notes = []
+    rotation = chosen.best.alignment.frame.rotation @ rough.rotation.T
+    angle = np.degrees(np.arccos(np.clip((np.trace(rotation) - 1) / 2, -1, 1)))
+    if angle > MAX_ROUGH_ANGLE_DEG:
+        notes.append(f"the pose found is turned by {angle:.0f} degrees against the rough one")
+    closest = pair_by_icp(sets, rough)
+    pairs = chosen.best.pairs
+    order = np.argsort(pairs[:, 0])
+    if not np.array_equal(closest, pairs[order]):
+        notes.append("closest points from the rough pose end in another, worse pairing")
+    return notes
+
+
+def _list_numbers(numbers: np.ndarray) -> str:
+    return ", ".join(map(str, numbers.tolist()))
+
+
+MAX_TURN_SD_RAD = 0.1
 """Deviation of a turn, rad, from which on the markers count as lying on a line."""
 
-NARROW = 0.1
+MIN_SPREAD_RATIO = 0.1
 """Markers no further beside a line than this part of their reach along it are blamed themselves for a turn
 that is not known; where they spread wider, it is their deviation."""
 
@@ -47,9 +137,9 @@ class Registration:
         Fiducial registration error: root mean square length of the residuals, mm.
     expected_fre : float
         What the stated noise leads one to expect of it, mm.
-    chance : float
+    p_value : float
         Probability that the stated noise leaves residuals at least as large.
-    doubt : float
+    wrong_pairing_probability : float
         Probability that another pairing is the right one; nan if not all were tried.
     leave_one_out : (P,) array
         Distance of each marker from its known place when it takes no part in the fit, mm; nan where the
@@ -64,7 +154,7 @@ class Registration:
         Of turn (rad) and shift (mm) about `centre`, world axes, first order.
     scale : tuple of Scale
         Factors that the markers suggest and that were not applied.
-    remarks : tuple of str
+    warnings : tuple of str
         What a person should know; empty if all is as expected.
     """
 
@@ -74,15 +164,15 @@ class Registration:
     residuals: Floats
     fre: float
     expected_fre: float
-    chance: float
-    doubt: float
+    p_value: float
+    wrong_pairing_probability: float
     leave_one_out: Floats
     expected_leave_one_out: Floats
     known: int
     centre: Floats
     covariance: Floats
-    scale: tuple[Scale, ...]
-    remarks: tuple[str, ...]
+    scale: tuple[ScaleEstimate, ...]
+    warnings: tuple[str, ...]
 
 
 def register(
@@ -116,44 +206,48 @@ def register(
         spacing); several pairings as likely (and which markers are interchangeable); pairs that another
         pairing disproves; RAS read as LPS, if a rough pose shows it.
     """
-    sets = marker_sets(found, known, found_sd, known_sd)
-    _refuse_line(sets.known, sets.typical_sd)  # before pairing, which would try them all
-    chosen = choose(sets, rough) if pairs is None else accept(sets, np.asarray(pairs, dtype=np.int64))
+    sets = make_marker_sets(found, known, found_sd, known_sd)
+    _refuse_collinear(sets.known, sets.typical_sd)  # before pairing, which would try them all
+    chosen = (
+        select_pairing(sets, rough)
+        if pairs is None
+        else check_given_pairs(sets, np.asarray(pairs, dtype=np.int64))
+    )
     alignment, paired = chosen.best.alignment, chosen.best.pairs
     # the residuals of markers on a line say nothing of the turn about it
-    _refuse_line(sets.known[paired[:, 1]], float(np.sqrt(alignment.noise.max())))
+    _refuse_collinear(sets.known[paired[:, 1]], float(np.sqrt(alignment.noise.max())))
     if rough is not None:
-        error = turned_over(alignment.frame, rough, sets.found[paired[:, 0]])
+        error = sign_change_error(alignment.frame, rough, sets.found[paired[:, 0]])
         if error:
             raise error
-    return _registration(sets, chosen, rough)
+    return _build_registration(sets, chosen, rough)
 
 
-def frame_of(registration: Registration) -> Frame:
+def scan_frame(registration: Registration) -> Frame:
     """Return the scan's axes and origin in the world."""
     return Frame(registration.translation, registration.rotation)
 
 
 def to_world(registration: Registration, points: ArrayLike) -> Floats:
     """Return scan `points` (N, 3), LPS, in the world, mm."""
-    return frame_of(registration).to_world(points)
+    return scan_frame(registration).to_world(points)
 
 
 def target_covariance(registration: Registration, points: ArrayLike) -> Floats:
     """Return the covariance (N, 3, 3), mm^2, world axes, of the error at scan `points` (N, 3)."""
     arms = to_world(registration, points) - registration.centre
-    return target_error.target_covariance(arms, registration.covariance)
+    return rigid.propagate_to_targets(arms, registration.covariance)
 
 
-def predicted_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
+def predict_mean_target_error(registration: Registration, points: ArrayLike) -> Floats:
     """Return the mean length (N,) of the error to expect at scan `points` (N, 3), mm."""
-    return target_error.mean_length(target_covariance(registration, points))
+    return rigid.mean_error_length(target_covariance(registration, points))
 
 
-def _registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) -> Registration:
+def _build_registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) -> Registration:
     alignment, pairs = chosen.best.alignment, chosen.best.pairs
     found = sets.found[pairs[:, 0]]
-    suggested = scales(sets, pairs, alignment)
+    suggested = estimate_scales(sets, pairs, alignment)
     left_out = _leave_one_out(sets, pairs)
     return Registration(
         rotation=alignment.frame.rotation,
@@ -162,15 +256,15 @@ def _registration(sets: MarkerSets, chosen: Pairing, rough: Frame | None) -> Reg
         residuals=alignment.residuals,
         fre=float(np.sqrt(np.mean(np.sum(alignment.residuals**2, axis=1)))),
         expected_fre=expected_fre(alignment, found),
-        chance=float(chi_squared.sf(alignment.chi2, 3 * len(pairs) - 6)),
-        doubt=chosen.doubt,
+        p_value=float(chi_squared.sf(alignment.chi2, 3 * len(pairs) - 6)),
+        wrong_pairing_probability=chosen.wrong_pairing_probability,
         leave_one_out=left_out,
         expected_leave_one_out=np.where(np.isnan(left_out), np.nan, expected_left_out(alignment, found)),
         known=len(sets.known),
         centre=alignment.centre,
         covariance=alignment.covariance,
         scale=suggested,
-        remarks=remarks(sets, chosen, suggested, rough),
+        warnings=collect_warnings(sets, chosen, suggested, rough),
     )
 
 
@@ -178,37 +272,42 @@ def _leave_one_out(sets: MarkerSets, pairs: Pairs) -> Floats:
     away = np.full(len(pairs), np.nan)
     for n in range(len(pairs)):
         others = np.delete(pairs, n, axis=0)
-        if len(others) < FEWEST or _turn_sd(sets.known[others[:, 1]], sets.typical_sd) > LARGEST_TURN:
+        if (
+            len(others) < MIN_MARKERS
+            or _worst_turn_sd(sets.known[others[:, 1]], sets.typical_sd) > MAX_TURN_SD_RAD
+        ):
             continue
-        frame = kabsch(sets.found[others[:, 0]], sets.known[others[:, 1]], 1 / sets.bound[tuple(others.T)])
+        frame = fit_kabsch(
+            sets.found[others[:, 0]], sets.known[others[:, 1]], 1 / sets.variance_bound[tuple(others.T)]
+        )
         left_out, own = pairs[n]
         away[n] = np.linalg.norm(frame.to_world(sets.found[left_out]) - sets.known[own])
     return away
 
 
-def _turn_sd(points: Floats, sd: float) -> float:
+def _worst_turn_sd(points: Floats, sd: float) -> float:
     weights = np.broadcast_to(np.eye(3) / sd**2, (len(points), 3, 3))
-    return target_error.turn_sd(points - points.mean(axis=0), weights)
+    return rigid.worst_turn_sd(points - points.mean(axis=0), weights)
 
 
-def _refuse_line(points: Floats, sd: float) -> None:
-    turn = _turn_sd(points, sd)
-    if turn <= LARGEST_TURN:
+def _refuse_collinear(points: Floats, sd: float) -> None:
+    turn = _worst_turn_sd(points, sd)
+    if turn <= MAX_TURN_SD_RAD:
         return
     sure = f"+- {np.degrees(turn):.0f} degrees" if np.isfinite(turn) else "nothing"
     along, beside = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)[:2] / np.sqrt(len(points))
-    if beside > NARROW * along:
+    if beside > MIN_SPREAD_RATIO * along:
         raise DataError(
             f"{len(points)} markers spread {along:.3g} mm along and {beside:.3g} mm beside a line (root mean "
             f"square); known to {sd:.3g} mm, they tell {sure} of the turn about it",
             where="deviations of the markers",
             expected="a deviation that is small against the layout",
-            mend="correct known_sd_mm and fiducial_sd_mm of the recipe (mm, per direction), or spread the "
+            fix="correct reference_sd_mm and fiducial_sd_mm of the recipe (mm, per direction), or spread the "
             "markers further",
         )
     raise DataError(
         f"{len(points)} markers lie on a line: of the turn about it they tell {sure}",
         where="markers",
         expected="three or more markers, one of them well beside the line through the others",
-        mend="use markers off that line; the further apart they are, the smaller the error at the needle",
+        fix="use markers off that line; the further apart they are, the smaller the error at the needle",
     )

@@ -14,7 +14,7 @@ from scipy.optimize import lsq_linear
 
 from needlefit.inference.goal import Box
 from needlefit.inference.ledger import FAILURES
-from needlefit.project.records.recipe import Minimized
+from needlefit.schemas.recipe import ObjectiveName
 
 Floats = NDArray[np.float64]
 
@@ -38,7 +38,7 @@ class Squares(Box, Protocol):
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return residuals (R,) and their derivatives (R, P); not finite where they cannot be computed."""
 
-    def approach(self, minimized: Minimized) -> "Squares | None":
+    def approach(self, minimized: ObjectiveName) -> "Squares | None":
         """Return a cheaper sum of squares with its minima close by; None if there is none."""
 
 

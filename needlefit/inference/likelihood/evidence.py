@@ -22,8 +22,8 @@ from needlefit.inference.comparison import Pose, in_entry_axes
 from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.likelihood.depths import Nodes, nodes
 from needlefit.inference.likelihood.pose import modes, pose_sds
-from needlefit.project.records.recipe import LikelihoodRecord
-from needlefit.project.toml_lines import place_of
+from needlefit.project.toml_lines import locate_key
+from needlefit.schemas.recipe import LikelihoodRecord
 
 Floats = NDArray[np.float64]
 
@@ -89,9 +89,9 @@ def evidence(
     except np.linalg.LinAlgError:
         raise DataError(
             f"the noise stated by `{dataset.name}` leaves the points of `{insertion.id}` without errors",
-            where=place_of(dataset.path, "noise.point_sd_mm"),
+            where=locate_key(dataset.path, "noise.point_sd_mm"),
             expected="noise.point_sd_mm above 0",
-            mend="write how well a point is known, per axis; `needlefit check` names such datasets",
+            fix="write how well a point is known, per axis; `needlefit check` names such datasets",
         ) from None
     return Evidence(measured, whitening, log_norm, dataset.pose, nodes(insertion, s, how.depths))
 

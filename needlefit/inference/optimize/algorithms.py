@@ -90,7 +90,7 @@ def stages(name: str, goal: Goal) -> tuple[Algorithm, ...]:
             f"there is no algorithm `{unknown[0]}`",
             where="recipe, key `algorithm` or `metric_algorithm`",
             expected=f"one of {', '.join(ALGORITHMS)}, or several joined by +",
-            mend="correct its name",
+            fix="correct its name",
         )
     has = {"value": goal.value, "gradient": goal.gradient, "jacobian": goal.jacobian}
     for part in parts:

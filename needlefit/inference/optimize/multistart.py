@@ -17,8 +17,8 @@ from needlefit.inference.optimize.algorithms import stages
 from needlefit.inference.optimize.approach import broken_off, leaders, went_on
 from needlefit.inference.optimize.search import search
 from needlefit.inference.starts import INTERRUPTED, Fit, Place, Start, Watch
-from needlefit.project.records.recipe import Minimized, RecipeRecord
 from needlefit.project.threads import one_thread
+from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
 
 Floats = NDArray[np.float64]
 
@@ -119,7 +119,7 @@ def _resumed(watch: Watch, design: Floats) -> dict[int, Start]:
         if start.theta0 != tuple(design[index].tolist()):
             raise FitError(
                 f"start {index} of the checkpoint began elsewhere than this fit's",
-                mend="run again without --resume; seed, bounds or recipe have changed",
+                fix="run again without --resume; seed, bounds or recipe have changed",
             )
     return kept
 
@@ -146,14 +146,14 @@ def _in_threads(goal: Goal, recipe: RecipeRecord, places: list[Place], watch: Wa
             leave.set()
 
 
-def _best(problem: Weighed, minimized: Minimized, starts: tuple[Start, ...], design: Floats) -> Fit:
+def _best(problem: Weighed, minimized: ObjectiveName, starts: tuple[Start, ...], design: Floats) -> Fit:
     interrupted = len(starts) < len(design) or any(s.stopped == INTERRUPTED for s in starts)
     evaluations = sum(s.evaluations for s in starts)
     best = min(starts, key=lambda s: (s.objective, s.index), default=None)
     if not interrupted and (best is None or not math.isfinite(best.objective)):
         raise FitError(
             f"none of {evaluations} evaluations from {len(starts)} starts could be solved",
-            mend="narrow the bounds of the medium, or check depths and layers of the insertions",
+            fix="narrow the bounds of the medium, or check depths and layers of the insertions",
         )
     theta = tuple(design[0].tolist()) if best is None else best.theta
     return Fit(

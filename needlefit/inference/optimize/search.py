@@ -12,15 +12,15 @@ from needlefit.inference.optimize import by_nlopt
 from needlefit.inference.optimize.algorithms import Algorithm, stages
 from needlefit.inference.optimize.certify import certified
 from needlefit.inference.starts import INTERRUPTED, Place, Start
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.watching import never
+from needlefit.project.progress import never_stop
+from needlefit.schemas.recipe import RecipeRecord
 
 Floats = NDArray[np.float64]
 
 _RANDOM = threading.Lock()  # a build of nlopt without thread-local storage has one generator for all threads
 
 
-def search(goal: Goal, recipe: RecipeRecord, place: Place, stop: Callable[[], bool] = never) -> Start:
+def search(goal: Goal, recipe: RecipeRecord, place: Place, stop: Callable[[], bool] = never_stop) -> Start:
     """Search from one start with a recipe's algorithm, tolerance and budget.
 
     Returns

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from needlefit.inference.sampling.ensembles import INDEPENDENT, shares
 from needlefit.inference.sampling.independent import Picture, learned, unlearned
-from needlefit.project.records.recipe import SampleRecord
+from needlefit.schemas.recipe import SampleRecord
 
 Floats = NDArray[np.float64]
 
@@ -35,7 +35,7 @@ def last_lesson(settings: SampleRecord, done: int) -> int:
 def block_length(settings: SampleRecord, done: int) -> int:
     """Return how many steps follow until the run is kept: a lesson or the budget ends them."""
     left = settings.steps - done
-    return min(settings.every, left, *(step - done for step in lessons(settings) if step > done))
+    return min(settings.check_interval, left, *(step - done for step in lessons(settings) if step > done))
 
 
 def pictures(settings: SampleRecord, coordinates: Floats) -> Sequence[Picture]:

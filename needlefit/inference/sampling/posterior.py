@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from needlefit.errors import DataError
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior_file import read_numbers
-from needlefit.project.reading import parse_json
+from needlefit.project.input_files import parse_json
 
 if TYPE_CHECKING:
     import xarray
@@ -127,7 +127,7 @@ def _unusable(path: Path, what: str) -> DataError:
         what,
         where=str(path),
         expected="the file as `needlefit tune TARGET --sample` wrote it",
-        mend="sample again with --sample, or take the file from a copy",
+        fix="sample again with --sample, or take the file from a copy",
     )
 
 

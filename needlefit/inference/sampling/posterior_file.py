@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.project.caged import READER_BYTES, Limits, Results, read_caged
-from needlefit.project.reading import opened
+from needlefit.project.input_files import open_regular
+from needlefit.project.sandbox import READER_BYTES, ReaderLimits, SandboxArrays, read_in_sandbox
 
 MAX_POSTERIOR_BYTES = 4 * 2**30
 """Size of a file of draws; those of the paper's studies have some MB."""
@@ -35,16 +35,16 @@ def read_numbers(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float
     DataError
         If the file is missing, is not HDF5, states more than it holds, or its reader crashes or does not end.
     """
-    with opened(path, MAX_POSTERIOR_BYTES):
+    with open_regular(path, MAX_POSTERIOR_BYTES):
         size = path.stat().st_size
     seconds = BASE_SECONDS + size // READ_BYTES_PER_SECOND
-    allowed = Limits(READER_BYTES + size, size + 2**20, seconds)
-    return read_caged(
+    allowed = ReaderLimits(READER_BYTES + size, size + 2**20, seconds)
+    return read_in_sandbox(
         "needlefit.inference.sampling.posterior_file:fill_numbers", path, allowed, {"path": str(path)}
     )
 
 
-def fill_numbers(results: Results, path: str) -> dict[str, Any]:
+def fill_numbers(results: SandboxArrays, path: str) -> dict[str, Any]:
     """In the child: fill an array for every float64 variable of the file; return the attributes."""
     import h5py
 

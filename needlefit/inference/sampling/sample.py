@@ -30,8 +30,8 @@ from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.snapshots import Block, Failed, Snapshots
 from needlefit.inference.sampling.walkers import begin
 from needlefit.inference.starts import Watch
-from needlefit.project.limits import MAX_STORED_NUMBERS
-from needlefit.project.records.recipe import SampleRecord
+from needlefit.schemas.limits import MAX_STORED_NUMBERS
+from needlefit.schemas.recipe import SampleRecord
 
 Floats = NDArray[np.float64]
 

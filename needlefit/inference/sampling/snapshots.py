@@ -11,8 +11,13 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.ensembles import State
-from needlefit.project.kept import Kept, read_kept, set_aside, write_kept
-from needlefit.project.watching import Note, unheard
+from needlefit.project.checkpoint_file import (
+    CheckpointContent,
+    read_checkpoint_file,
+    set_aside,
+    write_checkpoint_file,
+)
+from needlefit.project.progress import Note, no_note
 
 Floats = NDArray[np.float64]
 Failed = tuple[tuple[tuple[float, ...], ...], ...]
@@ -59,7 +64,7 @@ class Snapshots:
     """A folder of files, one for each block of a run; None keeps nothing."""
 
     folder: Path | None = None
-    note: Note = unheard
+    note: Note = no_note
 
     def blocks(self) -> Iterator[Block]:
         """Yield the blocks that are kept, from the first on, up to one that is damaged.
@@ -82,12 +87,12 @@ class Snapshots:
             kind, key, *rest = block.random
             values = {"random": [kind, *rest], "failures": block.failures, "failed": block.failed}
             arrays = {name: getattr(block, name) for name in _ARRAYS}
-            kept = Kept(values, {**arrays, "random": np.asarray(key, dtype=np.int64)})
-            write_kept(self._file(number), _KIND, "", kept)
+            kept = CheckpointContent(values, {**arrays, "random": np.asarray(key, dtype=np.int64)})
+            write_checkpoint_file(self._file(number), _KIND, "", kept)
 
     def _file(self, number: int) -> Path:
         assert self.folder is not None
-        return self.folder / f"{number:05d}.kept"
+        return self.folder / f"{number:05d}.checkpoint"
 
     def _end_at(self, number: int) -> None:
         aside = set_aside(self._file(number))
@@ -104,7 +109,7 @@ _ARRAYS = ("coordinates", "log_density", "accepted")
 
 def _read(path: Path) -> Block:
     """Return the block in a file; DataError if it is damaged."""
-    kept = read_kept(path, _KIND, "")
+    kept = read_checkpoint_file(path, _KIND, "")
     try:
         if kept is None or not _fits(kept):
             raise ValueError
@@ -119,7 +124,7 @@ def _read(path: Path) -> Block:
         raise DataError(f"is no block of a sampler: {error!r}", where=str(path)) from None
 
 
-def _fits(kept: Kept) -> bool:
+def _fits(kept: CheckpointContent) -> bool:
     """Whether the arrays of a block have the shapes that belong together."""
     ensembles, steps, walkers, _ = kept.arrays["coordinates"].shape
     of = (kept.arrays["log_density"].shape, kept.arrays["accepted"].shape)

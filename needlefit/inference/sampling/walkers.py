@@ -7,7 +7,7 @@ from needlefit.errors import FitError
 from needlefit.inference.sampling.ensembles import State
 from needlefit.inference.sampling.evaluator import Evaluator
 from needlefit.inference.sampling.laplace import Laplace
-from needlefit.project.records.recipe import SampleRecord
+from needlefit.schemas.recipe import SampleRecord
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +69,7 @@ def _walkers(
             return chosen[:count], known[:count]
     raise FitError(
         "no starting points of positive density were found around the best fit",
-        mend="tune with more evaluations, or widen the bounds",
+        fix="tune with more evaluations, or widen the bounds",
     )
 
 

@@ -19,7 +19,7 @@ from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step
 from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.needle import Needle
-from needlefit.project.records.medium import MediumRecord
+from needlefit.schemas.medium import MediumRecord
 
 Floats = NDArray[np.float64]
 Values = Mapping[str, float]
@@ -138,5 +138,5 @@ def _check_apart(track: Track, spacing: float) -> None:
         raise DataError(
             f"run {track.id} has readings {nearest:.3g} mm apart while its guide moves",
             expected=f"{least:g} mm or more, {LEAST} times the model's constraint spacing",
-            mend="leave readings out, or lessen constraint_spacing_mm of the medium (b is then another)",
+            fix="leave readings out, or lessen constraint_spacing_mm of the medium (b is then another)",
         )

@@ -65,7 +65,7 @@ def slopes(drawn: Drawn, tuned: Sequence[TrackEvidence]) -> Slopes:
         raise ConfigError(
             f"{k} runs say too little of the slope of another one",
             expected=f"at least {FEWEST} runs to fit to",
-            mend="tune on more runs",
+            fix="tune on more runs",
         )
     pairs = zip(tuned, drawn.tuned, strict=True)
     each = np.array([(known.track.tip - y) @ known.estimator[1] for known, y in pairs])  # (k, B)

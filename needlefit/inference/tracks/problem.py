@@ -15,8 +15,8 @@ from needlefit.inference.ties import NOISE_SCALE
 from needlefit.inference.tracks.course import Values, tips
 from needlefit.inference.tracks.evidence import TrackEvidence, track_evidence
 from needlefit.mechanics.needle import Needle
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import Minimized
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import ObjectiveName
 
 Floats = NDArray[np.float64]
 
@@ -122,7 +122,7 @@ class TrackProblem:
         plus, minus = np.split(found[1:], 2)
         return found[0], (plus - minus).T / (2 * STEP)
 
-    def approach(self, minimized: Minimized) -> None:
+    def approach(self, minimized: ObjectiveName) -> None:
         """Return None: nothing is easier than this posterior, in which no depth errs."""
 
     def _log_densities(self, sets: Sequence[Values], jobs: int) -> Floats:

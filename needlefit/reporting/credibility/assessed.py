@@ -12,7 +12,7 @@ from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import fixed, number, typeset
 from needlefit.reporting.sentences import in_short
 from needlefit.reporting.tables import study_label
-from needlefit.validation.coverage import share
+from needlefit.validation.proportions import estimate_proportion
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate
 
@@ -42,7 +42,7 @@ def outputs(case: Case) -> Told:
     """Return how many outputs were compared on how many needles."""
     findings = []
     for one in case.held_out:
-        scored = one.shapes.query("role == 'validate' and rival == 'fitted' and boundaries == 'measured'")
+        scored = one.shapes.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
         points, needles = scored["j"].nunique(), scored["insertion"].nunique()
         words = (
             "Five errors (median, mean and maximum in-plane error, tip error, deflection error in percent) "
@@ -116,7 +116,9 @@ def agreement(case: Case) -> Told:
 def _held(results: Results) -> str:
     rows = results.predictive
     together = groups(list(rows["insertion"]), list(rows["specimen"]))
-    tips, shapes = (said_of(share(list(rows[f"{what}_in_95"]), together)) for what in ("tip", "shape"))
+    tips, shapes = (
+        said_of(estimate_proportion(list(rows[f"{what}_in_95"]), together)) for what in ("tip", "shape")
+    )
     return f"The 95 % intervals foretold held {tips} of the tips and {shapes} of the shapes."
 
 
@@ -132,8 +134,8 @@ def _tuned_in(results: Results) -> str:
 
 def _layers_given(results: Results) -> str:
     """Return with which depths of layers the held-out needles were predicted, and what others would do."""
-    rows = aggregate(results, ("role", "rival", "boundaries"))
-    rows = rows[(rows["role"] == "validate") & (rows["rival"] == "fitted")].set_index("boundaries")
+    rows = aggregate(results, ("role", "method", "boundaries"))
+    rows = rows[(rows["role"] == "validate") & (rows["method"] == "fitted")].set_index("boundaries")
     ipe = {str(name): fixed(value, 3) for name, value in rows["ipe_mean_mm"].items()}
     said = f"Given layers where the held-out needle was measured to cross them: mean IPE {ipe['measured']} mm"
     if "planned" not in ipe:

@@ -5,19 +5,23 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.errors import DataError
-from needlefit.project.records.about import AboutRecord
-from needlefit.project.records.study import StudyRecord
 from needlefit.project.run_file import read_run
 from needlefit.reporting.contest import scored_role
 from needlefit.reporting.credibility.told import Finding, Picture
 from needlefit.reporting.rebuild import restored
-from needlefit.validation.credibility.evidence import Evidence, Kind
-from needlefit.validation.credibility.gather import gather, unreadable
-from needlefit.validation.damage import damaged_files
-from needlefit.validation.packing import NAME, unpack
+from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
+from needlefit.schemas.study import StudyRecord
+from needlefit.validation.credibility_evidence import (
+    CredibilityEvidence,
+    EvidenceKind,
+    find_unreadable,
+    gather_evidence,
+)
+from needlefit.validation.csv_tables import find_damaged_files
+from needlefit.validation.packing import RESULTS_FILE, unpack
 from needlefit.validation.results import Results
 
-NOBODY = AboutRecord.model_validate({"schema": 1})
+NOBODY = CredibilityStatementsRecord.model_validate({"schema": 1})
 
 
 @dataclass(frozen=True)
@@ -42,8 +46,8 @@ class Case:
 
     folder: Path
     results: tuple[Results, ...]
-    evidence: tuple[Evidence, ...]
-    about: AboutRecord = NOBODY
+    evidence: tuple[CredibilityEvidence, ...]
+    about: CredibilityStatementsRecord = NOBODY
     stated_in: str = ""
     damaged: tuple[str, ...] = ()
 
@@ -62,7 +66,7 @@ class Case:
         """Whether anything in it is synthetic."""
         return any(one.origin == "synthetic" for one in self.results)
 
-    def counted(self, kind: Kind) -> list[Evidence]:
+    def counted(self, kind: EvidenceKind) -> list[CredibilityEvidence]:
         """Return the evidence of one kind that is of the same thing as the run."""
         return [one for one in self.evidence if one.kind == kind and one.counted]
 
@@ -71,7 +75,9 @@ class Case:
         return f"{results.name}: " if len(self.results) > 1 else ""
 
 
-def case(run: Path, named: Sequence[Path] = (), about: AboutRecord = NOBODY, stated_in: str = "") -> Case:
+def case(
+    run: Path, named: Sequence[Path] = (), about: CredibilityStatementsRecord = NOBODY, stated_in: str = ""
+) -> Case:
     """Return the case of a run's folder.
 
     Raises
@@ -81,22 +87,24 @@ def case(run: Path, named: Sequence[Path] = (), about: AboutRecord = NOBODY, sta
         evidence.
     """
     read_run(run)
-    alone = (run / NAME).is_file()
+    alone = (run / RESULTS_FILE).is_file()
     if alone and unpack(run).get("kind") not in ("study", "fit"):
         raise _no_results(run)
     results = tuple(one for one in restored(run) if isinstance(one, Results))
     if not results:
         raise _no_results(run)
     runs = {target(one): one.run for one in results}
-    found = tuple(gather(run, runs, named))
-    return Case(run.resolve(), results, found, about, stated_in, (*_damaged(run, results), *unreadable(run)))
+    found = tuple(gather_evidence(run, runs, named))
+    return Case(
+        run.resolve(), results, found, about, stated_in, (*_damaged(run, results), *find_unreadable(run))
+    )
 
 
 def _damaged(run: Path, results: tuple[Results, ...]) -> Iterator[str]:
     """Yield what is wrong with files of a run, and of the runs that it reports together."""
     folder = run.resolve()
     for one in (folder, *(folder.parent / part.name for part in results if len(results) > 1)):
-        yield from (f"{one.name}/{name} {what}" for name, what in damaged_files(one).items())
+        yield from (f"{one.name}/{name} {what}" for name, what in find_damaged_files(one).items())
 
 
 def _no_results(run: Path) -> DataError:
@@ -104,7 +112,7 @@ def _no_results(run: Path) -> DataError:
         "holds no results of a study or fit",
         where=str(run),
         expected="what `needlefit tune`, or `needlefit validate` of a study without `kind`, wrote",
-        mend="name such a run; what other commands left beside it is found, or named by --evidence",
+        fix="name such a run; what other commands left beside it is found, or named by --evidence",
     )
 
 
@@ -124,6 +132,6 @@ def drawn(folder: Path, file: str, caption: str) -> tuple[Picture, ...]:
     return (Picture(folder / file, caption),) if (folder / file).is_file() else ()
 
 
-def left_by(evidence: Evidence, file: str, words: str) -> Finding:
+def left_by(evidence: CredibilityEvidence, file: str, words: str) -> Finding:
     """Return what was found in a file of evidence."""
     return Finding(words, f"{evidence.place}/{file}", evidence.command, evidence.of)

@@ -123,7 +123,7 @@ def _synthetic(case: Case) -> bool:
 
 def _held(results: Results) -> pd.DataFrame:
     errors = results.errors
-    return errors[(errors["role"] == "validate") & (errors["rival"] == "fitted")]
+    return errors[(errors["role"] == "validate") & (errors["method"] == "fitted")]
 
 
 def _layers(counts: Sequence[int]) -> str:

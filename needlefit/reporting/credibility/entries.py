@@ -23,8 +23,8 @@ class Entry:
         found = bool(self.told.findings)
         if self.factor.by_people:
             stated = any(one.command == "" for one in self.told.findings)
-            return self.told.left if stated else (self.factor.mend, *self.told.left)
-        return self.told.left if found else (f"Nothing found. {self.factor.mend}", *self.told.left)
+            return self.told.left if stated else (self.factor.fix, *self.told.left)
+        return self.told.left if found else (f"Nothing found. {self.factor.fix}", *self.told.left)
 
 
 _FINDERS: Mapping[str, Callable[[Case], Told]] = MappingProxyType(

@@ -22,7 +22,7 @@ class Factor:
     name : str
     asks : str
         What it asks.
-    mend : str
+    fix : str
         What would fill it where nothing was found.
     by_people : bool
         Whether only a statement of people fills it, whatever was found.
@@ -32,14 +32,14 @@ class Factor:
     part: str
     name: str
     asks: str
-    mend: str
+    fix: str
     by_people: bool = False
 
 
 def _told_by(whom: str, key: str, part: str, name: str, asks: str) -> Factor:
     """Return a factor that no program can tell."""
-    mend = f"Not for a program to tell: to be filled in by {whom} (--about FILE, key {key})."
-    return Factor(key, part, name, asks, mend, by_people=True)
+    fix = f"Not for a program to tell: to be filled in by {whom} (--statements FILE, key {key})."
+    return Factor(key, part, name, asks, fix, by_people=True)
 
 
 _USERS = "those who use the model"

@@ -8,7 +8,7 @@ from needlefit.reporting.credibility.varied import varied
 from needlefit.reporting.identification_said import verdict_said
 from needlefit.reporting.numbers import fixed, in_symbols
 from needlefit.reporting.sentences import undetermined_said
-from needlefit.validation.credibility.evidence import FIGURES, Evidence
+from needlefit.validation.credibility_evidence import EVIDENCE_FIGURES, CredibilityEvidence
 from needlefit.validation.results import Results
 
 FORM = ("tie", "advance", "constraint spacing", "first cell", "phase of the grid")
@@ -94,7 +94,7 @@ def _foretold(case: Case, results: Results) -> Told:
     return Told(tuple(told), left if doubtful else ())
 
 
-def _calibrated(case: Case, one: Evidence) -> Told:
+def _calibrated(case: Case, one: CredibilityEvidence) -> Told:
     """Return what simulation-based calibration came to: by drawn truths, or wrong on purpose."""
     if one.run.get("control"):
         return Told((left_by(one, "coverage.csv", _control_said(one)),))
@@ -105,30 +105,30 @@ def _calibrated(case: Case, one: Evidence) -> Told:
     words = (
         f"{_truths(one)}: {verdict}; the {100 * wide['level'].max():.0f} % intervals held "
         f"{wide['covered'].min()} to {wide['covered'].max()} of {wide['replicates'].max()} (chance: "
-        f"{wide['least'].min()} to {wide['most'].max()}). It proves the computation, not the model."
+        f"{wide['count_low'].min()} to {wide['count_high'].max()}). It proves the computation, not the model."
     )
     few = f"Whether these uncertainties are right: {_truths(one)} are too few to tell."
     return Told(
         (left_by(one, "coverage.csv", words),),
-        (f"{_of(case, one)}{few}",) if half["least"].min() <= 0 and not names else (),
-        pictures=drawn(one.folder, FIGURES[one.kind], f"{_of(case, one)}{captions.RANKS}"),
+        (f"{_of(case, one)}{few}",) if half["count_low"].min() <= 0 and not names else (),
+        pictures=drawn(one.folder, EVIDENCE_FIGURES[one.kind], f"{_of(case, one)}{captions.RANKS}"),
     )
 
 
-def _control_said(one: Evidence) -> str:
+def _control_said(one: CredibilityEvidence) -> str:
     seen = f"noticed, by {_failing(one)}" if one.run["not_calibrated"] else "NOT noticed"
     return f"A control, {WRONG[one.run['control']]}, is {seen} ({_truths(one)})."
 
 
-def _truths(one: Evidence) -> str:
+def _truths(one: CredibilityEvidence) -> str:
     return f"{one.run['replicates']} truths drawn from the prior"
 
 
-def _failing(one: Evidence) -> str:
+def _failing(one: CredibilityEvidence) -> str:
     return in_symbols(", ".join(quantity(name) for name in one.run["not_calibrated"]))
 
 
-def _identified(one: Evidence) -> list[str]:
+def _identified(one: CredibilityEvidence) -> list[str]:
     """Return the verdict on each parameter: of the fit where there is one, else of the design."""
     rows = one.tables["identify.csv"]
     last = "fit" if "fit" in set(rows["stage"]) else "design"
@@ -147,5 +147,5 @@ def _lacking(case: Case, kind: str) -> list[str]:
     return [name for name in map(target, case.results) if name not in known]
 
 
-def _of(case: Case, evidence: Evidence) -> str:
+def _of(case: Case, evidence: CredibilityEvidence) -> str:
     return f"{evidence.of}: " if len(case.results) > 1 else ""

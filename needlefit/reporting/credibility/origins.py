@@ -6,7 +6,7 @@ from needlefit.reporting import document
 from needlefit.reporting.credibility.case import Case
 from needlefit.reporting.display import Display, text, without_empty
 from needlefit.reporting.document import Block
-from needlefit.validation.credibility.evidence import Evidence
+from needlefit.validation.credibility_evidence import CredibilityEvidence
 from needlefit.validation.results import Results
 
 SHORT = 16
@@ -30,7 +30,7 @@ def origins(case: Case) -> list[Block]:
     ]
 
 
-def evidence_layout(evidence: Sequence[Evidence]) -> Display:
+def evidence_layout(evidence: Sequence[CredibilityEvidence]) -> Display:
     """Return one row per folder and run that it was looked at for, and why it is not counted."""
     rows = tuple(
         (one.place, one.command, one.of or "all", "yes" if one.counted else "NO", "; ".join(one.objections))

@@ -10,7 +10,7 @@ from needlefit.reporting.credibility.told import Told, joined
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import records
-from needlefit.validation.credibility.evidence import Evidence
+from needlefit.validation.credibility_evidence import CredibilityEvidence
 
 _CELLS, _STUDIES = "cells.csv", "studies.csv"
 _METRICS = ("ipe_mean_mm", "te_mm")
@@ -22,7 +22,7 @@ def varied(case: Case, subjects: Sequence[str]) -> Told:
     every = case.counted("sensitivity")
     studies = {one.place: one for one in every}
     parts = [_told(case, one, subjects) for one in studies.values()]
-    known = {name for one in studies.values() for name in _rows(case, one, _CELLS)["of"]}
+    known = {name for one in studies.values() for name in _rows(case, one, _CELLS)["aspect"]}
     lacking = [name for name in subjects if name not in known]
     said = (f"What these matter: nothing found of {', '.join(lacking)}. {_MEND}",) if lacking else ()
     return joined(*parts, Told(left=said))
@@ -31,14 +31,14 @@ def varied(case: Case, subjects: Sequence[str]) -> Told:
 _MEND = "needlefit validate sensitivity would tell."
 
 
-def _told(case: Case, evidence: Evidence, subjects: Sequence[str]) -> Told:
+def _told(case: Case, evidence: CredibilityEvidence, subjects: Sequence[str]) -> Told:
     cells, studies = (_rows(case, evidence, file) for file in (_CELLS, _STUDIES))
-    cells = cells[cells["of"].isin(subjects) & cells["metric"].isin(_METRICS)]
+    cells = cells[cells["aspect"].isin(subjects) & cells["metric"].isin(_METRICS)]
     if cells.empty:
         return Told()
-    words = [_said(str(name), group) for name, group in cells.groupby("of", sort=False)]
+    words = [_said(str(name), group) for name, group in cells.groupby("aspect", sort=False)]
     findings = [left_by(evidence, _CELLS, one) for one in words]
-    concluded = studies[studies["of"].isin(subjects) & (studies["tuned"] == "again")]
+    concluded = studies[studies["aspect"].isin(subjects) & (studies["tuned"] == "again")]
     if len(concluded):
         findings.append(left_by(evidence, _STUDIES, _conclusion_said(concluded)))
     faults = tuple(f"NOT TO BE TRUSTED: {evidence.place}: {why}." for why in evidence.run.get("faults", ()))
@@ -66,14 +66,14 @@ def _conclusion_said(rows: pd.DataFrame) -> str:
     limit = f"{rows['threshold_mm'].iloc[0]:.2f}"
     if not changed:
         return f"Which studies generalise (mean IPE below {limit} mm) is the same under all these variations."
-    which = "; ".join(f"{row['study']} under {row['of']}: {row['variation']}" for row in changed)
+    which = "; ".join(f"{row['study']} under {row['aspect']}: {row['variation']}" for row in changed)
     return f"Which studies generalise (mean IPE below {limit} mm) CHANGES for {which}."
 
 
 def _layout(rows: pd.DataFrame) -> Display:
     """Return one row per variation: how far the cells of these runs moved, in either direction."""
     cells, breaks, last = list[tuple[str, ...]](), list[int](), ""
-    for (of, variation, tuned), group in rows.groupby(["of", "variation", "tuned"], sort=False):
+    for (of, variation, tuned), group in rows.groupby(["aspect", "variation", "tuned"], sort=False):
         if of != last and cells:
             breaks.append(len(cells))
         count = len(group[["table", "study", "medium", "layers"]].drop_duplicates())
@@ -97,8 +97,8 @@ def _largest(rows: pd.DataFrame, metric: str, column: str) -> float:
     return float(rows.loc[rows["metric"] == metric, column].abs().max())
 
 
-def _rows(case: Case, evidence: Evidence, file: str) -> pd.DataFrame:
+def _rows(case: Case, evidence: CredibilityEvidence, file: str) -> pd.DataFrame:
     """Return what a table has of the runs that it counts for, but as it was decided."""
     table = evidence.tables[file]
     counted = [one.of for one in case.counted("sensitivity") if one.place == evidence.place]
-    return table[table["study"].isin(counted) & (table["of"] != "as decided")]
+    return table[table["study"].isin(counted) & (table["aspect"] != "as decided")]

@@ -11,7 +11,7 @@ from needlefit.reporting.credibility.case import Case, drawn, found_in, left_by
 from needlefit.reporting.credibility.told import Finding, Told, joined
 from needlefit.reporting.tables import Row, records
 from needlefit.reporting.verification import bound_said, measured_said
-from needlefit.validation.credibility.evidence import FIGURES, Evidence
+from needlefit.validation.credibility_evidence import EVIDENCE_FIGURES, CredibilityEvidence
 from needlefit.validation.results import Results
 from needlefit.verification.check import Bound, Group
 
@@ -36,7 +36,7 @@ def code_verification(case: Case) -> Told:
     """Return every group of checks of the code, by what is nearest to its bound, and the orders observed."""
     parts = []
     for one in case.counted("verification"):
-        orders = drawn(one.folder, FIGURES[one.kind], captions.CONVERGENCE)
+        orders = drawn(one.folder, EVIDENCE_FIGURES[one.kind], captions.CONVERGENCE)
         pictures = tuple(replace(picture, of_data=False) for picture in orders)
         parts.append(replace(_verified(one, _CODE), pictures=pictures))
     return joined(*parts)
@@ -89,7 +89,7 @@ def use_error(case: Case) -> Told:
     return Told(tuple(findings), tuple(f"Damaged, and not used: {fault}." for fault in case.damaged))
 
 
-def _verified(evidence: Evidence, groups: Sequence[Group]) -> Told:
+def _verified(evidence: CredibilityEvidence, groups: Sequence[Group]) -> Told:
     table = evidence.tables[_FILE]
     findings = []
     for group in groups:
@@ -140,7 +140,7 @@ def _value(row: Row) -> float:
 
 def _failures(results: Results) -> list[Finding]:
     """Return how many solves of the searches and of the scored needles failed, and faults of searches."""
-    begun, fitted = results.starts, results.errors[results.errors["rival"] == "fitted"]
+    begun, fitted = results.starts, results.errors[results.errors["method"] == "fitted"]
     failed, every = int(begun["failed_solves"].sum()), int(begun["evaluations"].sum())
     lost = int((~fitted["converged"].astype(bool)).sum())
     said = [

@@ -6,8 +6,7 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.project.names import spreadsheet_text
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.project.run_file import RUN_FILE
 from needlefit.reporting.credibility.assessed import SHOWN
 from needlefit.reporting.credibility.case import Case
@@ -16,8 +15,9 @@ from needlefit.reporting.credibility.page import DISCLAIMER, page
 from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.tables import Row
 from needlefit.reporting.write import write_report
-from needlefit.validation.packing import NAME
-from needlefit.validation.provenance import versions
+from needlefit.schemas.names import spreadsheet_text
+from needlefit.validation.packing import RESULTS_FILE
+from needlefit.validation.provenance import package_versions
 
 COLUMNS = ("part", "factor", "of", "found", "source", "command", "gap")
 
@@ -33,7 +33,7 @@ def write_bundle(case: Case, entries: list[Entry], run: Path, folder: Path) -> P
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         write_report(page(case, entries), new, "credibility")
         write_csv(_cells(rows(entries)), new / "credibility.csv")
         write_json(new / RUN_FILE, _provenance(case, run))
@@ -69,7 +69,7 @@ def _provenance(case: Case, run: Path) -> dict[str, Any]:
     read = {run.name: run, **folders}
     return {
         "name": f"credibility-{case.name}",
-        "versions": versions(()),
+        "versions": package_versions(()),
         "runs": {name: _digests(folder) for name, folder in read.items()},
         "evidence": _evidence(case),
         "stated": {
@@ -91,5 +91,5 @@ def _evidence(case: Case) -> list[dict[str, Any]]:
 
 
 def _digests(folder: Path) -> dict[str, str]:
-    files = [folder / name for name in (RUN_FILE, NAME, *SHOWN) if (folder / name).is_file()]
+    files = [folder / name for name in (RUN_FILE, RESULTS_FILE, *SHOWN) if (folder / name).is_file()]
     return {file.name: hashlib.sha256(file.read_bytes()).hexdigest() for file in files}

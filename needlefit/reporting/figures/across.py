@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 from needlefit.imaging.reconstruction import Reconstruction
-from needlefit.imaging.views import BEFORE_TIP
+from needlefit.imaging.views import TIP_SECTION_OFFSET_MM
 from needlefit.reporting.figures.panels import panel, sheet
 from needlefit.reporting.figures.pictures import MARKER, TIP, show
 from needlefit.reporting.figures.style import draw, light_grid
@@ -39,7 +39,7 @@ def _paint(reconstruction: Reconstruction) -> Figure:
     axes = panel(figure, (12.0, total - 5.0 - height, width, height))
     show(axes, view, reconstruction, (bottom, top))
     axes.set(xlabel="y in C (mm)", ylabel="z in C (mm)")
-    axes.set_title(f"{BEFORE_TIP:g} mm before the tip", loc="left", pad=3)
+    axes.set_title(f"{TIP_SECTION_OFFSET_MM:g} mm before the tip", loc="left", pad=3)
     _point_bevel(axes, reconstruction)
     if rows:
         _paint_markers(panel(figure, (12.0, 9.0, WIDTH - 13.0, room)), reconstruction)
@@ -48,7 +48,9 @@ def _paint(reconstruction: Reconstruction) -> Figure:
 
 def _point_bevel(axes: Axes, reconstruction: Reconstruction) -> None:
     """Draw an arrow from the tip to the side of the bevel's point, where the scan shows it."""
-    bevel = reconstruction.frame.rotation.T @ reconstruction.patient.rotation @ reconstruction.traced.bevel
+    bevel = (
+        reconstruction.frame.rotation.T @ reconstruction.patient.rotation @ reconstruction.needle_axis.bevel
+    )
     if not np.isfinite(bevel).all():
         return
     tip, side = reconstruction.local[-1, 1:], bevel[1:]

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import INK, WAY_COLOURS, WAY_NAMES
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _PANELS = (
     ("te", "tip error (mm)"),
@@ -20,7 +20,7 @@ _PANELS = (
 )
 
 
-def draw_curves(answer: Answer, path: Path) -> Path:
+def draw_curves(answer: AnalysisResult, path: Path) -> Path:
     """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
     return plot(path, answer.frames["adaptation"].assign(origin=answer.origin), _paint)
 
@@ -30,8 +30,8 @@ def _paint(frame: pd.DataFrame) -> Figure:
     panels = figure.subplots(2, 2, sharex=True).ravel()
     rows = records(frame)
     for axes, (stem, words) in zip(panels, _PANELS, strict=True):
-        for way in WAY_NAMES:
-            _line(axes, [row for row in rows if row["way"] == way], stem, WAY_COLOURS[way])
+        for approach in WAY_NAMES:
+            _line(axes, [row for row in rows if row["approach"] == approach], stem, WAY_COLOURS[approach])
         axes.set_ylabel(words)
         light_grid(axes, "y")
         if stem == "tip_in_95":
@@ -74,6 +74,6 @@ def _ticks(axes: Axes) -> None:
 
 def _names(axes: Axes, rows: list[Row]) -> None:
     """Name every line over its last point."""
-    for way, name in WAY_NAMES.items():
-        axes.plot([], [], "o-", ms=3.5, lw=1.2, color=WAY_COLOURS[way], label=name)
+    for approach, name in WAY_NAMES.items():
+        axes.plot([], [], "o-", ms=3.5, lw=1.2, color=WAY_COLOURS[approach], label=name)
     axes.figure.legend(loc="outside upper left", ncols=3, handletextpad=0.4, columnspacing=1.4)

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 from numpy.typing import NDArray
 
 from needlefit.geometry.curves import arc_length
-from needlefit.imaging.reconstruction import Reconstruction, View
+from needlefit.imaging.reconstruction import Reconstruction, ScanView
 from needlefit.reporting.figures.labels import spread
 from needlefit.reporting.figures.panels import panel, sheet
 from needlefit.reporting.figures.pictures import ENTRY, LAYER, NEEDLE, TIP, show, whole_needle
@@ -66,7 +66,7 @@ def _paint(reconstruction: Reconstruction) -> Figure:
     return figure
 
 
-def spans(pictures: Sequence[View], needle: Floats, room: float) -> list[Span]:
+def spans(pictures: Sequence[ScanView], needle: Floats, room: float) -> list[Span]:
     """Return what pictures show upwards so that together they are at most `room` mm high, the needle amid."""
     centres, reaches = [], []
     for view in pictures:
@@ -108,12 +108,12 @@ def _paint_deflection(axes: Axes, reconstruction: Reconstruction) -> None:
 
 
 def _paint_residuals(axes: Axes, reconstruction: Reconstruction) -> None:
-    traced = reconstruction.traced
+    needle_axis = reconstruction.needle_axis
     x = whole_needle(reconstruction)[:, 0]
     turn = reconstruction.frame.rotation.T @ reconstruction.patient.rotation
-    beside = traced.residuals @ turn.T  # (S, 3), C
-    at = np.interp(traced.sections_s, arc_length(traced.points), x)
-    half = _NINETY_FIVE * traced.sd
+    beside = needle_axis.residuals @ turn.T  # (S, 3), C
+    at = np.interp(needle_axis.sections_s, arc_length(needle_axis.points), x)
+    half = _NINETY_FIVE * needle_axis.sd
     axes.fill_between(x, -half, half, color=GREY, alpha=0.3, lw=0, label="the axis, 95 %")
     for side, colour, mark, words in ((2, OUT_OF_PLANE, "D", "in z"), (1, NEEDLE, "o", "in y")):
         axes.plot(at, beside[:, side], mark, color=colour, ms=1.3, mew=0, label=words)
@@ -155,7 +155,7 @@ def _depths(reconstruction: Reconstruction) -> list[tuple[float, float, str, str
     for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True)):
         before, after = layers.sequence[n : n + 2]
         found.append((float(depth), float(sd), LAYER, f"{before} → {after}"))
-    return [*found, (float(tip), float(reconstruction.traced.tip_sd[0]), TIP, "tip")]
+    return [*found, (float(tip), float(reconstruction.needle_axis.tip_sd[0]), TIP, "tip")]
 
 
 def _mark_depths(axes: Axes, reconstruction: Reconstruction) -> None:

@@ -121,13 +121,13 @@ def _writer(path: Path) -> AbstractMovieWriter:
             f"cannot write a `{suffix}` file" if suffix else "the file name has no ending",
             where=str(path),
             expected="a name that ends in .gif or .mp4",
-            mend=f"write to {path.stem or 'needle'}.gif",
+            fix=f"write to {path.stem or 'needle'}.gif",
         )
     if not FFMpegWriter.isAvailable():
         raise ConfigError(
             "ffmpeg, which encodes .mp4 files, is not found",
             where=str(path),
             expected="the program ffmpeg on the PATH",
-            mend=f"install it (Debian: `apt install ffmpeg`), or write to {path.stem}.gif",
+            fix=f"install it (Debian: `apt install ffmpeg`), or write to {path.stem}.gif",
         )
     return FFMpegWriter(fps=RATE)

@@ -14,7 +14,7 @@ from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin,
 from needlefit.reporting.names import INK, PAPER, layers_name, medium_name, study_name
 from needlefit.reporting.tables import Row, records, validation_table
 from needlefit.validation.results import Results
-from needlefit.validation.summary import points
+from needlefit.validation.summary import tabulate_points
 
 _IPE, _TE = "#0072B2", "#009E73"
 _LEAST = 5  # fewer tip errors than this are shown as points only: a box of them would be an invention
@@ -39,8 +39,8 @@ def _marks(results: Sequence[Results]) -> pd.DataFrame:
 
 
 def _rows(results: Results) -> Iterator[Row]:
-    where = "role == 'validate' and rival == 'fitted' and boundaries == 'measured'"
-    cloud, errors = points(results).query(where), results.errors.query(where)
+    where = "role == 'validate' and method == 'fitted' and boundaries == 'measured'"
+    cloud, errors = tabulate_points(results).query(where), results.errors.query(where)
     for row in records(validation_table(results)):
         medium, layers = row["validate_medium"], row["validate_layers"]
         label = f"{study_name(row['study'])}, {medium_name(medium)}, {layers_name(layers)}"

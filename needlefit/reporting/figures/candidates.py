@@ -7,24 +7,24 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import CANDIDATE_NAMES, GREY, INK, RIVAL_COLOURS
+from needlefit.reporting.names import CANDIDATE_NAMES, GREY, INK, METHOD_COLOURS
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _COLOURS = {
-    "ahead": RIVAL_COLOURS["constant_curvature"],
-    "behind": RIVAL_COLOURS["hand_tuned"],
+    "ahead": METHOD_COLOURS["constant_curvature"],
+    "behind": METHOD_COLOURS["hand_tuned"],
     "tie": GREY,
 }
 
 
-def draw_candidates(answer: Answer, path: Path) -> Path:
+def draw_candidates(answer: AnalysisResult, path: Path) -> Path:
     """Draw one row for each candidate but the reference."""
-    frame = answer.frames["contest"].assign(held_out=held_out(answer), origin=answer.origin)
+    frame = answer.frames["group_differences"].assign(held_out=held_out(answer), origin=answer.origin)
     return plot(path, frame, _paint)
 
 
-def held_out(answer: Answer) -> str:
+def held_out(answer: AnalysisResult) -> str:
     """Return what is held out as one: a group of repeats, if any two needles are repeats, else a needle."""
     told = answer.frames["differences"]
     return "group of repeats" if told["group"].nunique() < told["insertion"].nunique() else "needle"

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting.figures.profiles import log_ticks
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
-from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, rival_name
+from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, method_name
 from needlefit.reporting.numbers import number, symbol, typeset
 from needlefit.reporting.ridge import coordinates, free, ridge_ends
 from needlefit.validation.results import Results
@@ -24,13 +24,13 @@ _ROOM = 0.12  # of the range of what is shown, left free at each side
 _PANEL = 1.3  # inches at most
 _SHORT = 4  # signs of a number of which more than two stand along a panel
 _LEAST = 4.9  # inches: room for the words beside the first panel
-_BLUE, _RIDGE = RIVAL_COLOURS["fitted"], "#D55E00"
-_MARKS = {"fitted": ("D", 4.2, INK), "hand_tuned": ("s", 4.0, RIVAL_COLOURS["hand_tuned"])}
+_BLUE, _RIDGE = METHOD_COLOURS["fitted"], "#D55E00"
+_MARKS = {"fitted": ("D", 4.2, INK), "hand_tuned": ("s", 4.0, METHOD_COLOURS["hand_tuned"])}
 
 
 def corner(results: Results, path: Path) -> Path:
     """Draw the stored draws of the first fold, the fit, the paper's set, the bounds and the ridge."""
-    names = {"fitted": "the fit", "hand_tuned": rival_name("hand_tuned", results)}
+    names = {"fitted": "the fit", "hand_tuned": method_name("hand_tuned", results)}
     return plot(path, shown(results), lambda frame: _paint(frame, names))
 
 
@@ -40,9 +40,9 @@ def shown(results: Results) -> pd.DataFrame:
     names = free(results)
     draws = results.draws.loc[results.draws["fold"] == fold, names].assign(shown="draw")
     known = results.parameters[results.parameters["fold"] == fold]
-    values = known.pivot_table(index="rival", columns="parameter", values="value", sort=False)
-    sets = [rival for rival in _MARKS if rival in values.index]
-    bounds = known[known["rival"] == "fitted"].set_index("parameter")[["bound_low", "bound_high"]].T
+    values = known.pivot_table(index="method", columns="parameter", values="value", sort=False)
+    sets = [method for method in _MARKS if method in values.index]
+    bounds = known[known["method"] == "fitted"].set_index("parameter")[["bound_low", "bound_high"]].T
     marks = [
         values.loc[sets].reindex(columns=names).assign(shown=sets),
         bounds.reindex(columns=names).assign(shown=["lower bound", "upper bound"]),

@@ -6,7 +6,7 @@ import pandas as pd
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot, snug, stretch
-from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS
+from needlefit.reporting.names import GREY, INK, METHOD_COLOURS
 
 _BESIDE = 0.2  # share of the bands' height left free above and below
 _TALL = 2.6  # inches
@@ -18,7 +18,7 @@ def draw_forecast(table: pd.DataFrame, title: str, depth: float, path: Path) -> 
 
 
 def _paint(table: pd.DataFrame, title: str, depth: float) -> Figure:
-    x, colour = table["x_mm"], RIVAL_COLOURS["fitted"]
+    x, colour = table["x_mm"], METHOD_COLOURS["fitted"]
     low, high = table["measured_95_low_mm"].min(), table["measured_95_high_mm"].max()
     room = _BESIDE * (high - low) + 0.05
     figure = Figure(figsize=(WIDTH, _TALL))

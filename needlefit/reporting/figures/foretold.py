@@ -21,10 +21,10 @@ from needlefit.datasets.independent import groups
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, study_name
 from needlefit.reporting.tables import Row, study_label
-from needlefit.validation.calibration.bands import band
-from needlefit.validation.coverage import share
+from needlefit.validation.calibration.rank_statistics import ecdf_band
+from needlefit.validation.proportions import estimate_proportion
 from needlefit.validation.results import Results
-from needlefit.validation.summary import bevel_sides
+from needlefit.validation.summary import find_bevel_sides
 
 Floats = NDArray[np.float64]
 
@@ -63,12 +63,12 @@ def _rows(results: Results) -> Iterator[Row]:
         below = np.cumsum(1 / size[order]) / trials  # every group weighs the same
         for level, part in zip([0.0, *levels[order], 1.0], [0.0, *below, 1.0], strict=True):
             yield {**about, "shown": "ECDF", "of": what, "level": float(level), "share": float(part)}
-    least, most = band(trials, PLACES, ERROR)
+    least, most = ecdf_band(trials, PLACES, ERROR)
     for place, low, high in zip(range(1, PLACES), least / trials, most / trials, strict=True):
         yield {**about, "shown": "band", "level": place / PLACES, "low": float(low), "high": float(high)}
     for what in _WHAT:
         for level in _INTERVALS:
-            found = share([bool(held) for held in told[f"{what}_in_{level}"]], together)
+            found = estimate_proportion([bool(held) for held in told[f"{what}_in_{level}"]], together)
             ends = {"share": found.hits / found.trials, "low": found.low, "high": found.high}
             yield {**about, "shown": "coverage", "of": what, "level": level / 100, **ends}
 
@@ -76,8 +76,8 @@ def _rows(results: Results) -> Iterator[Row]:
 def _toward_bevel(results: Results) -> dict[str, Floats]:
     """Return the levels of tips and shapes; those of tips are stored toward +y."""
     told = results.predictive
-    sides = told["insertion"].map(bevel_sides(results)).to_numpy(dtype=np.float64)
-    tips, shapes = (told[f"{what}_level"].to_numpy(dtype=np.float64) for what in ("tip", "shape"))
+    sides = told["insertion"].map(find_bevel_sides(results)).to_numpy(dtype=np.float64)
+    tips, shapes = (told[f"{what}_pit"].to_numpy(dtype=np.float64) for what in ("tip", "shape"))
     return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}
 
 

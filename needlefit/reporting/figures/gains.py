@@ -10,16 +10,16 @@ from matplotlib.figure import Figure
 from needlefit.reporting.figures.labels import apart
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, way_in_name
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 BEYOND = 1.62
 """The width of a panel by its greatest depth: names stand beyond."""
 
 
-def draw_gains(answer: Answer, path: Path) -> Path:
+def draw_gains(answer: AnalysisResult, path: Path) -> Path:
     """Draw gain and remaining deviation of the first tip asked for."""
-    return plot(path, answer.frames["told"].assign(origin=answer.origin), _paint)
+    return plot(path, answer.frames["gains"].assign(origin=answer.origin), _paint)
 
 
 def _paint(told: pd.DataFrame) -> Figure:

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from needlefit.reporting.names import INK, RIVAL_COLOURS
+from needlefit.reporting.names import INK, METHOD_COLOURS
 from needlefit.validation.results import Results
-from needlefit.validation.summary import bevel_sides
+from needlefit.validation.summary import find_bevel_sides
 
 Insertion = tuple[str, str]
 """Fold and insertion."""
@@ -29,28 +29,28 @@ DASHED: Mapping[str, Any] = {"constant_curvature": (0, (4, 2))}  # where two lin
 
 _LEVELS = {95: 0.16, 50: 0.28}  # opacity of each band; the narrow one lies on the wide one
 _POINT = [*KEYS, "curve", "x_mm", *HEIGHTS]
-_BLUE = RIVAL_COLOURS["fitted"]
+_BLUE = METHOD_COLOURS["fitted"]
 
 
 def curves(results: Results, role: str, shown: Iterable[str], every: int = 1) -> pd.DataFrame:
     """Return one row per drawn point of a role's insertions, y toward the bevel, mm.
 
-    `curve` is a rival of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
+    `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
     held-out insertions have: `low_mm`, `high_mm` are its ends.
     """
-    where = "role == @role and boundaries == 'measured' and rival in @shown"
+    where = "role == @role and boundaries == 'measured' and method in @shown"
     shapes = results.shapes.query(where, local_dict={"role": role, "shown": list(shown)})
-    shapes = shapes.sort_values([*KEYS, "rival", "j"])
+    shapes = shapes.sort_values([*KEYS, "method", "j"])
     simulated = shapes.set_axis([c.replace("simulated_", "") for c in shapes.columns], axis=1)
     dots = shapes.drop_duplicates([*KEYS, "j"])
     bands = _on_measured(results.bands, dots)
     dots = dots[dots["j"] % every == 0].set_axis([c.replace("measured_", "") for c in shapes.columns], axis=1)
-    parts = [simulated.assign(curve=simulated["rival"]), dots.assign(curve="measured")]
+    parts = [simulated.assign(curve=simulated["method"]), dots.assign(curve="measured")]
     for level in _LEVELS if role == "validate" else ():
         ends = {f"low_{level}_mm": "low_mm", f"high_{level}_mm": "high_mm"}
         parts.append(bands.rename(columns=ends).assign(curve=f"{level} %"))
     found = pd.concat([part.reindex(columns=_POINT) for part in parts if len(part)], ignore_index=True)
-    sides = found["insertion"].map(bevel_sides(results))
+    sides = found["insertion"].map(find_bevel_sides(results))
     found[HEIGHTS] = found[HEIGHTS].mul(sides, axis=0)
     return found.assign(origin=results.origin)
 
@@ -98,9 +98,9 @@ def paint_bands(axes: Axes, points: pd.DataFrame) -> None:
 def explain(figure: Figure, present: set[str], rivals: Mapping[str, str]) -> None:
     """Say above all panels what is what; `rivals` are names by which curves are called."""
     handles: list[Artist] = [Line2D([], [], color=INK, marker="o", ms=2.7, lw=0, label="measured")]
-    for rival, name in rivals.items():
-        if rival in present:
-            look = {"color": RIVAL_COLOURS[rival], "lw": 1.1, "ls": DASHED.get(rival, "-")}
+    for method, name in rivals.items():
+        if method in present:
+            look = {"color": METHOD_COLOURS[method], "lw": 1.1, "ls": DASHED.get(method, "-")}
             handles.append(Line2D([], [], **look, label=name))
     if "95 %" in present:
         handles += [

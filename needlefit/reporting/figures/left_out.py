@@ -8,12 +8,12 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, medium_name
+from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, medium_name
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 
-def draw_left_out(answer: Answer, path: Path) -> Path:
+def draw_left_out(answer: AnalysisResult, path: Path) -> Path:
     """Draw mean IPE and TE in sample and left out, with the noise floor and a constant curvature."""
     return plot(path, answer.frames["summary"].assign(origin=answer.origin), _paint)
 
@@ -40,10 +40,10 @@ def _pair(axes: Axes, y: int, row: Row, metric: str, direct: bool) -> None:
     """Draw one row: floor, in sample, left out, and the curve that knows no tissue."""
     floor, sample = row[f"floor_{metric}_mm"], row[f"in_sample_{metric}_mm"]
     held, curve = row[f"{metric}_mm"], row[f"curve_{metric}_mm"]
-    axes.plot([sample, held], [y, y], color=RIVAL_COLOURS["fitted"], lw=1.0, zorder=2)
-    axes.plot(sample, y, "o", ms=5, mfc="white", mec=RIVAL_COLOURS["fitted"], zorder=3)
-    axes.plot(held, y, "o", ms=5, color=RIVAL_COLOURS["fitted"], zorder=4)
-    axes.plot(curve, y, "^", ms=4.5, color=RIVAL_COLOURS["constant_curvature"], zorder=3)
+    axes.plot([sample, held], [y, y], color=METHOD_COLOURS["fitted"], lw=1.0, zorder=2)
+    axes.plot(sample, y, "o", ms=5, mfc="white", mec=METHOD_COLOURS["fitted"], zorder=3)
+    axes.plot(held, y, "o", ms=5, color=METHOD_COLOURS["fitted"], zorder=4)
+    axes.plot(curve, y, "^", ms=4.5, color=METHOD_COLOURS["constant_curvature"], zorder=3)
     if floor is not None:
         axes.vlines(floor, y - 0.35, y + 0.35, color=INK, lw=0.9, ls=(0, (2, 1.5)))
     if direct:
@@ -52,7 +52,7 @@ def _pair(axes: Axes, y: int, row: Row, metric: str, direct: bool) -> None:
 
 def _label(axes: Axes, y: int, row: Row, metric: str) -> None:
     """Name the marks of the first row, the middle ones above it, the outer ones higher still."""
-    blue = RIVAL_COLOURS["fitted"]
+    blue = METHOD_COLOURS["fitted"]
     marks = [("in sample", row[f"in_sample_{metric}_mm"], 7, "right", blue)]
     marks += [("left out", row[f"{metric}_mm"], 7, "left", blue)]
     marks += [("constant curvature", row[f"curve_{metric}_mm"], 15, "center", GREY)]

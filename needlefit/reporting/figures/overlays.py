@@ -20,7 +20,7 @@ from needlefit.reporting.figures.insertions import (
     panels,
 )
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot, snug
-from needlefit.reporting.names import RIVAL_COLOURS, rival_name
+from needlefit.reporting.names import METHOD_COLOURS, method_name
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import records
 from needlefit.validation.results import Results
@@ -40,14 +40,14 @@ def overlays(results: Results, path: Path, role: str = "validate") -> Path:
     """
     titles = _titles(results, role)
     every = _EVERY if len(titles) <= ROOMY else 2 * _EVERY
-    names = {rival: rival_name(rival, results) for rival in reversed(_SHOWN)}
+    names = {method: method_name(method, results) for method in reversed(_SHOWN)}
     drawn = curves(results, role, _SHOWN, every)
     return plot(path, drawn, lambda points: _paint(points, titles, names))
 
 
 def _titles(results: Results, role: str) -> dict[Insertion, str]:
     """Return by fold and insertion what stands above its panel: its errors."""
-    scored = results.errors.query("role == @role and boundaries == 'measured' and rival == 'fitted'")
+    scored = results.errors.query("role == @role and boundaries == 'measured' and method == 'fitted'")
     said = {}
     for row in records(scored):
         digits = 3 if row["comparison"] == "aligned" else 2
@@ -67,7 +67,7 @@ def _paint(points: pd.DataFrame, titles: dict[Insertion, str], names: dict[str, 
     figure = Figure(figsize=(WIDTH, rows * (high + _AROUND) + 0.8))
     for axes, which, mine in panels(figure, points, columns, titles):
         _panel(axes, mine)
-        axes.set_title(titles[which], loc="right", pad=3, fontsize=6.5, color=RIVAL_COLOURS["fitted"])
+        axes.set_title(titles[which], loc="right", pad=3, fontsize=6.5, color=METHOD_COLOURS["fitted"])
         axes.set(xlim=x, ylim=y, aspect="equal")
         axes.yaxis.set_major_locator(MaxNLocator(3, steps=[1, 2, 5, 10]))
     figure.supxlabel("depth x (mm)", fontsize=7.5)
@@ -80,9 +80,9 @@ def _paint(points: pd.DataFrame, titles: dict[Insertion, str], names: dict[str, 
 
 def _panel(axes: Axes, points: pd.DataFrame) -> None:
     paint_bands(axes, points)
-    for rival in _SHOWN:
-        curve, ours = points[points["curve"] == rival], rival == "fitted"
-        colour = RIVAL_COLOURS[rival]
+    for method in _SHOWN:
+        curve, ours = points[points["curve"] == method], method == "fitted"
+        colour = METHOD_COLOURS[method]
         axes.plot(curve["x_mm"], curve["y_mm"], color=colour, lw=1.0 if ours else 0.8, zorder=2.0 + ours)
     dots = points[points["curve"] == "measured"]
     axes.plot(dots["x_mm"], dots["y_mm"], "o", zorder=4, **{**DOT, "ms": 2.2, "mew": 0.3})

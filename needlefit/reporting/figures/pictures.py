@@ -11,14 +11,14 @@ from numpy.typing import NDArray
 from needlefit.geometry.crossings import surface_hits
 from needlefit.geometry.curves import at_arc
 from needlefit.geometry.surfaces import Surface
-from needlefit.imaging.needle.segmentation import AIR_BELOW
-from needlefit.imaging.reconstruction import Reconstruction, View
-from needlefit.imaging.views import BEFORE_TIP
-from needlefit.reporting.names import RIVAL_COLOURS
+from needlefit.imaging.needle.segmentation import MAX_AIR_HU
+from needlefit.imaging.reconstruction import Reconstruction, ScanView
+from needlefit.imaging.views import TIP_SECTION_OFFSET_MM
+from needlefit.reporting.names import METHOD_COLOURS
 
 Floats = NDArray[np.float64]
 
-NEEDLE, ENTRY, LAYER, TIP, MARKER = RIVAL_COLOURS["fitted"], "#E69F00", "#56B4E9", "#C8102E", "#009E73"
+NEEDLE, ENTRY, LAYER, TIP, MARKER = METHOD_COLOURS["fitted"], "#E69F00", "#56B4E9", "#C8102E", "#009E73"
 
 _NEAR = 3.0  # mm: a marker's centre may lie so far from the slab that it is drawn over
 _STEP = 0.6  # mm between the dots of a layer's outline
@@ -26,7 +26,7 @@ _LEAST_WINDOW = 250.0  # HU
 _OUTSIDE = "#e6ecf2"  # of the volume: no grey of the scan
 
 
-def show(axes: Axes, view: View, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
+def show(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
     """Draw one picture, with needle, layers and markers nearby; `span` is what it shows upwards, mm."""
     brightness, shade = _shades(reconstruction.views)
     axes.set_facecolor(_OUTSIDE)
@@ -45,7 +45,7 @@ def show(axes: Axes, view: View, reconstruction: Reconstruction, span: tuple[flo
         spine.set_visible(False)
 
 
-def png(view: View) -> bytes:
+def png(view: ScanView) -> bytes:
     """Return a picture of the scan by itself: PNG, the top row first, clear outside the volume."""
     grey = np.interp(view.values, *_shades((view,)))  # (H, W)
     outside = ~np.isfinite(view.values)
@@ -57,18 +57,18 @@ def png(view: View) -> bytes:
 
 def whole_needle(reconstruction: Reconstruction) -> Floats:
     """Return the needle from base to tip in C: (N, 3), mm."""
-    placed = reconstruction.patient.to_world(reconstruction.traced.points)
+    placed = reconstruction.patient.to_world(reconstruction.needle_axis.points)
     return reconstruction.frame.to_local(placed)
 
 
-def _shades(views: tuple[View, ...]) -> tuple[Floats, Floats]:
+def _shades(views: tuple[ScanView, ...]) -> tuple[Floats, Floats]:
     """Return brightnesses, HU, increasing, and how light each is drawn, 0 to 1.
 
     Tissue and its layers take most of the greys; air and metal share the rest, so that their edges stay where
     they are. Metal and its bloom are bright whatever the tissue is: the brighter tenth does not count.
     """
     shown = np.concatenate([view.values[np.isfinite(view.values)] for view in views])
-    tissue = shown[shown > AIR_BELOW]
+    tissue = shown[shown > MAX_AIR_HU]
     if tissue.size == 0:
         return np.array([-1000.0, 3000.0]), np.array([0.0, 1.0])
     low, middle, high = np.quantile(tissue, (0.03, 0.5, 0.9))
@@ -89,7 +89,7 @@ def _draw_needle(axes: Axes, reconstruction: Reconstruction, shown: tuple[int, i
     axes.plot(crossed[:, right], crossed[:, up], "o", color=LAYER, ms=2.4, mec="white", mew=0.3, zorder=5)
 
 
-def _draw_markers(axes: Axes, view: View, reconstruction: Reconstruction) -> None:
+def _draw_markers(axes: Axes, view: ScanView, reconstruction: Reconstruction) -> None:
     if reconstruction.markers is None:
         return
     right, up = ("xyz".index(axis) for axis in view.axes)
@@ -99,13 +99,15 @@ def _draw_markers(axes: Axes, view: View, reconstruction: Reconstruction) -> Non
     if view.axes[0] == "x":
         middle = np.interp(centers[:, 0], needle[:, 0], needle[:, through])
     else:
-        middle = np.full(len(centers), needle[-1, 0] - BEFORE_TIP)
+        middle = np.full(len(centers), needle[-1, 0] - TIP_SECTION_OFFSET_MM)
     near = np.abs(centers[:, through] - middle) <= _NEAR
     # the centre alone: the slab cuts a ball off its middle, where a ring of its size would not be its outline
     axes.plot(centers[near, right], centers[near, up], "+", color=MARKER, mew=1.0, ms=6)
 
 
-def _draw_layers(axes: Axes, view: View, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
+def _draw_layers(
+    axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]
+) -> None:
     """Dot the outlines of the layers' surfaces where the picture cuts them."""
     for surface in reconstruction.layers.surfaces:
         dots = outline(view, reconstruction, surface, span)
@@ -113,7 +115,7 @@ def _draw_layers(axes: Axes, view: View, reconstruction: Reconstruction, span: t
 
 
 def outline(
-    view: View, reconstruction: Reconstruction, surface: Surface, span: tuple[float, float]
+    view: ScanView, reconstruction: Reconstruction, surface: Surface, span: tuple[float, float]
 ) -> Floats:
     """Return where the sheet that a picture along the needle shows cuts a surface: points (K, 2), mm.
 

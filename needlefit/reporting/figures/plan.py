@@ -8,30 +8,30 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from needlefit.project.records.plan import PlanRecord
 from needlefit.reporting.figures.labels import apart
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, PLAN_COLOURS, PLAN_NAMES, SYNTHETIC
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.planning.plan import EXPECTED
+from needlefit.schemas.planning import PlanRecord
+from needlefit.validation.analyses.planning.plan import EXPECTED
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _SHADES = ("#f7f4ee", "#e2d9c6", "#efeadd", "#d3c7ae", "#e9e2d2")
 _PARTS = ("part", "plan", "trial", "x_mm", "y_mm", "name", "radius_mm")
 _LAYERS = ("interval", "layer", "from_mm", "to_mm")
 
 
-def draw_plane(answer: Answer, path: Path) -> Path:
+def draw_plane(answer: AnalysisResult, path: Path) -> Path:
     """Draw layers, needles and what they shall reach and pass by; beside it where the plan's needles end."""
     return plot(path, _plane(answer), _paint_plane)
 
 
-def draw_misses(answer: Answer, path: Path) -> Path:
+def draw_misses(answer: AnalysisResult, path: Path) -> Path:
     """Draw the share of needles that miss by at most so much, plan by plan."""
     return plot(path, _within(answer), _paint_misses)
 
 
-def _plane(answer: Answer) -> pd.DataFrame:
+def _plane(answer: AnalysisResult) -> pd.DataFrame:
     """Return needles, tips of the plan, layers, and the circles about target and obstacles."""
     record, frames = answer.record, answer.frames
     assert isinstance(record, PlanRecord)
@@ -54,7 +54,7 @@ def _circles(record: PlanRecord) -> list[Row]:
     ]
 
 
-def _within(answer: Answer) -> pd.DataFrame:
+def _within(answer: AnalysisResult) -> pd.DataFrame:
     """Return the steps of each plan's share of needles, and the tolerances."""
     record = answer.record
     assert isinstance(record, PlanRecord)

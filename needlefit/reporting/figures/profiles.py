@@ -14,7 +14,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
-from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS
+from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, PAPER
 from needlefit.reporting.numbers import number, symbol, typeset
 from needlefit.reporting.tables import Row, records
 
@@ -29,7 +29,7 @@ MOST_TICKS = 4
 TOP = 6.5
 """Deviance at which the panels end."""
 
-BLUE, ORANGE, WARNING = RIVAL_COLOURS["fitted"], RIVAL_COLOURS["hand_tuned"], PAPER
+BLUE, ORANGE, WARNING = METHOD_COLOURS["fitted"], METHOD_COLOURS["hand_tuned"], PAPER
 
 
 def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, origin: str, path: Path) -> Path:

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from needlefit.reporting.calibration_said import quantity
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
 from needlefit.reporting.names import GREY, INK, SYNTHETIC
-from needlefit.validation.calibration.ranks import DRAWS
+from needlefit.validation.calibration.rank_statistics import RANK_DRAWS
 from needlefit.validation.calibration.run import Calibration
 
 BLUE = "#0072B2"
@@ -30,8 +30,11 @@ def draw_ranks(found: Calibration, path: Path) -> Path:
 
 def _curves(found: Calibration) -> pd.DataFrame:
     """Return the ECDFs with what is drawn of them: the part of ranks below a place, less the place's own."""
-    place, count = found.ecdfs["place"] / (DRAWS + 1), len(found.replicates)
-    parts = {f"{name}_less_uniform": found.ecdfs[name] / count - place for name in ("below", "least", "most")}
+    place, count = found.ecdfs["rank"] / (RANK_DRAWS + 1), len(found.replicates)
+    parts = {
+        f"{name}_less_uniform": found.ecdfs[name] / count - place
+        for name in ("below", "count_low", "count_high")
+    }
     return found.ecdfs.assign(uniform=place, **parts)
 
 

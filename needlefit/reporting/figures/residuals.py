@@ -20,7 +20,7 @@ from needlefit.reporting.figures.insertions import (
     panels,
 )
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import RIVAL_COLOURS, rival_name
+from needlefit.reporting.names import METHOD_COLOURS, method_name
 from needlefit.validation.results import Results
 
 Floats = NDArray[np.float64]
@@ -35,7 +35,7 @@ def residuals(results: Results, path: Path, role: str = "validate") -> Path:
     Measured points as dots, rivals as lines, and the bands of what was foretold. The straight line is left
     out: it would hide all others.
     """
-    names = {rival: rival_name(rival, results) for rival in ("fitted", *_RIVALS)}
+    names = {method: method_name(method, results) for method in ("fitted", *_RIVALS)}
     off = about_fit(curves(results, role, ("fitted", *_RIVALS), _EVERY))
     return plot(path, off, lambda points: _paint(points, names))
 
@@ -77,10 +77,10 @@ def _paint(points: pd.DataFrame, names: dict[str, str]) -> Figure:
 
 def _panel(axes: Axes, points: pd.DataFrame) -> None:
     paint_bands(axes, points)
-    axes.axhline(0.0, color=RIVAL_COLOURS["fitted"], lw=1.0)
-    for rival in _RIVALS:
-        curve = points[points["curve"] == rival]
-        line = {"color": RIVAL_COLOURS[rival], "lw": 0.8, "ls": DASHED.get(rival, "-")}
+    axes.axhline(0.0, color=METHOD_COLOURS["fitted"], lw=1.0)
+    for method in _RIVALS:
+        curve = points[points["curve"] == method]
+        line = {"color": METHOD_COLOURS[method], "lw": 0.8, "ls": DASHED.get(method, "-")}
         axes.plot(curve["x_mm"], curve["y_mm"], **line)
     dots = points[points["curve"] == "measured"]
     axes.plot(dots["x_mm"], dots["y_mm"], "o", zorder=4, **{**DOT, "ms": 1.8, "mew": 0})

@@ -10,10 +10,10 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import GREY, INK, PAPER, RIVAL_COLOURS, RIVAL_NAMES, medium_name
+from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, METHOD_NAMES, PAPER, medium_name
 from needlefit.reporting.tables import Row, records
 from needlefit.validation import paper
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _NEAR = 0.1
 """mm; up to here the scale of the contests is linear."""
@@ -33,22 +33,22 @@ _TITLES = {
 }
 
 
-def draw_pattern(answer: Answer, path: Path) -> Path:
+def draw_pattern(answer: AnalysisResult, path: Path) -> Path:
     """Draw the mean IPE of every study on every twin, beside the threshold and the paper's own."""
     return plot(path, _generalising(answer), _pattern)
 
 
-def draw_contests(answer: Answer, path: Path) -> Path:
-    """Draw what the fit's errors differ by from each rival's, a panel a rival."""
-    return plot(path, answer.frames["contests"].assign(origin=answer.origin), _contests)
+def draw_contests(answer: AnalysisResult, path: Path) -> Path:
+    """Draw what the fit's errors differ by from each method's, a panel a method."""
+    return plot(path, answer.frames["comparisons"].assign(origin=answer.origin), _contests)
 
 
-def draw_cells(answer: Answer, path: Path) -> Path:
+def draw_cells(answer: AnalysisResult, path: Path) -> Path:
     """Draw median and range of every cell, a panel a metric."""
     return plot(path, answer.frames["cells"].assign(origin=answer.origin), _cells)
 
 
-def _generalising(answer: Answer) -> pd.DataFrame:
+def _generalising(answer: AnalysisResult) -> pd.DataFrame:
     """Return mean IPE of every study: on each twin, their median, and of the paper's groups."""
     every = answer.frames["pattern"]
     twins = every[["study", "seed", "ipe_mean_mm", "threshold_mm", "generalises_in_paper"]]
@@ -65,7 +65,7 @@ def _generalising(answer: Answer) -> pd.DataFrame:
 
 def _printed(study: str) -> list[float]:
     """Return the paper's mean IPE of the groups that a study holds out."""
-    table = paper.table("validation")
+    table = paper.read_published_table("validation")
     own = table[table["study"].astype(str) == study.removeprefix("study")]
     return [float(value) for value in own["ipe_mean_mm"]]
 
@@ -91,7 +91,7 @@ def _pattern(frame: pd.DataFrame) -> Figure:
 def _study(axes: Axes, y: int, rows: pd.DataFrame) -> None:
     """Draw one study: twins, their median, and what the paper prints."""
     twins, median, printed = (rows[rows["part"] == part] for part in ("twin", "median", "paper"))
-    colour = RIVAL_COLOURS["fitted"] if twins["generalises_in_paper"].all() else PAPER
+    colour = METHOD_COLOURS["fitted"] if twins["generalises_in_paper"].all() else PAPER
     level = y + 0.18 * np.linspace(-1, 1, len(twins))
     axes.plot(twins["ipe_mean_mm"], level, "o", ms=3, color=colour, alpha=0.6, mew=0)
     axes.vlines(median["ipe_mean_mm"], y - 0.32, y + 0.32, color=colour, lw=1.6)
@@ -99,24 +99,24 @@ def _study(axes: Axes, y: int, rows: pd.DataFrame) -> None:
 
 
 def _contests(frame: pd.DataFrame) -> Figure:
-    rivals = [name for name in RIVAL_NAMES if name in set(frame["rival"])]
+    rivals = [name for name in METHOD_NAMES if name in set(frame["method"])]
     groups = list(dict.fromkeys(zip(frame["study"], frame["medium"], frame["layers"], strict=True)))
     figure = Figure(figsize=(WIDTH, 1.0 + 2 * 0.2 * len(groups) + 0.6))
     panels = figure.subplots(2, -(-len(rivals) // 2), sharex=True, sharey=True).ravel()
-    for axes, rival in zip(panels, rivals, strict=False):
-        for row in records(frame[frame["rival"] == rival]):
+    for axes, method in zip(panels, rivals, strict=False):
+        for row in records(frame[frame["method"] == method]):
             y = groups.index((row["study"], row["medium"], row["layers"]))
             _contest(axes, y, row)
         axes.axvline(0, color=INK, lw=0.6)
         axes.set_xscale("symlog", linthresh=_NEAR, linscale=0.6)
         axes.set_xticks([-10, -1, -0.1, 0, 0.1, 1], ["−10", "−1", "−0.1", "0", "0.1", "1"])
-        axes.set_title(f"against {RIVAL_NAMES[rival]}", loc="left", fontsize=6.5)
+        axes.set_title(f"against {METHOD_NAMES[method]}", loc="left", fontsize=6.5)
         light_grid(axes, "x")
     _rows_named(panels[0], [_group(group) for group in groups])
     for axes in panels[len(rivals) :]:
         axes.set_visible(False)
     _key(figure, panels[0])
-    figure.supxlabel("error of the fit less that of the rival (mm)", fontsize=7.5)
+    figure.supxlabel("error of the fit less that of the method (mm)", fontsize=7.5)
     label_origin(figure, is_synthetic(frame))
     return figure
 
@@ -125,7 +125,7 @@ def _contest(axes: Axes, y: int, row: Row) -> None:
     """Draw one difference: mean IPE filled, above; TE hollow, below."""
     mean = row["metric"] == "ipe_mean_mm"
     level = y + (-0.17 if mean else 0.17)
-    colour = {"wins": RIVAL_COLOURS["fitted"], "loses": PAPER, "open": GREY}[row["verdict"]]
+    colour = {"wins": METHOD_COLOURS["fitted"], "loses": PAPER, "open": GREY}[row["verdict"]]
     axes.hlines(level, row["low_mm"], row["high_mm"], color=colour, lw=1.0)
     axes.plot(row["difference_mm"], level, "o", ms=3.2, mec=colour, mfc=colour if mean else "white", mew=0.8)
 
@@ -135,7 +135,7 @@ def _key(figure: Figure, axes: Axes) -> None:
     mark: dict[str, Any] = {"ls": "", "marker": "o", "ms": 3.6, "mec": INK, "mew": 0.8}
     axes.plot([], [], mfc=INK, label="mean IPE", **mark)
     axes.plot([], [], mfc="white", label="TE", **mark)
-    colours = {"the fit wins": RIVAL_COLOURS["fitted"], "it loses": PAPER, "open": GREY}
+    colours = {"the fit wins": METHOD_COLOURS["fitted"], "it loses": PAPER, "open": GREY}
     for words, colour in colours.items():
         axes.plot([], [], color=colour, lw=1.6, label=words)
     figure.legend(loc="outside upper left", ncols=5, handletextpad=0.4, columnspacing=1.4)
@@ -163,7 +163,7 @@ def _cells(frame: pd.DataFrame) -> Figure:
 
 
 def _cell(axes: Axes, y: int, row: Row) -> None:
-    colour = RIVAL_COLOURS["fitted"]
+    colour = METHOD_COLOURS["fitted"]
     axes.hlines(y, row["q05"], row["q95"], color=colour, lw=1.4)
     axes.plot(row["q50"], y, "o", ms=3.2, color=colour)
     if row["paper"] is not None:

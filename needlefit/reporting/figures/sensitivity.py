@@ -9,8 +9,8 @@ from matplotlib.figure import Figure
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import INK, medium_name
 from needlefit.reporting.tables import records
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.tables.sensitivity.verb import AS_DECIDED
+from needlefit.validation.analyses.runner import AnalysisResult
+from needlefit.validation.analyses.sensitivity import BASE_VARIATION
 
 _COLOURS = ("#0072B2", "#009E73", "#D55E00", "#CC79A7", "#E69F00")
 _MOST = 20.0
@@ -24,21 +24,21 @@ _PANELS = (
 )
 
 
-def draw_studies(answer: Answer, path: Path) -> Path:
+def draw_studies(answer: AnalysisResult, path: Path) -> Path:
     """Draw the change of every study's mean IPE and TE, in noise floors."""
     return plot(path, answer.frames["studies"].assign(origin=answer.origin), _paint)
 
 
 def _paint(every: pd.DataFrame) -> Figure:
-    frame = every[every["of"] != AS_DECIDED]
-    rows = list(frame[["of", "variation"]].drop_duplicates().itertuples(index=False, name=None))
+    frame = every[every["aspect"] != BASE_VARIATION]
+    rows = list(frame[["aspect", "variation"]].drop_duplicates().itertuples(index=False, name=None))
     studies = list(dict.fromkeys(frame["study"]))
     figure = Figure(figsize=(WIDTH, 1.1 + 0.23 * len(rows)))
     panels = figure.subplots(1, len(_PANELS), sharex=True, sharey=True)
     for axes, (tuned, error, words) in zip(panels, _PANELS, strict=True):
         for row in records(frame[frame["tuned"] == tuned]):
             change = row[f"{error}_change_in_floors"]
-            y, place = rows.index((row["of"], row["variation"])), studies.index(row["study"])
+            y, place = rows.index((row["aspect"], row["variation"])), studies.index(row["study"])
             level = y + 0.7 * ((place + 0.5) / len(studies) - 0.5)
             colour = _COLOURS[place % len(_COLOURS)]
             ring = {"mec": INK, "mew": 1.0} if row["conclusion_changes"] else {"mew": 0.0}

@@ -12,26 +12,26 @@ from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin,
 from needlefit.reporting.names import GREY, POPULATION_NAMES
 from needlefit.reporting.numbers import symbol
 from needlefit.reporting.tables import records
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.specimens.verb import BEST_TOLD
+from needlefit.validation.analyses.runner import AnalysisResult
+from needlefit.validation.analyses.specimens import BEST_DETERMINED
 
 COLOURS = ("#0072B2", "#D55E00")
 
 
-def draw_specimens(answer: Answer, path: Path) -> Path:
+def draw_specimens(answer: AnalysisResult, path: Path) -> Path:
     """Draw each specimen's own posterior: mean and standard deviation."""
     return plot(path, answer.frames["specimens"].assign(origin=answer.origin), _paint_specimens)
 
 
-def draw_densities(answer: Answer, path: Path) -> Path:
+def draw_densities(answer: AnalysisResult, path: Path) -> Path:
     """Draw the posterior density of each spread over its prior, as far as its 95 % interval reaches."""
     told = answer.frames["population"]
-    reach = told[told["what"] == "spread"][["groups", "parameter", "high_95"]]
+    reach = told[told["quantity"] == "spread"][["groups", "parameter", "high_95"]]
     densities = answer.frames["densities"].merge(reach, how="left", on=["groups", "parameter"])
     return plot(path, densities.assign(origin=answer.origin), _paint_densities)
 
 
-def draw_recovered(answer: Answer, path: Path) -> Path:
+def draw_recovered(answer: AnalysisResult, path: Path) -> Path:
     """Draw the intervals of every replicate, grouped by the true spread, beside the truth."""
     return plot(path, answer.frames["recovered"].assign(origin=answer.origin), _paint_recovered)
 
@@ -62,7 +62,9 @@ def _paint_densities(every: pd.DataFrame) -> Figure:
     panels = figure.subplots(1, len(names), squeeze=False)[0]
     for axes, name in zip(panels, names, strict=True):
         _paint_spread(axes, every[every["parameter"] == name])
-        axes.set_xlabel("spread of what is told best" if name == BEST_TOLD else f"spread of {_axis(name)}")
+        axes.set_xlabel(
+            "spread of what is told best" if name == BEST_DETERMINED else f"spread of {_axis(name)}"
+        )
     panels[0].set_ylabel("posterior density")
     label_origin(figure, is_synthetic(every))
     return figure
@@ -93,7 +95,7 @@ def _paint_recovered(every: pd.DataFrame) -> Figure:
     panels = figure.subplots(len(names), 2, squeeze=False, sharex=True)
     for row, name in zip(panels, names, strict=True):
         for axes, what in zip(row, ("mean", "spread"), strict=True):
-            _paint_intervals(axes, every[(every["parameter"] == name) & (every["what"] == what)])
+            _paint_intervals(axes, every[(every["parameter"] == name) & (every["quantity"] == what)])
             axes.set_title(f"{POPULATION_NAMES[what]} of {_axis(name)}", loc="left")
     label_origin(figure, is_synthetic(every))
     return figure

@@ -79,7 +79,7 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
             f"cannot draw a `{suffix}` file" if suffix else "the file name has no ending",
             where=str(path),
             expected="a name that ends in .pdf, .png or .svg",
-            mend=f"write to {path.stem or 'figure'}.pdf",
+            fix=f"write to {path.stem or 'figure'}.pdf",
         )
     require_folder(path)
     with matplotlib.style.context(["default", LOOK]):

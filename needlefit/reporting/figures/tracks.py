@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, medium_name
+from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, medium_name
 
 _TALL = 1.75  # inches a row of runs
 _ROOM = 0.25  # share of the readings' range left free above and below; bands may leave it
@@ -50,22 +50,22 @@ def _range(group: pd.DataFrame) -> tuple[float, float]:
 
 
 def _draw_tip(axes: Axes, run: pd.DataFrame) -> None:
-    for rival, some in run.groupby("rival", sort=False):
+    for method, some in run.groupby("method", sort=False):
         told = some[some["scored"]]
-        colour = RIVAL_COLOURS[str(rival)]
-        if rival == "fitted":
+        colour = METHOD_COLOURS[str(method)]
+        if method == "fitted":
             for level, alpha in ((95, 0.16), (50, 0.32)):
                 ends = told[f"low_{level}_mm"], told[f"high_{level}_mm"]
                 axes.fill_between(told["depth_mm"], *ends, color=colour, alpha=alpha, lw=0)
-        axes.plot(told["depth_mm"], told["median_mm"], color=colour, lw=1.2 if rival == "fitted" else 0.9)
-    seen = run[run["rival"] == run["rival"].iloc[0]]
+        axes.plot(told["depth_mm"], told["median_mm"], color=colour, lw=1.2 if method == "fitted" else 0.9)
+    seen = run[run["method"] == run["method"].iloc[0]]
     for scored, face in ((True, INK), (False, "none")):
         some = seen[seen["scored"] == scored]
         axes.plot(some["depth_mm"], some["measured_mm"], "o", ms=2, mfc=face, mec=INK, mew=0.5)
 
 
 def _draw_guide(axes: Axes, run: pd.DataFrame) -> None:
-    seen = run[run["rival"] == run["rival"].iloc[0]]
+    seen = run[run["method"] == run["method"].iloc[0]]
     axes.step(seen["depth_mm"], seen["guide_mm"], where="pre", color=GREY, lw=0.9)
 
 

@@ -13,7 +13,7 @@ from matplotlib.ticker import MaxNLocator
 
 from needlefit.inference.parameters import in_logarithm
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import GREY, INK, RIVAL_COLOURS, RIVAL_NAMES
+from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, METHOD_NAMES
 from needlefit.reporting.numbers import number, symbol, typeset
 from needlefit.reporting.tables import Row, records
 from needlefit.validation.results import Results
@@ -34,7 +34,7 @@ def ends(results: Results) -> pd.DataFrame:
     Ranks are within a search, best first; starts without a result have none. Only of the fit itself are the
     parameters' ends drawn, so those of other searches are left out.
     """
-    keys = ["fold", "fit", "start", "excess", "as_good", "objective"]
+    keys = ["fold", "fit", "start", "excess", "within_tolerance", "objective"]
     starts = results.starts.astype({"excess": float, "objective": float})
     starts["rank"] = (
         starts["excess"]
@@ -48,7 +48,7 @@ def ends(results: Results) -> pd.DataFrame:
         row["failed"] = start["objective"] is None
         free = _free(results) if start["fit"] == "fitted" else []
         rows += [row | _end(start, one) for one in free] or [row]
-    columns = ["fold", "fit", "start", "rank", "excess", "as_good", "failed", *_END]
+    columns = ["fold", "fit", "start", "rank", "excess", "within_tolerance", "failed", *_END]
     return pd.DataFrame(rows, columns=columns).assign(origin=results.origin)
 
 
@@ -75,12 +75,12 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
     """Draw the excess of each search's starts, best first; failed starts stand nowhere but in the count."""
     for (fit, _), group in starts.groupby(["fit", "fold"], sort=False):
         ranked = group[group["rank"].notna()].sort_values("rank")
-        axes.plot(ranked["rank"], ranked["excess"], "o-", color=RIVAL_COLOURS[str(fit)], ms=3, lw=0.8)
+        axes.plot(ranked["rank"], ranked["excess"], "o-", color=METHOD_COLOURS[str(fit)], ms=3, lw=0.8)
     failed = int(starts["failed"].sum())
     fits = list(dict.fromkeys(starts["fit"]))
     each = ", a line per fold" if starts["fold"].nunique() > 1 else ""
     handles = [
-        Line2D([], [], color=RIVAL_COLOURS[f], marker="o", ms=3, lw=0.8, label=RIVAL_NAMES[f] + each)
+        Line2D([], [], color=METHOD_COLOURS[f], marker="o", ms=3, lw=0.8, label=METHOD_NAMES[f] + each)
         for f in fits
     ]
     axes.legend(handles=handles, loc="best", handlelength=1.5)
@@ -105,14 +105,14 @@ def counted(starts: pd.DataFrame) -> str:
 
 
 _FAR: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}
-_NEAR: dict[str, Any] = {"ms": 4, "mfc": RIVAL_COLOURS["fitted"], "mec": "white", "mew": 0.4}
+_NEAR: dict[str, Any] = {"ms": 4, "mfc": METHOD_COLOURS["fitted"], "mec": "white", "mew": 0.4}
 
 
 def _ended(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
     """Draw the end of every start of the fit within the bounds: full colour where practically the best."""
     for y, name in enumerate(parameters):
         here = marks[(marks["parameter"] == name) & ~marks["failed"].astype(bool)]
-        near = here["as_good"].to_numpy(dtype=np.bool_)
+        near = here["within_tolerance"].to_numpy(dtype=np.bool_)
         axes.hlines(y, 0, 1, color=GREY, lw=0.5, alpha=0.6)
         for some, look in ((~near, _FAR), (near, _NEAR)):
             at = here.loc[some, "between_bounds"]
@@ -129,7 +129,7 @@ def _ended(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
     axes.set_title("where they ended, between the bounds", loc="left", color=INK)
-    axes.set_xlabel("filled: practically as good as the best", color=RIVAL_COLOURS["fitted"])
+    axes.set_xlabel("filled: practically as good as the best", color=METHOD_COLOURS["fitted"])
 
 
 def _share(parameter: str, value: float, low: float, high: float) -> float:
@@ -140,6 +140,6 @@ def _share(parameter: str, value: float, low: float, high: float) -> float:
 
 
 def _free(results: Results) -> list[Row]:
-    rows = [r for r in records(results.parameters) if r["rival"] == "fitted" and r["status"] == "free"]
+    rows = [r for r in records(results.parameters) if r["method"] == "fitted" and r["status"] == "free"]
     first = {row["parameter"]: row for row in reversed(rows)}
     return [first[name] for name in dict.fromkeys(row["parameter"] for row in rows)]

@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from needlefit.project.records.adaptation import AdaptationRecord
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
@@ -11,46 +10,47 @@ from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import WAY_NAMES, medium_name
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.schemas.analyses import AdaptationRecord
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _ERRORS = {"te_mm": "tip", "ipe_mean_mm": "in-plane"}
 _COUNTS = ("n", "n_low", "n_high")
 _TARGETS = {"all": "what all of them give", "floor": "the noise floor"}
 
 
-def said(answer: Answer) -> list[str]:
+def said(answer: AnalysisResult) -> list[str]:
     """Return what a new specimen costs, what the old posterior is worth, and what the intervals are of."""
     parts = (_cost, _floor, _without, _worth, _foretold, _limits)
     return [part(answer) for part in parts]
 
 
-def layouts(answer: Answer) -> list[Display]:
+def layouts(answer: AnalysisResult) -> list[Display]:
     """Return the curves as a table, and from where on they are good enough."""
     return [_curves(answer), _reached(answer)]
 
 
-def _record(answer: Answer) -> AdaptationRecord:
+def _record(answer: AnalysisResult) -> AdaptationRecord:
     assert isinstance(answer.record, AdaptationRecord)
     return answer.record
 
 
-def _new(answer: Answer) -> str:
+def _new(answer: AnalysisResult) -> str:
     """Return what the new insertions went into: the one specimen that is named, or the medium."""
     new = _record(answer).new
     named = new.insertions.specimens or ()
     return medium_name(named[0].replace("-", " ") if len(named) == 1 else new.medium)
 
 
-def _rows(answer: Answer, frame: str, **keys: object) -> list[Row]:
+def _rows(answer: AnalysisResult, frame: str, **keys: object) -> list[Row]:
     rows = records(answer.frames[frame])
     return [row for row in rows if all(row[key] == value for key, value in keys.items())]
 
 
-def _cost(answer: Answer) -> str:
+def _cost(answer: AnalysisResult) -> str:
     """Return how many insertions it takes, or that more of them do not pay."""
-    by = {row["way"]: row for row in _rows(answer, "reached", measure="te_mm", target="all")}
+    by = {row["approach"]: row for row in _rows(answer, "insertions_needed", measure="te_mm", target="all")}
     record, most = _record(answer), int(answer.frames["adaptation"]["n"].max())
-    every, none = by["new"]["target_mm"], _rows(answer, "adaptation", way="none")[0]["te_mm"]
+    every, none = by["new"]["target_mm"], _rows(answer, "adaptation", approach="none")[0]["te_mm"]
     if by["none"]["n"] == 0:
         return (
             f"No insertion into {_new(answer)} pays: the mean held-out tip error is "
@@ -65,8 +65,8 @@ def _cost(answer: Answer) -> str:
     )
 
 
-def _floor(answer: Answer) -> str:
-    by = {row["way"]: row for row in _rows(answer, "reached", measure="te_mm", target="floor")}
+def _floor(answer: AnalysisResult) -> str:
+    by = {row["approach"]: row for row in _rows(answer, "insertions_needed", measure="te_mm", target="floor")}
     most = int(answer.frames["adaptation"]["n"].max())
     return (
         f"To stay within {_record(answer).margin_mm:g} mm of the noise floor "
@@ -82,17 +82,17 @@ def _count(row: Row, most: int) -> str:
     return count if low == high else f"{count} ({low} to {high})"
 
 
-def _without(answer: Answer) -> str:
-    none = _rows(answer, "adaptation", way="none")[0]
+def _without(answer: AnalysisResult) -> str:
+    none = _rows(answer, "adaptation", approach="none")[0]
     return (
         f"Without an update that error is {fixed(none['te_mm'], 3)} mm, and {100 * none['tip_in_95']:.0f} % "
         "of the tips are in the 95 % interval foretold for them."
     )
 
 
-def _worth(answer: Answer) -> str:
+def _worth(answer: AnalysisResult) -> str:
     """Return what the old posterior spares after the first insertions."""
-    gains = [row for row in _rows(answer, "gained", measure="te_mm", rival="new") if row["n"]]
+    gains = [row for row in _rows(answer, "gains", measure="te_mm", baseline="new") if row["n"]]
     parts = [
         f"{row['gain_mm']:+.3f} mm after {row['n']} ({row['gain_low_mm']:+.3f} to {row['gain_high_mm']:+.3f})"
         for row in gains[:3]
@@ -104,8 +104,8 @@ def _worth(answer: Answer) -> str:
     )
 
 
-def _foretold(answer: Answer) -> str:
-    rows = _rows(answer, "adaptation", way="inflated")
+def _foretold(answer: AnalysisResult) -> str:
+    rows = _rows(answer, "adaptation", approach="inflated")
     shares = [f"{100 * row['tip_in_95']:.0f} % after {row['n']}" for row in rows]
     before, after = (fixed(row["tip_crps_mm"], 3) for row in (rows[0], rows[-1]))
     return (
@@ -114,7 +114,7 @@ def _foretold(answer: Answer) -> str:
     )
 
 
-def _limits(answer: Answer) -> str:
+def _limits(answer: AnalysisResult) -> str:
     record = _record(answer)
     orders = answer.frames["orders"]["order"].nunique()
     return (
@@ -125,7 +125,7 @@ def _limits(answer: Answer) -> str:
     )
 
 
-def _curves(answer: Answer) -> Display:
+def _curves(answer: AnalysisResult) -> Display:
     columns = (
         *(text("Way"), Column("n"), Column("Fits")),
         *(Column("TE", "mm"), Column("range", "mm"), Column("IPE", "mm"), Column("range", "mm")),
@@ -135,12 +135,12 @@ def _curves(answer: Answer) -> Display:
     breaks: list[int] = []
     named: set[str] = set()
     for row in records(answer.frames["adaptation"]):
-        if row["way"] == "none" and row["n"]:
+        if row["approach"] == "none" and row["n"]:
             continue
-        new = row["way"] not in named
+        new = row["approach"] not in named
         breaks += [len(rows)] if rows and new else []
-        rows.append((WAY_NAMES[row["way"]] if new else "", *_cells(row)))
-        named.add(row["way"])
+        rows.append((WAY_NAMES[row["approach"]] if new else "", *_cells(row)))
+        named.add(row["approach"])
     floors = records(answer.frames["adaptation"])[0]
     te, ipe = (fixed(floors[f"floor_{name}"], 3) for name in _ERRORS)
     notes = (
@@ -163,23 +163,26 @@ def _cells(row: Row) -> tuple[str, ...]:
     return (f"{row['n']}", sets, *scores, fixed(row["tip_crps_mm"], 3), *shares, fixed(row["worst_pareto_k"]))
 
 
-def _reached(answer: Answer) -> Display:
+def _reached(answer: AnalysisResult) -> Display:
     columns = (
         *(text("Error"), text("Within reach of"), Column("Target", "mm"), Column("Limit", "mm")),
-        *(Column(WAY_NAMES[way]) for way in WAY_NAMES),
+        *(Column(WAY_NAMES[approach]) for approach in WAY_NAMES),
     )
     rows = []
     for measure, words in _ERRORS.items():
         for target, said_of in _TARGETS.items():
-            by = {row["way"]: row for row in _rows(answer, "reached", measure=measure, target=target)}
+            by = {
+                row["approach"]: row
+                for row in _rows(answer, "insertions_needed", measure=measure, target=target)
+            }
             levels = (fixed(by["new"]["target_mm"], 3), fixed(by["new"]["limit_mm"], 3))
-            rows.append((words, said_of, *levels, *(_short(by[way]) for way in WAY_NAMES)))
+            rows.append((words, said_of, *levels, *(_short(by[approach]) for approach in WAY_NAMES)))
     notes = (
         "The smallest number of new insertions from which on the mean error stays at or below the limit; in "
         "brackets its 95 % interval over orders and held-out needles drawn again.",
     )
     caption = "How many insertions a new specimen costs."
-    return Display("reached", caption, columns, tuple(rows), (2,), notes=notes)
+    return Display("insertions_needed", caption, columns, tuple(rows), (2,), notes=notes)
 
 
 def _short(row: Row) -> str:
@@ -190,14 +193,14 @@ def _short(row: Row) -> str:
     return count if low == high else f"{count} ({low}–{high})"
 
 
-def draw_figures(answer: Answer, folder: Path) -> dict[str, Path]:
+def draw_figures(answer: AnalysisResult, folder: Path) -> dict[str, Path]:
     """Draw the curves; the frame `adaptation` holds what is drawn."""
     if answer.frames["adaptation"].empty:
         return {}
     return {"adaptation": draw_curves(answer, folder / "adaptation.pdf")}
 
 
-def story(answer: Answer, figures: Figures) -> list[Block]:
+def story(answer: AnalysisResult, figures: Figures) -> list[Block]:
     """Return curves, counts, and what was put in."""
     curves, counts = layouts(answer)
     caption = (
@@ -206,7 +209,7 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
         "probability score of the tip, and the part of tips within the 95 % interval foretold for them."
     )
     drawn = [document.figure(figures["adaptation"], caption, answer.synthetic)] if figures else []
-    between = _record(answer).between
+    between = _record(answer).between_media
     return [
         document.heading("Adaptation"),
         *drawn,

@@ -3,7 +3,6 @@
 from pathlib import Path
 
 from needlefit.inference.weighing.pareto import RELIABLE
-from needlefit.project.records.comparison import ComparisonRecord
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
@@ -12,14 +11,15 @@ from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import CANDIDATE_NAMES
 from needlefit.reporting.numbers import fixed, number, typeset
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.schemas.analyses import ComparisonRecord
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _STANDS = {"behind": "behind it", "tie": "not told apart from it", "ahead": "ahead of it"}
 
 
-def said(answer: Answer) -> list[str]:
+def said(answer: AnalysisResult) -> list[str]:
     """Return who foretells better than whom, and what it means."""
-    rows = records(answer.frames["against"])
+    rows = records(answer.frames["comparison"])
     own = next(row for row in rows if row["verdict"] == "reference")
     others = [row for row in rows if row["verdict"] != "reference"]
     return [
@@ -63,7 +63,7 @@ def _errors(own: Row, others: list[Row]) -> str:
     return f"Mean held-out tip error, mm: {', '.join(parts)}{known}."
 
 
-def _limits(own: Row, answer: Answer) -> str:
+def _limits(own: Row, answer: AnalysisResult) -> str:
     record = answer.record
     assert isinstance(record, ComparisonRecord)
     return (
@@ -88,9 +88,9 @@ def _difference(row: Row) -> str:
     return f"{row['difference']:+.{digits}f} ± {row['difference_se']:.{digits}f}".replace("-", "−")
 
 
-def layouts(answer: Answer) -> list[Display]:
+def layouts(answer: AnalysisResult) -> list[Display]:
     """Return one row for each candidate."""
-    rows = records(answer.frames["against"])
+    rows = records(answer.frames["comparison"])
     columns = (
         *(text("Candidate"), Column("Δ log density"), text("Verdict"), Column("Draws’ error")),
         *(Column("TE", "mm"), Column("IPE", "mm"), Column("Noise factor"), Column("Pareto k")),
@@ -124,12 +124,12 @@ def _cells(row: Row) -> tuple[str, ...]:
     )
 
 
-def draw_figures(answer: Answer, folder: Path) -> dict[str, Path]:
+def draw_figures(answer: AnalysisResult, folder: Path) -> dict[str, Path]:
     """Draw the differences, group by group and their mean; the frame `contest` holds what is drawn."""
-    return {"contest": draw_candidates(answer, folder / "contest.pdf")}
+    return {"group_differences": draw_candidates(answer, folder / "group_differences.pdf")}
 
 
-def story(answer: Answer, figures: Figures) -> list[Block]:
+def story(answer: AnalysisResult, figures: Figures) -> list[Block]:
     """Return figure, table and what was done."""
     (table,) = layouts(answer)
     caption = (
@@ -139,7 +139,7 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
     )
     return [
         document.heading("Comparison"),
-        document.figure(figures["contest"], caption, answer.synthetic),
+        document.figure(figures["group_differences"], caption, answer.synthetic),
         document.table(table, answer.synthetic),
         document.heading("What was done"),
         document.text(

@@ -11,17 +11,17 @@ from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import fixed
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _NAMES = {"insertion": "each insertion left out", "specimen": "each specimen left out"}
 
 
-def said(answer: Answer) -> list[str]:
+def said(answer: AnalysisResult) -> list[str]:
     """Return, for every fit, what leaving out added to the error."""
     return [_said(row) for row in records(answer.frames["summary"])]
 
 
-def layouts(answer: Answer) -> list[Display]:
+def layouts(answer: AnalysisResult) -> list[Display]:
     """Return the errors left out beside those in sample, and how what was left out was foretold."""
     return [_errors(answer), _foretold(answer)]
 
@@ -39,7 +39,7 @@ def _said(row: Row) -> str:
     )
 
 
-def _errors(answer: Answer) -> Display:
+def _errors(answer: AnalysisResult) -> Display:
     ways = ("Left out", "In sample", "Gap", "Planned", "Curve", "Floor")
     heads = (text("Fit"), text("Left out"), Column("Fits"), Column("n"), text("Error"))
     rows: list[tuple[str, ...]] = []
@@ -78,7 +78,7 @@ def _cells(row: Row, metric: str) -> tuple[str, ...]:
     return (fixed(row[f"{metric}_mm"]), fixed(row[f"in_sample_{metric}_mm"]), gap, *ways)
 
 
-def _foretold(answer: Answer) -> Display:
+def _foretold(answer: AnalysisResult) -> Display:
     rows = []
     for (fit, what), told in answer.frames["predictive"].groupby(["fit", "left_out"], sort=False):
         rows.append((medium_name(str(fit)), str(what), *told_cells(told)))
@@ -92,14 +92,14 @@ def _foretold(answer: Answer) -> Display:
     return Display("foretold", caption, columns, tuple(rows), notes=notes)
 
 
-def _draw(answer: Answer, folder: Path) -> dict[str, Path]:
+def _draw(answer: AnalysisResult, folder: Path) -> dict[str, Path]:
     """Draw the errors in sample and left out, if anything could be left out."""
     if (answer.frames["summary"]["note"] != "").all():
         return {}
     return {"summary": draw_left_out(answer, folder / "summary.pdf")}
 
 
-def story(answer: Answer, figures: Figures) -> list[Block]:
+def story(answer: AnalysisResult, figures: Figures) -> list[Block]:
     """Return the figure, both tables and what was done."""
     errors, foretold = layouts(answer)
     caption = (

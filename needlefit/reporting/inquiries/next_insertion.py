@@ -16,14 +16,14 @@ from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import way_in_name
 from needlefit.reporting.numbers import fixed, in_symbols, symbol
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.planning.next_insertion import LEAST_KNOWN, ROUGH
+from needlefit.validation.analyses.planning.next_insertion import LEAST_KNOWN, ROUGH_NOTE
+from needlefit.validation.analyses.runner import AnalysisResult
 
 BENT = 0.3
 """Nats by which a linear gain must be too large for the ridge to be called bent: several standard errors."""
 
 
-def said(answer: Answer) -> list[str]:
+def said(answer: AnalysisResult) -> list[str]:
     """Return the best candidate, what it tells beside a repeat, and what none tells."""
     best, again = ways_in.best(answer), ways_in.repeat(answer)
     if best is None:
@@ -43,7 +43,7 @@ def said(answer: Answer) -> list[str]:
     ]
 
 
-def _parameters_said(answer: Answer, best: Row) -> str:
+def _parameters_said(answer: AnalysisResult, best: Row) -> str:
     parts = []
     for row in records(ways_in.about(answer.frames["parameters"], best)):
         name = str(row["parameter"])
@@ -59,7 +59,7 @@ def _known(name: str, sd: float) -> str:
     return precision_words(sd, name == LEAST_KNOWN or in_logarithm(name))
 
 
-def _tip_said(answer: Answer, name: str) -> str:
+def _tip_said(answer: AnalysisResult, name: str) -> str:
     """Return which candidate tells most about a tip."""
     every = answer.frames["tips"]
     mine = every[(every["tip"] == name) & (every["role"] == "candidate")]
@@ -70,7 +70,7 @@ def _tip_said(answer: Answer, name: str) -> str:
     )
 
 
-def _alphas_said(answer: Answer) -> list[str]:
+def _alphas_said(answer: AnalysisResult) -> list[str]:
     every = answer.frames["alphas"]
     if every.empty:
         return []
@@ -82,7 +82,7 @@ def _alphas_said(answer: Answer) -> list[str]:
     ]
 
 
-def _agreement_said(answer: Answer) -> str:
+def _agreement_said(answer: AnalysisResult) -> str:
     row = records(answer.frames["agreement"])[0]
     if row["spearman"] is None:
         return "There are too few candidates to compare the linear gain with."
@@ -96,12 +96,12 @@ def _agreement_said(answer: Answer) -> str:
     )
 
 
-def layouts(answer: Answer) -> list[Display]:
+def layouts(answer: AnalysisResult) -> list[Display]:
     """Return the best depth of every way in beside a repeat, and the deviations that the best leaves."""
     return [_ranking(answer), _left(answer)]
 
 
-def _ranking(answer: Answer) -> Display:
+def _ranking(answer: AnalysisResult) -> Display:
     again, tips = ways_in.repeat(answer), answer.frames["tips"]
     ways = [max(rows, key=lambda row: float(row["nats"])) for rows in ways_in.ways(answer).values()]
     shown = sorted(ways, key=lambda row: -float(row["nats"])) + ([again] if again is not None else [])
@@ -126,7 +126,7 @@ def _ranking(answer: Answer) -> Display:
     return Display("next_insertion", caption, columns, rows, strong=(0,), notes=(note,))
 
 
-def _cells(answer: Answer, row: Row) -> tuple[str, ...]:
+def _cells(answer: AnalysisResult, row: Row) -> tuple[str, ...]:
     known = ways_in.about(answer.frames["parameters"], row)
     worst = _first(known[known["parameter"] == LEAST_KNOWN], "sd_after")
     ends = (fixed(float(sd)) for sd in ways_in.about(answer.frames["tips"], row)["sd_after_mm"])
@@ -136,7 +136,7 @@ def _cells(answer: Answer, row: Row) -> tuple[str, ...]:
     return (*where, _nats(row), fixed(row["linear_nats"]), f"{fixed(worst)}{mark}", *ends)
 
 
-def _left(answer: Answer) -> Display:
+def _left(answer: AnalysisResult) -> Display:
     """Return how well parameters are known now, and would be."""
     found = [one for one in (ways_in.best(answer), ways_in.repeat(answer)) if one is not None]
     each = [records(ways_in.about(answer.frames["parameters"], one)) for one in found]
@@ -151,12 +151,12 @@ def _left(answer: Answer) -> Display:
     return Display("left", "How well parameters would be known.", columns, tuple(rows))
 
 
-def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
+def draw_all(answer: AnalysisResult, folder: Path) -> dict[str, Path]:
     """Draw what every insertion would tell, if any has a solution."""
-    return {} if ways_in.best(answer) is None else {"told": draw_gains(answer, folder / "told.pdf")}
+    return {} if ways_in.best(answer) is None else {"gains": draw_gains(answer, folder / "gains.pdf")}
 
 
-def story(answer: Answer, figures: Figures) -> list[Block]:
+def story(answer: AnalysisResult, figures: Figures) -> list[Block]:
     """Return figure, tables, and what is behind the numbers."""
     caption = (
         "Expected gain of one more insertion (with its standard error), and the deviation of the tip asked "
@@ -168,14 +168,14 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
     return [document.heading("What each would tell"), *drawn, *tables, document.heading("How"), *behind]
 
 
-def _behind(row: Row, answer: Answer) -> str:
-    rough = int((answer.frames["candidates"]["note"] == ROUGH).sum())
+def _behind(row: Row, answer: AnalysisResult) -> str:
+    rough = int((answer.frames["candidates"]["note"] == ROUGH_NOTE).sum())
     source = "sampled" if row["sampled"] else f"weighed (Pareto k {row['pareto_k']:.2f})"
     made = f"{row['insertions']} insertion{'s' if row['insertions'] > 1 else ''}"
     marked = f" {rough} candidates leave so few draws that deviations are rough (marked)." if rough else ""
     return (
         f"The posterior of the {made} made so far is {source}: {row['draws']} draws, worth "
-        f"{row['independent']:.0f} independent ones. Some of them foretell data, with errors of pose, depths "
+        f"{row['ess']:.0f} independent ones. Some of them foretell data, with errors of pose, depths "
         "and points as in the dataset, and all are weighed anew by these data (nested Monte Carlo): the mean "
         "fall of entropy is the gain, and the new weights give the deviations. A gain of 1 nat divides the "
         f"volume of what is possible by 2.7.{marked} What the model misses is not in it: an insertion that "

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from needlefit.reporting.display import Display
 from needlefit.reporting.document import Block
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 Figures = Mapping[str, Path]
 
@@ -27,7 +27,7 @@ class Page:
         Answer and figures -> the body of the report, from what is behind the answer to its last table.
     """
 
-    said: Callable[[Answer], list[str]]
-    layouts: Callable[[Answer], list[Display]]
-    draw: Callable[[Answer, Path], dict[str, Path]]
-    story: Callable[[Answer, Figures], list[Block]]
+    said: Callable[[AnalysisResult], list[str]]
+    layouts: Callable[[AnalysisResult], list[Display]]
+    draw: Callable[[AnalysisResult, Path], dict[str, Path]]
+    story: Callable[[AnalysisResult, Figures], list[Block]]

@@ -5,17 +5,17 @@ from pathlib import Path
 
 import pandas as pd
 
-from needlefit.project.records.seeds import SeedsRecord
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
 from needlefit.reporting.figures.seeds import draw_cells, draw_contests, draw_pattern
 from needlefit.reporting.inquiries.page import Figures, Page
-from needlefit.reporting.names import RIVAL_NAMES, medium_name
+from needlefit.reporting.names import METHOD_NAMES, medium_name
 from needlefit.reporting.numbers import MISSING, fixed, number, percent, signed, symbol, typeset
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.tables.seeds.explained import UNEXPLAINED
+from needlefit.schemas.analyses import SeedsRecord
+from needlefit.validation.analyses.runner import AnalysisResult
+from needlefit.validation.analyses.seeds.run import UNEXPLAINED
 
 _TABLES = {
     "validation": "Errors on held-out insertions",
@@ -33,12 +33,12 @@ _METRICS = {
 _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "TE"}
 
 
-def said(answer: Answer) -> list[str]:
+def said(answer: AnalysisResult) -> list[str]:
     """Return whether the paper's pattern holds, and whom the fit beats, or not."""
     return [_pattern(answer), *_studies(answer), _contests(answer), _losses(answer), _limits(answer)]
 
 
-def layouts(answer: Answer) -> list[Display]:
+def layouts(answer: AnalysisResult) -> list[Display]:
     """Return every cell over twins, the parameters, the contests, and what was lost."""
     cells = [_cells(answer, name) for name in _TABLES]
     return [*cells, _parameters(answer), _contest_table(answer), _lost(answer)]
@@ -49,11 +49,11 @@ def study_name(name: str) -> str:
     return medium_name(name).capitalize()
 
 
-def _pattern(answer: Answer) -> str:
+def _pattern(answer: AnalysisResult) -> str:
     record, frame = answer.record, answer.frames["pattern"]
     assert isinstance(record, SeedsRecord)
     holds = (frame["generalises"] == frame["generalises_in_paper"]).groupby(frame["seed"]).all()
-    *most, last = (study_name(name).lower() for name in record.generalising)
+    *most, last = (study_name(name).lower() for name in record.generalization_studies)
     kept = " and ".join([*([", ".join(most)] if most else []), last])
     return (
         f"The paper’s pattern, that {kept} generalise and no other does, holds on {holds.sum()} of "
@@ -62,7 +62,7 @@ def _pattern(answer: Answer) -> str:
     )
 
 
-def _studies(answer: Answer) -> Iterator[str]:
+def _studies(answer: AnalysisResult) -> Iterator[str]:
     for name, rows in answer.frames["pattern"].groupby("study", sort=False):
         low, middle, high = rows["ipe_mean_mm"].quantile([0.05, 0.5, 0.95])
         yield (
@@ -73,16 +73,16 @@ def _studies(answer: Answer) -> Iterator[str]:
         )
 
 
-def _contests(answer: Answer) -> str:
+def _contests(answer: AnalysisResult) -> str:
     parts = []
-    for rival, rows in answer.frames["contests"].groupby("rival", sort=False):
+    for method, rows in answer.frames["comparisons"].groupby("method", sort=False):
         won, lost = ((rows["verdict"] == verdict).sum() for verdict in ("wins", "loses"))
-        parts.append(f"{RIVAL_NAMES[str(rival)]} {won} won, {lost} lost, {len(rows) - won - lost} open")
+        parts.append(f"{METHOD_NAMES[str(method)]} {won} won, {lost} lost, {len(rows) - won - lost} open")
     return f"Held out, in pairs, by mean IPE and TE of every group, the fit against: {'; '.join(parts)}."
 
 
-def _losses(answer: Answer) -> str:
-    lost = answer.frames["contests"].query("verdict == 'loses'")
+def _losses(answer: AnalysisResult) -> str:
+    lost = answer.frames["comparisons"].query("verdict == 'loses'")
     unexplained = int((lost["explanation"] == UNEXPLAINED).sum())
     return (
         f"Lost contests: {len(lost)}, {len(lost) - unexplained} of them with a reason that the data bear "
@@ -90,14 +90,14 @@ def _losses(answer: Answer) -> str:
     )
 
 
-def _limits(answer: Answer) -> str:
+def _limits(answer: AnalysisResult) -> str:
     return (
         "This is the twin’s consistency, not evidence for the model. All twins share their plan of "
         "insertions; media, needle, noise and registration are drawn anew for each."
     )
 
 
-def _cells(answer: Answer, table: str) -> Display:
+def _cells(answer: AnalysisResult, table: str) -> Display:
     frame = answer.frames["cells"].query("table == @table")
     heads = (text("Study" if table == "validation" else "Fit of"), text("Medium"), Column("Layers"))
     columns = (*heads, Column("n"), text("Row"), *(_column(name) for name in _METRICS))
@@ -143,7 +143,7 @@ _WAYS: Mapping[str, Callable[[Row, str], str]] = {
 }
 
 
-def _parameters(answer: Answer) -> Display:
+def _parameters(answer: AnalysisResult) -> Display:
     columns = (
         *(text("Fit of"), text("Parameter"), Column("median"), Column("5 %"), Column("95 %")),
         *(Column("paper"), Column("to truth"), Column("5 %"), Column("95 %")),
@@ -166,33 +166,33 @@ def _parameters(answer: Answer) -> Display:
     return Display("parameter_cells", caption, columns, tuple(rows), tuple(breaks), notes=notes)
 
 
-def _contest_table(answer: Answer) -> Display:
+def _contest_table(answer: AnalysisResult) -> Display:
     columns = (
-        *(text("Study"), text("Held out"), Column("Layers"), text("Rival"), text("Error")),
-        *(Column("fit", "mm"), Column("rival", "mm"), Column("fit − rival", "mm"), Column("95 %", "mm")),
+        *(text("Study"), text("Held out"), Column("Layers"), text("Method"), text("Error")),
+        *(Column("fit", "mm"), Column("method", "mm"), Column("fit − method", "mm"), Column("95 %", "mm")),
         *(Column("Better on", "twins"), text("The fit")),
     )
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
-    for key, group in answer.frames["contests"].groupby(["study", "medium", "layers"], sort=False):
+    for key, group in answer.frames["comparisons"].groupby(["study", "medium", "layers"], sort=False):
         breaks += [len(rows)] if rows else []
-        ordered = group.sort_values("rival", key=_place, kind="stable")  # its two metrics stay together
+        ordered = group.sort_values("method", key=_place, kind="stable")  # its two metrics stay together
         for i, row in enumerate(records(ordered)):
             head = _group(key) if i == 0 else ("",) * 3
-            rival = RIVAL_NAMES[row["rival"]] if i % 2 == 0 else ""
-            means = (fixed(row["fitted_mm"]), fixed(row["rival_mm"]))
+            method = METHOD_NAMES[row["method"]] if i % 2 == 0 else ""
+            means = (fixed(row["fitted_mm"]), fixed(row["method_mm"]))
             wins = f"{row['twins_better']} of {row['twins']}"
-            rows.append((*head, rival, _ERRORS[row["metric"]], *means, *_gap(row), wins, row["verdict"]))
+            rows.append((*head, method, _ERRORS[row["metric"]], *means, *_gap(row), wins, row["verdict"]))
     notes = (
         "A pair is one held-out insertion of one twin. Intervals are of 95 %: twins drawn again with "
         "replacement, and of each its insertions. “Open” is an interval that holds 0.",
     )
-    caption = "The automatic fit against each rival, in pairs."
-    return Display("contests", caption, columns, tuple(rows), tuple(breaks), notes=notes)
+    caption = "The automatic fit against each method, in pairs."
+    return Display("comparisons", caption, columns, tuple(rows), tuple(breaks), notes=notes)
 
 
 def _place(rivals: "pd.Series[str]") -> "pd.Series[int]":
-    return rivals.map(list(RIVAL_NAMES).index)
+    return rivals.map(list(METHOD_NAMES).index)
 
 
 def _gap(row: Row) -> tuple[str, str]:
@@ -206,13 +206,13 @@ def _group(key: object) -> tuple[str, str, str]:
     return study_name(str(study)), medium_name(str(medium)), str(layers)
 
 
-def _lost(answer: Answer) -> Display:
-    lost = answer.frames["contests"].query("verdict == 'loses'")
+def _lost(answer: AnalysisResult) -> Display:
+    lost = answer.frames["comparisons"].query("verdict == 'loses'")
     order = lost.assign(known=lost["explanation"] != UNEXPLAINED).sort_values("known", kind="stable")
     rows = tuple(
         (
             *_group((row["study"], row["medium"], row["layers"])),
-            RIVAL_NAMES[row["rival"]],
+            METHOD_NAMES[row["method"]],
             _ERRORS[row["metric"]],
             _gap(row)[0],
             row["explanation"],
@@ -220,27 +220,27 @@ def _lost(answer: Answer) -> Display:
         for row in records(_together(order))
     )
     columns = (
-        *(text("Study"), text("Held out"), Column("Layers"), text("Rival"), text("Error")),
-        *(Column("fit − rival", "mm"), text("Why", wide=True)),
+        *(text("Study"), text("Held out"), Column("Layers"), text("Method"), text("Error")),
+        *(Column("fit − method", "mm"), text("Why", wide=True)),
     )
     return Display("lost", "What the fit loses, and why, where the data say so.", columns, rows)
 
 
 def _together(lost: pd.DataFrame) -> pd.DataFrame:
     """Return the losses, those against the truth last: they are expected."""
-    return lost.assign(last=lost["rival"] == "truth").sort_values("last", kind="stable")
+    return lost.assign(last=lost["method"] == "truth").sort_values("last", kind="stable")
 
 
-def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
+def draw_all(answer: AnalysisResult, folder: Path) -> dict[str, Path]:
     """Draw the pattern, the contests and every cell."""
     return {
         "generalising": draw_pattern(answer, folder / "generalising.pdf"),
-        "contests": draw_contests(answer, folder / "contests.pdf"),
+        "comparisons": draw_contests(answer, folder / "comparisons.pdf"),
         "cells": draw_cells(answer, folder / "cells.pdf"),
     }
 
 
-def story(answer: Answer, figures: Figures) -> list[Block]:
+def story(answer: AnalysisResult, figures: Figures) -> list[Block]:
     """Return the pattern, the contests and their losses, then every cell and the parameters."""
     tables = {table.name: document.table(table, answer.synthetic) for table in layouts(answer)}
 
@@ -251,14 +251,14 @@ def story(answer: Answer, figures: Figures) -> list[Block]:
         document.heading("Who generalises"),
         *shown("generalising", _PATTERN),
         document.heading("Against its rivals"),
-        *shown("contests", _CONTESTS),
+        *shown("comparisons", _CONTESTS),
         tables["lost"],
         document.heading("Every cell"),
         *shown("cells", _CELLS),
         *(tables[name] for name in _TABLES),
         tables["parameter_cells"],
         document.heading("Every contest"),
-        tables["contests"],
+        tables["comparisons"],
     ]
 
 
@@ -267,7 +267,7 @@ _PATTERN = (
     "groups. Left of the line a study generalises."
 )
 _CONTESTS = (
-    "Error of the fit less that of a rival, mean over held-out insertions of all twins, with its 95 % "
+    "Error of the fit less that of a method, mean over held-out insertions of all twins, with its 95 % "
     "interval. Left of 0 the fit errs less. The scale is logarithmic beyond ±0.1 mm."
 )
 _CELLS = (

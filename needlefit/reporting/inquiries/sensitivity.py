@@ -14,8 +14,8 @@ from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import layers_name, medium_name
 from needlefit.reporting.numbers import MISSING, fixed, number, signed, symbol, typeset
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.tables.sensitivity.verb import AS_DECIDED
+from needlefit.validation.analyses.runner import AnalysisResult
+from needlefit.validation.analyses.sensitivity import BASE_VARIATION
 
 _TABLES = {
     "validation": "Held out",
@@ -26,7 +26,7 @@ _SMALL = 0.1
 """Part of the noise floor that a change must exceed to be called one."""
 
 
-def said(answer: Answer) -> list[str]:
+def said(answer: AnalysisResult) -> list[str]:
     """Return what every kind of variation does, most first, and whether a conclusion changes."""
     return [
         _conclusions(answer),
@@ -38,39 +38,39 @@ def said(answer: Answer) -> list[str]:
     ]
 
 
-def layouts(answer: Answer) -> list[Display]:
+def layouts(answer: AnalysisResult) -> list[Display]:
     """Return the change of every study, of all cells, and of the parameters."""
     return [_studies(answer, "again"), _studies(answer, "kept"), _largest(answer), _parameters(answer)]
 
 
-def _varied(answer: Answer, tuned: str) -> pd.DataFrame:
+def _varied(answer: AnalysisResult, tuned: str) -> pd.DataFrame:
     frame = answer.frames["studies"]
-    return frame[(frame["of"] != AS_DECIDED) & (frame["tuned"] == tuned)]
+    return frame[(frame["aspect"] != BASE_VARIATION) & (frame["tuned"] == tuned)]
 
 
-def _conclusions(answer: Answer) -> str:
+def _conclusions(answer: AnalysisResult) -> str:
     again = _varied(answer, "again")
     changed = again[again["conclusion_changes"]]
-    count = len(again[["of", "variation"]].drop_duplicates())
+    count = len(again[["aspect", "variation"]].drop_duplicates())
     limit = again["threshold_mm"].iloc[0]
     lead = f"Who generalises (mean IPE below {limit:.2f} mm)"
     if changed.empty:
         return f"{lead} is the same under all {count} variations, once everything is tuned again."
     which = "; ".join(
-        f"{medium_name(row['study'])} under {row['of']} {row['variation']}" for row in records(changed)
+        f"{medium_name(row['study'])} under {row['aspect']} {row['variation']}" for row in records(changed)
     )
     return f"{lead} changes, once everything is tuned again, for {which}; else it is the same."
 
 
-def _each(answer: Answer) -> Iterator[str]:
+def _each(answer: AnalysisResult) -> Iterator[str]:
     """Return for every kind of variation the largest change of a held-out cell, the largest first."""
     cells = answer.frames["cells"]
     again = cells[
-        (cells["of"] != AS_DECIDED) & (cells["tuned"] == "again") & (cells["table"] == "validation")
+        (cells["aspect"] != BASE_VARIATION) & (cells["tuned"] == "again") & (cells["table"] == "validation")
     ]
     again = again[again["metric"].isin(["ipe_mean_mm", "te_mm"])]
     again = again.assign(size=again["change_in_floors"].abs()).sort_values("size", ascending=False)
-    for of, group in again.groupby("of", sort=False):
+    for of, group in again.groupby("aspect", sort=False):
         first = records(group)[0]
         size = signed(first["change"], 3)
         floors = f"{first['size']:.1f}" if first["size"] >= _SMALL else f"under {_SMALL:g}"
@@ -86,25 +86,25 @@ def _cell(row: Row) -> str:
     return f"{medium_name(row['study'])}, {medium_name(row['medium'])}{layers}"
 
 
-def _kept(answer: Answer) -> str:
+def _kept(answer: AnalysisResult) -> str:
     kept = _varied(answer, "kept").assign(size=lambda frame: frame["te_change_mm"].abs())
     worst = records(kept.sort_values("size", ascending=False))[0]
     change = signed(worst["te_change_mm"])
     crossing = [
-        f"{medium_name(r['study'])} ({r['of']}: {r['variation']})"
+        f"{medium_name(r['study'])} ({r['aspect']}: {r['variation']})"
         for r in records(kept)
         if r["conclusion_changes"]
     ]
     also = f" The threshold is then crossed by {', '.join(crossing)}." if crossing else ""
     return (
         "With the parameters kept instead, as numbers taken from one program to another would be, the "
-        f"largest change of a study’s TE is {change} mm ({medium_name(worst['study'])}, {worst['of']}: "
+        f"largest change of a study’s TE is {change} mm ({medium_name(worst['study'])}, {worst['aspect']}: "
         f"{worst['variation']}): the rules and the parameters belong together.{also}"
     )
 
 
-def _rigidity(answer: Answer) -> str:
-    ratios = answer.frames["parameter_changes"].query("of == 'rigidity'")
+def _rigidity(answer: AnalysisResult) -> str:
+    ratios = answer.frames["parameter_changes"].query("aspect == 'rigidity'")
     moduli = ratios[ratios["parameter"].str.startswith("mu")]
     words = [
         f"{variation} {rows['ratio'].min():.3f} to {rows['ratio'].max():.3f}"
@@ -118,27 +118,27 @@ def _rigidity(answer: Answer) -> str:
     )
 
 
-def _moved(answer: Answer) -> str:
+def _moved(answer: AnalysisResult) -> str:
     """Return the parameter that moves most while the errors hardly do: the data leave it open."""
     studies = _varied(answer, "again")
-    still = studies[studies["te_change_in_floors"].abs() < 1].set_index(["of", "variation", "study"])
+    still = studies[studies["te_change_in_floors"].abs() < 1].set_index(["aspect", "variation", "study"])
     changes = answer.frames["parameter_changes"].dropna(subset="ratio")
-    keys = changes.set_index(["of", "variation", "study"]).index
+    keys = changes.set_index(["aspect", "variation", "study"]).index
     moved = changes[keys.isin(still.index)]
     if moved.empty:
         return "Errors change by more than the noise floor under every variation."
     size = np.abs(np.log(moved["ratio"].to_numpy(dtype=np.float64)))
     row = records(moved.iloc[[int(size.argmax())]])[0]
-    changed = still["te_change_mm"].to_dict()[row["of"], row["variation"], row["study"]]
+    changed = still["te_change_mm"].to_dict()[row["aspect"], row["variation"], row["study"]]
     name = symbol(row["parameter"]).split(" (")[0]
     return (
-        f"Parameters are less firm than errors: under {row['of']}, {row['variation']}, {name} of "
+        f"Parameters are less firm than errors: under {row['aspect']}, {row['variation']}, {name} of "
         f"{medium_name(row['study'])} becomes {typeset(number(row['ratio']))} times what it was, and the "
         f"study’s TE changes by {signed(changed)} mm."
     )
 
 
-def _limits(answer: Answer) -> list[str]:
+def _limits(answer: AnalysisResult) -> list[str]:
     """Return what the changes do not say."""
     said = []
     if answer.synthetic:
@@ -154,7 +154,7 @@ def _limits(answer: Answer) -> list[str]:
     return said
 
 
-def _studies(answer: Answer, tuned: str) -> Display:
+def _studies(answer: AnalysisResult, tuned: str) -> Display:
     frame = _varied(answer, tuned)
     names = list(dict.fromkeys(frame["study"]))
     columns = [text("Of"), text("Variation")]
@@ -163,7 +163,7 @@ def _studies(answer: Answer, tuned: str) -> Display:
     columns.append(text("Changes"))
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
-    for (of, variation), group in frame.groupby(["of", "variation"], sort=False):
+    for (of, variation), group in frame.groupby(["aspect", "variation"], sort=False):
         new = not rows or all(row[0] != str(of) for row in rows)
         breaks += [len(rows)] if rows and new else []
         by = group.set_index("study")
@@ -171,9 +171,9 @@ def _studies(answer: Answer, tuned: str) -> Display:
         changed = by.index[by["conclusion_changes"]]
         who = ", ".join(_number(str(name)) for name in changed) or MISSING
         rows.append((str(of) if new else "", str(variation), *cells, who))
-    decided = answer.frames["studies"].query("of == @AS_DECIDED").set_index("study")
+    decided = answer.frames["studies"].query("aspect == @BASE_VARIATION").set_index("study")
     stands = (fixed(decided.loc[name, key]) for key in ("ipe_mean_mm", "te_mm") for name in names)
-    rows.insert(0, (AS_DECIDED, "", *stands, ""))
+    rows.insert(0, (BASE_VARIATION, "", *stands, ""))
     how = "tuned again" if tuned == "again" else "with the parameters kept"
     notes = (
         "First row: errors as they stand; below: their change. * is more than a tenth of the noise floor, ** "
@@ -194,13 +194,13 @@ def _change(row: "pd.Series[float]", key: str) -> str:
     return signed(float(change)) + stars
 
 
-def _largest(answer: Answer) -> Display:
+def _largest(answer: AnalysisResult) -> Display:
     """Return, by variation and table, by how much the cells change: in the middle, and at most."""
     cells = answer.frames["cells"]
-    again = cells[(cells["of"] != AS_DECIDED) & (cells["tuned"] == "again") & (cells["unit"] == "mm")]
+    again = cells[(cells["aspect"] != BASE_VARIATION) & (cells["tuned"] == "again") & (cells["unit"] == "mm")]
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
-    for (of, variation), group in again.groupby(["of", "variation"], sort=False):
+    for (of, variation), group in again.groupby(["aspect", "variation"], sort=False):
         new = not rows or all(row[0] != str(of) for row in rows)
         breaks += [len(rows)] if rows and new else []
         found: list[str] = []
@@ -222,15 +222,15 @@ def _most(changes: "pd.Series[float]") -> float:
     return float("nan") if known.empty else float(known.iloc[int(known.abs().to_numpy().argmax())])
 
 
-def _parameters(answer: Answer) -> Display:
+def _parameters(answer: AnalysisResult) -> Display:
     """Return the fitted parameters under every variation as multiples of those as decided."""
     frame = answer.frames["parameter_changes"]
-    frame = frame[frame["of"] != AS_DECIDED]
+    frame = frame[frame["aspect"] != BASE_VARIATION]
     names = list(frame[["study", "parameter"]].drop_duplicates().itertuples(index=False, name=None))
     columns = [text("Fit of"), text("Parameter")]
-    variations = list(frame[["of", "variation"]].drop_duplicates().itertuples(index=False, name=None))
+    variations = list(frame[["aspect", "variation"]].drop_duplicates().itertuples(index=False, name=None))
     columns += [Column(str(i + 1)) for i in range(len(variations))]
-    by = frame.set_index(["study", "parameter", "of", "variation"])
+    by = frame.set_index(["study", "parameter", "aspect", "variation"])
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
     for study, parameter in names:
@@ -249,12 +249,12 @@ def _ratio(row: "pd.Series[float]") -> str:
     return (fixed(row["ratio"]) if pd.notna(row["ratio"]) else MISSING) + mark
 
 
-def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
+def draw_all(answer: AnalysisResult, folder: Path) -> dict[str, Path]:
     """Draw the change of every study under every variation."""
     return {"studies": draw_studies(answer, folder / "studies.pdf")}
 
 
-def story(answer: Answer, figures: Figures) -> list[Block]:
+def story(answer: AnalysisResult, figures: Figures) -> list[Block]:
     """Return the figure, then the changes of studies, cells and parameters."""
     again, kept, largest, parameters = (document.table(t, answer.synthetic) for t in layouts(answer))
     return [

@@ -4,7 +4,6 @@ import math
 from pathlib import Path
 
 from needlefit.inference.parameters import in_logarithm
-from needlefit.project.records.specimens import SpecimensRecord
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
@@ -13,28 +12,29 @@ from needlefit.reporting.inquiries.page import Figures, Page
 from needlefit.reporting.names import POPULATION_NAMES
 from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.specimens.verb import BEST_TOLD, LEVELS
+from needlefit.schemas.analyses import SpecimensRecord
+from needlefit.validation.analyses.runner import AnalysisResult
+from needlefit.validation.analyses.specimens import BEST_DETERMINED, LEVELS
 
 NAMED = 3
 """Specimens at most that a sentence names; more are counted."""
 
 
-def said(answer: Answer) -> list[str]:
+def said(answer: AnalysisResult) -> list[str]:
     """Return what the spread between specimens can be, or how often intervals held a known one."""
     if answer.frames["recovered"].empty:
         return [line for what in _groups(answer) for line in _population_said(answer, what)]
     return _recovery_said(answer)
 
 
-def _population_said(answer: Answer, what: str) -> list[str]:
+def _population_said(answer: AnalysisResult, what: str) -> list[str]:
     every = answer.frames["population"]
     mine = every[every["groups"] == what]
-    spreads = records(mine[mine["what"] == "spread"])
+    spreads = records(mine[mine["quantity"] == "spread"])
     parts = "; ".join(f"{_name(row)} {_interval(row)}" for row in spreads)
     limits = ", ".join(_name(row) for row in spreads if row["low_95"] == 0)
     reach = f" What begins at 0 tells no spread, only a limit of it ({limits})." if limits else ""
-    new = records(mine[(mine["what"] == "new") & (mine["parameter"] != BEST_TOLD)])
+    new = records(mine[(mine["quantity"] == "new") & (mine["parameter"] != BEST_DETERMINED)])
     further = "; ".join(f"{_name(row)} {_values(row)}" for row in new)
     count = f"{spreads[0]['specimens']} {what}s"
     return [
@@ -44,7 +44,7 @@ def _population_said(answer: Answer, what: str) -> list[str]:
     ]
 
 
-def _beyond_bounds(answer: Answer, new: list[Row], what: str) -> str:
+def _beyond_bounds(answer: AnalysisResult, new: list[Row], what: str) -> str:
     """Return where the interval of a further specimen leaves the medium's bounds, which no fit ever did."""
     ends = _bounds(answer)
     beyond = [
@@ -61,7 +61,7 @@ def _beyond_bounds(answer: Answer, new: list[Row], what: str) -> str:
     )
 
 
-def _pressing(answer: Answer, what: str) -> list[str]:
+def _pressing(answer: AnalysisResult, what: str) -> list[str]:
     """Return whose posterior lies within two standard deviations of a bound: it is the bound that ends it."""
     ends, every = _bounds(answer), answer.frames["specimens"]
     mine = every[every["groups"] == what]
@@ -81,7 +81,7 @@ def _pressing(answer: Answer, what: str) -> list[str]:
     ]
 
 
-def _bounds(answer: Answer) -> dict[str, tuple[float, float]]:
+def _bounds(answer: AnalysisResult) -> dict[str, tuple[float, float]]:
     """Return the bounds of the medium's free parameters: logarithms, of alpha itself."""
     (part, *_) = answer.run["parts"]
     given = {name: one["bounds"] for name, one in part["medium"]["parameters"].items() if one["bounds"]}
@@ -91,19 +91,19 @@ def _bounds(answer: Answer) -> dict[str, tuple[float, float]]:
     }
 
 
-def _recovery_said(answer: Answer) -> list[str]:
+def _recovery_said(answer: AnalysisResult) -> list[str]:
     coverage, made = answer.frames["coverage"], _record(answer).recovery
     assert made is not None
     lines = [f"{made.replicates} times {made.specimens} made-up specimens of each known spread."]
-    for spread, same in coverage[coverage["what"] == "spread"].groupby("spread", sort=False):
+    for spread, same in coverage[coverage["quantity"] == "spread"].groupby("spread", sort=False):
         counts = [
-            f"{_name(row)} {row['held']} of {row['replicates']} ({100 * row['level']:.0f} %)"
+            f"{_name(row)} {row['covered']} of {row['replicates']} ({100 * row['level']:.0f} %)"
             for row in records(same)
         ]
         reached = "reached 0" if spread == 0 else f"held {spread:g}"
         lines.append(f"True spread {spread:g}: intervals that {reached}: {'; '.join(counts)}.")
-    for level, same in coverage[coverage["what"] == "mean"].groupby("level", sort=False):
-        held, count = int(same["held"].sum()), int(same["replicates"].sum())
+    for level, same in coverage[coverage["quantity"] == "mean"].groupby("level", sort=False):
+        held, count = int(same["covered"].sum()), int(same["replicates"].sum())
         percent = f"{100 * float(str(level)):.0f} %"
         lines.append(f"Of the means, {held} of {count} lay in their {percent} intervals.")
     found = answer.frames["recovered"].drop_duplicates(["spread", "replicate"])
@@ -113,12 +113,12 @@ def _recovery_said(answer: Answer) -> list[str]:
     return lines
 
 
-def layouts(answer: Answer) -> list[Display]:
+def layouts(answer: AnalysisResult) -> list[Display]:
     """Return mean, spread and further specimen; or how often intervals held."""
     return [_coverage(answer)] if len(answer.frames["coverage"]) else [_population(answer)]
 
 
-def _population(answer: Answer) -> Display:
+def _population(answer: AnalysisResult) -> Display:
     rows: list[tuple[str, ...]] = []
     breaks: list[int] = []
     for what in _groups(answer):
@@ -126,13 +126,15 @@ def _population(answer: Answer) -> Display:
         mine = answer.frames["population"]
         for row in records(mine[mine["groups"] == what]):
             ends = (_signed(f"{fixed(row[f'low_{p}'])} to {fixed(row[f'high_{p}'])}") for p in (50, 95))
-            values = _values(row) if row["what"] != "spread" and row["parameter"] != BEST_TOLD else "–"
+            values = (
+                _values(row) if row["quantity"] != "spread" and row["parameter"] != BEST_DETERMINED else "–"
+            )
             median = _signed(fixed(row["median"]))
             rows.append(
                 (
                     f"{row['specimens']} {what}s",
                     _name(row),
-                    POPULATION_NAMES[row["what"]],
+                    POPULATION_NAMES[row["quantity"]],
                     median,
                     *ends,
                     values,
@@ -152,16 +154,16 @@ def _population(answer: Answer) -> Display:
     return Display("population", caption, columns, tuple(rows), tuple(breaks), notes=notes)
 
 
-def _coverage(answer: Answer) -> Display:
+def _coverage(answer: AnalysisResult) -> Display:
     coverage = answer.frames["coverage"]
     rows = []
-    for (spread, what, parameter), same in coverage.groupby(["spread", "what", "parameter"], sort=False):
+    for (spread, what, parameter), same in coverage.groupby(["spread", "quantity", "parameter"], sort=False):
         by_level = {row["level"]: row for row in records(same)}
         cells = []
         for level in LEVELS:
             row = by_level[level]
             ends = f"{100 * row['low']:.0f}–{100 * row['high']:.0f} %"
-            cells += [f"{row['held']} of {row['replicates']} ({ends})", fixed(row["width"])]
+            cells += [f"{row['covered']} of {row['replicates']} ({ends})", fixed(row["width"])]
         rows.append((f"{spread:g}", POPULATION_NAMES[str(what)], _name({"parameter": parameter}), *cells))
     pairs = [(Column(f"{100 * level:.0f} % held"), Column("width", "ln")) for level in LEVELS]
     heads = (one for pair in pairs for one in pair)
@@ -175,7 +177,7 @@ def _coverage(answer: Answer) -> Display:
     return Display("coverage", caption, columns, tuple(rows), notes=notes)
 
 
-def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
+def draw_all(answer: AnalysisResult, folder: Path) -> dict[str, Path]:
     """Draw specimens and spreads, or the intervals of every replicate beside the truth."""
     if len(answer.frames["coverage"]):
         return {"recovered": draw_recovered(answer, folder / "recovered.pdf")}
@@ -185,7 +187,7 @@ def draw_all(answer: Answer, folder: Path) -> dict[str, Path]:
     }
 
 
-def story(answer: Answer, figures: Figures) -> list[Block]:
+def story(answer: AnalysisResult, figures: Figures) -> list[Block]:
     """Return figures, table, and what is behind them."""
     captions = {
         "specimens": "The posterior of every specimen by itself: mean and standard deviation.",
@@ -208,22 +210,22 @@ HOW = (
 )
 
 
-def _groups(answer: Answer) -> list[str]:
+def _groups(answer: AnalysisResult) -> list[str]:
     return [str(what) for what in answer.frames["population"]["groups"].unique()]
 
 
-def _record(answer: Answer) -> SpecimensRecord:
+def _record(answer: AnalysisResult) -> SpecimensRecord:
     assert isinstance(answer.record, SpecimensRecord)
     return answer.record
 
 
 def _in_log(name: str) -> bool:
     """Return whether a row is of a logarithm: every combination is."""
-    return name == BEST_TOLD or in_logarithm(name)
+    return name == BEST_DETERMINED or in_logarithm(name)
 
 
 def _name(row: Row) -> str:
-    if row["parameter"] == BEST_TOLD:
+    if row["parameter"] == BEST_DETERMINED:
         return in_symbols(str(row["combination"]))
     return symbol(str(row["parameter"])).split(" (")[0]
 

@@ -4,25 +4,25 @@ import numpy as np
 import pandas as pd
 
 from needlefit.reporting.tables import Row, records
-from needlefit.validation.inquiries.answer import Answer
+from needlefit.validation.analyses.runner import AnalysisResult
 
 _KEY = ["role", "entry", "angle_deg", "depth_mm"]
 
 
-def best(answer: Answer) -> Row | None:
+def best(answer: AnalysisResult) -> Row | None:
     """Return the candidate that tells most; None if none has a solution."""
     ranked = [row for rows in ways(answer).values() for row in rows]
     return max(ranked, key=lambda row: float(row["nats"]), default=None)
 
 
-def repeat(answer: Answer) -> Row | None:
+def repeat(answer: AnalysisResult) -> Row | None:
     """Return the deepest insertion made so far, once more; None if it has no solution."""
     every = answer.frames["candidates"]
     found = records(every[(every["role"] == "repeat") & every["nats"].notna()])
     return found[0] if found else None
 
 
-def ways(answer: Answer) -> dict[tuple[str, float], list[Row]]:
+def ways(answer: AnalysisResult) -> dict[tuple[str, float], list[Row]]:
     """Return the candidates that have a solution, by entry and angle."""
     every = answer.frames["candidates"]
     found: dict[tuple[str, float], list[Row]] = {}

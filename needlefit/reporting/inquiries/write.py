@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting import document
 from needlefit.reporting.comparability import SYNTHETIC
 from needlefit.reporting.display import Display, text
@@ -14,14 +14,14 @@ from needlefit.reporting.latex import latex
 from needlefit.reporting.macros import table_macros
 from needlefit.reporting.sentences import run_said
 from needlefit.reporting.write import write_report
-from needlefit.validation.inquiries.answer import Answer
-from needlefit.validation.inquiries.stored import store_answer
+from needlefit.validation.analyses.kinds import store_result
+from needlefit.validation.analyses.runner import AnalysisResult
 
 MADE_UP = "The needles were made by the model itself: how it fares on them says nothing of real ones."
 """Of synthetic data that are not the twin's."""
 
 
-def write_answer(answer: Answer, folder: Path) -> Path:
+def write_answer(answer: AnalysisResult, folder: Path) -> Path:
     """Write one inquiry's answer to `folder`, replacing an earlier result there; return it.
 
     Every frame as CSV, tables and their numbers as LaTeX, figures as PDF, the report as PDF and HTML,
@@ -33,7 +33,7 @@ def write_answer(answer: Answer, folder: Path) -> Path:
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     page = PAGES[answer.kind]
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         for name, frame in answer.frames.items():
             write_csv(frame.assign(origin=answer.origin), new / f"{name}.csv")
         tables = page.layouts(answer)
@@ -41,13 +41,13 @@ def write_answer(answer: Answer, folder: Path) -> Path:
             (new / f"{table.name}.tex").write_text(latex(table, answer.synthetic), encoding="utf-8")
         (new / "numbers.tex").write_text(table_macros(answer.name, tables), encoding="utf-8")
         write_report(report(answer, page.draw(answer, new)), new)
-        store_answer(answer, new)
+        store_result(answer, new)
         write_json(new / "run.json", answer.run)
         write_json(new / "timing.json", answer.timing)
     return folder
 
 
-def report(answer: Answer, figures: Figures) -> Document:
+def report(answer: AnalysisResult, figures: Figures) -> Document:
     """Return the report: what was asked and answered, what is behind it, what it was computed with."""
     page = PAGES[answer.kind]
     blocks = [
@@ -62,7 +62,7 @@ def report(answer: Answer, figures: Figures) -> Document:
     return Document(answer.title, subtitle, answer.synthetic, tuple(blocks))
 
 
-def cautions(answer: Answer) -> list[Block]:
+def cautions(answer: AnalysisResult) -> list[Block]:
     """Return what a reader must know before any number."""
     said = []
     if answer.synthetic:
@@ -75,7 +75,7 @@ def cautions(answer: Answer) -> list[Block]:
     return said + document.warnings_in(answer.run, answer.name)
 
 
-def _run(answer: Answer) -> list[Block]:
+def _run(answer: AnalysisResult) -> list[Block]:
     head = (text("What"), text("Value", wide=True))
     rows = tuple(run_said({key: answer.run[key] for key in ("versions", "datasets") if key in answer.run}))
     table = Display("run", f"What {answer.name} was computed with.", head, rows)

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from needlefit.inference.sampling.posterior import save
-from needlefit.project.replace import replacing
+from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting import document
 from needlefit.reporting.document import Document, compile_pdf
 from needlefit.reporting.figures.tracks import draw_tracks
@@ -15,9 +15,14 @@ from needlefit.reporting.tracks.layouts import (
     scores_layout,
 )
 from needlefit.reporting.tracks.said import in_short
-from needlefit.validation.tracks.results import TrackResults
-from needlefit.validation.tracks.stored import posterior_file, store_tracks
-from needlefit.validation.tracks.summary import by_depth, coverage, paired_runs
+from needlefit.validation.tracks.results import (
+    TrackResults,
+    compare_methods_by_run,
+    posterior_file,
+    store_tracks,
+    tabulate_by_depth,
+    tabulate_coverage,
+)
 
 _CAPTION = (
     "Tip readings (points; hollow: they say how the run lies in the tracker’s frame) and what was foretold "
@@ -34,10 +39,10 @@ def write_tracks(results: TrackResults, folder: Path) -> Path:
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    with replacing(folder) as new:
+    with replace_folder(folder) as new:
         frames = {"runs": results.runs, "parameters": results.parameters}
-        frames |= {"paired": paired_runs(results), "coverage": coverage(results)}
-        frames["depths"] = by_depth(results)
+        frames |= {"paired": compare_methods_by_run(results), "coverage": tabulate_coverage(results)}
+        frames["depths"] = tabulate_by_depth(results)
         for name, frame in frames.items():
             write_csv(frame.assign(origin=results.origin), new / f"{name}.csv")
         for fit, posterior in results.posteriors.items():

@@ -21,7 +21,7 @@ the prior itself would pass for a posterior."""
 
 
 @dataclass(frozen=True)
-class Quantities:
+class RankedQuantities:
     """Functions of theta under one problem.
 
     Attributes
@@ -55,7 +55,7 @@ class Quantities:
         return np.column_stack([thetas, combined, tips, likelihood])
 
 
-def stiffest(problem: Problem, theta: Floats) -> Floats:
+def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
     """Return the combination (P,), of length 1, that the insertions tell best at theta."""
     if len(theta) == 0:
         return np.zeros(0)

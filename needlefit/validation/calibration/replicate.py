@@ -2,27 +2,176 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.datasets.insertion import Insertion
 from needlefit.errors import FitError
-from needlefit.inference.draws import of_prior
+from needlefit.inference.draws import from_posterior, of_prior
+from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.sample import sample
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.project.streams import stream
-from needlefit.validation.calibration.controls import Control, broken
-from needlefit.validation.calibration.inferred import Inferred, Way, inferred, of_prior_alone
-from needlefit.validation.calibration.measured import measured
-from needlefit.validation.calibration.quantities import Quantities, stiffest
-from needlefit.validation.calibration.ranks import DRAWS, ranks
-from needlefit.validation.design import planned
+from needlefit.inference.weighing.about_fit import modes, weighed
+from needlefit.inference.weighing.importance import Weighted, resampled
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.validation.calibration.measurement import simulate_measurement
+from needlefit.validation.calibration.quantities import RankedQuantities, best_determined_direction
+from needlefit.validation.calibration.rank_statistics import RANK_DRAWS, rank_truth
 from needlefit.validation.job import Job
+from needlefit.validation.planned_insertions import simulate_design
+
+Control = Literal["sigma", "prior", "pose", "shuffled"]
+
+CONTROLS: tuple[Control, ...] = get_args(Control)
+
+UNDERSTATED_SD_FACTOR = 0.7
+"""What the control "sigma" takes the deviations of noise and pose for, as a part of the true ones."""
+
+
+def corrupt_problem(problem: Problem, control: Control | None, scale: float) -> Problem:
+    """Return the problem as a wrong computation would have it; `scale` is the true one of the noise.
+
+    "sigma" underrates noise and pose and does not estimate them, "pose" takes every pose as it was measured,
+    "shuffled" confounds the shapes of the shallowest and the deepest insertion (of one alone the side of its
+    bevel). "prior" leaves the problem as it is, for there nothing is inferred at all.
+    """
+    if control == "sigma":
+        how = problem.likelihood.model_copy(update={"noise_scale": UNDERSTATED_SD_FACTOR * scale})
+        parameters = problem.parameters
+        if NOISE_SCALE in parameters.names:
+            others = [name for name in parameters.free if name != NOISE_SCALE]
+            parameters = parameters.with_only(others, {NOISE_SCALE: UNDERSTATED_SD_FACTOR * scale})
+        return replace(problem, likelihood=how, parameters=parameters)
+    if control == "pose":
+        noise = replace(problem.dataset.noise, registration_mean=0.0)
+        dataset = replace(problem.dataset, noise=noise, pose="known")
+        sure = (replace(one, pose_shift_sd=0.0, pose_angle_sd=0.0) for one in problem.insertions)
+        return replace(problem, dataset=dataset, insertions=tuple(sure))
+    if control == "shuffled":
+        return replace(problem, insertions=_swap_shapes(problem.insertions))
+    return problem
+
+
+def _swap_shapes(insertions: tuple[Insertion, ...]) -> tuple[Insertion, ...]:
+    if len(insertions) == 1:
+        return (replace(insertions[0], side=-insertions[0].side),)
+    order = np.argsort([one.depth for one in insertions], kind="stable")
+    first, last = int(order[0]), int(order[-1])
+    swapped = list(insertions)
+    swapped[first] = _with_shape(insertions[first], insertions[last])
+    swapped[last] = _with_shape(insertions[last], insertions[first])
+    return tuple(swapped)
+
+
+def _with_shape(one: Insertion, other: Insertion) -> Insertion:
+    """Return an insertion with the measured shape of another."""
+    return replace(
+        one,
+        planar=other.planar,
+        centerline=other.centerline,
+        out_of_plane=other.out_of_plane,
+        sd=other.sd,
+    )
+
 
 Floats = NDArray[np.float64]
+DrawSource = Literal["importance", "sampler", "prior"]
 
-ATTEMPTS = 1000
+INFERENCE_STARTS = 4
+"""Of each fit; none looks at the truth."""
+
+
+@dataclass(frozen=True)
+class InferredPosterior:
+    """What was computed of one posterior.
+
+    Attributes
+    ----------
+    thetas : (L, P) array
+        Draws of equal weight.
+    log_posterior : (L,) array
+    mode : (P,) array
+    by : "importance", "sampler" or "prior"
+    trusted : bool
+        Whether the weights were certified, or the sampler converged.
+    weights : Weighted or None
+        Of importance, whoever drew in the end.
+    """
+
+    thetas: Floats
+    log_posterior: Floats
+    mode: Floats
+    draw_source: DrawSource
+    trusted: bool
+    weights: Weighted | None = None
+
+
+@dataclass(frozen=True)
+class InferenceOptions:
+    """How a posterior is inferred.
+
+    Attributes
+    ----------
+    recipe : RecipeRecord
+        For its search algorithm and its sampler.
+    draws : int
+        L.
+    sampler : "always", "otherwise" or "never"
+        Whether the sampler draws: instead of importance, or where its weights are not certified.
+    """
+
+    recipe: RecipeRecord
+    draws: int
+    sampler: Literal["always", "otherwise", "never"] = "otherwise"
+
+
+def infer_posterior(
+    problem: Problem, options: InferenceOptions, rng: np.random.Generator
+) -> InferredPosterior:
+    """Return the posterior of a problem; nothing of it is known before."""
+    recipe = options.recipe.model_copy(update={"starts": INFERENCE_STARTS, "minimize": "posterior"})
+    ends = modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
+    if options.sampler == "always":
+        return _sample_posterior(problem, options, ends, rng)
+    found = weighed(problem, ends, rng)
+    if options.sampler == "otherwise" and not found.certified:
+        return _sample_posterior(problem, options, ends, rng, found)
+    chosen = resampled(found, options.draws, rng)
+    thetas, density = found.thetas[chosen], found.log_density[chosen]
+    return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found)
+
+
+def _sample_posterior(
+    problem: Problem,
+    options: InferenceOptions,
+    ends: Floats,
+    rng: np.random.Generator,
+    weights: Weighted | None = None,
+) -> InferredPosterior:
+    posterior = sample(problem, ends, options.recipe.sample, rng)
+    thetas = from_posterior(posterior, problem.parameters, options.draws).thetas
+    density = problem.log_posteriors(thetas)
+    return InferredPosterior(thetas, density, ends[0], "sampler", posterior.converged, weights)
+
+
+def draw_prior_only(
+    problem: Problem, options: InferenceOptions, rng: np.random.Generator
+) -> InferredPosterior:
+    """Return the prior where it has a solution, as if it were the posterior."""
+    thetas = np.empty((0, len(problem.names)))
+    while len(thetas) < options.draws:
+        drawn = of_prior(problem.parameters, options.draws, rng)
+        thetas = np.concatenate([thetas, drawn[np.isfinite(problem.log_posteriors(drawn))]])
+    thetas = thetas[: options.draws]
+    density = problem.log_posteriors(thetas)
+    return InferredPosterior(thetas, density, thetas[int(np.argmax(density))], "prior", True)
+
+
+MAX_PRIOR_DRAWS = 1000
 """Draws of the prior among which one must have a solution."""
 
 
@@ -49,7 +198,7 @@ class Experiment:
 
 
 @dataclass(frozen=True)
-class Made:
+class SimulatedExperiment:
     """True parameters, the problem of inferring them, and how often they were drawn again."""
 
     theta: Floats
@@ -60,32 +209,34 @@ class Made:
 def replicate(number: int, experiment: Experiment) -> dict[str, Any]:
     """Return a row: the truth, where it stands among draws of its posterior, and how these were computed."""
     seed, name = experiment.job.recipe.seed, experiment.job.name
-    made = make(experiment.job, stream(seed, name, "calibrate", number, "data"))
-    truth = made.problem.values(made.theta)
-    scale = truth.get(NOISE_SCALE, made.problem.density.scale)
-    problem = broken(made.problem, experiment.control, scale)
-    rng = stream(seed, name, "calibrate", number, "inference")
-    found = _inferred(problem, experiment, rng)
-    tip = max(made.problem.insertions, key=lambda one: one.depth)
+    simulated = simulate_experiment(experiment.job, random_stream(seed, name, "calibrate", number, "data"))
+    truth = simulated.problem.values(simulated.theta)
+    scale = truth.get(NOISE_SCALE, simulated.problem.density.scale)
+    problem = corrupt_problem(simulated.problem, experiment.control, scale)
+    rng = random_stream(seed, name, "calibrate", number, "inference")
+    found = _infer(problem, experiment, rng)
+    tip = max(simulated.problem.insertions, key=lambda one: one.depth)
     design = np.array([experiment.stiff[name] for name in problem.names])
-    quantities = Quantities(problem, np.array([design, stiffest(problem, found.mode)]), tip)
+    quantities = RankedQuantities(
+        problem, np.array([design, best_determined_direction(problem, found.mode)]), tip
+    )
     theta = problem.parameters.theta(truth)[None]
     true = quantities(theta, problem.log_posteriors(theta))[0]
-    placed = ranks(true, quantities(found.thetas, found.log_posterior), rng)
+    placed = rank_truth(true, quantities(found.thetas, found.log_posterior), rng)
     return {
         "replicate": number,
-        **{name: truth[name] for name in made.problem.names},
-        "redrawn": made.redrawn,
-        "by": found.by,
+        **{name: truth[name] for name in simulated.problem.names},
+        "redrawn": simulated.redrawn,
+        "draw_source": found.draw_source,
         "trusted": found.trusted,
         "pareto_k": None if found.weights is None else found.weights.k,
-        "independent": None if found.weights is None else found.weights.independent,
+        "ess": None if found.weights is None else found.weights.independent,
         "evaluations": None if found.weights is None else len(found.weights.thetas),
         **{f"rank_{name}": int(rank) for name, rank in zip(quantities.names, placed, strict=True)},
     }
 
 
-def make(job: Job, rng: np.random.Generator) -> Made:
+def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperiment:
     """Return parameters drawn from the prior, and the design measured of needles that follow them.
 
     Raises
@@ -95,31 +246,38 @@ def make(job: Job, rng: np.random.Generator) -> Made:
     """
     (fold,) = job.folds
     everything = job.problem(fold)
-    for redrawn in range(ATTEMPTS):
+    for redrawn in range(MAX_PRIOR_DRAWS):
         theta = of_prior(job.parameters, 1, rng)[0]
         values = everything.values(theta)
-        design = planned(job, fold, values)
+        design = simulate_design(job, fold, values)
         if design is None:
             continue
         scale = values.get(NOISE_SCALE, everything.density.scale)
-        seen = [measured(job.dataset, one, values, job.medium, rng, scale) for one in design.insertions]
-        known = tuple(one for one in seen if one is not None)
-        if len(known) < len(seen):
+        measurements = [
+            simulate_measurement(job.dataset, one, values, job.medium, rng, scale)
+            for one in design.insertions
+        ]
+        known = tuple(one for one in measurements if one is not None)
+        if len(known) < len(measurements):
             continue
         problem = replace(everything, insertions=known)
         if np.isfinite(problem.log_posterior(theta)):
-            return Made(theta, problem, redrawn)
+            return SimulatedExperiment(theta, problem, redrawn)
     raise FitError(
-        f"of {ATTEMPTS} parameter sets drawn from the prior the design has a solution for none",
-        mend="narrow the bounds of the medium",
+        f"of {MAX_PRIOR_DRAWS} parameter sets drawn from the prior the design has a solution for none",
+        fix="narrow the bounds of the medium",
     )
 
 
-def _inferred(problem: Problem, experiment: Experiment, rng: np.random.Generator) -> Inferred:
+def _infer(problem: Problem, experiment: Experiment, rng: np.random.Generator) -> InferredPosterior:
     recipe = experiment.job.recipe
     if experiment.control == "prior":
-        return of_prior_alone(problem, Way(recipe, DRAWS), rng)
+        return draw_prior_only(problem, InferenceOptions(recipe, RANK_DRAWS), rng)
     if experiment.sampled:
-        return inferred(problem, Way(recipe, DRAWS, "always"), rng)
+        return infer_posterior(problem, InferenceOptions(recipe, RANK_DRAWS, "always"), rng)
     # a wrong likelihood is to be noticed, not to be sampled well
-    return inferred(problem, Way(recipe, DRAWS, "otherwise" if experiment.control is None else "never"), rng)
+    return infer_posterior(
+        problem,
+        InferenceOptions(recipe, RANK_DRAWS, "otherwise" if experiment.control is None else "never"),
+        rng,
+    )

@@ -7,16 +7,16 @@ from typing import Literal
 import pandas as pd
 
 from needlefit.errors import ConfigError
-from needlefit.project import places
-from needlefit.project.reading import stored_values
-from needlefit.validation.csv_tables import ANY, TableForm, read_table
-from needlefit.validation.paper import counts, explanations
-from needlefit.validation.paper.claims import BOUNDS, Claim, Tables, rows
+from needlefit.project import locate
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.validation.csv_tables import ANY_COLUMNS, TableSchema, read_table
+from needlefit.validation.paper import checks
+from needlefit.validation.paper.claims import CLAIM_BOUNDS, Claim, PublishedTables, select_rows
 
-Table = Literal[
+TableName = Literal[
     "insertions", "study_design", "tuning_by_layers", "tuning_by_media", "validation", "parameters"
 ]
-TABLES: dict[Table, str] = {
+TABLE_TITLES: dict[TableName, str] = {
     "insertions": "Table I: insertions by medium and layers traversed",
     "study_design": "Table II: what tunes and what validates each study",
     "tuning_by_layers": "Table III, upper half: errors of the tuned model in phantom 2, by layers",
@@ -26,10 +26,10 @@ TABLES: dict[Table, str] = {
 }
 
 
-_FORMS: dict[Table, TableForm] = {"parameters": TableForm(keys=("set",))}
+_SCHEMAS: dict[TableName, TableSchema] = {"parameters": TableSchema(keys=("set",))}
 
 
-def table(name: Table) -> pd.DataFrame:
+def read_published_table(name: TableName) -> pd.DataFrame:
     """Return one published table, as `data/paper/<name>.csv` holds it.
 
     Raises
@@ -39,11 +39,11 @@ def table(name: Table) -> pd.DataFrame:
     DataError
         If it is no table, or lacks a column.
     """
-    path = _file(name)
-    return read_table(path, _FORMS.get(name, ANY))
+    path = _find_file(name)
+    return read_table(path, _SCHEMAS.get(name, ANY_COLUMNS))
 
 
-def hand_tuned(name: str) -> dict[str, float]:
+def read_hand_tuned(name: str) -> dict[str, float]:
     """Return one row of the parameter table by parameter name (`mu1_pa`, `alpha1`, ..., `bevel_mm`).
 
     Raises
@@ -51,50 +51,50 @@ def hand_tuned(name: str) -> dict[str, float]:
     ConfigError
         If there is no such row.
     """
-    published = {"parameters": table("parameters")}
-    with stored_values(_file("parameters")):
-        found = rows(published, "parameters", set=name)
+    published = {"parameters": read_published_table("parameters")}
+    with convert_stored_errors(_find_file("parameters")):
+        found = select_rows(published, "parameters", set=name)
     if not found:
-        known = ", ".join(hand_tuned_names())
+        known = ", ".join(read_hand_tuned_names())
         raise ConfigError(f"the paper has no hand-tuned set called `{name}`", expected=f"one of {known}")
     return {key: float(value) for key, value in found[0].items() if _is_number(value)}
 
 
-def hand_tuned_names() -> tuple[str, ...]:
+def read_hand_tuned_names() -> tuple[str, ...]:
     """Return the names of the rows of the parameter table."""
-    return tuple(table("parameters")["set"])
+    return tuple(read_published_table("parameters")["set"])
 
 
-def checked_claims() -> list[Claim]:
+def check_claims() -> list[Claim]:
     """Return every claim of the paper that was held against its tables, whether it holds or not."""
-    published: Tables = {name: table(name) for name in TABLES}
-    with stored_values(_file("parameters").parent):
+    published: PublishedTables = {name: read_published_table(name) for name in TABLE_TITLES}
+    with convert_stored_errors(_find_file("parameters").parent):
         return [check(published) for check in _CHECKS]
 
 
-def contradictions() -> list[Claim]:
+def find_contradictions() -> list[Claim]:
     """Return what the paper says in one place and not in another, each with both places and their numbers.
 
     Every entry whose numbers stand in the tables is computed from them; a claim that the tables bear out
     is left out.
     """
-    return [claim for claim in checked_claims() if not claim.holds]
+    return [claim for claim in check_claims() if not claim.agrees]
 
 
 _CHECKS = (
-    counts.four_and_three,
-    counts.tuning_count,
-    counts.chicken,
-    counts.plural,
-    explanations.maximum_called_average,
-    explanations.halves,
-    *(bound.check for bound in BOUNDS),
-    explanations.deeper,
-    explanations.chicken_depth,
-    explanations.edp_everywhere,
-    explanations.edp_two_layers,
-    explanations.edp_depth,
-    counts.table_numbers,
+    checks.check_four_and_three_layers,
+    checks.check_tuning_count,
+    checks.check_chicken_counts,
+    checks.check_tuning_insertions,
+    checks.check_largest_average,
+    checks.check_table_halves,
+    *(bound.check for bound in CLAIM_BOUNDS),
+    checks.check_edp_falls_with_depth,
+    checks.check_chicken_depth,
+    checks.check_edp_everywhere,
+    checks.check_edp_two_layers,
+    checks.check_edp_depth,
+    checks.check_table_numbers,
 )
 
 
@@ -102,13 +102,13 @@ def _is_number(value: object) -> bool:
     return isinstance(value, int | float) and not math.isnan(value)
 
 
-def _file(name: str) -> Path:
-    for root in places.roots():
+def _find_file(name: str) -> Path:
+    for root in locate.search_roots():
         path = root / "data" / "paper" / f"{name}.csv"
         if path.is_file():
             return path
     raise ConfigError(
         f"the published table `{name}` is missing",
         where=f"data/paper/{name}.csv",
-        mend="restore data/paper, or install needlefit again",
+        fix="restore data/paper, or install needlefit again",
     )

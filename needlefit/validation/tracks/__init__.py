@@ -1,1 +1,1 @@
-"""Studies of tip tracks: fit to some runs, foretell others reading by reading."""
+"""Studies of tip tracks: fit to some runs, predict others reading by reading."""

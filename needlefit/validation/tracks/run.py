@@ -1,19 +1,24 @@
-"""The verb: fit to these runs, foretell those, beside curves that know neither tissue nor guide."""
+"""Carry out a study of tip tracks: fit to these runs, predict those, beside curves without mechanics."""
 
+import math
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from needlefit.datasets.tracks.read import read_tracks
-from needlefit.datasets.tracks.track import TrackDataset
-from needlefit.errors import FitError
+from needlefit.datasets.tracks.select import select_runs
+from needlefit.datasets.tracks.track import Track, TrackDataset
+from needlefit.errors import ConfigError, FitError
 from needlefit.inference.draws import from_posterior
+from needlefit.inference.identifiability.agreement import is_small
 from needlefit.inference.identifiability.identify import practically_equal
 from needlefit.inference.optimize import minimize
-from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.parameters import Parameters, in_logarithm, with_noise_scale
+from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.starts import Watch
 from needlefit.inference.ties import NOISE_SCALE
@@ -21,29 +26,153 @@ from needlefit.inference.tracks.course import tips
 from needlefit.inference.tracks.curves import CURVES, fit_curve
 from needlefit.inference.tracks.evidence import track_evidence
 from needlefit.inference.tracks.foresight import Drawn
+from needlefit.inference.tracks.problem import TrackProblem
 from needlefit.project.load import load
-from needlefit.project.places import find
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.records.track_study import TrackStudyRecord
-from needlefit.project.result_warnings import ResultWarning, stored
-from needlefit.project.streams import stream
+from needlefit.project.locate import find_file
+from needlefit.project.random_streams import random_stream
+from needlefit.project.result_warnings import ResultWarning, warnings_entry
 from needlefit.project.threads import one_thread
-from needlefit.project.toml_lines import renamed_keys
+from needlefit.project.toml_lines import add_file_context, add_key_context, locate_key, renamed_keys
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.study import TrackFitRecord, TrackStudyRecord
 from needlefit.validation.checkpoint import Checkpoint, open_checkpoint
 from needlefit.validation.folds import specimen_warning
 from needlefit.validation.job import Settings
+from needlefit.validation.provenance import PACKAGES, describe_model_options, package_versions
 from needlefit.validation.score import Row
-from needlefit.validation.tracks.learned import learned
-from needlefit.validation.tracks.results import PARAMETERS, READINGS, RIVALS, RUNS, TrackResults
-from needlefit.validation.tracks.score import foretold, tuned_rows
-from needlefit.validation.tracks.task import Task, require_scored, task, work
+from needlefit.validation.tracks.results import (
+    METHODS,
+    PARAMETER_COLUMNS,
+    READING_COLUMNS,
+    RUN_COLUMNS,
+    TrackResults,
+)
+from needlefit.validation.tracks.score import predict_runs, tabulate_tuned
 
-DRAWS = 400
-"""Parameter sets of which every run is foretold."""
+
+@dataclass(frozen=True)
+class TrackTask:
+    """One fit of a study: its problem, the runs it is judged by, and the recipe."""
+
+    name: str
+    problem: TrackProblem
+    held: tuple[Track, ...]
+    recipe: RecipeRecord
+
+
+MIN_SCORED_READINGS = 2
+"""Fewest readings of a predicted run that are scored."""
+
+
+def require_scored(one: TrackTask, placed_by: float) -> None:
+    """Raise ConfigError if a predicted run has hardly a reading below `placed_by` mm, which only places
+    it.
+    """
+    for track in one.held:
+        if int((track.depth > placed_by).sum()) < MIN_SCORED_READINGS:
+            raise ConfigError(
+                f"of run {track.id} nothing is left to be predicted: its readings end at "
+                f"{track.depth[-1]:g} mm, and those down to {placed_by:g} mm place it",
+                key="registration_depth_mm",
+                expected=f"{MIN_SCORED_READINGS} readings below it, at least",
+                fix="lower registration_depth_mm, or leave the run out",
+            )
+
+
+def make_task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) -> TrackTask:
+    """Return one fit with all that it names.
+
+    Raises
+    ------
+    ConfigError
+        If a medium or run is missing, stands on both sides, or the needle is too short.
+    """
+    with add_key_context("fits.medium"):
+        file = find_file("medium", one.medium)
+    with add_key_context("fits.tune"):
+        tuned = select_runs(dataset, one.tune)
+    with add_key_context("fits.validate"):
+        held = select_runs(dataset, one.validate_)
+    medium = load(file, MediumRecord)
+    both = sorted({track.id for track in tuned} & {track.id for track in held})
+    if both:
+        raise ConfigError(
+            f"{', '.join(both)} would both tune and validate",
+            key="fits",
+            expected="runs on one side only",
+            fix="narrow tune or validate",
+        )
+    with add_file_context(file):
+        parameters = Parameters.from_record(medium)
+    if recipe.likelihood.noise_scale == "estimated":
+        parameters = with_noise_scale(parameters)
+    _check_needle(dataset, (*tuned, *held), parameters)
+    problem = TrackProblem(dataset.needle, tuned, medium, parameters, dataset.noise)
+    return TrackTask(one.name, problem, held, recipe)
+
+
+def _check_needle(dataset: TrackDataset, tracks: tuple[Track, ...], parameters: Parameters) -> None:
+    """Refuse a needle whose base would reach the guide."""
+    name = "guide_distance_mm"
+    far = parameters.bounds[name][1] if name in parameters.bounds else parameters.fixed.get(name, 0.0)
+    deepest = max(float(track.depth[-1]) for track in tracks)
+    if far + deepest + 1 >= dataset.needle.length:
+        raise ConfigError(
+            f"a needle of {dataset.needle.length:g} mm is too short for {deepest:.0f} mm of depth and a "
+            f"guide {far:g} mm before the skin",
+            where=locate_key(dataset.path, "needle.length_mm"),
+            fix="write its length, or lessen the bound of guide_distance_mm",
+        )
+
+
+def describe_configuration(
+    name: str, record: TrackStudyRecord, dataset: TrackDataset, tasks: Sequence[TrackTask]
+) -> dict[str, Any]:
+    """Return all that decides the result, as JSON values."""
+    return {
+        "name": name,
+        "versions": package_versions(PACKAGES),
+        "dataset": {
+            "name": dataset.name,
+            "origin": dataset.origin,
+            "sha256": dataset.digest,
+            "notes": list(dataset.notes),
+            "remarks": list(dataset.remarks),
+        },
+        "study": record.model_dump(mode="json", by_alias=True),
+        "recipe": tasks[0].recipe.model_dump(mode="json", by_alias=True),
+        "fits": {
+            one.name: {
+                "medium": one.problem.medium.model_dump(mode="json", by_alias=True),
+                "rules": {**describe_model_options(one.problem.medium), "first_cell": "a whole cell"},
+                "tune": [track.id for track in one.problem.tracks],
+                "validate": [track.id for track in one.held],
+            }
+            for one in tasks
+        },
+    }
+
+
+def summarize_parameters(fit: str, problem: TrackProblem, posterior: Posterior) -> Iterator[Row]:
+    """Yield a row per free parameter: percentiles (Pa, mm), and how far the runs narrowed it."""
+    percentiles, flat = posterior.percentiles(), posterior.draws.reshape(-1, len(posterior.names))
+    widths = dict(zip(problem.names, problem.upper - problem.lower, strict=True))
+    for k, name in enumerate(posterior.names):
+        drawn = np.log(flat[:, k]) if in_logarithm(name) else flat[:, k]
+        sd, stated = float(np.std(drawn)), problem.parameters.prior.sd(name)
+        before = stated if math.isfinite(stated) else float(widths[name]) / math.sqrt(12)
+        heads = (f"p{at:g}".replace(".", "_") for at in PERCENTILES)
+        row: Row = {"fit": fit, "parameter": name, **dict(zip(heads, percentiles[name], strict=True))}
+        yield row | {"sd_ratio": sd / before, "determined": is_small(name, sd, before)}
+
+
+PREDICTION_DRAWS = 400
+"""Parameter sets of which every run is predicted."""
 
 
 @dataclass
-class _Tables:
+class _TrackRows:
     readings: list[Row] = field(default_factory=list)
     runs: list[Row] = field(default_factory=list)
     parameters: list[Row] = field(default_factory=list)
@@ -53,15 +182,15 @@ class _Tables:
     def frames(self) -> dict[str, pd.DataFrame]:
         """The frames of `TrackResults`; without rows they still have their columns."""
         return {
-            "readings": pd.DataFrame(self.readings, columns=list(READINGS)),
-            "runs": pd.DataFrame(self.runs, columns=list(RUNS)),
-            "parameters": pd.DataFrame(self.parameters, columns=list(PARAMETERS)),
+            "readings": pd.DataFrame(self.readings, columns=list(READING_COLUMNS)),
+            "runs": pd.DataFrame(self.runs, columns=list(RUN_COLUMNS)),
+            "parameters": pd.DataFrame(self.parameters, columns=list(PARAMETER_COLUMNS)),
         }
 
 
 @one_thread
 def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults:
-    """Carry out a study of tip tracks; the posterior is always sampled, for what is foretold is made of it.
+    """Carry out a study of tip tracks; the posterior is always sampled, for what is predicted is made of it.
 
     Raises
     ------
@@ -70,23 +199,23 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
     FitError
         If a search finds no point that can be solved.
     """
-    begin, dataset = time.time(), read_tracks(find("dataset", record.dataset))
-    recipe = load(find("recipe", record.recipe), RecipeRecord)
+    begin, dataset = time.time(), read_tracks(find_file("dataset", record.dataset))
+    recipe = load(find_file("recipe", record.recipe), RecipeRecord)
     if settings.seed is not None:
         recipe = recipe.model_copy(update={"seed": settings.seed})
     tasks = [_task(record, n, dataset, recipe) for n in range(len(record.fits))]
     for one in tasks:
-        require_scored(one, record.placed_by_mm)
-    doing = {**work(name, record, dataset, tasks), "draws": DRAWS}
+        require_scored(one, record.registration_depth_mm)
+    doing = {**describe_configuration(name, record, dataset, tasks), "draws": PREDICTION_DRAWS}
     checkpoint = open_checkpoint(settings.checkpoint, settings.resume, doing, settings.note)
-    tables = _Tables()
+    tables = _TrackRows()
     for one in tasks:
-        posterior = _posterior(name, one, settings, checkpoint)
+        posterior = _sample_posterior(name, one, settings, checkpoint)
         if posterior is None or posterior.interrupted:
             break
         tables.posteriors[one.name] = posterior
-        tables.parameters += learned(one.name, one.problem, posterior)
-        _foretell(name, one, posterior, record.placed_by_mm, settings.jobs, tables)
+        tables.parameters += summarize_parameters(one.name, one.problem, posterior)
+        _predict_runs(name, one, posterior, record.registration_depth_mm, settings.jobs, tables)
     return TrackResults(
         name=name,
         record=record,
@@ -95,30 +224,34 @@ def run(name: str, record: TrackStudyRecord, settings: Settings) -> TrackResults
         notes=dataset.notes,
         remarks=dataset.remarks,
         **tables.frames,
-        run={**doing, **stored(_warnings(name, record, dataset, tasks, settings.place("fits")))},
+        run={**doing, **warnings_entry(_find_warnings(name, record, dataset, tasks, settings.place("fits")))},
         timing={"seconds": time.time() - begin, "jobs": settings.jobs, "dataset": str(dataset.path)},
         interrupted=len(tables.posteriors) < len(tasks),
         posteriors=tables.posteriors,
     )
 
 
-def _task(record: TrackStudyRecord, n: int, dataset: TrackDataset, recipe: RecipeRecord) -> Task:
+def _task(record: TrackStudyRecord, n: int, dataset: TrackDataset, recipe: RecipeRecord) -> TrackTask:
     with renamed_keys({"fits": f"fits.{n + 1}"}):
-        return task(record.fits[n], dataset, recipe)
+        return make_task(record.fits[n], dataset, recipe)
 
 
-def _warnings(
-    name: str, record: TrackStudyRecord, dataset: TrackDataset, tasks: Sequence[Task], where: str
+def _find_warnings(
+    name: str, record: TrackStudyRecord, dataset: TrackDataset, tasks: Sequence[TrackTask], where: str
 ) -> list[ResultWarning]:
     shared: dict[str, None] = {}
     for one in tasks:
         held = {track.specimen for track in one.held}
         shared |= dict.fromkeys(track.specimen for track in one.problem.tracks if track.specimen in held)
-    told = [specimen_warning(name, list(shared), where)] if shared and not record.same_specimen else []
-    return [*dataset.warnings, *told]
+    shared_warnings = (
+        [specimen_warning(name, list(shared), where)] if shared and not record.same_specimen else []
+    )
+    return [*dataset.warnings, *shared_warnings]
 
 
-def _posterior(name: str, task: Task, settings: Settings, checkpoint: Checkpoint) -> Posterior | None:
+def _sample_posterior(
+    name: str, task: TrackTask, settings: Settings, checkpoint: Checkpoint
+) -> Posterior | None:
     """Return the posterior of one fit, from the ends of its searches; None if it was stopped before."""
 
     def step(done: int, total: int) -> None:
@@ -126,11 +259,11 @@ def _posterior(name: str, task: Task, settings: Settings, checkpoint: Checkpoint
 
     seed = task.recipe.seed
     watch = Watch(stop=settings.stop, step=step, jobs=settings.jobs)
-    fit = minimize(task.problem, task.recipe, stream(seed, name, task.name, "starts"), watch)
+    fit = minimize(task.problem, task.recipe, random_stream(seed, name, task.name, "starts"), watch)
     if fit.interrupted:
         return None
     ends = [fit.theta, *(start.theta for start in practically_equal(fit) if start.theta != fit.theta)]
-    rng, kept = stream(seed, name, task.name, "posterior"), checkpoint.snapshots(task.name)
+    rng, kept = random_stream(seed, name, task.name, "posterior"), checkpoint.snapshots(task.name)
     try:
         return sample(task.problem, np.array(ends), task.recipe.sample, rng, watch, kept)
     except FitError:
@@ -139,29 +272,32 @@ def _posterior(name: str, task: Task, settings: Settings, checkpoint: Checkpoint
         raise
 
 
-def _foretell(
-    name: str, task: Task, posterior: Posterior, placed_by: float, jobs: int, tables: _Tables
+def _predict_runs(
+    name: str, task: TrackTask, posterior: Posterior, placed_by: float, jobs: int, tables: _TrackRows
 ) -> None:
-    """Add to the tables what every rival makes of the runs of one fit."""
+    """Add to the tables what every method makes of the runs of one fit."""
     problem = task.problem
     held = tuple(track_evidence(track, problem.noise) for track in task.held)
-    for rival in RIVALS:
-        rng = stream(task.recipe.seed, name, task.name, rival)
-        if rival in CURVES:
-            drawn = fit_curve(rival, problem.evidence, task.held, DRAWS, rng)
+    for method in METHODS:
+        rng = random_stream(task.recipe.seed, name, task.name, method)
+        if method in CURVES:
+            drawn = fit_curve(method, problem.evidence, task.held, PREDICTION_DRAWS, rng)
         else:
-            drawn = _modelled(task, posterior, jobs)
-        head: Row = {"fit": task.name, "rival": rival}
-        tables.runs += [{**head, "role": "tune", **row} for row in tuned_rows(problem.evidence, drawn)]
-        for row, readings in foretold(problem.evidence, held, drawn, placed_by, rng):
+            drawn = _draw_model_tips(task, posterior, jobs)
+        head: Row = {"fit": task.name, "method": method}
+        tables.runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(problem.evidence, drawn)]
+        for row, readings in predict_runs(problem.evidence, held, drawn, placed_by, rng):
             tables.runs.append({**head, "role": "validate", **row})
             tables.readings += [{**head, **one} for one in readings]
 
 
-def _modelled(task: Task, posterior: Posterior, jobs: int) -> Drawn:
+def _draw_model_tips(task: TrackTask, posterior: Posterior, jobs: int) -> Drawn:
     """Return the model's draws; those of which a solve fails are left out."""
     problem, tuned = task.problem, len(task.problem.tracks)
-    sets = [problem.values(theta) for theta in from_posterior(posterior, problem.parameters, DRAWS).thetas]
+    sets = [
+        problem.values(theta)
+        for theta in from_posterior(posterior, problem.parameters, PREDICTION_DRAWS).thetas
+    ]
     found = tips(sets, problem.medium, problem.needle, (*problem.tracks, *task.held), jobs)
     good = np.all([np.isfinite(one).all(axis=1) for one in found], axis=0)
     scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])[good]

@@ -1,4 +1,4 @@
-"""How well the readings of one run were foretold by one rival."""
+"""How well the readings of one run were predicted by one method."""
 
 from collections.abc import Iterator, Sequence
 
@@ -14,40 +14,43 @@ from needlefit.validation.score import Row
 Floats = NDArray[np.float64]
 
 
-def tuned_rows(tuned: Sequence[TrackEvidence], drawn: Drawn) -> Iterator[Row]:
-    """Yield what a rival leaves of the runs that it was fitted to."""
+def tabulate_tuned(tuned: Sequence[TrackEvidence], drawn: Drawn) -> Iterator[Row]:
+    """Yield what a method leaves of the runs that it was fitted to."""
     for known, deflection in zip(tuned, drawn.tuned, strict=True):
-        yield {**_about(known.track, len(known.track.tip)), **_aligned(known.track, deflection, 0)}
+        yield {
+            **_describe_track(known.track, len(known.track.tip)),
+            **_aligned_error(known.track, deflection, 0),
+        }
 
 
-def foretold(
+def predict_runs(
     tuned: Sequence[TrackEvidence],
     held: Sequence[TrackEvidence],
     drawn: Drawn,
     placed_by: float,
     rng: np.random.Generator,
 ) -> Iterator[tuple[Row, list[Row]]]:
-    """Yield for every run held out its scores, and its readings beside what was foretold of them."""
+    """Yield for every run held out its scores, and its readings beside what was predicted of them."""
     slope = slopes(drawn, tuned)
     for known, deflection in zip(held, drawn.held, strict=True):
-        placed = placed_readings(known.track, placed_by)
+        placed = count_registration_readings(known.track, placed_by)
         draws = ahead(known, deflection, drawn.scale, slope, placed, rng)
         mixture = Mixture(draws, np.zeros(draws.shape[1]))
-        row = _about(known.track, draws.shape[1]) | _aligned(known.track, deflection, placed)
-        row |= _judged(mixture, known.track.tip[placed:], rng)
-        yield row, list(_readings(known.track, mixture, placed))
+        row = _describe_track(known.track, draws.shape[1]) | _aligned_error(known.track, deflection, placed)
+        row |= _score_prediction(mixture, known.track.tip[placed:], rng)
+        yield row, list(_reading_rows(known.track, mixture, placed))
 
 
-def placed_readings(track: Track, placed_by: float) -> int:
+def count_registration_readings(track: Track, placed_by: float) -> int:
     """Return how many readings of a run say how it lies in the tracker's frame; the others are scored."""
     return max(1, int(np.sum(track.depth <= placed_by)))
 
 
-def _about(track: Track, readings: int) -> Row:
+def _describe_track(track: Track, readings: int) -> Row:
     return {"run": track.id, "medium": track.medium, "specimen": track.specimen, "readings": readings}
 
 
-def _aligned(track: Track, deflection: Floats, placed: int) -> Row:
+def _aligned_error(track: Track, deflection: Floats, placed: int) -> Row:
     """Return what is left between the scored readings and the draws, shift and slope taken from all alike."""
     off = (track.tip - deflection)[:, placed:]  # (B, m)
     taken = np.linalg.qr(frame(track.depth[placed:]))[0]
@@ -55,11 +58,11 @@ def _aligned(track: Track, deflection: Floats, placed: int) -> Row:
     return {"aligned_rms_mm": float(np.sqrt(np.mean(left**2)))}
 
 
-def _judged(mixture: Mixture, measured: Floats, rng: np.random.Generator) -> Row:
+def _score_prediction(mixture: Mixture, measured: Floats, rng: np.random.Generator) -> Row:
     off = quantile(mixture, 0.5) - measured
     level = worst_level(mixture, np.zeros((len(measured), len(measured))), measured, rng)
     row: Row = {"rms_mm": float(np.sqrt(np.mean(off**2))), "end_error_mm": float(off[-1])}
-    row |= {"crps_mm": float(crps(mixture, measured).mean()), "track_level": level}
+    row |= {"crps_mm": float(crps(mixture, measured).mean()), "track_pit": level}
     for wanted in LEVELS:
         name = f"{100 * wanted:.0f}"
         low, high = interval(mixture, wanted)
@@ -69,13 +72,15 @@ def _judged(mixture: Mixture, measured: Floats, rng: np.random.Generator) -> Row
     return row
 
 
-def _readings(track: Track, mixture: Mixture, placed: int) -> Iterator[Row]:
-    told = {"median_mm": quantile(mixture, 0.5)}
+def _reading_rows(track: Track, mixture: Mixture, placed: int) -> Iterator[Row]:
+    predicted = {"median_mm": quantile(mixture, 0.5)}
     for level in LEVELS:
         low, high = interval(mixture, level)
-        told |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
+        predicted |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
     first = track.tip[0]
     for n, (depth, guide, tip) in enumerate(zip(track.depth, track.guide, track.tip, strict=True)):
-        known = {name: float(of[n - placed] - first) if n >= placed else np.nan for name, of in told.items()}
+        known = {
+            name: float(of[n - placed] - first) if n >= placed else np.nan for name, of in predicted.items()
+        }
         about = {"depth_mm": float(depth), "guide_mm": float(guide), "scored": n >= placed}
         yield {"run": track.id, "medium": track.medium, **about, "measured_mm": float(tip - first), **known}

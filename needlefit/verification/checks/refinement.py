@@ -14,8 +14,8 @@ from needlefit.mechanics.simulate import follow
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import MAX_SLOPE
 from needlefit.project.load import load
-from needlefit.project.places import shipped
-from needlefit.project.records.scene import SceneRecord
+from needlefit.project.locate import shipped_folder
+from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import random_case, solved
 from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 
@@ -32,7 +32,7 @@ def error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: Rules) -
 
 def _scenes(rng: np.random.Generator) -> Outcome:
     errors = {}
-    for path in sorted((shipped() / "configs" / "scenes").glob("*.toml")):
+    for path in sorted((shipped_folder() / "configs" / "scenes").glob("*.toml")):
         scene = Scene.from_record(load(path, SceneRecord))
         errors[path.stem] = error(scene.needle, scene.tissue, scene.steps, scene.rules)
     largest = list(errors)[int(np.argmax(list(errors.values())))]

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from needlefit.mechanics.scene import Scene, insert
 from needlefit.mechanics.shape import inserted_points
 from needlefit.project.load import check
-from needlefit.project.records.scene import SceneRecord
+from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import solved
 from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 

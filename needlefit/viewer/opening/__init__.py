@@ -1,22 +1,44 @@
-"""From a name on the command line to what is shown; one file per kind of name."""
+"""From a name on the command line, or a recording, to the scene that is shown."""
 
-from needlefit.project.subjects import Named, find_subject
+from dataclasses import replace
+
+from needlefit.errors import NeedlefitError
+from needlefit.mechanics.scene import Scene
+from needlefit.project.load import load
+from needlefit.project.locate import file_label
+from needlefit.project.view_targets import ViewTarget, find_view_target
+from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.opening.insertion import open_insertion
 from needlefit.viewer.opening.run import open_run
-from needlefit.viewer.opening.scene import open_scene
-from needlefit.viewer.subject import Subject
+from needlefit.viewer.recording import Recording
+from needlefit.viewer.viewed_scene import ViewedScene
 
-DEFAULT = "phantom2"
+
+def open_scene(view_target: ViewTarget) -> ViewedScene:
+    """Return the needle of a scene.
+
+    Raises
+    ------
+    ConfigError
+        If its file has a fault.
+    """
+    record = load(view_target.path, SceneRecord)
+    scene = Scene.from_record(record, file_label(view_target.path))
+    title = record.title or view_target.path.stem
+    return ViewedScene(view_target.name, title, record.note, record, scene.lattice.first_cell)
+
+
+DEFAULT_SCENE = "phantom2"
 """The scene that is shown where nothing is named."""
 
 
-def open_subject(name: str | None, insertion: str | None = None) -> Subject:
+def open_target(name: str | None, insertion: str | None = None) -> ViewedScene:
     """Return what is shown of SCENE, RUN or DATASET/ID.
 
     Parameters
     ----------
     name : str or None
-        None: the scene `DEFAULT`.
+        None: the scene `DEFAULT_SCENE`.
     insertion : str, optional
         Of the run or dataset; by default what `name` says, else the first.
 
@@ -25,10 +47,32 @@ def open_subject(name: str | None, insertion: str | None = None) -> Subject:
     ConfigError, DataError
         If there is no such thing, or it has a fault.
     """
-    named = find_subject(DEFAULT if name is None else name)
-    if insertion is not None and named.kind != "scene":
-        named = Named(named.kind, named.name, named.path, insertion)
-    return _OPENERS[named.kind](named)
+    view_target = find_view_target(DEFAULT_SCENE if name is None else name)
+    if insertion is not None and view_target.kind != "scene":
+        view_target = ViewTarget(view_target.kind, view_target.name, view_target.path, insertion)
+    return _OPENERS[view_target.kind](view_target)
 
 
 _OPENERS = {"scene": open_scene, "run": open_run, "dataset": open_insertion}
+
+
+def open_recording(recording: Recording) -> ViewedScene:
+    """Return the scene of a recording, with what was shown beside it where that is still there unchanged."""
+    head = recording.head
+    alone = ViewedScene(
+        head.target,
+        head.scene.title or head.target,
+        "Opened from a recording.",
+        head.scene,
+        head.first_cell_mm,
+        head.placement,
+    )
+    try:
+        found = open_target(head.target)
+    except NeedlefitError as error:
+        return replace(alone, note=f"{alone.note} What was shown beside it is not found: {error.what}.")
+    if found.record != head.scene:
+        return replace(
+            alone, note=f"{alone.note} {head.target} has changed since and is not shown beside it."
+        )
+    return replace(found, first_cell=head.first_cell_mm)

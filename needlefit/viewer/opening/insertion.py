@@ -1,4 +1,4 @@
-"""A measured insertion as what is shown."""
+"""Show a measured insertion: its parameters at the start, and where its needle lies."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,23 +6,111 @@ from dataclasses import dataclass
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import noise_floor
 from needlefit.datasets.read import read
+from needlefit.geometry.placement import Placement, carried
 from needlefit.inference.as_scene import as_scene
+from needlefit.inference.comparison import target
+from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.shape import NeedleShape, positions
 from needlefit.mechanics.simulate import follow
 from needlefit.project.load import load
-from needlefit.project.places import find, unknown_name
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.records.recipe import RecipeRecord
-from needlefit.project.streams import stream
-from needlefit.project.subjects import Named
-from needlefit.viewer.opening.placement import placement_of
-from needlefit.viewer.opening.start import beginning
-from needlefit.viewer.overlay.measured import measured_of
-from needlefit.viewer.overlay.slice import scanned
-from needlefit.viewer.subject import Subject
+from needlefit.project.locate import find_file, list_names, unknown_name_error
+from needlefit.project.random_streams import random_stream
+from needlefit.project.view_targets import ViewTarget
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.schemas.recipe import RecipeRecord
+from needlefit.schemas.recording import PlacementRecord
+from needlefit.validation import paper
+from needlefit.validation.job import hand_tuned_set
+from needlefit.validation.needles_in_scan import NEEDLE_POINTS, align_with_measured
+from needlefit.viewer.overlay.measured import make_measured_overlay
+from needlefit.viewer.overlay.slice import find_scan
+from needlefit.viewer.viewed_scene import ViewedScene
+
+DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
+"""Of every layer of a medium that nobody described: the paper's softer material, about its bevel offset."""
 
 
-def open_insertion(named: Named) -> Subject:
+@dataclass(frozen=True)
+class StartParameters:
+    """A medium, a value of each of its parameters (Pa, mm), and in words where they come from."""
+
+    medium: MediumRecord
+    values: Mapping[str, float]
+    description: str
+
+
+def choose_start_parameters(insertion: Insertion) -> StartParameters:
+    """Return the paper's hand-tuned set of the insertion's medium, else the middle of what is known of it.
+
+    Media are described in configs/media by the name that the dataset gives them.
+    """
+    name, met = insertion.medium, max(insertion.sequence)
+    medium = load(find_file("medium", name), MediumRecord) if name in list_names("medium") else None
+    if medium is None or medium.layers < met:
+        return _make_default_medium(name, met)
+    parameters = Parameters.from_record(medium)
+    if name in paper.read_hand_tuned_names():
+        values = hand_tuned_set(name, parameters, name)
+        return StartParameters(medium, values, f"Parameters: the paper's hand-tuned set {name}.")
+    description = f"Parameters: no fit, the middle of the priors and bounds of medium {name}."
+    return StartParameters(medium, _middle_of_bounds(parameters), description)
+
+
+def _middle_of_bounds(parameters: Parameters) -> dict[str, float]:
+    """Return the peak of the prior where one is stated, else the middle of the bounds, of every parameter."""
+    theta = 0.5 * (parameters.lower + parameters.upper)
+    for name, mean in zip(parameters.prior.names, parameters.prior.mean, strict=True):
+        theta[parameters.free.index(name)] = mean
+    return parameters.values(theta)
+
+
+def _make_default_medium(name: str, layers: int) -> StartParameters:
+    numbers = range(1, layers + 1)
+    values = {
+        key: value
+        for n in numbers
+        for key, value in ((f"mu{n}_pa", DEFAULT_MU_PA), (f"alpha{n}", DEFAULT_ALPHA))
+    }
+    values["bevel_mm"] = DEFAULT_BEVEL_MM
+    medium = MediumRecord(
+        schema_=1,
+        title=name,
+        layers=layers,
+        parameters={key: ParameterRecord(fixed=value) for key, value in values.items()},
+    )
+    description = (
+        f"Parameters: invented, because no medium {name} of {layers} layer{'s' if layers > 1 else ''} is "
+        "described in configs/media."
+    )
+    return StartParameters(medium, values, description)
+
+
+def find_placement(dataset: Dataset, insertion: Insertion, shape: NeedleShape) -> PlacementRecord | None:
+    """Return where the constraint frame of a simulated needle lies: where a run's files for Slicer have it.
+
+    Parameters
+    ----------
+    shape : NeedleShape
+        The needle at the measured depth. Where shapes are known only up to a rigid motion, this one is laid
+        on the measured one, and what is steered from then on lies in the frame in which it came to lie.
+
+    Returns
+    -------
+    PlacementRecord or None
+        None where such a needle was not found.
+    """
+    frame = insertion.frame
+    if dataset.pose == "free":
+        if not shape.converged:
+            return None
+        s = target(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
+        points = positions(shape, s)
+        frame = carried(frame, points, align_with_measured(insertion, s, points))
+    return Placement(frame, insertion.patient).to_record()
+
+
+def open_insertion(view_target: ViewTarget) -> ViewedScene:
     """Return a measured insertion, by default the first of its dataset, with parameters to be tuned by hand.
 
     Raises
@@ -32,26 +120,28 @@ def open_insertion(named: Named) -> Subject:
     ConfigError
         If it has no such insertion; the nearest are listed.
     """
-    dataset = read(named.path)
-    insertion = choose(dataset.insertions, named, f"insertion of {dataset.name}")
-    begun = beginning(insertion)
-    seed = load(find("recipe", "default"), RecipeRecord).seed
-    shown = Shown(dataset, insertion, begun.medium, begun.values, seed)
-    return subject_of(shown, named.name, begun.said, tuple(one.id for one in dataset.insertions))
+    dataset = read(view_target.path)
+    insertion = choose_insertion(dataset.insertions, view_target, f"insertion of {dataset.name}")
+    begun = choose_start_parameters(insertion)
+    seed = load(find_file("recipe", "default"), RecipeRecord).seed
+    shown = ShownInsertion(dataset, insertion, begun.medium, begun.values, seed)
+    return make_viewed_scene(
+        shown, view_target.name, begun.description, tuple(one.id for one in dataset.insertions)
+    )
 
 
-def choose(insertions: tuple[Insertion, ...], named: Named, kind: str) -> Insertion:
+def choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget, kind: str) -> Insertion:
     """Return the insertion that was named, or the first; ConfigError where there is no such one."""
     by_id = {insertion.id: insertion for insertion in insertions}
-    if named.insertion is None:
+    if view_target.insertion is None:
         return insertions[0]
-    if named.insertion not in by_id:
-        raise unknown_name(kind, named.insertion, list(by_id), "")
-    return by_id[named.insertion]
+    if view_target.insertion not in by_id:
+        raise unknown_name_error(kind, view_target.insertion, list(by_id), "")
+    return by_id[view_target.insertion]
 
 
 @dataclass(frozen=True)
-class Shown:
+class ShownInsertion:
     """A measured insertion, and the parameters (Pa, mm) with which its needle is shown.
 
     `seed` is that of the draws of its noise floor, so that it is the one of studies.
@@ -64,24 +154,26 @@ class Shown:
     seed: int
 
 
-def subject_of(shown: Shown, name: str, said: str, choices: tuple[str, ...]) -> Subject:
+def make_viewed_scene(
+    shown: ShownInsertion, name: str, description: str, choices: tuple[str, ...]
+) -> ViewedScene:
     """Return what is shown of an insertion; `name` is that of its dataset or run."""
     dataset, insertion = shown.dataset, shown.insertion
     title = f"{insertion.id} · {dataset.title}"
     record = as_scene(shown.values, shown.medium, dataset, insertion, title)
     scene = Scene.from_record(record, f"{name}/{insertion.id}")
     shape = follow(scene.needle, scene.tissue, scene.steps, scene.rules)
-    floor = noise_floor(dataset, insertion, stream(shown.seed, "noise floor", insertion.id))
-    scan, lacking = scanned(dataset, insertion)
-    return Subject(
+    floor = noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
+    scan, lacking = find_scan(dataset, insertion)
+    return ViewedScene(
         name=f"{name}/{insertion.id}",
         title=title,
-        note=f"{said} {lacking}".rstrip(),
+        note=f"{description} {lacking}".rstrip(),
         record=record,
         first_cell=scene.lattice.first_cell,
-        placement=placement_of(dataset, insertion, shape),
+        placement=find_placement(dataset, insertion, shape),
         synthetic=dataset.origin == "synthetic",
-        measured=measured_of(dataset, insertion, floor.te_mm, shape),
+        measured=make_measured_overlay(dataset, insertion, floor.te_mm, shape),
         scanned=scan,
         choices=choices,
         warnings=dataset.warnings,

@@ -1,4 +1,4 @@
-"""An insertion as a run fitted it, or foretold it, as what is shown."""
+"""Show an insertion with the parameters that a run fitted."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -12,27 +12,27 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import DataError
 from needlefit.inference.as_scene import layers_met
-from needlefit.project.places import find
-from needlefit.project.reading import stored_values
-from needlefit.project.records.medium import MediumRecord
-from needlefit.project.subjects import Named
+from needlefit.project.input_files import convert_stored_errors
+from needlefit.project.locate import find_file
+from needlefit.project.view_targets import ViewTarget
+from needlefit.schemas.medium import MediumRecord
 from needlefit.validation.packing import unpack
 from needlefit.validation.results import Results
-from needlefit.validation.stored import restore
-from needlefit.viewer.opening.insertion import Shown, choose, subject_of
-from needlefit.viewer.overlay.band import Spread, spread_of
-from needlefit.viewer.subject import Subject
+from needlefit.validation.stored import restore_results
+from needlefit.viewer.opening.insertion import ShownInsertion, choose_insertion, make_viewed_scene
+from needlefit.viewer.overlay.band import ParameterDraws, select_layer_draws
+from needlefit.viewer.viewed_scene import ViewedScene
 
-DRAWS = 100
+MAX_BAND_DRAWS = 100
 """Needles of a band."""
 
-FITTED = "fitted"
-"""The rival whose parameters are shown."""
+SHOWN_METHOD = "fitted"
+"""The method whose parameters are shown."""
 
-_CROSSED = "Its layers lie where it was measured to cross them. "
+_LAYERS_NOTE = "Its layers lie where it was measured to cross them. "
 
 
-def open_run(named: Named) -> Subject:
+def open_run(view_target: ViewTarget) -> ViewedScene:
     """Return an insertion with the parameters of a run, by default the first that its fit never saw.
 
     Raises
@@ -42,74 +42,84 @@ def open_run(named: Named) -> Subject:
     ConfigError
         If it has no such insertion; the nearest are listed.
     """
-    with stored_values(named.path):
-        return _opened(named)
+    with convert_stored_errors(view_target.path):
+        return _open(view_target)
 
 
-def _opened(named: Named) -> Subject:
-    _require_fit(named.path)
-    results = restore(named.path)
-    dataset = _unchanged(results, named.path)
-    roles = _roles(results)
+def _open(view_target: ViewTarget) -> ViewedScene:
+    _require_fit(view_target.path)
+    results = restore_results(view_target.path)
+    dataset = _read_unchanged_dataset(results, view_target.path)
+    roles = _find_roles(results)
     by_id = {insertion.id: insertion for insertion in dataset.insertions}
-    insertion = choose(tuple(by_id[id_] for id_ in roles), named, f"insertion of run {named.name}")
+    insertion = choose_insertion(
+        tuple(by_id[id_] for id_ in roles), view_target, f"insertion of run {view_target.name}"
+    )
     role = roles[insertion.id]
     draws = results.draws[results.draws["fold"] == role.fold]
-    shown = Shown(
+    shown = ShownInsertion(
         dataset=dataset,
         insertion=insertion,
         medium=MediumRecord.model_validate(results.run["medium"]),
-        values=_values(results, role.fold, named.path),
+        values=_fitted_values(results, role.fold, view_target.path),
         seed=results.run["recipe"]["seed"],
     )
-    crossed = _CROSSED if len(insertion.boundaries) else ""
-    said = f"Parameters: fitted by {results.name}, {role.said}. {crossed}{_told(draws)}"
-    subject = subject_of(shown, named.name, said, tuple(roles))
-    return subject if draws.empty else replace(subject, spread=_spread(draws, insertion))
+    crossed = _LAYERS_NOTE if len(insertion.boundaries) else ""
+    description = (
+        f"Parameters: fitted by {results.name}, {role.description}. {crossed}{_describe_band(draws)}"
+    )
+    viewed_scene = make_viewed_scene(shown, view_target.name, description, tuple(roles))
+    return viewed_scene if draws.empty else replace(viewed_scene, spread=_select_band_draws(draws, insertion))
 
 
-def _spread(draws: pd.DataFrame, insertion: Insertion) -> Spread:
+def _select_band_draws(draws: pd.DataFrame, insertion: Insertion) -> ParameterDraws:
     """Return some of the draws, evenly spread over all, for the layers that an insertion meets."""
-    chosen = draws.iloc[np.linspace(0, len(draws) - 1, min(DRAWS, len(draws))).astype(np.int64)]
-    return spread_of(chosen, [layer for _, layer in layers_met(insertion)])
+    chosen = draws.iloc[np.linspace(0, len(draws) - 1, min(MAX_BAND_DRAWS, len(draws))).astype(np.int64)]
+    return select_layer_draws(chosen, [layer for _, layer in layers_met(insertion)])
 
 
 @dataclass(frozen=True)
-class _Role:
+class _InsertionRole:
     """In which fold an insertion stands, and as what."""
 
     fold: str
-    said: str
+    description: str
 
 
-def _roles(results: Results) -> dict[str, _Role]:
+def _find_roles(results: Results) -> dict[str, _InsertionRole]:
     """Return the role of every insertion of a run by its id, those first that a fit never saw."""
     folds: list[Mapping[str, Any]] = results.run["folds"]
-    held = {id_: _Role(fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]}
-    tuned = {id_: _Role(fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]}
+    held = {
+        id_: _InsertionRole(fold["name"], "which never saw it") for fold in folds for id_ in fold["validate"]
+    }
+    tuned = {
+        id_: _InsertionRole(fold["name"], "on this needle too") for fold in folds for id_ in fold["tune"]
+    }
     return held | {id_: role for id_, role in tuned.items() if id_ not in held}
 
 
-def _values(results: Results, fold: str, where: Path) -> dict[str, float]:
+def _fitted_values(results: Results, fold: str, where: Path) -> dict[str, float]:
     """Return the fitted value of every parameter (Pa, mm)."""
     rows = results.parameters
-    rows = rows[(rows["fold"] == fold) & (rows["rival"] == FITTED)]
+    rows = rows[(rows["fold"] == fold) & (rows["method"] == SHOWN_METHOD)]
     if rows.empty:
         raise DataError(
             "its fit found no parameters with which every needle can be solved",
             where=str(where),
             expected="a run whose fit ended",
-            mend="look at its report, or run it again",
+            fix="look at its report, or run it again",
         )
     return dict(zip(rows["parameter"], rows["value"].astype(float), strict=True))
 
 
-def _told(draws: pd.DataFrame) -> str:
+def _describe_band(draws: pd.DataFrame) -> str:
     """Return what there is to say of the band."""
     if draws.empty:
         return "No band: the run stored no draws of its parameters, as it was interrupted."
     first = draws.iloc[0]
-    how = {"posterior": "of its sampled posterior", "importance": "weighed about its fit"}[first["from"]]
+    how = {"posterior": "of its sampled posterior", "importance": "weighed about its fit"}[
+        first["draw_source"]
+    ]
     doubt = "" if first["certified"] else "; they have not converged, so its width is not to be trusted"
     return f"Band: 95 % of the needles of draws {how}{doubt}."
 
@@ -121,18 +131,18 @@ def _require_fit(folder: Path) -> None:
             f"is a run of another kind ({kind}): it has no fitted needle to show",
             where=str(folder),
             expected="a run of tune or validate that fits the shapes of needles",
-            mend="name such a run, or a scene or an insertion of a dataset",
+            fix="name such a run, or a scene or an insertion of a dataset",
         )
 
 
-def _unchanged(results: Results, where: Path) -> Dataset:
+def _read_unchanged_dataset(results: Results, where: Path) -> Dataset:
     """Return the data of a run; DataError if they are not what it was fitted to."""
-    dataset = read(find("dataset", results.record.dataset))
+    dataset = read(find_file("dataset", results.record.dataset))
     if dataset.digest != results.run["dataset"]["sha256"]:
         raise DataError(
             f"its dataset, {dataset.name}, has changed since",
             where=str(where),
             expected=f"{dataset.path} as it was then",
-            mend=f"run {results.name} again, or restore the data",
+            fix=f"run {results.name} again, or restore the data",
         )
     return dataset

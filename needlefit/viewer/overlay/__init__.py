@@ -1,1 +1,1 @@
-"""What lies over the needle: a measured one with its errors, the band of a fit, the slice of a scan."""
+"""Overlays of the simulated needle: a measured needle, the band of a fit, the slice of a scan."""

@@ -1,8 +1,8 @@
 """Where a fit says that the needle is, as surely as the data know the parameters.
 
-The band is that of `validation/placed.py`: the central 95 % of the needles of draws of the parameters, led as
-the hand led this one. Neither the noise of measured points, nor errors of the layers' places, nor what the
-model misses is in it.
+The band is that of `validation/needles_in_scan.py`: the central 95 % of the needles of draws of the
+parameters, led as the user steered this one. Neither the noise of measured points, nor errors of the layers'
+places, nor what the model misses is in it.
 """
 
 from collections.abc import Sequence
@@ -17,13 +17,13 @@ from needlefit.mechanics.control import Rules, Step
 from needlefit.mechanics.lanes import follow_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
-from needlefit.validation.placed import CENTRAL, STATIONS
+from needlefit.validation.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
 
 Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class Spread:
+class ParameterDraws:
     """Draws of the parameters, as the layers of one insertion have them.
 
     Attributes
@@ -60,25 +60,30 @@ class NeedleBand:
     failed: int
 
 
-def spread_of(draws: pd.DataFrame, layers: Sequence[int]) -> Spread:
+def select_layer_draws(draws: pd.DataFrame, layers: Sequence[int]) -> ParameterDraws:
     """Return draws (a column per parameter; Pa, mm) as the layers that a needle meets have them.
 
     `layers` are their numbers, from 1, in the order in which they are met.
     """
-    return Spread(
+    return ParameterDraws(
         mu=np.column_stack([draws[f"mu{layer}_pa"] * 1e-6 for layer in layers]),
         alpha=np.column_stack([draws[f"alpha{layer}"] for layer in layers]),
         offset=draws["bevel_mm"].to_numpy(dtype=np.float64),
     )
 
 
-def band(
-    spread: Spread, needle: Needle, tissue: Tissue, steps: tuple[Step, ...], rules: Rules, first_cell: float
+def compute_band(
+    spread: ParameterDraws,
+    needle: Needle,
+    tissue: Tissue,
+    steps: tuple[Step, ...],
+    rules: Rules,
+    first_cell: float,
 ) -> NeedleBand | None:
     """Return the band of a needle that was led through `steps`; None where it has no width to show.
 
     Every draw replaces moduli and alphas of all layers and the bevel offset of all steps; the layers stay
-    where they are, guides and base where the hand holds them. Runs on one core, and lets the interpreter go.
+    where they are, guides and base where the user holds them. Runs on one core, and lets the interpreter go.
 
     Parameters
     ----------
@@ -105,8 +110,8 @@ def band(
         offset=spread.offset,
     )
     (shapes,) = follow_batches([led], threads=1)
-    found = positions_each(shapes, np.linspace(0.0, depth, STATIONS))[shapes.converged]  # (B, K, 2)
+    found = positions_each(shapes, np.linspace(0.0, depth, NEEDLE_POINTS))[shapes.converged]  # (B, K, 2)
     if not len(found):
         return None
-    low, _, high = np.percentile(found[:, :, 1], CENTRAL, axis=0)
+    low, _, high = np.percentile(found[:, :, 1], BAND_PERCENTILES, axis=0)
     return NeedleBand(np.median(found[:, :, 0], axis=0), low, high, len(shapes) - len(found))

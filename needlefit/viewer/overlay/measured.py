@@ -1,4 +1,4 @@
-"""A measured needle beside the one in somebody's hand, and how far they lie apart at this moment."""
+"""A measured needle, and its distance from the simulated one at this step."""
 
 import math
 from dataclasses import dataclass
@@ -15,17 +15,17 @@ from needlefit.mechanics.shape import NeedleShape, positions
 
 Floats = NDArray[np.float64]
 
-AT_DEPTH = 1e-6
+DEPTH_TOLERANCE_MM = 1e-6
 """A needle this near to the measured depth, mm, has reached it."""
 
-LEAST = 1.0
+MIN_COMPARED_MM = 1.0
 """Of less than this in common, mm, nothing is said."""
 
 _FRACTIONS = np.linspace(0.0, 1.0, STATIONS)
 
 
 @dataclass(frozen=True)
-class Measured:
+class MeasuredOverlay:
     """A measured needle, ready to be compared with many simulated ones.
 
     Attributes
@@ -83,7 +83,9 @@ class LiveErrors:
     floor: float | None
 
 
-def measured_of(dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape) -> Measured:
+def make_measured_overlay(
+    dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape
+) -> MeasuredOverlay:
     """Return an insertion as it is compared.
 
     Parameters
@@ -101,32 +103,32 @@ def measured_of(dataset: Dataset, insertion: Insertion, floor: float, shape: Nee
         if shape.converged:
             points = align_rigid(points, positions(shape, s))
     stated = None if math.isnan(floor) else floor
-    return Measured(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
+    return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
 
 
-def live_errors(measured: Measured, shape: NeedleShape) -> LiveErrors | None:
+def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveErrors | None:
     """Return how far a needle lies from the measured one.
 
     None where that cannot be said: the needle was not found, has hardly begun, or is not as deep as a
     measured one of which only the shape is known.
     """
     upto = min(shape.depth, measured.depth)
-    if not shape.converged or upto < LEAST:
+    if not shape.converged or upto < MIN_COMPARED_MM:
         return None
     beyond = shape.depth - measured.depth
-    whole = abs(beyond) <= AT_DEPTH
+    whole = abs(beyond) <= DEPTH_TOLERANCE_MM
     if whole:
         curve = curve_of(shape)
         errors = compare(*scored(measured.target, lambda s: curve(s + beyond)))
     elif measured.target.pose == "known":
-        errors = _in_common(measured, shape, upto)
+        errors = _compare_common_length(measured, shape, upto)
     else:
         return None
     edp = errors.edp if math.isfinite(errors.edp) else None
     return LiveErrors(errors.te, errors.mean, errors.maximum, edp, upto, whole, measured.floor)
 
 
-def _in_common(measured: Measured, shape: NeedleShape, upto: float) -> CurveErrors:
+def _compare_common_length(measured: MeasuredOverlay, shape: NeedleShape, upto: float) -> CurveErrors:
     """Compare both needles up to the same inserted length."""
     s = upto * _FRACTIONS
     seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])

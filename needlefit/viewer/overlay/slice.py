@@ -6,16 +6,16 @@ import numpy as np
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.volumes import ScanVolume, volume_of
-from needlefit.imaging.views import OUTSIDE, in_bending_plane
-from needlefit.imaging.volume import installed, read
-from needlefit.project.reading import is_there
+from needlefit.imaging.views import ENTRY_MARGIN_MM, render_bending_plane
+from needlefit.imaging.volume_files import ct_packages_installed, read_volume
+from needlefit.project.input_files import path_exists
 
-BESIDE = 25.0
+SLICE_HALF_WIDTH_MM = 25.0
 """How far the slice reaches to both sides of the needle, mm."""
 
 
 @dataclass(frozen=True)
-class Scanned:
+class InsertionScan:
     """A measured needle and the scan in which it was seen."""
 
     volume: ScanVolume
@@ -23,14 +23,14 @@ class Scanned:
 
 
 @dataclass(frozen=True)
-class Slice:
+class ScanSlice:
     """A slice as PNG, and its edges in C: left, right, bottom, top, mm."""
 
     png: bytes
     extent: tuple[float, float, float, float]
 
 
-def scanned(dataset: Dataset, insertion: Insertion) -> tuple[Scanned | None, str]:
+def find_scan(dataset: Dataset, insertion: Insertion) -> tuple[InsertionScan | None, str]:
     """Return the scan of an insertion, or none and, where one could be expected, in words why.
 
     Raises
@@ -41,14 +41,14 @@ def scanned(dataset: Dataset, insertion: Insertion) -> tuple[Scanned | None, str
     volume = volume_of(dataset, insertion.id)
     if volume is None:
         return None, ""
-    if not installed():
+    if not ct_packages_installed():
         return None, "No slice of the scan: it takes pip install 'needlefit[ct]'."
-    if not is_there(volume.path):
+    if not path_exists(volume.path):
         return None, f"No slice of the scan: it is not at {volume.path} any more, where volumes.csv has it."
-    return Scanned(volume, insertion), ""
+    return InsertionScan(volume, insertion), ""
 
 
-def slice_of(one: Scanned) -> Slice:
+def read_slice(one: InsertionScan) -> ScanSlice:
     """Read a scan and return the slice along its needle: some seconds where the scan is large.
 
     It follows the needle through the thickness, so that a needle bent out of its plane stays in it; before
@@ -62,8 +62,8 @@ def slice_of(one: Scanned) -> Slice:
     from needlefit.reporting.figures.pictures import png  # the page is there before a slice is asked for
 
     insertion = one.insertion
-    shaft = insertion.frame.to_world(np.array([[-OUTSIDE, 0.0, 0.0]]))
+    shaft = insertion.frame.to_world(np.array([[-ENTRY_MARGIN_MM, 0.0, 0.0]]))
     needle = insertion.patient.to_local(np.concatenate([shaft, insertion.centerline]))
-    volume = read(one.volume.path, one.volume.series)
-    view = in_bending_plane(volume, insertion.patient, insertion.frame, needle, BESIDE)
-    return Slice(png(view), view.extent)
+    volume = read_volume(one.volume.path, one.volume.series)
+    view = render_bending_plane(volume, insertion.patient, insertion.frame, needle, SLICE_HALF_WIDTH_MM)
+    return ScanSlice(png(view), view.extent)

@@ -10,7 +10,7 @@ const GONE =
   "This is a new needle: the program no longer has the one that this page held. Its recording is kept.";
 const STRANGER = 4401; // closed by the server: it does not know the token
 
-const line = new Worker("/page/line.js", { type: "module" });
+const worker = new Worker("/page/socket_worker.js", { type: "module" });
 const mailbox = makeMailbox();
 let opening = false; // whether a socket is open or will be
 let timer = 0;
@@ -40,7 +40,7 @@ export function open() {
   sentAt.clear();
   const address = new URL("/ws", location.origin.replace("http", "ws")).href;
   const hello = JSON.stringify({ do: "hello", id: 0, token: token(), needle: needle() });
-  line.postMessage({ address, hello, mailbox });
+  worker.postMessage({ address, hello, mailbox });
 }
 
 /** Send an input that happened at `at` (ms, as events have it). Returns its id, or null without a line. */
@@ -51,7 +51,7 @@ export function send(message, at = null) {
   }
   lastId += 1;
   if (at !== null) sentAt.set(lastId, at);
-  line.postMessage({ text: JSON.stringify({ ...message, id: lastId }) });
+  worker.postMessage({ text: JSON.stringify({ ...message, id: lastId }) });
   return lastId;
 }
 
@@ -73,7 +73,7 @@ export function answered(id) {
   return oldest;
 }
 
-line.onmessage = ({ data }) => {
+worker.onmessage = ({ data }) => {
   receive();
   if (data.text) hear(JSON.parse(data.text));
   if (data.closed) lost(data.closed);
@@ -98,7 +98,7 @@ function welcome(name) {
 
 /** The server ends it: another window has the needle, or the program stops. */
 function leave({ kind, what = null }) {
-  line.postMessage({ close: true });
+  worker.postMessage({ close: true });
   down({ why: kind, what });
   if (kind === "taken") return;
   farewell = what;
@@ -120,7 +120,7 @@ function down(said) {
 function readdressed() {
   const before = sessionStorage.getItem("needlefit.token");
   if (now.connected && token() === before) return;
-  line.postMessage({ close: true });
+  worker.postMessage({ close: true });
   opening = now.connected = false;
   wait = FIRST_WAIT;
   open();

@@ -1,7 +1,7 @@
 /** The picture: a background, drawn when the view or the tissue changes, and a foreground of every frame. */
 
 import { paintAxes } from "./painters/axes.js";
-import { paintBase, paintGuides } from "./painters/holds.js";
+import { paintBase, paintGuides } from "./painters/supports.js";
 import { paintLoad } from "./painters/load.js";
 import { paintNeedle, paintPath, paintPoints, paintTip } from "./painters/needle.js";
 import { paintBand, paintMeasured } from "./painters/overlay.js";
@@ -93,7 +93,7 @@ listen("band", invalidate);
 listen("slice", touch);
 let fitted = null;
 listen("state", () => {
-  if (fitted === now.scene.subject) return;
-  fitted = now.scene.subject;
+  if (fitted === now.scene.target) return;
+  fitted = now.scene.target;
   fit(view.fit ?? (now.scene.measured ? "tissue" : "whole"));
 });

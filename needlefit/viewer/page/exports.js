@@ -44,8 +44,8 @@ async function ask(file) {
 async function reason(answer) {
   const said = await answer.text();
   try {
-    const { what, expected, mend } = JSON.parse(said);
-    return [what, expected && `expected ${expected}`, mend].filter(Boolean).join("; ");
+    const { what, expected, fix } = JSON.parse(said);
+    return [what, expected && `expected ${expected}`, fix].filter(Boolean).join("; ");
   } catch {
     return said || answer.statusText;
   }

@@ -34,7 +34,7 @@ function makeRow({ item, name: called = numbered(item) }) {
 }
 
 function take(item) {
-  change([["guide_holds", item, 0]]);
+  change([["guide_engaged", item, 0]]);
   document.getElementById("add-guide").focus(); // its own button is about to go
 }
 

@@ -1,9 +1,9 @@
 /** The keyboard: what each key does, and the list of it. */
 
 import * as act from "./actions.js";
-import { describe } from "./described.js";
+import { describe } from "./description.js";
 import { belongs } from "./focus.js";
-import { holds, press, release, releaseAll } from "./holding.js";
+import { holds, press, release, releaseAll } from "./held_keys.js";
 import { halt } from "./steering.js";
 import { now } from "./store.js";
 import { pressed } from "./toolbar.js";

@@ -1,7 +1,7 @@
 /** Starts the page: the line to the server, the picture, and everything that is told beside it. */
 
 import { open } from "./connection.js";
-import * as described from "./described.js";
+import * as described from "./description.js";
 import { paint } from "./drawing.js";
 import "./exports.js";
 import * as frames from "./frames.js";

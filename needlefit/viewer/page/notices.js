@@ -10,9 +10,9 @@ const text = document.getElementById("banner-text");
 const act = document.getElementById("banner-act");
 let fading = 0;
 
-/** Say what was refused and how to mend it, until it is read. */
-function refuse({ what, expected, mend }) {
-  const parts = [what, expected && `Expected: ${expected}.`, mend && `To mend it: ${mend}.`].filter(Boolean);
+/** Say what was refused and how to fix it, until it is read. */
+function refuse({ what, expected, fix }) {
+  const parts = [what, expected && `Expected: ${expected}.`, fix && `To fix it: ${fix}.`].filter(Boolean);
   refusal.replaceChildren(...parts.map((part, i) => written(i ? "span" : "strong", part)));
   clearTimeout(fading);
   fading = setTimeout(() => refusal.replaceChildren(), LASTS);

@@ -1,6 +1,6 @@
 /** Where the needle is outside what the model assumes, words say so: beside the numbers, and once aloud. */
 
-import { say } from "./speech.js";
+import { say } from "./announcements.js";
 import { listen } from "./store.js";
 
 let told = false; // of this needle

@@ -1,1 +1,1 @@
-"""The way between a page and its needle: the server, its door, one window after the other."""
+"""The server of the interactive simulation: access control, connections, and one trial for each window."""

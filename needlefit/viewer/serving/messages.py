@@ -1,4 +1,4 @@
-"""What the page may say, read with distrust."""
+"""Decode the page's messages, and check every value."""
 
 import json
 import math
@@ -6,19 +6,19 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from needlefit.errors import ModelError
-from needlefit.viewer.hand.inputs import Change
+from needlefit.viewer.interaction.inputs import Change
 
-DOES = frozenset(
+ACTIONS = frozenset(
     ("hello", "change", "move", "halt", "frame", "undo", "redo", "reset", "play", "replay", "show")
 )
 
-MOST_CHANGES = 64
+MAX_CHANGES = 64
 """Inputs that one message may set."""
 
-FASTEST = 1000.0
+MAX_SPEED_MM_S = 1000.0
 """mm/s."""
 
-MOST_TIMES = 1000.0
+MAX_REPLAY_SPEED = 1000.0
 """As fast as recorded, so many times."""
 
 
@@ -29,11 +29,11 @@ class Message:
     Attributes
     ----------
     do : str
-        One of `DOES`.
+        One of `ACTIONS`.
     id : int
         The page's own number of it; answers name it.
     changes : tuple of Change
-    said : dict
+    content : dict
         Whatever else it says.
     fault : ModelError or None
         Why it cannot be carried out.
@@ -42,12 +42,12 @@ class Message:
     do: str
     id: int = 0
     changes: tuple[Change, ...] = ()
-    said: dict[str, Any] = field(default_factory=dict)
+    content: dict[str, Any] = field(default_factory=dict)
     fault: ModelError | None = None
 
     def number(self, key: str, default: float | None = None, most: float = math.inf) -> float:
         """Return a finite number that the message must hold, unless there is a default."""
-        value = self.said.get(key, default)
+        value = self.content.get(key, default)
         found = _finite(value)
         if found is None or abs(found) > most:
             upto = f", at most {most:g}" if math.isfinite(most) else ""
@@ -56,45 +56,49 @@ class Message:
 
     def text(self, key: str) -> str:
         """Return a text; empty if the message holds none."""
-        value = self.said.get(key)
+        value = self.content.get(key)
         return value if isinstance(value, str) else ""
 
     @property
     def gesture(self) -> int | None:
         """Which gesture it belongs to, if any."""
-        value = self.said.get("gesture")
+        value = self.content.get("gesture")
         return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
-def read(text: str) -> Message:
+def read_message(text: str) -> Message:
     """Return the message in a text.
 
-    It has a fault if it is no JSON, or asks for an unknown verb, an input that does not exist, or one that
-    is not finite; its number is then told where it can be.
+    It has a fault if it is no JSON, or asks for an unknown action, an input that does not exist, or one that
+    is not finite; the reply names its number where it can be read.
     """
     try:
-        said = json.loads(text)
+        content = json.loads(text)
     except (ValueError, RecursionError):
-        said = None
-    if not isinstance(said, dict):
+        content = None
+    if not isinstance(content, dict):
         return Message(
             "", fault=ModelError("the message is no JSON", expected="an object with `do` and `id`")
         )
-    identity = said.get("id")
+    identity = content.get("id")
     number = identity if type(identity) is int else 0
     try:
-        if not isinstance(said.get("do"), str) or said["do"] not in DOES or type(identity) is not int:
+        if (
+            not isinstance(content.get("do"), str)
+            or content["do"] not in ACTIONS
+            or type(identity) is not int
+        ):
             raise ModelError(
-                "the message says nothing to do", expected=f"`id`, and `do`: {', '.join(sorted(DOES))}"
+                "the message says nothing to do", expected=f"`id`, and `do`: {', '.join(sorted(ACTIONS))}"
             )
-        return Message(said["do"], number, _changes(said.get("set", [])), said)
+        return Message(content["do"], number, _changes(content.get("set", [])), content)
     except ModelError as error:
         return Message("", number, fault=error)
 
 
 def _changes(rows: object) -> tuple[Change, ...]:
-    if not isinstance(rows, list) or len(rows) > MOST_CHANGES:
-        raise ModelError("`set` holds no inputs", expected=f"up to {MOST_CHANGES} of [input, item, value]")
+    if not isinstance(rows, list) or len(rows) > MAX_CHANGES:
+        raise ModelError("`set` holds no inputs", expected=f"up to {MAX_CHANGES} of [input, item, value]")
     return tuple(_change(row) for row in rows)
 
 

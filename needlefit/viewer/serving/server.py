@@ -1,23 +1,86 @@
-"""The local server: the page, a line to each window, and files to take away."""
+"""The local server: the page, its WebSocket, and files to download."""
 
+import asyncio
 import socket
 from collections.abc import Awaitable, Callable
+from concurrent.futures import BrokenExecutor, ProcessPoolExecutor
+from multiprocessing import get_context
 from pathlib import Path
 
 from aiohttp import web
 from aiohttp.typedefs import Handler, Middleware
 
-from needlefit.errors import ConfigError
-from needlefit.viewer.serving.door import HEADERS, LARGEST, LOOPBACK, Door
-from needlefit.viewer.serving.files import Files
-from needlefit.viewer.serving.lines import Lines
-from needlefit.viewer.serving.trials import Trials
+from needlefit.errors import ConfigError, NeedlefitError
+from needlefit.viewer.export import EXPORT_TYPES, export
+from needlefit.viewer.overlay.slice import read_slice
+from needlefit.viewer.serving.access_control import HEADERS, LOOPBACK, MAX_MESSAGE_BYTES, AccessControl
+from needlefit.viewer.serving.connections import Connections
+from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
+
+
+class FileRoutes:
+    """Makes files while needles go on: exports by a process of its own, slices by a thread."""
+
+    def __init__(self, trials: TrialRegistry) -> None:
+        self.trials = trials
+        self._pool: ProcessPoolExecutor | None = None
+
+    async def make(self, request: web.Request) -> web.Response:
+        """Return a file made from a recording, by a process of its own: frames go on meanwhile."""
+        kind = request.match_info["kind"]
+        trial = await self._asked(request)
+        if kind not in EXPORT_TYPES:
+            raise web.HTTPNotFound(text=f"there is no export {kind}; there are {', '.join(EXPORT_TYPES)}")
+        self._pool = self._pool or ProcessPoolExecutor(1, mp_context=get_context("spawn"))
+        try:
+            trial.recorder.begin()
+            found = await asyncio.get_running_loop().run_in_executor(
+                self._pool, export, trial.recorder.path, kind
+            )
+        except (NeedlefitError, OSError) as error:
+            raise web.HTTPUnprocessableEntity(text=str(error)) from error
+        except BrokenExecutor as error:
+            self._pool = None  # it was killed, perhaps for want of memory; the next one begins anew
+            raise web.HTTPInternalServerError(text="the program that made it was ended; try again") from error
+        return web.Response(body=found, content_type=EXPORT_TYPES[kind])
+
+    async def cut(self, request: web.Request) -> web.Response:
+        """Return the scan's slice in the bending plane."""
+        scanned = (await self._asked(request)).viewed_scene.scanned
+        if scanned is None:
+            raise web.HTTPNotFound(text="there is no scan of this insertion")
+        try:
+            found = await asyncio.to_thread(read_slice, scanned)
+        except (NeedlefitError, OSError) as error:
+            raise web.HTTPUnprocessableEntity(text=str(error)) from error
+        extent = ",".join(f"{edge:.4f}" for edge in found.extent)
+        return web.Response(body=found.png, content_type="image/png", headers={"X-Extent-Mm": extent})
+
+    async def leave(self, _: web.Application) -> None:
+        """Wait for nothing that is still being made."""
+        if self._pool:
+            self._pool.shutdown(wait=False, cancel_futures=True)
+
+    async def _asked(self, request: web.Request) -> InteractiveTrial:
+        """Return the trial that a request is about."""
+        try:
+            content = await request.json()
+            trial = self.trials.known(content["needle"])
+        except (ValueError, LookupError, TypeError):  # no JSON, of no known charset, or about no needle
+            trial = None
+        if trial is None:
+            raise web.HTTPNotFound(text="there is no such needle: reload the page")
+        return trial
+
 
 PAGE = Path(__file__).parent.parent / "page"
 
 
 async def serve(
-    trials: Trials, port: int, ready: Callable[[Door], None], stop: Callable[[], Awaitable[None]]
+    trials: TrialRegistry,
+    port: int,
+    ready: Callable[[AccessControl], None],
+    stop: Callable[[], Awaitable[None]],
 ) -> None:
     """Serve on the loopback until `stop` returns.
 
@@ -37,43 +100,43 @@ async def serve(
         If the port is taken.
     """
     listening = _listen(port)
-    door = Door(listening.getsockname()[1])
-    runner = web.AppRunner(_application(door, trials), access_log=None, shutdown_timeout=2.0)
+    access = AccessControl(listening.getsockname()[1])
+    runner = web.AppRunner(_application(access, trials), access_log=None, shutdown_timeout=2.0)
     await runner.setup()
     try:
         await web.SockSite(runner, listening).start()
-        ready(door)
+        ready(access)
         await stop()
     finally:
         await runner.cleanup()
 
 
-def _application(door: Door, trials: Trials) -> web.Application:
+def _application(access: AccessControl, trials: TrialRegistry) -> web.Application:
     """Return the routes."""
-    lines, files = Lines(door, trials), Files(trials)
-    app = web.Application(middlewares=[_guarding(door)], client_max_size=LARGEST)
+    connections, files = Connections(access, trials), FileRoutes(trials)
+    app = web.Application(middlewares=[_make_guard(access)], client_max_size=MAX_MESSAGE_BYTES)
     app.router.add_get("/", _index)
-    app.router.add_get("/ws", lines.attend)
+    app.router.add_get("/ws", connections.attend)
     app.router.add_post("/export/{kind}", files.make)
     app.router.add_post("/slice", files.cut)
     app.router.add_static("/page", PAGE)
-    app.on_response_prepare.append(_sealed)
-    app.on_shutdown.extend((lines.leave, files.leave))
+    app.on_response_prepare.append(_add_headers)
+    app.on_shutdown.extend((connections.leave, files.leave))
     return app
 
 
-def _guarding(door: Door) -> Middleware:
+def _make_guard(access: AccessControl) -> Middleware:
     """Return what keeps out who calls this server by another name, and who has no token where one is due."""
 
     @web.middleware
     async def guard(request: web.Request, handler: Handler) -> web.StreamResponse:
-        if not door.at_home(request.headers):
+        if not access.has_own_host(request.headers):
             raise web.HTTPMisdirectedRequest(text="this server answers to 127.0.0.1 and localhost alone")
         if request.method == "POST":
             scheme, _, token = request.headers.get("Authorization", "").partition(" ")
-            if scheme != "Bearer" or not door.knows(token):
+            if scheme != "Bearer" or not access.is_token(token):
                 raise web.HTTPForbidden(text="the token is missing or wrong: open the address as printed")
-        if (request.method == "POST" or request.path == "/ws") and not door.from_page(request.headers):
+        if (request.method == "POST" or request.path == "/ws") and not access.from_page(request.headers):
             raise web.HTTPForbidden(text="only the page that this server gave out may ask for that")
         return await handler(request)
 
@@ -88,11 +151,11 @@ def _listen(port: int) -> socket.socket:
             f"port {port} cannot be used: {getattr(error, 'strerror', error)}",
             where="--port",
             expected="a free port from 1024 to 65535",
-            mend="leave --port out: a free one is then taken",
+            fix="leave --port out: a free one is then taken",
         ) from error
 
 
-async def _sealed(_: web.Request, response: web.StreamResponse) -> None:
+async def _add_headers(_: web.Request, response: web.StreamResponse) -> None:
     response.headers.update(HEADERS)
 
 

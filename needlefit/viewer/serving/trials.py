@@ -1,20 +1,163 @@
-"""The needles of all windows."""
+"""Interactive trials: each window steers, records and undoes one needle."""
 
 import secrets
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from datetime import datetime
 from pathlib import Path, PurePath
+from time import monotonic
 
 from needlefit.errors import ModelError
-from needlefit.viewer.recording.log import Recording
-from needlefit.viewer.serving.trial import Trial
-from needlefit.viewer.subject import Subject
+from needlefit.mechanics.scene import Scene
+from needlefit.viewer.interaction.inputs import Change
+from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter, make_head
+from needlefit.viewer.viewed_scene import ViewedScene
 
-MOST = 32
+MAX_UNDO = 200
+"""Gestures that can be undone."""
+
+
+class InteractiveTrial:
+    """An interactive insertion, from first contact on.
+
+    Parameters
+    ----------
+    name : str
+        Which one it is; part of the recording's name.
+    subject : Subject
+        What is shown and steered.
+    path : Path
+        Of the recording, written as the needle moves.
+    source : Recording, optional
+        One to carry out again.
+
+    Attributes
+    ----------
+    speed : float
+        Steps a second that its needle can make here.
+    kin : dict of str -> Trial
+        The last needle of the same window beside each insertion that it has shown, this one among them.
+    """
+
+    def __init__(
+        self, name: str, viewed_scene: ViewedScene, path: Path, source: Recording | None = None
+    ) -> None:
+        self.name, self.viewed_scene, self.source = name, viewed_scene, source
+        self.scene = Scene.from_record(viewed_scene.record, viewed_scene.name)
+        self.steering = SteeredNeedle(self.scene, viewed_scene.first_cell)
+        scene = viewed_scene.record.model_dump(mode="json", by_alias=True)
+        head = make_head(viewed_scene.name, viewed_scene.first_cell, scene, viewed_scene.placement)
+        self.recorder = RecordingWriter(path, head)
+        self.speed = self.steering.step_rate()
+        self._began: float | None = None
+        self._write_failed = False
+        self._past: list[int] = []
+        self._future: list[int] = []
+        self._gesture: int | None = None
+        self._pinned: set[int] = set()
+        self.window_trials = {self.shown_insertion: self}
+
+    @property
+    def shown_insertion(self) -> str:
+        """The insertion that lies beside the needle; empty where there is none."""
+        return self.viewed_scene.measured.id if self.viewed_scene.measured else ""
+
+    @property
+    def can_undo(self) -> bool:
+        """Whether there is a gesture to undo."""
+        return bool(self._past)
+
+    @property
+    def can_redo(self) -> bool:
+        """Whether there is one to carry out again."""
+        return bool(self._future)
+
+    def time(self) -> float:
+        """Return the time since the first step, s."""
+        if self._began is None:
+            self._began = monotonic()
+        return monotonic() - self._began
+
+    def act(self, changes: Sequence[Change], gesture: int | None = None) -> None:
+        """Carry out and record one step; steps of the same gesture are undone together.
+
+        Raises
+        ------
+        ModelError
+            If the model does not take it; then nothing has happened.
+        OSError
+            If it cannot be recorded.
+        """
+        number = self.steering.number
+        if begins := gesture is None or gesture != self._gesture:
+            self.steering.keep()
+        try:
+            self._step(changes)
+        except Exception:
+            self._forget([number])
+            raise
+        if begins:
+            self._gesture = gesture
+            left = [*self._future, *self._past[: 1 - MAX_UNDO]]
+            self._past, self._future = [*self._past[1 - MAX_UNDO :], number], []
+            self._forget(left)
+
+    def undo(self) -> None:
+        """Take the last gesture back."""
+        self._go(self._past, self._future)
+
+    def redo(self) -> None:
+        """Carry out again what was taken back last."""
+        self._go(self._future, self._past)
+
+    def reset(self) -> None:
+        """Return to first contact; that, too, can be undone."""
+        self.act((Change("return_to", None, 0.0),))
+
+    def pin(self) -> None:
+        """Keep the needle as it stands, for a replay that returns to it."""
+        self._pinned.add(self.steering.number)
+        self.steering.keep()
+
+    def unpin(self, number: int) -> None:
+        """Let go of what was pinned at a step."""
+        self._pinned.discard(number)
+        self._forget([number])
+
+    def _go(self, back: list[int], forth: list[int]) -> None:
+        if not back:
+            return
+        number = self.steering.number
+        self.steering.keep()
+        self._step((Change("return_to", None, float(back[-1])),))
+        forth.append(number)
+        self._forget([back.pop()])
+        self._gesture = None
+
+    def _forget(self, numbers: Sequence[int]) -> None:
+        for number in set(numbers) - {*self._past, *self._future, *self._pinned}:
+            self.steering.forget(number)
+
+    def _step(self, changes: Sequence[Change]) -> None:
+        if self._write_failed:  # what came after a gap could not be replayed
+            raise ModelError(
+                f"the recording {self.recorder.path} has ended: it could not be written",
+                expected="room on the disk, and a folder that may be written to",
+                fix="make room, then open the page in a new window",
+            )
+        time = self.time()
+        moment = self.steering.apply(changes)
+        recorded = RecordedStep(self.steering.number, time, tuple(changes), float(moment.shape.u[-1]))
+        self._write_failed = True
+        self.recorder.write(recorded)
+        self._write_failed = False
+
+
+MAX_TRIALS = 32
 """Needles that are kept; of more, those whose windows closed longest ago are let go, but no recording."""
 
 
-class Trials:
+class TrialRegistry:
     """Every window has a needle of its own; a page that comes back finds the one it had.
 
     Parameters
@@ -31,39 +174,39 @@ class Trials:
 
     def __init__(
         self,
-        subject: Subject,
+        viewed_scene: ViewedScene,
         folder: Path,
-        reopen: Callable[[str], Subject],
+        reopen: Callable[[str], ViewedScene],
         source: Recording | None = None,
     ) -> None:
-        self._subject, self._folder, self._reopen, self._source = subject, folder, reopen, source
-        self._all: dict[str, Trial] = {}
-        self._subjects: dict[str, Subject] = {}
+        self._viewed_scene, self._folder, self._reopen, self._source = viewed_scene, folder, reopen, source
+        self._all: dict[str, InteractiveTrial] = {}
+        self._viewed_scenes: dict[str, ViewedScene] = {}
         self._paths: list[Path] = []
         self._steered: set[str] = set()
 
-    def open(self, name: str) -> Trial:
+    def open(self, name: str) -> InteractiveTrial:
         """Return the needle of this name, or a new one where there is none."""
-        trial = self._all.get(name) or self._begin(self._subject, self._source)
+        trial = self._all.get(name) or self._begin(self._viewed_scene, self._source)
         self._steered.add(trial.name)
         return trial
 
-    def known(self, name: str) -> Trial | None:
+    def known(self, name: str) -> InteractiveTrial | None:
         """Return the needle of this name, if there is one."""
         return self._all.get(name)
 
-    def close(self, trial: Trial) -> None:
+    def close(self, trial: InteractiveTrial) -> None:
         """Say that no window steers a needle any more; it is there until too many others are."""
         self._steered.discard(trial.name)
         if trial.name in self._all:  # the youngest of those that nobody steers
             self._all[trial.name] = self._all.pop(trial.name)
 
-    def prepare(self, trial: Trial, insertion: str) -> None:
+    def prepare(self, trial: InteractiveTrial, insertion: str) -> None:
         """Read what it takes to show another insertion, so that `another` need not; may run beside it."""
-        if insertion in trial.subject.choices and insertion not in self._subjects:
-            self._subjects[insertion] = self._reopen(insertion)
+        if insertion in trial.viewed_scene.choices and insertion not in self._viewed_scenes:
+            self._viewed_scenes[insertion] = self._reopen(insertion)
 
-    def another(self, trial: Trial, insertion: str) -> Trial:
+    def another(self, trial: InteractiveTrial, insertion: str) -> InteractiveTrial:
         """Return the needle that the same window had beside another insertion, or a new one.
 
         Raises
@@ -71,41 +214,41 @@ class Trials:
         ModelError
             If the dataset has no such insertion.
         """
-        if insertion not in trial.subject.choices:
+        if insertion not in trial.viewed_scene.choices:
             raise ModelError(f"there is no insertion `{insertion:.40}`", expected="one of the list")
         self.prepare(trial, insertion)
-        there = trial.kin.get(insertion)
-        return self._instead(trial, there or self._begin(self._subjects[insertion], None))
+        there = trial.window_trials.get(insertion)
+        return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
 
-    def again(self, trial: Trial, source: Recording) -> Trial:
+    def again(self, trial: InteractiveTrial, source: Recording) -> InteractiveTrial:
         """Return a new needle for the same window, at first contact, for a replay."""
-        return self._instead(trial, self._begin(trial.subject, source))
+        return self._instead(trial, self._begin(trial.viewed_scene, source))
 
     def written(self) -> list[Path]:
         """Return the recordings that were begun."""
         return [path for path in self._paths if path.exists()]
 
-    def _instead(self, trial: Trial, other: Trial) -> Trial:
+    def _instead(self, trial: InteractiveTrial, other: InteractiveTrial) -> InteractiveTrial:
         """Give a window another needle; whoever steers the first says himself that he does no more."""
-        other.kin = trial.kin
-        other.kin[other.beside] = other
+        other.window_trials = trial.window_trials
+        other.window_trials[other.shown_insertion] = other
         self._all[other.name] = other
         self._steered.add(other.name)
         return other
 
-    def _begin(self, subject: Subject, source: Recording | None) -> Trial:
+    def _begin(self, viewed_scene: ViewedScene, source: Recording | None) -> InteractiveTrial:
         name = secrets.token_hex(4)
-        path = self._folder / f"{_stem(subject.name)}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
-        self._all[name] = Trial(name, subject, path, source)
+        path = self._folder / f"{_file_stem(viewed_scene.name)}-{datetime.now():%Y%m%d-%H%M%S}-{name}.csv"
+        self._all[name] = InteractiveTrial(name, viewed_scene, path, source)
         self._paths.append(path)
         for old in [one for one in self._all if one not in self._steered and one != name]:
-            if len(self._all) <= MOST:
+            if len(self._all) <= MAX_TRIALS:
                 break
             del self._all[old]
         return self._all[name]
 
 
-def _stem(subject: str) -> str:
+def _file_stem(viewed_scene: str) -> str:
     """Return a subject's name as that of a file: of a path the last two parts."""
-    last = "-".join(PurePath(subject.removesuffix(".toml")).parts[-2:])
+    last = "-".join(PurePath(viewed_scene.removesuffix(".toml")).parts[-2:])
     return "".join(c if c.isalnum() or c in "-_" else "-" for c in last).strip("-") or "needle"

@@ -1,17 +1,111 @@
-"""One window's side of the server: what a message does to its trial, and what is said back."""
+"""Answer the messages of one window: carry out inputs, and advance motions frame by frame."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from time import monotonic
-from typing import Any
+from typing import Any, Protocol
 
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.viewer.hand.inputs import Change
-from needlefit.viewer.recording.log import Recording, read
-from needlefit.viewer.serving.messages import FASTEST, MOST_TIMES, Message
-from needlefit.viewer.serving.motions import LONGEST, Motion, Play, Replay, Stroke
-from needlefit.viewer.serving.picture import scene_message, state_message
-from needlefit.viewer.serving.trial import Trial
-from needlefit.viewer.serving.trials import Trials
+from needlefit.mechanics.plan import NEAR
+from needlefit.viewer.interaction.inputs import Change, find_changes
+from needlefit.viewer.recording import (
+    RecordedStep,
+    Recording,
+    find_last_returns,
+    keep_for_returns,
+    read_recording,
+)
+from needlefit.viewer.serving.message_encoding import scene_message, state_message
+from needlefit.viewer.serving.messages import MAX_REPLAY_SPEED, MAX_SPEED_MM_S, Message
+from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
+
+MAX_FRAME_S = 0.1
+"""Time that one frame may carry the needle on, s: after a pause it does not leap."""
+
+
+UNDO_PAUSE_S = 0.4
+"""Time between two steps of a recording, s, from which on they are undone one by one."""
+
+
+class Motion(Protocol):
+    """Goes on by `dt` seconds; returns whether there is more to come."""
+
+    speed: float
+
+    def advance(self, trial: InteractiveTrial, dt: float) -> bool: ...
+
+
+@dataclass
+class Stroke:
+    """The tip goes in (out, where `speed` is negative) until it is halted, or at `to`.
+
+    Attributes
+    ----------
+    speed : float
+        mm/s.
+    gesture : int
+    to : float or None
+        Depth, mm.
+    """
+
+    speed: float
+    gesture: int
+    to: float | None = None
+
+    def advance(self, trial: InteractiveTrial, dt: float) -> bool:
+        """Go on; `Motion`."""
+        now, reach = trial.steering.now.step.depth, trial.steering.reach()
+        low, high = (0.0, reach) if self.to is None else sorted((now, min(max(self.to, 0.0), reach)))
+        depth = min(max(now + self.speed * dt, low), high)
+        if abs(depth - now) > NEAR:
+            trial.act((Change("depth_mm", None, depth),), self.gesture)
+        return abs((high if self.speed > 0 else low) - depth) > NEAR
+
+
+class Play:
+    """The steps of the scene, at a speed, from first contact on."""
+
+    def __init__(self, trial: InteractiveTrial, speed: float, gesture: int) -> None:
+        self.speed, self._gesture = abs(speed), gesture
+        self._steps = iter(trial.steering.scene.steps)
+        self._stroke: Stroke | None = None
+
+    def advance(self, trial: InteractiveTrial, dt: float) -> bool:
+        """Go on; `Motion`."""
+        if self._stroke is None:
+            step = next(self._steps, None)
+            if step is None:
+                return False
+            if changes := find_changes(step, trial.steering.now.step, trial.steering.names):
+                trial.act(changes, self._gesture)
+            way = step.depth - trial.steering.now.step.depth
+            self._stroke = Stroke(self.speed if way >= 0 else -self.speed, self._gesture, step.depth)
+        elif not self._stroke.advance(trial, dt):
+            self._stroke = None
+        return True
+
+
+class Replay:
+    """The steps of a recording, at its own times; steps without a pause between them are one gesture."""
+
+    def __init__(self, steps: Sequence[RecordedStep], times: float) -> None:
+        self.speed = abs(times)
+        self._steps: Iterator[RecordedStep] = iter(steps)
+        self._next = next(self._steps, None)
+        self._clock = self._next.time if self._next else 0.0
+        self._last, self._gesture = find_last_returns(steps), -1  # a page's own gestures are above 0
+
+    def advance(self, trial: InteractiveTrial, dt: float) -> bool:
+        """Go on; `Motion`."""
+        self._clock += self.speed * dt
+        while self._next and self._next.time <= self._clock:
+            trial.act(self._next.changes, self._gesture)
+            keep_for_returns(self._next, self._last, trial.pin, trial.unpin)
+            before, self._next = self._next, next(self._steps, None)
+            if self._next and self._next.time - before.time > UNDO_PAUSE_S:
+                self._gesture -= 1
+        return self._next is not None
+
 
 Reply = dict[str, Any]
 
@@ -23,16 +117,16 @@ class Window:
     the frame before. A page that is hidden or gone therefore stops its needle.
     """
 
-    def __init__(self, trials: Trials, trial: Trial) -> None:
+    def __init__(self, trials: TrialRegistry, trial: InteractiveTrial) -> None:
         self.trials, self.trial = trials, trial
-        self.heard = 0
+        self.last_message_id = 0
         self._motion: Motion | None = None
         self._paused: Replay | None = None
         self._at = 0.0
 
     def answer(self, message: Message) -> Iterator[Reply]:
         """Carry a message out; yield what to send back."""
-        self.heard = message.id
+        self.last_message_id = message.id
         trial = self.trial
         try:
             self._do(message)
@@ -41,7 +135,7 @@ class Window:
             yield self._refused(error)
         except OSError as error:
             self._motion = None
-            yield self._refused(_unwritten(error, trial))
+            yield self._refused(_write_error(error, trial))
         if self.trial is not trial or message.do == "hello":
             yield scene_message(self.trial)
         yield self._state()
@@ -50,7 +144,7 @@ class Window:
         """Return the needle as it stands."""
         motion = self._motion
         return state_message(self.trial) | {
-            "answers": self.heard,
+            "answers": self.last_message_id,
             "moving": motion.speed if isinstance(motion, Stroke) else 0,
             "playing": isinstance(motion, Play | Replay),
             "paused": self._paused is not None,
@@ -58,13 +152,13 @@ class Window:
 
     def _refused(self, error: NeedlefitError) -> Reply:
         """Return why something was not done."""
-        said = {"what": error.what, "expected": error.expected, "mend": error.mend}
-        return {"kind": "refused", "answers": self.heard, **said}
+        content = {"what": error.what, "expected": error.expected, "fix": error.fix}
+        return {"kind": "refused", "answers": self.last_message_id, **content}
 
     def _do(self, message: Message) -> None:
         if message.fault:
             raise message.fault
-        if message.do not in ("frame", "hello") and not self._beside(message):
+        if message.do not in ("frame", "hello") and not self._joins_stroke(message):
             self._take_over(message)
         match message.do:
             case "change":
@@ -76,7 +170,7 @@ class Window:
             case "play":
                 if self.trial.steering.number:
                     self.trial.reset()
-                self._start(Play(self.trial, message.number("speed_mm_s", 10.0, FASTEST), message.id))
+                self._start(Play(self.trial, message.number("speed_mm_s", 10.0, MAX_SPEED_MM_S), message.id))
             case "replay":
                 self._replay(message)
             case "show":
@@ -96,16 +190,16 @@ class Window:
             self._paused = None
         self._motion = None
 
-    def _beside(self, message: Message) -> bool:
+    def _joins_stroke(self, message: Message) -> bool:
         """Whether a message steers a needle that is being inserted, and does not insert it itself."""
-        inserts = "insert_mm" in message.said or any(c.name == "depth_mm" for c in message.changes)
+        inserts = "insert_mm" in message.content or any(c.name == "depth_mm" for c in message.changes)
         return message.do == "change" and isinstance(self._motion, Stroke) and not inserts
 
     def _change(self, message: Message) -> None:
         if any(change.name == "return_to" for change in message.changes):
             raise ModelError("`return_to` is written by the program", expected="undo, redo or reset")
         changes = message.changes
-        if "insert_mm" in message.said:
+        if "insert_mm" in message.content:
             now, reach = self.trial.steering.now.step.depth, self.trial.steering.reach()
             depth = min(max(now + message.number("insert_mm"), 0.0), max(reach, now))
             changes = (*changes, Change("depth_mm", None, depth))
@@ -114,19 +208,19 @@ class Window:
             self.trial.act(changes, gesture)
 
     def _stroke(self, message: Message) -> tuple[float, int, float | None]:
-        to = None if message.said.get("to_mm") is None else message.number("to_mm")
-        speed = message.number("speed_mm_s", most=FASTEST)
+        to = None if message.content.get("to_mm") is None else message.number("to_mm")
+        speed = message.number("speed_mm_s", most=MAX_SPEED_MM_S)
         if to is not None:
             speed = abs(speed) if to >= self.trial.steering.now.step.depth else -abs(speed)
         return speed, message.gesture or message.id, to
 
     def _replay(self, message: Message) -> None:
-        times = message.number("times", 1.0, MOST_TIMES)
+        times = message.number("times", 1.0, MAX_REPLAY_SPEED)
         if self._paused:
             self._start(self._paused)
             self._paused.speed, self._paused = times, None
             return
-        source = _to_replay(self.trial)
+        source = _choose_replay(self.trial)
         self.trial = self.trials.again(self.trial, source)
         self._start(Replay(source.steps, times))
 
@@ -135,16 +229,16 @@ class Window:
 
     def _frame(self) -> None:
         now = monotonic()
-        dt, self._at = min(now - self._at, LONGEST), now
+        dt, self._at = min(now - self._at, MAX_FRAME_S), now
         if self._motion and not self._motion.advance(self.trial, dt):
             self._motion = None
 
 
-def _to_replay(trial: Trial) -> Recording:
+def _choose_replay(trial: InteractiveTrial) -> Recording:
     """Return what a trial has recorded; while that is only a part of what it replays, the whole of that."""
     source, done = trial.source, trial.steering.number
     if done:
-        own = read(trial.recorder.path)
+        own = read_recording(trial.recorder.path)
         acts = [step.changes for step in own.steps]
         if source is None or [step.changes for step in source.steps[:done]] != acts:
             source = own
@@ -153,9 +247,9 @@ def _to_replay(trial: Trial) -> Recording:
     return source
 
 
-def _unwritten(error: OSError, trial: Trial) -> ModelError:
+def _write_error(error: OSError, trial: InteractiveTrial) -> ModelError:
     return ModelError(
         f"the recording {trial.recorder.path} cannot be written: {error.strerror}",
         expected="room on the disk, and a folder that may be written to",
-        mend="it ends before this step; make room, then open the page in a new window",
+        fix="it ends before this step; make room, then open the page in a new window",
     )

@@ -1,0 +1,124 @@
+"""How a command ends: its exit code, its error message, and what Ctrl-C does."""
+
+import os
+import signal
+import sys
+import threading
+import traceback
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from types import FrameType
+
+from needlefit.cli.invocation import Invocation
+from needlefit.errors import ConfigError, FitError, NeedlefitError, printable
+
+UNEXPECTED, NOT_CONVERGED, VERIFICATION_FAILED, INTERRUPTED = 1, 5, 6, 130
+
+EXIT_CODES = {
+    0: "ok",
+    UNEXPECTED: "unexpected",
+    2: "usage",
+    ConfigError.exit_code: "bad data or configuration",
+    FitError.exit_code: "the solver failed",
+    NOT_CONVERGED: "not converged, or a warning with --strict (result written)",
+    VERIFICATION_FAILED: "a verification failed",
+    INTERRUPTED: "interrupted",
+}
+
+
+def report_error(error: BaseException, invocation: Invocation) -> int | None:
+    """Say what went wrong and return the exit code; None leaves the error to typer."""
+    if isinstance(error, KeyboardInterrupt):
+        print("needlefit: interrupted", file=sys.stderr)
+        return INTERRUPTED
+    if _is_usage_error(error):
+        return None
+    if invocation.verbose:
+        traceback.print_exception(error)
+    error = _to_user_error(error)
+    if isinstance(error, NeedlefitError):
+        print(f"needlefit: {error}", file=sys.stderr)
+        return error.exit_code
+    hint = "" if invocation.verbose else " (-v shows where)"
+    print(f"needlefit: unexpected {type(error).__name__}: {error}{hint}", file=sys.stderr)
+    return UNEXPECTED
+
+
+def make_printable(error: BaseException) -> None:
+    """Escape control characters in the message of a usage error, which repeats the words that were typed."""
+    message = getattr(error, "message", None)
+    if hasattr(error, "show") and isinstance(message, str):
+        error.message = printable(message)  # type: ignore[attr-defined]
+
+
+def _to_user_error(error: BaseException) -> BaseException:
+    """Return an error of Python's of which it is known what a user can do, as one that says so."""
+    if isinstance(error, OSError):
+        return _from_system_error(error)
+    if isinstance(error, MemoryError):
+        return ConfigError(
+            "there is not enough memory for this",
+            expected="inputs and results that fit into the memory of this machine",
+            fix="use fewer --jobs, smaller or fewer inputs, or a machine with more memory",
+        )
+    if isinstance(error, RecursionError):
+        return ConfigError(
+            "an input is nested too deeply", expected="a few levels", fix="check the files that were named"
+        )
+    if isinstance(error, UnicodeEncodeError):
+        return ConfigError(
+            "a name or text holds characters that are not valid Unicode",
+            where=ascii(error.object[max(error.start - 40, 0) : error.end + 40]),
+            expected="names of files, folders and data that can be written as UTF-8",
+            fix="rename it",
+        )
+    return error
+
+
+def _from_system_error(error: OSError) -> ConfigError:
+    """Return what the operating system refused as an error that says what to do."""
+    return ConfigError(
+        f"cannot be read or written: {error.strerror or error}",
+        where=str(error.filename or ""),
+        expected="a place that exists, with space left, that you may read and write",
+        fix="check the path and its permissions, or choose another folder",
+    )
+
+
+def _is_usage_error(error: BaseException) -> bool:
+    """Whether typer itself says how this ends: an exit code, or a usage error that can show itself."""
+    return (
+        not isinstance(error, Exception)
+        or hasattr(error, "show")
+        or type(error).__name__ in ("Exit", "Abort")
+    )
+
+
+_FIRST_INTERRUPT_MESSAGE = b"\nneedlefit: stopping after this step; Ctrl-C again leaves at once\n"
+_SHOW_CURSOR = b"\x1b[?25h"
+
+
+@contextmanager
+def catch_interrupts() -> Iterator[Callable[[], bool]]:
+    """Yield the question "has Ctrl-C been pressed?" for the time of a long run."""
+    pressed = threading.Event()
+
+    def on_signal(number: int, frame: FrameType | None) -> None:
+        if pressed.is_set():
+            if sys.stderr.isatty():
+                _write(_SHOW_CURSOR)
+            os._exit(INTERRUPTED)  # threads that are still computing would hold up any softer way out
+        pressed.set()
+        _write(_FIRST_INTERRUPT_MESSAGE)
+
+    before = signal.signal(signal.SIGINT, on_signal)
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+def _write(text: bytes) -> None:
+    """Write to stderr, if anybody still reads it; print() may not be entered again from inside a print()."""
+    with suppress(OSError):
+        os.write(2, text)

@@ -1,0 +1,164 @@
+"""The result of `simulate`, of a scene or of a recording, and the files that can be written of it."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from needlefit.cli import screen
+from needlefit.errors import NeedlefitError
+from needlefit.project.outputs import require_output_files
+from needlefit.project.view_targets import find_view_target
+
+if TYPE_CHECKING:
+    from needlefit.geometry.placement import Placement
+    from needlefit.mechanics.scene import Scene
+    from needlefit.mechanics.shape import NeedleShape
+    from needlefit.project.result_warnings import ResultWarning
+    from needlefit.schemas.scene import SceneRecord
+
+
+ANIMATION_SPEED_MM_S = 10.0
+"""mm/s: how fast a scene goes in in an animation; the model knows no time."""
+
+
+@dataclass(frozen=True)
+class SimulatedScene:
+    """A scene carried out, up to the step that failed; `diameter` is the needle's, mm, if it is known."""
+
+    title: str
+    scene: "Scene"
+    shapes: "tuple[NeedleShape, ...]"
+    diameter: float | None
+
+
+def write_picture(done: SimulatedScene, path: Path) -> None:
+    """Draw the needle after each step."""
+    from needlefit.reporting.figures.scene import draw_scene
+
+    draw_scene(done.title, done.scene, done.shapes, path)
+
+
+def write_curves(done: SimulatedScene, path: Path) -> bool:
+    """Write the needle for 3D Slicer; False where there is none."""
+    from needlefit.reporting.slicer import write_scene
+
+    return write_scene(done.scene.entry.placement, done.shapes, path, done.diameter)
+
+
+def write_table(done: SimulatedScene, path: Path) -> bool:
+    """Write the last shape; False where there is none."""
+    from needlefit.mechanics.session import Moment
+    from needlefit.reporting.shape_table import write_shape
+
+    shape = done.shapes[-1]
+    if shape.converged:
+        last = done.scene.steps[len(done.shapes) - 1]
+        write_shape(done.scene, Moment(shape, last, done.scene.tissue), path)
+    return shape.converged
+
+
+def write_animation(done: SimulatedScene, path: Path) -> None:
+    """Draw the needle on its way, as far as it comes."""
+    from needlefit.mechanics.strides import strides
+    from needlefit.reporting.figures.animation import animate
+
+    moments = [(gone / ANIMATION_SPEED_MM_S, moment) for gone, moment in strides(done.scene)]
+    animate(done.title, done.scene, moments, moments[-1][0], path)
+
+
+Write = Callable[[Path], bool | None]
+
+
+@dataclass(frozen=True)
+class SimulationOutcome:
+    """A needle at the end of its way.
+
+    Attributes
+    ----------
+    title : str
+    scene : Scene
+        Its steps are those that `shapes` belong to.
+    shapes : tuple of NeedleShape
+        After each step, up to the one that failed.
+    files : mapping of str to callable
+        By option, what writes such a file; False where there is no needle to write.
+    more : dict
+        What else `--json` says.
+    placement : Placement or None
+        Where a measured needle lies; None of a scene, which says so itself.
+    warnings : tuple of ResultWarning
+    """
+
+    title: str
+    scene: "Scene"
+    shapes: "tuple[NeedleShape, ...]"
+    files: Mapping[str, Write]
+    more: dict[str, Any]
+    placement: "Placement | None" = None
+    warnings: "tuple[ResultWarning, ...]" = ()
+
+
+def simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
+    """Carry out a scene's steps; `where` is named in errors."""
+    from needlefit.mechanics.scene import Scene, insert
+    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+
+    screen.compile_ahead()
+    scene = Scene.from_record(record, where)
+    done = SimulatedScene(record.title or name, scene, insert(scene), record.needle.outer_diameter_mm)
+    files: dict[str, Write] = {
+        "plot": partial(write_picture, done),
+        "csv": partial(write_table, done),
+        "slicer": partial(write_curves, done),
+        "animation": partial(write_animation, done),
+    }
+    warnings = (*scene_warnings(record, where), *coarse_warnings(record, where))
+    return SimulationOutcome(done.title, scene, done.shapes, files, {}, warnings=warnings)
+
+
+def replay_recording(path: Path, upto: int | None, outputs: Mapping[str, Path]) -> SimulationOutcome:
+    """Carry out a recording, or its steps up to number `upto`.
+
+    Raises
+    ------
+    ConfigError
+        If one of `outputs`, by option, is a file of what was steered, or cannot be written.
+    """
+    from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
+    from needlefit.viewer import export
+    from needlefit.viewer.export import replay_to_end
+    from needlefit.viewer.recording import read_recording
+
+    recording = read_recording(path)
+    require_output_files(outputs, [path, *_view_target_files(recording.head.target)])
+    if upto is not None:
+        if upto > len(recording.steps):
+            raise typer.BadParameter(f"the recording has {len(recording.steps)} steps", param_hint="--step")
+        recording = replace(recording, steps=recording.steps[:upto])
+    screen.compile_ahead()
+    done = replay_to_end(recording)
+    files: dict[str, Write] = {
+        "plot": partial(export.write_picture, done),
+        "csv": partial(export.write_table, done),
+        "slicer": partial(export.write_curve, done),
+        "animation": partial(export.write_animation, done),
+    }
+    more = {"replayed": {"steps": len(recording.steps), "tip_offset_mm": done.tip_offset_mm}}
+    planned = recording.head.scene
+    warnings = (*scene_warnings(planned, str(path)), *coarse_warnings(planned, str(path)))
+    return SimulationOutcome(
+        done.title, done.scene, (done.state.shape,), files, more, done.placement, warnings
+    )
+
+
+def _view_target_files(target: str) -> list[Path]:
+    """Return the scene, or the folder of the run or dataset, that a recording is of; none if it is gone."""
+    try:
+        view_target = find_view_target(target)
+    except NeedlefitError:
+        return []
+    return [view_target.path.parent if view_target.kind == "dataset" else view_target.path]

@@ -1,0 +1,285 @@
+"""Write reconstructions as a dataset, those left out that `needlefit check` would refuse."""
+
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+
+from needlefit.datasets.check import check
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.schema import InsertionRow, as_id
+from needlefit.datasets.write import write_dataset
+from needlefit.errors import DataError
+from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.batch import ReconstructionFailure
+from needlefit.imaging.reconstruction import Reconstruction
+from needlefit.schemas.dataset import (
+    CenterlinesRecord,
+    DatasetMediumRecord,
+    DatasetRecord,
+    FrameRecord,
+    InsertionsRecord,
+    NoiseRecord,
+    SurfaceRecord,
+)
+from needlefit.schemas.reconstruction import ReconstructionRecord
+from needlefit.schemas.scene import NeedleRecord
+
+
+@dataclass(frozen=True)
+class DatasetDescription:
+    """What the makers of a dataset say of it; texts of `dataset.toml`, and a note for each medium."""
+
+    name: str
+    title: str = ""
+    license: str = "not stated"
+    source: str = "needlefit reconstruct"
+    notes: str = ""
+    media: Mapping[str, str] | None = None
+
+
+def assemble_dataset(
+    folder: Path,
+    reconstructions: Sequence[Reconstruction],
+    recipe: ReconstructionRecord,
+    description: DatasetDescription,
+) -> Path:
+    """Write the dataset of all reconstructions into `folder`; return its `dataset.toml`.
+
+    Surfaces that all scans of a medium share are written once, others (layers segmented in every scan) once
+    for each insertion.
+
+    Raises
+    ------
+    DataError
+        If the scans of one medium have layers of different kinds or numbers, or the surfaces of two media
+        would have one name.
+    """
+    media: dict[str, list[Reconstruction]] = {}
+    for one in reconstructions:
+        media.setdefault(one.scan.medium, []).append(one)
+    records: dict[str, DatasetMediumRecord] = {}
+    surfaces: dict[str, Surface] = {}
+    for name, group in media.items():
+        records[name], files = _medium_record(name, group, (description.media or {}).get(name, ""))
+        _require_new(files, surfaces, name)
+        surfaces |= files
+    return write_dataset(
+        folder,
+        _dataset_record(reconstructions, recipe, description, records),
+        [_insertion_row(one) for one in reconstructions],
+        {one.scan.id: np.column_stack([one.points, one.sd]) for one in reconstructions},
+        surfaces,
+    )
+
+
+def _dataset_record(
+    reconstructions: Sequence[Reconstruction],
+    recipe: ReconstructionRecord,
+    description: DatasetDescription,
+    media: dict[str, DatasetMediumRecord],
+) -> DatasetRecord:
+    needle = recipe.needle
+    synthetic = any(one.scan.origin == "synthetic" for one in reconstructions)
+    return DatasetRecord(
+        schema_=1,
+        name=description.name,
+        title=description.title or description.name,
+        origin="synthetic" if synthetic else "measured",
+        license=description.license,
+        source=description.source,
+        notes=description.notes,
+        frame=FrameRecord(name="world" if reconstructions[0].registration else "patient (LPS)", pose="known"),
+        needle=NeedleRecord(
+            name=needle.name,
+            length_mm=needle.length_mm,
+            outer_diameter_mm=needle.diameter_mm,
+            inner_diameter_mm=needle.inner_diameter_mm,
+            youngs_modulus_gpa=needle.youngs_modulus_gpa,
+            note=needle.note,
+        ),
+        noise=_noise_record(reconstructions, recipe),
+        insertions=InsertionsRecord(file="insertions.csv"),
+        centerlines=CenterlinesRecord(pattern="centerlines/{id}.csv"),
+        media=media,
+    )
+
+
+def _noise_record(reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord) -> NoiseRecord:
+    """Return what the reconstructions say of their errors, over all insertions.
+
+    An axis drawn as a spline errs alike over half a knot's distance; what remains from point to point is the
+    rounding of the files, and a tenth of the former stands for it.
+    """
+    sd = float(np.sqrt(np.mean(np.concatenate([one.sd for one in reconstructions]) ** 2)))
+    registered = float(np.mean([one.target_error.mean() for one in reconstructions]))
+    return NoiseRecord(
+        registration_mean_mm=round(registered, 4),
+        point_sd_mm=round(0.1 * sd, 4),
+        correlated_sd_mm=round(sd, 4),
+        correlation_length_mm=recipe.centerline.knot_spacing_mm / 2,
+        note="Predicted by the reconstruction: the registration's from the markers' deviations, mean of "
+        "entry and tip; the centreline's from the scatter of its cross-sections.",
+    )
+
+
+def _insertion_row(one: Reconstruction) -> InsertionRow:
+    scan, met = one.scan, len(one.layers.sequence)
+    sd = one.layers.sd
+    return InsertionRow(
+        id=scan.id,
+        medium=scan.medium,
+        specimen=scan.specimen,
+        layers=met if scan.layers is None else scan.layers,
+        layers_alternative=scan.layers_alternative,
+        depth=one.depth,
+        side=scan.side,
+        entry=one.pose.origin,
+        direction=one.pose.direction,
+        bevel={"stated": scan.bevel, "bevel": one.frame.rotation[:, 1], "shape": None}[one.plane],
+        pose_source=one.pose.source,
+        pose_shift_sd=one.pose.shift_sd,
+        pose_angle_sd=one.pose.angle_sd,
+        boundary_sd=float(np.sqrt(np.mean(sd**2))) if len(sd) else 0.0,
+        depth_sd=one.depth_sd,
+        guide_distance=scan.guide_distance,
+        patient=one.patient,
+    )
+
+
+def _medium_record(
+    name: str, group: Sequence[Reconstruction], note: str
+) -> tuple[DatasetMediumRecord, dict[str, Surface]]:
+    """Return the record of a medium, and its files."""
+    first = group[0].layers.surfaces
+    for one in group[1:]:
+        if [(s.kind, s.into) for s in one.layers.surfaces] != [(s.kind, s.into) for s in first]:
+            raise DataError(
+                f"the layers of {one.scan.id} are not those of {group[0].scan.id}",
+                where=f"medium {name}",
+                expected="in every scan of a medium the same kinds of surfaces, leading into the same layers",
+                fix="give these scans media of different names, or the same layers",
+            )
+    shared = all(_same_surfaces(one.layers.surfaces, first) for one in group)
+    numbered = [f"{{id}}_{n}" for n in range(1, len(first) + 1)]  # what a segment is called may differ
+    names = [f"layers/{stem}.stl" for stem in (_file_stems(name, first) if shared else numbered)]
+    records = tuple(
+        SurfaceRecord(file=file, kind=surface.kind, into=surface.into)
+        for file, surface in zip(names, first, strict=True)
+    )
+    files = {
+        file.replace("{id}", one.scan.id): surface
+        for one in (group[:1] if shared else group)
+        for file, surface in zip(names, one.layers.surfaces, strict=True)
+    }
+    return DatasetMediumRecord(surfaces=records, note=note), files
+
+
+def _require_new(files: Mapping[str, Surface], written: Mapping[str, Surface], medium: str) -> None:
+    """Refuse names that a medium shares with another: `a` with `b_c` and `a_b` with `c` both make `a_b_c`."""
+    both = sorted(files.keys() & written.keys())
+    if both:
+        raise DataError(
+            f"two media would write {both[0]}",
+            where=f"medium {medium}",
+            expected="names of media and surfaces that make different files",
+            fix="rename the medium, or the file of the surface",
+        )
+
+
+def _file_stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
+    """Return a file name for each surface: its own after the medium's, numbered where two are alike."""
+    own = [as_id(surface.name.removeprefix(f"{medium}_"), "surface") for surface in surfaces]
+    if len({name.lower() for name in own}) < len(own):  # not every file system tells a from A
+        own = [f"{name}_{n}" for n, name in enumerate(own, start=1)]
+    return [f"{medium}_{name}" for name in own]
+
+
+def _same_surfaces(one: Sequence[Surface], other: Sequence[Surface]) -> bool:
+    return all(
+        np.array_equal(a.mesh.vertices, b.mesh.vertices) and np.array_equal(a.mesh.faces, b.mesh.faces)
+        for a, b in zip(one, other, strict=True)
+    )
+
+
+_FAULT_LOCATION = re.compile(r"centerlines/(?P<curve>[^/]+)\.csv|insertions\.csv:(?P<line>\d+)")
+
+
+def assemble_checked(
+    folder: Path,
+    reconstructions: Sequence[Reconstruction],
+    recipe: ReconstructionRecord,
+    description: DatasetDescription,
+) -> tuple[tuple[Reconstruction, ...], tuple[ReconstructionFailure, ...]]:
+    """Write into `folder` the dataset of those of `reconstructions` that have no fault; return them and the
+    others.
+
+    Where all have one, nothing is written, and none is returned as sound.
+
+    Raises
+    ------
+    DataError
+        If a fault belongs to no single insertion.
+    """
+    left, failures = list(reconstructions), list[ReconstructionFailure]()
+    while left:
+        faults = _find_faults(left, recipe, description)
+        if not faults:
+            assemble_dataset(folder, left, recipe, description)
+            return tuple(left), tuple(failures)
+        owners = [_find_owner(fault, left) for fault in faults]
+        if None in owners:
+            raise as_error(faults, Path(description.name))
+        owned = list(zip(owners, faults, strict=True))
+        for one in [one for one in left if one in owners]:
+            left.remove(one)
+            failures.append(
+                ReconstructionFailure(
+                    one.scan, _fault_error(one, [fault for owner, fault in owned if owner is one])
+                )
+            )
+    return (), tuple(failures)
+
+
+def _find_faults(
+    reconstructions: Sequence[Reconstruction], recipe: ReconstructionRecord, description: DatasetDescription
+) -> list[Fault]:
+    """Return the faults of the dataset that some insertions make, not of the folder where it is tried."""
+    with TemporaryDirectory(prefix="needlefit-") as trial:
+        assemble_dataset(Path(trial), reconstructions, recipe, description)
+        return [_without_folder(fault, Path(trial)) for fault in check(Path(trial))]
+
+
+def _find_owner(fault: Fault, reconstructions: Sequence[Reconstruction]) -> Reconstruction | None:
+    """Return the insertion in whose row or centreline a fault stands."""
+    place = _FAULT_LOCATION.search(Path(fault.where).as_posix())
+    if place is None:
+        return None
+    if place["line"]:
+        return reconstructions[int(place["line"]) - 2]  # below one header line
+    return next((one for one in reconstructions if one.scan.id == place["curve"]), None)
+
+
+def _fault_error(one: Reconstruction, faults: Sequence[Fault]) -> DataError:
+    """Return the error of an insertion whose faults the user meets in the scan and the recipe."""
+    what = "; ".join(dict.fromkeys(fault.what for fault in faults))
+    first = faults[0]
+    return DataError(
+        f"gives no insertion that a dataset may hold: {what}",
+        where=str(one.scan.volume),
+        expected=first.expected,
+        fix=_fix_in_recipe(first.fix),
+    )
+
+
+def _without_folder(fault: Fault, folder: Path) -> Fault:
+    """Return a fault of the dataset without the temporary folder in which it was found."""
+    return replace(fault, where=fault.where.replace(f"{folder}/", ""), fix=_fix_in_recipe(fault.fix))
+
+
+def _fix_in_recipe(fix: str) -> str:
+    """Return what fixes a fault, told where a user of a recipe does it."""
+    return fix.replace("dataset.toml", "the recipe")

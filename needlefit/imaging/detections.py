@@ -1,0 +1,110 @@
+"""What is detected in a volume: the needle's axis, the markers, their registration, the brightness
+profile.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.patient import IN_PATIENT
+from needlefit.imaging.intensity_profile import sample_profile
+from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
+from needlefit.imaging.needle.centerline import Centerline, trace_needle
+from needlefit.imaging.needle.mask import read_mask_component
+from needlefit.imaging.needle.segmentation import Component, segment_needle
+from needlefit.imaging.reconstruction import IntensityProfile, MarkerResult
+from needlefit.imaging.registration.marker_sets import KNOWN_SET
+from needlefit.imaging.registration.register import Registration, register, scan_frame
+from needlefit.imaging.scan import Scan
+from needlefit.imaging.volume import Volume
+from needlefit.schemas.reconstruction import ReconstructionRecord
+
+Floats = NDArray[np.float64]
+
+PROFILE_BEYOND_TIP_MM = 8.0
+"""How far beyond the tip the brightness is followed, mm, so that a page shows where the needle ends."""
+
+
+@dataclass(frozen=True)
+class Detections:
+    """What is detected in a volume, before entry and layers are derived.
+
+    Attributes
+    ----------
+    needle_axis : Centerline
+        LPS.
+    markers : Markers or None
+    registration : Registration or None
+    profile : Profile
+        Along the whole needle, s from its first point.
+    """
+
+    needle_axis: Centerline
+    markers: MarkerResult | None
+    registration: Registration | None
+    profile: IntensityProfile
+
+    @property
+    def patient(self) -> Frame:
+        """The scan's LPS axes and origin in the world."""
+        return IN_PATIENT if self.registration is None else scan_frame(self.registration)
+
+    @property
+    def world(self) -> Floats:
+        """The whole needle in the world (N, 3), mm."""
+        return self.patient.to_world(self.needle_axis.points)
+
+
+def detect(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Detections:
+    """Detect needle and markers in a volume."""
+    needle = _find_needle(volume, scan, recipe)
+    needle_axis = trace_needle(volume, needle, recipe)
+    markers = _find_markers(volume, needle, scan, recipe)
+    registration = None
+    if markers is not None and scan.markers is not None:
+        registration = _register_markers(markers, scan.markers, recipe)
+    return Detections(needle_axis, markers, registration, _sample_needle_profile(volume, needle_axis.points))
+
+
+def _register_markers(markers: MarkerResult, known: Path, recipe: ReconstructionRecord) -> Registration:
+    """Return the registration of the markers on those of the file `known`; its faults name it."""
+    places = read_markers(known)
+    try:
+        return register(markers.centers, places, markers.sd, recipe.markers.reference_sd_mm)
+    except DataError as error:
+        raise (error.at(str(known)) if error.where == KNOWN_SET else error) from None
+
+
+def _sample_needle_profile(volume: Volume, needle: Floats) -> IntensityProfile:
+    """Return the brightness along the needle (N, 3), LPS, and on beyond its tip."""
+    ahead = needle[-1] - needle[-5]
+    ahead /= np.linalg.norm(ahead)
+    beyond = needle[-1] + np.outer(np.arange(0.5, PROFILE_BEYOND_TIP_MM + 0.5, 0.5), ahead)
+    points = np.vstack([needle, beyond])
+    return sample_profile(volume, points, arc_length(points))
+
+
+def _find_needle(volume: Volume, scan: Scan, recipe: ReconstructionRecord) -> Component:
+    return (
+        segment_needle(volume, recipe)
+        if scan.mask is None
+        else read_mask_component(volume, scan.mask, recipe)
+    )
+
+
+def _find_markers(
+    volume: Volume, needle: Component, scan: Scan, recipe: ReconstructionRecord
+) -> MarkerResult | None:
+    """Return the markers, placed by hand or found; None where the world needs none."""
+    if scan.fiducials is not None:
+        given = read_fiducials(scan.fiducials, recipe)
+        try:
+            return refine_fiducials(given, volume, recipe, needle.voxels)
+        except DataError as error:
+            raise error.at(str(scan.fiducials)) from None
+    return None if scan.markers is None else find_markers(volume, recipe, needle.voxels)

@@ -1,1 +1,0 @@
-"""Headers of image files, checked before a native reader opens the file."""

@@ -1,0 +1,316 @@
+"""The needle's axis as a spline of arc length, and the cross-sections of the needle through which it is
+fitted.
+"""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, PchipInterpolator
+from scipy.ndimage import map_coordinates
+
+from needlefit.geometry.plane import any_normal
+from needlefit.imaging.volume import Volume, to_index
+
+Floats = NDArray[np.float64]
+
+AXIS_HUBER_SD = 1.5
+"""Residuals beyond so many deviations count less."""
+
+MAX_POINT_WEIGHT = 30.0
+"""A point counts at most for so many cross-sections."""
+
+REWEIGHTING_ROUNDS = 4
+"""Rounds of reweighting."""
+
+
+@dataclass(frozen=True)
+class AxisSpline:
+    """A cubic spline through cross-sections.
+
+    Attributes
+    ----------
+    spline : BSpline
+        Arc length from the first cross-section (mm, to the accuracy of one iteration) -> position (3,).
+    length : float
+        Where the last cross-section lies, mm.
+    variance : float
+        Of a cross-section of weight 1 in one direction, its neighbours' correlation included, mm^2.
+    covariance : (C, C) array
+        Of one coordinate's coefficients.
+    s, points, weights : (S,), (S, 3), (S,) arrays
+        The cross-sections it was drawn through.
+    shared_sd : float
+        Deviation that all cross-sections of a stretch share, so that their scatter does not show it, mm.
+    """
+
+    spline: BSpline
+    length: float
+    variance: float
+    covariance: Floats
+    s: Floats
+    points: Floats
+    weights: Floats
+    shared_sd: float = 0.0
+
+
+@dataclass(frozen=True)
+class AxisFrames:
+    """Where cross-sections lie: `origins`, `tangents` and two directions across, `u`, `v`: each (S, 3)."""
+
+    origins: Floats
+    tangents: Floats
+    u: Floats
+    v: Floats
+
+
+def fit_axis(s: Floats, points: Floats, weights: Floats, knot: float) -> AxisSpline:
+    """Return the spline with a knot every `knot` mm that fits `points` (S, 3) at `s` (S,) best.
+
+    Points far off, by Huber's rule, count less. The covariance holds the correlation of neighbouring
+    residuals: by the sum of their autocorrelation a cross-section counts for less than one observation.
+    """
+    knots = _knots(s[0], s[-1], knot)
+    matrix = BSpline.design_matrix(s, knots, 3).toarray()
+    robust = np.ones(len(s))
+    for _ in range(REWEIGHTING_ROUNDS):
+        w = weights * robust
+        normal = matrix.T @ (matrix * w[:, None])
+        coefficients = np.linalg.solve(normal, matrix.T @ (points * w[:, None]))
+        residuals = points - matrix @ coefficients
+        size = np.sqrt(weights) * np.linalg.norm(residuals, axis=1)
+        scale = max(float(np.median(size)) / 1.18, 1e-9)  # of a two-dimensional Gaussian
+        robust = np.minimum(1.0, AXIS_HUBER_SD * 1.4 / np.maximum(size / scale, 1e-9))
+    freedom = max(1.0, len(s) - matrix.shape[1])
+    variance = float(np.sum(w[:, None] * residuals**2) / (2 * freedom))  # two directions are free
+    variance *= correlation_factor(residuals, matrix.shape[1])
+    covariance = np.asarray(np.linalg.inv(normal) * variance, dtype=np.float64)
+    return AxisSpline(BSpline(knots, coefficients, 3), float(s[-1]), variance, covariance, s, points, weights)
+
+
+def extend_axis(axis: AxisSpline, at: float, point: Floats, sd: float, knot: float) -> AxisSpline:
+    """Return the spline drawn anew, through a further `point` (3,) of deviation `sd` (mm) at `at` (mm)."""
+    weight = min(axis.variance / sd**2, MAX_POINT_WEIGHT)
+    s, points = np.append(axis.s, at), np.vstack([axis.points, point])
+    longer = fit_axis(s, points, np.append(axis.weights, weight), knot)
+    scale = axis.variance / longer.variance  # one point more tells nothing of the scatter
+    covariance = longer.covariance * scale
+    return replace(longer, variance=axis.variance, covariance=covariance, shared_sd=axis.shared_sd)
+
+
+def correlation_factor(residuals: Floats, parameters: int) -> float:
+    """Return how many cross-sections count for one observation: 1 + 2 sum of the autocorrelation, 1 at least.
+
+    The sum ends where the autocorrelation first falls below zero. Residuals of a fit of P parameters to
+    S points are less correlated than the errors, about as if each lag's sum lacked P / S.
+    """
+    power = float(np.sum(residuals**2))
+    total, missing = 1.0, parameters / len(residuals)
+    for lag in range(1, len(residuals) // 3):
+        rho = float(np.sum(residuals[lag:] * residuals[:-lag])) / max(power, 1e-30)
+        rho = (rho + missing) / (1 + missing)
+        if rho <= 0:
+            break
+        total += 2 * rho
+    return total
+
+
+def axis_sd(axis: AxisSpline, s: Floats) -> Floats:
+    """Return the standard deviation in one direction across (N,) at `s` (N,), mm."""
+    matrix = BSpline.design_matrix(s, axis.spline.t, 3, extrapolate=True).toarray()
+    sd: Floats = np.sqrt(np.einsum("nc,cd,nd->n", matrix, axis.covariance, matrix) + axis.shared_sd**2)
+    return sd
+
+
+def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
+    """Return the frames (S,) at `s` (S,), mm; u is as near as can be to one direction for all."""
+    tangents = axis.spline.derivative()(s)
+    tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
+    ends = axis.spline(np.array([0.0, axis.length]))
+    reference = any_normal((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
+    u = reference - (tangents @ reference)[:, None] * tangents
+    u /= np.linalg.norm(u, axis=1, keepdims=True)
+    return AxisFrames(axis.spline(s), tangents, u, np.cross(tangents, u))
+
+
+def reverse_axis(axis: AxisSpline) -> AxisSpline:
+    """Return the same curve, run through from the other end."""
+    spline = axis.spline
+    turned = BSpline(axis.length - spline.t[::-1], spline.c[::-1], 3)
+    s = axis.length - axis.s[::-1]
+    covariance = axis.covariance[::-1, ::-1]
+    return AxisSpline(
+        turned, axis.length, axis.variance, covariance, s, axis.points[::-1], axis.weights[::-1]
+    )
+
+
+def _knots(start: float, end: float, spacing: float) -> Floats:
+    pieces = max(1, round((end - start) / spacing))
+    inner = np.linspace(start, end, pieces + 1)
+    return np.concatenate([[start] * 3, inner, [end] * 3])
+
+
+PLANE_SPACING_MM = 0.3
+"""Spacing of the points in a plane, mm."""
+
+RING_WIDTH_MM = 0.15
+"""Width of the rings over which the common profile is averaged, mm."""
+
+SECTION_HUBER_SD = 2.0
+"""Points of a plane that stray by more than so many deviations count less."""
+
+SHARED_ERROR_LENGTH_MM = 15.0
+"""Length over which what the cross-sections have in common is looked for, mm."""
+
+SHIFT_PER_TILT_MM = 5.0
+"""Shift of a section for a background that slopes by the needle's brightness in 1 mm, mm: a ray that tilts
+what lies around the needle also bends it, and a bend is taken for a shift. Set on the scans of
+`benchmarks/reconstruction.py --seed 100000`, others than its own."""
+
+MIN_FRACTION_IN_VOLUME = 0.7
+"""Part of a plane's points that must lie in the volume."""
+
+
+@dataclass(frozen=True)
+class CrossSections:
+    """The needle in planes across it.
+
+    Attributes
+    ----------
+    shifts : (S, 2) array
+        Where its axis pierces them, along the frames' u and v, mm.
+    amplitude : (S,) array
+        Brightness over the background, HU.
+    noise : (S,) array
+        Deviation of a plane's points from the fit, HU.
+    tilt : (S, 2) array
+        Slope of the background along u and v, HU/mm.
+    """
+
+    shifts: Floats
+    amplitude: Floats
+    noise: Floats
+    tilt: Floats
+
+
+def disc_points(radius: float) -> Floats:
+    """Return the points (P, 2) of a grid in a disc, mm."""
+    steps = (
+        np.arange(-np.floor(radius / PLANE_SPACING_MM), np.floor(radius / PLANE_SPACING_MM) + 1)
+        * PLANE_SPACING_MM
+    )
+    grid = np.stack(np.meshgrid(steps, steps, indexing="ij"), axis=-1).reshape(-1, 2)
+    points: Floats = grid[np.hypot(*grid.T) <= radius]
+    return points
+
+
+def sample_planes(volume: Volume, where: AxisFrames, plane: Floats) -> Floats:
+    """Return the brightness (S, P), HU, at `plane` (P, 2) in every frame; nan outside the volume.
+
+    Trilinear: it keeps centroids; cubic interpolation of a saturated needle, with its ringing, need not.
+    """
+    points = (
+        where.origins[:, None] + plane[None, :, :1] * where.u[:, None] + plane[None, :, 1:] * where.v[:, None]
+    )
+    index = to_index(volume, points.reshape(-1, 3))[:, ::-1].T
+    values = map_coordinates(volume.values, index, order=1, cval=np.nan, output=np.float64)
+    sampled: Floats = values.reshape(points.shape[:2])
+    return sampled
+
+
+def in_volume(values: Floats) -> NDArray[np.bool_]:
+    """Whether each plane (S, P) lies in the volume, as good as all of it."""
+    enough: NDArray[np.bool_] = np.isfinite(values).mean(axis=1) >= MIN_FRACTION_IN_VOLUME
+    return enough
+
+
+def find_centroids(values: Floats, plane: Floats, reach: float) -> CrossSections:
+    """Return, as a first look, the centroids of what outshines the rims, within `reach` of the middle."""
+    radius = np.hypot(*plane.T)
+    rim = np.nanmedian(values[:, radius > 0.8 * radius.max()], axis=1)
+    over = np.where((radius <= reach) & np.isfinite(values), values - rim[:, None], 0.0)
+    over = np.clip(over - 0.3 * over.max(axis=1, keepdims=True), 0, None)
+    mass = np.maximum(over.sum(axis=1), 1e-9)
+    return CrossSections(
+        over @ plane / mass[:, None], over.max(axis=1), np.ones(len(values)), np.zeros((len(values), 2))
+    )
+
+
+def fit_sections(values: Floats, plane: Floats, rough: CrossSections) -> CrossSections:
+    """Return the sections by least squares, from `values` (S, P), HU, at `plane` (P, 2) and `rough` ones.
+
+    Every plane shows amplitude f(|x - shift|) + background + slope . x, where f is the profile that all
+    planes of this needle have in common: saturation and bloom are in it, whatever they are. Linear in
+    the shift about `rough`; points that do not fit (a ray, a marker) count less.
+    """
+    f, slope = _common_profile(values, plane, rough)
+    offset = plane[None] - rough.shifts[:, None]  # (S, P, 2)
+    r = np.maximum(np.linalg.norm(offset, axis=2), 1e-6)
+    pull = -slope(r)[..., None] * offset / r[..., None]
+    ones = np.ones_like(r)
+    flat = np.broadcast_to(plane, offset.shape)
+    design = np.concatenate([f(r)[..., None], ones[..., None], flat, pull], axis=2)  # (S, P, 6)
+    valid = np.isfinite(values)
+    known = np.where(valid, values, 0.0)
+    weights = valid.astype(np.float64)
+    for _ in range(3):
+        weighted = design * weights[..., None]
+        normal = np.einsum("spa,spb->sab", weighted, design) + 1e-9 * np.eye(6)
+        solved = np.linalg.solve(normal, np.einsum("spa,sp->sa", weighted, known)[..., None])[..., 0]
+        residual = np.where(valid, known - np.einsum("spa,sa->sp", design, solved), 0.0)
+        noise = np.maximum(1.48 * np.median(np.abs(residual), axis=1), 1e-6)
+        weights = valid * np.minimum(
+            1.0, SECTION_HUBER_SD * noise[:, None] / np.maximum(np.abs(residual), 1e-9)
+        )
+    moved = solved[:, 4:] / np.where(np.abs(solved[:, :1]) > 1e-6, solved[:, :1], 1.0)
+    return CrossSections(rough.shifts + np.clip(moved, -0.5, 0.5), solved[:, 0], noise, solved[:, 2:4])
+
+
+def select_sections(sections: CrossSections, which: NDArray[np.bool_]) -> CrossSections:
+    """Return some of the sections."""
+    return CrossSections(
+        sections.shifts[which], sections.amplitude[which], sections.noise[which], sections.tilt[which]
+    )
+
+
+def estimate_shared_sd(rough: CrossSections, found: CrossSections, station: float) -> float:
+    """Return the deviation (mm) that the sections of a stretch share, so that their scatter hides it.
+
+    It shows in how two ways to place them differ, centroids and fits, and in how far the background slopes:
+    rays that run along a needle pull at many sections alike, and both stay when they are averaged over
+    `SHARED_ERROR_LENGTH_MM`.
+    """
+    window = np.ones(max(1, min(len(found.shifts), round(SHARED_ERROR_LENGTH_MM / station))))
+    count = np.convolve(np.ones(len(found.shifts)), window, "same")
+    bent = SHIFT_PER_TILT_MM * found.tilt / np.median(found.amplitude)
+    both = np.hstack([rough.shifts - found.shifts, bent])  # (S, 4)
+    shared = np.stack([np.convolve(side, window, "same") / count for side in both.T])
+    return float(np.sqrt(np.sum(np.mean(shared**2, axis=1)) / 2))  # in one direction of two
+
+
+def _common_profile(
+    values: Floats, plane: Floats, rough: CrossSections
+) -> tuple[PchipInterpolator, PchipInterpolator]:
+    """Return the planes' common profile, 1 in the middle and 0 far out, and its slope (1/mm), over radius."""
+    r = np.linalg.norm(plane[None] - rough.shifts[:, None], axis=2)
+    rim = np.nanmedian(np.where(r > 0.8 * r.max(axis=1, keepdims=True), values, np.nan), axis=1)
+    inner = np.nanmean(np.where(r < 2 * PLANE_SPACING_MM, values, np.nan), axis=1)
+    over = inner - rim
+    good = over > 0.3 * np.median(over)
+    scaled = (values[good] - rim[good, None]) / over[good, None]
+    ring = np.rint(r[good] / RING_WIDTH_MM).astype(int)
+    last = int(ring.max())
+    level = np.array([_finite_median(scaled[ring == n]) for n in range(last + 1)])
+    radii = np.arange(last + 1) * RING_WIDTH_MM
+    known = np.isfinite(level)
+    level = np.minimum.accumulate(level[known])  # brightest in the middle
+    level = np.clip(level - level[-1], 0, None)
+    radii = radii[known]
+    mirrored = np.concatenate([-radii[:0:-1], radii]), np.concatenate([level[:0:-1], level])
+    profile = PchipInterpolator(*mirrored)
+    return profile, profile.derivative()
+
+
+def _finite_median(values: Floats) -> float:
+    values = values[np.isfinite(values)]
+    return float(np.median(values)) if values.size else np.nan

@@ -1,0 +1,220 @@
+"""Checks of a reconstruction: errors for layers that cannot be right, and warnings for what a person should
+know.
+"""
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from needlefit.errors import DataError
+from needlefit.geometry.crossings import crossings, surface_hits
+from needlefit.geometry.enclosure import enclosed_length
+from needlefit.geometry.frames import Floats, Frame
+from needlefit.geometry.patient import SIGNS
+from needlefit.geometry.surfaces import Surface, moved, nearest
+from needlefit.imaging.entry import compare_poses
+from needlefit.imaging.intensity_profile import find_tissue_edge
+from needlefit.imaging.reconstruction import Layers, Reconstruction
+from needlefit.imaging.scan import Scan
+
+MIN_P_VALUE = 0.01
+"""Residuals of markers that the stated noise leaves less often are spoken of."""
+
+MAX_DISAGREEMENT_SD = 3.0
+"""Deviations from which on two ways to the same quantity disagree."""
+
+MAX_BEVEL_ANGLE_DEG = 30.0
+"""Degrees between the stated bevel and the one seen from which on something was mixed up."""
+
+MAX_PLANE_SD_DEG = 20.0
+"""Deviation of the bending plane, degrees, from which on a shape does not tell it."""
+
+MAX_LAYER_SD_MM = 0.5
+"""Deviation of a layer's depth, mm, that is spoken of; the tip's deflection hangs on it steeply."""
+
+
+def collect_warnings(one: Reconstruction) -> tuple[str, ...]:
+    """Return the warnings, the most important first."""
+    found = () if one.registration is None else one.registration.warnings
+    return (
+        *found,
+        *_registration_warnings(one),
+        *_entry_warnings(one),
+        *_plane_warnings(one),
+        *_layer_warnings(one),
+    )
+
+
+def _registration_warnings(one: Reconstruction) -> list[str]:
+    known = one.registration
+    if known is None or known.p_value > MIN_P_VALUE:
+        return []
+    return [
+        f"the markers miss their places by {known.fre:.2f} mm, {known.expected_fre:.2f} were expected "
+        f"(probability {known.p_value:.1g}): the stated deviations are too small, or a marker has moved"
+    ]
+
+
+def _entry_warnings(one: Reconstruction) -> list[str]:
+    notes = []
+    at_tip = float(np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth))
+    if one.pose.source == "shaft":
+        notes.append(
+            f"the entry axis is drawn through the shaft outside the tissue: +- {at_tip:.2f} mm at the tip's "
+            "depth; the stage's axis, where it is known, is surer"
+        )
+    if one.pose.source == "stage" and one.shaft is not None:
+        apart = compare_poses(one.pose, one.shaft)
+        notes += [apart.sentence] if apart.worst > MAX_DISAGREEMENT_SD else []
+    edge, source = find_tissue_edge(one.profile), _describe_entry_source(one)
+    if edge is None or source is None:
+        return notes
+    off, sd = edge[0], float(np.hypot(edge[1], one.pose.along_sd))
+    if abs(off) > MAX_DISAGREEMENT_SD * sd:
+        side = "after" if off > 0 else "before"
+        notes.append(f"in the scan the tissue begins {abs(off):.2f} +- {sd:.2f} mm {side} {source}")
+    return notes
+
+
+def _describe_entry_source(one: Reconstruction) -> str | None:
+    """Return what says where the tissue begins; None if that is the brightness of the scan itself."""
+    if one.pose.source == "stage":
+        return "the stage's entry"
+    own = any(surface.into == 1 for surface in one.layers.surfaces)
+    return "its own surface (into = 1)" if own else None
+
+
+def _plane_warnings(one: Reconstruction) -> list[str]:
+    notes = []
+    local = one.local
+    deflection, aside = float(local[-1, 1]), float(np.abs(local[:, 2]).max())
+    error = float(np.hypot(one.sd[-1], np.hypot(one.pose.shift_sd, one.pose.angle_sd * one.depth)))
+    if one.plane == "shape" and np.degrees(error) > MAX_PLANE_SD_DEG * abs(deflection):
+        notes.append(
+            f"the tip lies {abs(deflection):.2f} +- {error:.2f} mm beside the entry axis: so straight, "
+            "it tells no bending plane, and its deflection is biased upward; state the bevel's direction"
+        )
+    elif one.plane != "shape" and aside > MAX_DISAGREEMENT_SD * error and aside > abs(deflection) / 3:
+        notes.append(
+            f"the needle leaves the bending plane by {aside:.2f} mm, and bends {abs(deflection):.2f} in it: "
+            "check the bevel's direction"
+        )
+    visible_bevel = one.patient.rotation @ one.needle_axis.bevel
+    if one.plane == "stated" and np.isfinite(visible_bevel).all():
+        facing = one.scan.side * one.frame.rotation[:, 1]
+        across = visible_bevel - (visible_bevel @ one.frame.rotation[:, 0]) * one.frame.rotation[:, 0]
+        angle = np.degrees(np.arccos(np.clip(facing @ across / np.linalg.norm(across), -1, 1)))
+        if angle > MAX_BEVEL_ANGLE_DEG:
+            notes.append(f"the bevel seen at the tip points {angle:.0f} degrees away from the one stated")
+    return notes
+
+
+def _layer_warnings(one: Reconstruction) -> list[str]:
+    steep = [
+        f"{depth:.2f} +- {sd:.2f} mm"
+        for depth, sd in zip(one.layers.boundaries, one.layers.sd, strict=True)
+        if sd > MAX_LAYER_SD_MM
+    ]
+    if not steep:
+        return []
+    return [f"layer depths that are poorly known: {', '.join(steep)}"]
+
+
+TUNNEL_RADIUS_MM = 2.0
+"""Nearer than this, mm, nothing in the tissue runs around a needle but what was drawn around it."""
+
+MIN_TUNNEL_LENGTH_MM = 2 * TUNNEL_RADIUS_MM
+"""A surface runs along a needle from this length on, mm: no ball of that radius is passed through so long."""
+
+
+def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> None:
+    """Refuse layers drawn around a needle (N, 3), world, from base to tip.
+
+    Where metal was left out of a segmentation, the needle lies in a tunnel of each layer, and crosses their
+    surfaces where the tunnels end: anywhere.
+
+    Raises
+    ------
+    DataError
+        If a surface, the tissue's own or another, runs around the needle.
+    """
+    lengths = [(surface.name, enclosed_length(needle, surface, TUNNEL_RADIUS_MM)) for surface in surfaces]
+    around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= MIN_TUNNEL_LENGTH_MM]
+    if around:
+        raise DataError(
+            f"the layers run around the needle, so that it does not cross them: {', '.join(around)}",
+            where=str(scan.volume),
+            expected="surfaces that the needle passes through",
+            fix="label the needle's voxels as the tissue around them, e.g. in 3D Slicer's Segment "
+            "Editor by Smoothing, Closing (fill holes), with a kernel wider than the needle, for each layer",
+        )
+
+
+def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame) -> tuple[str, ...]:
+    """Return what a person should know of the layers met by a needle (N, 3), world.
+
+    Nothing, where there are as many as somebody counted.
+
+    Parameters
+    ----------
+    patient : Frame
+        The scan's LPS axes and origin in the world.
+
+    Raises
+    ------
+    DataError
+        If somebody counted the layers and these are not as many.
+    """
+    counted = {number for number in (scan.layers, scan.layers_alternative) if number is not None}
+    if len(layers.sequence) in counted:
+        return ()
+    notes = tuple(_crossing_warnings(layers, points, patient))
+    if not counted:
+        return notes
+    depths = ", ".join(f"{depth:.2f}" for depth in layers.boundaries) or "none"
+    order = " > ".join(map(str, layers.sequence))
+    expected = " or ".join(map(str, sorted(counted)))
+    raise DataError(
+        f"{scan.id} meets {len(layers.sequence)} layers ({order}; interfaces at {depths} mm), "
+        f"but {expected} were counted" + "".join(f"; {one}" for one in notes),
+        where=str(scan.volume),
+        expected=f"{expected} layers",
+        fix="correct the count or the surfaces; look at both together in 3D Slicer",
+    )
+
+
+def _crossing_warnings(layers: Layers, points: Floats, patient: Frame) -> Iterator[str]:
+    for surface in layers.surfaces:
+        if surface.kind == "sheet" and not len(surface_hits(points, surface)):
+            beside = _distance_beside(points, surface)
+            if beside is not None:
+                yield f"the needle passes {beside:.1f} mm beside the sheet {surface.name}: it is too small"
+    beyond = [surface for surface in layers.surfaces if surface.into > 1]
+    if beyond and not len(layers.boundaries):
+        away = nearest(points, beyond).distances
+        yield f"the needle crosses no layer; the nearest surface stays {away.min():.1f} mm away"
+        if _crossed_in_ras(layers, points, patient):
+            yield "the needle would cross layers if their files were in RAS: save them in LPS"
+
+
+def _distance_beside(points: Floats, surface: Surface) -> float | None:
+    """Return how far from a sheet a needle goes through its mean plane, mm; None if it does not."""
+    vertices = np.asarray(surface.mesh.vertices, dtype=np.float64)
+    centre = vertices.mean(axis=0)
+    normal = np.linalg.svd(vertices - centre, full_matrices=False)[2][2]
+    heights = (points - centre) @ normal
+    passes = np.flatnonzero(np.signbit(heights[1:]) != np.signbit(heights[:-1]))
+    if len(passes) == 0:
+        return None
+    n = int(passes[0])
+    part = heights[n] / (heights[n] - heights[n + 1])
+    place = points[n] + part * (points[n + 1] - points[n])
+    return float(nearest(place, [surface]).distances[0])
+
+
+def _crossed_in_ras(layers: Layers, points: Floats, patient: Frame) -> bool:
+    """Say whether surfaces whose x and y have the other sign in the patient would be crossed."""
+    turn = patient.rotation @ np.diag(SIGNS["RAS"]) @ patient.rotation.T
+    turned = Frame(patient.origin - turn @ patient.origin, turn)
+    flipped = [moved(surface, turned) for surface in layers.surfaces]
+    return len(crossings(points, flipped).sequence) > 1

@@ -1,0 +1,165 @@
+"""The checkpoint folder of a running command, `NAME.partial`, which one process at a time may use."""
+
+import errno
+import hashlib
+import json
+import os
+import secrets
+from collections.abc import Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.project.atomic_write import LOCK_NAME, replace_file
+from needlefit.project.checkpoint_file import set_aside
+from needlefit.project.files import remove_contents, remove_folder
+from needlefit.project.outputs import not_writable_error
+from needlefit.project.ownership import (
+    STAMP,
+    STAMPS,
+    checkpoint_stamp,
+    find_foreign,
+    is_lock_only,
+    read_stamp,
+    require_own_checkpoint,
+)
+from needlefit.project.progress import Note
+
+try:
+    import fcntl
+except ImportError:  # Windows: two runs may meet in one folder there
+    fcntl = None  # type: ignore[assignment]
+
+_THIS_PROCESS = f"{os.getpid()} {secrets.token_hex(8)}"
+"""In the lock file: processes of two containers may have one number."""
+
+_MAX_LOCK_BYTES = 100
+
+
+class Lock:
+    """The lock of a folder, held until it is released or nobody refers to it any more."""
+
+    def __init__(self, file: int) -> None:
+        self._file: int | None = file
+
+    def release(self) -> None:
+        """Let others have it."""
+        if self._file is not None:
+            os.close(self._file)
+            self._file = None
+
+    def __del__(self) -> None:
+        self.release()
+
+
+def hash_work(work: Mapping[str, Any]) -> str:
+    """Return the digest of all that decides a result, given as JSON values."""
+    return hashlib.sha256(json.dumps(work, sort_keys=True).encode()).hexdigest()
+
+
+def claim_checkpoint(folder: Path, work: str, resume: bool, note: Note) -> Lock | None:
+    """Make `folder` the checkpoint of the work with this digest; with `resume` what is there stays.
+
+    A checkpoint whose stamp is damaged is set aside.
+
+    Returns
+    -------
+    Lock or None
+        To be held while the run goes on; None where the system has no locks.
+
+    Raises
+    ------
+    ConfigError
+        If another process has it, it holds anything foreign, cannot be written, or is of other work.
+    """
+    require_own_checkpoint(folder)
+    lock = _lock(folder)
+    if not is_lock_only(folder) and _work_of(folder) is None:
+        if lock is not None:
+            lock.release()
+        note(f"{folder} is damaged: it is now {set_aside(folder).name}, and its run starts afresh")
+        lock = _lock(folder)
+    if resume and (found := _work_of(folder)) is not None:
+        if found != work:
+            raise ConfigError(
+                "the interrupted run was of other work",
+                where=str(folder),
+                expected="the same data, configuration, seed and versions",
+                fix="run again without --resume, which starts afresh",
+            )
+        return lock
+    _empty(folder)
+    with replace_file(folder / STAMP) as fresh:
+        fresh.write_text(checkpoint_stamp(work), encoding="ascii")
+    return lock
+
+
+def remove_checkpoint(folder: Path, note: Note) -> None:
+    """Remove the checkpoint of a run that is complete; where it holds anything foreign it stays."""
+    if not folder.is_dir():
+        return
+    try:
+        faults = find_foreign(folder, "checkpoint")
+        lock = None if faults else _lock(folder)
+    except ConfigError as error:
+        faults = [str(error)]
+    if faults:
+        note(f"{folder} is not removed: it holds {', '.join(faults)}")
+        return
+    with suppress(OSError):  # what stays has its stamp still: the next run removes it
+        remove_folder(folder, (LOCK_NAME, *STAMPS))
+    if lock is not None:
+        lock.release()
+
+
+def _work_of(folder: Path) -> str | None:
+    """Return of which work a checkpoint is; None if it has no stamp, or a damaged one."""
+    try:
+        work = read_stamp(folder).get("work")
+    except DataError:
+        return None
+    return work if isinstance(work, str) else None
+
+
+def _empty(folder: Path) -> None:
+    """Remove all but the lock from a checkpoint in which nothing is foreign."""
+    remove_contents(folder, STAMPS, keep=(LOCK_NAME,))
+
+
+def _lock(folder: Path) -> Lock | None:
+    """Make the folder, and take its lock; None where the system, or the disk, has no locks.
+
+    Raises
+    ------
+    ConfigError
+        If another process has it, or nothing can be written there.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        file = os.open(folder / LOCK_NAME, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+    except OSError as error:
+        raise not_writable_error(folder, error.strerror or type(error).__name__) from None
+    if fcntl is None:
+        os.close(file)
+        return None
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError as error:
+        holder = os.pread(file, _MAX_LOCK_BYTES, 0).decode("ascii", "replace").strip()
+        os.close(file)
+        if error.errno in (errno.EWOULDBLOCK, errno.EACCES) and holder != _THIS_PROCESS:
+            raise _busy_error(folder, holder.partition(" ")[0]) from None
+        return None
+    os.ftruncate(file, 0)
+    os.pwrite(file, f"{_THIS_PROCESS}\n".encode("ascii"), 0)
+    return Lock(file)
+
+
+def _busy_error(folder: Path, process: str) -> ConfigError:
+    return ConfigError(
+        f"another run of needlefit (process {process or 'unknown'}) is writing there",
+        where=str(folder),
+        expected="one run at a time for each folder of results",
+        fix="wait until it has ended, or choose another folder with --out",
+    )

@@ -1,0 +1,24 @@
+"""Callbacks of long computations: progress, a request to stop, and notes; and defaults that do nothing."""
+
+from collections.abc import Callable
+
+Progress = Callable[[str, int, int], None]
+"""Told what is being done, how much of it is done, and of how much."""
+
+Stop = Callable[[], bool]
+
+Note = Callable[[str], None]
+"""Given a line that the user should read, and that is no result: what was damaged and computed again."""
+
+
+def no_progress(_what: str, _done: int, _of: int) -> None:
+    """Tell nobody."""
+
+
+def never_stop() -> bool:
+    """Say that nobody wants to stop."""
+    return False
+
+
+def no_note(_line: str) -> None:
+    """Pass a line to nobody."""

@@ -1,0 +1,68 @@
+"""Base classes of all schemas: frozen records without unknown keys, names, and rigid motions."""
+
+import math
+from typing import Annotated, Literal
+
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field
+
+from needlefit.schemas.names import file_name_fault, name_fault
+
+
+class Record(BaseModel):
+    """A checked, frozen table of a TOML file; unknown keys are errors."""
+
+    model_config = ConfigDict(
+        extra="forbid", frozen=True, allow_inf_nan=False, populate_by_name=True, protected_namespaces=()
+    )
+
+
+class FileRecord(Record):
+    """A whole TOML file; `schema = 1` is the version of its layout."""
+
+    schema_: Literal[1] = Field(alias="schema")
+
+
+def _check_name(name: str) -> str:
+    fault = name_fault(name)
+    if fault:
+        raise ValueError(f"{name!r} is refused: {fault}")
+    return name
+
+
+def _check_file_name(name: str) -> str:
+    fault = file_name_fault(name)
+    if fault:
+        raise ValueError(f"{name!r} is refused: {fault}")
+    return name
+
+
+Name = Annotated[str, AfterValidator(_check_name)]
+"""A name that reaches tables."""
+
+FileName = Annotated[str, AfterValidator(_check_file_name)]
+"""A name that files have, too."""
+
+
+Row4 = tuple[float, float, float, float]
+Rows = tuple[Row4, Row4, Row4]
+
+MAX_ROTATION_DEVIATION = 1e-6
+"""Greatest deviation of a rotation's columns from unit length and from right angles."""
+
+
+def _require_rigid(rows: Rows) -> Rows:
+    (a, b, c, _), (d, e, f, _), (g, h, i, _) = rows
+    columns = ((a, d, g), (b, e, h), (c, f, i))
+    products = [sum(x * y for x, y in zip(p, q, strict=True)) for p in columns for q in columns]
+    square = all(abs(product - (n % 4 == 0)) <= MAX_ROTATION_DEVIATION for n, product in enumerate(products))
+    turned = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    if not (square and turned > 0 and all(math.isfinite(row[3]) for row in rows)):
+        raise ValueError(
+            "must be three rows of a rotation and a shift (mm): no scale, no reflection, "
+            "e.g. [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0]]"
+        )
+    return rows
+
+
+RigidRows = Annotated[Rows, AfterValidator(_require_rigid)]
+"""Rotation and shift (mm) side by side, a row for each axis of the frame to which it leads."""

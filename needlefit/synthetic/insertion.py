@@ -1,0 +1,185 @@
+"""Simulate one true insertion in three dimensions: the needle's shape, and the layers that this shape
+crosses.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.errors import ModelError
+from needlefit.geometry.crossings import crossings
+from needlefit.geometry.frames import Frame, entry_frame
+from needlefit.geometry.surfaces import Surface
+from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.simulate import simulate
+from needlefit.mechanics.tissue import Tissue
+from needlefit.synthetic.design import PlannedInsertion
+from needlefit.synthetic.truth import (
+    PlanDeviations,
+    TrueSpecimen,
+    bevel_offset,
+    draw_deviations,
+    draw_needle,
+    draw_specimen,
+)
+
+Floats = NDArray[np.float64]
+
+MAX_POINT_SPACING_MM = 0.5
+"""Distance between the points of a centreline, mm (at most)."""
+
+TRUTH_OPTIONS = Rules(element=0.25)
+"""A finer mesh than is fitted with (the constraint spacing is part of the model)."""
+
+SUBLAYER_THICKNESS_MM = 2.0
+"""Thickness of the slices in which a piece that is not homogeneous is cut along the needle, mm."""
+
+CONVERGENCE_MM, MAX_ROUNDS = 1e-5, 60
+"""The needle and its layers agree when no point moves by more, mm, from one round to the next."""
+
+
+@dataclass(frozen=True)
+class TrueInsertion:
+    """A true insertion.
+
+    Attributes
+    ----------
+    frame : Frame
+        C in the world, y toward where the bevel really faces.
+    shape : NeedleShape
+        In C; only the plane of the bevel.
+    centerline : (N, 3) array
+        World points from entry to tip, with the bending out of the plane, mm.
+    boundaries : (n - 1,) array
+        Depths of the interfaces met, along C's x, mm.
+    sequence : tuple of int
+        Layers met.
+    tissue : Tissue
+        What the needle met: these layers, or thin slices of a smooth field.
+    """
+
+    frame: Frame
+    shape: NeedleShape
+    centerline: Floats
+    boundaries: Floats
+    sequence: tuple[int, ...]
+    tissue: Tissue
+
+    @property
+    def deflection(self) -> float:
+        """Deflection of the tip from the entry in the plane of the bevel, mm."""
+        ends = positions(self.shape, np.array([0.0, self.shape.depth]))
+        return float(ends[1, 1] - ends[0, 1])
+
+
+def insert_needle(
+    planned: PlannedInsertion, needle: Needle, specimen: TrueSpecimen, deviations: PlanDeviations
+) -> TrueInsertion:
+    """Insert the needle; the layer depths are those at which its final shape crosses the surfaces.
+
+    Shape and depths are found by iteration: a needle through the layers met by the last one, first along
+    the straight axis.
+
+    Raises
+    ------
+    ModelError
+        If the two do not come to agree.
+    """
+    frame = true_frame(planned, deviations)
+    bevel = Bevel(bevel_offset(specimen, planned))
+    curve = _straight_points(frame, planned.depth)
+    for _ in range(MAX_ROUNDS):
+        boundaries, sequence = _find_crossed_layers(curve, frame, specimen.surfaces)
+        tissue = _tissue_along(curve, frame, specimen, boundaries, sequence)
+        shape = simulate(needle, tissue, bevel, planned.depth, rules=TRUTH_OPTIONS)
+        last, curve = curve, needle_points(shape, frame, deviations, centerline_stations(shape.depth))
+        if not shape.converged:
+            break
+        if np.abs(curve - last).max() < CONVERGENCE_MM:
+            return TrueInsertion(frame, shape, curve, boundaries, sequence, tissue)
+    raise ModelError(
+        f"insertion {planned.id} does not settle ({shape.status})", fix="plan it farther from a layer's edge"
+    )
+
+
+def stated_frame(planned: PlannedInsertion) -> Frame:
+    """Return C as the stage and the bevel's mark state it."""
+    return entry_frame(planned.origin, planned.direction, planned.toward)
+
+
+def true_frame(planned: PlannedInsertion, deviations: PlanDeviations) -> Frame:
+    """Return C as it really is."""
+    stated = stated_frame(planned)
+    x, y, z = stated.rotation.T
+    origin = stated.origin + deviations.shift @ np.stack([y, z])
+    direction = x + deviations.tilt @ np.stack([y, z])
+    return entry_frame(origin, direction, np.cos(deviations.roll) * y + np.sin(deviations.roll) * z)
+
+
+def centerline_stations(depth: float) -> Floats:
+    """Return the arc lengths (N,) of a centreline's points, 0 to `depth`, mm."""
+    return np.linspace(0.0, depth, int(np.ceil(depth / MAX_POINT_SPACING_MM)) + 1)
+
+
+def needle_points(shape: NeedleShape, frame: Frame, deviations: PlanDeviations, s: Floats) -> Floats:
+    """Return the needle's world points (N, 3) at arc lengths `s` (N,), mm; negative before the tissue.
+
+    In the tissue it is bent out of its plane the more the more it bends within.
+    """
+    amplitude = 0.04 + 0.06 * abs(shape.deflection)
+    along = np.clip(s, 0.0, None) / shape.depth
+    aside = amplitude * (deviations.out_of_plane @ np.stack([along**2, along**3]))
+    return frame.to_world(np.column_stack([positions(shape, s), aside]))
+
+
+def _straight_points(frame: Frame, depth: float) -> Floats:
+    return frame.to_world(np.outer(centerline_stations(depth), [1.0, 0.0, 0.0]))
+
+
+def _find_crossed_layers(
+    curve: Floats, frame: Frame, surfaces: tuple[Surface, ...]
+) -> tuple[Floats, tuple[int, ...]]:
+    met = crossings(curve, surfaces)
+    return frame.to_local(met.points)[:, 0], met.sequence
+
+
+def _tissue_along(
+    curve: Floats, frame: Frame, specimen: TrueSpecimen, boundaries: Floats, sequence: tuple[int, ...]
+) -> Tissue:
+    """Return the tissue along the needle: its layers, or thin slices through a smooth field."""
+    layers = np.array(sequence) - 1
+    mu, alpha = specimen.mu[layers], specimen.alpha[layers]
+    if specimen.field is not None:
+        x = frame.to_local(curve)[:, 0]
+        count = int(np.ceil(x[-1] / SUBLAYER_THICKNESS_MM))
+        middles = SUBLAYER_THICKNESS_MM * (np.arange(count) + 0.5)
+        places = np.column_stack([np.interp(middles, x, axis) for axis in curve.T])
+        mu = specimen.mu[0] * np.exp(specimen.field.at(places))
+        alpha, boundaries = np.full(count, specimen.alpha[0]), SUBLAYER_THICKNESS_MM * np.arange(1.0, count)
+    return Tissue(mu, alpha, boundaries, friction=np.array([specimen.friction]))
+
+
+TWIN_SEED = 1
+"""The seed of the twin that ships."""
+
+
+@dataclass(frozen=True)
+class SyntheticInsertion:
+    """One insertion of the twin: as planned, and as it really is."""
+
+    planned: PlannedInsertion
+    specimen: TrueSpecimen
+    deviations: PlanDeviations
+    true_insertion: TrueInsertion
+
+
+def simulate_insertion(planned: PlannedInsertion, seed: int) -> SyntheticInsertion:
+    """Simulate one insertion; it depends on its own plan and the seed, not on the others."""
+    specimen = draw_specimen(seed, planned.medium, planned.specimen)
+    deviations = draw_deviations(seed, planned)
+    return SyntheticInsertion(
+        planned, specimen, deviations, insert_needle(planned, draw_needle(seed), specimen, deviations)
+    )

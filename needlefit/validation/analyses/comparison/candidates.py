@@ -1,0 +1,127 @@
+"""What a candidate learns from some insertions, and how probable it makes the points of another one."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.inference.baselines import curve_for
+from needlefit.inference.curve_density import CurveDensity
+from needlefit.inference.identifiability.settle import settle
+from needlefit.inference.parameters import Parameters, with_noise_scale
+from needlefit.inference.sampling.laplace import laplace
+from needlefit.inference.ties import NOISE_SCALE, dimension
+from needlefit.inference.weighing.about_fit import distinct, modes, surely, weighed
+from needlefit.inference.weighing.further import NOTHING, Further, further
+from needlefit.inference.weighing.importance import Weighted, importance
+from needlefit.mechanics import laws
+from needlefit.project.random_streams import random_stream
+from needlefit.schemas.medium import MediumRecord, ParameterRecord
+from needlefit.validation.analyses.posterior_fit import find_fit
+from needlefit.validation.folds import Fold
+from needlefit.validation.job import Job, Settings
+from needlefit.validation.planned_insertions import with_planned_layers
+from needlefit.validation.score import Predictor, curve_predictor, model_predictor
+
+MAX_NOISE_FACTOR = 1000.0
+"""Largest noise factor: a candidate that misses by millimetres where points err by hundredths needs it."""
+
+
+@dataclass(frozen=True)
+class ModelCandidate:
+    """What one candidate knows after some insertions.
+
+    Attributes
+    ----------
+    values : mapping
+        Its parameters at its greatest density (Pa, mm; curves: mm^-(k + 1)), the noise factor among them.
+    method : Rival
+        The curve of these.
+    known : Weighted
+        Its posterior.
+    after : callable
+        Insertion -> its posterior after this one too; None where it has no simulated needle.
+    """
+
+    values: Mapping[str, float]
+    predictor: Predictor
+    known: Weighted
+    after: Callable[[Insertion], Weighted | None]
+
+    def predict_density(self, insertion: Insertion) -> Further:
+        """Return how probable it makes all points of an insertion together."""
+        both = self.after(insertion)
+        return NOTHING if both is None else further(both, self.known)
+
+
+def fit_candidate(name: str, job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
+    """Return what the candidate of this name learns from a fold's insertions; None after a stop."""
+    return _fit_law(job, fold, settings) if name in laws.names() else _fit_curve(name, job, fold)
+
+
+def candidate_job(name: str, job: Job) -> Job:
+    """Return the job of one candidate: its law, if it is one, and a noise factor that is estimated."""
+    medium = _with_law(job.medium, name) if name in laws.names() else job.medium
+    likelihood = job.recipe.likelihood.model_copy(update={"noise_scale": "estimated"})
+    return replace(
+        job,
+        name=f"{job.name} {name}",
+        medium=medium,
+        parameters=with_noise_scale(Parameters.from_record(medium), MAX_NOISE_FACTOR),
+        recipe=job.recipe.model_copy(update={"likelihood": likelihood}),
+        hand_tuned=None,
+    )
+
+
+def _with_law(medium: MediumRecord, law: str) -> MediumRecord:
+    """Return the medium of another law; only Ogden's uses alpha."""
+    if law == "ogden":
+        return medium.model_copy(update={"law": law})
+    fixed = {
+        name: ParameterRecord(fixed=1.0) if dimension(name) == "exponent" else parameter
+        for name, parameter in medium.parameters.items()
+    }
+    return medium.model_copy(update={"law": law, "parameters": fixed})
+
+
+def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
+    problem, seed, needle = job.problem(fold), job.recipe.seed, job.dataset.needle
+    fit = find_fit(job, problem, (fold.name,), settings)
+    if settings.stop():
+        return None
+    width = problem.upper - problem.lower
+    ends = modes(fit, width)
+
+    def after(insertion: Insertion) -> Weighted | None:
+        met = with_planned_layers(insertion, fit.values, job.medium, needle)
+        if met is None:
+            return None
+        both = replace(problem, insertions=(*problem.insertions, met))
+        settled = [settle(both, end) for end in ends]
+        peaks = distinct((one.theta for one in settled if np.isfinite(one.value)), width)
+        if not len(peaks):
+            return None
+        rng = random_stream(seed, job.name, fold.name, "weighed", insertion.id)
+        return surely(lambda effort: weighed(both, peaks, rng, settings.jobs, effort))
+
+    rng = random_stream(seed, job.name, fold.name, "weighed")
+    known = surely(lambda effort: weighed(problem, ends, rng, settings.jobs, effort))
+    return ModelCandidate(fit.values, model_predictor(fit.values, job.medium, job.dataset), known, after)
+
+
+def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
+    density = CurveDensity(name, job.dataset, fold.tune, job.recipe.likelihood, MAX_NOISE_FACTOR)
+
+    def after(*insertions: Insertion) -> Weighted:
+        both = replace(density, insertions=(*fold.tune, *insertions))
+        about = [laplace(both, both.peak, both.lower, both.upper)]
+        keys = (one.id for one in insertions)
+        rng = random_stream(job.recipe.seed, job.name, fold.name, "weighed", *keys)
+        return surely(lambda effort: importance(both, about, (both.lower, both.upper), rng, effort))
+
+    best = density.curve(density.peak)
+    coefficients = {f"c{k}": value for k, value in enumerate(best.coefficients)}
+    values = {**coefficients, NOISE_SCALE: float(np.exp(density.peak[-1]))}
+    predictor = curve_predictor(lambda insertion: curve_for(best, insertion))
+    return ModelCandidate(values, predictor, after(), after)

@@ -1,0 +1,92 @@
+"""What some insertions teach: the best fit, and draws of the posterior, cheaply where that can be certified.
+
+The posterior is weighed about the modes that the search found (`inference.weighing`). Where Pareto's k says
+that the weights cannot be trusted it is weighed again, from more draws, and sampled only where that does not
+help either: sampling costs a hundred times as much.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from needlefit.errors import FitError
+from needlefit.inference.draws import Draws, from_posterior
+from needlefit.inference.identifiability.identify import practically_equal, with_noise
+from needlefit.inference.optimize import minimize
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.sample import sample
+from needlefit.inference.starts import Fit, Watch
+from needlefit.inference.weighing.about_fit import drawn_from, of_fit, surely
+from needlefit.inference.weighing.pareto import RELIABLE
+from needlefit.project.random_streams import random_stream
+from needlefit.validation.job import Job, Settings
+
+POSTERIOR_DRAWS = 100
+"""Parameter sets that stand for a posterior."""
+
+
+@dataclass(frozen=True)
+class PosteriorFit:
+    """A fit, `POSTERIOR_DRAWS` draws of its posterior, Pareto's k of the weights, and whether it was sampled
+    instead.
+
+    `k` is NaN where nothing is free.
+    """
+
+    fit: Fit
+    draws: Draws
+    k: float
+    sampled: bool = False
+
+
+def fit_posterior(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> PosteriorFit:
+    """Return what the insertions of a problem teach of its free parameters, by the recipe of the job.
+
+    Parameters
+    ----------
+    job : Job
+        For its recipe, seed and name.
+    problem : Problem
+        Of the job's kind; other insertions or priors than its folds' are welcome.
+    key : tuple of str
+        What this is, among all that is learned in the job: it keys the random streams.
+    settings : Settings
+        For `jobs` and `stop`; after a stop the answer means nothing.
+
+    Raises
+    ------
+    FitError
+        If the search finds no point that can be solved.
+    """
+    fit = find_fit(job, problem, key, settings)
+    if not len(fit.theta) or settings.stop():
+        return PosteriorFit(
+            fit, Draws(np.empty((POSTERIOR_DRAWS, len(fit.theta))), "importance"), float("nan")
+        )
+    rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
+    found = surely(lambda effort: of_fit(problem, fit, rng, settings.jobs, effort))
+    if found.k <= RELIABLE:
+        return PosteriorFit(fit, drawn_from(found, POSTERIOR_DRAWS, rng), found.k)
+    return PosteriorFit(fit, _sample_posterior(job, problem, fit, key, settings), found.k, sampled=True)
+
+
+def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
+    """Return the fit alone, by the recipe of the job; arguments and errors as of `fit_posterior`."""
+    watch = Watch(stop=settings.stop, jobs=settings.jobs)
+    return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), watch)
+
+
+def _sample_posterior(
+    job: Job, problem: Problem, fit: Fit, key: tuple[str, ...], settings: Settings
+) -> Draws:
+    known = with_noise(problem, np.array(fit.theta))
+    ends = [fit.theta, *(start.theta for start in practically_equal(fit) if start.theta != fit.theta)]
+    rng = random_stream(job.recipe.seed, job.name, *key, "posterior")
+    watch = Watch(stop=settings.stop, jobs=settings.jobs)
+    try:
+        posterior = sample(known, np.array(ends), job.recipe.sample, rng, watch)
+    except FitError:
+        if settings.stop():  # before there was anything to return
+            return Draws(np.empty((0, len(fit.theta))), "posterior")
+        raise
+    return from_posterior(posterior, problem.parameters, POSTERIOR_DRAWS)

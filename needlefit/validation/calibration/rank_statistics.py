@@ -1,0 +1,138 @@
+"""Ranks of the truth among draws: ECDF and coverage of central intervals, each beside what chance allows.
+
+N ranks, each one of K equally likely places. How many lie below each place is a sum of N independent Poisson
+numbers, given their total; so the probability that all sums keep within limits is exact, by one convolution a
+place, and the limits of equal pointwise probability that keep it at what is wanted are found by bisection
+(T. Saeilynoja, P.-C. Buerkner, A. Vehtari, Stat. Comput. 32 (2022) 32, whose recursion sums binomials).
+"""
+
+import math
+from collections.abc import Mapping
+
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
+from scipy.stats import binom, poisson
+
+Floats = NDArray[np.float64]
+Counts = NDArray[np.int64]
+
+BISECTIONS = 40
+"""Of the bracket of the pointwise probability, in its logarithm."""
+
+
+def count_limits(replicates: int, probability: float | Floats, error: float) -> tuple[Counts, Counts]:
+    """Return least and most of `replicates` that fall where `probability` says, but for `error` at both ends.
+
+    Each end is passed with half the error at most: exact, of the binomial distribution.
+    """
+    low = np.asarray(binom.ppf(error / 2, replicates, probability), dtype=np.int64)
+    high = np.asarray(binom.ppf(1 - error / 2, replicates, probability), dtype=np.int64)
+    return low, high
+
+
+def ecdf_band(replicates: int, places: int, error: float) -> tuple[Counts, Counts]:
+    """Return least and most ranks (K - 1,) below places 1 ... K - 1: all hold together, but for `error`."""
+    levels = np.arange(1, places) / places
+    narrow, wide = math.log(error), math.log(error / places)  # by Bonferroni the second is wide enough
+    for _ in range(BISECTIONS):
+        middle = 0.5 * (narrow + wide)
+        if probability_inside(replicates, *count_limits(replicates, levels, math.exp(middle))) >= 1 - error:
+            wide = middle
+        else:
+            narrow = middle
+    return count_limits(replicates, levels, math.exp(wide))
+
+
+def probability_inside(replicates: int, low: Counts, high: Counts) -> float:
+    """Return the probability that uniform ranks below every place stay within limits (K - 1,)."""
+    step = poisson.pmf(np.arange(replicates + 1), replicates / (len(low) + 1))
+    alive, first = np.ones(1), 0  # probabilities of sums first, first + 1, ...
+    for least, most in zip(low.tolist(), high.tolist(), strict=True):
+        summed = np.convolve(alive, step)
+        start = max(least, first)
+        alive, first = summed[start - first : most - first + 1], start
+    last = step[replicates - first - np.arange(len(alive))]
+    return float(alive @ last / poisson.pmf(replicates, replicates))
+
+
+RANK_DRAWS = 79
+"""Draws of each posterior: among them the truth has 80 places, of which every level is a whole part."""
+
+LEVELS = (0.50, 0.80, 0.90, 0.95)
+"""Central intervals whose coverage is counted."""
+
+
+def rank_truth(truth: Floats, draws: Floats, rng: np.random.Generator) -> Counts:
+    """Return how many of the draws (L, Q) lie below the truth (Q,); among equal ones it has any place."""
+    below = np.sum(draws < truth, axis=0)
+    equal = np.sum(draws == truth, axis=0)
+    placed: Counts = below + rng.integers(0, equal + 1)
+    return placed
+
+
+def count_covered(ranks: Counts, level: float) -> int:
+    """Return how many ranks (N,) lie in the central interval of a level."""
+    outside = round((RANK_DRAWS + 1) * (1 - level) / 2)  # places at each end
+    return int(np.sum((ranks >= outside) & (ranks < RANK_DRAWS + 1 - outside)))
+
+
+FAMILY_ERROR = 0.01
+"""Probability that a right computation fails anywhere: shared out evenly (Bonferroni) over the ECDFs and the
+coverages at every level of all quantities. As these go together, the true one is smaller."""
+
+COVERAGE_COLUMNS = (
+    "quantity",
+    "level",
+    "replicates",
+    "covered",
+    "expected",
+    "count_low",
+    "count_high",
+    "passes",
+)
+ECDF_COLUMNS = ("quantity", "rank", "below", "expected", "count_low", "count_high", "passes")
+"""Columns: `below` counts the ranks under a place, `count_low` and `count_high` what chance allows of it."""
+
+
+def single_check_error(quantities: int) -> float:
+    """Return the probability with which each single check may fail."""
+    return FAMILY_ERROR / (quantities * (1 + len(LEVELS)))
+
+
+def tabulate_coverage(ranks: Mapping[str, Counts]) -> pd.DataFrame:
+    """Return a row for every quantity and level."""
+    error, rows = single_check_error(len(ranks)), []
+    for name, placed in ranks.items():
+        for level in LEVELS:
+            least, most = (int(end) for end in count_limits(len(placed), level, error))
+            found = count_covered(placed, level)
+            counts = (len(placed), found, level * len(placed), least, most, least <= found <= most)
+            rows.append(dict(zip(COVERAGE_COLUMNS, (name, level, *counts), strict=True)))
+    return pd.DataFrame(rows, columns=list(COVERAGE_COLUMNS))
+
+
+def tabulate_ecdfs(ranks: Mapping[str, Counts]) -> pd.DataFrame:
+    """Return a row for every quantity and place of the truth among the draws."""
+    error, parts = single_check_error(len(ranks)), []
+    places = np.arange(1, RANK_DRAWS + 1)
+    for name, placed in ranks.items():
+        least, most = ecdf_band(len(placed), RANK_DRAWS + 1, error)
+        below = np.array([np.sum(placed < place) for place in places])
+        columns = {
+            "quantity": name,
+            "rank": places,
+            "below": below,
+            "expected": len(placed) * places / (RANK_DRAWS + 1),
+            "count_low": least,
+            "count_high": most,
+            "passes": (least <= below) & (below <= most),
+        }
+        parts.append(pd.DataFrame(columns))
+    return pd.concat(parts, ignore_index=True)
+
+
+def find_failing(coverage: pd.DataFrame, ecdfs: pd.DataFrame) -> list[str]:
+    """Return the quantities of which any check fails, in their order."""
+    failed = {*coverage.loc[~coverage["passes"], "quantity"], *ecdfs.loc[~ecdfs["passes"], "quantity"]}
+    return [name for name in dict.fromkeys(coverage["quantity"]) if name in failed]

@@ -1,1 +1,0 @@
-"""What is left of other commands beside a run, and whether it is about the same thing."""

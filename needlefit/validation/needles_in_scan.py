@@ -1,0 +1,200 @@
+"""Measured and fitted needles where they stand in the scan, with the band in which the fit is known.
+
+The band says how the needle would move with the parameters, as far as the data know them: neither the
+noise of the measured points nor what the model misses is in it. From a posterior it is the central 95 % of
+the needles of its draws. Without one it is linear about the fit: 1.96 standard deviations, over every
+direction that `identify` found.
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion
+from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.frames import align_rigid
+from needlefit.geometry.placement import Placement
+from needlefit.inference.comparison import curve_of, target
+from needlefit.inference.draws import from_posterior
+from needlefit.inference.identifiability.identify import Verdict
+from needlefit.inference.identifiability.information import jacobian, steps
+from needlefit.inference.predict import predict, predict_each
+from needlefit.inference.sampling.posterior import Posterior
+from needlefit.inference.starts import Fit
+from needlefit.mechanics.batch import positions_each
+from needlefit.mechanics.lanes import follow_batches
+from needlefit.validation.folds import Fold
+from needlefit.validation.job import Job
+
+Floats = NDArray[np.float64]
+
+NEEDLE_POINTS = 51
+"""Points of a fitted needle and of its band."""
+
+BAND_DRAWS = 400
+"""Most draws of a posterior of which needles are simulated for a band."""
+
+BAND_PERCENTILES = (2.5, 50.0, 97.5)
+NORMAL_95_HALF_WIDTH_SD = 1.959963984540054
+"""Half width of the central 95 % of a normal distribution, in standard deviations."""
+
+DEFAULT_DIAMETER_MM = 1.27
+"""Diameter with which a needle is drawn where the dataset states none, mm: 18 gauge."""
+
+
+@dataclass(frozen=True)
+class Band:
+    """The central 95 % of a fitted needle across itself, in its bending plane; (K, 3) each, LPS, mm.
+
+    `converged` is false where the posterior that it is drawn from has not.
+    """
+
+    low: Floats
+    middle: Floats
+    high: Floats
+    source: Literal["posterior", "linear"]
+    converged: bool = True
+
+
+@dataclass(frozen=True)
+class NeedleInScan:
+    """One insertion in the patient coordinates of its scan, LPS, mm.
+
+    Attributes
+    ----------
+    insertion, fold : str
+    role : str
+        "validate" where the fit never saw it, else "tune".
+    measured : (N, 3) array
+        The centreline, entry first.
+    toward : (3,) array
+        Unit vector across the entry, in the bending plane.
+    diameter : float
+        Of the needle as it is drawn.
+    fitted : (K, 3) array or None
+        In the bending plane; None where the solve failed.
+    band : Band or None
+        None where no needle beside the fitted one can be solved.
+    """
+
+    insertion: str
+    fold: str
+    role: str
+    measured: Floats
+    toward: Floats
+    diameter: float
+    fitted: Floats | None = None
+    band: Band | None = None
+
+
+@dataclass(frozen=True)
+class FoldFit:
+    """What one fold found out: the fit, how well it is known, and draws where they were asked for."""
+
+    fit: Fit
+    verdict: Verdict
+    posterior: Posterior | None = None
+
+
+def place_needles(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) -> dict[str, NeedleInScan]:
+    """Return every insertion that a fold holds out, and, where there is one fold only, those it tunes on."""
+    roles = [("tune", fold.tune), ("validate", fold.validate)]
+    chosen = roles if len(job.folds) == 1 else roles[1:]
+    return {
+        insertion.id: _place_needle(_NeedleCurve(job, insertion), fold.name, role, known, jobs)
+        for role, insertions in chosen
+        for insertion in insertions
+    }
+
+
+def _place_needle(stations: "_NeedleCurve", fold: str, role: str, known: FoldFit, jobs: int) -> NeedleInScan:
+    insertion, stated = stations.insertion, stations.job.dataset.outer_diameter
+    placement = Placement(insertion.frame, insertion.patient)
+    in_scan = placement.to_patient
+    points = stations.points(np.array(known.fit.theta))
+    fitted, band = None, None
+    if np.isfinite(points).all():
+        fitted = in_scan(points)
+        draws = known.posterior
+        heights = _sampled_band(stations, draws, jobs) if draws else _linear_band(stations, known)
+        if heights is not None:
+            low, middle, high = (in_scan(np.column_stack([points[:, 0], y])) for y in heights)
+            converged = draws is None or draws.converged
+            band = Band(low, middle, high, "posterior" if draws else "linear", converged)
+    diameter = DEFAULT_DIAMETER_MM if stated is None else stated
+    measured = insertion.patient.to_local(insertion.centerline)
+    return NeedleInScan(insertion.id, fold, role, measured, placement.across, diameter, fitted, band)
+
+
+@dataclass(frozen=True)
+class _NeedleCurve:
+    """The places on one needle at which it is drawn."""
+
+    job: Job
+    insertion: Insertion
+
+    @property
+    def s(self) -> Floats:
+        """Beam coordinates (K,), mm."""
+        dataset = self.job.dataset
+        return target(dataset.pose, dataset.drop_proximal, self.insertion, NEEDLE_POINTS).s
+
+    def points(self, theta: Floats) -> Floats:
+        """Return the needle (K, 2) in C, aligned where the pose is free; NaN where the solve fails."""
+        values = self.job.parameters.values(theta)
+        shape = predict(values, self.job.medium, self.job.dataset.needle, self.insertion)
+        if not shape.converged:
+            return np.full((NEEDLE_POINTS, 2), np.nan)
+        return self.align(curve_of(shape)(self.s))
+
+    def heights(self, theta: Floats) -> Floats:
+        """Return y of the needle (K,)."""
+        return self.points(theta)[:, 1]
+
+    def align(self, points: Floats) -> Floats:
+        """Return a simulated needle (K, 2) as it lies in C: a free shape lies on the measured one."""
+        return (
+            points
+            if self.job.dataset.pose == "known"
+            else align_with_measured(self.insertion, self.s, points)
+        )
+
+
+def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
+    """Return points (K, 2) of a simulated needle at beam coordinates `s` (K,), laid on the measured one."""
+    planar = insertion.planar
+    measured = at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
+    return align_rigid(points, measured)
+
+
+def _linear_band(stations: _NeedleCurve, known: FoldFit) -> tuple[Floats, Floats, Floats] | None:
+    """Return the band (low, middle, high) of y, linear about the fit; None where it cannot be found."""
+    names, theta = stations.job.parameters.free, np.array(known.fit.theta)
+    fitted = stations.heights(theta)
+    if not names:
+        return None
+    weights = np.array([direction.weights for direction in known.verdict.directions])  # (D, P)
+    sds = np.array([direction.sd for direction in known.verdict.directions])
+    moves = jacobian(stations.heights, theta, steps(names)) @ weights.T * sds  # (K, D)
+    width = NORMAL_95_HALF_WIDTH_SD * np.sqrt(np.sum(moves**2, axis=1))
+    if not np.isfinite(width).all():
+        return None
+    return fitted - width, fitted, fitted + width
+
+
+def _sampled_band(
+    stations: _NeedleCurve, posterior: Posterior, jobs: int
+) -> tuple[Floats, Floats, Floats] | None:
+    """Return the band (low, middle, high) of y over the needles of draws; None where none can be solved."""
+    job, insertion = stations.job, stations.insertion
+    draws = from_posterior(posterior, job.parameters, BAND_DRAWS)
+    sets = [job.parameters.values(theta) for theta in draws.thetas]
+    (shapes,) = follow_batches([predict_each(sets, job.medium, job.dataset.needle, insertion)], jobs)
+    needles = positions_each(shapes, stations.s)[shapes.converged]  # (B, K, 2)
+    if not len(needles):
+        return None
+    heights = np.array([stations.align(needle)[:, 1] for needle in needles])  # (B, K)
+    low, middle, high = np.percentile(heights, BAND_PERCENTILES, axis=0)
+    return low, middle, high

@@ -1,0 +1,42 @@
+"""Observed proportions with Wilson intervals that respect groups of repeats.
+
+Needles of one specimen (one hole at several depths) are no independent trials. What is counted is every
+needle; the interval is Wilson's of as many trials as there are groups of repeats, as if the repeats of a
+group always agreed: rather too wide where they do not.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+
+@dataclass(frozen=True)
+class Proportion:
+    """`hits` of `trials`, in `groups` groups of repeats, and the ends of the share's 95 % interval."""
+
+    hits: int
+    trials: int
+    groups: int
+    low: float
+    high: float
+
+
+def estimate_proportion(hits: Sequence[bool], groups: Sequence[str]) -> Proportion:
+    """Return how many of some trials held; every group of repeats weighs the same in the interval."""
+    by_group: dict[str, list[bool]] = {}
+    for one, group in zip(hits, groups, strict=True):
+        by_group.setdefault(group, []).append(bool(one))
+    rate = float(np.mean([np.mean(members) for members in by_group.values()]))
+    low, high = wilson_interval(rate, len(by_group))
+    return Proportion(sum(map(bool, hits)), len(hits), len(by_group), low, high)
+
+
+def wilson_interval(rate: float, trials: int, level: float = 0.95) -> tuple[float, float]:
+    """Return Wilson's interval of a probability of which `rate` was seen in `trials` (E. B. Wilson, 1927)."""
+    z2 = float(norm.ppf(0.5 + level / 2)) ** 2
+    centre = (rate + z2 / (2 * trials)) / (1 + z2 / trials)
+    half = math.sqrt(z2 * (rate * (1 - rate) / trials + z2 / (4 * trials**2))) / (1 + z2 / trials)
+    return max(0.0, centre - half), min(1.0, centre + half)

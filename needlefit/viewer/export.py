@@ -1,0 +1,172 @@
+"""Export a recording: its last shape, pictures, an animation, or its inputs."""
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from needlefit.geometry.placement import Placement
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.session import Moment
+from needlefit.viewer.interaction.steering import SteeredNeedle
+from needlefit.viewer.recording import Recording, begin_replay, read_recording, replay
+
+if TYPE_CHECKING:
+    from needlefit.reporting.figures.sheet import Beside
+
+
+@dataclass(frozen=True)
+class RecordingOutcome:
+    """A recording, carried out.
+
+    Attributes
+    ----------
+    recording : Recording
+    steering : Steering
+        Its needle, as it stands at the end.
+    off : float
+        How far the tip came to stand from where the recording says, at most, mm; 0: the same bits.
+    """
+
+    recording: Recording
+    steering: SteeredNeedle
+    tip_offset_mm: float
+
+    @property
+    def title(self) -> str:
+        """The scene's, or else its name."""
+        return self.recording.head.scene.title or self.recording.head.target
+
+    @property
+    def placement(self) -> Placement | None:
+        """Where a measured needle lies; None of a scene, which says so itself."""
+        placement = self.recording.head.placement
+        return None if placement is None else Placement.from_record(placement)
+
+    @property
+    def state(self) -> Moment:
+        """The needle at the end."""
+        return self.steering.now
+
+    @property
+    def scene(self) -> Scene:
+        """The scene, with the tissue and the inputs that the needle has at the end."""
+        return replace(self.steering.scene, tissue=self.state.tissue, steps=(self.state.step,))
+
+
+def replay_to_end(recording: Recording) -> RecordingOutcome:
+    """Return where a recording ends.
+
+    Raises
+    ------
+    ConfigError, DataError
+        As `begin_replay` and `replay`.
+    """
+    steering = begin_replay(recording)
+    tip_offset_mm = max(replayed.tip_offset_mm for replayed in replay(recording, steering))
+    return RecordingOutcome(recording, steering, tip_offset_mm)
+
+
+def list_timed_states(recording: Recording) -> Iterator[tuple[float, Moment]]:
+    """Yield every moment of a recording with its time, s."""
+    return ((replayed.time, replayed.state) for replayed in replay(recording))
+
+
+def recording_duration(recording: Recording) -> float:
+    """Return how long a recording lasts, s."""
+    return recording.steps[-1].time if recording.steps else 0.0
+
+
+EXPORT_TYPES = {
+    "shape.csv": "text/csv",
+    "shape.mrk.json": "application/json",
+    "picture.svg": "image/svg+xml",
+    "picture.png": "image/png",
+    "animation.gif": "image/gif",
+    "inputs.csv": "text/csv",
+}
+"""What there is, and its type."""
+
+
+def export(path: Path, kind: str) -> bytes:
+    """Return what one of `EXPORT_TYPES` holds of the recording at `path`, as it stands now.
+
+    Raises
+    ------
+    ConfigError, DataError
+        If the recording is damaged.
+    """
+    if kind == "inputs.csv":
+        return path.read_bytes()
+    outcome = replay_to_end(read_recording(path))
+    with TemporaryDirectory() as folder:
+        file = Path(folder) / kind
+        _WRITERS[kind](outcome, file)
+        return file.read_bytes()
+
+
+def write_table(outcome: RecordingOutcome, path: Path) -> None:
+    """Write the shape as a table, .csv."""
+    from needlefit.reporting.shape_table import write_shape
+
+    write_shape(outcome.scene, outcome.state, path, outcome.placement)
+
+
+def write_curve(outcome: RecordingOutcome, path: Path) -> None:
+    """Write the needle for 3D Slicer, .mrk.json or .ply."""
+    from needlefit.reporting.slicer import write_scene
+
+    placement = outcome.placement or outcome.scene.entry.placement
+    diameter = outcome.recording.head.scene.needle.outer_diameter_mm
+    write_scene(placement, [outcome.state.shape], path, diameter)
+
+
+def write_picture(outcome: RecordingOutcome, path: Path) -> None:
+    """Draw the needle and what is known beside it, .svg, .png or .pdf."""
+    from needlefit.reporting.figures.moment import draw_moment
+
+    draw_moment(outcome.title, outcome.scene, outcome.state, path, _find_overlays(outcome, banded=True))
+
+
+def write_animation(outcome: RecordingOutcome, path: Path) -> None:
+    """Draw everything that was done, .gif or .mp4; without a band, which belongs to one moment."""
+    from needlefit.reporting.figures.animation import animate
+
+    states, lasted = list_timed_states(outcome.recording), recording_duration(outcome.recording)
+    animate(outcome.title, outcome.scene, states, lasted, path, _find_overlays(outcome, banded=False))
+
+
+_WRITERS: dict[str, Callable[[RecordingOutcome, Path], None]] = {
+    "shape.csv": write_table,
+    "shape.mrk.json": write_curve,
+    "picture.svg": write_picture,
+    "picture.png": write_picture,
+    "animation.gif": write_animation,
+}
+
+
+def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "Beside":
+    """Return what was shown beside the needle, if it is still there."""
+    from needlefit.reporting.figures.sheet import Beside
+    from needlefit.viewer.opening import open_recording
+    from needlefit.viewer.overlay.band import compute_band
+
+    viewed_scene, steering, scene = open_recording(outcome.recording), outcome.steering, outcome.scene
+    points = None if viewed_scene.measured is None else viewed_scene.measured.points
+    found = None
+    if banded and viewed_scene.spread is not None:
+        found = compute_band(
+            viewed_scene.spread,
+            scene.needle,
+            scene.tissue,
+            steering.course(),
+            scene.rules,
+            steering.first_cell,
+        )
+    if found is None:
+        return Beside(points, synthetic=viewed_scene.synthetic)
+    low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
+    return Beside(points, low, high, viewed_scene.synthetic)

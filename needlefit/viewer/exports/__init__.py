@@ -1,1 +1,0 @@
-"""What can be taken away of a recording: its shape, its picture, its course."""

@@ -1,0 +1,1 @@
+"""The inputs of a user, and the needle that they act on."""

@@ -1,0 +1,219 @@
+"""Inputs of the interactive simulation, as the page, recordings and their replay name them.
+
+V-inputs act on the needle's shape (base, guides, a tracked tip), H-inputs on how far it is in and where it
+cuts (depth, bevel). The moduli and a bevel offset throughout are no inputs of an insertion but parameters of
+the model: with them the insertion so far is simulated again.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
+
+Item = Literal["guide", "layer"]
+
+INPUTS: dict[str, Item | None] = {
+    "depth_mm": None,
+    "bevel_side": None,
+    "bevel_offset_mm": None,
+    "base_y_mm": None,
+    "base_slope": None,
+    "guide_x_mm": "guide",
+    "guide_y_mm": "guide",
+    "guide_slope": "guide",
+    "guide_turns_freely": "guide",
+    "guide_engaged": "guide",
+    "tip_y_mm": None,
+    "tip_slope": None,
+    "tip_held": None,
+    "mu_pa": "layer",
+    "alpha": "layer",
+    "offset_throughout_mm": None,
+    "return_to": None,
+}
+"""Every input, and what its item counts."""
+
+PARAMETERS = ("mu_pa", "alpha", "offset_throughout_mm")
+"""Of the model: they hold for the whole insertion."""
+
+FLAGS = ("guide_turns_freely", "guide_engaged", "tip_held")
+
+MAX_GUIDE_NUMBER = 32
+"""Numbers that guides can have."""
+
+MAX_MU_PA = 1e15
+"""mu, Pa: beyond, rounding exceeds what the needle itself bears."""
+
+
+@dataclass(frozen=True)
+class Change:
+    """One input set to a value.
+
+    Attributes
+    ----------
+    name : str
+        A key of `INPUTS`, with its unit; slopes are dy/dx.
+    item : int or None
+        Number of the guide or layer, from 1.
+    value : float
+    """
+
+    name: str
+    item: int | None
+    value: float
+
+    def __post_init__(self) -> None:
+        if self.name not in INPUTS:
+            raise ModelError(f"there is no input `{self.name}`", expected=f"one of {', '.join(INPUTS)}")
+        kind = INPUTS[self.name]
+        if (self.item is None) != (kind is None) or (self.item is not None and self.item < 1):
+            wanted = f"the number of a {kind}, from 1" if kind else "no item"
+            raise ModelError(f"{self.name} has item {self.item!s:.20}", expected=wanted)
+        if kind == "guide" and self.item is not None and self.item > MAX_GUIDE_NUMBER:
+            raise ModelError(
+                f"guides have no number {self.item!s:.20}", expected=f"a number from 1 to {MAX_GUIDE_NUMBER}"
+            )
+        self._check_value()
+
+    def _check_value(self) -> None:
+        expected = ""
+        if not math.isfinite(self.value):
+            expected = "a finite number"
+        elif self.name in FLAGS and self.value not in (0, 1):
+            expected = "0 or 1"
+        elif self.name == "bevel_side" and self.value not in (1, -1):
+            expected = "+1 (y > 0) or -1"
+        elif self.name.endswith("slope") and abs(self.value) >= 1:
+            raise ModelError(
+                f"{self.name} is {self.value:.3g}: {math.degrees(math.atan(self.value)):.1f} degrees",
+                expected="between -1 and 1: less than 45 degrees",
+            )
+        elif self.name == "mu_pa" and not 0 < self.value <= MAX_MU_PA:
+            expected = f"above 0 Pa, up to {MAX_MU_PA:g} Pa"
+        elif self.name in ("bevel_offset_mm", "offset_throughout_mm", "depth_mm") and self.value < 0:
+            expected = "0 or above"
+        elif self.name == "return_to" and (self.value < 0 or self.value != int(self.value)):
+            expected = "the number of a step"
+        if expected:
+            raise ModelError(f"{self.name} is {self.value:g}", expected=expected)
+
+
+def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:
+    """Return the depth and inputs of `step` after H- and V-inputs were changed.
+
+    Parameters
+    ----------
+    step : Step
+    changes : iterable of Change
+    names : sequence of str
+        What the scene calls its guides, in the order of their numbers.
+    tip_y : float
+        Where the tip stands, mm: it is held there where nothing says another place.
+
+    Raises
+    ------
+    ModelError
+        If the model has no such inputs.
+    """
+    values = {(change.name, change.item): change.value for change in changes}
+
+    def of(name: str, now: float) -> float:
+        return values.get((name, None), now)
+
+    held = step.controls
+    controls = Controls(
+        of("base_y_mm", held.base_y),
+        of("base_slope", held.base_slope),
+        held.stage_slope,
+        _guides(held.guides, values, names),
+        _tip(held.tip, values, tip_y),
+    )
+    bevel = Bevel(of("bevel_offset_mm", step.bevel.offset), int(of("bevel_side", step.bevel.side)))
+    return Step(of("depth_mm", step.depth), bevel, controls)
+
+
+def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, ...]:
+    """Return what to change of the inputs of `now` to have those of `step`; the depth is left alone."""
+    wanted, held = step.controls, now.controls
+    pairs = [
+        ("bevel_side", float(step.bevel.side), float(now.bevel.side)),
+        ("bevel_offset_mm", step.bevel.offset, now.bevel.offset),
+        ("base_y_mm", wanted.base_y, held.base_y),
+        ("base_slope", wanted.base_slope, held.base_slope),
+    ]
+    changes = [Change(name, None, value) for name, value, before in pairs if value != before]
+    there = {guide.name: guide for guide in wanted.guides}
+    for guide in held.guides:
+        if guide.name not in there:
+            changes.append(Change("guide_engaged", guide_number(guide, names), 0.0))
+    for guide in wanted.guides:
+        if guide not in held.guides:
+            changes += _guide_changes(guide, guide_number(guide, names))
+    if wanted.tip is None and held.tip is not None:
+        changes.append(Change("tip_held", None, 0.0))
+    elif wanted.tip is not None and wanted.tip != held.tip:
+        changes.append(Change("tip_y_mm", None, wanted.tip.y))
+        if wanted.tip.slope is not None:
+            changes.append(Change("tip_slope", None, wanted.tip.slope))
+    return tuple(changes)
+
+
+def guide_name(item: int, names: Sequence[str]) -> str:
+    """Return what the guide of this number is called."""
+    return names[item - 1] if item <= len(names) else f"guide {item}"
+
+
+def guide_number(guide: Guide, names: Sequence[str]) -> int:
+    """Return the number of a guide, from 1."""
+    return names.index(guide.name) + 1 if guide.name in names else int(guide.name.removeprefix("guide "))
+
+
+def _guides(
+    guides: Sequence[Guide], values: dict[tuple[str, int | None], float], names: Sequence[str]
+) -> tuple[Guide, ...]:
+    now = {guide.name: guide for guide in guides}
+    for item in sorted({item for name, item in values if item is not None and INPUTS[name] == "guide"}):
+        name = guide_name(item, names)
+        keys = ("x_mm", "y_mm", "slope", "turns_freely", "engaged")
+        moved = {key: values[(f"guide_{key}", item)] for key in keys if (f"guide_{key}", item) in values}
+        if moved.get("engaged") == 0:
+            now.pop(name, None)
+        else:
+            now[name] = _move_guide(now.get(name), moved, name)
+    return tuple(now.values())
+
+
+def _move_guide(guide: Guide | None, moved: dict[str, float], name: str) -> Guide:
+    if guide is None:
+        if not {"x_mm", "y_mm"} <= moved.keys():
+            raise ModelError(
+                f"there is no {name}",
+                expected="guide_x_mm and guide_y_mm together, which make a guide",
+                fix="add it before it is moved",
+            )
+        guide = Guide(moved["x_mm"], moved["y_mm"], 0.0, moved["x_mm"] >= 0, name)
+    x, slope = moved.get("x_mm", guide.x), moved.get("slope", guide.slope)
+    if "turns_freely" in moved:
+        slope = None if moved["turns_freely"] else moved.get("slope", guide.slope or 0.0)
+    return replace(guide, x=x, y=moved.get("y_mm", guide.y), slope=slope, in_tissue=x >= 0)
+
+
+def _guide_changes(guide: Guide, item: int) -> list[Change]:
+    place = [Change("guide_x_mm", item, guide.x), Change("guide_y_mm", item, guide.y)]
+    if guide.slope is None:
+        return [*place, Change("guide_turns_freely", item, 1.0)]
+    return [*place, Change("guide_turns_freely", item, 0.0), Change("guide_slope", item, guide.slope)]
+
+
+def _tip(
+    tip: TrackedTip | None, values: dict[tuple[str, int | None], float], tip_y: float
+) -> TrackedTip | None:
+    if values.get(("tip_held", None)) == 0:
+        return None
+    if tip is None and not {("tip_held", None), ("tip_y_mm", None)} & values.keys():
+        return None
+    y, slope = (tip.y, tip.slope) if tip else (tip_y, None)
+    return TrackedTip(values.get(("tip_y_mm", None), y), values.get(("tip_slope", None), slope))

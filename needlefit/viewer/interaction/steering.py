@@ -1,0 +1,194 @@
+"""A needle that is simulated step by step as inputs change, and can return to earlier steps."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from time import perf_counter
+
+import numpy as np
+
+from needlefit.errors import ModelError
+from needlefit.mechanics.control import Step
+from needlefit.mechanics.scene import Scene, at_contact
+from needlefit.mechanics.session import Moment, Session
+from needlefit.mechanics.tissue import Tissue
+from needlefit.viewer.interaction.inputs import PARAMETERS, Change, apply_changes
+
+TRIAL_SECONDS, TRIALS = 0.008, 3
+"""Time of a trial, s, and how many there are: the fastest counts, as others on the machine only slow it."""
+
+
+def measure_step_rate(session: Session, depth: float) -> float:
+    """Return the steps a second that a needle makes about `depth` (mm) when nothing else is asked for.
+
+    A step is what a frame asks for: the tip goes on by a constraint spacing, in and out by turns. Between the
+    frames of a page the processor sleeps and forgets, and single steps take a few times as long.
+    """
+    other = session.copy()
+    inputs, spacing = session.last, session.rules.spacing
+    steps = [Step(place, inputs.bevel, inputs.controls) for place in (max(depth - spacing, 0.0), depth)]
+    other.go(steps[1])
+    return max(_measure_once(other, steps) for _ in range(TRIALS))
+
+
+def _measure_once(session: Session, steps: list[Step]) -> float:
+    before, began = session.solved, perf_counter()
+    while (spent := perf_counter() - began) < TRIAL_SECONDS:
+        for step in steps:
+            session.go(step)
+    return (session.solved - before) / spent
+
+
+class SteeredNeedle:
+    """The needle of a scene from first contact on, step by step, as changes come.
+
+    The same changes in the same order find the same bits.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its needle, tissue and entry, and what holds the needle as its first step begins.
+    first_cell : float
+        Depth of the first constraint point, mm.
+
+    Attributes
+    ----------
+    number : int
+        Steps so far; 0 at first contact.
+    solved : int
+        Equilibria solved in them.
+    failed : int
+        Steps that were refused, as no needle was found.
+    """
+
+    def __init__(self, scene: Scene, first_cell: float) -> None:
+        self.names = list_guide_names(scene)
+        self.scene = replace(scene, steps=tuple(_with_guide_names(step) for step in scene.steps))
+        self.number, self.solved, self.failed = 0, 0, 0
+        self._session = at_contact(self.scene, first_cell)
+        self._saved: dict[int, Session] = {}
+        self.keep()
+
+    @property
+    def now(self) -> Moment:
+        """The needle as it stands."""
+        return self._session.now
+
+    @property
+    def first_cell(self) -> float:
+        """Depth of the first constraint point, mm."""
+        return self._session.lattice.first_cell
+
+    def course(self) -> tuple[Step, ...]:
+        """Return the shortest steps that lead to where the needle stands."""
+        return self._session.course()
+
+    def step_rate(self) -> float:
+        """Return how many steps a second this needle can make, at the depth that the scene ends at."""
+        return measure_step_rate(self._session, min(self.scene.depth, self.reach()))
+
+    def reach(self) -> float:
+        """Return how deep the needle can go as it is held now, mm; the base then almost touches."""
+        before = self.now.step.controls.before
+        return self.scene.needle.length + (before[0].x if before else 0.0) - 1e-6
+
+    def apply(self, changes: Sequence[Change]) -> Moment:
+        """Carry out one step: all changes together.
+
+        Raises
+        ------
+        ModelError
+            If the model does not take them, or finds no needle that does; then nothing has happened.
+        """
+        _check_together(changes)
+        if changes and changes[0].name == "return_to":
+            self._session = self._saved_at(int(changes[0].value)).copy()
+        else:
+            self._session = self._advance(changes)
+        self.number += 1
+        return self.now
+
+    def keep(self) -> None:
+        """Make it possible to return to where the needle stands now."""
+        self._saved[self.number] = self._session.copy()
+
+    def forget(self, number: int) -> None:
+        """Let go of what was kept at a step; the beginning stays."""
+        if number:
+            self._saved.pop(number, None)
+
+    def _saved_at(self, number: int) -> Session:
+        if number not in self._saved:
+            raise ModelError(f"nothing was kept of step {number}", expected="a step to return to")
+        return self._saved[number]
+
+    def _advance(self, changes: Sequence[Change]) -> Session:
+        """Return the session after a step; the one there is stays as it was if that fails."""
+        session, before = self._session, self._session.solved
+        parameters = [change for change in changes if change.name in PARAMETERS]
+        if parameters:
+            session = self._recompute(parameters)
+            before = 0
+        moved = [change for change in changes if change.name not in PARAMETERS]
+        step = apply_changes(session.last, moved, self.names, float(session.now.shape.u[-1]))
+        if step != session.last:
+            shape = session.go(step)
+            if not shape.converged:
+                self.failed += 1
+                raise ModelError(
+                    f"the model finds no needle there ({shape.status})",
+                    expected="a load that tissue and needle can bear",
+                    fix="move less at a time",
+                )
+        self.solved += session.solved - before
+        return session
+
+    def _recompute(self, parameters: Sequence[Change]) -> Session:
+        offset = next((c.value for c in parameters if c.name == "offset_throughout_mm"), None)
+        session = self._session.retold(_with_parameters(self._session.tissue, parameters), offset)
+        if session.failures:
+            self.failed += 1
+            raise ModelError(
+                f"with these parameters the insertion so far fails {session.depth:.1f} mm deep",
+                expected="a load that tissue and needle can bear",
+                fix="change them less, or retract the needle first",
+            )
+        return session
+
+
+def _check_together(changes: Sequence[Change]) -> None:
+    """Raise ModelError unless changes can act together: one value for each input, a return by itself."""
+    inputs = [(change.name, change.item) for change in changes]
+    for name, item in inputs:
+        if inputs.count((name, item)) > 1:
+            raise ModelError(f"{name} has two values in one step", expected="one value for each input")
+        if name == "return_to" and len(inputs) > 1:
+            raise ModelError("return_to stands beside other inputs", expected="a step of its own")
+
+
+def list_guide_names(scene: Scene) -> tuple[str, ...]:
+    """Return what the guides of a scene are called, in the order of their numbers."""
+    guides = [guide for step in scene.steps for guide in step.controls.guides]
+    return tuple(dict.fromkeys(guide.name or "guide" for guide in guides))
+
+
+def _with_guide_names(step: Step) -> Step:
+    """Return a step whose guides all have a name."""
+    guides = tuple(replace(guide, name=guide.name or "guide") for guide in step.controls.guides)
+    return replace(step, controls=replace(step.controls, guides=guides))
+
+
+def _with_parameters(tissue: Tissue, parameters: Sequence[Change]) -> Tissue:
+    """Return the tissue with other moduli (Pa in the changes, MPa in the tissue) and nonlinearities."""
+    mu, alpha = np.array(tissue.mu), np.array(tissue.alpha)
+    for change in parameters:
+        if change.item is None:
+            continue
+        if change.item > tissue.layers:
+            raise ModelError(
+                f"there is no layer {change.item!s:.20}", expected=f"one of {tissue.layers} layers"
+            )
+        if change.name == "mu_pa":
+            mu[change.item - 1] = change.value * 1e-6
+        else:
+            alpha[change.item - 1] = change.value
+    return replace(tissue, mu=mu, alpha=alpha)

@@ -1,0 +1,60 @@
+"""A scene that is shown, with its overlays."""
+
+from dataclasses import dataclass
+
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.recording import PlacementRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.validation.needles_in_scan import DEFAULT_DIAMETER_MM
+from needlefit.viewer.overlay.band import ParameterDraws
+from needlefit.viewer.overlay.measured import MeasuredOverlay
+from needlefit.viewer.overlay.slice import InsertionScan
+
+
+@dataclass(frozen=True)
+class ViewedScene:
+    """What a name on the command line means, ready to be taken in hand.
+
+    Attributes
+    ----------
+    name : str
+        Opens it again.
+    title : str
+    note : str
+        Where the parameters come from, and what cannot be shown and why; sentences.
+    record : SceneRecord
+        All that the needle needs.
+    first_cell : float
+        Depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do.
+    placement : PlacementRecord or None
+        Where a measured needle lies; None of a scene, which says so itself.
+    synthetic : bool
+        Whether it is about synthetic data.
+    measured : Measured or None
+    spread : Spread or None
+        Draws of the parameters, for the band of a fit.
+    scanned : Scanned or None
+        The scan in which the needle was measured.
+    choices : tuple of str
+        Insertions that can be shown instead.
+    warnings : tuple of ResultWarning
+        What is suspicious in the dataset that it is from.
+    """
+
+    name: str
+    title: str
+    note: str
+    record: SceneRecord
+    first_cell: float
+    placement: PlacementRecord | None = None
+    synthetic: bool = False
+    measured: MeasuredOverlay | None = None
+    spread: ParameterDraws | None = None
+    scanned: InsertionScan | None = None
+    choices: tuple[str, ...] = ()
+    warnings: tuple[ResultWarning, ...] = ()
+
+    @property
+    def diameter(self) -> float:
+        """Of the needle as it is drawn, mm."""
+        return self.record.needle.outer_diameter_mm or DEFAULT_DIAMETER_MM

@@ -1,0 +1,84 @@
+"""The next insertion: where candidates lie, what they meet, and that the deepest tells most of one layer."""
+
+import math
+
+import numpy as np
+import pytest
+
+from needlefit.inference.weighing.importance import Effort
+from needlefit.reporting.inquiries.next_insertion import said
+from needlefit.reporting.inquiries.write import write_answer
+from needlefit.schemas.planning import CandidateEntryRecord, NextInsertionRecord
+from needlefit.validation.analyses.planning import candidates, next_insertion
+from needlefit.validation.analyses.planning.candidates import find_template, frame_of, predict_candidate
+from needlefit.validation.job import Settings, prepare
+
+CHICKEN = {
+    "schema": 1,
+    "kind": "next_insertion",
+    "dataset": "twin",
+    "medium": "chicken",
+    "recipe": "quick",
+    "template_insertion": "chicken-02",
+    "depths_mm": [10, 80],
+    "tune": {"insertions": ["chicken-01"]},
+    "entries": [{"name": "anywhere", "layers": [1]}],
+    "quantities": [{"name": "tip at 60 mm", "entry": "anywhere", "depth_mm": 60}],
+}
+PHANTOM = {**CHICKEN, "medium": "phantom2", "tune": {"medium": "phantom2", "layers": [2]}, "quantities": []}
+
+
+def test_an_angle_turns_the_needle_toward_its_bevel():
+    entry = CandidateEntryRecord(
+        name="top", position_mm=(0, 1, 2), direction=(2, 0, 0), bending_direction=(0, 1, 0)
+    )
+    frame = frame_of(entry, 30.0)
+    half = math.sqrt(3) / 2
+    assert frame.origin == pytest.approx([0, 1, 2])
+    assert frame.rotation[:, 0] == pytest.approx([half, 0.5, 0])
+    assert frame.rotation[:, 1] == pytest.approx([-0.5, half, 0])
+
+
+def test_layers_are_those_listed_or_those_of_the_surfaces_on_the_planned_path():
+    record = NextInsertionRecord.model_validate(PHANTOM)
+    job = prepare("test", record.tuning(), Settings())
+    like = find_template(job, "phantom2-06")
+    values = {"mu1_pa": 2e5, "mu2_pa": 3e7, "bevel_mm": 1e-3, "alpha1": 1.0, "alpha2": -1.0}
+    values |= {"mu3_pa": 2e5, "mu4_pa": 3e7, "alpha3": 1.0, "alpha4": -1.0}
+    listed = CandidateEntryRecord(name="side", layers=(2, 3), boundaries_mm=(15.0,))
+    assert predict_candidate(job, like, (listed, 0.0, 12.0), values).sequence == (2,)
+    assert predict_candidate(job, like, (listed, 0.0, 20.0), values).sequence == (2, 3)
+    # the interfaces lie at x = 19 and 27 mm: at 60 degrees a straight needle meets them twice as deep
+    tilted = predict_candidate(
+        job, like, (CandidateEntryRecord(name="top", position_mm=(0, -39, 30)), 60.0, 60.0), values
+    )
+    assert tilted.sequence == (1, 2, 3)
+    assert tilted.boundaries == pytest.approx([38.0, 54.0], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("entry", "fault"),
+    [
+        ({"name": "a", "boundaries_mm": [3.0]}, "there are none"),
+        ({"name": "a", "layers": [1, 2]}, "n - 1"),
+        ({"name": "a", "layers": [1], "angles_deg": [0, 10]}, "angles need surfaces"),
+    ],
+)
+def test_an_entry_says_its_layers_whole(entry, fault):
+    with pytest.raises(ValueError, match=fault):
+        CandidateEntryRecord.model_validate(entry)
+
+
+def test_deep_insertions_into_one_layer_tell_more_and_alpha_nothing(tmp_path, monkeypatch):
+    monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
+    monkeypatch.setattr(candidates, "PLANNING_EFFORT", Effort(draws=100, enough=150.0))
+    answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
+    found = answer.frames["candidates"].set_index("depth_mm")
+    assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]
+    tips = answer.frames["tips"].set_index("depth_mm")
+    assert tips["sd_after_mm"][80] < tips["sd_after_mm"][10] < tips["sd_now_mm"][10]
+    alphas = answer.frames["alphas"]
+    assert np.all(alphas["sd_after"] > 0.99 * alphas["sd_before"])
+    assert "80 mm deep" in said(answer)[0]
+    written = {path.name for path in write_answer(answer, tmp_path / "out").iterdir()}
+    assert {"gains.csv", "gains.pdf", "report.pdf", "report.html"} <= written

@@ -1,0 +1,133 @@
+"""A plan: straight where nothing bends the needle, mirrored where the target is, away from obstacles."""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from needlefit.reporting.inquiries.plan import layouts, said
+from needlefit.reporting.inquiries.write import write_answer
+from needlefit.schemas.planning import ObstacleRecord, PlanRecord
+from needlefit.validation.analyses.planning import candidates, plan
+from needlefit.validation.analyses.planning.aiming import (
+    TargetSite,
+    aim_straight,
+    clearance,
+    execute_exactly,
+    optimize_aim,
+)
+from needlefit.validation.analyses.planning.candidates import find_template
+from needlefit.validation.job import Job, Settings, prepare
+
+CHICKEN = {
+    "schema": 1,
+    "kind": "plan",
+    "dataset": "twin",
+    "medium": "chicken",
+    "recipe": "quick",
+    "template_insertion": "chicken-02",
+    "target_mm": [45, 3],
+    "tune": {"insertions": ["chicken-01"]},
+    "entry_plane": {"offset_mm": [-10, 10], "angle_deg": [-10, 10], "depth_mm": [30, 60]},
+}
+SOFT = {"mu1_pa": 2e4, "alpha1": 1.0, "bevel_mm": 0.2}
+AHEAD = {"offset_mm": [-0.1, 0.1], "angle_deg": [-0.1, 0.1], "depth_mm": [30, 60]}
+
+
+@cache
+def job() -> Job:
+    return prepare("test", PlanRecord.model_validate(CHICKEN).tuning(), Settings())
+
+
+def site(**changed: object) -> TargetSite:
+    record = PlanRecord.model_validate({**CHICKEN, **changed})
+    return TargetSite(job(), find_template(job(), record.template_insertion), record)
+
+
+def test_without_a_bevel_the_best_plan_is_the_straight_aim():
+    where = site()
+    values = {**SOFT, "bevel_mm": 0.0}
+    found = optimize_aim(where, [execute_exactly(values)], values)
+    aimed = aim_straight(where.record.entry_plane, (45.0, 3.0), 0.0, 1)
+    assert found.rms < 1e-3
+    assert (found.aim.offset, found.aim.angle, found.aim.depth) == pytest.approx((3.0, 0.0, 45.0), abs=1e-3)
+    assert (aimed.offset, aimed.depth) == (3.0, 45.0)
+
+
+def test_a_target_on_the_other_side_turns_the_bevel_over():
+    """Straight ahead, only bending reaches beside the axis."""
+    plans = {}
+    for y in (1.5, -1.5):
+        plans[y] = optimize_aim(site(target_mm=[45, y], entry_plane=AHEAD), [execute_exactly(SOFT)], SOFT)
+    assert [plans[y].aim.side for y in (1.5, -1.5)] == [1, -1]
+    assert plans[1.5].rms == pytest.approx(plans[-1.5].rms, abs=1e-4)
+    assert plans[1.5].aim.depth == pytest.approx(plans[-1.5].aim.depth, abs=1e-2)
+
+
+def test_a_plan_passes_by_an_obstacle_on_the_straight_way():
+    obstacle = ObstacleRecord(name="vessel", centre_mm=(25.0, 2.0), radius_mm=2.0, margin_mm=0.5)
+    where = site(obstacles=[obstacle.model_dump()])
+    found = optimize_aim(where, [execute_exactly(SOFT)], SOFT)
+    (path,) = where.paths(found.aim, [execute_exactly(SOFT)], SOFT)
+    assert clearance(path, obstacle) > 0.49
+    assert np.linalg.norm(path[-1] - (45.0, 3.0)) < 0.02
+
+
+def test_clearance_is_the_distance_from_the_rim():
+    line = np.array([[0.0, 0.0], [10.0, 0.0]])
+    assert clearance(line, ObstacleRecord(name="a", centre_mm=(5, 3), radius_mm=1)) == pytest.approx(2.0)
+    assert clearance(line, ObstacleRecord(name="a", centre_mm=(13, 4), radius_mm=1)) == pytest.approx(4.0)
+    assert clearance(line, ObstacleRecord(name="a", centre_mm=(5, 0.5), radius_mm=1)) == pytest.approx(-0.5)
+
+
+def test_errors_of_the_entry_move_the_tip_as_a_rigid_body():
+    where = site()
+    aim = aim_straight(where.record.entry_plane, (45.0, 3.0), 5.0, 1)
+    plain = execute_exactly(SOFT)
+    there, shifted = (where.executed(aim, one) for one in (plain, replace(plain, across=0.3)))
+    turn = np.radians(5.0)
+    assert shifted - there == pytest.approx(np.tile([-0.3 * np.sin(turn), 0.3 * np.cos(turn)], (41, 1)))
+
+
+def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
+    monkeypatch.setattr(plan, "SEARCH_DRAWS", 3)
+    monkeypatch.setattr(plan, "TEST_DRAWS", 20)
+    monkeypatch.setattr(
+        candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, enough=100.0)
+    )
+    answer = plan.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
+    plans = answer.frames["plans"].set_index("plan")
+    assert plans["rms_mm"]["expected"] < plans["rms_mm"]["straight"]
+    rows = answer.frames["misses"]
+    misses = rows[rows["plan"] == "expected"]["miss_mm"]
+    assert len(misses) == 20
+    beyond = answer.frames["exceedances"].set_index(["plan", "limit_mm"])["share"]
+    assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
+    assert "45" in said(answer)[0]
+    written = {path.name for path in write_answer(answer, tmp_path / "out").iterdir()}
+    assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written
+
+
+def test_a_target_out_of_reach_is_refused():
+    for target, said_so in (([500, 400], "depth_mm ends at 60 mm"), ([-3, 0], "before the entrance")):
+        with pytest.raises(ValueError, match=said_so):
+            PlanRecord.model_validate({**CHICKEN, "target_mm": target})
+
+
+def test_a_plan_that_does_not_reach_says_so_and_what_stands_at_a_bound(monkeypatch):
+    """Straight ahead and 30 mm deep at most, a place 4 mm to the side is out of reach."""
+    monkeypatch.setattr(plan, "SEARCH_DRAWS", 2)
+    monkeypatch.setattr(plan, "TEST_DRAWS", 6)
+    monkeypatch.setattr(
+        candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, enough=100.0)
+    )
+    entry_plane = {**AHEAD, "depth_mm": [20, 30]}
+    record = {**CHICKEN, "target_mm": [29, 4], "tolerances_mm": [1.0], "entry_plane": entry_plane}
+    answer = plan.run("aside", PlanRecord.model_validate(record), Settings())
+    (fault,) = (one for one in answer.faults if "no plan" in one)
+    assert "no plan within these bounds comes within 1 mm" in fault
+    assert said(answer)[0].startswith("No plan within these bounds reaches x = 29, y = 4 mm")
+    assert "at a bound of the study: offset, angle" in said(answer)[0]
+    (table, _) = layouts(answer)
+    assert "0.1*" in table.rows[0] and "* At a bound of the study file." in table.notes

@@ -1,0 +1,162 @@
+"""Reading what may be no file, no text, endless, or nested without end; messages that quote none of it."""
+
+import os
+import socket
+import threading
+from contextlib import chdir
+from pathlib import Path
+from time import process_time
+
+import pytest
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.project import input_files
+from needlefit.project.input_files import (
+    MAX_NESTING_LEVELS,
+    open_regular,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    read_json,
+    read_text,
+    read_toml,
+)
+
+SECRET = "root:x:0:0:secret"
+
+
+def refused(read, *arguments, error=DataError):
+    with pytest.raises(error) as found:
+        read(*arguments)
+    assert found.value.what and found.value.where and found.value.fix
+    assert SECRET not in str(found.value) and len(str(found.value)) < 2000
+    return found.value
+
+
+@pytest.fixture
+def places(tmp_path):
+    """Paths that exist and are no regular files, with what they are called."""
+    (tmp_path / "folder").mkdir()
+    os.mkfifo(tmp_path / "pipe")
+    (tmp_path / "link").symlink_to("/dev/zero")
+    found = {"folder": tmp_path / "folder", "pipe": tmp_path / "pipe", "device": tmp_path / "link"}
+    with socket.socket(socket.AF_UNIX) as one:
+        with chdir(tmp_path):  # names of sockets are short
+            one.bind("socket")
+        yield found | {"socket": tmp_path / "socket"}
+
+
+@pytest.mark.parametrize("kind", ["folder", "pipe", "device", "socket"])
+@pytest.mark.parametrize("read", [read_bytes, read_text, read_json])
+def test_only_regular_files_are_opened(places, kind, read):
+    assert kind in refused(read, places[kind]).what
+
+
+def test_a_toml_file_that_is_none_is_an_error_of_the_configuration(places):
+    for path in places.values():
+        refused(read_toml, path, error=ConfigError)
+
+
+def test_a_file_exchanged_for_a_pipe_between_two_looks_is_not_waited_for(tmp_path, monkeypatch):
+    """Opening a pipe that nobody writes to would wait for ever."""
+    path = tmp_path / "a"
+    os.mkfifo(path)
+    monkeypatch.setattr(input_files, "_require_regular", lambda mode, error, where: None)
+    opener = threading.Thread(target=lambda: open_regular(path, 10).__enter__().close(), daemon=True)
+    opener.start()
+    opener.join(5)
+    assert not opener.is_alive()
+
+
+@pytest.mark.parametrize("name", ["a\0b", "x" * 300, "a/" * 3000, "gone", "\udcff", "a\nb\x1b[31m"])
+def test_names_that_cannot_be(tmp_path, name):
+    error = refused(read_bytes, tmp_path / name)
+    assert "\0" not in str(error) and "\x1b" not in str(error)
+
+
+def test_a_file_is_no_larger_than_is_said(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(bytes(2000))
+    assert len(read_bytes(path, 2000)) == 2000
+    refused(read_bytes, path, 1999)
+    with path.open("r+b") as file:
+        file.truncate(2**40)  # a hole: it takes no room
+    assert "MiB" in refused(read_text, path).what
+
+
+def test_a_file_that_states_no_size():
+    """Files of /proc have the size 0; what they hold counts."""
+    whole = read_bytes(Path("/proc/self/status"))
+    assert len(whole) > 100
+    refused(read_bytes, Path("/proc/self/status"), 100)
+
+
+@pytest.mark.skipif(os.geteuid() == 0, reason="root may read everything")
+def test_a_file_that_may_not_be_read(tmp_path):
+    path = tmp_path / "a"
+    path.write_text("x")
+    path.chmod(0)
+    refused(read_bytes, path)
+
+
+def test_text_ends_its_lines_as_python_does(tmp_path):
+    path = tmp_path / "a"
+    path.write_bytes(b"\xef\xbb\xbfa\r\nb\rc")
+    assert read_text(path) == "a\nb\nc"
+    path.write_bytes(SECRET.encode() + b"\xff")
+    assert str(len(SECRET)) in refused(read_text, path).what
+
+
+def nested(levels, value="1"):
+    return "[" * levels + value + "]" * levels
+
+
+def test_json_nests_as_deep_as_is_said():
+    assert parse_json(nested(MAX_NESTING_LEVELS), "f")
+    assert str(MAX_NESTING_LEVELS) in refused(parse_json, nested(MAX_NESTING_LEVELS + 1), "f").what
+    for levels in (10_000, 100_000):
+        refused(parse_json, nested(levels), "f")
+    refused(parse_json, '{"a":' * 20_000 + "1" + "}" * 20_000, "f")
+
+
+def test_toml_nests_as_deep_as_is_said():
+    assert parse_toml(f"a = {nested(MAX_NESTING_LEVELS - 1)}", "f")
+    for text in (
+        f"a = {nested(MAX_NESTING_LEVELS + 1)}",
+        f"a = {nested(20_000)}",
+        "a = " + "{b=" * 20_000 + "1" + "}" * 20_000,
+        ".".join("a" * 20_000) + " = 1",
+        "[" + ".".join("a" * 20_000) + "]",
+    ):
+        refused(parse_toml, text, "f", error=ConfigError)
+
+
+@pytest.mark.parametrize("digits", [20, 5000, 100_000])
+def test_numbers_of_many_digits(digits):
+    refused(parse_toml, "a = " + "9" * digits, "f", error=ConfigError)
+    if digits > 4300:
+        refused(parse_json, "[" + "9" * digits + "]", "f")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [SECRET, f"a = {SECRET}", f'a = "{SECRET}', f"[{SECRET}", f"a = 1\na = '{SECRET}'", f"{SECRET} = 1"],
+)
+def test_what_does_not_parse_is_not_quoted(text, tmp_path):
+    refused(parse_toml, text, "f", error=ConfigError)
+    assert "line" in refused(parse_json, text, "f").what
+
+
+def test_a_failure_is_an_error_of_the_kind_asked_for(tmp_path):
+    refused(parse_toml, "=", "f", DataError, error=DataError)
+    refused(parse_json, "=", "f", ConfigError, error=ConfigError)
+    refused(open_regular(tmp_path / "x", 1, ConfigError, "the scene").__enter__, error=ConfigError)
+
+
+@pytest.mark.parametrize("key", ["a" + ".a" * 40_000, '"a" . ' * 40_000 + "a"])
+def test_a_toml_key_of_many_parts_takes_no_time(key):
+    """Tomllib alone takes seconds and gigabytes."""
+    began = process_time()
+    refused(parse_toml, f"{key} = 1", "f", error=ConfigError)
+    assert process_time() - began < 1.0
+    assert parse_toml("a" + ".a" * (MAX_NESTING_LEVELS - 2) + " = 1.5", "f")

@@ -1,0 +1,124 @@
+"""Names that a spreadsheet, a terminal or a file system would act on are refused, wherever they come from."""
+
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from track_cases import HEAD, TOML
+
+from needlefit.datasets.check import check
+from needlefit.datasets.compression import read_compression
+from needlefit.datasets.read import read
+from needlefit.datasets.template import template
+from needlefit.datasets.tracks.read import read_tracks
+from needlefit.errors import ConfigError, DataError
+from needlefit.imaging.scan_table import make_scans, read_scans
+from needlefit.project.load import check as check_tables
+from needlefit.project.locate import find_studies, find_study_or_fit, shipped_folder
+from needlefit.schemas.names import file_name_fault, name_fault, spreadsheet_text
+from needlefit.schemas.study import TrackFitRecord
+
+BAD = [
+    "=1+1",
+    "+1",
+    "-1",
+    "@SUM",
+    " =1",
+    "\uff1d1",
+    "a\tb",
+    "a\rb",
+    "a\nb",
+    "a\x1b[2J",
+    "\u202eabc",
+    "a\u200bb",
+]
+GOOD = ["liver 1", "µ-phantom", "piece-1", "a=b", "3+4", "Lendenstück", "x" * 200, ""]
+
+
+@pytest.mark.parametrize("name", BAD)
+def test_bad_names(name):
+    assert name_fault(name) and file_name_fault(name)
+    assert name_fault(spreadsheet_text(name)) == "" or not name.isprintable()
+
+
+@pytest.mark.parametrize("name", GOOD)
+def test_good_names(name):
+    assert name_fault(name) == ""
+
+
+@pytest.mark.parametrize("name", ["", ".", "..", "a/b", "../a", "a\\b", "x" * 201])
+def test_what_names_no_file(name):
+    assert file_name_fault(name)
+
+
+def with_specimen(folder: Path, name: str) -> Path:
+    template(folder)
+    table = pd.read_csv(folder / "insertions.csv", dtype=str, keep_default_na=False)
+    table.loc[1, "specimen"] = name
+    table.to_csv(folder / "insertions.csv", index=False)
+    return folder
+
+
+@pytest.mark.parametrize("name", [name for name in BAD if name.strip() == name and "\r" not in name])
+def test_a_specimen_is_refused_with_file_and_line(name, tmp_path):
+    (fault,) = check(with_specimen(tmp_path / "mine", name))
+    assert "insertions.csv:3" in str(fault.where) and fault.what.isprintable()
+
+
+@pytest.mark.parametrize("key", ['name = "{}"', '[media."{}"]'])
+def test_the_name_and_the_media_of_a_dataset_are_refused_with_file_and_key(key, tmp_path):
+    file = template(tmp_path / "mine")
+    old = 'name = "mine"' if key.startswith("name") else "[media.medium1]"
+    text = file.read_text()
+    assert old in text
+    file.write_text(text.replace(old, key.format("=cmd"), 1).replace("[[media.medium1", '[[media."=cmd"'))
+    with pytest.raises((ConfigError, DataError)) as error:
+        read(file)
+    assert "dataset.toml" in str(error.value) and "=cmd" in str(error.value)
+
+
+def test_runs_and_fits_of_tip_tracks_are_refused(tmp_path):
+    rows = "".join(f"=run,gel,{n},0.1,0,1\n" for n in range(9))
+    (tmp_path / "steps.csv").write_text(HEAD + rows)
+    (tmp_path / "dataset.toml").write_text(TOML)
+    with pytest.raises(DataError, match="=run") as error:
+        read_tracks(tmp_path / "dataset.toml")
+    assert "steps.csv:2" in str(error.value)
+    tables = {"name": "../fit", "medium": "gel", "tune": {}, "validate": {}}
+    with pytest.raises(ConfigError, match=r"\.\./fit"):
+        check_tables(tables, TrackFitRecord, "study")
+
+
+def test_specimens_of_compression_are_refused_with_their_line(tmp_path):
+    rows = "".join(f"@a,{1 - 0.05 * n:.2f},{0.01 * n:.3f}\n" for n in range(10))
+    (tmp_path / "gel.csv").write_text("sample,stretch,nominal_stress_mpa\n" + rows)
+    with pytest.raises(DataError, match="@a") as error:
+        read_compression(tmp_path / "gel.csv")
+    assert "gel.csv:2" in str(error.value)
+
+
+@pytest.mark.parametrize("name", ["=study", "-x", "@x"])
+def test_studies_and_folders_are_refused(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    file = tmp_path / f"{name}.toml"
+    file.write_text((shipped_folder() / "studies" / "study1.toml").read_text())
+    for finds in (find_studies, find_study_or_fit):
+        with pytest.raises(ConfigError, match="refused"):
+            finds(f"./{name}.toml")
+    with pytest.raises(ConfigError, match="refused"):
+        template(tmp_path / name)
+    assert not (tmp_path / name).exists()
+
+
+def test_scans_are_refused(tmp_path):
+    volume = shipped_folder() / "data" / "sample_scan" / "volumes" / "sample.nrrd"
+    (tmp_path / "=cmd.nrrd").symlink_to(volume)
+    (tmp_path / "good.nrrd").symlink_to(volume)
+    with pytest.raises(DataError, match="=cmd"):
+        make_scans([tmp_path / "=cmd.nrrd"])
+    with pytest.raises(DataError, match="=gel"):
+        make_scans([tmp_path / "good.nrrd"], medium="=gel")
+    (tmp_path / "scans.csv").write_text("scan,specimen\ngood.nrrd,+piece\n=cmd.nrrd,\n")
+    with pytest.raises(DataError) as error:
+        read_scans(tmp_path / "scans.csv")
+    assert "scans.csv:2" in str(error.value) and "+piece" in str(error.value) and "=cmd" in str(error.value)

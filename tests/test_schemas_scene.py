@@ -1,0 +1,229 @@
+"""Scenes: the shipped ones hold the paper's parameter sets; what a scene's file may say."""
+
+import csv
+from datetime import date
+from pathlib import Path
+
+import pytest
+
+from needlefit.errors import ConfigError
+from needlefit.project.load import check, load
+from needlefit.project.locate import find_file, list_names, shipped_folder
+from needlefit.project.overrides import list_keys, override
+from needlefit.schemas.scene import SceneRecord, resolve_steps
+
+PAPER = shipped_folder() / "data" / "paper"
+TUNED_ON = {"study1": "phantom2", "study2": "phantom2", "study3": "phantom2", "study4": "phantom2"}
+TUNED_ON |= {"study5": "chicken", "phantom2_by_layers": "phantom2"}
+
+
+def rows(name: str) -> list[dict[str, str]]:
+    with (PAPER / f"{name}.csv").open(encoding="utf-8") as file:
+        return list(csv.DictReader(file))
+
+
+SETS = rows("parameters")
+
+
+def scene(name: str) -> SceneRecord:
+    return load(find_file("scene", name), SceneRecord)
+
+
+def test_every_set_has_its_scene():
+    assert {row["set"] for row in SETS} <= set(list_names("scene"))
+
+
+@pytest.mark.parametrize("row", SETS, ids=lambda row: row["set"])
+def test_a_scene_holds_the_published_parameters(row):
+    record = scene(row["set"])
+    printed = [(row[f"mu{n}_pa"], row[f"alpha{n}"]) for n in (1, 2, 3, 4) if row[f"mu{n}_pa"]]
+    assert [(layer.mu_pa, layer.alpha) for layer in record.layers] == [
+        (float(mu), float(a)) for mu, a in printed
+    ]
+    assert record.bevel.offset_mm == float(row["bevel_mm"])
+    assert [layer.top_mm for layer in record.layers] == [0, 20, 28, 45][: len(printed)]
+
+
+@pytest.mark.parametrize("name", [row["set"] for row in SETS])
+def test_its_depth_is_the_middle_of_the_medium_s(name):
+    medium = TUNED_ON.get(name, name)
+    depths = [
+        float(row[key])
+        for row in rows("insertions")
+        if row["medium"] == medium
+        for key in ("depth_min_mm", "depth_max_mm")
+    ]
+    assert scene(name).depth_mm == pytest.approx((min(depths) + max(depths)) / 2)
+
+
+@pytest.mark.parametrize("name", [row["set"] for row in SETS])
+def test_it_is_the_paper_s_needle_and_says_what_is_invented(name):
+    record = scene(name)
+    assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
+    assert record.needle.youngs_modulus_gpa == 80
+    assert len(record.layers) == 1 or "invented" in record.note
+
+
+def test_every_key_can_be_set():
+    tables = {"layers": [{}, {}], "needle": {}}
+    known = set(list_keys(SceneRecord, tables))
+    assert {
+        "depth_mm",
+        "bevel.offset_mm",
+        "layers.2.alpha",
+        "needle.length_mm",
+        "controls.base_y_mm",
+    } <= known
+    assert "layers.3.alpha" not in known and "schema" not in known
+
+
+def test_setting_leaves_the_file_s_tables_alone():
+    tables = {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}]}
+    changed = override(tables, [("layers.1.mu_pa", "3e5"), ("law", "linear")], SceneRecord, "a.toml")
+    assert changed == {"depth_mm": 3.0, "layers": [{"mu_pa": 3e5}], "law": "linear"}
+    assert tables == {"depth_mm": 3.0, "layers": [{"mu_pa": 1.0}]}
+
+
+def test_what_a_step_changes_of_a_guide_is_set_by_the_guide_s_name():
+    tables = {"guides": [{"name": "template"}, {"name": "ring"}], "steps": [{}, {"guides": {}}]}
+    known = set(list_keys(SceneRecord, tables))
+    assert {"guides.2.y_mm", "steps.1.guides.ring.y_mm", "steps.2.guides.template.engaged"} <= known
+    assert "steps.1.guides.other.y_mm" not in known and "steps.3.side" not in known
+    assert "steps.1.guides.ring.name" not in known
+    changed = override(tables, [("steps.1.guides.ring.y_mm", "2")], SceneRecord, "a.toml")
+    assert changed["steps"][0] == {"guides": {"ring": {"y_mm": 2}}}
+
+
+BARE = {
+    "schema": 1,
+    "needle": {"length_mm": 90, "flexural_rigidity_nmm2": 1e4},
+    "bevel": {"offset_mm": 0.1},
+    "layers": [{"top_mm": 0, "mu_pa": 1e5, "alpha": 1}],
+}
+RING = {"name": "ring", "x_mm": -9, "y_mm": 0}
+
+
+def test_what_a_step_does_not_say_carries_over():
+    steps = [
+        {"depth_mm": 10},
+        {"depth_mm": 20, "side": -1, "base_y_mm": 2, "guides": {"ring": {"y_mm": 0.5}}},
+        {"depth_mm": 5, "offset_mm": 0.3, "tip_y_mm": 0.1, "tip_slope_deg": 3},
+        {"depth_mm": 5, "tip_y_mm": 0.2, "base_slope_deg": -1},
+        {"depth_mm": 6, "guides": {"ring": {"engaged": False}}},
+        {"depth_mm": 6, "tip_free": True},
+    ]
+    controls = {"base_y_mm": 1, "stage_angle_deg": 4}
+    record = check(BARE | {"guides": [RING], "controls": controls, "steps": steps}, SceneRecord, "a.toml")
+    whole = resolve_steps(record)
+    assert [(step.depth_mm, step.key) for step in whole] == [
+        (depth, f"steps.{n}.depth_mm") for n, depth in enumerate((10, 20, 5, 5, 6, 6), start=1)
+    ]
+    assert [(step.bevel.offset_mm, step.bevel.side) for step in whole] == [
+        (0.1, 1), (0.1, -1), (0.3, -1), (0.3, -1), (0.3, -1), (0.3, -1),
+    ]  # fmt: skip
+    assert [step.controls.base_y_mm for step in whole] == [1, 2, 2, 2, 2, 2]
+    assert [step.controls.base_slope_deg for step in whole] == [0, 0, 0, -1, -1, -1]
+    assert [(step.controls.tip_y_mm, step.controls.tip_slope_deg) for step in whole] == [
+        (None, None), (None, None), (0.1, 3), (0.2, None), (0.2, None), (None, None),
+    ]  # fmt: skip
+    assert all(step.controls.stage_angle_deg == 4 for step in whole)
+    rings = [step.guides[0] for step in whole]
+    assert [(key, ring.y_mm, ring.engaged) for key, ring in rings] == [
+        ("guides.1", 0, True), ("steps.2.guides.ring", 0.5, True), ("steps.2.guides.ring", 0.5, True),
+        ("steps.2.guides.ring", 0.5, True), ("steps.5.guides.ring", 0.5, False),
+        ("steps.5.guides.ring", 0.5, False),
+    ]  # fmt: skip
+
+
+def test_a_scene_without_steps_is_one():
+    (step,) = resolve_steps(check(BARE | {"depth_mm": 7, "guides": [RING]}, SceneRecord, "a.toml"))
+    assert (step.depth_mm, step.key, step.bevel.side) == (7, "depth_mm", 1)
+    assert step.guides[0][1].name == "ring"
+
+
+@pytest.mark.parametrize(
+    ("more", "told"),
+    [
+        ({}, r"`depth_mm` is missing: give it, or \[\[steps\]\]"),
+        ({"depth_mm": 5, "steps": [{"depth_mm": 5}]}, r"delete it, or set steps\.1\.depth_mm"),
+        ({"steps": [{"side": 1}]}, r"`steps\.1\.depth_mm` is missing"),
+        ({"steps": [{"depth_mm": -1}]}, r"`steps\.1\.depth_mm`"),
+        ({"steps": [{"depth_mm": 1, "sied": 1}]}, r"`steps\.1\.sied` is unknown; did you mean `side`"),
+        (
+            {"steps": [{"depth_mm": 1, "guides": {"rang": {}}}]},
+            r"`steps\.1\.guides\.rang`.*did you mean `ring`",
+        ),
+        ({"steps": [{"depth_mm": 1, "guides": {"ring": {"z_mm": 1}}}]}, r"`steps\.1\.guides\.ring\.z_mm`"),
+        ({"steps": [{"depth_mm": 1, "tip_slope_deg": 1}]}, r"`steps\.1`: tip_slope_deg needs tip_y_mm"),
+        ({"steps": [{"depth_mm": 1, "tip_y_mm": 1, "tip_free": True}]}, r"`steps\.1`: tip_free"),
+        ({"depth_mm": 5, "controls": {"tip_slope_deg": 1}}, r"`controls`: tip_slope_deg needs tip_y_mm"),
+        ({"depth_mm": 5, "guides": [RING, RING]}, r"`guides\.2\.name`: `ring` names another guide already"),
+        ({"depth_mm": 5, "guides": [RING | {"name": "7"}]}, r"`guides\.1\.name`"),
+    ],
+)
+def test_what_a_scene_may_not_say(more, told):
+    with pytest.raises(ConfigError, match=told):
+        check(BARE | {"guides": [RING]} | more, SceneRecord, "a.toml")
+
+
+@pytest.mark.parametrize(
+    ("more", "what", "expected", "fix"),
+    [
+        ({"depth_mm": -1}, "key `depth_mm` is -1", "a number above 0", "correct `depth_mm`"),
+        (
+            {"controls": {"base_slope_deg": 50}},
+            "key `controls.base_slope_deg` is 50", "a number below 45", "correct `controls.base_slope_deg`",
+        ),
+        ({"bevel": {"offset_mm": -1}}, "is -1", "a number of at least 0", "correct `bevel.offset_mm`"),
+        ({"bevel": {"offset_mm": "0.1"}}, 'is "0.1"', "a number, without quotes", "correct"),
+        ({"bevel": {"offset_mm": True}}, "is true", "a number, without quotes", "correct"),
+        ({"bevel": {"offset_mm": 1, "side": 2}}, "key `bevel.side` is 2", "1 or -1", "correct `bevel.side`"),
+        ({"bevel": {}}, "key `bevel.offset_mm` is missing", "a number of at least 0", "add `bevel.off"),
+        ({"bevel": 7}, "key `bevel` is 7", "a table of keys and values", "correct `bevel`"),
+        ({"title": 4}, "key `title` is 4", 'a text, in quotes ("...")', "correct `title`"),
+        ({"layers": []}, "key `layers` has too few members", "a list of at least 1", "correct `layers`"),
+        ({"steps": {}}, "key `steps` is of another kind", "[[...]] for each member", "correct `steps`"),
+        ({"layers": [{"top_mm": 0, "alpha": 1}]}, "`layers.1.mu_pa` is missing", "a number above 0", "add"),
+        ({"dpth_mm": 1}, "`dpth_mm` is unknown", "depth_mm", "write `depth_mm`, or leave it out"),
+        ({"zzzzzzzzz": 1}, "`zzzzzzzzz` is unknown", "depth_mm", "leave `zzzzzzzzz` out"),
+        (
+            {"guides": [RING | {"name": "7"}]},
+            'key `guides.1.name` is "7"', "a letter, then letters, digits, - or _", "correct `guides.1.name`",
+        ),
+    ],
+)  # fmt: skip
+def test_a_fault_says_what_was_expected_and_what_to_do(more, what, expected, fix):
+    with pytest.raises(ConfigError) as fault:
+        check(BARE | {"depth_mm": 5} | more, SceneRecord, "a.toml")
+    assert what in fault.value.what and ";" not in fault.value.what.split("; did you mean")[0]
+    assert expected in fault.value.expected and fix in fault.value.fix
+
+
+def test_of_several_faults_each_is_told_once():
+    layer = {"top_mm": 0, "mu_pa": -1, "alpha": "x"}
+    with pytest.raises(ConfigError) as fault:
+        check(BARE | {"depth_mm": 5, "layers": [layer]}, SceneRecord, "a.toml")
+    assert fault.value.what == 'key `layers.1.mu_pa` is -1; key `layers.1.alpha` is "x"'
+    expected = "`layers.1.mu_pa`: a number above 0; `layers.1.alpha`: a number, without quotes"
+    assert fault.value.expected == expected
+    assert fault.value.fix == "correct `layers.1.mu_pa`; correct `layers.1.alpha`"
+
+
+def test_a_whole_number_is_a_number_and_a_date_is_nothing():
+    assert check(BARE | {"depth_mm": 5}, SceneRecord, "a.toml").depth_mm == 5.0
+    with pytest.raises(ConfigError, match="key `title`"):
+        check(BARE | {"depth_mm": 5, "title": date(2020, 1, 1)}, SceneRecord, "a.toml")
+
+
+def test_the_scene_of_figure_1_says_what_is_invented():
+    record = scene("figure1")
+    assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
+    assert (len(record.layers), len(record.steps), len(record.guides)) == (4, 3, 1)
+    assert "invented" in record.note
+
+
+def test_a_fault_in_a_list_is_numbered_from_1(tmp_path: Path):
+    tables = {"schema": 1, "depth_mm": 3.0, "needle": {"length_mm": 9, "flexural_rigidity_nmm2": 1}}
+    tables |= {"bevel": {"offset_mm": 0.1}, "layers": [{"top_mm": 0, "mu_pa": 1, "alpha": 1}, {"top_mm": 1}]}
+    with pytest.raises(ConfigError, match=r"`layers\.2\.mu_pa` is missing"):
+        check(tables, SceneRecord, "a.toml")

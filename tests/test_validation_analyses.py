@@ -1,0 +1,221 @@
+"""What every inquiry rests on: pieces that are kept, answers that are stored, evidence that is rounded."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from test_cli import run as run_cli
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.reporting.reference import rounded
+from needlefit.validation.analyses.kinds import ANALYSIS_KINDS, load_analysis, run
+from needlefit.validation.analyses.runner import run_tasks
+from needlefit.validation.checkpoint import open_checkpoint
+from needlefit.validation.job import Settings
+from needlefit.validation.run_differences import compare_runs
+
+THIRD = 1 / 3
+RECIPE = (Path(__file__).parent.parent / "configs/recipes/quick.toml").read_text(encoding="utf-8")
+
+
+def _pieces(done: list[str]):
+    def piece(key: str, value: float):
+        def compute():
+            done.append(key)
+            return {
+                "errors": [{"of": key, "te_mm": value}],
+                **({"more": [{"of": key}]} if key == "b" else {}),
+            }
+
+        return compute
+
+    values = {"a": THIRD, "b": np.float64(2 / 3), "c": float("inf"), "d": float("nan")}
+    return {key: piece(key, value) for key, value in values.items()}
+
+
+def _stopping_after(count: int, done: list[str]) -> Settings:
+    return Settings(stop=lambda: len(done) >= count)
+
+
+def test_pieces_go_on_after_a_stop_to_the_same_rows(tmp_path):
+    whole, interrupted = run_tasks(_pieces([]), "x", Settings(), open_checkpoint(None, False, {}))
+    assert not interrupted
+    assert [row["of"] for row in whole["errors"]] == ["a", "b", "c", "d"]
+    assert whole["errors"][0]["te_mm"] == THIRD and type(whole["errors"][1]["te_mm"]) is float
+    first: list[str] = []
+    kept = open_checkpoint(tmp_path, False, {"work": 1})
+    part, interrupted = run_tasks(_pieces(first), "x", _stopping_after(3, first), kept)
+    assert interrupted
+    assert [row["of"] for row in part["errors"]] == ["a", "b"]  # the third was caught half done
+    second: list[str] = []
+    again, interrupted = run_tasks(
+        _pieces(second), "x", Settings(), open_checkpoint(tmp_path, True, {"work": 1})
+    )
+    assert not interrupted and second == ["c", "d"]
+    assert json.dumps(again) == json.dumps(whole)
+
+
+def test_a_piece_keeps_no_value_that_json_would_change():
+    with pytest.raises(TypeError, match="Path"):
+        run_tasks({"a": lambda: {"x": [{"at": Path()}]}}, "x", Settings(), open_checkpoint(None, False, {}))
+
+
+def test_evidence_is_rounded_to_a_micrometre_and_three_digits():
+    frame = pd.DataFrame(
+        {
+            "te_mm": [0.12345, -0.0002, np.inf],
+            "mu1_pa": [123456.0, 0.0, np.nan],
+            "edp_percent": [12.345, 0.0012345, 1e9 / 3],
+            "insertions": [7, 8, 9],
+            "note": ["a", "b", "c"],
+        }
+    )
+    got = rounded(frame)
+    assert got["te_mm"].tolist() == [0.123, 0.0, np.inf]
+    assert str(got["te_mm"][1]) == "0.0"
+    assert got["mu1_pa"].tolist()[:2] == [123000.0, 0.0] and np.isnan(got["mu1_pa"][2])
+    assert got["edp_percent"].tolist() == [12.3, 0.00123, 3.33e8]
+    assert got[["insertions", "note"]].equals(frame[["insertions", "note"]])
+
+
+def test_an_unknown_kind_of_study_lists_those_there_are(tmp_path):
+    file = tmp_path / "odd.toml"
+    file.write_text("schema = 1\nkind = { odd = 1 }\n")
+    with pytest.raises(ConfigError, match="kind"):
+        load_analysis(file)
+    file.write_text('schema = 1\nkind = "odd"\n')
+    with pytest.raises(ConfigError, match=r"(?s)key `kind`.*'odd'.*left_out"):
+        load_analysis(file)
+
+
+@pytest.fixture
+def project(tmp_path, monkeypatch):
+    for folder in ("studies", "configs/fits", "configs/recipes"):
+        (tmp_path / folder).mkdir(parents=True)
+    (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
+    for name, insertions in (("pieces", ["chicken-01", "chicken-04", "chicken-05"]), ("one", ["chicken-04"])):
+        chosen = f"[tune]\ninsertions = {json.dumps(insertions)}\n"
+        fit = f'schema = 1\ndataset = "twin"\nmedium = "chicken"\nrecipe = "few"\n{chosen}'
+        (tmp_path / f"configs/fits/{name}.toml").write_text(fit)
+    (tmp_path / "studies/left.toml").write_text(
+        'schema = 1\nkind = "left_out"\nfits = ["pieces", "one"]\ngroups = ["specimen"]\n'
+    )
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project, capsys):
+    assert run_cli("validate", "left", "--reference", "-q") == 0
+    out = capsys.readouterr().out
+    assert "One, each specimen left out: not applicable: one specimen." in out
+    summary = pd.read_csv("reports/left/summary.csv").set_index("fit")
+    assert summary.loc["one", "note"] == "not applicable: one specimen"
+    assert np.isnan(summary.loc["one", "te_mm"])
+    errors = pd.read_csv("reports/left/errors.csv")
+    errors = errors[(errors["fit"] == "pieces") & (errors["method"] == "fitted")]
+    left, sample = (
+        errors[errors["left_out"] == how].set_index("insertion") for how in ("specimen", "nothing")
+    )
+    assert left["fold"].to_dict() == {
+        "chicken-01": "without chicken-piece1",
+        "chicken-04": "without chicken-piece2",
+        "chicken-05": "without chicken-piece2",
+    }
+    gap = (left["te_mm"] - sample["te_mm"]).mean()
+    assert summary.loc["pieces", "te_gap_mm"] == pytest.approx(gap, abs=1e-7)
+    told = pd.read_csv("reports/left/predictive.csv")
+    assert told["insertion"].tolist() == ["chicken-01", "chicken-04", "chicken-05"]
+    evidence = pd.read_csv("reports/reference/left/summary.csv").set_index("fit")
+    assert evidence.loc["pieces", "te_mm"] == round(summary.loc["pieces", "te_mm"], 3)
+    before = {path.name: path.read_bytes() for path in Path("reports/left").iterdir()}
+    assert run_cli("report", "left", "-q") == 0
+    assert {path.name: path.read_bytes() for path in Path("reports/left").iterdir()} == before
+    assert {"report.pdf", "report.html", "summary.pdf", "left_out.tex"} <= before.keys()
+    told = Path("reports/left/numbers.tex").read_text(encoding="utf-8")
+    value = f"{summary.loc['pieces', 'te_mm']:.2f}"
+    assert rf"nf@left-left-out-pieces-specimen-te-left-out-mm\endcsname{{{value}}}" in told
+    figures = {name.removesuffix(".pdf") for name in before if name.endswith(".pdf")} - {"report"}
+    assert all(f"{figure}.csv" in before for figure in figures)
+
+
+def _answer(folder: Path, kind: str, **frames: pd.DataFrame) -> Path:
+    folder.mkdir()
+    (folder / "run.json").write_text(json.dumps({"study": {"kind": kind}, "faults": []}))
+    for name, frame in frames.items():
+        frame.to_csv(folder / f"{name}.csv", index=False)
+    return folder
+
+
+def test_two_answers_differ_in_rows_lengths_and_numbers(tmp_path):
+    told = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2]})
+    other = pd.DataFrame({"fit": ["b", "a"], "te_mm": [0.41, 0.2], "pareto_k": [0.4, 0.5]})
+    one, two = (_answer(tmp_path / n, "left_out", summary=f) for n, f in (("1", told), ("2", other)))
+    assert compare_runs(one, one) == []
+    length, number = compare_runs(one, two)  # rows are found by their words, in whatever order
+    assert (length.before, length.after, length.matters) == (0.4, 0.41, True)
+    assert "insertions" not in length.why and "0.01 mm" in length.why
+    assert (number.before, number.after, number.matters) == (0.2, 0.4, True)
+    three = _answer(tmp_path / "3", "left_out", summary=told.assign(fit=["a", "c"]))
+    (rows,) = compare_runs(one, three)
+    assert rows.where == "rows of summary" and rows.why.startswith("2 rows are in one run only")
+
+
+def test_errors_of_answers_are_compared_insertion_by_insertion(tmp_path):
+    told = pd.DataFrame({"insertion": ["a", "b", "c"], "te_mm": [0.2, 0.4, 0.3]})
+    worse = told.assign(te_mm=told["te_mm"] + [0.1, 0.1, 0.1])
+    (found,) = compare_runs(
+        _answer(tmp_path / "1", "left_out", errors=told), _answer(tmp_path / "2", "left_out", errors=worse)
+    )
+    assert found.matters and "on 3 insertions" in found.why
+
+
+def test_answers_to_other_questions_are_not_compared(tmp_path):
+    one, two = (_answer(tmp_path / kind, kind) for kind in ("left_out", "plan"))
+    study = tmp_path / "study"
+    study.mkdir()
+    (study / "run.json").write_text("{}")
+    (study / "errors.csv").write_text("fold\n")
+    for pair in ((one, two), (one, study), (study, two)):
+        with pytest.raises(DataError, match="they answer different questions"):
+            compare_runs(*pair)
+
+
+NEXT = {
+    "schema": 1,
+    "kind": "next_insertion",
+    "dataset": "twin",
+    "medium": "chicken",
+    "recipe": "quick",
+    "template_insertion": "chicken-02",
+    "tune": {"insertions": ["chicken-01"]},
+    "depths_mm": [40.0],
+    "entries": [{"name": "above"}],
+}
+LEFT = {"schema": 1, "kind": "left_out", "fits": ["chicken"]}
+DEEP = [{"name": "a", "entry": "above", "depth_mm": 4e3}]
+ALONE = {
+    "schema": 1,
+    "kind": "comparison",
+    "dataset": "twin",
+    "medium": "chicken",
+    "insertions": {"insertions": ["chicken-01"]},
+}
+
+
+@pytest.mark.parametrize(
+    ("record", "what", "where"),
+    [
+        ({**NEXT, "template_insertion": "none"}, "not in the dataset", "template_insertion"),
+        ({**NEXT, "depths_mm": [40, 9e3]}, "cannot be inserted 9000 mm", "depths_mm"),
+        ({**NEXT, "quantities": DEEP}, "cannot be inserted 4000 mm", "quantities.1.depth_mm"),
+        ({**LEFT, "fits": ["no"]}, "no fit called `no`", "fits"),
+        (ALONE, "only one group", "folds"),
+    ],
+    ids=["like", "depths", "quantities", "fits", "folds"],
+)
+def test_what_is_wrong_with_a_study_is_told_with_its_name_and_key(record, what, where):
+    with pytest.raises(ConfigError, match=what) as error:
+        run("mine", ANALYSIS_KINDS[record["kind"]].record.model_validate(record), Settings())
+    assert error.value.where == f"study mine, key `{where}`"

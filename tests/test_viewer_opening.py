@@ -1,0 +1,249 @@
+"""What a name shows: the same needle as the model's, with the parameters that it says."""
+
+import contextlib
+import dataclasses
+import json
+import re
+from pathlib import Path
+
+import needles
+import numpy as np
+import pytest
+from inference_cases import dataset, insertion, medium
+
+from needlefit.errors import ConfigError, DataError
+from needlefit.inference.as_scene import as_scene, layers_met
+from needlefit.inference.predict import conditions, predict
+from needlefit.mechanics.scene import Scene
+from needlefit.mechanics.session import Session
+from needlefit.mechanics.simulate import follow
+from needlefit.project.view_targets import find_view_target
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import SceneRecord
+from needlefit.schemas.study import StudyRecord
+from needlefit.validation.job import Settings
+from needlefit.validation.packing import pack
+from needlefit.validation.run import run
+from needlefit.validation.stored import restore_results, store_results
+from needlefit.viewer.opening import open_target
+from needlefit.viewer.opening.insertion import choose_start_parameters
+from needlefit.viewer.overlay.measured import compute_live_errors
+
+VALUES = {"mu1_pa": 3e5, "alpha1": 1.2, "mu2_pa": 2e7, "alpha2": -1.0, "bevel_mm": 0.08}
+GEL = """schema = 1
+layers = 2
+[parameters]
+mu1_pa = { bounds = [3e4, 3e6] }
+alpha1 = { fixed = 1.0 }
+mu2_pa = { tie = "50 * mu1_pa" }
+alpha2 = { bounds = [-3.0, 5.0], prior = { mean = -1.0, sd = 0.5 } }
+bevel_mm = { bounds = [0.01, 0.25] }
+"""
+FIT = GEL.replace('{ tie = "50 * mu1_pa" }', "{ fixed = 2e7 }").replace(
+    "{ bounds = [-3.0, 5.0], prior = { mean = -1.0, sd = 0.5 } }", "{ fixed = -1.0 }"
+)
+RECIPE = "schema = 1\nstarts = 2\nevaluations = 100\ntolerance = 1e-6\n"
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A project with a dataset, a medium of its name, and a run of a study."""
+    folder = tmp_path_factory.mktemp("project")
+    needles.build(folder / "data" / "needles")
+    for name, text in (("media/gel", GEL), ("media/fit", FIT), ("recipes/short", RECIPE)):
+        path = folder / "configs" / f"{name}.toml"
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(text)
+    asked = {"dataset": "needles", "medium": "fit", "recipe": "short", "tune": {"specimens": ["piece1"]}}
+    study = StudyRecord.model_validate({"schema": 1, "validate": [{"specimens": ["piece2"]}], **asked})
+    out = folder / "reports" / "small"
+    out.mkdir(parents=True)
+    with contextlib.chdir(folder):
+        results = run("small", study, Settings())
+    store_results(results, out)
+    (out / "run.json").write_text(json.dumps(results.run))
+    return folder
+
+
+@pytest.fixture
+def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(made)
+    return made
+
+
+def followed(record: SceneRecord):
+    scene = Scene.from_record(record)
+    return follow(scene.needle, scene.tissue, scene.steps, scene.rules)
+
+
+def rules(**changes: float) -> MediumRecord:
+    return medium().model_copy(update=changes)
+
+
+ONE, TWO = insertion(24.3), insertion(41.7, [17.2], (1, 2), side=-1)
+AGAIN = insertion(38.0, [12.0, 21.5], (1, 2, 1))
+
+
+@pytest.mark.parametrize(
+    ("one", "record"),
+    [
+        (ONE, medium()),
+        (TWO, medium()),
+        (AGAIN, rules(thickness_mm=20.0, law="linear")),
+        (dataclasses.replace(TWO, guide_distance=12.0), medium()),
+        (dataclasses.replace(TWO, base_moved=-1.5), rules(constraint_spacing_mm=2.5)),
+        (TWO, rules(constraint_switch=0.2, tangent_part=0.5, first_cell_mm=0.4)),
+    ],
+)
+def test_an_insertion_said_as_a_scene_is_the_needle_that_is_predicted(one, record):
+    said = as_scene(VALUES, record, dataset([one]), one)
+    again = SceneRecord.model_validate_json(said.model_dump_json(by_alias=True))
+    scene, (needle, tissue, steps, sharp) = (
+        Scene.from_record(again),
+        conditions(VALUES, record, dataset([one]).needle, one),
+    )
+    assert scene.steps == steps and dataclasses.replace(scene.rules, tolerance=sharp.tolerance) == sharp
+    for part in ("mu", "alpha", "boundaries", "thickness", "friction"):
+        assert np.array_equal(getattr(scene.tissue, part), getattr(tissue, part))
+    assert scene.tissue.law == tissue.law
+    sharper = follow(scene.needle, scene.tissue, scene.steps, sharp)
+    expected = follow(needle, tissue, steps, sharp)
+    assert np.array_equal(sharper.u, expected.u) and np.array_equal(sharper.x, expected.x)
+    # a scene is solved to 1e-7 mm, a prediction further, as searches take its derivatives
+    np.testing.assert_allclose(followed(again).u, expected.u, rtol=0, atol=1e-7)
+
+
+def test_a_layer_of_no_thickness_is_left_out():
+    squeezed = dataclasses.replace(AGAIN, boundaries=np.array([12.0, 12.0]), sequence=(1, 2, 1))
+    assert layers_met(squeezed) == ((0.0, 1), (12.0, 1))
+    at_once = dataclasses.replace(AGAIN, boundaries=np.array([0.0, 12.0]), sequence=(1, 2, 1))
+    assert layers_met(at_once) == ((0.0, 2), (12.0, 1))
+
+
+def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)  # nothing here: the shipped ones
+    viewed_scene = open_target("study3")
+    assert (viewed_scene.measured, viewed_scene.spread, viewed_scene.scanned, viewed_scene.choices) == (
+        None,
+        None,
+        None,
+        (),
+    )
+    assert not viewed_scene.synthetic and viewed_scene.diameter == 1.27
+    scene = Scene.from_record(viewed_scene.record)
+    first = scene.steps[0]
+    session = Session(
+        scene.needle, scene.tissue, first.bevel, viewed_scene.first_cell, first.controls, scene.rules
+    )
+    assert np.array_equal(session.go(first).u, followed(viewed_scene.record).u)
+    assert open_target(None).name == "phantom2"
+
+
+def test_a_dataset_shows_its_first_insertion_or_the_one_that_is_named(project):
+    for name in ("needles", "data/needles", "data/needles/dataset.toml", str(project / "data/needles")):
+        assert open_target(name).measured.id == "needle-1"
+        assert open_target(f"{name}/needle-3").measured.id == "needle-3"
+    viewed_scene = open_target("needles", "needle-2")
+    assert viewed_scene.name == "needles/needle-2" and viewed_scene.synthetic
+    assert open_target(viewed_scene.name).record == viewed_scene.record
+    assert viewed_scene.choices == ("needle-1", "needle-2", "needle-3", "needle-4")
+    assert (viewed_scene.record.depth_mm, viewed_scene.record.bevel.side) == (needles.DEPTHS[1], -1)
+    assert [layer.top_mm for layer in viewed_scene.record.layers] == pytest.approx([0.0, needles.INTERFACE])
+    assert viewed_scene.first_cell == pytest.approx(0.5)  # of 30.5 mm
+
+
+def test_without_a_fit_the_medium_s_middle_is_where_tuning_by_hand_begins(project):
+    viewed_scene = open_target("needles")
+    first, second = viewed_scene.record.layers
+    assert first.mu_pa == pytest.approx(3e5) and second.mu_pa == pytest.approx(1.5e7)  # the tie holds
+    assert second.alpha == pytest.approx(-1.0)  # the prior's peak, not the middle of the bounds
+    assert viewed_scene.record.bevel.offset_mm == pytest.approx(0.05)
+    assert "middle of the priors and bounds of medium gel" in viewed_scene.note
+
+
+def test_the_paper_s_hand_tuned_set_stands_in_where_there_is_one():
+    begun = choose_start_parameters(dataclasses.replace(TWO, medium="phantom2"))
+    assert begun.values["mu2_pa"] == 3.3e7 and begun.values["bevel_mm"] == 0.085
+    assert "the paper's hand-tuned set phantom2" in begun.description
+
+
+@pytest.mark.parametrize("name", ["nobody_s", "chicken"])  # chicken is described, but of one layer
+def test_a_medium_that_is_not_described_begins_with_invented_numbers_and_says_so(name):
+    begun = choose_start_parameters(dataclasses.replace(TWO, medium=name))
+    assert "invented" in begun.description and begun.medium.layers == 2
+    assert predict(begun.values, begun.medium, dataset([TWO]).needle, TWO).converged
+
+
+def test_a_run_shows_its_fit_beginning_with_what_it_never_saw(project):
+    results = restore_results(project / "reports/small")
+    viewed_scene = open_target("small")
+    assert viewed_scene.choices == ("needle-3", "needle-4", "needle-1", "needle-2")
+    assert viewed_scene.name == "small/needle-3" and "which never saw it" in viewed_scene.note
+    assert "on this needle too" in open_target("reports/small", "needle-1").note
+    rows = results.parameters[results.parameters["method"] == "fitted"].set_index("parameter")["value"]
+    assert viewed_scene.record.bevel.offset_mm == rows["bevel_mm"]
+    assert [layer.mu_pa for layer in viewed_scene.record.layers] == [rows["mu1_pa"], rows["mu2_pa"]]
+    draws = results.draws.iloc[np.linspace(0, len(results.draws) - 1, 100).astype(int)]
+    assert np.array_equal(viewed_scene.spread.offset, draws["bevel_mm"])
+    assert np.array_equal(viewed_scene.spread.mu[:, 0], draws["mu1_pa"] * 1e-6)
+
+
+def test_live_errors_at_the_measured_depth_are_those_of_the_run(project):
+    errors = restore_results(project / "reports/small").errors
+    for id_ in open_target("small").choices:
+        viewed_scene = open_target("small", id_)
+        row = errors.query("method == 'fitted' and boundaries == 'measured' and insertion == @id_").iloc[0]
+        found = compute_live_errors(viewed_scene.measured, followed(viewed_scene.record))
+        assert found.whole and found.floor == row["floor_te_mm"]
+        shown = (found.te, found.ipe_mean, found.ipe_max)
+        assert shown == pytest.approx(tuple(row[["te_mm", "ipe_mean_mm", "ipe_max_mm"]]), abs=1e-6)
+        assert found.edp == pytest.approx(row["edp_percent"], abs=1e-4)
+
+
+def test_a_run_of_data_that_changed_or_of_another_kind_is_refused(project, tmp_path):
+    results = restore_results(project / "reports/small")
+    store_results(dataclasses.replace(results, run={**results.run, "dataset": {"sha256": "0"}}), tmp_path)
+    (tmp_path / "run.json").write_text("{}")
+    with pytest.raises(DataError, match="has changed since"):
+        open_target(str(tmp_path))
+    pack({"kind": "calibration"}, tmp_path)
+    with pytest.raises(DataError, match="no fitted needle to show"):
+        open_target(str(tmp_path))
+
+
+def test_a_run_that_kept_no_draws_says_why_there_is_no_band(project, tmp_path):
+    results = restore_results(project / "reports/small")
+    store_results(dataclasses.replace(results, draws=results.draws.iloc[:0]), tmp_path)
+    (tmp_path / "run.json").write_text("{}")
+    viewed_scene = open_target(str(tmp_path))
+    assert viewed_scene.spread is None and "No band" in viewed_scene.note
+
+
+def test_a_name_of_two_kinds_says_how_to_name_each(project):
+    scenes = project / "configs" / "scenes"
+    scenes.mkdir(exist_ok=True)
+    (scenes / "small.toml").write_text("schema = 1\n")
+    with pytest.raises(ConfigError) as error:
+        find_view_target("small")
+    (scenes / "small.toml").unlink()
+    assert "a scene and a run" in error.value.what
+    assert "configs/scenes/small.toml or reports/small" in error.value.fix
+    assert find_view_target("reports/small").kind == "run"
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("studi3", "no scene, run or dataset called `studi3`.*expected: one of study3"),
+        ("needels/needle-1", "no dataset or run called `needels`.*expected: one of needles"),
+        ("needles/needle-9", "no insertion of needles called `needle-9`.*needle-"),
+        ("small/needle-9", "no insertion of run small called `needle-9`"),
+        ("configs/nix.toml", "configs/nix.toml: there is no such scene"),
+        ("configs/media", "configs/media: holds no scene, run or dataset"),
+        ("study3/needle-1", "no dataset or run called `study3`"),
+    ],
+)
+def test_what_there_is_not_is_told_with_the_nearest(name, words, project):
+    with pytest.raises(ConfigError) as error:
+        open_target(name)
+    assert re.search(words, str(error.value), re.DOTALL)
