@@ -55,7 +55,7 @@ nitpicky = True
 nitpick_ignore_regex = [
     # Types of others, which signatures name: without a network there is nothing to link them to.
     ("py:.*", r"(numpy|np|scipy|pandas|xarray|matplotlib|pydantic|pydantic_core|typer)\..*"),
-    ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp)\..*"),
+    ("py:.*", r"(trimesh|SimpleITK|pydicom|aiohttp|numba)\..*"),
     ("py:.*", r"(collections|contextlib|pathlib|types|typing)\..*"),
     # What begins with an underscore has no entry, even where a signature names it.
     ("py:class", r"(needlefit\.[\w.]+\.)?_\w+"),
