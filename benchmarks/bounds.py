@@ -18,15 +18,14 @@ from itertools import cycle, islice
 import numpy as np
 
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
-from needlefit.mechanics.lanes import follow_batches
-from needlefit.mechanics.linearize import linearize_along
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.linearize import linearize_steps
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import element_solves
-from needlefit.mechanics.scene import Scene, insert
+from needlefit.mechanics.plan import count_element_solves
+from needlefit.mechanics.scene import Scene, iterate_states, simulate_scene
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.simulate import follow
-from needlefit.mechanics.strides import strides
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import (
     MAX_BATCH_ELEMENT_SOLVES,
@@ -44,9 +43,9 @@ STEEL = 1.0216e4  # N mm^2, 18 gauge
 LONG = Needle(MAX_NEEDLE_LENGTH_MM, STEEL)
 DEEP = MAX_NEEDLE_LENGTH_MM - 1.0
 SOFT = Tissue(np.array([0.05]), np.array([1.0]))
-FINE = Rules(MIN_ELEMENT_MM, MIN_ELEMENT_MM)
+FINE = ModelOptions(MIN_ELEMENT_MM, MIN_ELEMENT_MM)
 FINE_DEPTH = MAX_ELEMENTS * MIN_ELEMENT_MM
-COSTLY = Rules(tolerance=1e-13, max_iterations=MAX_ITERATIONS)
+COSTLY = ModelOptions(tolerance=1e-13, max_iterations=MAX_ITERATIONS)
 
 
 def tissue(layers: int = 4, depth: float = DEEP, friction: float = 0.0) -> Tissue:
@@ -56,13 +55,13 @@ def tissue(layers: int = 4, depth: float = DEEP, friction: float = 0.0) -> Tissu
     return Tissue(mu, np.ones(layers), tops, friction=np.full(layers, friction))
 
 
-def there_and_back(depth: float, rules: Rules, most: int = MAX_STEPS) -> tuple[Step, ...]:
+def there_and_back(depth: float, rules: ModelOptions, most: int = MAX_STEPS) -> tuple[Step, ...]:
     """Return as many insertions and retractions as one insertion may have."""
     steps, side = [Step(depth, Bevel(1e-4))], cycle((1, -1))
     while len(steps) < most:
         more = [*steps, Step(1.0, Bevel(1e-4)), Step(depth, Bevel(1e-4, next(side)))]
         if (
-            element_solves(tuple(step.depth for step in more), rules.spacing, rules.element)
+            count_element_solves(tuple(step.depth for step in more), rules.spacing, rules.element)
             > MAX_ELEMENT_SOLVES
         ):
             break
@@ -73,7 +72,7 @@ def there_and_back(depth: float, rules: Rules, most: int = MAX_STEPS) -> tuple[S
 def moved(depth: float) -> tuple[Step, ...]:
     """Return an insertion whose base moves, again and again, as often as is allowed."""
     cost = 2 * depth + 4
-    count = int(min(MAX_STEPS - 1, (MAX_ELEMENT_SOLVES - element_solves((depth,), 1.0, 1.0)) / cost))
+    count = int(min(MAX_STEPS - 1, (MAX_ELEMENT_SOLVES - count_element_solves((depth,), 1.0, 1.0)) / cost))
     steps = [Step(depth, Bevel(1e-3))]
     return tuple(steps + [Step(depth, Bevel(1e-3), Controls(base_y=0.01 * (n % 7))) for n in range(count)])
 
@@ -85,66 +84,69 @@ def guided(within: bool) -> tuple[Step, ...]:
     return (Step(DEEP, Bevel(0.0), Controls(guides=guides)),)
 
 
-def of(needle: Needle, layers: Tissue, steps: tuple[Step, ...], rules: Rules) -> Callable[[], object]:
+def of(needle: Needle, layers: Tissue, steps: tuple[Step, ...], rules: ModelOptions) -> Callable[[], object]:
     """Return what inserts a needle once."""
-    return lambda: follow(needle, layers, steps, rules)
+    return lambda: simulate_steps(needle, layers, steps, rules)
 
 
-def seen(steps: tuple[Step, ...], rules: Rules) -> Callable[[], object]:
+def seen(steps: tuple[Step, ...], rules: ModelOptions) -> Callable[[], object]:
     """Return what inserts a needle as `simulate` does, every step kept."""
-    return lambda: insert(Scene(LONG, tissue(), steps, rules))
+    return lambda: simulate_scene(Scene(LONG, tissue(), steps, rules))
 
 
 def in_batch(layers: Tissue) -> Callable[[], object]:
     """Return what solves the largest batch of the deepest insertion."""
-    sets = int(MAX_BATCH_ELEMENT_SOLVES / element_solves((DEEP,), 1.0, 1.0))
+    sets = int(MAX_BATCH_ELEMENT_SOLVES / count_element_solves((DEEP,), 1.0, 1.0))
     offset = np.linspace(1e-4, 1e-3, sets)
-    return lambda: follow_batches([Batch(LONG, layers, (Step(DEEP, Bevel(1e-3)),), offset=offset)])
+    return lambda: simulate_batches([Batch(LONG, layers, (Step(DEEP, Bevel(1e-3)),), offset=offset)])
 
 
 def by_hand() -> object:
     """Insert the deepest needle in steps of half a cell, then move its base."""
-    session = Session(LONG, tissue(), Bevel(1e-3), rules=Rules())
+    session = Session(LONG, tissue(), Bevel(1e-3), rules=ModelOptions())
     while session.depth < DEEP - 1:
         session.step(insert=0.5)
     return [session.step(base=(0.01 * n, 0.0)) for n in range(200)]
 
 
 CASES: dict[str, Callable[[], object]] = {
-    "deepest": of(LONG, tissue(), (Step(DEEP, Bevel(1e-3)),), Rules()),
-    "deepest, bent": of(LONG, tissue(), (Step(DEEP, Bevel(0.05)),), Rules()),
+    "deepest": of(LONG, tissue(), (Step(DEEP, Bevel(1e-3)),), ModelOptions()),
+    "deepest, bent": of(LONG, tissue(), (Step(DEEP, Bevel(0.05)),), ModelOptions()),
     "deepest, tolerance 1e-13, 200 iterations": of(LONG, tissue(), (Step(DEEP, Bevel(0.03)),), COSTLY),
     "deepest, very soft": of(
-        LONG, Tissue(np.array([1e-5]), np.array([1.0])), (Step(DEEP, Bevel(1e-5)),), Rules()
+        LONG, Tissue(np.array([1e-5]), np.array([1.0])), (Step(DEEP, Bevel(1e-5)),), ModelOptions()
     ),
     "finest": of(
         Needle(FINE_DEPTH + 50, STEEL), tissue(depth=FINE_DEPTH), (Step(FINE_DEPTH, Bevel(1e-3)),), FINE
     ),
-    "most layers": of(LONG, tissue(MAX_LAYERS), (Step(DEEP, Bevel(1e-3)),), Rules()),
-    "friction": of(LONG, tissue(friction=0.5), (Step(DEEP, Bevel(1e-3)),), Rules()),
-    "most guides": of(LONG, tissue(), guided(False), Rules()),
-    "most guides in the tissue": of(LONG, tissue(), guided(True), Rules()),
-    "in and out of 100 mm": seen(there_and_back(100.0, Rules()), Rules()),
-    "in and out of 1000 mm": seen(there_and_back(1000.0, Rules()), Rules()),
-    "base moved, 3000 mm deep": seen(moved(3000.0), Rules()),
-    "base moved, 100 mm deep": seen(moved(100.0), Rules()),
+    "most layers": of(LONG, tissue(MAX_LAYERS), (Step(DEEP, Bevel(1e-3)),), ModelOptions()),
+    "friction": of(LONG, tissue(friction=0.5), (Step(DEEP, Bevel(1e-3)),), ModelOptions()),
+    "most guides": of(LONG, tissue(), guided(False), ModelOptions()),
+    "most guides in the tissue": of(LONG, tissue(), guided(True), ModelOptions()),
+    "in and out of 100 mm": seen(there_and_back(100.0, ModelOptions()), ModelOptions()),
+    "in and out of 1000 mm": seen(there_and_back(1000.0, ModelOptions()), ModelOptions()),
+    "base moved, 3000 mm deep": seen(moved(3000.0), ModelOptions()),
+    "base moved, 100 mm deep": seen(moved(100.0), ModelOptions()),
     "on its way": lambda: sum(
-        1 for _ in strides(Scene(LONG, SOFT, there_and_back(2000.0, Rules(5.0, 1.0)), Rules(5.0, 1.0)))
+        1
+        for _ in iterate_states(
+            Scene(LONG, SOFT, there_and_back(2000.0, ModelOptions(5.0, 1.0)), ModelOptions(5.0, 1.0))
+        )
     ),
     "by hand": by_hand,
     "batch": in_batch(tissue()),
     "batch with friction": in_batch(tissue(friction=0.5)),
-    "derivatives": lambda: linearize_along(LONG, tissue(), (Step(DEEP, Bevel(1e-3)),)),
-    "derivatives, most layers": lambda: linearize_along(LONG, tissue(MAX_LAYERS), (Step(DEEP, Bevel(1e-3)),)),
+    "derivatives": lambda: linearize_steps(LONG, tissue(), (Step(DEEP, Bevel(1e-3)),)),
+    "derivatives, most layers": lambda: linearize_steps(LONG, tissue(MAX_LAYERS), (Step(DEEP, Bevel(1e-3)),)),
 }
 
 
 def alone(name: str) -> dict[str, object]:
     """Return what one case takes in this process; the kernel is compiled before."""
     small = (Step(3.0, Bevel(1e-3)), Step(2.0, Bevel(1e-3)))
-    follow(LONG, tissue(), small)
-    follow_batches([Batch(LONG, tissue(), small, offset=np.array([1e-3]))])
-    linearize_along(LONG, tissue(), small)
+    simulate_steps(LONG, tissue(), small)
+    simulate_batches([Batch(LONG, tissue(), small, offset=np.array([1e-3]))])
+    linearize_steps(LONG, tissue(), small)
     Session(LONG, tissue(), Bevel(1e-3)).step(insert=0.5)
     begin, wall = time.process_time(), time.perf_counter()
     found = CASES[name]()

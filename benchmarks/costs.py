@@ -19,14 +19,14 @@ import numpy as np
 from numpy.typing import NDArray
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE, batch, layered
 
-from needlefit.mechanics.control import Rules, Step
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.control import ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.linearize import linearize
-from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.simulate import simulate, simulate_steps
 
 Floats = NDArray[np.float64]
 TOLERANCE = 1e-7  # mm
-RULES = Rules(tolerance=TOLERANCE)
+RULES = ModelOptions(tolerance=TOLERANCE)
 DEPTHS = np.arange(5, 121, 5)  # mm
 LAYERS = np.array([1, 2, 3, 4, 6, 8, 12, 16])
 SETS = np.array([32, 64, 128, 256, 512, 1024, 2048])
@@ -39,8 +39,8 @@ def deep(depth: float) -> dict[str, Callable[[], object]]:
     """Return an insertion to `depth`, scalar and in lanes."""
     steps, sets = (Step(depth, BEVEL),), [batch(BLOCK, TOLERANCE, depth)]
     return {
-        "depth, scalar": lambda: follow(NEEDLE, TISSUE, steps, RULES),
-        "depth, lanes": lambda: follow_batches(sets, 1),
+        "depth, scalar": lambda: simulate_steps(NEEDLE, TISSUE, steps, RULES),
+        "depth, lanes": lambda: simulate_batches(sets, 1),
     }
 
 
@@ -50,7 +50,7 @@ def with_layers(layers: int) -> dict[str, Callable[[], object]]:
     sets = [batch(BLOCK, TOLERANCE, tissue=tissue)]
     return {
         "layers, scalar": lambda: simulate(NEEDLE, tissue, BEVEL, DEPTH, rules=RULES),
-        "layers, lanes": lambda: follow_batches(sets, 1),
+        "layers, lanes": lambda: simulate_batches(sets, 1),
         "layers, jacobian": lambda: linearize(NEEDLE, tissue, BEVEL, DEPTH, rules=RULES),
     }
 
@@ -58,7 +58,7 @@ def with_layers(layers: int) -> dict[str, Callable[[], object]]:
 def many(count: int) -> dict[str, Callable[[], object]]:
     """Return an insertion with so many sets."""
     sets = [batch(count, TOLERANCE)]
-    return {"sets, lanes": lambda: follow_batches(sets, 1)}
+    return {"sets, lanes": lambda: simulate_batches(sets, 1)}
 
 
 def measure(rounds: int) -> dict[str, Floats]:

@@ -10,8 +10,8 @@ import argparse
 
 import numpy as np
 
-from needlefit.datasets.tracks.read import read_tracks
-from needlefit.datasets.tracks.select import select_runs
+from needlefit.datasets.tip_track_table import read_tracks
+from needlefit.datasets.tip_tracks import select_runs
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters, with_noise_scale
 from needlefit.inference.tracks.curves import CURVES, fit_curve

@@ -14,13 +14,13 @@ from jax import lax
 from numpy.typing import NDArray
 
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.kernel.grid import GAUSS
+from needlefit.mechanics.kernel.grid import GAUSS_OFFSET
 from needlefit.mechanics.simulate import compile_tissue
 
 jax.config.update("jax_enable_x64", True)
 
 Floats = NDArray[np.float64]
-_EDGE = 0.25 + np.array([-0.5, 0.5]) * GAUSS  # of the points of half an element
+_EDGE = 0.25 + np.array([-0.5, 0.5]) * GAUSS_OFFSET  # of the points of half an element
 _S = np.concatenate((_EDGE, _EDGE + 0.5))  # (4,) of the points in an element of 1 mm
 _N = np.stack(
     [1 - 3 * _S**2 + 2 * _S**3, _S * (1 - _S) ** 2, 3 * _S**2 - 2 * _S**3, _S**2 * (_S - 1)], axis=1
@@ -33,7 +33,7 @@ def compile_batch(batch: Batch) -> tuple[Callable[[], tuple[Floats, Floats]], in
     """Return a function that gives tips (B,) and Newton passes (B,), and the number of its steps."""
     depth = round(batch.steps[-1].depth)
     layer = np.searchsorted(batch.tissue.boundaries, np.arange(depth) + 0.5)
-    found = [compile_tissue(batch.one(i)[1]) for i in range(len(batch))]
+    found = [compile_tissue(batch.pick(i)[1]) for i in range(len(batch))]
     series = jnp.array([tissue.series[layer] for tissue in found])  # (B, E, 6)
     curvature = jnp.array([tissue.curvature.max() for tissue in found])
     rigidity, length = batch.needle.flexural_rigidity, batch.needle.length

@@ -7,7 +7,7 @@ away from their ends.
 import numpy as np
 import trimesh
 
-from needlefit.geometry.solids import closed
+from needlefit.geometry.meshes import extract_solid
 from needlefit.imaging.label_surfaces import extract_boundary
 
 SPACING = 0.46
@@ -19,7 +19,7 @@ POINTS = 4000
 def drawn(mask: np.ndarray, seed: int) -> np.ndarray:
     """Return points (POINTS, 3) on the boundary of a mask, mm."""
     vertices, faces = extract_boundary(mask, np.full(3, SPACING))
-    surface, _ = closed("mask", vertices * SPACING, faces, into=1)
+    surface, _ = extract_solid("mask", vertices * SPACING, faces, into=1)
     return np.asarray(trimesh.sample.sample_surface(surface.mesh, POINTS, seed=seed)[0])
 
 

@@ -18,7 +18,7 @@ abs, max and comparisons as none), read off the source of `kernel.lanes.passes`:
 | bending and stiffness | 84 | 0 |
 | load | 28 | 28 |
 | eliminate, z, S, r | 50 | 16 |
-| `back` | 9 | 9 |
+| `substitute_back` | 9 | 9 |
 | all | 297 | 139 |
 
 Per step a lane makes one full pass and, where it has not converged, a half one (more are counted as half
@@ -42,8 +42,9 @@ from numpy.typing import NDArray
 from reference_problem import DEPTH, batch
 
 from needlefit.mechanics.kernel.lanes import passes
-from needlefit.mechanics.kernel.lanes.passes import LANES, LAYER, POINT, ROWS, chord_regular, full_regular
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.kernel.lanes.passes import chord_regular, full_regular
+from needlefit.mechanics.kernel.lanes.tables import LANES, LAYER_ROWS, NODE_ROWS, POINT_COLUMNS
+from needlefit.mechanics.lanes import simulate_batches
 
 Floats = NDArray[np.float64]
 FULL, HALF, BACK = 297, 139, 9
@@ -51,7 +52,7 @@ TOLERANCES = (1e-7, 1e-9)  # mm
 ROW, CHAIN, REPEATS = 512, 16, 40000  # doubles, multiply-adds on each, times
 SETS = 512
 LOOPS = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
-         "last_node", "last_chord", "back_tip", "back", "foresee")  # fmt: skip
+         "solve_tip", "solve_tip_chord", "update_tip", "substitute_back", "extrapolate_node")  # fmt: skip
 TABLES = ("table", "bending")  # the arguments that have two dimensions
 ARITHMETIC = re.compile(r"\bv?(?:add|sub|mul|div|fn?m(?:add|sub)(?:132|213|231))([ps])d\b.*")
 
@@ -84,7 +85,7 @@ def multiply_adds(row: Floats, a: float, b: float, repeats: int) -> None:
 @numba.njit(nogil=True)
 def loop_alone(full: bool, state: Floats, layer: Floats, table: Floats, work: Floats, repeats: int) -> None:
     """Run the loop over the lanes of one element, again and again."""
-    nought, own = np.uint64(0), np.uint64(ROWS * LANES)
+    nought, own = np.uint64(0), np.uint64(NODE_ROWS * LANES)
     for _ in range(repeats):
         if full:
             full_regular(state, nought, layer, nought, layer, nought, nought, table, nought, layer, work, own)
@@ -111,7 +112,7 @@ def anew(name: str) -> dict[str, int]:
         for of, hint in loop.__annotations__.items()
         if of != "return"
     ]
-    fresh = numba.njit(tuple(kinds), nogil=True, error_model="numpy", fastmath=passes.FAST)(loop)
+    fresh = numba.njit(tuple(kinds), nogil=True, error_model="numpy", fastmath=passes.FASTMATH)(loop)
     return arithmetic(fresh.inspect_asm(fresh.signatures[0]))
 
 
@@ -143,8 +144,8 @@ def measure(rounds: int) -> dict[str, object]:
         "peak_instructions": arithmetic(multiply_adds.inspect_asm(multiply_adds.signatures[0])),
     }
     steps = round(DEPTH)
-    state, layer = np.zeros(4 * LANES), np.ones(LAYER * LANES)
-    table, work = np.ones((1, 4 * POINT + 4)), np.ones(2 * ROWS * LANES)
+    state, layer = np.zeros(4 * LANES), np.ones(LAYER_ROWS * LANES)
+    table, work = np.ones((1, 4 * POINT_COLUMNS + 4)), np.ones(2 * NODE_ROWS * LANES)
     for full, name, count in ((True, "full_regular", FULL), (False, "chord_regular", HALF)):
         loop_alone(full, state, layer, table, work, 1)
         figures[name] = rate(
@@ -159,12 +160,12 @@ def measure(rounds: int) -> dict[str, object]:
         figures[f"peak_{threads}"] = peak
         for tolerance in TOLERANCES:
             sets = batch(SETS, tolerance)
-            (shapes,) = follow_batches([sets], 1)
+            (shapes,) = simulate_batches([sets], 1)
             per_step = float(shapes.iterations.mean()) / steps
             elements = steps * (steps + 1) / 2 * SETS
             work = elements * (FULL + HALF * (per_step - 1.0))
             # one block of lanes is one task; two callers have a batch each
-            reached = rate(work, threads, lambda _, sets=sets: follow_batches([sets], 1), rounds)
+            reached = rate(work, threads, lambda _, sets=sets: simulate_batches([sets], 1), rounds)
             figures[f"lanes_{threads}_{tolerance:g}"] = {
                 **reached,
                 "passes_per_step": per_step,

@@ -16,19 +16,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.compression import CompressionTest
-from needlefit.datasets.compression_loading import Specimen
+from needlefit.datasets.compression_loading import SpecimenLoading
 from needlefit.inference.material import NORMAL, fit_specimen
 from needlefit.inference.population import fit_material
-from needlefit.mechanics.compression import stress
+from needlefit.mechanics.compression import compute_stress
 
 Floats = NDArray[np.float64]
 
 
-def curve(alpha: float, low: float, error: Floats) -> Specimen:
+def curve(alpha: float, low: float, error: Floats) -> SpecimenLoading:
     """Return a loading to `low` with the errors (N,), parts of its largest stress."""
     stretch = np.linspace(1.0, low, len(error))
-    exact = stress(0.01, alpha, stretch, "nominal")
-    return Specimen("gel", stretch, exact + error * np.max(np.abs(exact)))
+    exact = compute_stress(0.01, alpha, stretch, "nominal")
+    return SpecimenLoading("gel", stretch, exact + error * np.max(np.abs(exact)))
 
 
 def correlated(count: int, neighbours: float, sd: float, rng: np.random.Generator) -> Floats:

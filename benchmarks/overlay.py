@@ -36,7 +36,9 @@ def measure(rounds: int) -> Figures:
     ways = {name: led(scene, subject.first_cell, lead) for name, lead in LEADS.items()}
 
     def drawn(session: Session) -> None:
-        compute_band(spread, scene.needle, scene.tissue, session.course(), scene.rules, subject.first_cell)
+        compute_band(
+            spread, scene.needle, scene.tissue, session.input_path(), scene.rules, subject.first_cell
+        )
 
     once = ways["inserted at once"].now.shape
     figures = {"live errors": timed(lambda: compute_live_errors(subject.measured, once), 20 * rounds)}

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, Rules, Step
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 
@@ -31,7 +31,7 @@ def batch(count: int, tolerance: float, depth: float = DEPTH, tissue: Tissue = T
     n = tissue.layers
     spread = np.random.default_rng(1).uniform(1.0 - SPREAD, 1.0 + SPREAD, (count, 2 * n + 1))
     return Batch(
-        NEEDLE, tissue, (Step(depth, BEVEL),), Rules(tolerance=tolerance),
+        NEEDLE, tissue, (Step(depth, BEVEL),), ModelOptions(tolerance=tolerance),
         mu=tissue.mu * spread[:, :n], alpha=tissue.alpha * spread[:, n:-1],
         offset=BEVEL.offset * spread[:, -1],
     )  # fmt: skip

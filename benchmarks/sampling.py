@@ -146,7 +146,7 @@ def _simulate(batches: list[Batch]) -> float:
     """Return the processor time of one evaluation; runs in another process."""
     begin = time.process_time()
     for batch in batches:
-        needle, tissue, (step,), rules = batch.one(0)
+        needle, tissue, (step,), rules = batch.pick(0)
         full = FullNeedle(needle, tissue, step, rules.tolerance)
         full.insertion(lambda *a, full=full: full.banded(*a))
     return time.process_time() - begin

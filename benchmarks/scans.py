@@ -20,7 +20,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import crossings
+from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.project.processes import run_in_processes
@@ -72,7 +72,7 @@ def _needle(built: ReconstructedInsertion) -> list[dict[str, object]]:
 
 def _layers(built: ReconstructedInsertion) -> list[dict[str, object]]:
     one, true = built.reconstruction, built.insertion.true_insertion
-    stated = crossings(true.centerline, make_surfaces(PHANTOMS[one.scan.medium]))
+    stated = find_crossings(true.centerline, make_surfaces(PHANTOMS[one.scan.medium]))
     found = []
     for name, points in (("crossing", stated.points), ("boundary", None)):
         depths = true.boundaries if points is None else true.frame.to_local(points)[:, 0]

@@ -15,7 +15,7 @@ import json
 import time
 
 from needlefit.datasets.read import read
-from needlefit.datasets.select import select
+from needlefit.datasets.select import select_insertions
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import problem
 from needlefit.inference.starts import Watch
@@ -43,7 +43,7 @@ def search(fit: str, starts: int, slope: float, jobs: int) -> list[dict[str, obj
     record = load(find_file("fit", fit), FitRecord)
     recipe = load(find_file("recipe", "default"), RecipeRecord)
     dataset = read(find_file("dataset", record.dataset))
-    chosen = select(dataset, record.tune, record.layer_count_rule)
+    chosen = select_insertions(dataset, record.tune, record.layer_count_rule)
     task = problem(
         dataset,
         chosen,

@@ -20,12 +20,12 @@ from collections.abc import Callable
 import numpy as np
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE
 
-from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.linearize import linearize
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
-RULES = Rules(tolerance=1e-9)
+RULES = ModelOptions(tolerance=1e-9)
 
 
 def forward(tissue: Tissue = TISSUE, bevel: Bevel = BEVEL) -> float:

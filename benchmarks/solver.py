@@ -32,10 +32,10 @@ from numpy.typing import NDArray
 from reference_problem import BEVEL, DEPTH, NEEDLE, TISSUE, batch
 
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, Rules, Step
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
@@ -139,10 +139,10 @@ def scalar(tolerance: float) -> Way:
     """Return the compiled scalar kernel, set after set."""
     sets = batch(32, tolerance)
     inputs = [sets.one(i) for i in range(len(sets))]
-    shapes = [follow(*one) for one in inputs]
+    shapes = [simulate_steps(*one) for one in inputs]
     tips = np.array([shape.deflection for shape in shapes[:COMPARED]])
     passes = float(np.mean([shape.iterations for shape in shapes])) / STEPS
-    return Way(STEPS * len(sets), lambda: [follow(*one) for one in inputs], passes=passes, tips=tips)
+    return Way(STEPS * len(sets), lambda: [simulate_steps(*one) for one in inputs], passes=passes, tips=tips)
 
 
 def pool(tolerance: float, workers: ProcessPoolExecutor) -> Way:
@@ -160,9 +160,11 @@ def pool(tolerance: float, workers: ProcessPoolExecutor) -> Way:
 def _insert(sets: tuple[Floats, Floats, Floats, float]) -> Floats:
     """Return the tips of some sets; runs in another process."""
     *columns, tolerance = sets
-    rules = Rules(tolerance=tolerance)
+    rules = ModelOptions(tolerance=tolerance)
     return np.array([
-        follow(NEEDLE, Tissue(mu, alpha, TISSUE.boundaries), (Step(DEPTH, Bevel(offset)),), rules).deflection
+        simulate_steps(
+            NEEDLE, Tissue(mu, alpha, TISSUE.boundaries), (Step(DEPTH, Bevel(offset)),), rules
+        ).deflection
         for mu, alpha, offset in zip(*columns, strict=True)
     ])  # fmt: skip
 
@@ -170,7 +172,7 @@ def _insert(sets: tuple[Floats, Floats, Floats, float]) -> Floats:
 def session(tolerance: float, step: float) -> Way:
     """Return a session that inserts in steps of so many mm."""
     count = round(DEPTH / step)
-    rules = Rules(tolerance=tolerance)
+    rules = ModelOptions(tolerance=tolerance)
 
     def insert(tissue: Tissue = TISSUE, bevel: Bevel = BEVEL) -> Session:
         session = Session(NEEDLE, tissue, bevel, rules=rules)
@@ -188,7 +190,7 @@ def session(tolerance: float, step: float) -> Way:
 
 def base_moves(tolerance: float) -> Way:
     """Return a session whose base moves back and forth while the tip stands at the whole depth."""
-    session = Session(NEEDLE, TISSUE, BEVEL, rules=Rules(tolerance=tolerance))
+    session = Session(NEEDLE, TISSUE, BEVEL, rules=ModelOptions(tolerance=tolerance))
     for _ in range(STEPS):
         session.step(1.0)
     moves = np.random.default_rng(2).normal(size=(100, 2)) * (1.0, 0.005)  # mm, 1; none comes twice
@@ -203,10 +205,10 @@ def base_moves(tolerance: float) -> Way:
 def lanes(sets: Sequence[Batch], threads: int) -> Way:
     """Return the lanes."""
     steps = [step.depth for some in sets for step in some.steps for _ in range(len(some))]
-    found = follow_batches(sets, threads)
+    found = simulate_batches(sets, threads)
     passes = sum(float(shapes.iterations.sum()) for shapes in found) / sum(steps)
     tips = found[0].u[:COMPARED, -1] if len(sets) == 1 else np.empty(0)
-    return Way(sum(steps), lambda: follow_batches(sets, threads), threads == 1, passes=passes, tips=tips)
+    return Way(sum(steps), lambda: simulate_batches(sets, threads), threads == 1, passes=passes, tips=tips)
 
 
 def with_jax(tolerance: float, count: int) -> Way:

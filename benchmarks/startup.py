@@ -27,7 +27,7 @@ import numpy as np
 note("import numpy")
 from needlefit.mechanics.kernel import insertion
 note("import kernel")
-from needlefit.mechanics.control import Bevel, Rules, Step
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
@@ -47,8 +47,8 @@ session = Session(needle, tissue, bevel)
 session.step(10.0), session.step(0.5), session.step(-3.0)
 note("first Session")
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.lanes import follow_batches
-follow_batches([Batch(needle, tissue, (Step(55.0, bevel),), offset=np.linspace(0.05, 0.1, 64))])
+from needlefit.mechanics.lanes import simulate_batches
+simulate_batches([Batch(needle, tissue, (Step(55.0, bevel),), offset=np.linspace(0.05, 0.1, 64))])
 note("first lanes")
 """
 END = """

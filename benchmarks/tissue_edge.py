@@ -15,7 +15,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from needlefit.geometry.frames import Frame, entry_frame, unit
+from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.imaging.intensity_profile import find_tissue_edge, sample_profile
 from needlefit.synthetic.ct_scene import Needle3D, Scanner, Scene3D, SceneMarkers, VoxelGrid
 from needlefit.synthetic.phantoms import Phantom
@@ -32,11 +32,11 @@ S = np.linspace(-60.0, 18.0, 157)
 
 def draw_scene(tilt: float, rich: bool, grid: VoxelGrid, rng: np.random.Generator) -> Scene3D:
     """Draw a scene whose needle enters through a face tilted by `tilt` (rad) against it."""
-    way = unit(grid.direction[:, int(np.argmax(grid.shape))] + 0.15 * rng.normal(size=3))
-    side = unit(np.cross(way, rng.normal(size=3)))
+    way = normalize(grid.direction[:, int(np.argmax(grid.shape))] + 0.15 * rng.normal(size=3))
+    side = normalize(np.cross(way, rng.normal(size=3)))
     entry = grid.direction @ rng.uniform(-3, 3, 3)
     into = np.cos(tilt) * way + np.sin(tilt) * side
-    box = entry_frame(entry, into, np.cross(into, rng.normal(size=3)))
+    box = make_entry_frame(entry, into, np.cross(into, rng.normal(size=3)))
     bend = rng.choice([-1, 1]) * 0.012 * np.clip(S, 0, None) ** 2
     needle = Needle3D(entry + S[:, None] * way + bend[:, None] * side, hu=rng.uniform(6000, 11000))
     layers = (*rng.uniform(-80, 150, 2),)

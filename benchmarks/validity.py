@@ -22,12 +22,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from reference_problem import batch
 
-from needlefit.mechanics.control import Bevel, Controls, Rules, Step
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import LIMITS, validity_of
+from needlefit.mechanics.validity import LIMITS, compute_validity
 from needlefit.schemas.limits import MIN_ELEMENT_MM
 
 UNIT = 3.0
@@ -44,7 +44,7 @@ class Drawn:
     needle: Needle
     tissue: Tissue
     steps: tuple[Step, ...]
-    rules: Rules
+    rules: ModelOptions
 
 
 NEARLY_FULL = 0.1
@@ -77,7 +77,7 @@ def draw(rng: np.random.Generator) -> Drawn:
     if rng.random() < NEARLY_FULL:
         steps.append(replace(steps[-1], depth=length - log(*STUBS_MM)))
     parts = int(rng.integers(1, 1 + min(3, int(spacing / MIN_ELEMENT_MM))))
-    return Drawn(needle, tissue, tuple(steps), Rules(spacing, spacing / parts))
+    return Drawn(needle, tissue, tuple(steps), ModelOptions(spacing, spacing / parts))
 
 
 def in_other_units(scene: Drawn) -> Drawn:
@@ -93,7 +93,7 @@ def shares(scenes: int, seed: int) -> dict[str, object]:
     for _ in range(scenes):
         scene = draw(rng)
         begin = time.perf_counter()
-        shape = follow(scene.needle, scene.tissue, scene.steps, scene.rules)
+        shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
         slowest = max(slowest, time.perf_counter() - begin)
         status[shape.status] += 1
         if not shape.converged:
@@ -103,7 +103,7 @@ def shares(scenes: int, seed: int) -> dict[str, object]:
         valid.append(shape.valid)
         faults.update(name for name, limit, _ in LIMITS if getattr(found, name) > limit)
         other = in_other_units(scene)
-        again = follow(other.needle, other.tissue, other.steps, other.rules)
+        again = simulate_steps(other.needle, other.tissue, other.steps, other.rules)
         if shape.valid and again.converged:
             error = float(np.abs(again.u - shape.u).max())
             rounding.append((error / float(found.rounding_mm), error, float(found.rounding_mm)))
@@ -133,13 +133,13 @@ def shares(scenes: int, seed: int) -> dict[str, object]:
 def cost(sets: int = 512, rounds: int = 20) -> dict[str, float]:
     """Return what a batch costs and what its validity costs, microseconds a set, best of some rounds."""
     one = batch(sets, 1e-7)
-    (shapes,) = follow_batches([one], 1)
+    (shapes,) = simulate_batches([one], 1)
     solve, look = [], []
     for _ in range(rounds):
         begin = time.perf_counter()
-        (shapes,) = follow_batches([one], 1)
+        (shapes,) = simulate_batches([one], 1)
         middle = time.perf_counter()
-        validity_of(shapes).ok.all()
+        compute_validity(shapes).ok.all()
         look.append(time.perf_counter() - middle)
         solve.append(middle - begin)
     best, seen = 1e6 * min(solve) / sets, 1e6 * min(look) / sets

@@ -12,14 +12,14 @@ if TYPE_CHECKING:
     from needlefit.inference.optimize import minimize
     from needlefit.inference.problem import Problem
     from needlefit.mechanics.batch import Batch, NeedleShapes
-    from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
-    from needlefit.mechanics.lanes import follow_batches
+    from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+    from needlefit.mechanics.lanes import simulate_batches
     from needlefit.mechanics.linearize import Jacobian, linearize
     from needlefit.mechanics.needle import Needle
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.session import Session
     from needlefit.mechanics.shape import NeedleShape
-    from needlefit.mechanics.simulate import follow, simulate
+    from needlefit.mechanics.simulate import simulate, simulate_steps
     from needlefit.mechanics.tissue import Tissue
     from needlefit.reporting.write import write
     from needlefit.validation.run import run
@@ -32,25 +32,25 @@ __all__ = [
     "Controls",
     "Guide",
     "Jacobian",
+    "ModelOptions",
     "Needle",
     "NeedleShape",
     "NeedleShapes",
     "NeedlefitError",
     "Problem",
-    "Rules",
     "Scene",
     "Session",
     "Step",
     "Tissue",
     "TrackedTip",
-    "follow",
-    "follow_batches",
     "linearize",
     "minimize",
     "open_scene",
     "read_dataset",
     "run",
     "simulate",
+    "simulate_batches",
+    "simulate_steps",
     "write",
 ]
 
@@ -65,14 +65,14 @@ _HOMES = {
     "NeedleShapes": "mechanics.batch",
     "NeedlefitError": "errors",
     "Problem": "inference.problem",
-    "Rules": "mechanics.control",
+    "ModelOptions": "mechanics.control",
     "Scene": "mechanics.scene",
     "Session": "mechanics.session",
     "Step": "mechanics.control",
     "Tissue": "mechanics.tissue",
     "TrackedTip": "mechanics.control",
-    "follow": "mechanics.simulate",
-    "follow_batches": "mechanics.lanes",
+    "simulate_steps": "mechanics.simulate",
+    "simulate_batches": "mechanics.lanes",
     "linearize": "mechanics.linearize",
     "minimize": "inference.optimize",
     "read_dataset": "datasets.read:read",
@@ -80,6 +80,8 @@ _HOMES = {
     "simulate": "mechanics.simulate",
     "write": "reporting.write",
 }
+
+_FORMER_NAMES = {"follow": "simulate_steps", "follow_batches": "simulate_batches", "Rules": "ModelOptions"}
 
 
 def open_scene(name: str) -> "Scene":
@@ -100,6 +102,7 @@ def open_scene(name: str) -> "Scene":
 
 
 def __getattr__(name: str) -> object:
+    name = _FORMER_NAMES.get(name, name)
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     home, _, attribute = _HOMES[name].partition(":")

@@ -13,9 +13,9 @@ from collections.abc import Sequence
 import numpy as np
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Rules, Step
+from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, lattice_of, plan
+from needlefit.mechanics.plan import Lattice, make_lattice, plan_stops
 from needlefit.mechanics.tissue import Tissue
 
 H = 1e-30
@@ -43,25 +43,25 @@ class Inputs:
 
 
 def follow(
-    needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: Rules, name: str,
+    needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: ModelOptions, name: str,
     lattice: Lattice | None = None,
 ) -> tuple[np.ndarray, ...]:  # fmt: skip
     """Return the derivatives of nodes, deflection, slope and constraint points by one parameter."""
     stands = sorted({guide.x for step in steps for guide in step.controls.guides})
     inputs = Inputs(needle, tissue, stands, name)
-    lattice = lattice or lattice_of(steps, rules)
+    lattice = lattice or make_lattice(steps, rules)
     c, rays, tip = {0: 0j}, {}, (0.0, 0j, 0j)
-    for stop in plan(steps, lattice, needle.length):
-        if stop.opens:
+    for stop in plan_stops(steps, lattice, needle.length):
+        if stop.starts_ray:
             rays[stop.ray] = tip
         if stop.cell > 0:
             x, u, slope = rays[stop.ray]
-            bevel = steps[stop.cut].bevel
+            bevel = steps[stop.bevel_id].bevel
             turn = bevel.side * (bevel.offset + inputs.offset) / rules.spacing
             c[stop.cell] = u + (stop.tip - x) * (slope + turn)
         x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
         y_c = np.array([c[m] for m in range(stop.cell + 1)])
-        controls = steps[stop.held].controls
+        controls = steps[stop.controls_id].controls
         real, guess, held = reference.mesh(stop, controls, lattice, needle.length, rules.element)
         nodes, state = real.astype(complex), guess.astype(complex).reshape(-1, 2)
         state[0] += inputs.base_y + inputs.stage_slope * stop.tip, inputs.base_slope

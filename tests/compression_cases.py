@@ -5,8 +5,8 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.compression_loading import Specimen
-from needlefit.mechanics.compression import stress
+from needlefit.datasets.compression_loading import SpecimenLoading
+from needlefit.mechanics.compression import compute_stress
 
 MU = 0.012  # MPa
 
@@ -21,9 +21,9 @@ def specimen(
 ):
     """A loading to the stretch `low`; `noise` is independent, a part of the largest stress."""
     stretch = np.linspace(1.0, low, count)
-    exact = stress(MU, alpha, stretch, measure)
+    exact = compute_stress(MU, alpha, stretch, measure)
     error = noise * np.abs(exact).max() * np.random.default_rng(seed).normal(size=count)
-    return Specimen("gel", stretch, exact + error)
+    return SpecimenLoading("gel", stretch, exact + error)
 
 
 def write(path: Path, header: str, rows: Sequence[Sequence[object]]) -> Path:

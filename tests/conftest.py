@@ -15,8 +15,8 @@ from needlefit.project.threads import limit_to_one_thread  # noqa: E402
 
 limit_to_one_thread()  # before what loads BLAS; the processes of xdist, which begin later, inherit it
 
-from needlefit.mechanics.warm import ROOMS, warm  # noqa: E402
+from needlefit.mechanics.precompile import KERNEL_PARTS, precompile  # noqa: E402
 
 
 def pytest_sessionstart() -> None:
-    warm(*ROOMS)
+    precompile(*KERNEL_PARTS)

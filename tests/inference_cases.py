@@ -12,7 +12,7 @@ from needlefit.inference.predict import predict
 from needlefit.inference.problem import Problem
 from needlefit.inference.problem import problem as build_problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import inserted_points
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, RecipeRecord, WeightsRecord
 
@@ -55,7 +55,7 @@ def measure(
     error: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> Insertion:
     """The insertion with the model's own shape as its measured centreline."""
-    planar = inserted_points(predict(values, record, NEEDLE, planned), points)
+    planar = sample_inserted_points(predict(values, record, NEEDLE, planned), points)
     planar = planar if error is None else error(planar)
     centerline = np.column_stack([planar, np.zeros(len(planar))])
     return replace(planned, planar=planar, centerline=centerline, out_of_plane=np.zeros(len(planar)))

@@ -4,19 +4,19 @@ import numpy as np
 
 from needlefit.mechanics import laws
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 
 Random = np.random.Generator
 
 
-def random_rules(rng: Random) -> Rules:
+def random_rules(rng: Random) -> ModelOptions:
     spacing = float(rng.choice([0.5, 1.0, 2.0]))
-    return Rules(spacing, max(spacing / int(rng.choice([1, 2, 4])), 0.25))
+    return ModelOptions(spacing, max(spacing / int(rng.choice([1, 2, 4])), 0.25))
 
 
-def random_rigidity(rng: Random, rules: Rules, size: int | None = None) -> float | np.ndarray:
+def random_rigidity(rng: Random, rules: ModelOptions, size: int | None = None) -> float | np.ndarray:
     """Return EI: up to ten times that of 18 gauge steel.
 
     Short elements of a stiff needle in soft tissue are lost in rounding: 2e-7 mm where all three come
@@ -25,15 +25,15 @@ def random_rigidity(rng: Random, rules: Rules, size: int | None = None) -> float
     return 10 ** rng.uniform(3, 5 if rules.element >= 1 else 4.1, size)
 
 
-def random_mu(rng: Random, rules: Rules, size: int | tuple[int, ...]) -> np.ndarray:
+def random_mu(rng: Random, rules: ModelOptions, size: int | tuple[int, ...]) -> np.ndarray:
     return 10 ** rng.uniform(-3 if rules.element >= 0.5 else -1, 2, size)
 
 
-def random_needle(rng: Random, rules: Rules) -> Needle:
+def random_needle(rng: Random, rules: ModelOptions) -> Needle:
     return Needle(rng.uniform(90, 200), random_rigidity(rng, rules))
 
 
-def random_tissue(rng: Random, rules: Rules, friction: float = 0.0) -> Tissue:
+def random_tissue(rng: Random, rules: ModelOptions, friction: float = 0.0) -> Tissue:
     """Return 1 to 4 layers, thin and thick, soft and stiff."""
     layers = int(rng.integers(1, 5))
     return Tissue(
@@ -42,7 +42,7 @@ def random_tissue(rng: Random, rules: Rules, friction: float = 0.0) -> Tissue:
         boundaries=np.sort(rng.uniform(1, 20, layers - 1)),
         thickness=rng.uniform(5.0, 80.0, layers),
         friction=friction * rng.uniform(size=layers),
-        law=str(rng.choice(laws.names())),
+        law=str(rng.choice(laws.list_laws())),
     )
 
 

@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.schema import InsertionRow
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.write import write_dataset
-from needlefit.geometry.frames import entry_frame
-from needlefit.geometry.surfaces import sheet
+from needlefit.geometry.frames import make_entry_frame
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import inserted_points
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.dataset import DatasetRecord
@@ -47,13 +47,15 @@ def build(folder: Path, depths: tuple[float, ...] = DEPTHS) -> Path:
     for n, depth in enumerate(depths):
         id_, side = f"needle-{n + 1}", (1, -1)[n % 2]
         origin, x, y = np.array([0.0, 3.0 * n, 0.0]), np.array([1.0, 0, 0]), np.array([0, 1.0, 0])
-        points = inserted_points(simulate(NEEDLE, tissue, Bevel(BEVEL, side), depth), 401)
-        curves[id_] = entry_frame(origin, x, y).to_world(np.column_stack((points, np.zeros(len(points)))))
+        points = sample_inserted_points(simulate(NEEDLE, tissue, Bevel(BEVEL, side), depth), 401)
+        curves[id_] = make_entry_frame(origin, x, y).to_world(
+            np.column_stack((points, np.zeros(len(points))))
+        )
         rows.append(
             InsertionRow(
                 id=id_, medium="gel", layers=2, depth=depth, specimen=f"piece{n // 2 + 1}", side=side,
                 entry=origin, direction=x, bevel=y, pose_source="stage",
             )
         )  # fmt: skip
-    plane = sheet("gel", [INTERFACE, 0, 0], [1, 0, 0], 200.0, 2)
+    plane = make_sheet("gel", [INTERFACE, 0, 0], [1, 0, 0], 200.0, 2)
     return write_dataset(folder, record(), rows, curves, {"layers/gel.stl": plane})

@@ -7,12 +7,10 @@ from pathlib import Path
 import ct_cases
 import numpy as np
 
-from needlefit.geometry.crossings import crossings
-from needlefit.geometry.curves import arc_length, at_arc
-from needlefit.geometry.frames import Frame, entry_frame, unit
-from needlefit.geometry.patient import IN_PATIENT
-from needlefit.geometry.plane import bending_plane
-from needlefit.geometry.surfaces import sheet
+from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
+from needlefit.geometry.frames import IDENTITY_FRAME, Frame, make_entry_frame, normalize
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.intensity_profile import find_tissue_edge, sample_profile
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.needle.segmentation import segment_needle
@@ -45,7 +43,7 @@ def small(markers=True, layers=True):
     volume = small_scan()
     box = ct_cases.box()
     into = box.rotation[:, 0]
-    boundary = sheet("interface1", box.to_world([[14.0, 0, 0]])[0], into, 60.0, into=2)
+    boundary = make_sheet("interface1", box.to_world([[14.0, 0, 0]])[0], into, 60.0, into=2)
     scan = Scan("phantom1-03", Path("scans/phantom1-03.nrrd"), "phantom1", "box 2", origin="synthetic")
     known = MARKERS if markers else None
     return reconstruct(scan, volume, known, (boundary,) if layers else ())
@@ -57,16 +55,16 @@ def reconstruct(scan, volume, markers, surfaces, seed=5):
     found, registration, patient = _registered(markers, seed)
     s = arc_length(needle_axis.points)
     beyond = np.arange(0.5, 8.0, 0.5)
-    forward = unit(needle_axis.points[-1] - needle_axis.points[-4])
+    forward = normalize(needle_axis.points[-1] - needle_axis.points[-4])
     along = np.vstack([needle_axis.points, needle_axis.points[-1] + beyond[:, None] * forward])
     shown = sample_profile(volume, along, np.concatenate([s, s[-1] + beyond]))
     entry, entry_sd = find_tissue_edge(shown)
     shown = dataclasses.replace(shown, s=shown.s - entry)
-    inserted = at_arc(needle_axis.points, np.linspace(entry, s[-1], 60))
+    inserted = interpolate_at_arc(needle_axis.points, np.linspace(entry, s[-1], 60))
     points = patient.to_world(inserted)
-    shaft = patient.to_world(at_arc(needle_axis.points, [0.0, entry]))
-    direction = unit(shaft[1] - shaft[0])
-    frame = entry_frame(points[0], direction, bending_plane(points, direction))
+    shaft = patient.to_world(interpolate_at_arc(needle_axis.points, [0.0, entry]))
+    direction = normalize(shaft[1] - shaft[0])
+    frame = make_entry_frame(points[0], direction, find_bending_direction(points, direction))
     ends = np.zeros(2) if registration is None else predict_mean_target_error(registration, inserted[[0, -1]])
     return Reconstruction(
         scan=scan,
@@ -93,7 +91,7 @@ def reconstruct(scan, volume, markers, surfaces, seed=5):
 
 def _registered(markers, seed):
     if markers is None:
-        return None, None, IN_PATIENT
+        return None, None, IDENTITY_FRAME
     rng = np.random.default_rng(seed)
     centers = markers[:-1] + MARKER_SD * rng.normal(size=(len(markers) - 1, 3))
     registration = register(centers, PATIENT.to_world(markers), MARKER_SD)
@@ -109,6 +107,6 @@ def _layers(points, frame, patient, surfaces):
         mesh = surface.mesh.copy()
         mesh.vertices = patient.to_world(mesh.vertices)
         placed.append(dataclasses.replace(surface, mesh=mesh))
-    met = crossings(points, placed)
+    met = find_crossings(points, placed)
     depths = frame.to_local(met.points)[:, 0]
     return Layers(tuple(placed), depths, np.full(len(depths), 0.12), met.points, met.sequence)

@@ -16,9 +16,9 @@ import trimesh
 
 from needlefit.cli import main
 from needlefit.cli.reconstruct import repeat_option
-from needlefit.datasets.check import check
+from needlefit.datasets.read import check
 from needlefit.datasets.read import read as read_dataset
-from needlefit.datasets.volumes import ScanVolume, volume_of
+from needlefit.datasets.sources import ScanVolume, find_volume
 from needlefit.imaging.markers import find_markers
 from needlefit.imaging.needle.centerline import trace_needle
 from needlefit.imaging.volume import Volume
@@ -84,7 +84,7 @@ def test_a_scan_becomes_a_checked_dataset(done):
     assert insertion.sd is not None and (insertion.sd > 0).all() and insertion.sd.max() < 0.1
     assert insertion.pose_source == "stage"
     on_scan = insertion.patient.to_local(insertion.centerline)
-    assert volume_of(dataset, "sample") == ScanVolume(VOLUME.resolve())
+    assert find_volume(dataset, "sample") == ScanVolume(VOLUME.resolve())
     volume = read_volume(VOLUME)
     low, high = (
         volume.origin,
@@ -272,12 +272,14 @@ def wrong_markers(folder):
 def fiducials_as(folder, system):
     """The markers in the scan, written as LPS coordinates in a file that says `system`."""
     from needlefit.datasets.formats.markups import Markups
-    from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
+    from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 
     points = find_markers(read_volume(VOLUME), ReconstructionRecord(schema=1)).centers
     path = folder / "fiducials.mrk.json"
     names = tuple(f"m{n}" for n in range(len(points)))
-    write_mrk_json(path, [(Markups(path, "markers", "Fiducial", names, points), Look((1.0, 0, 0), 1.0))])
+    write_mrk_json(
+        path, [(Markups(path, "markers", "Fiducial", names, points), CurveStyle((1.0, 0, 0), 1.0))]
+    )
     text = path.read_text()
     assert text.count('"LPS"') >= 1
     path.write_text(text.replace('"LPS"', f'"{system}"'))

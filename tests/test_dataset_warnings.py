@@ -10,13 +10,12 @@ import pytest
 from test_cli import run
 from test_datasets import CURVE, SURFACES, X, block, record, row, without_checksums
 
-from needlefit.datasets.bevel_side import Bent, bent, pooled_side_warnings, pooled_z
-from needlefit.datasets.check import check, check_all
-from needlefit.datasets.dataset_warnings import FILL_IN
-from needlefit.datasets.read import read
-from needlefit.datasets.template import template
+from needlefit.datasets.bevel_side import BendResult, classify_insertion, find_pooled_side_warnings, pool_z
+from needlefit.datasets.dataset_warnings import PLACEHOLDER
+from needlefit.datasets.read import check, check_all, read
+from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset as write_curves
-from needlefit.geometry.surfaces import sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.project.locate import find_file
 from needlefit.project.unit_warnings import GAUGES_MM, format_place, likely_modulus, needle_warnings
 from needlefit.schemas.scene import NeedleRecord
@@ -78,22 +77,22 @@ def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
     """Of the shipped chicken insertions hardly one bends clearly; together they do, by 6 deviations."""
     dataset = read(find_file("dataset", "twin"))
     chicken = [one for one in dataset.insertions if one.medium == "chicken"]
-    shipped = [bent(one, one.id, dataset.noise) for one in chicken]
-    assert pooled_z(shipped) > 5 and list(pooled_side_warnings(shipped, "bevel_side")) == []
-    flipped = [bent(replace(one, side=-one.side), one.id, dataset.noise) for one in chicken]
-    assert pooled_z(flipped) == pytest.approx(-pooled_z(shipped))
-    (one,) = pooled_side_warnings(flipped, "bevel_side")
+    shipped = [classify_insertion(one, one.id, dataset.noise) for one in chicken]
+    assert pool_z(shipped) > 5 and list(find_pooled_side_warnings(shipped, "bevel_side")) == []
+    flipped = [classify_insertion(replace(one, side=-one.side), one.id, dataset.noise) for one in chicken]
+    assert pool_z(flipped) == pytest.approx(-pool_z(shipped))
+    (one,) = find_pooled_side_warnings(flipped, "bevel_side")
     assert one.where == "chicken-09" and "chicken-09, chicken-03" in one.what and "`bevel_side`" in one.fix
 
 
 def test_one_reversed_insertion_does_not_speak_for_its_medium():
-    weak = [Bent(str(n), f"t:{n}", "unknown", "gel", 0.5) for n in range(8)]
-    wrong = Bent("wrong", "t:9", "away", "gel", -40.0)
-    assert list(pooled_side_warnings([*weak, wrong], "bevel_side")) == []
+    weak = [BendResult(str(n), f"t:{n}", "unknown", "gel", 0.5) for n in range(8)]
+    wrong = BendResult("wrong", "t:9", "away", "gel", -40.0)
+    assert list(find_pooled_side_warnings([*weak, wrong], "bevel_side")) == []
 
 
 def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
-    rows = [row(name, "gel", layers=1, bevel=UP, side=-1, base_moved=2.0) for name in "abcd"]
+    rows = [row(name, "gel", layers=1, bevel=UP, side=-1, base_shift=2.0) for name in "abcd"]
     file = write_dataset(
         tmp_path, record(media={"gel": {}}, noise=NOISE), rows, dict.fromkeys("abcd", CURVE), {}
     )
@@ -101,7 +100,7 @@ def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
 
 
 @pytest.mark.parametrize(
-    "change", [{"base_moved": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
+    "change", [{"base_shift": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
 )
 def test_a_bend_that_may_come_from_elsewhere_gives_no_warning(tmp_path, change):
     rows = [row("a", "gel", layers=1, bevel=UP, side=-1, **change)]
@@ -365,11 +364,11 @@ def test_what_a_template_leaves_open_is_a_warning_and_can_be_fitted(tmp_path):
     points = tmp_path / "points.csv"
     points.write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{4e-4 * x * x},0\n" for x in range(0, 51, 5)))
     for source in (None, points):
-        file = template(tmp_path / f"mine{source is None}", source)
+        file = write_template(tmp_path / f"mine{source is None}", source)
         faults, (one,) = check_all(file)
         assert faults == [] and one.kind == "placeholder" and "`noise.note`" in one.what
         lines = file.read_text().split("\n")
-        assert FILL_IN in lines[int(one.where.rpartition(":")[2]) - 1]
+        assert PLACEHOLDER in lines[int(one.where.rpartition(":")[2]) - 1]
         assert read(file).noise.stated
 
 
@@ -421,7 +420,7 @@ def layered(folder: Path, surfaces, files=None, layers=2) -> Path:
 
 
 def plane(x: float):
-    return sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
+    return make_sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
 
 
 def test_a_surface_that_is_listed_twice_is_a_fault(tmp_path):

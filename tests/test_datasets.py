@@ -7,17 +7,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from needlefit.datasets.check import check
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.formats.toml import dumps
 from needlefit.datasets.insertion import Noise
-from needlefit.datasets.noise import noise_floor, point_noise
-from needlefit.datasets.read import read
-from needlefit.datasets.schema import InsertionRow
-from needlefit.datasets.select import select
+from needlefit.datasets.noise import draw_point_noise, estimate_noise_floor
+from needlefit.datasets.read import check, read
+from needlefit.datasets.select import select_insertions
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.frames import Frame
-from needlefit.geometry.surfaces import cylinder, sheet
+from needlefit.geometry.surfaces import make_cylinder, make_sheet
 from needlefit.schemas.dataset import DatasetRecord
 from needlefit.schemas.study import SelectionRecord
 
@@ -47,8 +46,8 @@ def record(**changes):
 
 
 SURFACES = {
-    "layers/sheet.stl": sheet("sheet", (20, 0, 0), (1, 0, 0), 120, into=2),
-    "layers/core.stl": cylinder("core", ((40, 0, -40), (40, 0, 40)), 5.0, into=3, facets=192),
+    "layers/sheet.stl": make_sheet("sheet", (20, 0, 0), (1, 0, 0), 120, into=2),
+    "layers/core.stl": make_cylinder("core", ((40, 0, -40), (40, 0, 40)), 5.0, into=3, facets=192),
 }
 
 X = np.linspace(0, 50, 101)
@@ -166,7 +165,7 @@ def test_selection(tmp_path):
     dataset = read(block(tmp_path))
 
     def ids(layer_count_rule="listed", **keys):
-        return "".join(i.id for i in select(dataset, SelectionRecord(**keys), layer_count_rule))
+        return "".join(i.id for i in select_insertions(dataset, SelectionRecord(**keys), layer_count_rule))
 
     assert ids() == "abc"
     assert ids(medium="given") == ids(specimens=("two",)) == ids(layers=(2, 3)) == "bc"
@@ -191,7 +190,7 @@ def test_selection(tmp_path):
 def test_a_selection_that_cannot_be_met_says_so(tmp_path, keys, words):
     dataset = read(block(tmp_path))
     with pytest.raises(ConfigError, match=words):
-        select(dataset, SelectionRecord(**keys))
+        select_insertions(dataset, SelectionRecord(**keys))
 
 
 @pytest.mark.parametrize(("begins", "expected"), [(0.5, math.pi / 4), (0.0, 1 / 2)])
@@ -200,7 +199,7 @@ def test_noise_floor_of_a_shift(begins, expected, tmp_path):
     dataset = read(block(tmp_path))
     insertion = dataset.insertions[0]
     insertion = dataclasses.replace(insertion, planar=insertion.planar + np.array([begins, 0.0]))
-    floor = noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
+    floor = estimate_noise_floor(dataset, insertion, np.random.default_rng(1), draws=3000)
     assert floor.te_mm == pytest.approx(0.19 * expected, rel=0.03)
     assert floor.ipe_mean_mm == pytest.approx(0.19 * expected, rel=0.03)
 
@@ -209,20 +208,20 @@ def test_noise_floor_of_an_angle_grows_from_the_entry(tmp_path):
     """A turn of standard deviation q leaves q L sqrt(2 / pi) at the tip on average, half of it overall."""
     turned = row("a", "given", layers=2, pose_angle_sd=0.01)
     dataset = read(write_dataset(tmp_path, record(noise={}), [turned], {"a": CURVE}, SURFACES))
-    floor = noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
+    floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1), draws=3000)
     assert floor.te_mm == pytest.approx(0.01 * 50 * math.sqrt(2 / math.pi), rel=0.05)
     assert floor.ipe_mean_mm == pytest.approx(floor.te_mm / 2, rel=0.01)
 
 
 def test_noise_that_is_not_stated_has_no_floor(tmp_path):
     dataset = read(block(tmp_path, noise={}))
-    assert math.isnan(noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1)).te_mm)
+    assert math.isnan(estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(1)).te_mm)
 
 
 def test_point_noise_has_the_stated_covariance():
     curve = np.column_stack([np.arange(8.0), np.zeros(8)])
     noise = Noise(point_sd=0.3, correlated_sd=0.4, correlation_length=2.0)
-    drawn = point_noise(curve, noise, np.random.default_rng(1), 20000)[:, :, 1]
+    drawn = draw_point_noise(curve, noise, np.random.default_rng(1), 20000)[:, :, 1]
     lag = np.abs(np.subtract.outer(np.arange(8), np.arange(8)))
     np.testing.assert_allclose(np.cov(drawn.T), 0.16 * np.exp(-lag / 2) + 0.09 * np.eye(8), atol=0.01)
 
@@ -264,9 +263,9 @@ def test_every_insertion_may_have_its_own_scan(tmp_path):
 
 
 def test_a_base_that_was_moved_is_written_where_any_was(tmp_path):
-    rows = [row("a", base_moved=-12.5), row("b")]
+    rows = [row("a", base_shift=-12.5), row("b")]
     a, b = read(write_dataset(tmp_path, record(), rows, dict.fromkeys("ab", CURVE), SURFACES)).insertions
-    assert (a.base_moved, b.base_moved) == (-12.5, 0.0)
+    assert (a.base_shift, b.base_shift) == (-12.5, 0.0)
 
 
 def test_a_turn_about_any_axis_is_written_and_read(tmp_path):
@@ -290,7 +289,7 @@ def own_layers(folder):
         }
     }
     surfaces = {
-        f"layers/{name}_sheet.stl": sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
+        f"layers/{name}_sheet.stl": make_sheet("sheet", (x, 0, 0), (1, 0, 0), 120, into=2)
         for name, x in (("a", 20), ("b", 30))
     }
     surfaces["layers/core.stl"] = SURFACES["layers/core.stl"]

@@ -27,7 +27,7 @@ def test_units_and_either_sign_give_stresses_in_mpa_negative_in_compression(tmp_
     test = read_compression(path)
     assert test.measure == "true" and test.specimens[0].name == "gel"
     assert test.specimens[0].stress == pytest.approx(ONE.stress, rel=1e-12)
-    assert ("positive in the file" in " ".join(test.remarks)) == (sign > 0)
+    assert ("positive in the file" in " ".join(test.warnings)) == (sign > 0)
 
 
 @pytest.mark.parametrize(("size", "value"), [("area_mm2", 50 * math.pi), ("diameter_mm", 10 * math.sqrt(2))])
@@ -60,13 +60,13 @@ def test_an_unloading_is_left_out_and_its_loss_said(tmp_path):
     path = table(tmp_path, stretch=[*STRETCH, *STRETCH[::-1]], nominal_stress_kpa=[*KPA, *back])
     test = read_compression(path)
     assert test.specimens[0].stretch == pytest.approx(ONE.stretch)
-    assert "gel.csv:61" in test.remarks[1] and "50 % of the work" in test.remarks[1]
+    assert "gel.csv:61" in test.warnings[1] and "50 % of the work" in test.warnings[1]
 
 
 def test_a_table_from_deep_to_shallow_is_read_and_said(tmp_path):
     test = read_compression(table(tmp_path, stretch=STRETCH[::-1], nominal_stress_kpa=KPA[::-1]))
     assert test.specimens[0].stress == pytest.approx(ONE.stress)
-    assert "smallest stretch up" in test.remarks[1]
+    assert "smallest stretch up" in test.warnings[1]
 
 
 def test_a_long_record_is_averaged_over_neighbours(tmp_path):
@@ -76,13 +76,13 @@ def test_a_long_record_is_averaged_over_neighbours(tmp_path):
     one = test.specimens[0]
     assert len(one.stretch) == 200 and one.stretch[0] == pytest.approx(np.mean(many[:5]))
     assert one.stress == pytest.approx(-0.01 * (1 - one.stretch))
-    assert "averaged to 200 points" in test.remarks[1]
+    assert "averaged to 200 points" in test.warnings[1]
 
 
 def test_a_preload_is_said(tmp_path):
-    assert not [said for said in read_compression(_loaded(tmp_path, 0.0)).remarks if "at stretch 1" in said]
-    remarks = read_compression(_loaded(tmp_path, 0.1)).remarks
-    assert "bears 9 % of its largest stress at stretch 1" in remarks[1]  # 0.1 / 1.1
+    assert not [said for said in read_compression(_loaded(tmp_path, 0.0)).warnings if "at stretch 1" in said]
+    warnings = read_compression(_loaded(tmp_path, 0.1)).warnings
+    assert "bears 9 % of its largest stress at stretch 1" in warnings[1]  # 0.1 / 1.1
 
 
 def test_a_machine_that_waits_before_it_loads_is_read(tmp_path):

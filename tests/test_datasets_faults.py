@@ -8,9 +8,8 @@ import pytest
 import trimesh
 from test_datasets import CURVE, block, own_layers, without_checksums
 
-from needlefit.datasets.check import check
-from needlefit.datasets.read import read
-from needlefit.datasets.schema import SCAN
+from needlefit.datasets.columns import SCAN_COLUMNS
+from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
 
 
@@ -362,7 +361,7 @@ def test_deviations_of_another_name_must_be_there(folder):
 
 
 def test_a_scan_is_placed_by_six_numbers_or_by_none(folder):
-    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN, ""))
+    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN_COLUMNS, ""))
     assert check(folder) == []
     cell(folder / "insertions.csv", 3, "scan_ry_deg", "12")
     fault = the_fault(folder)
@@ -373,7 +372,7 @@ def test_a_scan_is_placed_by_six_numbers_or_by_none(folder):
 
 
 def test_columns_of_a_scan_that_are_missing_are_named(folder):
-    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN[:5], "0"))
+    add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN_COLUMNS[:5], "0"))
     fault = the_fault(folder)
     assert "`scan_z_mm` is missing" in fault.what and place(fault, folder) == "insertions.csv:1"
 

@@ -9,16 +9,15 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_datasets import CURVE, SURFACES, record, row
 
-from needlefit.datasets.check import check
+from needlefit.datasets.columns import SCAN_COLUMNS
 from needlefit.datasets.formats.markups import Markups
-from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 from needlefit.datasets.formats.slicer import read_curves, read_lists, read_markups, read_points
-from needlefit.datasets.read import read
-from needlefit.datasets.schema import SCAN
-from needlefit.datasets.template import template
+from needlefit.datasets.read import check, read
+from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
-from needlefit.geometry.patient import lps
+from needlefit.geometry.frames import to_lps
 
 anything = settings(
     max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None
@@ -76,8 +75,8 @@ def test_points_in_ras_are_turned(file, system):
 @given(st.lists(st.tuples(coordinate, coordinate, coordinate), min_size=1, max_size=9))
 def test_turning_twice_changes_nothing(points):
     array = np.array(points)
-    np.testing.assert_array_equal(lps(lps(array, "RAS"), "RAS"), array)
-    np.testing.assert_array_equal(lps(array, "RAS")[:, 2], array[:, 2])
+    np.testing.assert_array_equal(to_lps(to_lps(array, "RAS"), "RAS"), array)
+    np.testing.assert_array_equal(to_lps(array, "RAS")[:, 2], array[:, 2])
 
 
 @pytest.mark.parametrize(
@@ -276,7 +275,7 @@ def test_what_is_written_is_read_back_and_has_the_structure_of_the_schema(tmp_pa
     array = np.array(points)
     labels = (label, *["p"] * (len(points) - 1))
     lists = [Markups(path, name, "Curve", labels, array) for name in ("fit", "95 % band")]
-    write_mrk_json(path, [(one, Look((0.0, 0.5, 1.0))) for one in lists])
+    write_mrk_json(path, [(one, CurveStyle((0.0, 0.5, 1.0))) for one in lists])
     first, second = read_lists(path)
     np.testing.assert_allclose(first.points, array, rtol=0, atol=1e-9)
     np.testing.assert_array_equal(second.points, array)
@@ -285,7 +284,7 @@ def test_what_is_written_is_read_back_and_has_the_structure_of_the_schema(tmp_pa
     assert set(whole) == {"@schema", "markups"} and whole["@schema"].endswith("markups-schema-v1.0.3.json#")
     assert all("type" in one and conforms(one) for one in whole["markups"])
     before = path.read_bytes()
-    write_mrk_json(path, [(one, Look((0.0, 0.5, 1.0))) for one in (first, second)])
+    write_mrk_json(path, [(one, CurveStyle((0.0, 0.5, 1.0))) for one in (first, second)])
     assert path.read_bytes() == before
 
 
@@ -339,7 +338,7 @@ def test_a_row_may_place_its_scan_elsewhere(tmp_path):
     file, folder = dataset(tmp_path / "d", "{id}.mrk.json", lps_to_world=identity)
     table = file.parent / "insertions.csv"
     head, line = table.read_text().splitlines()
-    table.write_text(f"{head},{','.join(SCAN)}\n{line},0,0,180,0,0,5\n")
+    table.write_text(f"{head},{','.join(SCAN_COLUMNS)}\n{line},0,0,180,0,0,5\n")
     save(folder / "a.mrk.json", markup("Curve", "LPS", (CURVE * [-1, -1, 1] - [0, 0, 5]).tolist()))
     np.testing.assert_allclose(read(file).insertions[0].centerline, CURVE, atol=1e-12)
 
@@ -371,7 +370,7 @@ def test_a_dataset_begins_with_curves_of_slicer(tmp_path):
     unset = point(99, "", positionStatus="undefined")
     lists = [markup("Curve", points=[*CURVE.tolist(), unset], name=f"needle {n}") for n in (1, 2)]
     path, told = save(tmp_path / "n.mrk.json", *lists), []
-    found = read(template(tmp_path / "mine", path, told.append))
+    found = read(write_template(tmp_path / "mine", path, told.append))
     assert [i.id for i in found.insertions] == ["needle_1", "needle_2"]
     np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-4)
     assert [line.removeprefix(f"{path}: ") for line in told] == [

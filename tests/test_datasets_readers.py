@@ -8,9 +8,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from test_datasets import block, without_checksums
 
-from needlefit.datasets.check import check
 from needlefit.datasets.formats import mat
-from needlefit.datasets.formats.csv import numbers, read_table
+from needlefit.datasets.formats.csv import parse_numbers, read_table
+from needlefit.datasets.read import check
 from needlefit.errors import DataError
 from needlefit.project import input_files
 
@@ -48,7 +48,7 @@ def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, 
         text += f"{a!r},{b!r}\n"
     path.write_text(text)
     table, found = read_table(path), []
-    values = np.column_stack([numbers(table, column, found) for column in "ab"])
+    values = np.column_stack([parse_numbers(table, column, found) for column in "ab"])
     assert not found and table.lines.tolist() == lines
     np.testing.assert_allclose(values, [row[:2] for row in rows], rtol=1e-14)
 

@@ -9,13 +9,12 @@ import pytest
 from scipy.io import savemat
 from test_datasets import CURVE, SURFACES, record, row
 
-from needlefit.datasets.check import check
 from needlefit.datasets.formats.markups import Markups
 from needlefit.datasets.formats.mat import read_curves
-from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
-from needlefit.datasets.noise import noise_floor
-from needlefit.datasets.read import read
-from needlefit.datasets.template import template
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
+from needlefit.datasets.noise import estimate_noise_floor
+from needlefit.datasets.read import check, read
+from needlefit.datasets.template import write_template
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import ConfigError, DataError
 
@@ -114,7 +113,7 @@ def test_free_shapes_have_a_noise_floor_after_alignment(long):
     for length, low, high in ((1e6, 0.0, 0.005), (5.0, 0.05, 0.15)):
         long.write_text(LONG + f"[noise]\ncorrelated_sd_mm = 0.1\ncorrelation_length_mm = {length}\n")
         dataset = read(long)
-        floor = noise_floor(dataset, dataset.insertions[0], np.random.default_rng(2))
+        floor = estimate_noise_floor(dataset, dataset.insertions[0], np.random.default_rng(2))
         assert low < floor.ipe_mean_mm < high
 
 
@@ -174,23 +173,26 @@ def test_matlab_structs_cells_and_version_7_3(tmp_path):
 
 
 def test_the_template_passes_check_and_says_that_it_is_made_up(tmp_path):
-    file = template(tmp_path / "mine")
+    file = write_template(tmp_path / "mine")
     assert check(tmp_path / "mine") == []
     dataset = read(file)
     assert dataset.origin == "synthetic" and "made-up" in file.read_text()
     assert [i.sequence for i in dataset.insertions] == [(1, 2), (1, 2)]
     with pytest.raises(ConfigError, match="exists already"):
-        template(tmp_path / "mine")
+        write_template(tmp_path / "mine")
 
 
 def test_a_template_from_centrelines(tmp_path):
     lines = [f"{name},{x},{y},{z}" for name in ("first run", "r2") for x, y, z in 3 * CURVE]
     (tmp_path / "runs.csv").write_text("\n".join(["id,x_mm,y_mm,z_mm", *lines]))
     savemat(tmp_path / "runs.mat", {"r1": CURVE, "r2": CURVE})
-    from_csv = read(template(tmp_path / "a", tmp_path / "runs.csv"))
+    from_csv = read(write_template(tmp_path / "a", tmp_path / "runs.csv"))
     assert [i.id for i in from_csv.insertions] == ["first_run", "r2"]
     assert from_csv.pose == "free" and from_csv.needle.length > from_csv.insertions[0].depth > 149
-    assert [i.id for i in read(template(tmp_path / "b", tmp_path / "runs.mat")).insertions] == ["r1", "r2"]
+    assert [i.id for i in read(write_template(tmp_path / "b", tmp_path / "runs.mat")).insertions] == [
+        "r1",
+        "r2",
+    ]
 
 
 def test_a_template_from_faulty_centrelines_lists_the_faults(tmp_path):
@@ -198,12 +200,12 @@ def test_a_template_from_faulty_centrelines_lists_the_faults(tmp_path):
         "x_mm,y_mm,z_mm\n" + "".join(f"{x},{y},{z}\n" for x, y, z in CURVE / 1000)
     )
     with pytest.raises(DataError, match="metres"):
-        template(tmp_path / "c", tmp_path / "c.csv")
+        write_template(tmp_path / "c", tmp_path / "c.csv")
     (tmp_path / "d.csv").write_text("x,y\n1,2\n")
     with pytest.raises(DataError, match="`x_mm` is missing"):
-        template(tmp_path / "d", tmp_path / "d.csv")
+        write_template(tmp_path / "d", tmp_path / "d.csv")
     with pytest.raises(DataError, match="ending"):
-        template(tmp_path / "e", tmp_path / "e.xlsx")
+        write_template(tmp_path / "e", tmp_path / "e.xlsx")
 
 
 def long_table(path, header, curves):
@@ -217,23 +219,23 @@ def test_a_failed_template_leaves_nothing_and_names_the_source(tmp_path):
         tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": CURVE[::-1] / 1000}
     )
     with pytest.raises(DataError, match="curve bad: depth_mm") as error:
-        template(tmp_path / "mine", source)
+        write_template(tmp_path / "mine", source)
     assert f"{source}:103" in str(error.value)  # one header line, 101 good points
     folded = CURVE[[*range(50), 51, 50, *range(52, 101)]]
     long_table(source, "id,x_mm,y_mm,z_mm", {"good": CURVE, "bad": folded})
     with pytest.raises(DataError, match="curve bad goes back") as error:
-        template(tmp_path / "mine", source)
+        write_template(tmp_path / "mine", source)
     assert f"{source}:154" in str(error.value)  # the fold is the 52nd point of the second curve
     savemat(tmp_path / "runs.mat", {"bad": CURVE * [1, np.nan, 1]})
     with pytest.raises(DataError, match=r"runs\.mat, point 1: curve bad has 101 points"):
-        template(tmp_path / "mine", tmp_path / "runs.mat")
+        write_template(tmp_path / "mine", tmp_path / "runs.mat")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.mat"]
 
 
 def test_a_template_says_what_it_reads_and_ignores(tmp_path):
     told = []
     source = long_table(tmp_path / "runs.csv", "run,x_mm,y_mm,z_mm", {"1": CURVE})
-    dataset = read(template(tmp_path / "mine", source, told.append))
+    dataset = read(write_template(tmp_path / "mine", source, told.append))
     assert [insertion.id for insertion in dataset.insertions] == ["runs"]
     assert told == [
         f"{source}: column `run` ignored",
@@ -242,7 +244,7 @@ def test_a_template_says_what_it_reads_and_ignores(tmp_path):
     for path in (source, tmp_path / "none.csv", tmp_path / "e.xlsx"):
         source.write_text("x,y,z\n1,2,3\n")
         with pytest.raises(DataError) as error:
-            template(tmp_path / "other", path)
+            write_template(tmp_path / "other", path)
         assert str(path) in str(error.value)
         assert "--from reads" in str(error.value) or "check the path" in error.value.fix
 
@@ -251,13 +253,13 @@ def test_a_template_keeps_the_deviations_of_points(tmp_path):
     source = tmp_path / "runs.csv"
     lines = [f"{x},{y},{z},0.25" for x, y, z in CURVE]
     source.write_text("\n".join(["x_mm,y_mm,z_mm,sd_mm", *lines]) + "\n")
-    np.testing.assert_array_equal(read(template(tmp_path / "mine", source)).insertions[0].sd, 0.25)
+    np.testing.assert_array_equal(read(write_template(tmp_path / "mine", source)).insertions[0].sd, 0.25)
 
 
 def test_a_curve_of_few_points_is_no_template(tmp_path):
     source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a": CURVE, "b": CURVE[:1]})
     with pytest.raises(DataError, match="curve b has only 1 points") as error:
-        template(tmp_path / "mine", source)
+        write_template(tmp_path / "mine", source)
     assert error.value.where == f"{source}:103"
 
 
@@ -268,14 +270,14 @@ def test_names_of_curves_that_do_something_are_refused(name, ending, tmp_path):
     if ending == ".csv":
         long_table(source, "id,x_mm,y_mm,z_mm", {name: CURVE})
     elif ending == ".mrk.json":
-        look = Look((0.0, 0.0, 0.0), 1.0)
+        look = CurveStyle((0.0, 0.0, 0.0), 1.0)
         write_mrk_json(source, [(Markups(source, name, "Curve", ("",) * len(CURVE), CURVE), look)])
     else:
         source = tmp_path / f"{name}.fcsv"
         rows = "".join(f"{n},{x},{y},{z},0,0,0,1,1,1,0,p,,\n" for n, (x, y, z) in enumerate(CURVE))
         source.write_text(f"# Markups fiducial file version = 4.11\n# CoordinateSystem = LPS\n{rows}")
     with pytest.raises(DataError) as error:
-        template(tmp_path / "mine", source)
+        write_template(tmp_path / "mine", source)
     assert "refused" in error.value.what or "control" in str(error.value)
     assert not (tmp_path / "mine").exists()
 
@@ -283,7 +285,7 @@ def test_names_of_curves_that_do_something_are_refused(name, ending, tmp_path):
 def test_ids_that_are_changed_are_reported(tmp_path):
     source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "c": CURVE})
     remarks: list[str] = []
-    file = template(tmp_path / "mine", source, remarks.append)
+    file = write_template(tmp_path / "mine", source, remarks.append)
     assert [one.id for one in read(file).insertions] == ["a_b", "c"]
     assert len(remarks) == 1 and "a_b" in remarks[0]
 
@@ -291,7 +293,7 @@ def test_ids_that_are_changed_are_reported(tmp_path):
 def test_ids_that_would_name_one_file_are_told(tmp_path):
     source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
     with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):
-        template(tmp_path / "mine", source)
+        write_template(tmp_path / "mine", source)
 
 
 @pytest.mark.skipif("NEEDLEFIT_REAL_DATA" not in os.environ, reason="NEEDLEFIT_REAL_DATA is not set")

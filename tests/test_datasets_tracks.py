@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from track_cases import DEPTH, GUIDE, TOML, measured, track, written
 
-from needlefit.datasets.check import check
-from needlefit.datasets.read import read
-from needlefit.datasets.tracks.read import read_tracks
-from needlefit.datasets.tracks.select import select_runs
+from needlefit.datasets.read import check, read
+from needlefit.datasets.tip_track_table import read_tracks
+from needlefit.datasets.tip_tracks import select_runs
 from needlefit.errors import ConfigError, DataError
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.study import TrackSelectionRecord

@@ -14,12 +14,11 @@ from test_viewer_recording import recorded
 
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.load import lateral_load, loads
+from needlefit.mechanics.load import compute_lateral_load, compute_loads
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.scene import Entry, Scene, insert
-from needlefit.mechanics.session import Moment
-from needlefit.mechanics.shape import placed, positions
-from needlefit.mechanics.strides import strides
+from needlefit.mechanics.scene import Entry, Scene, iterate_states, simulate_scene
+from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.shape import compute_positions, map_beam_points
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import animation, look
 from needlefit.reporting.figures import moment as moment_figure
@@ -44,8 +43,8 @@ def scene(entry: Entry = Entry(), controls: Controls = HELD) -> Scene:
     return Scene(NEEDLE, TISSUE, steps, entry=entry)
 
 
-def end(of: Scene) -> Moment:
-    return Moment(insert(of)[-1], of.steps[-1], of.tissue)
+def end(of: Scene) -> NeedleState:
+    return NeedleState(simulate_scene(of)[-1], of.steps[-1], of.tissue)
 
 
 UP = np.array([0.0, 2.0])
@@ -65,10 +64,10 @@ def test_the_table_has_a_row_for_every_node_and_millimetre() -> None:
     nodes = table[np.isin(s, moment.shape.x)]
     np.testing.assert_array_equal(nodes["y_mm"], moment.shape.u)
     np.testing.assert_allclose(nodes["slope"], moment.shape.slope, atol=1e-12)
-    place = positions(moment.shape, s)
+    place = compute_positions(moment.shape, s)
     np.testing.assert_array_equal(table[["x_mm", "y_mm"]], place)
     np.testing.assert_array_equal(table[["world_x_mm", "world_y_mm"]], TURNED.to_world(place))
-    np.testing.assert_array_equal(table["load_n_per_mm"], lateral_load(moment.shape, TISSUE, s))
+    np.testing.assert_array_equal(table["load_n_per_mm"], compute_lateral_load(moment.shape, TISSUE, s))
     assert table["layer"].isna().sum() == (s < 0).sum()
     assert (table["layer"][s >= 0] == np.where(s[s >= 0] <= 12.0, 1, 2)).all()
 
@@ -91,18 +90,18 @@ def test_the_table_is_read_back(tmp_path) -> None:
 def test_a_picture_shows_all_of_the_needle_in_true_millimetres(entry: Entry) -> None:
     one = scene(entry)
     moment = end(one)
-    measured = positions(moment.shape, np.linspace(0.0, 15.0, 9)) + UP
+    measured = compute_positions(moment.shape, np.linspace(0.0, 15.0, 9)) + UP
     sheet = lay_out("Held", one, [moment], Beside(measured, measured - UP / 4, measured + UP / 4))
     paint(sheet, moment)
     assert sheet.axes.get_aspect() == 1
     drawn = np.concatenate([line.get_xydata() for line in sheet.axes.lines])
-    ends = entry.to_world(positions(moment.shape, moment.shape.x[[0, -1]]))
+    ends = entry.to_world(compute_positions(moment.shape, moment.shape.x[[0, -1]]))
     guides = entry.to_world([[guide.x, guide.y] for guide in HELD.guides])
     for point in (
         *ends,
         *guides,
         *entry.to_world(measured),
-        *entry.to_world(placed(moment.shape, moment.shape.constraints)),
+        *entry.to_world(map_beam_points(moment.shape, moment.shape.constraints)),
     ):
         assert np.abs(drawn - point).max(axis=1).min() < 1e-9
         assert sheet.axes.get_xlim()[0] < point[0] < sheet.axes.get_xlim()[1]
@@ -114,9 +113,9 @@ def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
     moment = end(one)
     sheet = lay_out("Held", one, [moment], Beside())
     paint(sheet, moment)
-    found = loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
+    found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
     outlines = [patch.get_xy() for patch in sheet.axes.patches]
-    needle = positions(moment.shape, found.s)
+    needle = compute_positions(moment.shape, found.s)
     (load,) = (outline for outline in outlines if len(outline) == 2 * len(found.s) + 1)  # closed
     pulled = load[len(found.s) : -1][::-1] - needle
     np.testing.assert_allclose(pulled[:, 1] * sheet.per_mm, found.load, atol=1e-9)
@@ -136,7 +135,7 @@ def test_the_inserted_part_alone_is_shown_where_nothing_but_the_bevel_steers() -
 
 def test_what_is_written_above_is_what_acts() -> None:
     moment = end(scene())
-    found = loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
+    found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
     lines, tip = told(Entry(), moment, found, 90)
     assert lines[0].startswith("15.25 mm deep  ·  bevel right  ·  base +1 mm")
     forces = [found.base.force, *(hold.force for hold in found.guides)]
@@ -189,12 +188,12 @@ def small(monkeypatch) -> None:
 
 def test_strides_end_where_the_steps_do() -> None:
     one = scene()
-    gone, moments = zip(*strides(one), strict=True)
+    gone, moments = zip(*iterate_states(one), strict=True)
     assert gone[0] == 0 and gone[-1] == pytest.approx(20 + 4.75) and max(np.diff(gone)) <= 0.5 + 1e-12
-    np.testing.assert_allclose(moments[-1].shape.u, insert(one)[-1].u, atol=1e-7)
+    np.testing.assert_allclose(moments[-1].shape.u, simulate_scene(one)[-1].u, atol=1e-7)
     assert [moment.step.depth for moment in moments if moment.step in one.steps] == [20.0, 15.25]
     torn = replace(one, steps=(*one.steps, Step(20.0, Bevel(60.0), Controls(tip=TrackedTip(500.0)))))
-    assert list(strides(torn))[-1][1].step.depth <= 20.0
+    assert list(iterate_states(torn))[-1][1].step.depth <= 20.0
 
 
 def test_each_frame_shows_the_last_moment_before_it() -> None:
@@ -214,7 +213,7 @@ def test_an_animation_keeps_time_or_says_that_it_does_not(
     )
     small(monkeypatch)
     drawn = []
-    moments = [(seconds * gone / 24.75, moment) for gone, moment in strides(scene(), 12.0)]
+    moments = [(seconds * gone / 24.75, moment) for gone, moment in iterate_states(scene(), 12.0)]
     animation.animate("Held", scene(), moments, seconds, tmp_path / "a.gif")
     assert titles == ["Held" if speed == 1 else f"Held ({speed} times as fast)"]
     assert len(drawn) - 1 <= animation.MOST and drawn[-1] is moments[-1][1]  # the first for the layout
@@ -225,7 +224,7 @@ def test_an_animation_keeps_time_or_says_that_it_does_not(
 
 
 def test_an_animation_needs_an_encoder_and_a_name_that_it_knows(tmp_path, monkeypatch) -> None:
-    moments = list(strides(scene(), 20.0))
+    moments = list(iterate_states(scene(), 20.0))
     for name, fault in (("a.avi", "`.avi`"), ("a", "no ending"), ("none/a.gif", "no such folder")):
         with pytest.raises(ConfigError, match=fault):
             animation.animate("Held", scene(), moments, 1.0, tmp_path / name)
@@ -237,7 +236,7 @@ def test_an_animation_needs_an_encoder_and_a_name_that_it_knows(tmp_path, monkey
 
 @pytest.mark.skipif(not animation.FFMpegWriter.isAvailable(), reason="ffmpeg is not installed")
 def test_an_animation_can_be_a_film(tmp_path) -> None:
-    animation.animate("Held", scene(), list(strides(scene(), 20.0)), 1.0, tmp_path / "a.mp4")
+    animation.animate("Held", scene(), list(iterate_states(scene(), 20.0)), 1.0, tmp_path / "a.mp4")
     assert b"ftyp" in (tmp_path / "a.mp4").read_bytes()[:32]
 
 

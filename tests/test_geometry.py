@@ -7,10 +7,16 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
 from needlefit.errors import DataError
-from needlefit.geometry.compare import STATIONS, compare
-from needlefit.geometry.curves import arc_length, at_arc, resample
-from needlefit.geometry.frames import Frame, align_rigid, entry_frame
-from needlefit.geometry.plane import any_normal, bending_plane, free_frame
+from needlefit.geometry.compare import COMPARISON_POINTS, compare_curves
+from needlefit.geometry.curves import (
+    arc_length,
+    find_bending_direction,
+    fit_free_frame,
+    interpolate_at_arc,
+    make_normal,
+    resample_curve,
+)
+from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
 
 seeds = st.integers(0, 2**32 - 1)
 angles = st.floats(-np.pi, np.pi)
@@ -43,7 +49,7 @@ def test_a_frame_and_back_is_the_identity_and_keeps_distances(seed):
 
 
 def test_entry_frame_by_hand():
-    frame = entry_frame((1, 2, 3), (0, 0, 2), (0, 5, 7))
+    frame = make_entry_frame((1, 2, 3), (0, 0, 2), (0, 5, 7))
     np.testing.assert_allclose(frame.rotation, [[0, 0, -1], [0, 1, 0], [1, 0, 0]], atol=1e-15)
     np.testing.assert_allclose(
         frame.to_local([[1, 2, 13], [1, 4, 3], [2, 2, 3]]), [[10, 0, 0], [0, 2, 0], [0, 0, -1]]
@@ -54,7 +60,7 @@ def test_entry_frame_by_hand():
 def test_entry_frame_is_right_handed_with_toward_on_its_left(seed):
     rng = np.random.default_rng(seed)
     direction, toward = rng.normal(size=(2, 3))
-    frame = entry_frame((0, 0, 0), direction, toward)
+    frame = make_entry_frame((0, 0, 0), direction, toward)
     np.testing.assert_allclose(frame.rotation.T @ frame.rotation, np.eye(3), atol=1e-9)
     assert np.linalg.det(frame.rotation) == pytest.approx(1)
     assert frame.to_local([toward])[0, 1] > 0
@@ -66,7 +72,7 @@ def test_entry_frame_is_right_handed_with_toward_on_its_left(seed):
 )
 def test_entry_frame_refuses_directions_that_span_no_plane(direction, toward):
     with pytest.raises(DataError, match="expected"):
-        entry_frame((0, 0, 0), direction, toward)
+        make_entry_frame((0, 0, 0), direction, toward)
 
 
 @given(angles, shifts, shifts)
@@ -101,14 +107,16 @@ def test_resampling_a_straight_line_is_exact(seed, count):
     line = start + np.vstack([[[0.0]], inner, [[1.0]]]) * (end - start)
     fractions = np.linspace(0, 1, 17)
     np.testing.assert_allclose(
-        resample(line, fractions), start + fractions[:, None] * (end - start), atol=1e-9
+        resample_curve(line, fractions), start + fractions[:, None] * (end - start), atol=1e-9
     )
 
 
 def test_arc_length_by_hand_and_at_its_ends():
     corner = np.array([[0.0, 0], [3, 4], [3, 10]])
     np.testing.assert_allclose(arc_length(corner), [0, 5, 11])
-    np.testing.assert_allclose(at_arc(corner, [-1, 2.5, 8, 12]), [[0, 0], [1.5, 2], [3, 7], [3, 10]])
+    np.testing.assert_allclose(
+        interpolate_at_arc(corner, [-1, 2.5, 8, 12]), [[0, 0], [1.5, 2], [3, 7], [3, 10]]
+    )
 
 
 @given(seeds)
@@ -116,13 +124,13 @@ def test_bending_plane_follows_the_curve_into_any_frame(seed):
     rng = np.random.default_rng(seed)
     rotation = Rotation.random(rng=rng).as_matrix()
     curve = in_space(arc(200, 55)) @ rotation.T + rng.normal(size=3) * 50
-    np.testing.assert_allclose(bending_plane(curve, rotation[:, 0]), rotation[:, 1], atol=1e-9)
+    np.testing.assert_allclose(find_bending_direction(curve, rotation[:, 0]), rotation[:, 1], atol=1e-9)
 
 
 def test_a_straight_curve_bends_in_some_plane_through_it():
-    toward = bending_plane([[0, 0, 0], [0, 0, 5.0], [0, 0, 9.0]], (0, 0, 1))
+    toward = find_bending_direction([[0, 0, 0], [0, 0, 5.0], [0, 0, 9.0]], (0, 0, 1))
     assert toward @ [0, 0, 1] == 0
-    np.testing.assert_array_equal(toward, any_normal((0, 0, 1)))
+    np.testing.assert_array_equal(toward, make_normal((0, 0, 1)))
 
 
 @given(seeds)
@@ -132,7 +140,7 @@ def test_free_frame_is_the_same_from_everywhere(seed):
     x = np.linspace(0, 60, 61)
     parabola = np.column_stack([x, x**2 / 500, 0 * x])
     moved = parabola @ Rotation.random(rng=rng).as_matrix().T + rng.normal(size=3) * 40
-    local, at_home = free_frame(moved).to_local(moved), free_frame(parabola).to_local(parabola)
+    local, at_home = fit_free_frame(moved).to_local(moved), fit_free_frame(parabola).to_local(parabola)
     np.testing.assert_allclose(local[:, :2], at_home[:, :2], atol=1e-8)
     np.testing.assert_allclose(local[:, 2], 0, atol=1e-8)
     assert local[-1, 1] == pytest.approx(60**2 / 500, rel=0.05)  # x is nearly the tangent at the entry
@@ -141,7 +149,7 @@ def test_free_frame_is_the_same_from_everywhere(seed):
 @given(st.floats(-5, 5), st.floats(-5, 5))
 def test_a_shifted_curve_errs_by_the_shift(dx, dy):
     curve = arc(150, 50)
-    errors = compare(curve + np.array([dx, dy]), curve)
+    errors = compare_curves(curve + np.array([dx, dy]), curve)
     shift = np.hypot(dx, dy)
     for value in (errors.te, errors.median, errors.mean, errors.maximum):
         assert value == pytest.approx(shift, abs=1e-12)
@@ -153,26 +161,26 @@ def test_a_shifted_curve_errs_by_the_shift(dx, dy):
 @settings(max_examples=50)
 def test_distances_do_not_depend_on_the_frame(angle, dx, dy):
     a, b = arc(150, 50), arc(250, 50)
-    here, there = compare(a, b), compare(turn(a, angle, (dx, dy)), turn(b, angle, (dx, dy)))
+    here, there = compare_curves(a, b), compare_curves(turn(a, angle, (dx, dy)), turn(b, angle, (dx, dy)))
     np.testing.assert_allclose(there.ipe, here.ipe, atol=1e-9)
 
 
 def test_errors_by_hand():
     measured = np.array([[0.0, 1], [10, 1], [20, 5]])
-    errors = compare(measured + np.array([[0, 0], [0, 1], [3, 4]]), measured)
+    errors = compare_curves(measured + np.array([[0, 0], [0, 1], [3, 4]]), measured)
     np.testing.assert_allclose(errors.ipe, [0, 1, 5])
     assert (errors.te, errors.edp, errors.median, errors.mean, errors.maximum) == (5, 125, 1, 2, 5)
     assert errors.std == pytest.approx(np.sqrt(14 / 3))
     assert errors.deflection == 4
-    assert STATIONS == 101
+    assert COMPARISON_POINTS == 101
 
 
 def test_a_needle_that_stayed_straight_has_no_finite_edp():
     line = np.column_stack([np.arange(5.0), np.zeros(5)])
-    assert compare(line, line).edp == 0
-    assert compare(line + np.array([0, 1]), line).edp == np.inf
+    assert compare_curves(line, line).edp == 0
+    assert compare_curves(line + np.array([0, 1]), line).edp == np.inf
 
 
 def test_curves_of_different_stations_are_not_compared():
     with pytest.raises(ValueError, match="cannot be compared"):
-        compare(arc(100, 50, 11), arc(100, 50, 12))
+        compare_curves(arc(100, 50, 11), arc(100, 50, 12))

@@ -7,17 +7,17 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import crossings
+from needlefit.geometry.crossings import find_crossings
 from needlefit.geometry.frames import Frame
-from needlefit.geometry.solids import closed
+from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import (
     Surface,
-    cylinder,
-    moved,
-    nearest,
+    find_mesh_faults,
+    find_nearest,
+    make_cylinder,
+    make_sheet,
     read_surface,
-    sheet,
-    surface_faults,
+    transform_surface,
     write_surface,
 )
 
@@ -38,8 +38,8 @@ def test_a_line_crosses_a_plane_where_the_formula_says(seed, points):
     assume(abs(slope) > 0.05)
     depth = normal @ (center - start) / (normal @ direction)
     assume(abs(depth) > 1e-3 and abs(depth - 50) > 1e-3)
-    met = crossings(
-        line(start, start + 50 * direction, points), [sheet("plane", center, normal, 5000, into=2)]
+    met = find_crossings(
+        line(start, start + 50 * direction, points), [make_sheet("plane", center, normal, 5000, into=2)]
     )
     if 0 < depth < 50:
         assert met.sequence == (1, 2)
@@ -53,50 +53,53 @@ def test_a_line_crosses_a_plane_where_the_formula_says(seed, points):
 def test_a_line_crosses_a_cylinder_where_the_formula_says(offset, tilt):
     """Radius 10 about y; a line at x = offset enters and leaves at z = -+sqrt(100 - offset^2)."""
     facets = 192
-    solid = cylinder("tumour", ((0, -60, 0), (0, 60, 0)), 10.0, into=4, facets=facets)
-    met = crossings(line((offset, -30 * tilt, -30), (offset, 30 * tilt, 30)), [solid])
+    solid = make_cylinder("tumour", ((0, -60, 0), (0, 60, 0)), 10.0, into=4, facets=facets)
+    met = find_crossings(line((offset, -30 * tilt, -30), (offset, 30 * tilt, 30)), [solid])
     half, stretch = np.sqrt(100 - offset**2), np.hypot(1, tilt)
     sagitta = 10 * (1 - np.cos(np.pi / facets)) / (half / 10) * stretch
     assert met.sequence == (1, 4, 1)
     assert met.arc == pytest.approx([(30 - half) * stretch, (30 + half) * stretch], abs=1.01 * sagitta + 1e-9)
 
 
-TOP = sheet("top", (0, 0, 0), (0, 0, 1), 80, into=2)
+TOP = make_sheet("top", (0, 0, 0), (0, 0, 1), 80, into=2)
 
 
 def test_an_edge_between_triangles_is_crossed_once():
-    assert crossings([(0, 0, -10), (0, 0, 10)], [TOP]).sequence == (1, 2)  # on the diagonal of the square
-    assert crossings([(0, 0, -10), (0, 0, 0), (0, 0, 10)], [TOP]).arc.tolist() == [
+    assert find_crossings([(0, 0, -10), (0, 0, 10)], [TOP]).sequence == (
+        1,
+        2,
+    )  # on the diagonal of the square
+    assert find_crossings([(0, 0, -10), (0, 0, 0), (0, 0, 10)], [TOP]).arc.tolist() == [
         10
     ]  # and at a point of the curve
 
 
 def test_a_touch_is_no_crossing():
-    assert crossings([(0, 0, -10), (5, 1, 0), (10, 0, -10)], [TOP]).sequence == (1,)
+    assert find_crossings([(0, 0, -10), (5, 1, 0), (10, 0, -10)], [TOP]).sequence == (1,)
 
 
 def test_an_interface_at_the_first_or_last_point_makes_no_layer_without_length():
-    assert crossings([(3, 1, 0), (3, 1, 10)], [TOP]).sequence == (2,)
-    assert crossings([(3, 1, -10), (3, 1, 0)], [TOP]).sequence == (1,)
+    assert find_crossings([(3, 1, 0), (3, 1, 10)], [TOP]).sequence == (2,)
+    assert find_crossings([(3, 1, -10), (3, 1, 0)], [TOP]).sequence == (1,)
 
 
 def test_noise_at_an_interface_counts_once():
     jagged = [(0, 1, -5), (0, 1, 0.1), (0, 1, -0.1), (0, 1, 0.2), (0, 1, 5)]
-    assert crossings(jagged, [TOP]).sequence == (1, 2)
+    assert find_crossings(jagged, [TOP]).sequence == (1, 2)
 
 
 def test_sheets_lead_inward_and_a_solid_wins():
-    deep = sheet("deep", (0, 0, 20), (0, 0.2, 1), 200, into=3)
-    core = cylinder("core", ((0, -30, 20), (0, 30, 20)), 5.0, into=4)
-    met = crossings(line((0, 0, -10), (0, 0, 40)), [core, deep, TOP])
+    deep = make_sheet("deep", (0, 0, 20), (0, 0.2, 1), 200, into=3)
+    core = make_cylinder("core", ((0, -30, 20), (0, 30, 20)), 5.0, into=4)
+    met = find_crossings(line((0, 0, -10), (0, 0, 40)), [core, deep, TOP])
     assert met.sequence == (1, 2, 4, 3)
     assert met.arc == pytest.approx([10, 25, 35], abs=0.02)
-    below = crossings(line((0, 0, 21), (0, 0, 40)), [core, deep, TOP])
+    below = find_crossings(line((0, 0, 21), (0, 0, 40)), [core, deep, TOP])
     assert below.sequence == (4, 1)  # no sheet was crossed on the way
 
 
 def test_without_surfaces_there_is_one_layer():
-    met = crossings(line((0, 0, 0), (0, 0, 40)), [])
+    met = find_crossings(line((0, 0, 0), (0, 0, 40)), [])
     assert met.sequence == (1,) and met.arc.shape == (0,) and met.points.shape == (0, 3)
 
 
@@ -106,13 +109,13 @@ def test_a_fine_surface_is_met_like_a_coarse_one():
         mesh = mesh.subdivide()
     fine = Surface("fine", mesh, "sheet", 2)
     curve = line((1, -7, -10), (4, 5, 30), 240)
-    np.testing.assert_allclose(crossings(curve, [fine]).arc, crossings(curve, [TOP]).arc, atol=1e-9)
+    np.testing.assert_allclose(find_crossings(curve, [fine]).arc, find_crossings(curve, [TOP]).arc, atol=1e-9)
 
 
 def test_builders_give_sound_surfaces_of_the_right_size():
-    core = cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4, facets=192)
-    assert surface_faults(core.mesh, "solid") == []
-    assert surface_faults(TOP.mesh, "sheet") == []
+    core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4, facets=192)
+    assert find_mesh_faults(core.mesh, "solid") == []
+    assert find_mesh_faults(TOP.mesh, "sheet") == []
     assert TOP.mesh.area == pytest.approx(6400)
     prism = 192 / 2 * np.sin(2 * np.pi / 192) * 25 * 20
     assert core.mesh.volume == pytest.approx(prism)  # positive: its triangles face outward
@@ -123,14 +126,14 @@ def without_triangles(mesh, keep):
 
 
 def test_faults_of_surfaces():
-    core = cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4).mesh
+    core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4).mesh
     grid = TOP.mesh.subdivide().subdivide()
     inner = int(np.argmin(np.linalg.norm(grid.triangles_center, axis=1)))
     holed = without_triangles(grid, np.arange(len(grid.faces)) != inner)
     turned = trimesh.Trimesh(TOP.mesh.vertices, [[0, 1, 2], [0, 3, 2]], process=False)
     nothing = without_triangles(core, slice(0, 0))
     unbounded = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, np.inf, 0]], [[0, 1, 2]], process=False)
-    two = trimesh.util.concatenate([TOP.mesh, sheet("far", (0, 0, 9), (0, 0, 1), 10, 2).mesh])
+    two = trimesh.util.concatenate([TOP.mesh, make_sheet("far", (0, 0, 9), (0, 0, 1), 10, 2).mesh])
     for mesh, kind, words in [
         (without_triangles(core, slice(1, None)), "solid", "does not close"),
         (core, "sheet", "closed"),
@@ -140,16 +143,16 @@ def test_faults_of_surfaces():
         (nothing, "solid", "no triangles"),
         (unbounded, "sheet", "not finite"),
     ]:
-        faults = surface_faults(mesh, kind)
+        faults = find_mesh_faults(mesh, kind)
         assert len(faults) == 1 and words in faults[0], (words, faults)
 
 
 def test_a_surface_survives_its_file(tmp_path):
-    core = cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4)
+    core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4)
     write_surface(core, tmp_path / "a" / "core.stl")
     again = read_surface(tmp_path / "a" / "core.stl", "solid", 4)
     assert (again.name, again.kind, again.into) == ("core", "solid", 4)
-    assert surface_faults(again.mesh, "solid") == []
+    assert find_mesh_faults(again.mesh, "solid") == []
     assert again.mesh.volume == pytest.approx(core.mesh.volume, rel=1e-4)
     write_surface(again, tmp_path / "b.stl")
     assert (tmp_path / "b.stl").read_bytes() != b""
@@ -159,9 +162,9 @@ def test_a_surface_survives_its_file(tmp_path):
 
 @pytest.mark.parametrize("ending", ["stl", "ply", "obj"])
 def test_formats_of_surfaces(tmp_path, ending):
-    core = cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
+    core = make_cylinder("core", ((0, 0, 0), (0, 0, 20)), 5.0, into=4)
     core.mesh.export(tmp_path / f"core.{ending}")
-    assert surface_faults(read_surface(tmp_path / f"core.{ending}", "solid", 4).mesh, "solid") == []
+    assert find_mesh_faults(read_surface(tmp_path / f"core.{ending}", "solid", 4).mesh, "solid") == []
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no mesh at all", b"solid x\nendsolid x\n"])
@@ -176,8 +179,11 @@ def test_what_is_no_surface_says_so(tmp_path, content):
 
 def test_the_nearest_place_of_surfaces_has_a_distance_and_a_normal():
     """Between a sheet at x = 0 and one at y = 5; beside the first, its rim is the nearest."""
-    surfaces = [sheet("a", (0, 0, 0), (1, 0, 0), 10, into=2), sheet("b", (0, 5, 0), (0, 1, 0), 10, into=3)]
-    found = nearest([[2, 0, 1], [3, 4, 0], [0, -9, 0], [3, -9, 0]], surfaces)
+    surfaces = [
+        make_sheet("a", (0, 0, 0), (1, 0, 0), 10, into=2),
+        make_sheet("b", (0, 5, 0), (0, 1, 0), 10, into=3),
+    ]
+    found = find_nearest([[2, 0, 1], [3, 4, 0], [0, -9, 0], [3, -9, 0]], surfaces)
     np.testing.assert_allclose(found.distances, [2, 1, 4, 5])
     np.testing.assert_allclose(
         np.abs(found.normals), [[1, 0, 0], [0, 1, 0], [1, 0, 0], [1, 0, 0]], atol=1e-12
@@ -186,7 +192,7 @@ def test_the_nearest_place_of_surfaces_has_a_distance_and_a_normal():
 
 def test_a_surface_moves_with_its_frame():
     quarter = Frame(np.array([1.0, 2, 3]), np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]))
-    there = moved(sheet("a", (5, 0, 0), (1, 0, 0), 10, into=2), quarter)
+    there = transform_surface(make_sheet("a", (5, 0, 0), (1, 0, 0), 10, into=2), quarter)
     np.testing.assert_allclose(there.mesh.vertices.mean(axis=0), [1, 7, 3])
     np.testing.assert_allclose(np.abs(there.mesh.face_normals), [[0, 1, 0]] * 2, atol=1e-12)
 
@@ -197,7 +203,7 @@ def test_the_largest_piece_of_a_mesh_is_closed_and_faces_outward():
     boxes[1].invert()
     boxes[2].apply_translation([20, 0, 0])
     whole = trimesh.util.concatenate(boxes)
-    found, others = closed("box", whole.vertices, whole.faces[:, ::-1], into=3)
+    found, others = extract_solid("box", whole.vertices, whole.faces[:, ::-1], into=3)
     assert (found.kind, found.into, len(found.mesh.faces)) == ("solid", 3, 12)
-    assert found.mesh.volume == pytest.approx(512) and surface_faults(found.mesh, "solid") == []
+    assert found.mesh.volume == pytest.approx(512) and find_mesh_faults(found.mesh, "solid") == []
     assert others == pytest.approx((8 + 64) / 512)

@@ -7,7 +7,7 @@ import pytest
 
 from needlefit.errors import DataError
 from needlefit.geometry import surfaces
-from needlefit.geometry.surfaces import read_surface, surface_faults
+from needlefit.geometry.surfaces import find_mesh_faults, read_surface
 
 CORNERS = "0 0 0\n1 0 0\n0 1 0\n"
 EDGES = "element edge 1\nproperty int vertex1\nproperty int vertex2\n"
@@ -122,4 +122,4 @@ def test_coordinates_that_cannot_be_are_left_to_the_check_of_surfaces(tmp_path, 
     path.write_text(f"{OBJ}v {far} 0 1\nf 1 2 3\nf 1 3 4\n")
     mesh = read_surface(path, "sheet", 2).mesh
     assert len(mesh.faces) == 2
-    assert bool(surface_faults(mesh, "sheet")) or np.isfinite(mesh.vertices).all()
+    assert bool(find_mesh_faults(mesh, "sheet")) or np.isfinite(mesh.vertices).all()

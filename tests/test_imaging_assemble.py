@@ -7,11 +7,10 @@ import numpy as np
 import pytest
 from reconstruction_cases import small
 
-from needlefit.datasets.check import check
-from needlefit.datasets.read import read
+from needlefit.datasets.read import check, read
 from needlefit.errors import DataError
 from needlefit.geometry.frames import Frame
-from needlefit.geometry.surfaces import moved
+from needlefit.geometry.surfaces import transform_surface
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked, assemble_dataset
 from needlefit.imaging.reconstruction_checks import collect_warnings
 from needlefit.schemas.reconstruction import ReconstructionRecord
@@ -28,7 +27,7 @@ def named(name, **changes):
 def shifted(one, shift):
     """The same insertion, its layers 0.5 mm deeper: drawn in its own scan."""
     away = Frame(np.asarray(shift, dtype=float), np.eye(3))
-    surfaces = tuple(moved(surface, away) for surface in one.layers.surfaces)
+    surfaces = tuple(transform_surface(surface, away) for surface in one.layers.surfaces)
     return replace(one, layers=replace(one.layers, surfaces=surfaces))
 
 
@@ -67,7 +66,7 @@ def with_surfaces(name, medium, *names):
     (surface,) = one.layers.surfaces
     into = one.frame.rotation[:, 0]
     surfaces = tuple(
-        replace(moved(surface, Frame(n * into, np.eye(3))), name=called, into=n + 2)
+        replace(transform_surface(surface, Frame(n * into, np.eye(3))), name=called, into=n + 2)
         for n, called in enumerate(names)
     )
     layers = replace(one.layers, surfaces=surfaces, sequence=tuple(range(1, len(names) + 2)))

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needlefit.errors import DataError
-from needlefit.geometry.surfaces import sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.imaging.entry import (
     OutsideShaft,
     compare_poses,
@@ -101,8 +101,8 @@ def test_the_stage_keeps_its_pose_and_takes_the_errors_of_the_registration():
 
 def test_the_axis_meets_the_tissue_where_its_surface_is():
     pose = EntryPose(np.array([0.5, 0, 0]), axis([1.0, 1.0, 0.0]), "shaft", 0.1, 0.01, 0.1)
-    skin = sheet("skin", (2.0, 0, 0), (1, 0, 0), 50.0, into=1)
-    inner = sheet("inner", (1.0, 0, 0), (1, 0, 0), 50.0, into=2)
+    skin = make_sheet("skin", (2.0, 0, 0), (1, 0, 0), 50.0, into=1)
+    inner = make_sheet("inner", (1.0, 0, 0), (1, 0, 0), 50.0, into=2)
     assert move_to_surface(pose, (inner, skin)).origin == pytest.approx([2.0, 1.5, 0.0])
     assert move_to_surface(pose, (inner,)) == pose
 

@@ -23,14 +23,21 @@ from layer_cases import (
 )
 from test_datasets import record
 
-from needlefit.datasets.layers import mesh_faults
+from needlefit.datasets.columns import InsertionRow
+from needlefit.datasets.layers import find_surface_faults
 from needlefit.datasets.read import read
-from needlefit.datasets.schema import InsertionRow
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import crossings
-from needlefit.geometry.frames import Frame, entry_frame
-from needlefit.geometry.surfaces import Surface, cylinder, moved, read_surface, sheet, write_surface
+from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.frames import Frame, make_entry_frame
+from needlefit.geometry.surfaces import (
+    Surface,
+    make_cylinder,
+    make_sheet,
+    read_surface,
+    transform_surface,
+    write_surface,
+)
 from needlefit.imaging.label_surfaces import read_labels
 from needlefit.imaging.layers import LayerErrors, estimate_layer_errors, find_crossed_layers, read_layers
 from needlefit.imaging.reconstruction import EntryPose
@@ -117,7 +124,7 @@ def test_a_cylinder_of_labels_is_met_twice(tmp_path):
 
     path = save(tmp_path / "core.nrrd", labelled(label))
     needle = np.column_stack([np.linspace(-10, 10, 100), np.zeros((100, 2))])
-    crossed = crossings(needle, read_layers(scan(path), HOME))
+    crossed = find_crossings(needle, read_layers(scan(path), HOME))
     assert crossed.sequence == (1, 2, 1)
     np.testing.assert_allclose(crossed.points[:, 0], [-4, 8], atol=0.1)
 
@@ -146,7 +153,7 @@ def test_surfaces_of_labels_survive_their_files(slabs_file, tmp_path):
     for surface in read_layers(scan(slabs_file), PATIENT):
         path = tmp_path / f"{surface.name}.stl"
         write_surface(surface, path)
-        assert list(mesh_faults(read_surface(path, "solid", surface.into), path)) == []
+        assert list(find_surface_faults(read_surface(path, "solid", surface.into), path)) == []
 
 
 def test_layers_that_leave_the_volume_are_closed_at_its_face(tmp_path):
@@ -346,7 +353,7 @@ def test_all_files_are_told_at_once(tmp_path):
 def tilted(degrees):
     """A sheet through (10, 0, 0) whose normal is tilted from x toward y."""
     angle = math.radians(degrees)
-    return sheet("sheet", (10, 0, 0), (math.cos(angle), math.sin(angle), 0), 100, into=2)
+    return make_sheet("sheet", (10, 0, 0), (math.cos(angle), math.sin(angle), 0), 100, into=2)
 
 
 def test_depths_count_along_c(tmp_path):
@@ -421,7 +428,7 @@ def test_without_surfaces_there_is_one_layer():
 
 def test_a_sheet_too_small_is_told_and_by_how_much():
     """It spans 10 mm about (10, 12, 0): its rim is 7 mm away from the needle."""
-    small = sheet("skin", (10, 12, 0), (1, 0, 0), 10, into=2)
+    small = make_sheet("skin", (10, 12, 0), (1, 0, 0), 10, into=2)
     layers = find_crossed_layers(NEEDLE, HOME, (small,), EXACT)
     said = check_layer_count(scan(), layers, NEEDLE, HOME)
     assert said[0] == "the needle passes 7.0 mm beside the sheet skin: it is too small"
@@ -429,9 +436,13 @@ def test_a_sheet_too_small_is_told_and_by_how_much():
 
 
 def test_layers_in_ras_are_recognised_by_what_would_be_crossed():
-    there = find_crossed_layers(NEEDLE, HOME, (sheet("skin", (-10, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    there = find_crossed_layers(
+        NEEDLE, HOME, (make_sheet("skin", (-10, 0, 0), (1, 0, 0), 60, into=2),), EXACT
+    )
     assert any("if their files were in RAS" in one for one in check_layer_count(scan(), there, NEEDLE, HOME))
-    beyond = find_crossed_layers(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    beyond = find_crossed_layers(
+        NEEDLE, HOME, (make_sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT
+    )
     said = check_layer_count(scan(), beyond, NEEDLE, HOME)
     assert said == ("the needle crosses no layer; the nearest surface stays 15.0 mm away",)
 
@@ -442,7 +453,9 @@ def test_layers_counted_must_be_met():
     assert check_layer_count(scan(layers=3, layers_alternative=2), layers, NEEDLE, HOME) == ()
     with pytest.raises(DataError, match=r"meets 2 layers \(1 > 2; interfaces at 10\.00 mm\), but 3 were"):
         check_layer_count(scan(layers=3), layers, NEEDLE, HOME)
-    nothing = find_crossed_layers(NEEDLE, HOME, (sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT)
+    nothing = find_crossed_layers(
+        NEEDLE, HOME, (make_sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT
+    )
     with pytest.raises(DataError, match="but 2 were counted; the needle crosses no layer"):
         check_layer_count(scan(layers=2), nothing, NEEDLE, HOME)
 
@@ -474,10 +487,10 @@ def test_layers_drawn_around_the_needle_are_refused(end, tmp_path):
 def test_what_a_needle_passes_through_is_no_tunnel(tmp_path):
     """Whole layers; a vessel across; a ball of 3 mm; the edge of a box, 1 mm beside the needle."""
     whole = read_layers(scan(save(tmp_path / "whole.nrrd", labelled(without(lambda p: p[:, 0] > 99)))), HOME)
-    vessel = cylinder("vessel", ((0, -10, 0), (0, 10, 0)), 1.5, into=3)
+    vessel = make_cylinder("vessel", ((0, -10, 0), (0, 10, 0)), 1.5, into=3)
     ball = Surface("ball", trimesh.creation.icosphere(3, 3.0), "solid", 3)
     box = Surface("box", trimesh.creation.box((60, 20, 20), np.eye(4)), "solid", 3)
-    beside = moved(box, Frame(np.array([0.0, 11.0, 11.0]), np.eye(3)))
+    beside = transform_surface(box, Frame(np.array([0.0, 11.0, 11.0]), np.eye(3)))
     refuse_tunnels(scan(), (*whole, vessel, ball, beside), AXIS)
 
 
@@ -499,7 +512,7 @@ def test_layers_of_a_scan_go_through_a_dataset(slabs_file, tmp_path):
     needle = PATIENT.to_world(np.linspace(-9, 9, 73)[:, None] * NORMAL)
     direction = PATIENT.rotation @ NORMAL
     surfaces = read_layers(scan(slabs_file), PATIENT)
-    frame = entry_frame(needle[0], direction, PATIENT.rotation[:, 0])
+    frame = make_entry_frame(needle[0], direction, PATIENT.rotation[:, 0])
     layers = find_crossed_layers(needle, frame, surfaces, LayerErrors(0.1, np.full(73, 0.05)))
     listed = [{"file": f"layers/{{id}}_{s.name}.stl", "kind": s.kind, "into": s.into} for s in surfaces]
     row = InsertionRow(

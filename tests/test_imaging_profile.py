@@ -6,7 +6,7 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.special import ndtr
 
-from needlefit.geometry.frames import Frame, entry_frame
+from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.imaging.intensity_profile import find_tissue_edge, sample_profile
 from needlefit.imaging.reconstruction import IntensityProfile
 from needlefit.imaging.views import render_views
@@ -93,7 +93,7 @@ def test_no_edge_where_there_is_none(around):
 
 @pytest.mark.parametrize("tilt", [0.0, 20.0, 30.0])
 def test_a_face_is_found_where_the_needle_passes_however_it_slants(tilt):
-    box = entry_frame(cases.ENTRY, (np.sin(np.deg2rad(tilt)), 0, np.cos(np.deg2rad(tilt))), (0, 1, 0))
+    box = make_entry_frame(cases.ENTRY, (np.sin(np.deg2rad(tilt)), 0, np.cos(np.deg2rad(tilt))), (0, 1, 0))
     markers = SceneMarkers(np.array([[15.5, 11.0, 12.5], [11.0, 6.5, 16.0]]))
     scene = Scene3D((Needle3D(cases.axis()),), Phantom((14.0,)), (40.0, 90.0), box, markers)
     volume = render_scan(scene, Scanner(cases.grid(), noise_hu=50.0), np.random.default_rng(4))
@@ -106,7 +106,7 @@ def test_a_face_is_found_where_the_needle_passes_however_it_slants(tilt):
 
 def test_a_slanting_face_at_the_side_of_the_volume_stays_where_it_is():
     """Of the ring a third lies outside; the points opposite do not count either."""
-    box = entry_frame(cases.ENTRY, (0.4, 0, 1), (0, 1, 0))
+    box = make_entry_frame(cases.ENTRY, (0.4, 0, 1), (0, 1, 0))
     scene = Scene3D((), Phantom(()), (40.0,), box)
     cut = cases.grid(size=(31, 48, 60))  # ends 2.8 mm beside the needle
     volume = render_scan(scene, Scanner(cut, streaks=0, cupping_hu=0, noise_hu=20), np.random.default_rng(1))

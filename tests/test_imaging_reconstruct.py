@@ -7,7 +7,7 @@ from layer_cases import save_mesh
 from reconstruction_cases import small_scan
 
 from needlefit.errors import DataError
-from needlefit.geometry.surfaces import cylinder, sheet
+from needlefit.geometry.surfaces import make_cylinder, make_sheet
 from needlefit.imaging.reconstruct import reconstruct
 from needlefit.imaging.scan import LayerSource, Scan
 from needlefit.imaging.volume_files import write_volume
@@ -23,7 +23,7 @@ def scan(folder, mesh):
 
 
 def face(at):
-    return sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).mesh
+    return make_sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).mesh
 
 
 def test_the_tissue_s_own_surface_says_where_it_begins(tmp_path):
@@ -40,6 +40,6 @@ def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
 
 def test_a_surface_drawn_along_the_needle_is_refused(tmp_path):
     """A tube of 1.8 mm radius about it, of which only the ends are crossed."""
-    around = cylinder("own", (np.array([11.0, 11, FACE]), np.array([11.0, 12, FACE + 24])), 1.8, into=1)
+    around = make_cylinder("own", (np.array([11.0, 11, FACE]), np.array([11.0, 12, FACE + 24])), 1.8, into=1)
     with pytest.raises(DataError, match="run around the needle"):
         reconstruct(scan(tmp_path, around.mesh), cases.RECIPE)

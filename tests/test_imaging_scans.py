@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needlefit.errors import DataError
-from needlefit.geometry.surfaces import sheet, write_surface
+from needlefit.geometry.surfaces import make_sheet, write_surface
 from needlefit.imaging.scan import SCAN_COLUMNS, LayerSource, Scan
 from needlefit.imaging.scan_table import make_scans, read_scans, scan_id
 
@@ -20,7 +20,7 @@ def folder(tmp_path):
         (tmp_path / name).touch()
     (tmp_path / "series").mkdir()
     for name in ("skin", "core"):
-        write_surface(sheet(name, (0, 0, 0), (1, 0, 0), 50, into=2), tmp_path / f"{name}.stl")
+        write_surface(make_sheet(name, (0, 0, 0), (1, 0, 0), 50, into=2), tmp_path / f"{name}.stl")
     return tmp_path
 
 

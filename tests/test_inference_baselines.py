@@ -7,29 +7,29 @@ import pytest
 from inference_cases import insertion
 
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import integrate_curvature
 from needlefit.inference.baselines import curve_for, fit_baseline, fit_baselines
-from needlefit.mechanics.baselines import curve
 
 AT = np.linspace(0, 100, 21)
 
 
 def measured(depth, coefficients, side=1, points=801):
-    planar = curve(depth, [side * c for c in coefficients], np.linspace(0, depth, points))
+    planar = integrate_curvature(depth, [side * c for c in coefficients], np.linspace(0, depth, points))
     return replace(insertion(depth, side=side), planar=planar)
 
 
 def test_no_coefficients_are_a_straight_line():
-    assert curve(100.0, [], AT) == pytest.approx(np.column_stack([AT, 0 * AT]))
+    assert integrate_curvature(100.0, [], AT) == pytest.approx(np.column_stack([AT, 0 * AT]))
 
 
 def test_constant_curvature_is_a_circle():
     circle = 400 * np.column_stack([np.sin(AT / 400), 1 - np.cos(AT / 400)])
-    assert curve(100.0, [1 / 400], AT) == pytest.approx(circle, abs=1e-12)
+    assert integrate_curvature(100.0, [1 / 400], AT) == pytest.approx(circle, abs=1e-12)
 
 
 def test_linear_curvature_turns_by_its_integral_and_vanishes_at_the_tip():
     s = np.linspace(0, 100, 2001)
-    points = curve(100.0, [0.0, 2e-5], s)
+    points = integrate_curvature(100.0, [0.0, 2e-5], s)
     heading = np.unwrap(np.arctan2(*np.diff(points, axis=0).T[::-1]))
     assert heading[-1] == pytest.approx(2e-5 * 100**2 / 2, abs=1e-5)
     curvature = np.diff(heading) / np.diff(s)[0]
@@ -38,7 +38,7 @@ def test_linear_curvature_turns_by_its_integral_and_vanishes_at_the_tip():
 
 
 def test_before_the_entry_the_needle_is_straight():
-    assert curve(50.0, [0.01], [-10.0, 0.0]) == pytest.approx(np.array([[-10, 0], [0, 0]]))
+    assert integrate_curvature(50.0, [0.01], [-10.0, 0.0]) == pytest.approx(np.array([[-10, 0], [0, 0]]))
 
 
 @pytest.mark.parametrize("pose", ["known", "free"])
@@ -81,7 +81,7 @@ def test_unknown_names_and_empty_selections_are_errors():
 )
 def test_the_real_stereo_shapes_give_the_known_baselines():
     from needlefit.datasets.read import read
-    from needlefit.geometry.compare import compare
+    from needlefit.geometry.compare import compare_curves
     from needlefit.inference.comparison import scored_points
     from needlefit.project.locate import find_file
 
@@ -90,7 +90,7 @@ def test_the_real_stereo_shapes_give_the_known_baselines():
     deep = [i for i in shapes.insertions if i.depth == 120]
     fits = fit_baselines(pose, drop, [i for i in shapes.insertions if i.depth < 120])
     errors = {
-        name: np.mean([compare(*scored_points(pose, drop, i, curve_for(b, i))).mean for i in deep])
+        name: np.mean([compare_curves(*scored_points(pose, drop, i, curve_for(b, i))).mean for i in deep])
         for name, b in fits.items()
     }
     assert errors["straight"] == pytest.approx(0.59, abs=0.02)

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from inference_cases import insertion
 
-from needlefit.datasets.reach import reach_from_tip
+from needlefit.datasets.insertion import find_free_reach
 from needlefit.errors import DataError
 from needlefit.inference.comparison import scored_points, target
 
@@ -30,7 +30,7 @@ def line(length: float) -> np.ndarray:
 )
 def test_a_free_comparison_reaches_as_far_as_both_curves_less_the_drop(length, depth, drop, reach):
     scored = measured(depth, line(length))
-    assert reach_from_tip(drop, scored) == pytest.approx(reach)
+    assert find_free_reach(drop, scored) == pytest.approx(reach)
     goal = target("free", drop, scored, 11)
     np.testing.assert_allclose(goal.s, np.linspace(depth - reach, depth, 11))
     # in the axes of its entry side a straight needle lies on x, from the first scored point
@@ -40,10 +40,10 @@ def test_a_free_comparison_reaches_as_far_as_both_curves_less_the_drop(length, d
 
 
 def test_nothing_left_to_compare_names_the_insertion():
-    assert reach_from_tip(9.9, measured(10.0, line(30.0))) == pytest.approx(0.1)
+    assert find_free_reach(9.9, measured(10.0, line(30.0))) == pytest.approx(0.1)
     for planar, depth in ((line(10.0), 30.0), (line(30.0), 10.0)):
         with pytest.raises(DataError, match=f"at{depth:g}"):
-            reach_from_tip(10.0, measured(depth, planar))
+            find_free_reach(10.0, measured(depth, planar))
 
 
 def test_a_known_comparison_takes_equal_fractions_of_each_curves_own_length():

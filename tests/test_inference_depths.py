@@ -13,7 +13,7 @@ from needlefit.datasets.read import read
 from needlefit.inference.likelihood.evidence import evidence, whitened
 from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.predict import predict
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
@@ -33,7 +33,7 @@ def insertion(name):
 
 
 def white(known, one, s):
-    return whitened(known, positions(predict(VALUES, MEDIUM, TWIN.needle, one), s))
+    return whitened(known, compute_positions(predict(VALUES, MEDIUM, TWIN.needle, one), s))
 
 
 @cache

@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
-from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Noise
+from needlefit.datasets.select import group_independent
 from needlefit.inference.identifiability.identify import identify, tip_range
 from needlefit.inference.identifiability.information import (
     combination,
@@ -165,9 +165,9 @@ def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_coun
 
 
 def test_few_pieces_do_not_hide_their_insertions():
-    assert groups(["a", "b", "c"], ["piece", "piece", "piece"]) == ("a", "b", "c")
+    assert group_independent(["a", "b", "c"], ["piece", "piece", "piece"]) == ("a", "b", "c")
     holes = [f"hole{n // 2}" for n in range(10)]
-    assert groups([str(n) for n in range(10)], holes) == tuple(holes)
+    assert group_independent([str(n) for n in range(10)], holes) == tuple(holes)
 
 
 def test_where_nothing_is_free_there_is_nothing_to_say():

@@ -8,7 +8,7 @@ from compression_cases import MU, specimen
 from inference_cases import TRUTH, insertion, measure, medium, problem
 from test_inference_identify import FINE, fit_at
 
-from needlefit.datasets.compression_loading import Record, loading
+from needlefit.datasets.compression_loading import SpecimenRows, extract_loading
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.material import fit_specimen
@@ -54,8 +54,8 @@ def test_a_slow_error_is_not_hidden_by_noise_from_reading_to_reading():
     exact = specimen(-5.0, 0.7, count=20000)
     largest = np.abs(exact.stress).max()
     error = 0.005 * np.sin(np.linspace(0, 14, 20000)) + 0.005 * np.random.default_rng(1).normal(size=20000)
-    record = Record("gel", [], exact.stretch, exact.stress + largest * error)
-    fit = fit_specimen(loading(record), "nominal")
+    record = SpecimenRows("gel", [], exact.stretch, exact.stress + largest * error)
+    fit = fit_specimen(extract_loading(record), "nominal")
     assert fit.independent < 6 and fit.profile.regions[0][0] < -5 < fit.profile.regions[0][1]
 
 

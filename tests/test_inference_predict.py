@@ -8,7 +8,7 @@ from inference_cases import NEEDLE, TRUTH, insertion, medium
 
 from needlefit.inference.parameters import tissue
 from needlefit.inference.predict import predict
-from needlefit.mechanics.control import Bevel, Controls, Rules
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.simulate import simulate
@@ -34,7 +34,7 @@ def test_a_prediction_is_the_simulation_that_the_medium_describes() -> None:
     planned = insertion(31.3, (12.0,), (1, 2), -1)
     got = predict(TRUTH, unusual(*UNUSUAL), NEEDLE, planned)
     met = Tissue(mu=[0.3, 20.0], alpha=[1.0, -1.0], boundaries=[12.0], thickness=[3.0], law="neo_hookean")
-    meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), Rules(2.0, 1.0))
+    meant = simulate(NEEDLE, met, Bevel(0.08, -1), 31.3, Controls(), ModelOptions(2.0, 1.0))
     assert got.constraints[1, 0] == pytest.approx(1.3)  # 31.3 = 15 cells of 2 mm and 1.3 mm
     np.testing.assert_array_equal(got.u, meant.u)
 
@@ -75,7 +75,7 @@ def test_a_scene_s_angles_become_slopes_and_its_moduli_mpa() -> None:
     (step,) = scene.steps
     assert step.controls.base_y == 0.4 and step.controls.guides == ()
     assert step.controls.base_slope == pytest.approx(1 / math.sqrt(3))
-    assert (step.bevel, scene.rules, scene.depth) == (Bevel(0.07, -1), Rules(2.0, 0.5), 20.0)
+    assert (step.bevel, scene.rules, scene.depth) == (Bevel(0.07, -1), ModelOptions(2.0, 0.5), 20.0)
     assert scene.tissue.mu.tolist() == pytest.approx([0.2, 4.0])
     assert scene.tissue.alpha.tolist() == [3.0, -2.0]
     assert scene.tissue.boundaries.tolist() == [9.0]

@@ -12,7 +12,7 @@ from needlefit.inference.tracks.course import courses, tips
 from needlefit.inference.tracks.curves import fit_curve
 from needlefit.inference.tracks.evidence import track_evidence
 from needlefit.inference.tracks.foresight import Drawn, Slopes, ahead, slopes
-from needlefit.mechanics.control import Bevel, Guide, Rules
+from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.recipe import RecipeRecord
@@ -33,7 +33,7 @@ def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
     depth = DEPTH + beyond * (DEPTH > 0)
     (found,) = tips([TRUTH], MEDIUM, NEEDLE, [track("run", GUIDE, depth)])
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
-    session = Session(NEEDLE, gel, Bevel(0.03), rules=Rules())
+    session = Session(NEEDLE, gel, Bevel(0.03), rules=ModelOptions())
     for n, more in enumerate(np.diff(depth), start=1):
         shape = session.step(insert=float(more), guides=(Guide(-20.0, float(GUIDE[n])),))
         assert found[0, n] == pytest.approx(shape.deflection, abs=0.002)

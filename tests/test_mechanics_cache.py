@@ -13,15 +13,15 @@ from kernel_functions import kernel_functions
 from numba.core.dispatcher import Dispatcher
 
 from needlefit.mechanics.kernel import cache
-from needlefit.mechanics.kernel.grid import cell_of
+from needlefit.mechanics.kernel.grid import find_cell
 
 ARGUMENTS, CELL = (7.25, 0.5, 1.0), 8
 
 
 @pytest.fixture
 def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    monkeypatch.setattr(cache, "folder", lambda: cache.Folder(tmp_path))
-    monkeypatch.setattr(cache, "_not_kept", [])
+    monkeypatch.setattr(cache, "find_cache_folder", lambda: cache.CacheFolder(tmp_path))
+    monkeypatch.setattr(cache, "_unsaved", [])
     return tmp_path
 
 
@@ -49,8 +49,8 @@ def test_sums_that_may_be_reordered_are_compiled_once_for_each_function_that_pyt
 
 def fresh() -> Dispatcher:
     """Return a function as a new process has it: with nothing compiled."""
-    function = numba.njit(cache=True, nogil=True)(cell_of.py_func)
-    function._cache = cache.Cache(function._cache, "cell_of")
+    function = numba.njit(cache=True, nogil=True)(find_cell.py_func)
+    function._cache = cache.FileCache(function._cache, "find_cell")
     return function
 
 
@@ -88,7 +88,7 @@ def test_a_damaged_file_is_compiled_again(place, damage):
 def test_a_room_is_complete_only_if_all_of_it_could_be_kept(place, monkeypatch):
     cache.mark_complete("lanes")
     assert cache.is_complete("lanes") and not cache.is_complete("kernel")
-    monkeypatch.setattr(cache, "_not_kept", ["one"])
+    monkeypatch.setattr(cache, "_unsaved", ["one"])
     cache.mark_complete("kernel")
     assert not cache.is_complete("kernel")
 
@@ -97,13 +97,13 @@ FULL = """
 import resource
 resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096))
 from needlefit.mechanics.kernel import cache
-from needlefit.mechanics.kernel.grid import cell_of
-print(cell_of(7.25, 0.5, 1.0), len(cache._not_kept), cache.folder().why_temporary)
+from needlefit.mechanics.kernel.grid import find_cell
+print(find_cell(7.25, 0.5, 1.0), len(cache._unsaved), cache.find_cache_folder().why_temporary)
 """
 
 
 def test_on_a_full_disk_functions_run_as_they_were_compiled(tmp_path):
-    environment = {**os.environ, cache.VARIABLE: str(tmp_path)}
+    environment = {**os.environ, cache.CACHE_DIR_VARIABLE: str(tmp_path)}
     done = subprocess.run(
         [sys.executable, "-c", FULL], env=environment, capture_output=True, text=True, check=True
     )
@@ -111,9 +111,9 @@ def test_on_a_full_disk_functions_run_as_they_were_compiled(tmp_path):
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
-def chosen(monkeypatch: pytest.MonkeyPatch, place: Path | str) -> cache.Folder:
-    monkeypatch.setenv(cache.VARIABLE, str(place))
-    return cache.folder.__wrapped__()
+def chosen(monkeypatch: pytest.MonkeyPatch, place: Path | str) -> cache.CacheFolder:
+    monkeypatch.setenv(cache.CACHE_DIR_VARIABLE, str(place))
+    return cache.find_cache_folder.__wrapped__()
 
 
 def test_the_folder_is_the_user_s_own(tmp_path, monkeypatch):
@@ -139,4 +139,4 @@ def test_where_there_is_none_a_temporary_one_is_used_and_handed_to_children(tmp_
     found = chosen(monkeypatch, place)
     assert found.why_temporary and tmp_path not in found.path.parents
     assert stat.S_IMODE(found.path.stat().st_mode) == 0o700
-    assert os.environ[cache.VARIABLE] == str(found.path.parent)
+    assert os.environ[cache.CACHE_DIR_VARIABLE] == str(found.path.parent)

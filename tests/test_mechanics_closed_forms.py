@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from needlefit.mechanics.control import Controls, Rules
+from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import equilibrium
 from needlefit.mechanics.tissue import Tissue
@@ -58,7 +58,11 @@ def foundation_error(k: float, h: float) -> float:
     depth, length = 40.0, 60.0
     tissue = Tissue(mu=[k / 3], alpha=[1.0], law="linear")
     shape = equilibrium(
-        Needle(length, EI), tissue, grid(depth, 0.0), Controls(base_y=1.0), Rules(element=h, tolerance=1e-10)
+        Needle(length, EI),
+        tissue,
+        grid(depth, 0.0),
+        Controls(base_y=1.0),
+        ModelOptions(element=h, tolerance=1e-10),
     )
     inside = shape.x >= 0
     exact = beam_on_foundation(k, length - depth, depth, shape.x[inside])
@@ -86,7 +90,7 @@ def test_semi_infinite_limit_is_hetenyis_decaying_wave() -> None:
         Tissue(mu=[k / 3], alpha=[1.0], law="linear"),
         grid(80.0, 0.0),
         Controls(base_y=1.0),
-        Rules(element=0.25),
+        ModelOptions(element=0.25),
     )
     x = shape.x[1:]
     wave = np.exp(-beta * x) * (np.cos(beta * x) + np.sin(beta * x))

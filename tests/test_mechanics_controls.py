@@ -7,11 +7,11 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle(150.0, 1.0e4)
@@ -83,7 +83,7 @@ def test_a_base_before_a_free_guide_still_bends_the_needle_beyond() -> None:
 
 @pytest.mark.parametrize("x", [-30.0, -2.2, 6.3, 7.4])
 def test_a_free_guide_carries_no_moment_and_a_fixed_one_does(x: float) -> None:
-    rules = Rules(tolerance=1e-10)
+    rules = ModelOptions(tolerance=1e-10)
     free, fixed = (
         simulate(NEEDLE, TISSUE, BEVEL, 17.0, Controls(0.5, guides=(Guide(x, 0.2, slope, x > 0),)), rules)
         for slope in (None, -0.05)
@@ -102,14 +102,14 @@ def test_a_free_guide_carries_no_moment_and_a_fixed_one_does(x: float) -> None:
 @pytest.mark.parametrize("x", [3.0, 3.37, 0.2, 0.0])
 @pytest.mark.parametrize("slope", [None, 0.03])
 def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(element, x, slope) -> None:
-    controls, rules = Controls(guides=(Guide(x, 0.2, slope, True),)), Rules(1.0, element)
+    controls, rules = Controls(guides=(Guide(x, 0.2, slope, True),)), ModelOptions(1.0, element)
     lattice = Lattice(1.0, 1.0)
 
     def insert(depth: float) -> NeedleShape:
-        return follow(NEEDLE, TISSUE, (Step(depth, BEVEL, controls),), rules, lattice)
+        return simulate_steps(NEEDLE, TISSUE, (Step(depth, BEVEL, controls),), rules, lattice)
 
     shy, past, far = (insert(x + d) for d in (0.049, 0.051, 3.3))
-    without = follow(NEEDLE, TISSUE, (Step(shy.depth, BEVEL),), rules, lattice)
+    without = simulate_steps(NEEDLE, TISSUE, (Step(shy.depth, BEVEL),), rules, lattice)
     np.testing.assert_allclose(shy.u, without.u, atol=1e-10)
     for shape in (past, far):
         node = at(shape, x)
@@ -126,12 +126,12 @@ def test_a_guide_in_tissue_holds_once_the_tip_is_past_it_whatever_the_mesh(eleme
 @pytest.mark.parametrize("element", [1.0, 0.25])
 def test_a_tip_may_halt_on_a_guide(guides: tuple[Guide, ...], depths: tuple, element: float) -> None:
     """At its depth to the bit, a quarter of a millimetre before or behind it, coming from either side."""
-    rules, lattice = Rules(1.0, element), Lattice(1.0, 1.0)
+    rules, lattice = ModelOptions(1.0, element), Lattice(1.0, 1.0)
     steps = tuple(Step(depth, BEVEL, Controls(guides=guides)) for depth in depths)
     for n in range(1, len(steps) + 1):
-        fast = follow(NEEDLE, TISSUE, steps[:n], rules, lattice)
+        fast = simulate_steps(NEEDLE, TISSUE, steps[:n], rules, lattice)
         assert fast.converged
-    slow = reference.follow(NEEDLE, TISSUE, steps, rules, lattice)
+    slow = reference.simulate_steps(NEEDLE, TISSUE, steps, rules, lattice)
     np.testing.assert_array_equal(fast.x, slow.x)
     np.testing.assert_allclose(fast.u, slow.u, atol=1e-7)
     np.testing.assert_allclose(fast.constraints, slow.constraints, atol=1e-7)
@@ -149,7 +149,10 @@ def test_a_tracked_tip_is_where_it_was_seen(depth: float, slope: float | None) -
 @pytest.mark.parametrize("depth", [0.4, 5.0, 23.1])
 def test_the_stage_carries_the_base_along_its_axis(depth: float) -> None:
     steps = (Step(26.0, BEVEL, Controls(0.3, 0.01, 0.02)), Step(depth, BEVEL, Controls(0.3, 0.01, 0.02)))
-    for shape in (follow(NEEDLE, TISSUE, steps), simulate(NEEDLE, TISSUE, BEVEL, depth, steps[0].controls)):
+    for shape in (
+        simulate_steps(NEEDLE, TISSUE, steps),
+        simulate(NEEDLE, TISSUE, BEVEL, depth, steps[0].controls),
+    ):
         assert shape.x[0] == depth - 150
         assert shape.u[0] == 0.3 + 0.02 * depth
         assert shape.slope[0] == 0.01
@@ -162,7 +165,7 @@ def test_the_stage_carries_the_base_along_its_axis(depth: float) -> None:
 def test_the_first_point_lies_ahead_of_the_free_tip(depth, spacing, side, solve) -> None:
     """Load-free until it enters: c_1 = y + slope (L + x_1) + x_1 s b / C_int."""
     y, slope = 0.7, -0.004
-    rules = Rules(spacing, spacing)
+    rules = ModelOptions(spacing, spacing)
     shape = solve(NEEDLE, TISSUE, Bevel(0.1, side), depth, Controls(y, slope), rules)
     x_1 = shape.constraints[1, 0]
     expected = y + slope * (150 + x_1) + x_1 * side * 0.1 / spacing
@@ -191,7 +194,7 @@ def test_a_tilted_straight_needle_keeps_its_line() -> None:
     """As exactly as points every C_int can be nearest to it: twelve times better for a quarter of that."""
     off = []
     for spacing in (1.0, 0.5, 0.25):
-        shape = simulate(NEEDLE, TISSUE, Bevel(0.0), 20.0, tilted(0.02), Rules(spacing, spacing))
+        shape = simulate(NEEDLE, TISSUE, Bevel(0.0), 20.0, tilted(0.02), ModelOptions(spacing, spacing))
         off.append(np.max(np.abs(shape.u - 0.02 * shape.x)))
     assert off[0] < 0.02 / 2
     assert off[0] > off[1] > off[2] and off[0] > 12 * off[2]
@@ -214,7 +217,7 @@ def test_everything_mirrored_is_the_mirrored_needle() -> None:
             Step(15.0, Bevel(0.2, s), bound),
         )
 
-    left, right = (follow(NEEDLE, TISSUE, steps(s)) for s in (1, -1))
+    left, right = (simulate_steps(NEEDLE, TISSUE, steps(s)) for s in (1, -1))
     np.testing.assert_array_equal(left.u, -right.u)
     np.testing.assert_array_equal(left.constraints[:, 1], -right.constraints[:, 1])
 
@@ -223,7 +226,7 @@ def test_the_bevel_turned_halfway_bends_the_needle_twice() -> None:
     """Ten millimetres up, ten down: what was cut first stays, the slope at the tip turns its sign."""
     tissue = Tissue(mu=[33.0], alpha=[1.0])
     once = simulate(NEEDLE, tissue, Bevel(0.05, 1), 10.0)
-    twice = follow(NEEDLE, tissue, (Step(10.0, Bevel(0.05, 1)), Step(30.0, Bevel(0.05, -1))))
+    twice = simulate_steps(NEEDLE, tissue, (Step(10.0, Bevel(0.05, 1)), Step(30.0, Bevel(0.05, -1))))
     np.testing.assert_allclose(twice.constraints[:11], once.constraints, atol=1e-9)
     assert once.slope[-1] > 0.01 and twice.slope[-1] < -0.01
 
@@ -259,7 +262,7 @@ def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
     lambda: Controls(base_y=np.nan), lambda: Controls(stage_slope=np.inf), lambda: Guide(np.nan),
     lambda: Guide(-1.0, slope=np.nan), lambda: TrackedTip(np.inf), lambda: Bevel(np.nan),
     lambda: Bevel(0.1, 0), lambda: Bevel("a"), lambda: Guide("a"), lambda: Needle("a", 1.0),
-    lambda: Rules("a"), lambda: Step(None, BEVEL), lambda: Controls("a"), lambda: TrackedTip("a"),
+    lambda: ModelOptions("a"), lambda: Step(None, BEVEL), lambda: Controls("a"), lambda: TrackedTip("a"),
     lambda: Step(-1.0, BEVEL), lambda: Step(np.nan, BEVEL),
 ])  # fmt: skip
 def test_inputs_are_numbers(make) -> None:

@@ -6,11 +6,11 @@ from mechanics_cases import random_needle, random_rules, random_steps, random_ti
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.shape import NeedleShape, inserted_points, placed, positions
-from needlefit.mechanics.simulate import equilibrium, follow, simulate
+from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points, sample_inserted_points
+from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -30,7 +30,7 @@ def test_kernel_equals_reference(seed: int) -> None:
     rules = random_rules(rng)
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
     case = (needle, tissue, random_steps(rng, 0), rules)
-    assert_close(follow(*case), reference.follow(*case))
+    assert_close(simulate_steps(*case), reference.simulate_steps(*case))
 
 
 @pytest.mark.parametrize("seed", range(100, 130))
@@ -41,7 +41,7 @@ def test_kernel_equals_reference_along_many_steps(seed: int) -> None:
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, rng.choice([0.0, 0.3]))
     lattice = Lattice(rng.uniform(0.01, 1.0) * rules.spacing, rules.spacing)
     case = (needle, tissue, random_steps(rng, 5, deepest=11.0), rules, lattice)
-    assert_close(follow(*case), reference.follow(*case))
+    assert_close(simulate_steps(*case), reference.simulate_steps(*case))
 
 
 @pytest.mark.parametrize("depth", [19.63, 23.79, 44.0, 55.0])
@@ -49,7 +49,7 @@ def test_kernel_equals_reference_at_the_papers_depths(depth: float) -> None:
     tissue = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
     slow = reference.simulate(NEEDLE, tissue, Bevel(0.085), depth)
     for tolerance in (1e-7, 1e-10):
-        fast = simulate(NEEDLE, tissue, Bevel(0.085), depth, rules=Rules(tolerance=tolerance))
+        fast = simulate(NEEDLE, tissue, Bevel(0.085), depth, rules=ModelOptions(tolerance=tolerance))
         np.testing.assert_allclose(fast.u, slow.u, atol=tolerance)
 
 
@@ -59,7 +59,7 @@ def test_kernel_equals_reference_at_the_papers_depths(depth: float) -> None:
 )
 def test_the_bevel_turns_the_cut_once_per_constraint_spacing(solve, spacing, first, cut) -> None:
     """7.3 mm deep, b = 0.2 mm: the first cell is the remainder x_1, and its point lies at x_1 b / C_int."""
-    tissue, rules = Tissue(mu=[0.2], alpha=[1.0]), Rules(spacing, spacing / 2)
+    tissue, rules = Tissue(mu=[0.2], alpha=[1.0]), ModelOptions(spacing, spacing / 2)
     for side in (1, -1):
         found = solve(NEEDLE, tissue, Bevel(0.2, side), 7.3, rules=rules).constraints
         np.testing.assert_allclose(found[:2], [[0.0, 0.0], [first, side * cut]], atol=1e-12)
@@ -78,7 +78,7 @@ def test_newton_goes_on_until_nothing_moves(alpha: float, depth: float) -> None:
     state = np.column_stack((found.u, found.slope)).ravel()
     held = np.arange(len(state)) < 2
     again, used = reference.equilibrium(
-        NEEDLE, tissue, found.x, found.constraints, state, held, Rules(tolerance=np.inf)
+        NEEDLE, tissue, found.x, found.constraints, state, held, ModelOptions(tolerance=np.inf)
     )
     assert found.converged and used == 1
     np.testing.assert_allclose(again[0::2], found.u, atol=1e-10)
@@ -88,7 +88,9 @@ def test_newton_goes_on_until_nothing_moves(alpha: float, depth: float) -> None:
 def test_rounding_on_a_fine_mesh_in_soft_tissue_is_no_failure(element: float) -> None:
     """Increments there end at 1e-6 mm, which the tolerance does not get below; the tip is the same."""
     soft = Tissue(mu=[1e-3], alpha=[1.0])
-    fine, default = (simulate(NEEDLE, soft, Bevel(0.1), 50.0, rules=Rules(1.0, h)) for h in (element, 1.0))
+    fine, default = (
+        simulate(NEEDLE, soft, Bevel(0.1), 50.0, rules=ModelOptions(1.0, h)) for h in (element, 1.0)
+    )
     assert fine.converged
     assert fine.deflection == pytest.approx(default.deflection, abs=2e-4)
 
@@ -139,7 +141,7 @@ def test_too_few_iterations_is_not_converged() -> None:
         Tissue(mu=[0.2], alpha=[1.0]),
         Bevel(0.1),
         10.0,
-        rules=Rules(tolerance=1e-14, max_iterations=1),
+        rules=ModelOptions(tolerance=1e-14, max_iterations=1),
     )
     assert shape.status == "not converged"
 
@@ -153,7 +155,7 @@ def test_positions_keep_the_length() -> None:
     """Along (x, y) the arc length from entry to tip is the depth, to third order in the slope."""
     tissue = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28, 45])
     shape = simulate(NEEDLE, tissue, Bevel(0.085), 55.0)
-    points = positions(shape, np.linspace(0, 55, 5001))
+    points = compute_positions(shape, np.linspace(0, 55, 5001))
     length = np.sum(np.hypot(*np.diff(points, axis=0).T))
     assert abs(length - 55.0) < 2e-3
     assert 0.05 < 55.0 - points[-1, 0] < 0.3  # the tip lags
@@ -162,7 +164,7 @@ def test_positions_keep_the_length() -> None:
 def test_positions_of_a_straight_tilted_needle_are_exact() -> None:
     """No bevel and a guide-free, tilted base in almost nothing: a straight line of slope 0.1."""
     shape = simulate(NEEDLE, Tissue(mu=[1e-12], alpha=[1.0]), Bevel(0.0), 30.0, Controls(base_slope=0.1))
-    points = positions(shape, np.array([0.0, 30.0]))
+    points = compute_positions(shape, np.array([0.0, 30.0]))
     advance = points[1] - points[0]
     np.testing.assert_allclose(advance, [30.0 / np.sqrt(1.01), 3.0], rtol=1e-7)
 
@@ -170,17 +172,17 @@ def test_positions_of_a_straight_tilted_needle_are_exact() -> None:
 def test_points_are_drawn_as_far_from_the_needle_as_the_model_knows_them() -> None:
     """A steep needle falls short of its beam coordinate by centimetres, and what belongs to it with it."""
     shape = simulate(NEEDLE, Tissue(mu=[33.0], alpha=[1.0]), Bevel(0.2), 100.0)
-    needle = positions(shape, shape.x)
-    np.testing.assert_array_equal(placed(shape, np.column_stack((shape.x, shape.u))), needle)
+    needle = compute_positions(shape, shape.x)
+    np.testing.assert_array_equal(map_beam_points(shape, np.column_stack((shape.x, shape.u))), needle)
     assert shape.x[-1] - needle[-1, 0] > 10.0
     offsets = np.array([0.3, -0.2])
-    beside = placed(shape, np.column_stack((shape.x[-2:], shape.u[-2:] + offsets)))
+    beside = map_beam_points(shape, np.column_stack((shape.x[-2:], shape.u[-2:] + offsets)))
     np.testing.assert_allclose(beside - needle[-2:], np.column_stack(([0.0, 0.0], offsets)), atol=1e-12)
 
 
 def test_inserted_points_begin_at_the_entry_and_end_at_the_tip() -> None:
     shape = simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1), 30.25)
-    points = inserted_points(shape, 7)
+    points = sample_inserted_points(shape, 7)
     assert points.shape == (7, 2)
     assert points[-1, 1] == pytest.approx(shape.deflection)
     assert -0.01 < points[0, 0] <= 0.0  # the free span lags by a little too
@@ -190,17 +192,23 @@ def test_inserted_points_begin_at_the_entry_and_end_at_the_tip() -> None:
 def test_elements_so_short_that_rounding_wins_are_refused(rules) -> None:
     """1 kPa tissue with 0.02 mm elements would be 3 % off, and look converged."""
     with pytest.raises(ModelError, match=r"elements of 0\.04 mm"):
-        Rules(*rules)
+        ModelOptions(*rules)
 
 
 def test_a_guess_beyond_what_tissue_bears_is_not_the_answer() -> None:
     """The base moves by more than t before the first cell; the needle finds its place, and stays there."""
     tissue = Tissue(mu=[33.0], alpha=[1.0], thickness=[5.0])
-    found = follow(NEEDLE, tissue, (Step(3.0, Bevel(0.05), Controls(base_y=5.1)),))
+    found = simulate_steps(NEEDLE, tissue, (Step(3.0, Bevel(0.05), Controls(base_y=5.1)),))
     assert found.converged and 3.0 < found.deflection < 5.0
     state = np.column_stack((found.u, found.slope)).ravel()
     again, used = reference.equilibrium(
-        NEEDLE, tissue, found.x, found.constraints, state, np.arange(len(state)) < 2, Rules(tolerance=np.inf)
+        NEEDLE,
+        tissue,
+        found.x,
+        found.constraints,
+        state,
+        np.arange(len(state)) < 2,
+        ModelOptions(tolerance=np.inf),
     )
     assert used == 1
     np.testing.assert_allclose(again, state, atol=1e-7)

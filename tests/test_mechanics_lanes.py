@@ -14,12 +14,12 @@ from mechanics_cases import random_batch, random_steps
 from needlefit.errors import ModelError
 from needlefit.mechanics import lanes, reference
 from needlefit.mechanics.batch import Batch, NeedleShapes
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.kernel.lanes import passes
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -30,7 +30,7 @@ THERE_AND_BACK = (WIDE, replace(WIDE, depth=5.6), TURN)
 
 
 def one(batch: Batch, threads: int | None = None) -> NeedleShapes:
-    (shapes,) = follow_batches([batch], threads)
+    (shapes,) = simulate_batches([batch], threads)
     return shapes
 
 
@@ -66,7 +66,7 @@ def test_every_set_is_what_the_scalar_kernel_gives(seed: int) -> None:
     shapes = one(batch)
     assert shapes.converged.all()
     for i in range(len(batch)):
-        assert_close(shapes[i], follow(*batch.one(i)))
+        assert_close(shapes[i], simulate_steps(*batch.pick(i)))
 
 
 @pytest.mark.parametrize("seed", [*range(100, 107), *range(108, 113)])
@@ -74,7 +74,7 @@ def test_every_set_is_what_the_reference_gives(seed: int) -> None:
     batch = random_batch(np.random.default_rng(seed), 2)
     shapes = one(batch)
     for i in range(len(batch)):
-        assert_close(shapes[i], reference.follow(*batch.one(i)))
+        assert_close(shapes[i], reference.simulate_steps(*batch.pick(i)))
 
 
 @pytest.mark.parametrize("first", [1e-4, 0.2, 0.55, 0.7, 1.0])
@@ -83,10 +83,10 @@ def test_each_set_may_have_its_guide_elsewhere_wherever_the_first_nodes_lie(firs
     """Half-millimetre elements: at 0.2 and 0.55 mm the first node stands too near the entry for another."""
     guided = Controls(base_y=0.2, guides=(Guide(-9.0, 0.1, slope),))
     steps, x = (Step(9 + first, Bevel(0.1), guided),), np.array([-3.0, -9.0, -30.0, -101.0])
-    batch = Batch(NEEDLE, TISSUE, steps, Rules(1.0, 0.5), guide_x=x)
+    batch = Batch(NEEDLE, TISSUE, steps, ModelOptions(1.0, 0.5), guide_x=x)
     shapes = one(batch)
     for i in range(4):
-        assert_close(shapes[i], follow(*batch.one(i)))
+        assert_close(shapes[i], simulate_steps(*batch.pick(i)))
         assert shapes[i].x[1] == x[i] and shapes[i].u[1] == pytest.approx(0.1, abs=1e-14)
 
 
@@ -94,7 +94,7 @@ def test_ordinary_sets_never_ask_the_scalar_kernel(monkeypatch: pytest.MonkeyPat
     def refuse(*_) -> None:
         raise AssertionError
 
-    monkeypatch.setattr(lanes, "follow", refuse)
+    monkeypatch.setattr(lanes, "simulate_steps", refuse)
     rng = np.random.default_rng(0)
     mu = 10 ** rng.uniform(-1.5, 1.5, (50, 2))
     batch = Batch(NEEDLE, TISSUE, THERE_AND_BACK, mu=mu, offset=rng.uniform(0, 0.1, 50))
@@ -198,7 +198,7 @@ def test_a_set_that_leaves_the_series_goes_on_alone_and_exactly() -> None:
     batch = thin([0.05, 0.001, 0.05, 0.002], 1.0)
     shapes = one(batch)
     for i in (0, 2):
-        alone = follow(*batch.one(i))
+        alone = simulate_steps(*batch.pick(i))
         assert np.max(np.abs(np.interp(alone.x, *alone.constraints.T) - alone.u)[1:]) > 0.05
         assert_same_bits(shapes[i], alone)
     assert_same_bits(part(shapes, np.array([1, 3])), one(thin([0.001, 0.002], 1.0)))
@@ -217,7 +217,7 @@ def test_inputs_that_lanes_do_not_know_go_through_the_scalar_kernel(controls: Co
     batch = Batch(NEEDLE, TISSUE, (Step(9.6, Bevel(0.1), controls),), mu=[[0.3, 3.0], [2.0, 20.0]])
     shapes = one(batch)
     for i in range(2):
-        assert_same_bits(shapes[i], follow(*batch.one(i)))
+        assert_same_bits(shapes[i], simulate_steps(*batch.pick(i)))
 
 
 def test_different_insertions_come_back_in_their_order() -> None:
@@ -230,19 +230,19 @@ def test_different_insertions_come_back_in_their_order() -> None:
     ]
     batches.append(Batch(NEEDLE, TISSUE, random_steps(rng, 3), offset=[0.01, 0.02]))
     batches.append(thin([0.2, 0.001], 0.05))
-    found = follow_batches(batches)
+    found = simulate_batches(batches)
     assert [len(shapes) for shapes in found] == [*sizes, 2, 2]
     assert [shapes[0].depth for shapes in found[:6]] == depths
     for batch, shapes in zip(batches, found, strict=True):
         assert_same_bits(shapes, one(batch, 1))
-    assert follow_batches([]) == ()
+    assert simulate_batches([]) == ()
 
 
 def test_shapes_are_shapes() -> None:
     batch = broad(3)
     shapes = one(batch)
     assert len(shapes) == len(batch) == 3 and isinstance(shapes[1], NeedleShape)
-    assert_same_bits(NeedleShapes.of([shapes[i] for i in range(3)]), shapes)
+    assert_same_bits(NeedleShapes.from_shapes([shapes[i] for i in range(3)]), shapes)
 
 
 @pytest.mark.parametrize(
@@ -266,15 +266,15 @@ def test_a_guide_that_the_base_would_reach_is_the_failure_of_its_set_alone() -> 
     """So are guides that stand nowhere; the others do not notice."""
     steps = (Step(50.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
     places = [-5.0, -100.0, np.inf, -50.0, -np.inf, 0.0, np.nan, 1e300]
-    (shapes,) = follow_batches([Batch(NEEDLE, TISSUE, steps, guide_x=places)])
-    (alone,) = follow_batches([Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, -50.0])])
+    (shapes,) = simulate_batches([Batch(NEEDLE, TISSUE, steps, guide_x=places)])
+    (alone,) = simulate_batches([Batch(NEEDLE, TISSUE, steps, guide_x=[-5.0, -50.0])])
     assert shapes.converged.tolist() == [True, False, False, True, False, False, False, False]
     assert shapes.failures == {"non-finite": 6}
     np.testing.assert_array_equal(shapes.u[[0, 3]], alone.u)
 
 
 PACKED = ("full_regular", "chord_regular", "full_interval", "chord_interval", "full_sums", "chord_sums",
-          "last_node", "back")  # fmt: skip
+          "solve_tip", "substitute_back")  # fmt: skip
 
 
 @pytest.mark.parametrize("name", PACKED)

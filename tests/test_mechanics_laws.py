@@ -27,7 +27,7 @@ def modulus(law: str, alpha: float, stretch: np.ndarray) -> np.ndarray:
     return 2 * (stretch ** (alpha - 1) + 0.5 * stretch ** (-alpha / 2 - 1))
 
 
-@pytest.mark.parametrize("law", laws.names())
+@pytest.mark.parametrize("law", laws.list_laws())
 @pytest.mark.parametrize("thickness", [0.3, 5.0, 40.0, 80.0])
 def test_the_polynomial_is_the_law_as_far_as_it_is_used(law: str, thickness: float) -> None:
     """To 1e-9 of k, and its tangent d(k e)/de to 1e-7, over the widest prior."""
@@ -101,7 +101,7 @@ def sister(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
     """Put one more file into the folder of laws."""
     (tmp_path / "sister.py").write_text("def terms(alpha):\n    return [(3.0, -alpha), (0.5, 2.0)]\n")
     monkeypatch.setattr(laws, "__path__", [*laws.__path__, str(tmp_path)])
-    caches = (laws.names, laws.term_slopes, laws._at_zero)
+    caches = (laws.list_laws, laws.term_slopes, laws._make_terms_at_zero)
     for cached in caches:
         cached.cache_clear()
     yield "sister"
@@ -112,7 +112,7 @@ def sister(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 def test_a_law_is_one_file(sister: str) -> None:
     """It is found by its name, and neither reference nor kernel needs to be told."""
-    assert sister in laws.names()
+    assert sister in laws.list_laws()
     tissue = Tissue(mu=[0.5], alpha=[4.0], thickness=[2.0], law=sister)
     case = (NEEDLE, tissue, Bevel(0.1), 9.0, BASE)
     fast, slow = simulate(*case), reference.simulate(*case)

@@ -8,11 +8,11 @@ import pytest
 from mechanics_cases import random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
-from needlefit.mechanics.load import Loads, lateral_load, loads
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.load import Loads, compute_lateral_load, compute_loads
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import equilibrium, follow, simulate
+from needlefit.mechanics.simulate import equilibrium, simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 EI = 1.0e4
@@ -20,13 +20,13 @@ NEEDLE = Needle(150.0, EI)
 LAYERS = Tissue(
     mu=[0.02, 0.4, 0.1], alpha=[3.0, -4.0, 8.0], boundaries=[9.3, 21.0], thickness=[40.0, 8.0, 15.0]
 )
-SHARP = Rules(tolerance=1e-11)
+SHARP = ModelOptions(tolerance=1e-11)
 
 
 def unbalanced(found: Loads) -> tuple[float, float]:
     """Return the sums of forces, and of moments about the entry, over the sums of their sizes."""
-    forces = [held.force for held in found.everything]
-    moments = [part for held in found.everything for part in (held.moment, held.x * held.force)]
+    forces = [held.force for held in found.all_loads]
+    moments = [part for held in found.all_loads for part in (held.moment, held.x * held.force)]
     return abs(math.fsum(forces)) / sum(map(abs, forces)), abs(math.fsum(moments)) / sum(map(abs, moments))
 
 
@@ -39,7 +39,7 @@ def in_straight_cut(needle: Needle, k: float, depth: float, controls: Controls) 
     points = np.column_stack((np.arange(depth + 0.5), np.zeros(int(depth) + 1)))
     shape = equilibrium(needle, linear(k), points, controls, SHARP)
     assert shape.converged
-    return shape, loads(shape, linear(k), needle, controls, SHARP)
+    return shape, compute_loads(shape, linear(k), needle, controls, SHARP)
 
 
 # ---- closed forms ----
@@ -48,8 +48,8 @@ def in_straight_cut(needle: Needle, k: float, depth: float, controls: Controls) 
 def test_before_the_tissue_a_free_guide_bends_the_needle_as_a_propped_cantilever() -> None:
     """A cantilever of length a is moved by y under F = 3 EI y / a^3; its clamp bears -F and -F a."""
     controls, a, y = Controls(guides=(Guide(-30.0, 0.4, None),)), 120.0, 0.4
-    shape = follow(NEEDLE, LAYERS, (Step(0.0, Bevel(0.1), controls),))
-    found = loads(shape, LAYERS, NEEDLE, controls)
+    shape = simulate_steps(NEEDLE, LAYERS, (Step(0.0, Bevel(0.1), controls),))
+    found = compute_loads(shape, LAYERS, NEEDLE, controls)
     force = 3 * EI * y / a**3
     assert found.guides[0].force == pytest.approx(force)
     assert (found.base.x, found.base.force) == (-150.0, pytest.approx(-force))
@@ -60,8 +60,8 @@ def test_before_the_tissue_a_free_guide_bends_the_needle_as_a_propped_cantilever
 def test_a_guide_that_clamps_the_needle_bears_a_moment_too() -> None:
     """Both ends clamped, one moved aside by y: 12 EI y / a^3 and 6 EI y / a^2."""
     controls, a, y = Controls(guides=(Guide(-30.0, 0.4),)), 120.0, 0.4
-    shape = follow(NEEDLE, LAYERS, (Step(0.0, Bevel(0.1), controls),))
-    found = loads(shape, LAYERS, NEEDLE, controls)
+    shape = simulate_steps(NEEDLE, LAYERS, (Step(0.0, Bevel(0.1), controls),))
+    found = compute_loads(shape, LAYERS, NEEDLE, controls)
     assert found.guides[0].force == pytest.approx(12 * EI * y / a**3)
     assert found.guides[0].moment == pytest.approx(found.base.moment) == pytest.approx(-6 * EI * y / a**2)
 
@@ -89,7 +89,7 @@ def test_a_guide_deep_in_even_tissue_bears_what_hetenyis_infinite_beam_does() ->
     s = np.linspace(20.0, 100.0, 41)
     x = beta * np.abs(s - at)
     exact = -k * y * np.exp(-x) * (np.cos(x) + np.sin(x))
-    np.testing.assert_allclose(lateral_load(shape, linear(k), s), exact, atol=1e-5 * k * y)
+    np.testing.assert_allclose(compute_lateral_load(shape, linear(k), s), exact, atol=1e-5 * k * y)
 
 
 def test_a_tracked_tip_held_aside_bears_the_end_load_of_a_semi_infinite_beam() -> None:
@@ -101,14 +101,14 @@ def test_a_tracked_tip_held_aside_bears_the_end_load_of_a_semi_infinite_beam() -
     assert (free.tip.force, free.tip.moment) == (pytest.approx(2 * beta**3 * EI * y, rel=1e-5), 0.0)
     assert clamped.tip.force == pytest.approx(4 * beta**3 * EI * y, rel=1e-5)
     assert clamped.tip.moment == pytest.approx(-2 * beta**2 * EI * y, rel=1e-4)
-    assert clamped.tip_force == clamped.tip.force + clamped.at_tip
+    assert clamped.tip_force == clamped.tip.force + clamped.tip_region_force
 
 
 def test_the_tip_presses_against_its_cut() -> None:
     """The bevel lays the cut aside, toward its side; there the tissue pulls the tip."""
     for side in (1, -1):
         shape = simulate(NEEDLE, LAYERS, Bevel(0.2, side), 30.0)
-        assert side * loads(shape, LAYERS, NEEDLE, Controls()).tip_force > 0
+        assert side * compute_loads(shape, LAYERS, NEEDLE, Controls()).tip_force > 0
 
 
 # ---- laws ----
@@ -119,22 +119,22 @@ def test_everything_on_the_needle_balances(seed: int) -> None:
     """Any layers, laws, friction, guides before and in the tissue, tracked tips, retraction, meshes."""
     rng = np.random.default_rng(seed)
     rules = random_rules(rng)
-    rules = Rules(rules.spacing, rules.element, 1e-11, switch=float(rng.choice([0.0, 0.3, 0.5, 1.0])))
+    rules = ModelOptions(rules.spacing, rules.element, 1e-11, switch=float(rng.choice([0.0, 0.3, 0.5, 1.0])))
     needle, tissue = random_needle(rng, rules), random_tissue(rng, rules, friction=1.0)
     steps = random_steps(rng, 2)
-    shape = follow(needle, tissue, steps, rules)
+    shape = simulate_steps(needle, tissue, steps, rules)
     if not shape.converged:
         pytest.skip(shape.status)
-    found = loads(shape, tissue, needle, steps[-1].controls, rules)
+    found = compute_loads(shape, tissue, needle, steps[-1].controls, rules)
     assert max(unbalanced(found)) < 1e-6
 
 
 @pytest.mark.parametrize("switch", [0.0, 0.5, 0.7])
 def test_the_load_is_that_of_the_reference(switch: float) -> None:
     tissue = Tissue(LAYERS.mu, LAYERS.alpha, LAYERS.boundaries, LAYERS.thickness, np.array([0.5, 2.0, 1.0]))
-    rules, controls = Rules(switch=switch), Controls(base_slope=0.1)
+    rules, controls = ModelOptions(switch=switch), Controls(base_slope=0.1)
     shape = simulate(NEEDLE, tissue, Bevel(0.2), 27.4, controls, rules)
-    change = reference.changes(shape.constraints[:, 0], switch)
+    change = reference.change_depths(shape.constraints[:, 0], switch)
     x, weight = reference.quadrature(shape.x, change, tissue.boundaries)
     value, slope = (
         rows @ np.column_stack((shape.u, shape.slope)).ravel()
@@ -144,20 +144,20 @@ def test_the_load_is_that_of_the_reference(switch: float) -> None:
     e = value - shape.constraints[np.searchsorted(change, x), 1]
     k, _ = reference.modulus(tissue, layer, 1 - np.abs(e) / tissue.thickness[layer])
     expected = -k * e * (1 - tissue.friction[layer] * np.sin(np.arctan(slope)) ** 2)
-    found = loads(shape, tissue, NEEDLE, controls, rules)
+    found = compute_loads(shape, tissue, NEEDLE, controls, rules)
     np.testing.assert_allclose(found.s, x, atol=1e-12)
     np.testing.assert_allclose(found.weight, weight, atol=1e-12)
     np.testing.assert_allclose(found.load, expected, rtol=1e-9, atol=1e-12)
-    np.testing.assert_allclose(lateral_load(shape, tissue, x, rules), expected, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(compute_lateral_load(shape, tissue, x, rules), expected, rtol=1e-9, atol=1e-12)
 
 
 def test_there_is_no_load_before_the_tissue_nor_in_a_guide_not_yet_reached() -> None:
     controls = Controls(guides=(Guide(-20.0), Guide(25.0, 0.3, 0.0, in_tissue=True)))
     shape = simulate(NEEDLE, LAYERS, Bevel(0.2), 20.0, controls)
-    found = loads(shape, LAYERS, NEEDLE, controls)
+    found = compute_loads(shape, LAYERS, NEEDLE, controls)
     assert [held.x for held in found.guides] == [-20.0, 25.0]
     assert (found.guides[1].force, found.guides[1].moment) == (0.0, 0.0)
-    assert lateral_load(shape, LAYERS, np.array([-100.0, -20.0, -1e-6])).tolist() == [0.0, 0.0, 0.0]
+    assert compute_lateral_load(shape, LAYERS, np.array([-100.0, -20.0, -1e-6])).tolist() == [0.0, 0.0, 0.0]
 
 
 def test_of_a_failed_solution_nothing_is_known() -> None:
@@ -165,7 +165,7 @@ def test_of_a_failed_solution_nothing_is_known() -> None:
     controls = Controls(base_y=30.0, guides=(Guide(-0.5, 30.0),))
     shape = simulate(NEEDLE, tissue, Bevel(0.1), 20.0, controls)
     assert not shape.converged
-    found = loads(shape, tissue, NEEDLE, controls)
+    found = compute_loads(shape, tissue, NEEDLE, controls)
     assert np.isnan([found.base.force, found.guides[0].force, found.tip_force]).all()
 
 
@@ -175,6 +175,6 @@ def test_a_window_that_draws_sixty_times_a_second_can_ask_each_time() -> None:
     best = math.inf
     for _ in range(50):
         begun = time.perf_counter()
-        loads(shape, LAYERS, NEEDLE, Controls())
+        compute_loads(shape, LAYERS, NEEDLE, Controls())
         best = min(best, time.perf_counter() - begun)
     assert best < 2e-4

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
@@ -21,7 +21,9 @@ def phantom(boundaries: tuple[float, ...] = (20.0, 28.0, 45.0)) -> Tissue:
 
 
 def tip(depth: float, boundaries: tuple[float, ...] = (20.0, 28.0, 45.0), element: float = 1.0) -> float:
-    return simulate(NEEDLE, phantom(boundaries), Bevel(0.085), depth, rules=Rules(element=element)).deflection
+    return simulate(
+        NEEDLE, phantom(boundaries), Bevel(0.085), depth, rules=ModelOptions(element=element)
+    ).deflection
 
 
 @settings(deadline=None, max_examples=25)
@@ -87,7 +89,7 @@ def test_one_more_modulus_bends_more_in_stiff_tissue() -> None:
 
 def test_laws_agree_where_they_must() -> None:
     """k(1) = 3 mu for every law; neo-Hookean is Ogden at alpha = 2."""
-    for law in laws.names():
+    for law in laws.list_laws():
         coefficients, _ = laws.power_terms(law, np.array([-7.3, 2.0]))
         np.testing.assert_allclose(coefficients.sum(axis=1), 3.0)
     c, q = laws.power_terms("ogden", np.array([2.0]))
@@ -134,6 +136,8 @@ def test_a_wrong_layer_is_named_with_its_value(wrong, told):
     ("spacing", "element"), [(1.0, 1.0), (0.5, 0.5), (0.3, 0.3), (1.5, 0.75), (2.0, 1.0), (2.5, 2.5 / 3)]
 )
 def test_a_record_s_mesh_divides_its_spacing_into_elements_of_up_to_1_mm(spacing, element):
-    assert Rules.from_record(RulesRecord(constraint_spacing_mm=spacing)).element == pytest.approx(element)
+    assert ModelOptions.from_record(RulesRecord(constraint_spacing_mm=spacing)).element == pytest.approx(
+        element
+    )
     given = RulesRecord(constraint_spacing_mm=spacing, element_mm=spacing / 4)
-    assert Rules.from_record(given).element == pytest.approx(spacing / 4)
+    assert ModelOptions.from_record(given).element == pytest.approx(spacing / 4)

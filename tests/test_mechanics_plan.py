@@ -3,9 +3,19 @@
 import pytest
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, Move, Position, Ray, advance, lattice_of, plan, rays, stops_of
+from needlefit.mechanics.plan import (
+    Lattice,
+    Move,
+    Position,
+    Ray,
+    list_rays,
+    make_lattice,
+    make_stops,
+    plan_move,
+    plan_stops,
+)
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 
@@ -14,8 +24,8 @@ HALF = Lattice(0.5, 1.0)  # points at 0, 0.5, 1.5, 2.5 ...
 
 def stops(*moves: tuple[float, int, int], lattice: Lattice = HALF) -> list[tuple]:
     """Return tip, cell, permanent, ray, opens, cut, held of the stops of moves (depth, cut, held)."""
-    found = stops_of(tuple(Move(*move) for move in moves), lattice)
-    return [(s.tip, s.cell, s.permanent, s.ray, s.opens, s.cut, s.held) for s in found]
+    found = make_stops(tuple(Move(*move) for move in moves), lattice)
+    return [(s.tip, s.cell, s.permanent, s.ray, s.starts_ray, s.bevel_id, s.controls_id) for s in found]
 
 
 def entry(held: int = 0) -> tuple:
@@ -147,13 +157,13 @@ def test_depths_nearer_than_a_millionth_of_a_micrometre_are_the_same() -> None:
 
 
 def test_a_position_remembers_the_rays_from_the_entry_on() -> None:
-    position, found = advance(Position(), Move(0.9, 7, 3), HALF)
+    position, found = plan_move(Position(), Move(0.9, 7, 3), HALF)
     assert found[-1] == position.last and len(found) == 3
-    assert rays(position) == [Ray(0.0, 7, 3, 0), Ray(0.5, 7, 3, 1)] and not position.turned
-    turned, none = advance(position, Move(0.9, 8, 3), HALF)
-    assert none == [] and turned.turned and turned.last == position.last
-    onward, _ = advance(turned, Move(1.2, 8, 3), HALF)
-    assert rays(onward) == [*rays(position), Ray(0.9, 8, 3, 2)] and not onward.turned
+    assert list_rays(position) == [Ray(0.0, 7, 3, 0), Ray(0.5, 7, 3, 1)] and not position.inputs_changed
+    turned, none = plan_move(position, Move(0.9, 8, 3), HALF)
+    assert none == [] and turned.inputs_changed and turned.last == position.last
+    onward, _ = plan_move(turned, Move(1.2, 8, 3), HALF)
+    assert list_rays(onward) == [*list_rays(position), Ray(0.9, 8, 3, 2)] and not onward.inputs_changed
 
 
 def test_steps_with_equal_inputs_are_held_by_the_same() -> None:
@@ -161,7 +171,7 @@ def test_steps_with_equal_inputs_are_held_by_the_same() -> None:
     moved = Controls(base_y=1.0)
     steps = (Step(0.5, Bevel(0.1)), Step(1.5, Bevel(0.1), moved), Step(2.5, Bevel(0.1, -1)),
              Step(3.5, Bevel(0.1), moved))  # fmt: skip
-    found = [(s.tip, s.cut, s.held) for s in plan(steps, HALF, 150.0)]
+    found = [(s.tip, s.bevel_id, s.controls_id) for s in plan_stops(steps, HALF, 150.0)]
     assert found == [
         (0.0, 0, 0), (0.5, 0, 0), (0.5, 0, 1), (1.5, 0, 1),
         (1.5, 0, 0), (2.5, 2, 0), (2.5, 2, 1), (3.5, 0, 1),
@@ -170,7 +180,7 @@ def test_steps_with_equal_inputs_are_held_by_the_same() -> None:
 
 def test_the_lattice_of_an_insertion_ends_with_its_last_step() -> None:
     def first(*depths: float, spacing: float = 1.0) -> float:
-        return lattice_of([Step(depth, Bevel(0.1)) for depth in depths], Rules(spacing)).first_cell
+        return make_lattice([Step(depth, Bevel(0.1)) for depth in depths], ModelOptions(spacing)).first_cell
 
     assert first(19.63) == pytest.approx(0.63)
     assert first(3.0) == 1.0 and first(0.2) == 0.2
@@ -189,19 +199,19 @@ def test_lattice_depths_and_cells() -> None:
 )
 def test_the_base_stays_before_guides_and_tissue(depth: float, guides: tuple[Guide, ...]) -> None:
     with pytest.raises(ModelError, match=f"cannot be inserted {depth:g} mm"):
-        plan((Step(1.0, Bevel(0.1)), Step(depth, Bevel(0.1), Controls(guides=guides))), HALF, 150.0)
+        plan_stops((Step(1.0, Bevel(0.1)), Step(depth, Bevel(0.1), Controls(guides=guides))), HALF, 150.0)
 
 
 def test_a_needle_that_ends_before_its_guide_is_called_too_short() -> None:
     guides = Controls(guides=(Guide(-15.0),))
     with pytest.raises(ModelError, match=r"needle of 0\.15 mm does not even reach the tissue") as fault:
-        plan((Step(40.0, Bevel(0.1), guides),), HALF, 0.15)
+        plan_stops((Step(40.0, Bevel(0.1), guides),), HALF, 0.15)
     assert fault.value.expected == "a needle longer than 55 mm to go 40 mm deep"
 
 
 def test_no_steps_are_no_insertion() -> None:
     with pytest.raises(ModelError, match="without steps"):
-        plan((), HALF, 150.0)
+        plan_stops((), HALF, 150.0)
 
 
 @pytest.mark.parametrize("spacing", [0.5, 0.7, 1.0, 2.0])
@@ -211,12 +221,12 @@ def test_depths_a_hair_beside_a_constraint_point_are_depths(spacing: float, off:
     for cells in (1, 13, 64):
         depth = cells * spacing + off
         steps = (Step(depth, Bevel(0.1)),)
-        lattice = lattice_of(steps, Rules(spacing, spacing))
-        found = plan(steps, lattice, 150.0)
+        lattice = make_lattice(steps, ModelOptions(spacing, spacing))
+        found = plan_stops(steps, lattice, 150.0)
         assert found[-1].tip == pytest.approx(depth, abs=1e-12)
         assert len(found) in (cells + 1, cells + 2)
         shape = simulate(Needle(150.0, 1e4), Tissue(mu=[1.0], alpha=[1.0]), Bevel(0.1), depth,
-                         rules=Rules(spacing, spacing))  # fmt: skip
+                         rules=ModelOptions(spacing, spacing))  # fmt: skip
         assert shape.converged and abs(shape.deflection) < 0.5 * depth
 
 

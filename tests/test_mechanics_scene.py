@@ -12,15 +12,15 @@ from hypothesis import strategies as st
 import needlefit
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
-from needlefit.mechanics.plan import lattice_of
-from needlefit.mechanics.scene import Entry, Scene, insert
-from needlefit.mechanics.shape import NeedleShape, inserted_points, positions
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.plan import make_lattice
+from needlefit.mechanics.scene import Entry, Scene, simulate_scene
+from needlefit.mechanics.shape import NeedleShape, compute_positions, sample_inserted_points
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import check
 from needlefit.schemas.scene import SceneRecord
 
 FIGURE1 = needlefit.open_scene("figure1")
-SHAPES = insert(FIGURE1)
+SHAPES = simulate_scene(FIGURE1)
 
 TABLES: dict[str, Any] = {
     "schema": 1,
@@ -156,26 +156,26 @@ def test_a_scene_moved_as_a_whole_is_the_same_scene(turn, shift_x, shift_y, star
 
     before = scene(lambda x, y: {"x_mm": x, "y_mm": y}, 0.0)
     after = scene(moved, turn)
-    for one, other in zip(insert(before), insert(after), strict=True):
+    for one, other in zip(simulate_scene(before), simulate_scene(after), strict=True):
         assert other.u == pytest.approx(one.u, abs=1e-8) and other.x == pytest.approx(one.x, abs=1e-9)
-        points = before.entry.to_world(inserted_points(one, 11))
-        assert after.entry.to_world(inserted_points(other, 11)) == pytest.approx(
+        points = before.entry.to_world(sample_inserted_points(one, 11))
+        assert after.entry.to_world(sample_inserted_points(other, 11)) == pytest.approx(
             motion.to_world(points), abs=1e-8
         )
 
 
 def test_each_shape_is_the_next_one_s_past():
-    lattice = lattice_of(FIGURE1.steps, FIGURE1.rules)
+    lattice = make_lattice(FIGURE1.steps, FIGURE1.rules)
     for n, shape in enumerate(SHAPES, start=1):
-        alone = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps[:n], FIGURE1.rules, lattice)
+        alone = simulate_steps(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps[:n], FIGURE1.rules, lattice)
         assert np.array_equal(alone.u, shape.u)
-    whole = follow(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps, FIGURE1.rules)
+    whole = simulate_steps(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps, FIGURE1.rules)
     assert np.array_equal(whole.u, SHAPES[-1].u)
 
 
 def test_shapes_end_with_the_step_that_fails():
     crushing = replace(FIGURE1.steps[1], bevel=Bevel(60.0))
-    shapes = insert(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
+    shapes = simulate_scene(replace(FIGURE1, steps=(FIGURE1.steps[0], crushing, FIGURE1.steps[2])))
     assert [shape.status for shape in shapes] == ["converged", "over-compressed"]
 
 
@@ -194,7 +194,7 @@ def test_figure_1_is_held_where_its_controls_say():
         assert shape.converged and shape.depth == depth
         assert at(shape, -15.0) == pytest.approx(held, abs=1e-12)
         assert at(shape, depth - 150.0) == pytest.approx(driven, abs=1e-12)
-        start = FIGURE1.entry.to_world(positions(shape, shape.x[:1]))[0]
+        start = FIGURE1.entry.to_world(compute_positions(shape, shape.x[:1]))[0]
         assert start == pytest.approx([depth - 150.0, driven[0]])  # the stage carries it along the world's x
 
 
@@ -206,7 +206,7 @@ def test_figure_1_mirrored_deflects_to_the_other_side():
         return Step(step.depth, replace(step.bevel, side=-step.bevel.side), controls)
 
     for shape, other in zip(
-        SHAPES, insert(replace(FIGURE1, steps=tuple(map(mirrored, FIGURE1.steps)))), strict=True
+        SHAPES, simulate_scene(replace(FIGURE1, steps=tuple(map(mirrored, FIGURE1.steps)))), strict=True
     ):
         assert other.u == pytest.approx(-shape.u, abs=1e-12)
         assert other.constraints[:, 1] == pytest.approx(-shape.constraints[:, 1], abs=1e-12)
@@ -226,7 +226,7 @@ def test_figure_1_bends_toward_its_bevel():
     straight = replace(
         alone, steps=tuple(replace(step, bevel=replace(step.bevel, side=1)) for step in alone.steps)
     )
-    turned, kept = insert(alone), insert(straight)
+    turned, kept = simulate_scene(alone), simulate_scene(straight)
     assert np.array_equal(turned[0].u, kept[0].u)
     assert turned[1].slope[-1] < turned[0].slope[-1] < kept[1].slope[-1]
     assert turned[2].slope[-1] < 0 < kept[2].slope[-1]
@@ -235,9 +235,9 @@ def test_figure_1_bends_toward_its_bevel():
 @pytest.mark.parametrize("back", [104.3, 104.001, 90.0, 80.4])  # within the last cell, and cells back
 def test_figure_1_pulled_back_and_pushed_again_returns(back):
     there, last = SHAPES[-1], FIGURE1.steps[-1]
-    lattice = lattice_of(FIGURE1.steps, FIGURE1.rules)
+    lattice = make_lattice(FIGURE1.steps, FIGURE1.rules)
     pulled, returned = (
-        follow(FIGURE1.needle, FIGURE1.tissue, (*FIGURE1.steps, *more), FIGURE1.rules, lattice)
+        simulate_steps(FIGURE1.needle, FIGURE1.tissue, (*FIGURE1.steps, *more), FIGURE1.rules, lattice)
         for more in ((replace(last, depth=back),), (replace(last, depth=back), last))
     )
     kept = int(back) + 1  # x_m = m mm

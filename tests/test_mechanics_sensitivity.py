@@ -6,12 +6,17 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
-from needlefit.mechanics.linearize import KINDS, linearize, linearize_along, moved
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.linearize import (
+    DERIVATIVE_KINDS,
+    differentiate_positions,
+    linearize,
+    linearize_steps,
+)
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
-from needlefit.mechanics.shape import positions
-from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -19,7 +24,7 @@ PHANTOM = Tissue(mu=[0.2, 33, 0.2, 33], alpha=[1, -1, 1, -1], boundaries=[20, 28
 SHARP = 1e-9  # mm; Newton's tolerance where a derivative is held to 1e-7 of itself
 
 
-def random_tissue(rng: np.random.Generator, rules: Rules, deepest: float) -> Tissue:
+def random_tissue(rng: np.random.Generator, rules: ModelOptions, deepest: float) -> Tissue:
     layers = int(rng.integers(1, 5))
     while True:  # a boundary near a change of constraint has two derivatives
         boundaries = np.sort(rng.uniform(0.5, deepest, layers - 1))
@@ -33,12 +38,12 @@ def random_tissue(rng: np.random.Generator, rules: Rules, deepest: float) -> Tis
         boundaries=boundaries,
         thickness=rng.uniform(5.0, 80.0, layers),
         friction=rng.choice([0.0, 0.3]) * rng.uniform(size=layers),
-        law=str(rng.choice(laws.names())),
+        law=str(rng.choice(laws.list_laws())),
     )
 
 
-def random_rules(rng: np.random.Generator) -> Rules:
-    return Rules(*[(0.5, 0.5), (1.0, 1.0), (1.0, 0.5), (2.0, 1.0)][rng.integers(4)], tolerance=SHARP)
+def random_rules(rng: np.random.Generator) -> ModelOptions:
+    return ModelOptions(*[(0.5, 0.5), (1.0, 1.0), (1.0, 0.5), (2.0, 1.0)][rng.integers(4)], tolerance=SHARP)
 
 
 def random_steps(rng: np.random.Generator) -> list[Step]:
@@ -60,8 +65,8 @@ def random_steps(rng: np.random.Generator) -> list[Step]:
     return steps
 
 
-def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: Rules, lattice=None) -> None:
-    shape, found = linearize_along(needle, tissue, steps, rules, lattice, wrt=KINDS)
+def check(needle: Needle, tissue: Tissue, steps: list[Step], rules: ModelOptions, lattice=None) -> None:
+    shape, found = linearize_steps(needle, tissue, steps, rules, lattice, wrt=DERIVATIVE_KINDS)
     assert shape.converged
     for p, name in enumerate(found.names):
         nodes, u, slope, points = complex_step.follow(needle, tissue, steps, rules, name, lattice)
@@ -112,13 +117,13 @@ def test_jacobian_beyond_the_series_of_the_law() -> None:
     tissue = Tissue(mu=[0.05, 0.1], alpha=[8.0, -3.0], boundaries=[5.3], thickness=[3.0], friction=[0.2])
     shape = simulate(NEEDLE, tissue, Bevel(0.02), 12.0, Controls(base_y=1.0))
     assert np.max(np.abs(shape.u[1:])) / 3.0 > 0.1
-    check(NEEDLE, tissue, [Step(12.0, Bevel(0.02), Controls(base_y=1.0))], Rules(tolerance=SHARP))
+    check(NEEDLE, tissue, [Step(12.0, Bevel(0.02), Controls(base_y=1.0))], ModelOptions(tolerance=SHARP))
 
 
 @pytest.mark.parametrize("depth", [19.63, 55.0])
 def test_the_shape_is_that_of_the_forward_run(depth: float) -> None:
     shape, _ = linearize(NEEDLE, PHANTOM, Bevel(0.085), depth)
-    plain = simulate(NEEDLE, PHANTOM, Bevel(0.085), depth, rules=Rules(tolerance=1e-9))
+    plain = simulate(NEEDLE, PHANTOM, Bevel(0.085), depth, rules=ModelOptions(tolerance=1e-9))
     np.testing.assert_array_equal(shape.u, plain.u)
     np.testing.assert_array_equal(shape.slope, plain.slope)
     np.testing.assert_array_equal(shape.constraints, plain.constraints)
@@ -128,7 +133,7 @@ def test_the_shape_is_that_of_the_forward_run(depth: float) -> None:
 @pytest.mark.parametrize("side", [1, -1])
 def test_the_first_constraint_point_moves_as_geometry_says(side: int) -> None:
     """The free needle is a rod: c_1 moves by 1 per base y, L + x_1 per base slope, s x_1 / C_int per b."""
-    rules = Rules(2.0, 1.0)
+    rules = ModelOptions(2.0, 1.0)
     _, found = linearize(
         NEEDLE, Tissue(mu=[0.2], alpha=[1.0]), Bevel(0.1, side), 7.3, rules=rules,
         wrt=("offset", "base_y", "base_slope", "stage_slope"),
@@ -169,7 +174,7 @@ def test_boundaries_the_tip_has_not_reached_move_nothing() -> None:
 
 @pytest.mark.parametrize("boundary", [6.5, 7.0])
 def test_on_a_change_of_constraint_or_a_node_the_derivative_is_that_of_going_deeper(boundary: float) -> None:
-    rules, step = Rules(tolerance=1e-11), 1e-5
+    rules, step = ModelOptions(tolerance=1e-11), 1e-5
 
     def deflection(at: float) -> np.ndarray:
         tissue = Tissue(mu=[0.3, 20.0], alpha=[1.0, 1.0], boundaries=[at])
@@ -192,7 +197,7 @@ def test_a_law_without_alpha_has_none_in_its_derivatives(law: str) -> None:
     assert np.any(columns["mu1"])
 
 
-@pytest.mark.parametrize("law", laws.names())
+@pytest.mark.parametrize("law", laws.list_laws())
 def test_every_law_is_linear_in_alpha_term_by_term(law: str) -> None:
     (c, q), (dc, dq) = laws.power_terms(law, np.array([-7.5, 0.0, 4.25])), laws.term_slopes(law)
     for i, alpha in ((0, -7.5), (2, 4.25)):
@@ -202,7 +207,7 @@ def test_every_law_is_linear_in_alpha_term_by_term(law: str) -> None:
 
 def test_a_tracked_tip_stands_where_it_is_said_to_stand() -> None:
     controls = Controls(base_y=0.2, tip=TrackedTip(0.4, 0.01))
-    _, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, controls, wrt=KINDS)
+    _, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, controls, wrt=DERIVATIVE_KINDS)
     assert not np.any(found.u[-1]) and not np.any(found.slope[-1])
     assert np.abs(found.u).max() > 0.1
 
@@ -227,7 +232,7 @@ def test_a_guide_that_holds_nothing_any_more_moves_no_node() -> None:
     free_again = [Step(6.0, Bevel(0.1), guided), Step(8.0, Bevel(0.1))]
     back_to_it = [Step(6.0, Bevel(0.1), guided), Step(3.0, Bevel(0.1), guided)]
     for steps in (free_again, back_to_it):
-        shape, found = linearize_along(NEEDLE, PHANTOM, steps, wrt=("guides",))
+        shape, found = linearize_steps(NEEDLE, PHANTOM, steps, wrt=("guides",))
         assert 3.0 in shape.x
         assert not np.any(found.x)
 
@@ -237,7 +242,7 @@ def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
         Step(8.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.1),))),
         Step(12.0, Bevel(0.1), Controls(guides=(Guide(-9.0, 0.2), Guide(-4.0)))),
     ]
-    _, found = linearize_along(NEEDLE, PHANTOM, steps, wrt=("guides",))
+    _, found = linearize_steps(NEEDLE, PHANTOM, steps, wrt=("guides",))
     assert len(found.names) == 6
 
     def deflection(shift: float) -> np.ndarray:
@@ -246,7 +251,7 @@ def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
                                                     *s.controls.guides[1:])))
             for s in steps
         ]  # fmt: skip
-        return follow(NEEDLE, PHANTOM, shifted, Rules(tolerance=1e-11)).u
+        return simulate_steps(NEEDLE, PHANTOM, shifted, ModelOptions(tolerance=1e-11)).u
 
     slope = (deflection(1e-4) - deflection(-1e-4)) / 2e-4
     np.testing.assert_allclose(found.u[:, 1], slope, atol=1e-6)
@@ -254,16 +259,18 @@ def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
 
 def test_points_in_the_plane_move_as_differences_say() -> None:
     controls = Controls(base_slope=0.01, guides=(Guide(-15.0, 0.2, None), Guide(4.6, 0.3, in_tissue=True)))
-    rules = Rules(tolerance=1e-11)
+    rules = ModelOptions(tolerance=1e-11)
     shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.15), 25.0, controls, rules, wrt=("offset", "guides"))
     s = np.array([-100.0, -15.5, -3.0, 0.0, 4.3, 4.9, 12.5, 25.0])
-    moves = moved(shape, found, s)
+    moves = differentiate_positions(shape, found, s)
     assert moves.shape == (8, 2, 7)
 
     def points(offset: float = 0.0, before: float = 0.0, within: float = 0.0) -> np.ndarray:
         guides = (Guide(-15.0 + before, 0.2, None), Guide(4.6 + within, 0.3, in_tissue=True))
         moved_controls = Controls(base_slope=0.01, guides=guides)
-        return positions(simulate(NEEDLE, PHANTOM, Bevel(0.15 + offset), 25.0, moved_controls, rules), s)
+        return compute_positions(
+            simulate(NEEDLE, PHANTOM, Bevel(0.15 + offset), 25.0, moved_controls, rules), s
+        )
 
     for column, name in ((0, "offset"), (1, "before"), (4, "within")):
         slope = (points(**{name: 1e-4}) - points(**{name: -1e-4})) / 2e-4

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 from mechanics_cases import random_needle, random_rules, random_steps, random_tissue
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, rays
-from needlefit.mechanics.session import Session, _parts
+from needlefit.mechanics.plan import Lattice, list_rays
+from needlefit.mechanics.session import Session, _list_arrays
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -52,7 +52,7 @@ def test_a_session_gives_the_bits_of_the_whole_insertion(seed: int) -> None:
     steps, first = random_steps(rng, 5), rng.uniform(0.05, 1.0) * rules.spacing
     under_way = Session(needle, tissue, steps[0].bevel, first, steps[0].controls, rules)
     for n, step in enumerate(steps, start=1):
-        expected = follow(needle, tissue, steps[:n], rules, Lattice(first, rules.spacing))
+        expected = simulate_steps(needle, tissue, steps[:n], rules, Lattice(first, rules.spacing))
         assert_same_bits(under_way.go(step), expected)
 
 
@@ -79,7 +79,8 @@ def test_named_inputs_are_the_inputs_of_a_step() -> None:
     )  # fmt: skip
     for n, call in enumerate(calls, start=2):
         assert_same_bits(
-            under_way.step(**call), follow(NEEDLE, TISSUE, steps[:n], Rules(), Lattice(1.0, 1.0))
+            under_way.step(**call),
+            simulate_steps(NEEDLE, TISSUE, steps[:n], ModelOptions(), Lattice(1.0, 1.0)),
         )
     assert under_way.last == steps[-1] and under_way.depth == 4.3
 
@@ -262,5 +263,5 @@ def test_a_long_session_neither_grows_nor_loses_itself() -> None:
         assert shape.converged and np.abs(shape.u).max() < 10
         assert shape.depth == pytest.approx(under_way.depth, abs=1e-9)
     remembered = len(under_way._bevels._numbers) + len(under_way._controls._numbers)
-    assert remembered < 1500 and len(rays(under_way._position)) < 200
-    assert sum(part.size for part in _parts(under_way._under_way)) < 10_000
+    assert remembered < 1500 and len(list_rays(under_way._position)) < 200
+    assert sum(part.size for part in _list_arrays(under_way._insertion)) < 10_000

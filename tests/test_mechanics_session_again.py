@@ -11,7 +11,7 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
@@ -50,10 +50,10 @@ def test_a_copy_goes_on_as_the_first_and_neither_moves_the_other(seed: int) -> N
 @pytest.mark.parametrize("seed", range(40))
 def test_the_course_leads_to_the_same_needle_and_on_from_there(seed: int) -> None:
     under_way, rng = wandered(seed)
-    course = under_way.course()
-    again = follow(under_way.needle, under_way.tissue, course, under_way.rules, under_way.lattice)
+    input_path = under_way.input_path()
+    again = simulate_steps(under_way.needle, under_way.tissue, input_path, under_way.rules, under_way.lattice)
     assert_near(again, under_way.now.shape)
-    retold = under_way.retold()
+    retold = under_way.simulate_again()
     for step in random_steps(rng, 2):
         assert_near(retold.go(step), under_way.go(step))
 
@@ -64,7 +64,7 @@ def test_the_course_forgets_what_was_taken_back() -> None:
     for _ in range(50):
         under_way.step(insert=10, bevel=RIGHT, base=(0.5, 0.0))
         under_way.step(insert=-10, bevel=LEFT, base=(0.0, 0.0))
-    assert under_way.course() == (Step(20.0, LEFT),)
+    assert under_way.input_path() == (Step(20.0, LEFT),)
 
 
 def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
@@ -73,8 +73,8 @@ def test_inputs_changed_and_changed_back_within_a_cell_cut_anew() -> None:
     under_way.step(insert=10.2)
     under_way.step(bevel=RIGHT)
     under_way.step(insert=5.3, bevel=LEFT)
-    again = follow(NEEDLE, SOFT, under_way.course(), lattice=Lattice(0.7, 1.0))
-    straight = follow(NEEDLE, SOFT, (Step(15.5, LEFT),), lattice=Lattice(0.7, 1.0))
+    again = simulate_steps(NEEDLE, SOFT, under_way.input_path(), lattice=Lattice(0.7, 1.0))
+    straight = simulate_steps(NEEDLE, SOFT, (Step(15.5, LEFT),), lattice=Lattice(0.7, 1.0))
     assert_near(again, under_way.now.shape)
     assert abs(straight.deflection - again.deflection) > 1e-4
 
@@ -84,7 +84,7 @@ def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> Non
     under_way.step(insert=10.2)
     under_way.step(bevel=RIGHT)
     under_way.step(bevel=LEFT)
-    retold, untouched = under_way.retold(), Session(NEEDLE, SOFT, LEFT, 0.7)
+    retold, untouched = under_way.simulate_again(), Session(NEEDLE, SOFT, LEFT, 0.7)
     untouched.step(insert=10.2)
     assert_near(retold.step(insert=5.3), under_way.step(insert=5.3))
     assert abs(untouched.step(insert=5.3).deflection - under_way.now.shape.deflection) > 1e-4
@@ -98,11 +98,11 @@ def test_retold_is_the_insertion_into_the_other_tissue() -> None:
         under_way.go(step)
     under_way.step(insert=5)
     under_way.step(insert=-5)
-    expected = follow(NEEDLE, STIFF, steps, lattice=Lattice(1.0, 1.0))
-    assert_near(under_way.retold(STIFF).now.shape, expected)
+    expected = simulate_steps(NEEDLE, STIFF, steps, lattice=Lattice(1.0, 1.0))
+    assert_near(under_way.simulate_again(STIFF).now.shape, expected)
     blunt = tuple(replace(step, bevel=replace(step.bevel, offset=0.01)) for step in steps)
-    retold = under_way.retold(offset=0.01)
-    assert_near(retold.now.shape, follow(NEEDLE, SOFT, blunt, lattice=Lattice(1.0, 1.0)))
+    retold = under_way.simulate_again(offset=0.01)
+    assert_near(retold.now.shape, simulate_steps(NEEDLE, SOFT, blunt, lattice=Lattice(1.0, 1.0)))
     assert retold.last == blunt[-1]
 
 
@@ -111,6 +111,6 @@ def test_retold_says_where_it_failed_and_leaves_the_first_alone() -> None:
     under_way = Session(NEEDLE, replace(thin, thickness=[60.0]), LEFT)
     under_way.step(insert=5.4)
     before = under_way.step(tip=TrackedTip(-3.0))
-    retold = under_way.retold(thin)
+    retold = under_way.simulate_again(thin)
     assert before.converged and retold.failures
     assert under_way.now.shape is before and retold.depth == 5.4

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape
@@ -49,7 +49,7 @@ def test_a_failed_step_has_not_happened(step: dict) -> None:
 
 
 def test_failures_are_counted_by_reason() -> None:
-    under_way = Session(NEEDLE, THIN, Bevel(0.05), rules=Rules(max_iterations=4))
+    under_way = Session(NEEDLE, THIN, Bevel(0.05), rules=ModelOptions(max_iterations=4))
     assert under_way.step(5.4).converged
     assert under_way.step(base=(30.0, 0.0)).status == "not converged"
     for _ in range(2):

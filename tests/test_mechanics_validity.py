@@ -11,15 +11,15 @@ from scipy.integrate import solve_bvp
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, element_solves, plan
+from needlefit.mechanics.plan import Lattice, count_element_solves, plan_stops
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.mechanics.simulate import follow, simulate
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import LIMITS, MAX_DEFLECTION_PER_LENGTH, MAX_SLOPE, worst_of
+from needlefit.mechanics.validity import LIMITS, MAX_DEFLECTION_PER_LENGTH, MAX_SLOPE, find_worst
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS, MAX_GUIDES, MAX_LAYERS
 
 NEEDLE = Needle(150.0, 1.0216e4)
@@ -55,8 +55,8 @@ def test_shortening_has_its_closed_form():
     found = beam([0, 40, 100], [0, 10, 25], [slope] * 3).validity
     assert found.shortening_per_layer == pytest.approx(100 * (1 - 1 / np.sqrt(1 + slope**2)) / 10)
     shape = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0)
-    lag = shape.depth - positions(shape, shape.x[-1:])[0, 0]
-    base = shape.x[0] - positions(shape, shape.x[:1])[0, 0]
+    lag = shape.depth - compute_positions(shape, shape.x[-1:])[0, 0]
+    base = shape.x[0] - compute_positions(shape, shape.x[:1])[0, 0]
     assert shape.validity.shortening_per_layer * 12.0 == pytest.approx(lag - base, rel=2e-2)
 
 
@@ -77,7 +77,7 @@ def test_at_the_limit_of_deflection_linear_theory_of_a_cantilever_is_four_per_ce
 def test_compression_is_the_largest_distance_from_a_constraint_point():
     shape = simulate(NEEDLE, TISSUE, Bevel(0.3), 55.0)
     at = shape.constraints[:, 0]
-    away = np.abs(positions(shape, at)[:, 1] - shape.constraints[:, 1])
+    away = np.abs(compute_positions(shape, at)[:, 1] - shape.constraints[:, 1])
     assert shape.validity.compression == pytest.approx(away.max() / 40.0, rel=1e-6)
 
 
@@ -86,16 +86,16 @@ def test_what_is_not_solved_is_not_valid():
     assert not found.converged and not found.valid and not found.validity.ok
     assert found.validity.faults == () and np.isnan(found.validity.max_slope)
     good = simulate(NEEDLE, TISSUE, Bevel(0.1), 55.0)
-    assert worst_of([good.validity, found.validity]) == good.validity
+    assert find_worst([good.validity, found.validity]) == good.validity
 
 
 def test_the_tip_on_its_way_counts_too():
     """The needle is drawn back; its constraint points were cut at slopes that the model does not know."""
     steps = [Step(50.0, Bevel(0.5)), Step(3.0, Bevel(0.5))]
-    out = [follow(NEEDLE, TISSUE, steps[:n]) for n in (1, 2)]
+    out = [simulate_steps(NEEDLE, TISSUE, steps[:n]) for n in (1, 2)]
     assert [shape.valid for shape in out] == [False, True]
     turned = [Step(20.0, Bevel(0.5)), Step(60.0, Bevel(0.5, -1))]
-    shape = follow(NEEDLE, TISSUE, turned)
+    shape = simulate_steps(NEEDLE, TISSUE, turned)
     assert shape.validity.max_slope >= np.abs(shape.tip_track[:, 1]).max()
 
 
@@ -107,11 +107,11 @@ def test_a_batch_finds_what_each_of_its_sets_finds():
         NEEDLE, TISSUE, (Step(55.4, Bevel(0.1), guided),), mu=mu, offset=np.linspace(0.0, 1.5, 70),
         rigidity=np.linspace(3e3, 4e4, 70), guide_x=np.linspace(-60, -5, 70),
     )  # fmt: skip
-    (shapes,) = follow_batches([batch], 1)
+    (shapes,) = simulate_batches([batch], 1)
     valid = shapes.valid
     assert 5 < valid.sum() < 65
     for i in range(len(batch)):
-        alone, one = follow(*batch.one(i)), shapes[i]
+        alone, one = simulate_steps(*batch.pick(i)), shapes[i]
         assert alone.valid == one.valid == valid[i]
         for name, _, _ in LIMITS:
             each = getattr(shapes.validity, name)[i]
@@ -125,7 +125,7 @@ def test_rounding_grows_as_elements_shrink_and_is_never_below_what_a_unit_of_for
     soft = Tissue(np.array([1e-3]), np.array([1.0]), np.empty(0))
     bounds = []
     for spacing in (1.0, 0.25, 0.1):
-        rules = Rules(spacing, spacing)
+        rules = ModelOptions(spacing, spacing)
         shape = simulate(NEEDLE, soft, Bevel(0.02 * spacing), 60.0, rules=rules)
         heavier = replace(NEEDLE, flexural_rigidity=3 * NEEDLE.flexural_rigidity)
         again = simulate(heavier, replace(soft, mu=3 * soft.mu), Bevel(0.02 * spacing), 60.0, rules=rules)
@@ -159,10 +159,10 @@ def test_a_needle_before_the_entry_has_the_rounding_of_its_shortest_element():
         lambda: Tissue(np.ones(MAX_LAYERS + 1), np.ones(1), np.arange(1.0, MAX_LAYERS + 1)),
         lambda: Needle.from_tube(150.0, 1e100, 80e3),
         lambda: Controls(guides=tuple(Guide(-1.0 - n) for n in range(MAX_GUIDES + 1))),
-        lambda: Rules(max_iterations=10**6),
-        lambda: Rules(1e9, 1.0),
-        lambda: simulate(Needle(4000.0, 1e4), TISSUE, Bevel(0.0), 3000.0, rules=Rules(0.1, 0.1)),
-        lambda: follow(NEEDLE, TISSUE, [Step(d, Bevel(0.0)) for d in (140.0, 1.0) * 3000]),
+        lambda: ModelOptions(max_iterations=10**6),
+        lambda: ModelOptions(1e9, 1.0),
+        lambda: simulate(Needle(4000.0, 1e4), TISSUE, Bevel(0.0), 3000.0, rules=ModelOptions(0.1, 0.1)),
+        lambda: simulate_steps(NEEDLE, TISSUE, [Step(d, Bevel(0.0)) for d in (140.0, 1.0) * 3000]),
     ],
 )
 def test_sizes_beyond_all_use_are_refused_at_once(build):
@@ -173,7 +173,7 @@ def test_sizes_beyond_all_use_are_refused_at_once(build):
 
 
 def test_a_session_is_bounded_as_an_insertion_is():
-    session = Session(Needle(4000.0, 1e4), TISSUE, Bevel(0.0), 0.1, rules=Rules(0.1, 0.1))
+    session = Session(Needle(4000.0, 1e4), TISSUE, Bevel(0.0), 0.1, rules=ModelOptions(0.1, 0.1))
     session.step(insert=5.0)
     with pytest.raises(ModelError):
         session.step(insert=MAX_ELEMENTS * 0.1)
@@ -187,10 +187,10 @@ depths = st.lists(st.floats(0.01, 140.0), min_size=1, max_size=6)
 @settings(max_examples=60, deadline=None)
 def test_the_count_of_elements_is_an_upper_bound_and_not_far_off(depths, spacing, parts):
     steps = [Step(depth, Bevel(0.0)) for depth in depths]
-    stops = plan(steps, Lattice(spacing, spacing), 150.0)
+    stops = plan_stops(steps, Lattice(spacing, spacing), 150.0)
     element = spacing / parts
     solved = sum(stop.tip / element for stop in stops)
-    bound = element_solves(tuple(depths), spacing, element)
+    bound = count_element_solves(tuple(depths), spacing, element)
     assert solved <= bound <= 1.5 * solved + 20 * len(depths) * (1 + 140 / spacing) * parts
 
 
@@ -214,18 +214,18 @@ def scenes(draw):
         )
         for _ in range(draw(st.integers(1, 4)))
     ]
-    return Needle(length, 10.0 ** draw(st.floats(1, 6))), tissue, steps, Rules(spacing, spacing)
+    return Needle(length, 10.0 ** draw(st.floats(1, 6))), tissue, steps, ModelOptions(spacing, spacing)
 
 
 @given(scenes())
 @settings(max_examples=80, deadline=None)
 def test_every_accepted_scene_ends_soon_and_is_flat_where_it_is_valid(scene):
     began = time.process_time()
-    shape = follow(*scene)
+    shape = simulate_steps(*scene)
     assert time.process_time() - began < 5.0
     assert shape.status in ("converged", "over-compressed", "not converged", "non-finite")
     if shape.valid:
-        dense = positions(shape, np.linspace(shape.x[0], shape.depth, 2000))
+        dense = compute_positions(shape, np.linspace(shape.x[0], shape.depth, 2000))
         assert np.abs(np.gradient(dense[:, 1], dense[:, 0])).max() < MAX_SLOPE + 0.02
         assert np.isfinite(dense).all()
     elif shape.converged:
@@ -233,5 +233,5 @@ def test_every_accepted_scene_ends_soon_and_is_flat_where_it_is_valid(scene):
 
 
 def test_the_deepest_insertion_allowed_is_within_the_bound():
-    assert element_solves((float(MAX_ELEMENTS),), 1.0, 1.0) <= 1.01 * MAX_ELEMENT_SOLVES
-    assert element_solves((float(MAX_ELEMENTS), 1.0) * 2, 1.0, 1.0) > 1.01 * MAX_ELEMENT_SOLVES
+    assert count_element_solves((float(MAX_ELEMENTS),), 1.0, 1.0) <= 1.01 * MAX_ELEMENT_SOLVES
+    assert count_element_solves((float(MAX_ELEMENTS), 1.0) * 2, 1.0, 1.0) > 1.01 * MAX_ELEMENT_SOLVES

@@ -8,33 +8,33 @@ import time
 import pytest
 from kernel_functions import kernel_functions
 
-from needlefit.mechanics import warm as module
+from needlefit.mechanics import precompile as module
 from needlefit.mechanics.kernel.cache import is_complete
-from needlefit.mechanics.warm import ROOMS, insert, warm
+from needlefit.mechanics.precompile import KERNEL_PARTS, compile_parts, precompile
 
 
 def test_every_room_is_compiled_by_now_and_inserting_compiles_nothing_else():
-    assert all(is_complete(room) for room in ROOMS)
+    assert all(is_complete(part) for part in KERNEL_PARTS)
     before = [sum(one.stats.cache_misses.values()) for one in kernel_functions()]
-    insert(list(ROOMS))
+    compile_parts(list(KERNEL_PARTS))
     assert [sum(one.stats.cache_misses.values()) for one in kernel_functions()] == before
 
 
 def test_what_is_compiled_is_not_compiled_again(monkeypatch):
     started = []
     monkeypatch.setattr(module.subprocess, "run", lambda *words, **options: started.append(words))
-    warm(*ROOMS)
+    precompile(*KERNEL_PARTS)
     assert started == []
 
 
 def test_another_process_compiles_what_is_missing(monkeypatch):
     asked = []
-    monkeypatch.setattr(module, "is_complete", lambda room: room != "lanes")
+    monkeypatch.setattr(module, "is_complete", lambda part: part != "lanes")
     monkeypatch.setattr(module.subprocess, "run", lambda words, **options: asked.append(words))
-    warm(*ROOMS)
+    precompile(*KERNEL_PARTS)
     ((python, flag, program),) = asked
     assert (python, flag) == (sys.executable, "-c")
-    monkeypatch.setattr(module, "insert", asked.append)
+    monkeypatch.setattr(module, "compile_parts", asked.append)
     exec(program)
     assert asked[1:] == [["lanes"]]
 
@@ -42,8 +42,8 @@ def test_another_process_compiles_what_is_missing(monkeypatch):
 WAIT = """
 import sys, time
 from pathlib import Path
-from needlefit.mechanics import warm
-with warm._alone(Path(sys.argv[1])):
+from needlefit.mechanics import precompile
+with precompile._hold_lock(Path(sys.argv[1])):
     print("held", flush=True)
     time.sleep(60)
 """
@@ -60,13 +60,13 @@ def test_the_lock_goes_with_a_process_that_is_killed(tmp_path):
         holder.kill()
         holder.wait()
         begin = time.monotonic()
-        with module._alone(tmp_path / "lock"):
+        with module._hold_lock(tmp_path / "lock"):
             assert time.monotonic() - begin < 10
 
 
 def test_a_lock_that_cannot_be_had_keeps_nobody_waiting(tmp_path, monkeypatch):
-    monkeypatch.setattr(module, "WAIT_S", 0.3)
-    with module._alone(tmp_path / "lock"), module._alone(tmp_path / "lock"):
+    monkeypatch.setattr(module, "MAX_WAIT_S", 0.3)
+    with module._hold_lock(tmp_path / "lock"), module._hold_lock(tmp_path / "lock"):
         pass
-    with module._alone(tmp_path / "missing" / "lock"):
+    with module._hold_lock(tmp_path / "missing" / "lock"):
         pass

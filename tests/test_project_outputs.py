@@ -78,7 +78,7 @@ def own(tmp_path: Path) -> Path:
 @pytest.mark.parametrize("option", ["--csv", "--plot", "--slicer", "--animation"])
 @pytest.mark.parametrize("how", ["same", "link", "hard link", "relative"])
 def test_a_scene_is_not_replaced_by_what_is_written_of_it(option, how, own, monkeypatch):
-    monkeypatch.setattr(scene, "insert", None)  # refused before it is simulated
+    monkeypatch.setattr(scene, "simulate_scene", None)  # refused before it is simulated
     monkeypatch.chdir(own.parent)
     before, out = own.read_bytes(), own.with_name("out.png")
     if how == "link":

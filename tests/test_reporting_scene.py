@@ -14,8 +14,8 @@ from matplotlib.image import imread
 from needlefit.errors import ConfigError
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.scene import Entry, Scene, insert
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.scene import Entry, Scene, simulate_scene
+from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting import figures
 from needlefit.reporting.figures import steps as painted
@@ -38,7 +38,7 @@ PULLED = Step(15.0, Bevel(0.085, -1), Controls(2.0))
 @pytest.mark.parametrize(("suffix", "begins"), [("pdf", b"%PDF"), ("png", b"\x89PNG"), ("svg", b"<?xml")])
 def test_a_scene_is_drawn_by_its_suffix_with_the_same_bytes(tmp_path, suffix, begins, more):
     one = scene(*more)
-    shapes = insert(one)
+    shapes = simulate_scene(one)
     for name in ("a", "b"):
         figures.draw_scene("Two layers", one, shapes, tmp_path / f"{name}.{suffix}")
     first, second = ((tmp_path / f"{name}.{suffix}").read_bytes() for name in ("a", "b"))
@@ -49,12 +49,12 @@ def test_a_scene_is_drawn_by_its_suffix_with_the_same_bytes(tmp_path, suffix, be
 @pytest.mark.parametrize("angle", [0.0, 0.5, math.pi / 2, -2.3])
 def test_every_panel_shows_its_needle_whole_and_where_it_is_held(angle):
     one = scene(MOVED, PULLED, entry=Entry(30.0, -7.0, angle))
-    shapes = insert(one)
+    shapes = simulate_scene(one)
     panels = paint_steps("Three steps", one, shapes).axes
     assert len(panels) == 3
     for axes, step, shape in zip(panels, one.steps, shapes, strict=True):
         drawn = np.concatenate([line.get_xydata() for line in axes.lines])
-        ends = one.entry.to_world(positions(shape, shape.x[[0, -1]]))
+        ends = one.entry.to_world(compute_positions(shape, shape.x[[0, -1]]))
         guides = [one.entry.to_world([[guide.x, guide.y]])[0] for guide in step.controls.guides]
         for point in (*ends, *guides):
             assert np.abs(drawn - point).max(axis=1).min() < 1e-9
@@ -68,19 +68,19 @@ def test_of_many_steps_so_many_are_shown_evenly_and_the_title_says_so(angle, mon
     monkeypatch.setattr(painted, "MAX_PANELS", 4)
     many = (Step(26.0 + 0.1 * n, Bevel(0.085, 1 if n < 30 else -1)) for n in range(60))
     one = scene(*many, entry=Entry(angle=angle))
-    figure = paint_steps("Many steps", one, insert(one))
+    figure = paint_steps("Many steps", one, simulate_scene(one))
     numbers = [int(axes.get_title("left").split()[1].rstrip(":")) for axes in figure.axes]
     assert numbers == [1, 21, 41, 61]
     assert "4 of 61" in figure.legends[0].get_title().get_text()
     assert ["bevel right" in axes.get_title("left") for axes in figure.axes] == [False, False, True, False]
     few = dataclasses.replace(one, steps=one.steps[:4])
-    figure = paint_steps("All", few, insert(few))
+    figure = paint_steps("All", few, simulate_scene(few))
     assert len(figure.axes) == 4 and "of" not in figure.legends[0].get_title().get_text()
 
 
 def test_the_most_panels_have_room_for_what_is_written_above_them(tmp_path):
     one = scene(*(Step(26.0 + 0.1 * n, Bevel(0.085)) for n in range(400)))
-    figures.draw_scene("Many steps", one, insert(one), tmp_path / "a.png")
+    figures.draw_scene("Many steps", one, simulate_scene(one), tmp_path / "a.png")
     height, width = imread(tmp_path / "a.png").shape[:2]
     assert 200 * 2 < width < 200 * 8 and 200 * 0.4 * painted.MAX_PANELS < height < 200 * 15
 
@@ -92,7 +92,7 @@ def test_labels_of_layers_stay_in_the_panel_and_off_what_is_written_above_it(sid
     steps = tuple(Step(3.2 * n, Bevel(0.05, side)) for n in range(1, painted.MAX_PANELS + 6))
     many = Scene(needle, tissue, steps, entry=Entry(5.0, -7.0, angle))
     with matplotlib.style.context(["default", LOOK]):
-        figure = paint_steps("Many steps", many, insert(many))
+        figure = paint_steps("Many steps", many, simulate_scene(many))
         FigureCanvasAgg(figure)
         figure.draw_without_rendering()
         first = figure.axes[0]
@@ -121,7 +121,7 @@ def test_a_panel_says_what_its_step_changed():
 def test_a_head_says_that_places_count_in_c_where_that_is_not_the_world():
     for entry, frame in ((Entry(), ""), (Entry(30.0), " in C")):
         one = scene(MOVED, entry=entry)
-        panels = paint_steps("Two steps", one, insert(one)).axes
+        panels = paint_steps("Two steps", one, simulate_scene(one)).axes
         assert panels[1].get_title("left").endswith(f"base +2 mm{frame}  ·  guide +1 mm{frame}")
         assert re.fullmatch(rf"tip [+−]\d\.\d\d mm{frame}", panels[1].get_title("right"))
 
@@ -139,7 +139,7 @@ def test_the_layers_of_a_picture_are_all_called_in_the_same_way():
 @pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])
 def test_no_blank_band_stands_above_or_below_a_picture(tmp_path, more):
     one = scene(*more)
-    figures.draw_scene("Two layers", one, insert(one), tmp_path / "a.png")
+    figures.draw_scene("Two layers", one, simulate_scene(one), tmp_path / "a.png")
     rows = np.flatnonzero((imread(tmp_path / "a.png")[..., :3] < 1).any(axis=(1, 2)))
     height = len(imread(tmp_path / "a.png"))
     assert rows[0] < 0.1 * 200 and rows[-1] > height - 0.1 * 200  # pixels, at 200 to the inch
@@ -147,7 +147,7 @@ def test_no_blank_band_stands_above_or_below_a_picture(tmp_path, more):
 
 def test_the_steps_after_a_failure_are_not_drawn():
     one = scene(dataclasses.replace(MOVED, bevel=Bevel(60.0)), PULLED)
-    shapes = insert(one)
+    shapes = simulate_scene(one)
     assert [shape.converged for shape in shapes] == [True, False]
     panels = paint_steps("Too much", one, shapes).axes
     assert "no solution: over-compressed" in [text.get_text() for text in panels[1].texts]
@@ -166,7 +166,7 @@ STEERED = (
 def test_one_step_that_is_steered_shows_its_base_and_guides(controls):
     plain = scene()
     one = dataclasses.replace(plain, steps=(dataclasses.replace(plain.steps[0], controls=controls),))
-    (axes,) = paint_steps("Steered", one, insert(one)).axes
+    (axes,) = paint_steps("Steered", one, simulate_scene(one)).axes
     assert axes.get_title("left").startswith("to 25 mm")
     drawn = np.concatenate([line.get_xydata() for line in axes.lines])
     held = [(25.0 - 150.0, controls.base_y + 25.0 * controls.stage_slope)]
@@ -185,21 +185,21 @@ def test_only_a_steered_step_is_drawn_in_the_world(tmp_path, monkeypatch, contro
         )
     monkeypatch.setattr("needlefit.reporting.figures.scene.draw", lambda path, paint: paint())
     one = dataclasses.replace(scene(), steps=(Step(25.0, Bevel(0.085), controls),))
-    figures.draw_scene("One step", one, insert(one), tmp_path / "one.png")
+    figures.draw_scene("One step", one, simulate_scene(one), tmp_path / "one.png")
     assert called == [kind]
 
 
 @pytest.mark.parametrize("step", [Step(25.0, Bevel(60.0)), Step(0.0, Bevel(0.1))], ids=["failed", "outside"])
 def test_a_needle_that_shows_little_is_drawn_all_the_same(tmp_path, step):
     one = dataclasses.replace(scene(), steps=(step,))
-    figures.draw_scene("One step", one, insert(one), tmp_path / "needle.png")
+    figures.draw_scene("One step", one, simulate_scene(one), tmp_path / "needle.png")
     assert (tmp_path / "needle.png").stat().st_size > 0
 
 
 @pytest.mark.parametrize("name", ["needle.jpg", "needle"])
 def test_another_suffix_is_refused_with_what_would_do(tmp_path, name):
     one = scene()
-    shapes = insert(one)
+    shapes = simulate_scene(one)
     with pytest.raises(ConfigError, match=r"\.pdf, \.png or \.svg"):
         figures.draw_scene("Two layers", one, shapes, tmp_path / name)
     with pytest.raises(ConfigError, match="no such folder"):

@@ -18,7 +18,7 @@ from needlefit.datasets.formats.slicer import read_lists
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.tubes import FACETS, tube, write_ply
+from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.convergence import Convergence
@@ -31,19 +31,21 @@ from needlefit.validation.job import prepare
 from needlefit.validation.needles_in_scan import BAND_DRAWS, FoldFit, place_needles
 from needlefit.validation.run import Settings, run
 
-POLYGON = FACETS / 2 * math.sin(2 * math.pi / FACETS)  # area of the polygon inscribed in a unit circle
+POLYGON = (
+    TUBE_FACETS / 2 * math.sin(2 * math.pi / TUBE_FACETS)
+)  # area of the polygon inscribed in a unit circle
 
 
 @given(st.floats(0.05, 5), st.floats(0.05, 5), st.floats(1, 100), st.integers(2, 20))
 def test_a_straight_tube_has_the_volume_of_a_prism(a, b, length, count):
     axis = np.linspace([1, 2, 3], [1, 2 + length, 3], count)
-    body = tube(axis, [a, b], (0.3, 5, 0.4))
+    body = make_tube(axis, [a, b], (0.3, 5, 0.4))
     assert body.is_watertight and body.is_winding_consistent
     assert body.volume == pytest.approx(POLYGON * a * b * length, rel=1e-9)
 
 
 def test_the_first_half_width_lies_along_the_direction_given():
-    body = tube([[0, 0, 0], [10, 0, 0]], [[3, 1], [2, 1]], (1, 1, 0))
+    body = make_tube([[0, 0, 0], [10, 0, 0]], [[3, 1], [2, 1]], (1, 1, 0))
     np.testing.assert_allclose(np.ptp(body.vertices, axis=0), [10, 6, 2], atol=1e-9)
     assert np.ptp(body.vertices[body.vertices[:, 0] == 10], axis=0)[1] == pytest.approx(4)
 
@@ -51,7 +53,7 @@ def test_the_first_half_width_lies_along_the_direction_given():
 def test_a_bent_tube_has_the_volume_that_pappus_says():
     angle = np.linspace(0, math.pi / 2, 400)
     arc = 30 * np.column_stack([np.sin(angle), 1 - np.cos(angle), 0 * angle])
-    body = tube(arc, 0.6, (0, 0, 1))
+    body = make_tube(arc, 0.6, (0, 0, 1))
     assert body.volume == pytest.approx(POLYGON * 0.36 * 30 * math.pi / 2, rel=1e-4)
 
 
@@ -63,11 +65,11 @@ def test_no_tube_without_a_curve_or_across_nothing():
         ([[0, 0, 0], [math.nan, 1, 0]], (0, 1, 0)),
     ):
         with pytest.raises(DataError):
-            tube(points, 1.0, toward)
+            make_tube(points, 1.0, toward)
 
 
 def test_a_ply_says_that_it_is_lps_and_is_the_same_bytes_again(tmp_path):
-    body = tube([[0, 0, 0], [10, 1, 0], [20, 4, 0]], 0.6, (0, 1, 0))
+    body = make_tube([[0, 0, 0], [10, 1, 0], [20, 4, 0]], 0.6, (0, 1, 0))
     for name in ("one.ply", "two.ply"):
         write_ply(body, tmp_path / name, ("needle, mm", "é"))
     data = (tmp_path / "one.ply").read_bytes()

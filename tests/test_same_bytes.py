@@ -13,7 +13,7 @@ from pathlib import Path
 
 import pytest
 
-from needlefit.mechanics.kernel.cache import VARIABLE, folder
+from needlefit.mechanics.kernel.cache import CACHE_DIR_VARIABLE, find_cache_folder
 from needlefit.project.locate import find_file
 from needlefit.project.threads import THREAD_VARIABLES as THREADS
 
@@ -64,7 +64,7 @@ def begin(
 ) -> "subprocess.Popen[str]":
     """Start a program in a folder, with the compiled functions of this process and no limit of threads."""
     environment = {name: value for name, value in os.environ.items() if name not in THREADS}
-    environment |= {VARIABLE: str(folder().path.parent), **HERE, **settings}
+    environment |= {CACHE_DIR_VARIABLE: str(find_cache_folder().path.parent), **HERE, **settings}
     return subprocess.Popen(
         (sys.executable, "-c", program, cores, *words),
         cwd=place, env=environment, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
@@ -158,7 +158,7 @@ def test_validate_is_the_same_on_one_core_in_other_surroundings(new_project, val
 @pytest.mark.slow
 def test_two_first_starts_at_once_are_as_a_later_one(new_project, validated, tmp_path):
     places = [new_project("cold") for _ in range(2)]
-    cold = {VARIABLE: str(tmp_path / "cache")}
+    cold = {CACHE_DIR_VARIABLE: str(tmp_path / "cache")}
     for running in [begin(COMMAND, VALIDATE, place, **cold) for place in places]:
         output(running)
     for place in places:
@@ -169,7 +169,7 @@ def test_two_first_starts_at_once_are_as_a_later_one(new_project, validated, tmp
 def test_programs_that_compile_at_the_same_time_are_as_one_that_loads(new_project, tmp_path):
     """Both compile in their own process, and fill one folder."""
     places = [new_project("compiling") for _ in range(2)]
-    cold = {VARIABLE: str(tmp_path / "cache")}
+    cold = {CACHE_DIR_VARIABLE: str(tmp_path / "cache")}
     running = [begin(PROGRAM, ["2"], place, **cold) for place in places]
     found = [output(one) for one in running]
     warm = output(begin(PROGRAM, ["2"], new_project("loading")))

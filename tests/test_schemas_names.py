@@ -6,11 +6,10 @@ import pandas as pd
 import pytest
 from track_cases import HEAD, TOML
 
-from needlefit.datasets.check import check
 from needlefit.datasets.compression import read_compression
-from needlefit.datasets.read import read
-from needlefit.datasets.template import template
-from needlefit.datasets.tracks.read import read_tracks
+from needlefit.datasets.read import check, read
+from needlefit.datasets.template import write_template
+from needlefit.datasets.tip_track_table import read_tracks
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.scan_table import make_scans, read_scans
 from needlefit.project.load import check as check_tables
@@ -52,7 +51,7 @@ def test_what_names_no_file(name):
 
 
 def with_specimen(folder: Path, name: str) -> Path:
-    template(folder)
+    write_template(folder)
     table = pd.read_csv(folder / "insertions.csv", dtype=str, keep_default_na=False)
     table.loc[1, "specimen"] = name
     table.to_csv(folder / "insertions.csv", index=False)
@@ -67,7 +66,7 @@ def test_a_specimen_is_refused_with_file_and_line(name, tmp_path):
 
 @pytest.mark.parametrize("key", ['name = "{}"', '[media."{}"]'])
 def test_the_name_and_the_media_of_a_dataset_are_refused_with_file_and_key(key, tmp_path):
-    file = template(tmp_path / "mine")
+    file = write_template(tmp_path / "mine")
     old = 'name = "mine"' if key.startswith("name") else "[media.medium1]"
     text = file.read_text()
     assert old in text
@@ -106,7 +105,7 @@ def test_studies_and_folders_are_refused(name, tmp_path, monkeypatch):
         with pytest.raises(ConfigError, match="refused"):
             finds(f"./{name}.toml")
     with pytest.raises(ConfigError, match="refused"):
-        template(tmp_path / name)
+        write_template(tmp_path / name)
     assert not (tmp_path / name).exists()
 
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from needlefit.errors import ModelError
-from needlefit.geometry.crossings import crossings
+from needlefit.geometry.crossings import find_crossings
 from needlefit.inference.predict import rules
 from needlefit.mechanics.control import Bevel
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.project.load import load
 from needlefit.project.locate import find_file, shipped_folder
@@ -161,7 +161,7 @@ def test_the_field_is_smooth_and_has_its_deviation():
 @pytest.mark.parametrize("name", ["phantom1-09", "phantom2-02", "phantom2-09", "phantom3-03"])
 def test_needle_and_layers_agree(name):
     planned, specimen, found = truly_inserted(name)
-    met = crossings(found.centerline, specimen.surfaces)
+    met = find_crossings(found.centerline, specimen.surfaces)
     assert met.sequence == found.sequence == tuple(range(1, planned.layers + 1))
     assert found.frame.to_local(met.points)[:, 0] == pytest.approx(found.boundaries, abs=1e-4)
     shape = simulate(
@@ -176,7 +176,7 @@ def test_needle_and_layers_agree(name):
 
 def test_crossings_lie_on_plane_and_cylinder():
     _, specimen, found = truly_inserted("phantom2-09")
-    points = crossings(found.centerline, specimen.surfaces).points
+    points = find_crossings(found.centerline, specimen.surfaces).points
     tops = [s.mesh.bounds[0, 0] for s in specimen.surfaces]
     assert points[:2, 0] == pytest.approx(tops[:2], abs=1e-9)
     radius = PHANTOMS["phantom2"].cylinder.radius
@@ -196,7 +196,7 @@ def test_the_needle_starts_at_the_entry_keeps_its_length_and_leaves_its_plane():
     assert abs(local[-1, 2]) > 0.01 and abs(local[0, 2]) < 1e-9
     assert found.deflection == pytest.approx(local[-1, 1] - local[0, 1])
     assert found.deflection > 0  # toward the bevel
-    tip = positions(found.shape, np.array([planned.depth]))[0]
+    tip = compute_positions(found.shape, np.array([planned.depth]))[0]
     assert local[-1, :2] == pytest.approx(tip)
 
 

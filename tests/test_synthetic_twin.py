@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 import needlefit
-from needlefit.datasets.check import check
-from needlefit.datasets.read import read
+from needlefit.datasets.read import check, read
 from needlefit.project.locate import shipped_folder
 from needlefit.synthetic.build import build_dataset
 from needlefit.synthetic.design import select_planned_insertions

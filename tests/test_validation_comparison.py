@@ -17,10 +17,10 @@ from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import predict, predict_each
 from needlefit.inference.slopes import predict_with_slopes
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.mechanics.control import Bevel, Controls, Rules, Step
-from needlefit.mechanics.lanes import follow_batches
-from needlefit.mechanics.shape import positions
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.inquiries.comparison import said
 from needlefit.schemas.analyses import ComparisonRecord
@@ -132,7 +132,7 @@ def test_further_points_add_their_whole_density():
     slope = np.polynomial.Polynomial.fit(x, made[1].planar[:, 1], 5).deriv()(x)
     modes = np.column_stack([flat, made[1].pose_angle_sd * x, -flat * slope])
     cov = 1.3**2 * (points_covariance(s, NOISE) + modes @ modes.T)
-    exact = multivariate_normal.logpdf(positions(shape, s)[:, 1] - made[1].planar[:, 1], cov=cov)
+    exact = multivariate_normal.logpdf(compute_positions(shape, s)[:, 1] - made[1].planar[:, 1], cov=cov)
     assert both.log_posterior(theta) - one.log_posterior(theta) == pytest.approx(exact, abs=0.01)
 
 
@@ -200,7 +200,7 @@ def test_a_study_names_its_data_or_makes_them():
         ComparisonRecord.model_validate({**RECORD, "candidates": ("linear", "straight")})
 
 
-MOVED = replace(insertion(40.0), base_moved=8.0)
+MOVED = replace(insertion(40.0), base_shift=8.0)
 THIN = medium(layers=1).model_copy(update={"thickness_mm": 5.0})
 SOFT = {"mu1_pa": 3e3, "alpha1": 1.0, "bevel_mm": 0.03}
 
@@ -210,11 +210,13 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
     tissue = Tissue(np.array([3e-3]), np.array([1.0]), np.empty(0), np.array([5.0]))
     steps = (Step(40.0, bevel), Step(40.0, bevel, Controls(base_y=8.0)))
     shape = predict(SOFT, THIN, NEEDLE, MOVED)
-    assert shape.u == pytest.approx(follow(NEEDLE, tissue, steps, Rules(tolerance=1e-9)).u, abs=1e-9)
-    still = predict(SOFT, THIN, NEEDLE, replace(MOVED, base_moved=0.0))
+    assert shape.u == pytest.approx(
+        simulate_steps(NEEDLE, tissue, steps, ModelOptions(tolerance=1e-9)).u, abs=1e-9
+    )
+    still = predict(SOFT, THIN, NEEDLE, replace(MOVED, base_shift=0.0))
     assert shape.constraints == pytest.approx(still.constraints, abs=1e-9)  # the cut stays where it was
-    assert positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
-    (lanes,) = follow_batches([predict_each([SOFT], THIN, NEEDLE, MOVED)])
+    assert compute_positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
+    (lanes,) = simulate_batches([predict_each([SOFT], THIN, NEEDLE, MOVED)])
     assert lanes.u[0] == pytest.approx(shape.u, abs=1e-6)
 
 
@@ -224,5 +226,5 @@ def test_a_moved_bases_needle_has_exact_derivatives():
     _, slopes = predict_with_slopes(SOFT, parameters, THIN, NEEDLE, MOVED, s)
     for k, move in enumerate(1e-4 * np.eye(len(theta))):
         ends = [predict(parameters.values(theta + sign * move), THIN, NEEDLE, MOVED) for sign in (1, -1)]
-        by = (positions(ends[0], s) - positions(ends[1], s)) / 2e-4
+        by = (compute_positions(ends[0], s) - compute_positions(ends[1], s)) / 2e-4
         assert slopes[:, :, k] == pytest.approx(by, rel=1e-3, abs=1e-6)

@@ -16,7 +16,7 @@ from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.sample import sample
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.reporting.files import write_json
@@ -57,8 +57,8 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     tissue = replace(SCENE.tissue, mu=np.array([0.2, 30.0, 0.2, 30.0]), alpha=np.array([1.0, -1, 1, -1]))
     (step,) = SCENE.steps
     step = replace(step, bevel=replace(step.bevel, offset=0.08))
-    shape = needlefit.follow(SCENE.needle, tissue, (step,), SCENE.rules)
-    expected = positions(shape, found.s)
+    shape = needlefit.simulate_steps(SCENE.needle, tissue, (step,), SCENE.rules)
+    expected = compute_positions(shape, found.s)
     assert found.needle.means[0] == pytest.approx(expected[:, 1], abs=1e-6)
     table = forecast_table(found)
     assert table["needle_95_low_mm"].iloc[-1] == pytest.approx(expected[-1, 1], abs=1e-6)

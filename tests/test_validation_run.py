@@ -11,10 +11,10 @@ import pytest
 
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
-from needlefit.geometry.surfaces import sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.predict import predict
 from needlefit.mechanics.control import Bevel
-from needlefit.mechanics.shape import inserted_points
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.load import load
@@ -232,7 +232,7 @@ def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
 def test_planned_layers_follow_the_bending_needle(project: Path, steep: float) -> None:
     """On an oblique interface the crossing found is where the simulated needle really crosses."""
     dataset = read(project / "data" / "needles" / "dataset.toml")
-    oblique = sheet("oblique", [18.0, 6.0, 0], [1.0, steep, 0], 200.0, 2)
+    oblique = make_sheet("oblique", [18.0, 6.0, 0], [1.0, steep, 0], 200.0, 2)
     insertion = dataclasses.replace(dataset.insertions[2], surfaces=(oblique,))
 
     def predict(boundaries: np.ndarray, sequence: tuple[int, ...]):
@@ -246,7 +246,7 @@ def test_planned_layers_follow_the_bending_needle(project: Path, steep: float) -
     boundaries, sequence = planned_layers(insertion, predict)
     assert sequence == (1, 2)
     shape = predict(boundaries, sequence)
-    y = np.interp(boundaries[0], *inserted_points(shape, 2001).T)
+    y = np.interp(boundaries[0], *sample_inserted_points(shape, 2001).T)
     assert y > 0.2  # it has bent by then
     assert boundaries[0] == pytest.approx(18.0 - steep * y, abs=2e-3)  # x + steep y = 18, y from the entry
 

@@ -14,9 +14,9 @@ from test_validation_run import MEDIUM, fitted, frames, project, study
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
-from needlefit.geometry.surfaces import sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.predict import predict
-from needlefit.mechanics.shape import NeedleShape, inserted_points
+from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.reporting.numbers import number
 from needlefit.reporting.parameters import parameters_table
 from needlefit.validation.folds import make_folds
@@ -35,7 +35,7 @@ ONE_EVALUATION = 'schema = 1\nalgorithm = "neldermead"\nstarts = 3\nevaluations 
 
 def oblique(planned: Insertion):
     """The insertion with the plane x + 2 y = 18 as its layer boundary, whatever was measured."""
-    surface = sheet("oblique", [18.0, 0, 0], [1.0, 2.0, 0], 300.0, 2)
+    surface = make_sheet("oblique", [18.0, 0, 0], [1.0, 2.0, 0], 300.0, 2)
     return dataclasses.replace(planned, surfaces=(surface,))
 
 
@@ -47,7 +47,7 @@ def own_crossing(planned: Insertion) -> float:
     """Return the boundary at which the needle through it crosses the plane x + 2 y = 18."""
 
     def beyond(boundary: float) -> float:
-        points = inserted_points(shape_with(planned, boundary), 4001)
+        points = sample_inserted_points(shape_with(planned, boundary), 4001)
         return float(np.interp(boundary, *points.T)) * 2.0 + boundary - 18.0
 
     return float(brentq(beyond, 10.0, 18.0, xtol=1e-9))
@@ -65,7 +65,7 @@ def test_planned_rows_follow_the_simulated_needle_and_measured_ones_what_was_mea
     crossing = own_crossing(planned)
     assert 14 < crossing < 15
     for kind, boundary in (("measured", 25.0), ("planned", crossing)):
-        meant = inserted_points(shape_with(planned, boundary), 42)
+        meant = sample_inserted_points(shape_with(planned, boundary), 42)
         np.testing.assert_allclose(curves[kind](s), meant, atol=5e-4)
     assert abs(curves["planned"](s)[-1, 1] - curves["measured"](s)[-1, 1]) > 0.5
 

@@ -8,8 +8,8 @@ import pytest
 
 from needlefit.mechanics import laws, reference
 from needlefit.mechanics import simulate as simulate_module
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
-from needlefit.mechanics.simulate import equilibrium, follow
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.simulate import equilibrium, simulate_steps
 from needlefit.verification import stop as stop_module
 from needlefit.verification.cases import NEEDLE, Case, layers
 from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most, worst
@@ -174,7 +174,7 @@ def test_the_reaction_by_hand_and_its_inverse():
 
 
 def test_every_law_stands_in_the_independent_form_too():
-    for name in laws.names():
+    for name in laws.list_laws():
         law = Law.of(layers([2.0], [1.3], law=name))
         force = law.reaction(np.array([0]), np.array([1e-9]), np.array([0.0]))  # raises where it is missing
         assert force[0] == pytest.approx(6e-9), f"write {name} out in needlefit/verification/law.py"
@@ -265,13 +265,13 @@ def test_one_gauss_point_for_two_costs_orders(monkeypatch):
 def test_a_mesh_rule_that_drops_nodes_is_noticed(monkeypatch):
     """Elements four times too long: what the refinement study and the closed forms bound."""
 
-    def coarse(needle, tissue, steps, rules=Rules(), lattice=None):
-        return follow(needle, tissue, steps, Rules(4.0, 4 * rules.element), lattice)
+    def coarse(needle, tissue, steps, rules=ModelOptions(), lattice=None):
+        return simulate_steps(needle, tissue, steps, ModelOptions(4.0, 4 * rules.element), lattice)
 
-    def long_elements(needle, tissue, constraints, controls=Controls(), rules=Rules()):
-        return equilibrium(needle, tissue, constraints, controls, Rules(4.0, 4 * rules.element))
+    def long_elements(needle, tissue, constraints, controls=Controls(), rules=ModelOptions()):
+        return equilibrium(needle, tissue, constraints, controls, ModelOptions(4.0, 4 * rules.element))
 
-    monkeypatch.setattr(refinement, "follow", coarse)
+    monkeypatch.setattr(refinement, "simulate_steps", coarse)
     monkeypatch.setattr(elastic_foundation, "equilibrium", long_elements)
     assert any("99" in title for title in failing(elastic_foundation))
     worst = [row for row in verify(1, refinement.CHECKS).rows if "random" in row.title]
@@ -286,29 +286,29 @@ def test_a_load_that_the_shape_does_not_bear_is_noticed(monkeypatch):
 
 
 def test_an_unsymmetric_bevel_is_noticed(monkeypatch):
-    def lopsided(needle, tissue, steps, rules=Rules(), lattice=None):
+    def lopsided(needle, tissue, steps, rules=ModelOptions(), lattice=None):
         bent = [
             dataclasses.replace(
                 step, bevel=Bevel(step.bevel.offset * (1 + 1e-6 * step.bevel.side), step.bevel.side)
             )
             for step in steps
         ]
-        return follow(needle, tissue, bent, rules, lattice)
+        return simulate_steps(needle, tissue, bent, rules, lattice)
 
-    monkeypatch.setattr("needlefit.verification.cases.follow", lopsided)
+    monkeypatch.setattr("needlefit.verification.cases.simulate_steps", lopsided)
     assert any("Mirror" in title for title in failing(symmetries))
 
 
 def test_sub_steps_that_matter_are_noticed(monkeypatch):
-    def forgetful(needle, tissue, steps, rules=Rules(), lattice=None):
+    def forgetful(needle, tissue, steps, rules=ModelOptions(), lattice=None):
         """Turn the bevel a little more with every halt."""
         more = [
             Step(step.depth, Bevel(step.bevel.offset * (1 + 1e-4 * n), step.bevel.side), step.controls)
             for n, step in enumerate(steps)
         ]
-        return follow(needle, tissue, more, rules, lattice)
+        return simulate_steps(needle, tissue, more, rules, lattice)
 
-    monkeypatch.setattr("needlefit.verification.cases.follow", forgetful)
+    monkeypatch.setattr("needlefit.verification.cases.simulate_steps", forgetful)
     failed = failing(symmetries)
     assert "Sub-steps on the way" in failed and any("back" in title for title in failed)
 
@@ -329,13 +329,13 @@ def test_a_template_that_stays_behind_is_noticed(monkeypatch):
 
 
 def test_a_jacobian_one_part_in_a_million_wrong_is_noticed(monkeypatch):
-    true = sensitivities.linearize_along
+    true = sensitivities.linearize_steps
 
     def wrong(*arguments, **named):
         shape, jacobian = true(*arguments, **named)
         return shape, replace(jacobian, u=jacobian.u * (1 + 5e-7))
 
-    monkeypatch.setattr(sensitivities, "linearize_along", wrong)
+    monkeypatch.setattr(sensitivities, "linearize_steps", wrong)
     few(monkeypatch)
     failed = verify(1, sensitivities.CHECKS[:2]).failed
     assert len(failed) == 6
@@ -365,12 +365,12 @@ def test_the_worst_of_values_is_nan_if_one_is_and_nothing_if_there_are_none():
 
 
 def with_jacobian(monkeypatch, change):
-    true = sensitivities.linearize_along
+    true = sensitivities.linearize_steps
 
     def wrong(*arguments, **named):
         return change(*true(*arguments, **named))
 
-    monkeypatch.setattr(sensitivities, "linearize_along", wrong)
+    monkeypatch.setattr(sensitivities, "linearize_steps", wrong)
     few(monkeypatch)
     return verify(1, sensitivities.CHECKS[:1])
 
@@ -448,13 +448,13 @@ def test_a_tip_that_is_no_number_fails_its_refinement(monkeypatch):
 
 
 def test_a_difference_that_is_no_number_fails_its_comparison(monkeypatch):
-    true = reference.follow
+    true = reference.simulate_steps
 
     def blank(*arguments):
         shape = true(*arguments)
         return replace(shape, u=np.full_like(shape.u, np.nan))
 
-    monkeypatch.setattr(reference, "follow", blank)
+    monkeypatch.setattr(reference, "simulate_steps", blank)
     rows = verify(1, compiled.CHECKS).rows
     assert {row.verdict for row in rows if "deflections" in row.quantity} == {"FAILS"}
 

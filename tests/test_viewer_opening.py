@@ -16,7 +16,7 @@ from needlefit.inference.as_scene import as_scene, layers_met
 from needlefit.inference.predict import conditions, predict
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.view_targets import find_view_target
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.scene import SceneRecord
@@ -73,7 +73,7 @@ def project(made: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def followed(record: SceneRecord):
     scene = Scene.from_record(record)
-    return follow(scene.needle, scene.tissue, scene.steps, scene.rules)
+    return simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
 
 
 def rules(**changes: float) -> MediumRecord:
@@ -91,7 +91,7 @@ AGAIN = insertion(38.0, [12.0, 21.5], (1, 2, 1))
         (TWO, medium()),
         (AGAIN, rules(thickness_mm=20.0, law="linear")),
         (dataclasses.replace(TWO, guide_distance=12.0), medium()),
-        (dataclasses.replace(TWO, base_moved=-1.5), rules(constraint_spacing_mm=2.5)),
+        (dataclasses.replace(TWO, base_shift=-1.5), rules(constraint_spacing_mm=2.5)),
         (TWO, rules(constraint_switch=0.2, tangent_part=0.5, first_cell_mm=0.4)),
     ],
 )
@@ -106,8 +106,8 @@ def test_an_insertion_said_as_a_scene_is_the_needle_that_is_predicted(one, recor
     for part in ("mu", "alpha", "boundaries", "thickness", "friction"):
         assert np.array_equal(getattr(scene.tissue, part), getattr(tissue, part))
     assert scene.tissue.law == tissue.law
-    sharper = follow(scene.needle, scene.tissue, scene.steps, sharp)
-    expected = follow(needle, tissue, steps, sharp)
+    sharper = simulate_steps(scene.needle, scene.tissue, scene.steps, sharp)
+    expected = simulate_steps(needle, tissue, steps, sharp)
     assert np.array_equal(sharper.u, expected.u) and np.array_equal(sharper.x, expected.x)
     # a scene is solved to 1e-7 mm, a prediction further, as searches take its derivatives
     np.testing.assert_allclose(followed(again).u, expected.u, rtol=0, atol=1e-7)

@@ -12,11 +12,11 @@ import pytest
 from inference_cases import TRUTH, dataset, insertion, measure, medium
 from scipy.spatial import cKDTree
 
-from needlefit.datasets.volumes import ScanVolume, volume_of, write_volumes
+from needlefit.datasets.sources import ScanVolume, find_volume, write_volumes
 from needlefit.errors import DataError
-from needlefit.geometry.compare import compare
+from needlefit.geometry.compare import compare_curves
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.frames import Frame, align_rigid, entry_frame
+from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
 from needlefit.imaging import volume_files as scans
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.imaging.volume_files import write_volume
@@ -26,8 +26,8 @@ from needlefit.inference.predict import predict
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
-from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.viewer.overlay.band import ParameterDraws, compute_band, select_layer_draws
 from needlefit.viewer.overlay.measured import compute_live_errors, make_measured_overlay
@@ -77,7 +77,7 @@ def test_errors_grow_into_those_of_the_whole_needle():
 
 def test_at_the_measured_depth_errors_are_those_of_a_study():
     shape = predict(OFF, medium(), dataset([MEASURED]).needle, MEASURED)
-    expected = compare(*scored_points("known", 0.0, MEASURED, lambda s: positions(shape, s)))
+    expected = compare_curves(*scored_points("known", 0.0, MEASURED, lambda s: compute_positions(shape, s)))
     found = compute_live_errors(of(MEASURED), shape)
     assert (found.te, found.ipe_mean, found.ipe_max) == (expected.te, expected.mean, expected.maximum)
     assert found.edp == expected.edp
@@ -98,10 +98,10 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     free = dataclasses.replace(MEASURED, planar=turned)
     shape = predict(OFF, medium(), dataset([free]).needle, free)
     one = of(free, "free", shape=shape, drop=5.0)
-    expected = compare(*scored_points("free", 5.0, free, lambda s: positions(shape, s)))
+    expected = compare_curves(*scored_points("free", 5.0, free, lambda s: compute_positions(shape, s)))
     assert compute_live_errors(one, shape).te == expected.te
     assert compute_live_errors(one, straight(30.0)) is None
-    onto = positions(shape, one.s)
+    onto = compute_positions(shape, one.s)
     assert np.linalg.norm(one.points - onto, axis=1).max() < 0.3  # from 30 mm away
     np.testing.assert_allclose(align_rigid(one.points, onto), one.points, atol=1e-9)
     assert arc_length(one.points)[-1] == pytest.approx(35.0, abs=0.05)
@@ -132,12 +132,12 @@ def led() -> Session:
 
 def test_the_band_holds_the_needles_of_all_draws_led_as_the_hand_led():
     session, drawn = led(), spread()
-    found = compute_band(drawn, SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 0.7)
+    found = compute_band(drawn, SCENE.needle, SCENE.tissue, session.input_path(), SCENE.rules, 0.7)
     s = np.linspace(0.0, session.depth, len(found.x))
     heights, x = [], []
     for mu, alpha, offset in zip(drawn.mu, drawn.alpha, drawn.offset, strict=True):
         tissue = Tissue(mu, alpha, SCENE.tissue.boundaries, SCENE.tissue.thickness)
-        points = positions(session.retold(tissue, offset).now.shape, s)
+        points = compute_positions(session.simulate_again(tissue, offset).now.shape, s)
         x.append(points[:, 0])
         heights.append(points[:, 1])
     low, high = np.percentile(heights, (2.5, 97.5), axis=0)
@@ -157,14 +157,16 @@ def test_draws_that_agree_leave_no_width_and_failed_ones_are_counted():
     np.testing.assert_allclose(found.low, found.high, atol=1e-9)
     tissue = dataclasses.replace(SCENE.tissue, mu=same.mu[0], alpha=same.alpha[0])
     bent = dataclasses.replace(SCENE.steps[0].bevel, offset=float(same.offset[0]))
-    alone = follow(SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules)
+    alone = simulate_steps(
+        SCENE.needle, tissue, (dataclasses.replace(SCENE.steps[0], bevel=bent),), SCENE.rules
+    )
     assert found.low[-1] == pytest.approx(alone.deflection, abs=1e-6)
     assert compute_band(ParameterDraws(same.mu, same.alpha, same.offset * np.nan), *args) is None
 
 
 def test_before_first_contact_there_is_no_band():
     session = Session(SCENE.needle, SCENE.tissue, SCENE.steps[0].bevel)
-    assert compute_band(spread(5), SCENE.needle, SCENE.tissue, session.course(), SCENE.rules, 1.0) is None
+    assert compute_band(spread(5), SCENE.needle, SCENE.tissue, session.input_path(), SCENE.rules, 1.0) is None
 
 
 def bent(s: np.ndarray) -> np.ndarray:
@@ -175,7 +177,7 @@ def bent(s: np.ndarray) -> np.ndarray:
 @pytest.fixture(scope="module")
 def scan(tmp_path_factory: pytest.TempPathFactory):
     """An insertion, and the volume in which it was seen: bright along the needle, turned in the world."""
-    frame = entry_frame(np.array([5.0, -3.0, 8.0]), np.array([0.8, 0.6, 0.0]), np.array([0.0, 0.3, 1.0]))
+    frame = make_entry_frame(np.array([5.0, -3.0, 8.0]), np.array([0.8, 0.6, 0.0]), np.array([0.0, 0.3, 1.0]))
     turn = np.array([[0.0, -1.0, 0.0], [0.0, 0.0, -1.0], [1.0, 0.0, 0.0]])
     patient = Frame(np.array([40.0, -20.0, 11.0]), turn)
     flat = bent(np.linspace(0.0, 30.0, 61))
@@ -226,12 +228,12 @@ def test_a_dataset_says_where_its_scans_lie_and_what_is_lacking_is_told(scan, tm
     assert "pip install 'needlefit[ct]'" in find_scan(whole, scan.insertion)[1]
     monkeypatch.undo()
     (tmp_path / "volumes.csv").write_text(f"id,volume,series\n{scan.insertion.id},scans/a,2\n")
-    assert volume_of(whole, scan.insertion.id) == ScanVolume(tmp_path / "scans/a", "2")
+    assert find_volume(whole, scan.insertion.id) == ScanVolume(tmp_path / "scans/a", "2")
     found, lacking = find_scan(whole, scan.insertion)
     assert found is None and f"not at {tmp_path / 'scans/a'} any more" in lacking
     (tmp_path / "volumes.csv").write_text("id,file\na,b\n")
     with pytest.raises(DataError, match="volume"):
-        volume_of(whole, "a")
+        find_volume(whole, "a")
 
 
 def test_the_packages_that_read_scans_are_looked_for(monkeypatch):

@@ -6,7 +6,7 @@ import pytest
 from needlefit.errors import ModelError, NeedlefitError
 from needlefit.mechanics.control import Guide, TrackedTip
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.scene import SceneRecord
@@ -125,7 +125,7 @@ def test_an_insertion_by_hand_is_the_simulated_one() -> None:
     for depth in np.arange(0.37, 38.06, 0.37):
         act(steering, ("depth_mm", float(depth)))
     act(steering, ("depth_mm", 38.06))
-    expected = follow(scene.needle, scene.tissue, scene.steps, scene.rules).deflection
+    expected = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules).deflection
     assert steering.now.shape.deflection == pytest.approx(expected, abs=1e-7)
 
 

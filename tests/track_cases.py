@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.datasets.insertion import Noise
-from needlefit.datasets.tracks.track import Track
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.tracks.course import tips
 from needlefit.inference.tracks.problem import TrackProblem
@@ -63,23 +63,23 @@ valid = "ok"
 """
 
 
-def track(name: str, guide: np.ndarray, depth: np.ndarray = DEPTH, side: int = 1) -> Track:
+def track(name: str, guide: np.ndarray, depth: np.ndarray = DEPTH, side: int = 1) -> TipTrack:
     """A run not yet measured: its tip is 0."""
-    return Track(name, "gel", "gel", side, depth, np.zeros(len(depth)), guide, np.empty(0), (1,))
+    return TipTrack(name, "gel", "gel", side, depth, np.zeros(len(depth)), guide, np.empty(0), (1,))
 
 
-def measured(one: Track, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> Track:
+def measured(one: TipTrack, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> TipTrack:
     """The run as the model has it at the truth, in such a frame, with noise if seeded."""
     (tip,) = tips([TRUTH], MEDIUM, NEEDLE, [one])
     noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.depth))
     return replace(one, tip=tip[0] + shift + slope * one.depth + noise)
 
 
-def problem(tracks: list[Track]) -> TrackProblem:
+def problem(tracks: list[TipTrack]) -> TrackProblem:
     return TrackProblem(NEEDLE, tuple(tracks), MEDIUM, Parameters.from_record(MEDIUM), NOISE)
 
 
-def written(folder: Path, tracks: list[Track], toml: str = TOML) -> Path:
+def written(folder: Path, tracks: list[TipTrack], toml: str = TOML) -> Path:
     """A folder with the runs as somebody's table, depths beginning anywhere."""
     rows = [
         f"{one.id},{one.medium},{depth + 0.7:.4f},{tip:.5f},{guide - 25.0:.4f},1"

@@ -28,7 +28,7 @@ def check(
     Looks at files, ids, units, centrelines, surfaces, bevel sides and checksums. Every fit checks the same.
     Faults end in exit code 3; warnings do not, unless with --strict in 5.
     """
-    from needlefit.datasets.check import check_all
+    from needlefit.datasets.read import check_all
     from needlefit.project.locate import find_file
 
     path = find_file("dataset", dataset)

@@ -53,7 +53,7 @@ def material(
         screen.show_json(as_json(report))
         return
     screen.show_display(layout(report))
-    for sentence in (*test.remarks, *summary(report.material, stated)):
+    for sentence in (*test.warnings, *summary(report.material, stated)):
         screen.print_line(f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}.")
     if report.material.alpha_identified:
         screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{out / name}/prior.toml" }}')

@@ -170,7 +170,7 @@ def _scans(scans: list[Path], named: dict[str, Any]) -> "tuple[Scan, ...]":
 
 def warnings_in(dataset: Path) -> "list[ResultWarning]":
     """Return the warnings about the dataset that was written."""
-    from needlefit.datasets.check import check_all
+    from needlefit.datasets.read import check_all
 
     return check_all(dataset)[1]
 

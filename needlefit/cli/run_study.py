@@ -66,7 +66,7 @@ class StudyOutcomes:
         return next(iter(others.values())) if alone else {"validation": table, **others}
 
     def write_reference(self, folder: Path) -> None:
-        """Write the evidence of all of them to `folder`."""
+        """Write the evidence of all of them to `find_cache_folder`."""
         from needlefit.reporting.reference import write_reference
 
         every: list[Results | AnalysisResult | TrackResults] = [*self.scored, *self.tuned]

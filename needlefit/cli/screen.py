@@ -30,19 +30,19 @@ def print_note(text: str) -> None:
 
 
 def compile_ahead(*kernel_parts: str, quiet: bool = False) -> None:
-    """Compile the model, or further rooms of its kernel, where they are not; say so, as it takes a while."""
-    from needlefit.mechanics.kernel.cache import VARIABLE, folder, is_complete
+    """Compile the model, or further parts of its kernel, where they are not; say so, as it takes a while."""
+    from needlefit.mechanics.kernel.cache import CACHE_DIR_VARIABLE, find_cache_folder, is_complete
 
     wanted = ("kernel", *kernel_parts)
     if all(is_complete(part) for part in wanted):
         return
     if not quiet:
-        why = folder().why_temporary
-        once = f"in every run: {why}; set {VARIABLE} to another folder" if why else "once"
+        why = find_cache_folder().why_temporary
+        once = f"in every run: {why}; set {CACHE_DIR_VARIABLE} to another folder" if why else "once"
         print_note(f"needlefit: compiling the model; this takes some seconds, {once}")
-    from needlefit.mechanics.warm import warm
+    from needlefit.mechanics.precompile import precompile
 
-    warm(*wanted)
+    precompile(*wanted)
 
 
 def show_json(value: object) -> None:

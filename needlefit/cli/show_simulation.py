@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 from needlefit.cli import screen
 
 if TYPE_CHECKING:
-    from needlefit.geometry.placement import Placement
+    from needlefit.geometry.frames import Placement
     from needlefit.mechanics.scene import Entry, Scene
     from needlefit.mechanics.shape import NeedleShape
 
@@ -19,7 +19,7 @@ def summarize_simulation(
 
     `shapes` end with the last step, or with the one that failed; `placement` is where a measured needle lies.
     """
-    from needlefit.mechanics.validity import worst_of
+    from needlefit.mechanics.validity import find_worst
 
     pairs = zip(scene.steps, shapes, strict=False)
     steps = [
@@ -31,7 +31,7 @@ def summarize_simulation(
         "converged": False, "status": "not reached", "valid": False, "iterations": 0,
     }  # fmt: skip
     left = [unreached | {"depth_mm": step.depth} for step in scene.steps[len(shapes) :]]
-    validity = worst_of([shape.validity for shape in shapes])
+    validity = find_worst([shape.validity for shape in shapes])
     return steps[-1] | {
         "max_slope": validity.max_slope,
         "valid": all(shape.valid for shape in shapes),
@@ -44,13 +44,13 @@ def summarize_simulation(
 
 
 def _summarize_step(entry: "Entry", shape: "NeedleShape", placement: "Placement | None") -> dict[str, Any]:
-    from needlefit.mechanics.shape import positions
+    from needlefit.mechanics.shape import compute_positions
 
     slope = float(shape.slope[-1])
     return {
         "deflection_mm": shape.deflection,
         "tip_slope": slope,
-        "tip_mm": (placement or entry).to_world(positions(shape, shape.x[-1:]))[0],
+        "tip_mm": (placement or entry).to_world(compute_positions(shape, shape.x[-1:]))[0],
         "tip_angle_deg": math.degrees(entry.angle + math.atan(slope)),
         "converged": shape.converged,
         "status": shape.status,

@@ -14,7 +14,7 @@ from needlefit.project.outputs import require_output_files
 from needlefit.project.view_targets import find_view_target
 
 if TYPE_CHECKING:
-    from needlefit.geometry.placement import Placement
+    from needlefit.geometry.frames import Placement
     from needlefit.mechanics.scene import Scene
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.project.result_warnings import ResultWarning
@@ -51,22 +51,22 @@ def write_curves(done: SimulatedScene, path: Path) -> bool:
 
 def write_table(done: SimulatedScene, path: Path) -> bool:
     """Write the last shape; False where there is none."""
-    from needlefit.mechanics.session import Moment
+    from needlefit.mechanics.session import NeedleState
     from needlefit.reporting.shape_table import write_shape
 
     shape = done.shapes[-1]
     if shape.converged:
         last = done.scene.steps[len(done.shapes) - 1]
-        write_shape(done.scene, Moment(shape, last, done.scene.tissue), path)
+        write_shape(done.scene, NeedleState(shape, last, done.scene.tissue), path)
     return shape.converged
 
 
 def write_animation(done: SimulatedScene, path: Path) -> None:
     """Draw the needle on its way, as far as it comes."""
-    from needlefit.mechanics.strides import strides
+    from needlefit.mechanics.scene import iterate_states
     from needlefit.reporting.figures.animation import animate
 
-    moments = [(gone / ANIMATION_SPEED_MM_S, moment) for gone, moment in strides(done.scene)]
+    moments = [(gone / ANIMATION_SPEED_MM_S, moment) for gone, moment in iterate_states(done.scene)]
     animate(done.title, done.scene, moments, moments[-1][0], path)
 
 
@@ -104,12 +104,12 @@ class SimulationOutcome:
 
 def simulate_scene(name: str, record: "SceneRecord", where: str) -> SimulationOutcome:
     """Carry out a scene's steps; `where` is named in errors."""
-    from needlefit.mechanics.scene import Scene, insert
+    from needlefit.mechanics.scene import Scene, simulate_scene
     from needlefit.project.unit_warnings import coarse_warnings, scene_warnings
 
     screen.compile_ahead()
     scene = Scene.from_record(record, where)
-    done = SimulatedScene(record.title or name, scene, insert(scene), record.needle.outer_diameter_mm)
+    done = SimulatedScene(record.title or name, scene, simulate_scene(scene), record.needle.outer_diameter_mm)
     files: dict[str, Write] = {
         "plot": partial(write_picture, done),
         "csv": partial(write_table, done),

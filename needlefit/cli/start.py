@@ -42,8 +42,8 @@ def new_dataset(
 
     It is there to be filled with one's own measurements.
     """
-    from needlefit.datasets.template import template
+    from needlefit.datasets.template import write_template
 
-    screen.print_line(str(template(folder, source, screen.print_note)))
+    screen.print_line(str(write_template(folder, source, screen.print_note)))
     path = str(folder) if folder.is_absolute() else f"./{folder}"
     screen.print_note(f"fill it in, then: {shlex.join(('needlefit', 'check', path))}")

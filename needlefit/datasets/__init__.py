@@ -1,1 +1,1 @@
-"""Measured insertions: the nouns (`insertion`), and how they are read, checked, written and selected."""
+"""Measured insertions and tip tracks: how they are read, checked, written and selected."""

@@ -7,14 +7,13 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
+from needlefit.datasets.columns import InsertionRow
 from needlefit.datasets.faults import Fault, from_error
 from needlefit.datasets.formats import mat, slicer
-from needlefit.datasets.formats.csv import Table, missing_columns, read_curve, read_table
+from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, read_curve, read_table
 from needlefit.datasets.formats.points import Points
-from needlefit.datasets.schema import InsertionRow
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Frame
-from needlefit.geometry.patient import IN_PATIENT
+from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.schemas.dataset import DatasetRecord, FrameRecord, InsertionsRecord
 
 
@@ -22,38 +21,38 @@ from needlefit.schemas.dataset import DatasetRecord, FrameRecord, InsertionsReco
 class LongTable:
     """A table that holds many centrelines: the rows of each, by insertion id."""
 
-    table: Table
+    table: CsvTable
     groups: dict[str, np.ndarray]
 
-    def first_rows(self) -> Table:
+    def first_rows(self) -> CsvTable:
         """Return the first row of every group, with its id as column `id`."""
         first = [int(rows[0]) for rows in self.groups.values()]
         cells = self.table.cells.iloc[first].reset_index(drop=True).assign(id=list(self.groups))
         return replace(self.table, cells=cells, lines=self.table.lines[first])
 
-    def part(self, rows: np.ndarray) -> Table:
+    def part(self, rows: np.ndarray) -> CsvTable:
         """Return some rows as a table of their own."""
         return replace(
             self.table, cells=self.table.cells.iloc[rows].reset_index(drop=True), lines=self.table.lines[rows]
         )
 
 
-def read_long(path: Path, record: DatasetRecord, found: list[Fault]) -> LongTable | None:
+def read_long_table(path: Path, record: DatasetRecord, found: list[Fault]) -> LongTable | None:
     """Read the long table and sort its rows by insertion; None after a fault."""
-    by = list(record.centerlines.group_by)
+    group_columns = list(record.centerlines.group_by)
     try:
         table = read_table(path)
     except DataError as error:
         found.append(from_error(error))
         return None
-    if missing_columns(table, by, found):
+    if note_missing_columns(table, group_columns, found):
         return None
-    names = _group_names(table.cells[by], record.insertions.id_template, path, found)
+    names = _make_group_names(table.cells[group_columns], record.insertions.id_template, path, found)
     rows: dict[str, list[int]] = {}
     for row, name in enumerate(names):
         rows.setdefault(name, []).append(row)
     long = LongTable(table, {name: np.array(of_name) for name, of_name in rows.items()})
-    _varying(long, record.insertions, found)
+    _check_constant(long, record.insertions, found)
     return long
 
 
@@ -61,7 +60,7 @@ _FIELD = re.compile(r"\{([^{}]*)\}")
 """A column in `id_template`."""
 
 
-def _group_names(keys: pd.DataFrame, template: str | None, path: Path, found: list[Fault]) -> list[str]:
+def _make_group_names(keys: pd.DataFrame, template: str | None, path: Path, found: list[Fault]) -> list[str]:
     """Return every row's insertion id, from the template over the group columns."""
     template = template or "_".join(f"{{{column}}}" for column in keys)
     cells = [{str(k): str(v) for k, v in row.items()} for row in keys.to_dict("records")]
@@ -80,7 +79,7 @@ def _group_names(keys: pd.DataFrame, template: str | None, path: Path, found: li
         return []
 
 
-def _varying(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> None:
+def _check_constant(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> None:
     """Note a column that should say one thing of an insertion and says several."""
     if record.file is not None:
         return
@@ -125,22 +124,22 @@ def find_points(
             return read_curve(long.part(long.groups[row.id]), lines.columns, found), found
         path = folder / lines.pattern.replace("{id}", row.id)
         if path.suffix.lower() == ".mat":
-            return _finite(mat.read_points(path), found), found
-        if path.suffix.lower() in slicer.ENDINGS:
+            return _require_finite(mat.read_points(path), found), found
+        if path.suffix.lower() in slicer.SLICER_SUFFIXES:
             points = slicer.read_points(path)
-            patient = row.patient or patient_frame(record.frame)
+            patient = row.patient or make_patient_frame(record.frame)
             return replace(points, values=patient.to_world(points.values)), found
         return read_curve(read_table(path), lines.columns, found), found
     except DataError as error:
         return None, [*found, from_error(error)]
 
 
-def patient_frame(record: FrameRecord) -> Frame:
+def make_patient_frame(record: FrameRecord) -> Frame:
     """Return the patient coordinates of scans that no row places otherwise, as a frame in the world."""
-    return IN_PATIENT if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
+    return IDENTITY_FRAME if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
 
 
-def _finite(points: Points, found: list[Fault]) -> Points | None:
+def _require_finite(points: Points, found: list[Fault]) -> Points | None:
     bad = points.unusable()
     if len(bad) == 0:
         return points

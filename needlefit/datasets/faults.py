@@ -1,4 +1,4 @@
-"""What is wrong with somebody's data, and the error that says so."""
+"""A fault in a dataset, and the error that lists faults."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass

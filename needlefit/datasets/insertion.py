@@ -1,4 +1,4 @@
-"""The nouns of measured data: an insertion, and the dataset."""
+"""The types of measured data: an insertion, the dataset, its stated noise."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -7,8 +7,9 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.geometry.frames import Frame
-from needlefit.geometry.patient import IN_PATIENT
+from needlefit.errors import DataError
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.geometry.surfaces import Surface
 from needlefit.mechanics.needle import Needle
 from needlefit.project.result_warnings import ResultWarning
@@ -84,7 +85,7 @@ class Insertion:
     patient : Frame
         The patient coordinates (LPS) of its scan in the world.
     base_moved : float
-        How far the base was moved across, toward +y of C, once the needle was in and before it was seen, mm.
+        How far the base was moved across, toward +y of C, after the insertion and before the measurement, mm.
     """
 
     id: str
@@ -107,9 +108,9 @@ class Insertion:
     guide_distance: float | None = None
     sd: Floats | None = None
     surfaces: tuple[Surface, ...] = ()
-    patient: Frame = IN_PATIENT
+    patient: Frame = IDENTITY_FRAME
     depth_sd: float = 0.0
-    base_moved: float = 0.0
+    base_shift: float = 0.0
 
     @property
     def deflection(self) -> float:
@@ -155,3 +156,20 @@ class Dataset:
     notes: tuple[str, ...] = ()
     outer_diameter: float | None = None
     warnings: tuple[ResultWarning, ...] = ()
+
+
+def find_free_reach(drop: float, insertion: Insertion) -> float:
+    """Return how far from the tip a free comparison begins, mm.
+
+    Raises
+    ------
+    DataError
+        If nothing is left to compare.
+    """
+    reach = min(float(arc_length(insertion.planar)[-1]), insertion.depth) - drop
+    if reach <= 0:
+        raise DataError(
+            f"insertion `{insertion.id}` is not longer than the {drop:g} mm that are left out",
+            fix="lessen frame.drop_proximal_mm, or leave the insertion out",
+        )
+    return reach

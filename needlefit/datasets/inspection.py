@@ -1,22 +1,29 @@
-"""Go through every file of a dataset once: the dataset, or everything that is wrong with it."""
+"""Read and check every file of a dataset once: the dataset, or all its faults."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from needlefit.datasets.centerlines import LongTable, find_points, patient_frame, read_long
-from needlefit.datasets.column_warnings import centerline_columns, insertion_columns
-from needlefit.datasets.curve_faults import curve_faults
-from needlefit.datasets.dataset_warnings import insertion_warnings, placeholder_cells, record_warnings
+from needlefit.datasets.centerlines import LongTable, find_points, make_patient_frame, read_long_table
+from needlefit.datasets.dataset_warnings import (
+    find_centerline_column_warnings,
+    find_insertion_column_warnings,
+    find_insertion_warnings,
+    find_placeholder_cells,
+    find_record_warnings,
+)
 from needlefit.datasets.faults import Fault, from_error
-from needlefit.datasets.formats.csv import Table, read_table
-from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.layers import Shared, medium_of, read_shared
-from needlefit.datasets.layers_met import Placed, media_faults, surface_faults
-from needlefit.datasets.reach import reach_from_tip
-from needlefit.datasets.reduce import reduce
-from needlefit.datasets.rows import parse_rows
-from needlefit.datasets.sources import checksum_faults, dataset_file, digest, folders
+from needlefit.datasets.formats.csv import CsvTable, read_table
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
+from needlefit.datasets.insertion_faults import (
+    ListedInsertion,
+    find_curve_faults,
+    find_layer_faults,
+    find_media_faults,
+)
+from needlefit.datasets.insertion_table import parse_rows
+from needlefit.datasets.layers import SharedSurfaces, make_medium, read_shared_surfaces, reduce_insertion
+from needlefit.datasets.sources import compute_digest, find_checksum_faults, find_dataset_file, find_folders
 from needlefit.errors import ConfigError, DataError
 from needlefit.mechanics.needle import Needle
 from needlefit.project.input_files import is_file
@@ -27,10 +34,10 @@ from needlefit.project.unit_warnings import likely_modulus
 from needlefit.schemas.dataset import MIN_SD_MM, DatasetRecord, NoiseRecord
 from needlefit.schemas.scene import NeedleRecord
 
-STIFFEST_GPA = 1000.0
+MAX_MODULUS_GPA = 1000.0
 """No needle is stiffer: tungsten carbide has 700 GPa, steel 200."""
 
-POINT_ACROSS = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
+BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leave the three cells empty"
 
 
 @dataclass(frozen=True)
@@ -42,76 +49,76 @@ class Inspection:
     warnings: tuple[ResultWarning, ...] = ()
 
 
-def inspect(path: Path) -> Inspection:
+def inspect_dataset(path: Path) -> Inspection:
     """Read the dataset whose folder or `dataset.toml` is `path`, collecting every fault."""
-    file = dataset_file(path)
+    file = find_dataset_file(path)
     try:
         record = load(file, DatasetRecord)
-        roots = folders(record, file)
+        roots = find_folders(record, file)
     except (ConfigError, DataError) as error:
         return Inspection(None, (from_error(error),))
     found: list[Fault] = []
     for root in roots:
-        found += checksum_faults(record.checksums, root)
-    found += [*needle_faults(record.needle, file), *media_faults(record, file)]
-    shared = read_shared(record, roots[0], found)
+        found += find_checksum_faults(record.checksums, root)
+    found += [*find_needle_faults(record.needle, file), *find_media_faults(record, file)]
+    shared = read_shared_surfaces(record, roots[0], found)
     unused: list[ResultWarning] = []
-    placed = [one for root in roots for one in _insertions(record, root, shared, found, unused)]
-    found += repeated("insertion", (one.insertion.id for one in placed), file)
-    found += [*surface_faults(placed, record, file), *reach_faults(record, placed, file)]
-    found += sd_faults(record, placed, file)
-    warnings = [*record_warnings(record, file), *unused]
+    listed = [one for root in roots for one in _iterate_insertions(record, root, shared, found, unused)]
+    found += find_repeated_ids("insertion", (one.insertion.id for one in listed), file)
+    found += [*find_layer_faults(listed, record, file), *find_reach_faults(record, listed, file)]
+    found += find_sd_faults(record, listed, file)
+    warnings = [*find_record_warnings(record, file), *unused]
     if found:
-        return refused(found, warnings)
-    insertions = [one.insertion for one in placed]
-    warnings += insertion_warnings(record, placed, noise_of(record.noise), file)
+        return make_refusal(found, warnings)
+    insertions = [one.insertion for one in listed]
+    warnings += find_insertion_warnings(record, listed, make_noise(record.noise), file)
     files = {roots[0] / surface.file for surface in shared}
     for root in roots:
-        files |= _files(record, root, insertions)
-    dataset = _dataset(record, file, insertions, digest(file, roots, files))
+        files |= _list_files(record, root, insertions)
+    dataset = _make_dataset(record, file, insertions, compute_digest(file, roots, files))
     return Inspection(replace(dataset, warnings=tuple(warnings)), (), tuple(warnings))
 
 
-def _insertions(
-    record: DatasetRecord, root: Path, shared: Shared, found: list[Fault], unused: list[ResultWarning]
-) -> Iterator[Placed]:
+def _iterate_insertions(
+    record: DatasetRecord, root: Path, shared: SharedSurfaces, found: list[Fault], unused: list[ResultWarning]
+) -> Iterator[ListedInsertion]:
     """Yield the sound insertions of one folder; note the faults of the others, and unused or open cells."""
     long = None
     if record.centerlines.file is not None:
-        long = read_long(root / record.centerlines.file, record, found)
+        long = read_long_table(root / record.centerlines.file, record, found)
         if long is None:
             return
-    table = _table(record, root, long, found)
+    table = _read_insertion_table(record, root, long, found)
     if table is None:
         return
-    unused += insertion_columns(record, map(str, table.cells.columns), table.path)
-    unused += placeholder_cells(table)
+    unused += find_insertion_column_warnings(record, map(str, table.cells.columns), table.path)
+    unused += find_placeholder_cells(table)
     headers: set[tuple[str, ...]] = set()
     for row in parse_rows(table, record, found):
         where = f"{table.path}:{row.line}"
         points, faults = find_points(row, root, record, long)
         if points is not None:
             if points.columns not in headers:  # of files with the same header the first is named
-                unused += centerline_columns(record, points.columns, points.path)
+                unused += find_centerline_column_warnings(record, points.columns, points.path)
             headers.add(points.columns)
-            faults += curve_faults(points, row, record, where)
+            faults += find_curve_faults(points, row, record, where)
         found += faults
-        medium = medium_of(row, record, root, shared, found)
+        medium = make_medium(row, record, root, shared, found)
         if points is None or faults or medium is None:
             continue
         try:
-            insertion = reduce(row, points, medium, row.patient or patient_frame(record.frame))
+            insertion = reduce_insertion(row, points, medium, row.patient or make_patient_frame(record.frame))
         except DataError as error:
             fault = from_error(error, where)
-            found.append(replace(fault, fix=fault.fix or POINT_ACROSS))
+            found.append(replace(fault, fix=fault.fix or BEVEL_FIX))
             continue
-        yield Placed(insertion, where)
+        yield ListedInsertion(insertion, where)
 
 
-def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
+def find_needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
     """Say whether a needle's modulus was written in another unit."""
     modulus = needle.youngs_modulus_gpa
-    if modulus is None or modulus <= STIFFEST_GPA:
+    if modulus is None or modulus <= MAX_MODULUS_GPA:
         return
     unit, in_gpa = likely_modulus(modulus)
     yield Fault(
@@ -122,7 +129,9 @@ def needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
     )
 
 
-def _table(record: DatasetRecord, root: Path, long: LongTable | None, found: list[Fault]) -> Table | None:
+def _read_insertion_table(
+    record: DatasetRecord, root: Path, long: LongTable | None, found: list[Fault]
+) -> CsvTable | None:
     """Return the table of insertions: its file, or the first rows of the groups of the long table."""
     if record.insertions.file is None:
         assert long is not None  # the record says so
@@ -134,22 +143,24 @@ def _table(record: DatasetRecord, root: Path, long: LongTable | None, found: lis
         return None
 
 
-def reach_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) -> Iterator[Fault]:
+def find_reach_faults(
+    record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path
+) -> Iterator[Fault]:
     """Say which free shapes are no longer than what is left out of every comparison."""
     if record.frame.pose != "free":
         return
-    for one in placed:
+    for one in listed:
         try:
-            reach_from_tip(record.frame.drop_proximal_mm, one.insertion)
+            find_free_reach(record.frame.drop_proximal_mm, one.insertion)
         except DataError as error:
             yield from_error(error, locate_key(file, "frame.drop_proximal_mm"))
 
 
-def sd_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) -> Iterator[Fault]:
+def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path) -> Iterator[Fault]:
     """Say which curves have points without any error: neither their own, nor one that the dataset states."""
-    if noise_of(record.noise).stated:
+    if make_noise(record.noise).stated:
         return
-    for one in placed:
+    for one in listed:
         if one.insertion.sd is not None and (one.insertion.sd < MIN_SD_MM).any():
             yield Fault(
                 one.where,
@@ -159,28 +170,28 @@ def sd_faults(record: DatasetRecord, placed: Iterable[Placed], file: Path) -> It
             )
 
 
-def refused(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
+def make_refusal(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
     """Return what came of a dataset with faults, each once; of one place the fault is enough."""
     places = {fault.where for fault in faults}
-    kept = tuple(one for one in warnings if one.where not in places)
-    return Inspection(None, tuple(dict.fromkeys(faults)), kept)
+    remaining = tuple(one for one in warnings if one.where not in places)
+    return Inspection(None, tuple(dict.fromkeys(faults)), remaining)
 
 
-def repeated(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:
+def find_repeated_ids(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:
     """Yield ids that several folders hold; within one table the rows were compared before."""
-    seen: set[str] = set()
+    known_ids: set[str] = set()
     for id_ in ids:
-        if id_ in seen:
+        if id_ in known_ids:
             yield Fault(
                 str(file),
                 f"{what} {id_} is in more than one folder of root",
                 "one of each id",
                 "rename or remove one of them, or narrow root",
             )
-        seen.add(id_)
+        known_ids.add(id_)
 
 
-def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:
+def _list_files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> set[Path]:
     tables = {root / name for name in (record.insertions.file, record.centerlines.file) if name is not None}
     pattern = record.centerlines.pattern
     own = {root / pattern.replace("{id}", i.id) for i in insertions} if pattern is not None else set()
@@ -190,7 +201,7 @@ def _files(record: DatasetRecord, root: Path, insertions: list[Insertion]) -> se
     return tables | {path for path in own if is_file(path)}
 
 
-def _dataset(
+def _make_dataset(
     record: DatasetRecord,
     file: Path,
     insertions: list[Insertion],
@@ -203,23 +214,23 @@ def _dataset(
         needle=Needle.from_record(record.needle),
         insertions=tuple(insertions),
         media=tuple(record.media),
-        noise=noise_of(record.noise),
+        noise=make_noise(record.noise),
         pose=record.frame.pose,
         drop_proximal=record.frame.drop_proximal_mm,
         path=file,
         digest=digest_,
-        notes=notes_of(record.notes, record.needle.note, record.noise.note),
+        notes=collect_notes(record.notes, record.needle.note, record.noise.note),
         outer_diameter=record.needle.outer_diameter_mm,
     )
 
 
-def notes_of(data: str, needle: str, noise: str) -> tuple[str, ...]:
+def collect_notes(data: str, needle: str, noise: str) -> tuple[str, ...]:
     """Return what a dataset's makers want known of data, needle and noise, as reports print it."""
-    said = (("", data), ("Needle: ", needle), ("Noise: ", noise))
-    return tuple(head + text.strip() for head, text in said if text.strip())
+    parts = (("", data), ("Needle: ", needle), ("Noise: ", noise))
+    return tuple(head + text.strip() for head, text in parts if text.strip())
 
 
-def noise_of(record: NoiseRecord) -> Noise:
+def make_noise(record: NoiseRecord) -> Noise:
     """Return the errors that a dataset states."""
     return Noise(
         record.registration_mean_mm, record.point_sd_mm, record.correlated_sd_mm, record.correlation_length_mm

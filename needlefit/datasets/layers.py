@@ -1,4 +1,6 @@
-"""The media of a dataset, and which of their layers an insertion meets."""
+"""The layers of a dataset: read their surfaces, find which an insertion meets, and reduce it to its bending
+plane.
+"""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -6,20 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
+from needlefit.datasets.columns import Floats, InsertionRow
 from needlefit.datasets.faults import Fault, from_error
-from needlefit.datasets.schema import Floats, InsertionRow
+from needlefit.datasets.formats.points import Points
+from needlefit.datasets.insertion import Insertion
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import crossings
-from needlefit.geometry.frames import Frame
-from needlefit.geometry.surfaces import Surface, read_surface, surface_faults
+from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.curves import find_bending_direction, fit_free_frame
+from needlefit.geometry.frames import Frame, make_entry_frame
+from needlefit.geometry.surfaces import Surface, find_mesh_faults, read_surface
 from needlefit.project.input_files import is_file
 from needlefit.schemas.dataset import DatasetRecord, SurfaceRecord
 
-SMALLEST_SURFACE, LARGEST_SURFACE = 1.0, 2000.0
+MIN_SURFACE_MM, MAX_SURFACE_MM = 1.0, 2000.0
 """A surface whose greatest extent is less or more than this, mm, was written in metres or micrometres."""
 
-RESTORE = "check its name, or restore it"
-EXPORT = "export the surface again as triangles, e.g. as STL"
+RESTORE_FIX = "check its name, or restore it"
+EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
 
 
 @dataclass(frozen=True)
@@ -30,82 +35,83 @@ class Medium:
     boundaries: Floats | None = None
 
 
-Shared = Mapping[SurfaceRecord, Surface | None]
+SharedSurfaces = Mapping[SurfaceRecord, Surface | None]
 """The surfaces that all insertions share; None: it has a fault, which is noted."""
 
 
-def read_shared(record: DatasetRecord, folder: Path, found: list[Fault]) -> Shared:
+def read_shared_surfaces(record: DatasetRecord, folder: Path, found: list[Fault]) -> SharedSurfaces:
     """Read the surfaces of all media but those of which every insertion has its own; note their faults."""
     listed = [surface for medium in record.media.values() for surface in medium.surfaces]
-    return {one: _read(one, folder / one.file, found) for one in listed if not one.own}
+    return {one: _read_surface(one, folder / one.file, found) for one in listed if not one.own}
 
 
-def medium_of(
-    row: InsertionRow, record: DatasetRecord, folder: Path, shared: Shared, found: list[Fault]
+def make_medium(
+    row: InsertionRow, record: DatasetRecord, folder: Path, shared: SharedSurfaces, found: list[Fault]
 ) -> Medium | None:
     """Return the medium of an insertion with its own surfaces, of `folder`, in place; None after a fault."""
     medium = record.media[row.medium]
     surfaces = [
-        _read(one, folder / one.file_of(row.id), found) if one.own else shared[one] for one in medium.surfaces
+        _read_surface(one, folder / one.file_of(row.id), found) if one.own else shared[one]
+        for one in medium.surfaces
     ]
     sound = tuple(surface for surface in surfaces if surface is not None)
     depths = None if medium.boundaries_mm is None else np.array(medium.boundaries_mm, dtype=np.float64)
     return Medium(sound, depths) if len(sound) == len(surfaces) else None
 
 
-def _read(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | None:
+def _read_surface(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surface | None:
     try:
         surface = read_surface(path, record.kind, record.into)
     except DataError as error:
-        fault = file_fault(error, path)
+        fault = make_file_fault(error, path)
         if fault not in found:  # two media may share a surface
             found.append(fault)
         return None
-    faults = list(mesh_faults(surface, path))
+    faults = list(find_surface_faults(surface, path))
     found += [fault for fault in faults if fault not in found]
     return None if faults else surface
 
 
-def file_fault(error: DataError, path: Path) -> Fault:
+def make_file_fault(error: DataError, path: Path) -> Fault:
     """Return the fault of a surface's file that could not be read, and how to fix it."""
     fault = from_error(error)
-    return fault if fault.fix else replace(fault, fix=RESTORE if not is_file(path) else EXPORT)
+    return fault if fault.fix else replace(fault, fix=RESTORE_FIX if not is_file(path) else EXPORT_FIX)
 
 
-def mesh_faults(surface: Surface, path: Path) -> Iterator[Fault]:
+def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
     """Say what keeps the surface read from a file from being a boundary, mm."""
     expected = {
         "solid": "a closed surface in one piece, its triangles turned outward",
         "sheet": "one piece with one rim, larger than the tissue it parts",
     }[surface.kind]
-    for what in surface_faults(surface.mesh, surface.kind):
+    for what in find_mesh_faults(surface.mesh, surface.kind):
         yield Fault(str(path), f"the {surface.kind} {what}", expected, "fix the mesh (e.g. MeshLab, Slicer)")
     extent = float(np.ptp(surface.mesh.vertices, axis=0).max())
-    if extent < SMALLEST_SURFACE:
+    if extent < MIN_SURFACE_MM:
         yield Fault(
             str(path),
             f"is {extent:.3g} across: this looks like metres",
             "millimetres",
             "multiply its coordinates by 1000",
         )
-    if extent > LARGEST_SURFACE:
+    if extent > MAX_SURFACE_MM:
         yield Fault(
             str(path),
             f"is {extent:.4g} mm across: this looks like micrometres, or like millimetres multiplied by 1000",
-            f"millimetres, at most {LARGEST_SURFACE:g} across",
+            f"millimetres, at most {MAX_SURFACE_MM:g} across",
             "divide its coordinates by 1000",
         )
 
 
-def layers_met(
+def find_layers(
     centerline: Floats, frame: Frame, surfaces: Sequence[Surface]
 ) -> tuple[Floats, tuple[int, ...]]:
     """Return at which depths (n - 1,) along C's x a centreline (N, 3) crosses surfaces, and the n layers."""
-    met = crossings(centerline, surfaces)
-    return depths_of(met.points, frame), met.sequence
+    crossed = find_crossings(centerline, surfaces)
+    return compute_depths(crossed.points, frame), crossed.sequence
 
 
-def depths_of(points: Floats, frame: Frame) -> Floats:
+def compute_depths(points: Floats, frame: Frame) -> Floats:
     """Return the depths (m,) along C's x of crossings (m, 3) in their order along the needle, mm."""
     x = frame.to_local(points)[:, 0]
     # the centreline's first point is not exactly the entry: an interface there may project before it
@@ -113,7 +119,62 @@ def depths_of(points: Floats, frame: Frame) -> Floats:
     return ordered
 
 
-def layers_before(boundaries: Floats, reach: float) -> tuple[Floats, tuple[int, ...]]:
+def select_layers(boundaries: Floats, reach: float) -> tuple[Floats, tuple[int, ...]]:
     """Return those of given depths that lie before `reach`, (n - 1,), mm, and the n layers met."""
     depths = boundaries[boundaries < reach]
     return depths, tuple(range(1, len(depths) + 2))
+
+
+def reduce_insertion(row: InsertionRow, points: Points, medium: Medium, patient: Frame) -> Insertion:
+    """Return the insertion of a row without faults; `patient`: where its scan stands in the world.
+
+    C stands at the entry pose; its plane is that of `row.bevel`, or, where that is empty, the one in
+    which the centreline leaves the entry line. A row without entry pose gets `fit_free_frame`.
+
+    Raises
+    ------
+    DataError
+        If the bevel direction is parallel to the entry.
+    """
+    centerline = points.values
+    frame = _make_frame(row, centerline)
+    local = frame.to_local(centerline)
+    if medium.boundaries is None:
+        boundaries, sequence = find_layers(centerline, frame, medium.surfaces)
+    else:
+        reach = row.depth if row.entry is None else float(local[-1, 0])
+        boundaries, sequence = select_layers(medium.boundaries, reach)
+    return Insertion(
+        id=row.id,
+        medium=row.medium,
+        specimen=row.specimen,
+        layers=row.layers,
+        layers_alternative=row.layers if row.layers_alternative is None else row.layers_alternative,
+        depth=row.depth,
+        side=row.side,
+        frame=frame,
+        pose_source=row.pose_source,
+        pose_shift_sd=row.pose_shift_sd,
+        pose_angle_sd=row.pose_angle_sd,
+        centerline=centerline,
+        planar=local[:, :2],
+        out_of_plane=local[:, 2],
+        boundaries=boundaries,
+        sequence=sequence,
+        boundary_sd=row.boundary_sd,
+        depth_sd=row.depth_sd,
+        guide_distance=row.guide_distance,
+        sd=points.sd,
+        surfaces=medium.surfaces,
+        patient=patient,
+        base_shift=row.base_shift,
+    )
+
+
+def _make_frame(row: InsertionRow, centerline: Floats) -> Frame:
+    if row.entry is None or row.direction is None:
+        frame = fit_free_frame(centerline)
+        # a shape bends toward its bevel
+        return frame if row.side > 0 else Frame(frame.origin, frame.rotation * [1.0, -1.0, -1.0])
+    toward = find_bending_direction(centerline, row.direction) if row.bevel is None else row.bevel
+    return make_entry_frame(row.entry, row.direction, toward)

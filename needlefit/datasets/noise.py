@@ -1,20 +1,26 @@
-"""The noise floor: the errors that perfect parameters would still show."""
+"""Measurement noise: the noise floor (errors that perfect parameters would still show), and doubtful stated
+errors.
+"""
 
 import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from needlefit.datasets.insertion import Dataset, Floats, Insertion, Noise
-from needlefit.datasets.reach import reach_from_tip
-from needlefit.geometry.compare import STATIONS, CurveErrors, compare
-from needlefit.geometry.curves import arc_length, at_arc, resample
+from needlefit.datasets.insertion import Dataset, Floats, Insertion, Noise, find_free_reach
+from needlefit.datasets.insertion_faults import ListedInsertion
+from needlefit.geometry.compare import COMPARISON_POINTS, CurveErrors, compare_curves
+from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_curve
 from needlefit.geometry.frames import align_rigid
+from needlefit.project.result_warnings import ResultWarning
+from needlefit.project.unit_warnings import FormatPlace
+from needlefit.schemas.dataset import DatasetRecord, NoiseRecord
 
-MEAN_OF_NORM = math.sqrt(8 / math.pi)
+MEAN_NORM_PER_SD = math.sqrt(8 / math.pi)
 """Mean length of a 3-D normal vector of unit standard deviation per axis."""
 
-CUT = 1e-3
+CUT_TOLERANCE_MM = 1e-3
 """A curve that begins this near to the plane of first contact, mm, was cut there."""
 
 
@@ -28,7 +34,7 @@ class NoiseFloor:
     te_mm: float
 
 
-def noise_floor(
+def estimate_noise_floor(
     dataset: Dataset, insertion: Insertion, rng: np.random.Generator, draws: int = 200
 ) -> NoiseFloor:
     """Return the errors of the measured curve against itself, measured again with the stated noise.
@@ -41,20 +47,20 @@ def noise_floor(
     for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
     """
     noise = dataset.noise
-    shift = max(noise.registration_mean / MEAN_OF_NORM, insertion.pose_shift_sd)
+    shift = max(noise.registration_mean / MEAN_NORM_PER_SD, insertion.pose_shift_sd)
     angle = insertion.pose_angle_sd
     if dataset.pose == "free":
         shift = angle = 0.0
     if not (shift or angle or noise.point_sd or noise.correlated_sd):
         return NoiseFloor(math.nan, math.nan, math.nan, math.nan)
     curve = insertion.planar
-    moved = (
+    perturbed = (
         curve
-        + point_noise(curve, noise, rng, draws)
-        + _pose_noise(curve, _shifts(curve, shift), angle, rng.normal(size=(draws, 3)))
+        + draw_point_noise(curve, noise, rng, draws)
+        + _displace_by_pose(curve, _find_visible_shifts(curve, shift), angle, rng.normal(size=(draws, 3)))
     )
-    free = reach_from_tip(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
-    errors = [_compare(curve, again, free) for again in moved]
+    free = find_free_reach(dataset.drop_proximal, insertion) if dataset.pose == "free" else None
+    errors = [_compare_measured(curve, again, free) for again in perturbed]
     return NoiseFloor(
         median_err_mm=float(np.mean([e.median for e in errors])),
         ipe_mean_mm=float(np.mean([e.mean for e in errors])),
@@ -63,7 +69,7 @@ def noise_floor(
     )
 
 
-def point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
+def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
     """Return noise of the points of `curve` (N, d): independent, and correlated as exp(-|ds| / length).
 
     Shape (draws, N, d), mm.
@@ -76,24 +82,182 @@ def point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: in
     return drawn
 
 
-def _shifts(curve: Floats, shift: float) -> Floats:
+def _find_visible_shifts(curve: Floats, shift: float) -> Floats:
     """Return the deviations (2,) of a shift along and across the entry axis that a curve (N, 2) can show."""
-    cut = abs(float(curve[0, 0])) < CUT
+    cut = abs(float(curve[0, 0])) < CUT_TOLERANCE_MM
     return np.array([0.0 if cut else shift, shift])
 
 
-def _pose_noise(curve: Floats, shifts: Floats, angle: float, normal: Floats) -> Floats:
+def _displace_by_pose(curve: Floats, shifts: Floats, angle: float, normal: Floats) -> Floats:
     """Return the displacement (draws, N, 2) of small motions about C's origin, from `normal` (draws, 3)."""
-    turned = np.column_stack([-curve[:, 1], curve[:, 0]])  # (N, 2)
-    displaced: Floats = shifts * normal[:, None, :2] + angle * normal[:, 2, None, None] * turned
+    perpendicular = np.column_stack([-curve[:, 1], curve[:, 0]])  # (N, 2)
+    displaced: Floats = shifts * normal[:, None, :2] + angle * normal[:, 2, None, None] * perpendicular
     return displaced
 
 
-def _compare(curve: Floats, again: Floats, length: float | None) -> CurveErrors:
+def _compare_measured(curve: Floats, again: Floats, length: float | None) -> CurveErrors:
     """Compare at equal fractions, or along `length` from the tip after alignment."""
     if length is None:
-        fractions = np.linspace(0, 1, STATIONS)
-        return compare(resample(curve, fractions), resample(again, fractions))
-    from_tip = np.linspace(length, 0, STATIONS)
-    sampled, measured = (at_arc(c, arc_length(c)[-1] - from_tip) for c in (curve, again))
-    return compare(align_rigid(sampled, measured), measured)
+        fractions = np.linspace(0, 1, COMPARISON_POINTS)
+        return compare_curves(resample_curve(curve, fractions), resample_curve(again, fractions))
+    from_tip = np.linspace(length, 0, COMPARISON_POINTS)
+    sampled, measured = (interpolate_at_arc(c, arc_length(c)[-1] - from_tip) for c in (curve, again))
+    return compare_curves(align_rigid(sampled, measured), measured)
+
+
+MIN_POINT_SD_MM = 5e-4
+"""Of the points of a centreline: less was written in another unit."""
+
+MIN_POSE_SD_MM = 1e-3
+"""Of registration and entry pose: less was written in another unit."""
+
+MAX_POSE_SD_MM = 5.0
+"""Of registration and entry pose: with more, nobody would compare curves."""
+
+MAX_POSE_ANGLE_SD_DEG = 20.0
+
+MAX_NOISE_FRACTION = 0.5
+"""Part of the largest deflection from which on noise hides what there is to fit."""
+
+
+def find_stated_warnings(noise: NoiseRecord, length_mm: float, where: FormatPlace) -> Iterator[ResultWarning]:
+    """Yield a warning for each value of `[noise]` that no measurement has, for a needle of `length_mm`."""
+    largest = max(noise.point_sd_mm, noise.correlated_sd_mm)
+    if 0 < largest < MIN_POINT_SD_MM:
+        name = "point_sd_mm" if largest == noise.point_sd_mm else "correlated_sd_mm"
+        yield _make_unit_warning(f"noise.{name}", largest, where)
+    registration, length = noise.registration_mean_mm, noise.correlation_length_mm
+    if 0 < registration < MIN_POSE_SD_MM:
+        yield _make_unit_warning("noise.registration_mean_mm", registration, where)
+    if registration > MAX_POSE_SD_MM:
+        key = "noise.registration_mean_mm"
+        what = f"`{key}` is {registration:g} mm, more than any error of registration: this looks like um"
+        yield ResultWarning("units", what, where(key), f"write {1e-3 * registration:g}")
+    if noise.correlated_sd_mm > 0 and length > length_mm:
+        key = "noise.correlation_length_mm"
+        what = f"`{key}` is {length:g}, longer than the needle, {length_mm:g} mm"
+        yield ResultWarning("units", what, where(key), "check its unit, mm")
+
+
+def _make_unit_warning(key: str, value: float, where: FormatPlace) -> ResultWarning:
+    what = f"`{key}` is {value:g} mm, less than any needle is measured to: this looks like metres"
+    return ResultWarning("units", what, where(key), f"write {1e3 * value:g}")
+
+
+def find_noise_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, where: FormatPlace
+) -> list[ResultWarning]:
+    """Return what is suspicious in the errors stated, beside the insertions themselves."""
+    insertions = [one.insertion for one in listed]
+    depths = [one.planar[:, 0] for one in insertions]
+    return [
+        *_compare_point_noise(insertions, noise, where),
+        *_compare_registration(record, insertions, where),
+        *find_spacing_warnings(noise, depths, where),
+        *_find_column_warnings(record, listed, where),
+        *_find_missing_noise(insertions, noise, where),
+    ]
+
+
+def _find_largest_deflection(insertions: Sequence[Insertion]) -> float:
+    return max((abs(one.deflection) for one in insertions), default=0.0)
+
+
+def _compare_point_noise(
+    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace
+) -> Iterator[ResultWarning]:
+    largest = _find_largest_deflection(insertions)
+    sd = float(np.hypot(noise.point_sd, noise.correlated_sd))
+    if sd > MAX_NOISE_FRACTION * largest:
+        key = "noise.point_sd_mm" if noise.point_sd >= noise.correlated_sd else "noise.correlated_sd_mm"
+        what = f"the noise of the points, {sd:g} mm, hides deflections of {largest:.3g} mm at most"
+        yield ResultWarning("noise", what, where(key), "check its unit, mm; such data determine nothing")
+
+
+def _compare_registration(
+    record: DatasetRecord, insertions: Sequence[Insertion], where: FormatPlace
+) -> Iterator[ResultWarning]:
+    largest, value = _find_largest_deflection(insertions), record.noise.registration_mean_mm
+    if record.frame.pose == "known" and largest < value <= MAX_POSE_SD_MM:
+        key = "noise.registration_mean_mm"
+        what = f"`{key}` is {value:g} mm, more than the largest deflection, {largest:.3g} mm"
+        yield ResultWarning("noise", what, where(key), "check its unit, mm")
+
+
+def find_spacing_warnings(
+    noise: Noise, depths: Sequence[Floats], where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield a warning if the correlation is shorter than points, at `depths` (N,) each, are apart."""
+    if noise.correlated_sd <= 0 or not depths:
+        return
+    spacing = min(float(np.median(np.abs(np.diff(one)))) for one in depths)
+    if noise.correlation_length < spacing:
+        key = "noise.correlation_length_mm"
+        what = f"`{key}` is {noise.correlation_length:g}, shorter than points are apart, {spacing:.3g} mm"
+        fix = "check its unit, mm, or state `noise.point_sd_mm`: such noise is independent"
+        yield ResultWarning("units", what, where(key), fix)
+
+
+@dataclass(frozen=True)
+class _ColumnCheck:
+    """A column of deviations: its values, from which to which they are hard to believe, and why."""
+
+    column: str
+    value: Callable[[Insertion], float]
+    above: Callable[[Insertion], float]
+    up_to: float
+    why: str
+    fix: str = "check its unit, mm"
+
+
+def _make_column_checks(largest: float) -> tuple[_ColumnCheck, ...]:
+    """Return the checks of a table whose largest deflection, mm, is given."""
+    shift, limit = "pose_shift_sd_mm", MAX_POSE_SD_MM
+    few = "less than any pose is measured to, as if in metres"
+    many = "more than any error of a measured pose"
+    beyond_deflection = f"more than the largest deflection, {largest:.3g} mm"
+    deeper = "more than the insertion is deep"
+    return (
+        _ColumnCheck(
+            shift, lambda one: one.pose_shift_sd, lambda _: 0.0, MIN_POSE_SD_MM, few, "multiply by 1000"
+        ),
+        _ColumnCheck(shift, lambda one: one.pose_shift_sd, lambda _: largest, limit, beyond_deflection),
+        _ColumnCheck(
+            shift, lambda one: one.pose_shift_sd, lambda _: limit, np.inf, f"{many}: this looks like um"
+        ),
+        _ColumnCheck(
+            "pose_angle_sd_deg", _angle_deg, lambda _: MAX_POSE_ANGLE_SD_DEG, np.inf, many, "check it"
+        ),
+        _ColumnCheck("boundary_sd_mm", lambda one: one.boundary_sd, lambda one: one.depth, np.inf, deeper),
+        _ColumnCheck("depth_sd_mm", lambda one: one.depth_sd, lambda one: one.depth, np.inf, deeper),
+    )
+
+
+def _angle_deg(insertion: Insertion) -> float:
+    return float(np.degrees(insertion.pose_angle_sd))
+
+
+def _find_column_warnings(
+    record: DatasetRecord, listed: Sequence[ListedInsertion], where: FormatPlace
+) -> Iterator[ResultWarning]:
+    """Yield a warning for each column of deviations of the table that holds values hard to believe."""
+    source = record.insertions
+    for check in _make_column_checks(_find_largest_deflection([one.insertion for one in listed])):
+        name = check.column
+        bad = [one for one in listed if check.above(one.insertion) < check.value(one.insertion) < check.up_to]
+        if bad:
+            constant = name in source.constants and name not in source.columns
+            place = where(f"insertions.constants.{name}") if constant else bad[0].where
+            what = f"`{source.columns.get(name, name)}` is {check.value(bad[0].insertion):g}, {check.why} "
+            what += f"({len(bad)} of {len(listed)} rows)"
+            yield ResultWarning("units", what, place, check.fix)
+
+
+def _find_missing_noise(
+    insertions: Sequence[Insertion], noise: Noise, where: FormatPlace
+) -> Iterator[ResultWarning]:
+    if not noise.stated and any(one.sd is None for one in insertions):
+        key = "noise.point_sd_mm"
+        what = "no noise of the points is stated, so fits have neither noise floor nor predictive intervals"
+        fix = f"write `{key}`, the standard deviation of a point per axis; calibrate and comparisons need it"
+        yield ResultWarning("no_noise", what, where(key), fix)

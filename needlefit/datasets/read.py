@@ -1,13 +1,16 @@
-"""Read a dataset, or say everything that is wrong with it."""
+"""Read a dataset, or list everything that is wrong with it (`needlefit check`)."""
 
 from pathlib import Path
 
-from needlefit.datasets.faults import as_error
+from needlefit.datasets import inspection
+from needlefit.datasets import tip_track_table as tracks
+from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.insertion import Dataset
-from needlefit.datasets.inspection import inspect
-from needlefit.datasets.sources import dataset_file
-from needlefit.datasets.tracks.read import holds_tracks
+from needlefit.datasets.inspection import inspect_dataset
+from needlefit.datasets.sources import find_dataset_file
+from needlefit.datasets.tip_track_table import holds_tracks
 from needlefit.errors import DataError
+from needlefit.project.result_warnings import ResultWarning
 
 
 def read(path: Path) -> Dataset:
@@ -21,11 +24,25 @@ def read(path: Path) -> Dataset:
     if holds_tracks(path):
         raise DataError(
             "holds tip tracks, no shapes",
-            where=str(dataset_file(path)),
+            where=str(find_dataset_file(path)),
             expected="a dataset with [centerlines]",
             fix='fit it by a study with `observable = "tip tracks"`',
         )
-    found = inspect(path)
+    found = inspect_dataset(path)
     if found.dataset is None:
-        raise as_error(found.faults, dataset_file(path))
+        raise as_error(found.faults, find_dataset_file(path))
     return found.dataset
+
+
+__all__ = ["Fault", "check", "check_all", "read"]
+
+
+def check(path: Path) -> list[Fault]:
+    """Return every fault of the dataset whose folder or `dataset.toml` is `path`."""
+    return check_all(path)[0]
+
+
+def check_all(path: Path) -> tuple[list[Fault], list[ResultWarning]]:
+    """Return every fault of a dataset, which nothing is fitted to, and every warning, which stops nothing."""
+    found = tracks.inspect_tracks(path) if tracks.holds_tracks(path) else inspection.inspect_dataset(path)
+    return list(found.faults), list(found.warnings)

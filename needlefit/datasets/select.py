@@ -1,6 +1,8 @@
-"""Which insertions of a dataset a fit or a study means."""
+"""Select the insertions of a dataset for a fit or a study, and group those that are no independent
+observations.
+"""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.errors import ConfigError
@@ -9,7 +11,7 @@ from needlefit.project.toml_lines import add_key_context
 from needlefit.schemas.study import LayerCountRule, SelectionRecord
 
 
-def select(
+def select_insertions(
     dataset: Dataset,
     selection: SelectionRecord,
     layer_count_rule: LayerCountRule = "listed",
@@ -27,38 +29,40 @@ def select(
     """
     known = dataset.insertions
     with add_key_context(f"{key}.medium"):
-        _all_known("medium", [selection.medium] if selection.medium else (), dataset.media)
+        _require_known("medium", [selection.medium] if selection.medium else (), dataset.media)
     with add_key_context(f"{key}.specimens"):
-        _all_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
+        _require_known("specimen", selection.specimens or (), {insertion.specimen for insertion in known})
     with add_key_context(f"{key}.insertions"):
-        _all_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
-    chosen = tuple(insertion for insertion in known if _meets(insertion, selection, layer_count_rule))
+        _require_known("insertion", selection.insertions or (), {insertion.id for insertion in known})
+    chosen = tuple(insertion for insertion in known if _matches(insertion, selection, layer_count_rule))
     if not chosen:
         given = selection.model_dump(exclude_none=True)
         raise ConfigError(
-            f"no insertion of dataset {dataset.name} has {' and '.join(map(_said, given, given.values()))}",
-            expected=f"a selection that leaves at least one; there are {_there_are(known, layer_count_rule)}",
+            f"no insertion of dataset {dataset.name} has "
+            f"{' and '.join(map(_format_key, given, given.values()))}",
+            expected="a selection that leaves at least one; there are "
+            f"{_describe_choices(known, layer_count_rule)}",
             fix="widen or correct the selection",
             key=key,
         )
     return chosen
 
 
-def layers_of(insertion: Insertion, layer_count_rule: LayerCountRule) -> int:
+def count_layers(insertion: Insertion, layer_count_rule: LayerCountRule) -> int:
     """Return how many layers an insertion traverses by this reading."""
     return insertion.layers if layer_count_rule == "listed" else insertion.layers_alternative
 
 
-def other_reading(layer_count_rule: LayerCountRule) -> LayerCountRule:
+def get_other_rule(layer_count_rule: LayerCountRule) -> LayerCountRule:
     """Return the reading that a study does not use."""
     return "alternative" if layer_count_rule == "listed" else "listed"
 
 
-def _meets(insertion: Insertion, selection: SelectionRecord, layer_count_rule: LayerCountRule) -> bool:
+def _matches(insertion: Insertion, selection: SelectionRecord, layer_count_rule: LayerCountRule) -> bool:
     low, high = selection.depth_min_mm, selection.depth_max_mm
     return (
         (selection.medium is None or insertion.medium == selection.medium)
-        and (selection.layers is None or layers_of(insertion, layer_count_rule) in selection.layers)
+        and (selection.layers is None or count_layers(insertion, layer_count_rule) in selection.layers)
         and (selection.specimens is None or insertion.specimen in selection.specimens)
         and (selection.insertions is None or insertion.id in selection.insertions)
         and (low is None or insertion.depth >= low)
@@ -66,31 +70,31 @@ def _meets(insertion: Insertion, selection: SelectionRecord, layer_count_rule: L
     )
 
 
-def _said(key: str, value: object) -> str:
+def _format_key(key: str, value: object) -> str:
     """Return a key of a selection and its value as the file says them."""
     values = value if isinstance(value, tuple) else (value,)
     listed = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
     return f"{key} = {f'[{listed}]' if isinstance(value, tuple) else listed}"
 
 
-def _there_are(insertions: Iterable[Insertion], layer_count_rule: LayerCountRule) -> str:
+def _describe_choices(insertions: Iterable[Insertion], layer_count_rule: LayerCountRule) -> str:
     """Return what there is to select from: by medium, how many, of how many layers, how deep."""
     by_medium: dict[str, list[Insertion]] = {}
     for insertion in insertions:
         by_medium.setdefault(insertion.medium, []).append(insertion)
-    said = []
+    choices = []
     for medium, group in by_medium.items():
         layers = ", ".join(
-            str(n) for n in sorted({layers_of(insertion, layer_count_rule) for insertion in group})
+            str(n) for n in sorted({count_layers(insertion, layer_count_rule) for insertion in group})
         )
         depths = [insertion.depth for insertion in group]
-        said.append(
+        choices.append(
             f"{len(group)} in {medium} (layers {layers}; depths {min(depths):g} to {max(depths):g} mm)"
         )
-    return "; ".join(said) or "none"
+    return "; ".join(choices) or "none"
 
 
-def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
+def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
     names = set(known)
     unknown = [name for name in wanted if name not in names]
     if unknown:
@@ -99,3 +103,16 @@ def _all_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> None:
             expected=f"one of {join_names(sort_by_similarity(unknown[0], names)) or '(none)'}",
             fix="correct the selection",
         )
+
+
+MIN_GROUPS = 5
+"""Fewest groups from which a scatter between them is taken."""
+
+
+def group_independent(insertions: Sequence[str], specimens: Sequence[str]) -> tuple[str, ...]:
+    """Return the group of each insertion: its specimen where there are enough of these, else itself.
+
+    Repeats in one specimen (one hole at several depths) are no independent observations; but where
+    everything went into a few pieces, the insertions are all there is.
+    """
+    return tuple(specimens) if len(set(specimens)) >= MIN_GROUPS else tuple(insertions)

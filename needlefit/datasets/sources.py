@@ -1,11 +1,15 @@
-"""Where a dataset's files lie, and whether they are the ones that its author described."""
+"""Find a dataset's files and scans, and check that the files are the ones that its author described."""
 
+import csv
 import hashlib
 import os
 from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
-from needlefit.datasets.faults import Fault
+from needlefit.datasets.faults import Fault, as_error
+from needlefit.datasets.formats.csv import note_missing_columns, read_table
+from needlefit.datasets.insertion import Dataset
 from needlefit.errors import DataError
 from needlefit.project.files import sha256
 from needlefit.project.input_files import is_dir, is_file
@@ -13,12 +17,12 @@ from needlefit.project.load import read_toml
 from needlefit.schemas.dataset import SourceRecord
 
 
-def dataset_file(path: Path) -> Path:
+def find_dataset_file(path: Path) -> Path:
     """Return the `dataset.toml` that `path`, a dataset's folder or that file, means."""
     return path / "dataset.toml" if is_dir(path) else path
 
 
-def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
+def find_folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
     """Return the folders that hold the files: that of `path`, or all that `root` matches, sorted.
 
     Raises
@@ -35,7 +39,7 @@ def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
             expected="the variable, naming the folder that holds the dataset folders",
             fix=record.how_to_get or "set it and run again",
         )
-    absolute, found = _matching(record.root, path)
+    absolute, found = _match_folders(record.root, path)
     if not found:
         raise DataError(
             f"no folder matches root {record.root}",
@@ -46,13 +50,13 @@ def folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
     return found
 
 
-def lacking(path: Path) -> bool:
+def is_missing(path: Path) -> bool:
     """Return whether the files of the dataset described at `path` lie elsewhere, and are not there."""
     root = read_toml(path).get("root")
-    return isinstance(root, str) and not _matching(root, path)[1]
+    return isinstance(root, str) and not _match_folders(root, path)[1]
 
 
-def _matching(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
+def _match_folders(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
     """Return the pattern that a root means, and the folders that match it, sorted."""
     expanded = os.path.expandvars(root)
     absolute = Path(expanded) if Path(expanded).is_absolute() else path.parent / expanded
@@ -61,7 +65,7 @@ def _matching(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
     return absolute, tuple(sorted(folder for folder in anchor.glob(pattern) if is_dir(folder)))
 
 
-def checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
+def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
     """Say which files of `folder` are not those whose sums are listed."""
     faults = []
     for name, expected in checksums.items():
@@ -83,7 +87,7 @@ def checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
     return faults
 
 
-def digest(path: Path, roots: tuple[Path, ...], files: Iterable[Path]) -> str:
+def compute_digest(path: Path, roots: tuple[Path, ...], files: Iterable[Path]) -> str:
     """Return the SHA-256 over names and contents of the dataset file and `files`, in the order of names.
 
     Names are relative to the folder of the data, so that a copy elsewhere has the same digest.
@@ -96,3 +100,56 @@ def digest(path: Path, roots: tuple[Path, ...], files: Iterable[Path]) -> str:
     for name, file in sorted(named.items()):
         total.update(f"{name}\0{sha256(file)}\n".encode())
     return total.hexdigest()
+
+
+VOLUMES_FILE = "volumes.csv"
+VOLUME_COLUMNS = ("id", "volume", "series")
+
+
+@dataclass(frozen=True)
+class ScanVolume:
+    """The scan of an insertion: a file or folder, and which DICOM series where a folder holds several."""
+
+    path: Path
+    series: str | None = None
+
+
+def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume], home: Path | None = None) -> Path:
+    """Write where the scan of each insertion lies, by its id, as seen from the folder of the dataset.
+
+    `home` is that folder where it is not yet in its place; dataset and scans may be moved together.
+    """
+    base_folder = (home or folder).resolve()
+    rows = [(id_, _relative_path(base_folder, one.path), one.series or "") for id_, one in volumes.items()]
+    path = folder / VOLUMES_FILE
+    with path.open("w", encoding="utf-8", newline="") as file:
+        csv.writer(file, lineterminator="\n").writerows([VOLUME_COLUMNS, *rows])
+    return path
+
+
+def _relative_path(home: Path, path: Path) -> str:
+    try:
+        return Path(os.path.relpath(path.resolve(), home)).as_posix()
+    except ValueError:  # Windows: another drive
+        return str(path.resolve())
+
+
+def find_volume(dataset: Dataset, id_: str) -> ScanVolume | None:
+    """Return the scan of an insertion, None where the dataset does not say; it may not lie there any more.
+
+    Raises
+    ------
+    DataError
+        If the table that says so has a fault.
+    """
+    path = dataset.path.parent / VOLUMES_FILE
+    if not is_file(path):
+        return None
+    table, found = read_table(path), list[Fault]()
+    if note_missing_columns(table, VOLUME_COLUMNS[:2], found):
+        raise as_error(found, path)
+    cells = table.cells[table.cells["id"] == id_]
+    if cells.empty or not cells["volume"].iloc[0]:
+        return None
+    series = cells["series"].iloc[0] if "series" in cells else ""
+    return ScanVolume((path.parent.resolve() / cells["volume"].iloc[0]).resolve(), series or None)

@@ -1,26 +1,176 @@
-"""Begin a dataset: an example to overwrite, or somebody's centrelines in our layout."""
+"""Start a dataset: an example to overwrite, or centrelines of a CSV, MATLAB or Slicer file in the package's
+layout.
+"""
 
-from collections.abc import Callable, Mapping
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
-from needlefit.datasets.check import check
-from needlefit.datasets.conversion import read_source
-from needlefit.datasets.dataset_warnings import FILL_IN
+from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN, Floats, InsertionRow
+from needlefit.datasets.dataset_warnings import PLACEHOLDER
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.schema import Floats, InsertionRow
+from needlefit.datasets.formats import mat, slicer
+from needlefit.datasets.formats.csv import read_curve, read_table
+from needlefit.datasets.formats.points import Points
+from needlefit.datasets.insertion_faults import MIN_POINTS
+from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
+from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.surfaces import sheet
+from needlefit.geometry.surfaces import make_sheet
 from needlefit.project.atomic_write import create_folder, require_new
+from needlefit.project.input_files import is_file
+from needlefit.project.locate import join_names
 from needlefit.schemas.dataset import DatasetRecord
-from needlefit.schemas.names import require_file_name
+from needlefit.schemas.names import EXPECTED_NAME, name_fault, require_file_name
+
+SOURCE_HELP = (
+    "--from reads a CSV with the columns x_mm, y_mm, z_mm, sd_mm if known and, for more than one curve, id "
+    "(without id the whole table is one curve; other columns are ignored), the N x 3 arrays of a .mat, or "
+    "the curves and point lists of a .mrk.json or .fcsv of 3D Slicer (LPS)"
+)
+
+ReadCurves = tuple[Mapping[str, Points], Sequence[str]]
+"""Curves by the names that a file gives them, and remarks on how it was read."""
+
+MAX_SHOWN_NAME_CHARS, MAX_SHOWN_NAMES = 80, 5
+"""Characters of a name, and names, that a message shows."""
+
+_PLACE_PATTERN = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv):(?P<line>\d+)$")
+
+
+@dataclass(frozen=True)
+class CurveSource:
+    """The curves of a file by id, and what a reader should know of how it was read."""
+
+    path: Path
+    curves: Mapping[str, Points]
+    notes: tuple[str, ...]
+
+    def fault(self, fault: Fault) -> Fault:
+        """Return a fault of the dataset made from this file as one of the file itself."""
+        place = _PLACE_PATTERN.search(Path(fault.where).as_posix())
+        if place is None:
+            return replace(fault, where=str(self.path))
+        row = int(place["line"]) - 2  # below one header line, as the dataset was just written
+        name, point = (place["id"], row) if place["id"] else (list(self.curves)[row], 0)
+        what = f"curve {name} {fault.what}" if place["id"] else f"curve {name}: {fault.what}"
+        return replace(fault, where=self.curves[name].where(point), what=what)
+
+
+def read_source(path: Path) -> CurveSource:
+    """Read every centreline of a CSV, .mat, .mrk.json or .fcsv file.
+
+    Raises
+    ------
+    DataError
+        If the file is missing, of another kind, or holds no usable curves; it says what is read.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        expected = ", ".join(READERS)
+        raise DataError(f"has the ending {suffix!r}", where=str(path), expected=expected, fix=SOURCE_HELP)
+    try:
+        curves, notes = READERS[suffix](path)
+    except DataError as error:
+        fix = "check the path" if not is_file(path) else error.fix or SOURCE_HELP
+        raise DataError(error.what, where=error.where, expected=error.expected, fix=fix) from None
+    found = [fault for name, points in curves.items() for fault in _find_unusable(name, points)]
+    if found:
+        raise as_error(found, path)
+    named = _make_names(curves, path)
+    changed = [f"{theirs!r} is {name}" for theirs, name in zip(curves, named, strict=True) if theirs != name]
+    if changed:
+        notes = [*notes, f"ids name files, so that {join_names(changed, MAX_SHOWN_NAMES)}"]
+    return CurveSource(path, named, tuple(notes))
+
+
+def _read_matlab(path: Path) -> ReadCurves:
+    return mat.read_curves(path), ()
+
+
+def _read_slicer(path: Path) -> ReadCurves:
+    """Return the lists of a Slicer file; the points that none of them ever placed are told."""
+    unset = sum(len(one.unset) for one in slicer.read_lists(path))
+    notes = [f"{unset} points without a position ignored"] if unset else []
+    return slicer.read_curves(path), notes
+
+
+def _read_curve_table(path: Path) -> ReadCurves:
+    """Return the curves of a long table by its column `id`; without one, all rows are one curve."""
+    table = read_table(path)
+    found: list[Fault] = []
+    points = read_curve(table, {}, found)
+    if points is None:
+        raise as_error([_drop_mapping_fix(fault) for fault in found], table.path)
+    ignored = [f"`{name}`" for name in table.cells if name not in ("id", *POINT_COLUMNS, SD_COLUMN)]
+    notes = [f"column{'s' if len(ignored) > 1 else ''} {', '.join(ignored)} ignored"] if ignored else []
+    if "id" not in table.cells:
+        notes.append(f"no column `id`: all {len(points.values)} rows are one curve")
+        return {table.path.stem: points}, notes
+    ids = table.cells["id"]
+    rows = {str(name): np.flatnonzero((ids == name).to_numpy()) for name in ids.unique()}
+    return {name: points.part(n) for name, n in rows.items()}, notes
+
+
+READERS: Mapping[str, Callable[[Path], ReadCurves]] = {
+    ".csv": _read_curve_table,
+    ".mat": _read_matlab,
+    **dict.fromkeys(slicer.SLICER_SUFFIXES, _read_slicer),
+}
+"""What reads a file, by its ending."""
+
+
+def _drop_mapping_fix(fault: Fault) -> Fault:
+    """Return a fault whose fix speaks of `--from`, which knows no `columns` of a dataset.toml."""
+    return replace(fault, fix=f"rename it; {SOURCE_HELP}") if "is missing" in fault.what else fault
+
+
+def _find_unusable(name: str, points: Points) -> list[Fault]:
+    if len(points.values) < MIN_POINTS:
+        fix = f"sample the needle more densely; {SOURCE_HELP}"
+        what = f"curve {name} has only {len(points.values)} points"
+        return [Fault(points.where(), what, f"at least {MIN_POINTS}", fix)]
+    bad = points.unusable()
+    if len(bad) == 0:
+        return []
+    what = f"curve {name} has {len(bad)} points that are NaN, infinite or too far away"
+    return [Fault(points.where(int(bad[0])), what, "finite numbers, mm", "remove or fix these points")]
+
+
+def _make_names(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
+    """Return the curves under ids that can name files.
+
+    Two that come out alike, and names that a spreadsheet would run or a terminal would not show, are errors.
+    """
+    named: dict[str, Points] = {}
+    for theirs, points in curves.items():
+        if fault := name_fault(theirs):
+            raise DataError(
+                f"the name {theirs[:MAX_SHOWN_NAME_CHARS]!r} of a curve is refused: {fault}",
+                where=points.where(),
+                expected=EXPECTED_NAME,
+                fix=f"rename it in {path.name}" if theirs != path.stem else "rename the file",
+            )
+        name = re.sub(r"[^A-Za-z0-9._-]+", "_", theirs).lstrip("._-") or "curve"
+        if name in named:
+            raise DataError(
+                f"id {theirs!r} becomes {name}, as another one does",
+                where=points.where(),
+                expected="ids that differ in letters, digits, `.`, `_`, `-`: they name files",
+                fix=f"rename one of them in {path.name}",
+            )
+        named[name] = points
+    return named
+
 
 PLACEHOLDER_SD_MM = 0.1
 """Noise of a point before its maker states one: about what tracing a needle in a CT scan leaves."""
 
-NOISE_NOTE = f"{FILL_IN}: {PLACEHOLDER_SD_MM:g} mm stands for how well a point is known, per axis"
+NOISE_NOTE = f"{PLACEHOLDER}: {PLACEHOLDER_SD_MM:g} mm stands for how well a point is known, per axis"
 
 EXAMPLE_NOTE = """\
 # A template with made-up numbers: two insertions through one layer boundary. Replace every number and text,
@@ -34,11 +184,13 @@ CONVERTED_NOTE = """\
 """
 
 
-def _silent(_remark: str) -> None:
-    """Tell nobody."""
+def _ignore_note(_note: str) -> None:
+    """Do nothing with a note."""
 
 
-def template(folder: Path, source: Path | None = None, tell: Callable[[str], None] = _silent) -> Path:
+def write_template(
+    folder: Path, source: Path | None = None, tell: Callable[[str], None] = _ignore_note
+) -> Path:
     """Write a dataset that passes `check` into `folder` and return its `dataset.toml`; else write nothing.
 
     Parameters
@@ -48,7 +200,8 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
         for more than one insertion, id: its centrelines. A .mat: every N x 3 array in it, by its name.
         A .mrk.json or .fcsv of 3D Slicer: its curves and point lists, in LPS.
     tell : callable
-        Told how the source was read where that may surprise: columns ignored, a table taken as one curve.
+        Called with notes on how the source was read where that may surprise: columns ignored, a table taken
+        as one curve.
 
     Raises
     ------
@@ -61,34 +214,36 @@ def template(folder: Path, source: Path | None = None, tell: Callable[[str], Non
     require_file_name(folder.resolve().name, str(folder))
     if source is None:
         with create_folder(folder) as fresh:
-            _finish(_example(fresh), EXAMPLE_NOTE)
+            _write_note(_write_example(fresh), EXAMPLE_NOTE)
         return folder / "dataset.toml"
     read = read_source(source)
     with create_folder(folder) as fresh:
-        curves = {name: points.written() for name, points in read.curves.items()}
-        faults = _finish(_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
+        curves = {name: points.to_columns() for name, points in read.curves.items()}
+        faults = _write_note(_write_converted(fresh, curves), CONVERTED_NOTE.format(source=source.name))
         if faults:
             raise as_error([read.fault(fault) for fault in faults], source)
-    for remark in read.remarks:
-        tell(f"{source}: {remark}")
+    for note in read.notes:
+        tell(f"{source}: {note}")
     return folder / "dataset.toml"
 
 
-def _finish(file: Path, note: str) -> list[Fault]:
+def _write_note(file: Path, note: str) -> list[Fault]:
     """Write a note above the `dataset.toml`; return the faults of the dataset."""
     file.write_bytes((note + file.read_text(encoding="utf-8")).encode("utf-8"))
     return check(file)
 
 
-def _record(name: str, origin: str, pose: str, length: float, medium: Mapping[str, object]) -> DatasetRecord:
+def _make_record(
+    name: str, origin: str, pose: str, length: float, medium: Mapping[str, object]
+) -> DatasetRecord:
     return DatasetRecord.model_validate(
         {
             "schema": 1,
             "name": name,
-            "title": f"{FILL_IN}: what was inserted into what",
+            "title": f"{PLACEHOLDER}: what was inserted into what",
             "origin": origin,
-            "license": FILL_IN,
-            "source": f"{FILL_IN}: who measured this, when, how",
+            "license": PLACEHOLDER,
+            "source": f"{PLACEHOLDER}: who measured this, when, how",
             "frame": {"pose": pose},
             "needle": {"length_mm": length, "outer_diameter_mm": 1.27, "youngs_modulus_gpa": 80.0},
             "noise": {"point_sd_mm": PLACEHOLDER_SD_MM, "note": NOISE_NOTE},
@@ -99,11 +254,11 @@ def _record(name: str, origin: str, pose: str, length: float, medium: Mapping[st
     )
 
 
-def _example(folder: Path) -> Path:
+def _write_example(folder: Path) -> Path:
     """Write two arcs, straight along x and tilted by 10 degrees, through one sheet 20 mm below the entry."""
     surface = "layers/boundary.stl"
     medium = {"surfaces": [{"file": surface, "kind": "sheet", "into": 2}], "note": "made up"}
-    record = _record(folder.resolve().name, "synthetic", "known", 150.0, medium)
+    record = _make_record(folder.resolve().name, "synthetic", "known", 150.0, medium)
     rows, curves = [], {}
     for name, tilt, depth in (("example1", 0.0, 50.0), ("example2", 10.0, 45.0)):
         angle = np.radians(tilt)
@@ -120,13 +275,13 @@ def _example(folder: Path) -> Path:
                 pose_source="stage",
             )
         )
-    surfaces = {surface: sheet("boundary", (20.0, 0.0, 0.0), (1.0, 0.0, 0.0), 80.0, into=2)}
+    surfaces = {surface: make_sheet("boundary", (20.0, 0.0, 0.0), (1.0, 0.0, 0.0), 80.0, into=2)}
     return write_dataset(folder, record, rows, curves, surfaces, checksums=False)
 
 
-def _converted(folder: Path, curves: Mapping[str, Floats]) -> Path:
+def _write_converted(folder: Path, curves: Mapping[str, Floats]) -> Path:
     depths = {name: float(arc_length(curve[:, :3])[-1]) for name, curve in curves.items()}
     length = max(150.0, float(np.ceil(max(depths.values()) + 50.0)))
-    record = _record(folder.resolve().name, "measured", "free", length, {"note": FILL_IN})
+    record = _make_record(folder.resolve().name, "measured", "free", length, {"note": PLACEHOLDER})
     rows = [InsertionRow(name, "medium1", 1, depth) for name, depth in depths.items()]
     return write_dataset(folder, record, rows, curves, checksums=False)

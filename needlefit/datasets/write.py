@@ -8,8 +8,16 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
+from needlefit.datasets.columns import (
+    BASE_SHIFT_COLUMN,
+    INSERTION_COLUMNS,
+    POINT_COLUMNS,
+    SCAN_COLUMNS,
+    SD_COLUMN,
+    Floats,
+    InsertionRow,
+)
 from needlefit.datasets.formats.toml import dumps
-from needlefit.datasets.schema import COLUMNS, MOVED, POINT, SCAN, SD, Floats, InsertionRow
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface, write_surface
 from needlefit.project.files import sha256
@@ -54,21 +62,21 @@ def write_dataset(
         If a row has no centreline, or a surface that the record names is not given.
     """
     surfaces = surfaces or {}
-    table, pattern = _named_files(folder, record)
-    _check_given(folder, record, rows, {*centerlines, *surfaces})
-    files = {table: _rows_text(rows)}
-    files |= {pattern.replace("{id}", row.id): _points_text(centerlines[row.id]) for row in rows}
+    table, pattern = _get_file_names(folder, record)
+    _require_files(folder, record, rows, {*centerlines, *surfaces})
+    files = {table: _format_rows(rows)}
+    files |= {pattern.replace("{id}", row.id): _format_points(centerlines[row.id]) for row in rows}
     for name, text in files.items():
-        _write(folder / name, text)
+        _write_text(folder / name, text)
     for name, surface in surfaces.items():
         write_surface(surface, folder / name)
     sums = {name: sha256(folder / name) for name in sorted([*files, *surfaces])}
     record = record.model_copy(update={"checksums": sums if checksums else {}})
-    _write(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
+    _write_text(folder / "dataset.toml", dumps(record.model_dump(mode="json", by_alias=True)))
     return folder / "dataset.toml"
 
 
-def _named_files(folder: Path, record: DatasetRecord) -> tuple[str, str]:
+def _get_file_names(folder: Path, record: DatasetRecord) -> tuple[str, str]:
     """Return the table of insertions and the pattern of centrelines; DataError if one is not named."""
     table, pattern = record.insertions.file, record.centerlines.pattern
     if table is None or pattern is None:
@@ -80,7 +88,9 @@ def _named_files(folder: Path, record: DatasetRecord) -> tuple[str, str]:
     return table, pattern
 
 
-def _check_given(folder: Path, record: DatasetRecord, rows: Sequence[InsertionRow], given: Set[str]) -> None:
+def _require_files(
+    folder: Path, record: DatasetRecord, rows: Sequence[InsertionRow], given: Set[str]
+) -> None:
     """See that there is a centreline for every row, and every surface that the record names."""
     listed = [(name, surface) for name, medium in record.media.items() for surface in medium.surfaces]
     named = {surface.file for _, surface in listed if not surface.own}
@@ -94,57 +104,66 @@ def _check_given(folder: Path, record: DatasetRecord, rows: Sequence[InsertionRo
         )
 
 
-def _write(path: Path, text: str) -> None:
+def _write_text(path: Path, text: str) -> None:
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_bytes(text.encode("utf-8"))  # bytes: no line ending of the platform's own
 
 
-def _rows_text(rows: Sequence[InsertionRow]) -> str:
-    lines: list[tuple[str, ...]] = [COLUMNS, *map(_cells, rows)]
-    if any(row.base_moved for row in rows):
-        lines = [(*line, more) for line, more in zip(lines, [MOVED, *map(_moved, rows)], strict=True)]
+def _format_rows(rows: Sequence[InsertionRow]) -> str:
+    lines: list[tuple[str, ...]] = [INSERTION_COLUMNS, *map(_format_cells, rows)]
+    if any(row.base_shift for row in rows):
+        lines = [
+            (*line, more)
+            for line, more in zip(lines, [BASE_SHIFT_COLUMN, *map(_format_base_shift, rows)], strict=True)
+        ]
     if any(row.patient is not None for row in rows):
-        lines = [(*line, *more) for line, more in zip(lines, [SCAN, *map(_scan, rows)], strict=True)]
+        lines = [
+            (*line, *more) for line, more in zip(lines, [SCAN_COLUMNS, *map(_format_scan, rows)], strict=True)
+        ]
     return "".join(",".join(cells) + "\n" for cells in lines)
 
 
-def _moved(row: InsertionRow) -> str:
-    return _number(row.base_moved)
+def _format_base_shift(row: InsertionRow) -> str:
+    return _format_number(row.base_shift)
 
 
-def _scan(row: InsertionRow) -> tuple[str, ...]:
-    """Return the cells of a row under `SCAN`."""
+def _format_scan(row: InsertionRow) -> tuple[str, ...]:
+    """Return the cells of a row under `SCAN_COLUMNS`."""
     if row.patient is None:
-        return ("",) * len(SCAN)
+        return ("",) * len(SCAN_COLUMNS)
     turn = Rotation.from_matrix(row.patient.rotation).as_rotvec(degrees=True)
-    return *_vector(turn, 6), *_vector(row.patient.origin, 4)
+    return *_format_vector(turn, 6), *_format_vector(row.patient.origin, 4)
 
 
-def _cells(row: InsertionRow) -> tuple[str, ...]:
-    """Return the cells of a row in the order of `COLUMNS`."""
+def _format_cells(row: InsertionRow) -> tuple[str, ...]:
+    """Return the cells of a row in the order of `INSERTION_COLUMNS`."""
     alternative = row.layers if row.layers_alternative is None else row.layers_alternative
     return (
         *(row.id, row.medium, row.specimen or row.id, str(row.layers), str(alternative)),
-        *(_number(row.depth), f"{row.side:+d}"),
-        *_vector(row.entry, 4),
-        *_vector(row.direction, 6),
-        *_vector(row.bevel, 6),
-        *(row.pose_source, _number(row.pose_shift_sd), _number(math.degrees(row.pose_angle_sd))),
-        *(_number(row.boundary_sd), _number(row.depth_sd)),
-        "" if row.guide_distance is None else _number(row.guide_distance),
+        *(_format_number(row.depth), f"{row.side:+d}"),
+        *_format_vector(row.entry, 4),
+        *_format_vector(row.direction, 6),
+        *_format_vector(row.bevel, 6),
+        *(
+            row.pose_source,
+            _format_number(row.pose_shift_sd),
+            _format_number(math.degrees(row.pose_angle_sd)),
+        ),
+        *(_format_number(row.boundary_sd), _format_number(row.depth_sd)),
+        "" if row.guide_distance is None else _format_number(row.guide_distance),
     )
 
 
-def _points_text(points: ArrayLike) -> str:
+def _format_points(points: ArrayLike) -> str:
     values = np.asarray(points, dtype=np.float64)
-    columns = (*POINT, SD)[: values.shape[1]]
-    return "\n".join([",".join(columns), *(",".join(_vector(point, 4)) for point in values)]) + "\n"
+    columns = (*POINT_COLUMNS, SD_COLUMN)[: values.shape[1]]
+    return "\n".join([",".join(columns), *(",".join(_format_vector(point, 4)) for point in values)]) + "\n"
 
 
-def _vector(values: Floats | None, digits: int) -> tuple[str, ...]:
-    return ("", "", "") if values is None else tuple(_number(float(value), digits) for value in values)
+def _format_vector(values: Floats | None, digits: int) -> tuple[str, ...]:
+    return ("", "", "") if values is None else tuple(_format_number(float(value), digits) for value in values)
 
 
-def _number(value: float, digits: int = 4) -> str:
+def _format_number(value: float, digits: int = 4) -> str:
     """Return `value` with fixed digits; never "-0.0000"."""
     return f"{round(value, digits) + 0.0:.{digits}f}"

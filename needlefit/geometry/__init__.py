@@ -1,1 +1,3 @@
-"""Frames, curves, surfaces, crossings, comparison of two curves; knows no needle and no file layout."""
+"""Frames, curves, surfaces, meshes, crossings, comparison of two curves; knows no needle and no file
+layout.
+"""

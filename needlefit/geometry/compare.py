@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 
 Floats = NDArray[np.float64]
 
-STATIONS = 101
+COMPARISON_POINTS = 101
 """Points at which two curves are compared, from entry (j = 1) to tip (j = K)."""
 
 
@@ -39,7 +39,7 @@ class CurveErrors:
     deflection: float
 
 
-def compare(simulated: ArrayLike, measured: ArrayLike) -> CurveErrors:
+def compare_curves(simulated: ArrayLike, measured: ArrayLike) -> CurveErrors:
     """Compare two curves (K, 2), both in C, station by station; see `CurveErrors`."""
     sim, meas = np.asarray(simulated, dtype=np.float64), np.asarray(measured, dtype=np.float64)
     if sim.shape != meas.shape or sim.ndim != 2 or sim.shape[1] != 2:

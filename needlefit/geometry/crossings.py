@@ -1,4 +1,4 @@
-"""Where a centreline crosses the layer surfaces, and which layers it meets."""
+"""Where a centreline crosses the layer surfaces, which layers it meets, and where a surface encloses it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -7,17 +7,17 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.frames import Floats
 from needlefit.geometry.surfaces import Surface
 
-SAME = 1e-6
+SAME_HIT_MM = 1e-6
 """Hits of one surface closer than this along the curve, mm, are one: its triangles share edges."""
 
-EDGE = 1e-9
+EDGE_TOLERANCE = 1e-9
 """Relative slack at the edges of triangles and ends of segments: an edge is hit twice rather than never."""
 
-BLOCK = 200_000
+BLOCK_PAIRS = 200_000
 """Segment-triangle pairs tested at once; bounds the memory."""
 
 
@@ -40,7 +40,7 @@ class Crossings:
     sequence: tuple[int, ...]
 
 
-def crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
+def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     """Return where the polyline `points` (N, 3) changes its layer.
 
     A place belongs to the solid that contains it (the last listed, if several do), else to the layer into
@@ -49,11 +49,11 @@ def crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     """
     curve = np.asarray(points, dtype=np.float64)
     length = float(arc_length(curve)[-1])
-    hits = [(arc, surface) for surface in surfaces for arc in surface_hits(curve, surface)]
+    hits = [(arc, surface) for surface in surfaces for arc in find_surface_hits(curve, surface)]
     hits.sort(key=lambda hit: hit[0])
     stops = [0.0, *(arc for arc, _ in hits), length]
-    middles = at_arc(curve, (np.array(stops[:-1]) + np.array(stops[1:])) / 2)
-    solids = _solid_layers(middles, surfaces)
+    middles = interpolate_at_arc(curve, (np.array(stops[:-1]) + np.array(stops[1:])) / 2)
+    solids = _find_solid_layers(middles, surfaces)
     arcs: list[float] = []
     sequence: list[int] = []
     sheet = 1
@@ -61,43 +61,45 @@ def crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
         if n and hits[n - 1][1].kind == "sheet":
             sheet = hits[n - 1][1].into
         layer = int(solids[n]) or sheet
-        if end - start < SAME or (sequence and layer == sequence[-1]):
+        if end - start < SAME_HIT_MM or (sequence and layer == sequence[-1]):
             continue
         if sequence:
             arcs.append(start)
         sequence.append(layer)
-    return Crossings(np.array(arcs), at_arc(curve, arcs).reshape(-1, 3), tuple(sequence) or (sheet,))
+    return Crossings(
+        np.array(arcs), interpolate_at_arc(curve, arcs).reshape(-1, 3), tuple(sequence) or (sheet,)
+    )
 
 
-def surface_hits(curve: Floats, surface: Surface) -> Floats:
+def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
     """Return the arc lengths (m,) at which the polyline `curve` (N, 3) passes through a surface, increasing.
 
     A place where it meets triangles from both sides (it touches an edge, or a point of the curve lies on
     the surface and the curve turns back) is no passage through a sheet; for a solid the question is
     settled by which stretches lie inside.
     """
-    arc, sign = _triangle_hits(curve, np.asarray(surface.mesh.triangles, dtype=np.float64))
+    arc, sign = _find_triangle_hits(curve, np.asarray(surface.mesh.triangles, dtype=np.float64))
     order = np.argsort(arc, kind="stable")
     arc, sign = arc[order], sign[order]
-    groups = np.split(np.arange(len(arc)), np.flatnonzero(np.diff(arc) > SAME) + 1) if len(arc) else []
+    groups = np.split(np.arange(len(arc)), np.flatnonzero(np.diff(arc) > SAME_HIT_MM) + 1) if len(arc) else []
     through = [g for g in groups if surface.kind == "solid" or abs(sign[g].sum()) == len(g)]
     return np.array([arc[g[0]] for g in through])
 
 
-def ray_hits(start: Floats, rays: Floats, triangles: Floats) -> int:
+def count_ray_hits(start: Floats, rays: Floats, triangles: Floats) -> int:
     """Return how many of the segments from `start` (3,) along `rays` (N, 3) meet triangles (M, 3, 3)."""
     segment, _, _ = _intersect(np.broadcast_to(start, rays.shape), rays, triangles)
     return len(np.unique(segment))
 
 
-def _triangle_hits(curve: Floats, triangles: Floats) -> tuple[Floats, Floats]:
+def _find_triangle_hits(curve: Floats, triangles: Floats) -> tuple[Floats, Floats]:
     """Return arc length and side (+1: along the triangle's normal) of every hit of segment and triangle."""
-    low, high = curve.min(axis=0) - SAME, curve.max(axis=0) + SAME
+    low, high = curve.min(axis=0) - SAME_HIT_MM, curve.max(axis=0) + SAME_HIT_MM
     near = (triangles.max(axis=1) >= low).all(axis=1) & (triangles.min(axis=1) <= high).all(axis=1)
     triangles = triangles[near]
     if len(triangles) == 0:
         return np.empty(0), np.empty(0)
-    along, step = arc_length(curve), max(1, BLOCK // len(triangles))
+    along, step = arc_length(curve), max(1, BLOCK_PAIRS // len(triangles))
     arcs, signs = [], []
     for first in range(0, len(curve) - 1, step):
         starts, ends = curve[first : first + step + 1][:-1], curve[first + 1 : first + step + 1]
@@ -125,13 +127,19 @@ def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.nda
     t = -np.einsum("nmk,mk->nm", offset, normal) / safe
     u = -np.einsum("nmk,mk->nm", turn, e2) / safe
     v = np.einsum("nmk,mk->nm", turn, e1) / safe
-    inside = (u >= -EDGE) & (v >= -EDGE) & (u + v <= 1 + EDGE) & (t >= -EDGE) & (t <= 1 + EDGE)
+    inside = (
+        (u >= -EDGE_TOLERANCE)
+        & (v >= -EDGE_TOLERANCE)
+        & (u + v <= 1 + EDGE_TOLERANCE)
+        & (t >= -EDGE_TOLERANCE)
+        & (t <= 1 + EDGE_TOLERANCE)
+    )
     segment, triangle = np.nonzero(inside & ~parallel)
     fraction = np.clip(t[segment, triangle], 0.0, 1.0)
     return segment, fraction, np.sign(slope[segment, triangle])
 
 
-def _solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
+def _find_solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
     """Return the layer of the solid that holds each place (K, 3), 0 where there is none."""
     layers = np.zeros(len(places), dtype=np.int64)
     for surface in surfaces:
@@ -140,3 +148,49 @@ def _solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
                 within = surface.mesh.contains(places)
             layers[within] = surface.into
     return layers
+
+
+ENCLOSURE_RAYS = 12
+"""Directions across the curve in which the surface is looked for."""
+
+MAX_MISSED_RAYS = 1
+"""So many may miss a surface that runs around; a plane is missed by half of them."""
+
+
+def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, step: float = 0.5) -> float:
+    """Return along how much of a polyline (N, 3) a surface is nearer than `radius` on all sides, mm.
+
+    Parameters
+    ----------
+    step : float
+        Distance of the stations at which that is asked, mm.
+    """
+    curve = np.asarray(points, dtype=np.float64)
+    stations = np.arange(step / 2, float(arc_length(curve)[-1]), step)
+    triangles = np.asarray(surface.mesh.triangles, dtype=np.float64)
+    low, high = triangles.min(axis=1) - radius, triangles.max(axis=1) + radius
+    count = 0
+    for centre, tangent in zip(
+        interpolate_at_arc(curve, stations), _find_tangents(curve, stations, step), strict=True
+    ):
+        near = ((centre >= low) & (centre <= high)).all(axis=1)
+        count += (
+            near.any()
+            and count_ray_hits(centre, radius * _make_radial_directions(tangent), triangles[near])
+            >= ENCLOSURE_RAYS - MAX_MISSED_RAYS
+        )
+    return count * step
+
+
+def _find_tangents(curve: Floats, stations: Floats, step: float) -> Floats:
+    ahead = interpolate_at_arc(curve, stations + step / 2) - interpolate_at_arc(curve, stations - step / 2)
+    tangents: Floats = ahead / np.linalg.norm(ahead, axis=1, keepdims=True)
+    return tangents
+
+
+def _make_radial_directions(tangent: Floats) -> Floats:
+    """Return unit vectors (RAYS, 3) perpendicular to `tangent` (3,), evenly around it."""
+    angle = 2 * np.pi * np.arange(ENCLOSURE_RAYS) / ENCLOSURE_RAYS
+    u = make_normal(tangent)
+    directions: Floats = np.outer(np.cos(angle), u) + np.outer(np.sin(angle), np.cross(tangent, u))
+    return directions

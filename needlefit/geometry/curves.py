@@ -1,7 +1,11 @@
-"""Polylines by arc length."""
+"""Curves: polylines by arc length, the plane in which one bends, curves of given curvature (baselines)."""
+
+from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 
 Floats = NDArray[np.float64]
 
@@ -12,14 +16,92 @@ def arc_length(points: ArrayLike) -> Floats:
     return np.concatenate([[0.0], np.cumsum(steps)])
 
 
-def at_arc(points: ArrayLike, s: ArrayLike) -> Floats:
+def interpolate_at_arc(points: ArrayLike, s: ArrayLike) -> Floats:
     """Return the points (K, d) at arc lengths `s` (K,) along `points` (N, d); beyond an end, that end."""
     array = np.asarray(points, dtype=np.float64)
     along = arc_length(array)
     return np.column_stack([np.interp(np.asarray(s, dtype=np.float64), along, axis) for axis in array.T])
 
 
-def resample(points: ArrayLike, fractions: ArrayLike) -> Floats:
+def resample_curve(points: ArrayLike, fractions: ArrayLike) -> Floats:
     """Return the points (K, d) at `fractions` (K,) in [0, 1] of the arc length of `points` (N, d)."""
     array = np.asarray(points, dtype=np.float64)
-    return at_arc(array, np.asarray(fractions, dtype=np.float64) * arc_length(array)[-1])
+    return interpolate_at_arc(array, np.asarray(fractions, dtype=np.float64) * arc_length(array)[-1])
+
+
+STRAIGHT_TOLERANCE_MM = 1e-9
+"""Greatest distance from the entry line, mm, of a curve that counts as straight."""
+
+
+def find_bending_direction(centerline: ArrayLike, direction: ArrayLike) -> Floats:
+    """Return the unit vector (3,) normal to `direction` in which `centerline` (N, 3) leaves it.
+
+    The plane holds the line through the first point along `direction` and lies closest, in least squares,
+    to all points; the vector points to the side of the tip. A straight curve bends nowhere: any normal.
+    """
+    x = normalize(direction)
+    points = np.asarray(centerline, dtype=np.float64)
+    across = points - points[0]
+    across = across - np.outer(across @ x, x)  # (N, 3), normal to x
+    if np.abs(across).max() < STRAIGHT_TOLERANCE_MM:
+        return make_normal(x)
+    _, _, axes = np.linalg.svd(across, full_matrices=False)
+    toward: Floats = axes[0] if axes[0] @ across[-1] >= 0 else -axes[0]
+    return normalize(toward - (toward @ x) * x)
+
+
+def make_normal(direction: ArrayLike) -> Floats:
+    """Return a unit vector (3,) normal to `direction`: the same one for the same direction."""
+    x = normalize(direction)
+    axis = np.eye(3)[int(np.argmin(np.abs(x)))]  # the world axis that is least parallel
+    return normalize(axis - (axis @ x) * x)
+
+
+def fit_free_frame(centerline: ArrayLike) -> Frame:
+    """Return a constraint frame for a curve (N, 3) that is known only up to a rigid motion.
+
+    Its xy plane is the plane closest to the points. There the parabola that fits them best gives x, its
+    tangent at the first point, and y, the side to which it bends. The origin is the first point there.
+    """
+    points = np.asarray(centerline, dtype=np.float64)
+    centre = points.mean(axis=0)
+    _, _, (along, across, normal) = np.linalg.svd(points - centre, full_matrices=False)
+    along = along if along @ (points[-1] - points[0]) >= 0 else -along
+    a, b = (points - points[0]) @ along, (points - points[0]) @ across
+    curvature, slope, _ = np.polyfit(a, b, 2)
+    side = 1.0 if curvature >= 0 else -1.0
+    origin = points[0] - ((points[0] - centre) @ normal) * normal
+    return make_entry_frame(origin, along + slope * across, side * across)
+
+
+BASELINE_COEFFICIENTS = {"straight": 0, "constant_curvature": 1, "linear_curvature": 2}
+"""Each curve's name and how many coefficients it has."""
+
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+def integrate_curvature(depth: float, coefficients: Sequence[float] | Floats, s: ArrayLike) -> Floats:
+    """Return points (K, 2) of a curve whose curvature is a polynomial in the distance d from the tip.
+
+    kappa(d) = c_0 + c_1 d + ..., d = depth - s. The curve starts at the entry (0, 0) along x, so with
+    P(d) the integral of kappa from 0 to d
+
+        theta(s) = P(depth) - P(depth - s),    (x, y)(s) = integral_0^s (cos theta, sin theta).
+
+    Parameters
+    ----------
+    depth : float
+        Inserted arc length, mm.
+    coefficients : sequence of float
+        c_k in mm^-(k + 1); none: a straight line.
+    s : (K,) array
+        Arc lengths from the entry, mm; before it (s < 0) the curve is straight.
+    """
+    along = np.asarray(s, dtype=np.float64)
+    heading_integral = np.polynomial.Polynomial([0.0, *(c / (k + 1) for k, c in enumerate(coefficients))])
+    inside = np.maximum(along, 0.0)
+    at = 0.5 * inside[:, None] * (1 + _NODES)  # (K, Q)
+    heading = heading_integral(depth) - heading_integral(depth - at)
+    half = 0.5 * inside
+    x, y = half * (np.cos(heading) @ _WEIGHTS), half * (np.sin(heading) @ _WEIGHTS)
+    return np.column_stack([x + np.minimum(along, 0.0), y])

@@ -1,16 +1,19 @@
-"""Rigid frames of the world, and the rigid motion that lays one planar curve on another."""
+"""Rigid frames of the world: alignment of planar curves, patient coordinates (LPS inside), a needle's
+placement.
+"""
 
 from dataclasses import dataclass
-from typing import Self
+from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.errors import DataError
+from needlefit.schemas.recording import PlacementRecord
 
 Floats = NDArray[np.float64]
 
-PARALLEL = 1e-6
+PARALLEL_SINE = 1e-6
 """Sine of the angle under which two directions count as parallel."""
 
 
@@ -51,7 +54,7 @@ class Frame:
         return world
 
 
-def unit(vector: ArrayLike, name: str = "direction") -> Floats:
+def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
     """Return `vector` (3,) at length 1; DataError, which calls it `name`, if it is zero or not finite."""
     array = np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(array))
@@ -61,7 +64,7 @@ def unit(vector: ArrayLike, name: str = "direction") -> Floats:
     return scaled
 
 
-def entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> Frame:
+def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> Frame:
     """Return C: x along `direction`, y the part of `toward` normal to it, z = x cross y; all (3,), world.
 
     Raises
@@ -69,14 +72,14 @@ def entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> F
     DataError
         If a direction is zero or the two are parallel.
     """
-    x, wanted = unit(direction), unit(toward, "bending direction")
+    x, wanted = normalize(direction), normalize(toward, "bending direction")
     normal = wanted - (wanted @ x) * x
-    if np.linalg.norm(normal) < PARALLEL:
+    if np.linalg.norm(normal) < PARALLEL_SINE:
         raise DataError(
             "the bending direction is parallel to the entry direction",
             expected="a direction across the needle",
         )
-    y = unit(normal)
+    y = normalize(normal)
     return Frame(np.asarray(origin, dtype=np.float64), np.column_stack([x, y, np.cross(x, y)]))
 
 
@@ -96,7 +99,7 @@ def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
     return aligned
 
 
-def align_rigid_slopes(moving: ArrayLike, fixed: ArrayLike, slopes: Floats) -> Floats:
+def differentiate_align_rigid(moving: ArrayLike, fixed: ArrayLike, slopes: Floats) -> Floats:
     """Return the derivatives (N, 2, P) of `align_rigid(moving, fixed)`, given those of `moving`."""
     m, f = np.asarray(moving, dtype=np.float64), np.asarray(fixed, dtype=np.float64)
     a, b, da = m - m.mean(axis=0), f - f.mean(axis=0), slopes - slopes.mean(axis=0)
@@ -106,5 +109,74 @@ def align_rigid_slopes(moving: ArrayLike, fixed: ArrayLike, slopes: Floats) -> F
     turn = (along * turned - across * np.einsum("nip,ni->p", da, b)) / size**2  # (P,), of the angle
     c, s = along / size, across / size
     rotation, quarter = np.array([[c, s], [-s, c]]), np.array([[-s, c], [-c, -s]])
-    moved: Floats = np.einsum("nip,ij->njp", da, rotation) + (a @ quarter)[:, :, None] * turn
-    return moved
+    derivatives: Floats = np.einsum("nip,ij->njp", da, rotation) + (a @ quarter)[:, :, None] * turn
+    return derivatives
+
+
+PatientSystem = Literal["LPS", "RAS"]
+
+AXIS_SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
+"""What turns coordinates of a system into LPS: both have z toward the head, x and y are opposite."""
+
+IDENTITY_FRAME = Frame(np.zeros(3), np.eye(3))
+"""The patient's frame in a world that is the patient's frame."""
+
+
+def to_lps(points: ArrayLike, system: PatientSystem) -> Floats:
+    """Return `points` (..., 3) of a system as LPS coordinates; from LPS to that system it is the same."""
+    turned: Floats = np.asarray(points, dtype=np.float64) * AXIS_SIGNS[system] + 0.0  # no "-0.0"
+    return turned
+
+
+@dataclass(frozen=True)
+class Placement:
+    """The constraint frame C and the patient coordinates of the scan, each in the world.
+
+    Attributes
+    ----------
+    frame : Frame
+        C; the needle lies in its xy plane.
+    patient : Frame
+        LPS.
+    """
+
+    frame: Frame
+    patient: Frame = IDENTITY_FRAME
+
+    @classmethod
+    def from_record(cls, record: PlacementRecord) -> Self:
+        """Return the placement that a checked record says."""
+        return cls(Frame.from_rows(record.entry_to_world), Frame.from_rows(record.lps_to_world))
+
+    def to_record(self) -> PlacementRecord:
+        """Return it as files hold it; reading it gives the same bits."""
+        return PlacementRecord(
+            entry_to_world=self.frame.rows.tolist(), lps_to_world=self.patient.rows.tolist()
+        )
+
+    @property
+    def across(self) -> Floats:
+        """C's y axis in the patient coordinates, (3,)."""
+        found: Floats = self.frame.rotation[:, 1] @ self.patient.rotation
+        return found
+
+    def to_world(self, points: ArrayLike) -> Floats:
+        """Return points (K, 2) of C in the world, (K, 3) mm."""
+        flat = np.asarray(points, dtype=np.float64)
+        return self.frame.to_world(np.column_stack([flat, np.zeros(len(flat))]))
+
+    def to_patient(self, points: ArrayLike) -> Floats:
+        """Return points (K, 2) of C in the patient coordinates, (K, 3) LPS, mm."""
+        return self.patient.to_local(self.to_world(points))
+
+
+def move_frame(frame: Frame, points: Floats, to: Floats) -> Frame:
+    """Return the frame in which `points` (K, 2) lie where those of `to` (K, 2) lie in `frame`.
+
+    Both are the same points, moved rigidly in the plane.
+    """
+    start, end = (complex(*(curve[-1] - curve[0])) for curve in (points, to))
+    turn = end / start / abs(end / start)
+    rotation = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
+    shift = to[0] - rotation[:2, :2] @ points[0]
+    return Frame(frame.to_world([[*shift, 0.0]])[0], frame.rotation @ rotation)

@@ -15,11 +15,11 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from needlefit.errors import DataError
-from needlefit.geometry.frames import Frame, unit
-from needlefit.geometry.plane import any_normal
+from needlefit.geometry.curves import make_normal
+from needlefit.geometry.frames import Frame, normalize
 from needlefit.project.input_files import read_bytes
 
-Kind = Literal["sheet", "solid"]
+SurfaceKind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
 MAX_MERGED_MM = 1e9
@@ -30,12 +30,12 @@ _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
 _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
 _OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
-STL_HEAD_BYTES, STL_TRIANGLE_BYTES = 84, 50
+STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
 """Of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for each."""
 
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 
-DECIMALS = 4
+COORDINATE_DECIMALS = 4
 """Coordinates are written to 1e-4 mm."""
 
 
@@ -45,12 +45,12 @@ class Surface:
 
     name: str
     mesh: trimesh.Trimesh
-    kind: Kind
+    kind: SurfaceKind
     into: int
 
 
-def read_surface(path: Path, kind: Kind, into: int) -> Surface:
-    """Read an STL, PLY or OBJ file, in mm; what is wrong with the mesh itself `surface_faults` says.
+def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
+    """Read an STL, PLY or OBJ file, in mm; what is wrong with the mesh itself `find_mesh_faults` says.
 
     Raises
     ------
@@ -59,27 +59,27 @@ def read_surface(path: Path, kind: Kind, into: int) -> Surface:
     """
     ending = path.suffix.lower()
     if ending not in READ_SUFFIXES:
-        raise _no_mesh(path, f"has the ending {ending!r}")
+        raise _mesh_error(path, f"has the ending {ending!r}")
     data = read_bytes(path, MAX_MESH_BYTES)
     if ending == ".ply":
-        data = _without_edges(data)
+        data = _drop_edges(data)
         _check_ply(data, path)
     if ending == ".stl":
         _check_stl(data, path)
     try:
-        mesh = _loaded(BytesIO(data), ending.lstrip("."))
+        mesh = _load_mesh(BytesIO(data), ending.lstrip("."))
     except Exception:  # the readers of the formats raise whatever the bytes provoke, and quote them
-        raise _no_mesh(path, _unread(data, ending)) from None
+        raise _mesh_error(path, _describe_damage(data, ending)) from None
     if not isinstance(mesh, trimesh.Trimesh) or len(mesh.faces) == 0 or mesh.vertices.shape[1:] != (3,):
-        raise _no_mesh(path, "holds no triangles")
+        raise _mesh_error(path, "holds no triangles")
     if mesh.faces.min() < 0 or mesh.faces.max() >= len(mesh.vertices):
-        raise _no_mesh(path, f"a triangle names a vertex beyond the {len(mesh.vertices)} that there are")
+        raise _mesh_error(path, f"a triangle names a vertex beyond the {len(mesh.vertices)} that there are")
     if (np.abs(mesh.vertices) < MAX_MERGED_MM).all():  # not so where one is not finite
         mesh.merge_vertices(merge_tex=True, merge_norm=True)  # an STL file repeats them for every triangle
     return Surface(path.stem, mesh, kind, into)
 
 
-def _loaded(data: BytesIO, kind: str) -> object:
+def _load_mesh(data: BytesIO, kind: str) -> object:
     """Return what trimesh makes of the bytes of a mesh; it opens no other file (materials, textures).
 
     process=False: it would drop non-finite vertices and hide the fault.
@@ -92,10 +92,10 @@ def _check_ply(data: bytes, path: Path) -> None:
     head, _, rows = data.partition(b"end_header")
     claimed, there = sum(int(count) for _, count in _ELEMENT.findall(head)), rows.count(b"\n")
     if b"ascii" in head and claimed > there:
-        raise _no_mesh(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
+        raise _mesh_error(path, f"claims {claimed} vertices, triangles and edges, and holds {there} rows")
 
 
-def _without_edges(data: bytes) -> bytes:
+def _drop_edges(data: bytes) -> bytes:
     """Return a PLY file whose edges have another name, by which trimesh leaves them out.
 
     What it makes of edges takes as much memory as their indices say; no boundary needs them.
@@ -107,15 +107,15 @@ def _without_edges(data: bytes) -> bytes:
 def _check_stl(data: bytes, path: Path) -> None:
     """See that an STL file that is no text has the size that its count of triangles gives."""
     count = int.from_bytes(data[80:84], "little")
-    expected = STL_HEAD_BYTES + STL_TRIANGLE_BYTES * count
+    expected = STL_HEADER_BYTES + STL_TRIANGLE_BYTES * count
     if len(data) == expected or b"facet" in data:
         return
-    if len(data) < STL_HEAD_BYTES:
-        raise _no_mesh(path, f"is no text STL, and too short for a binary one: {len(data)} bytes")
-    raise _no_mesh(path, f"has {len(data)} bytes; with the {count} triangles it claims it has {expected}")
+    if len(data) < STL_HEADER_BYTES:
+        raise _mesh_error(path, f"is no text STL, and too short for a binary one: {len(data)} bytes")
+    raise _mesh_error(path, f"has {len(data)} bytes; with the {count} triangles it claims it has {expected}")
 
 
-def _unread(data: bytes, ending: str) -> str:
+def _describe_damage(data: bytes, ending: str) -> str:
     """Return why a file could not be read, as far as its bytes show."""
     if ending == ".ply" and b"end_header" not in data:
         return "its header is cut short, or not that of a PLY file"
@@ -130,7 +130,7 @@ def _unread(data: bytes, ending: str) -> str:
     return "its lines are not those of an OBJ file of triangles"
 
 
-def _no_mesh(path: Path, what: str) -> DataError:
+def _mesh_error(path: Path, what: str) -> DataError:
     return DataError(
         what,
         where=str(path),
@@ -141,7 +141,7 @@ def _no_mesh(path: Path, what: str) -> DataError:
 
 def write_surface(surface: Surface, path: Path) -> None:
     """Write a surface as text STL, coordinates rounded to 1e-4 mm; the same surface gives the same bytes."""
-    vertices = np.round(surface.mesh.vertices, DECIMALS) + 0.0  # no "-0.0"
+    vertices = np.round(surface.mesh.vertices, COORDINATE_DECIMALS) + 0.0  # no "-0.0"
     mesh = trimesh.Trimesh(vertices, surface.mesh.faces, process=False)
     normals = np.round(mesh.face_normals, 6) + 0.0
     mesh = trimesh.Trimesh(vertices, mesh.faces, face_normals=normals, process=False)
@@ -157,7 +157,7 @@ class Triangles:
     name: str
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
-    kind: Kind
+    kind: SurfaceKind
     into: int
 
 
@@ -178,21 +178,21 @@ def from_triangles(plain: Triangles) -> Surface:
     return Surface(plain.name, mesh, plain.kind, plain.into)
 
 
-def moved(surface: Surface, frame: Frame) -> Surface:
+def transform_surface(surface: Surface, frame: Frame) -> Surface:
     """Return a surface of `frame` in the world."""
     vertices = frame.to_world(surface.mesh.vertices)
     return replace(surface, mesh=trimesh.Trimesh(vertices, surface.mesh.faces, process=False))
 
 
 @dataclass(frozen=True)
-class Nearest:
+class NearestSurface:
     """The nearest place of some surfaces to each of N points: its distance (N,), mm, and normal (N, 3)."""
 
     distances: NDArray[np.float64]
     normals: NDArray[np.float64]
 
 
-def nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> Nearest:
+def find_nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> NearestSurface:
     """Return how far `points` (N, 3) lie from the nearest of some surfaces, and its unit normals there."""
     triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
     normals = np.vstack([surface.mesh.face_normals for surface in surfaces])
@@ -206,26 +206,26 @@ def nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> Nearest:
         away = np.linalg.norm(closest - point, axis=1)
         distances.append(away.min())
         found.append(normals[near[np.argmin(away)]])
-    return Nearest(np.array(distances), np.array(found).reshape(-1, 3))
+    return NearestSurface(np.array(distances), np.array(found).reshape(-1, 3))
 
 
-def sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, into: int) -> Surface:
+def make_sheet(name: str, center: ArrayLike, normal: ArrayLike, size: float, into: int) -> Surface:
     """Return a plane square sheet of edge `size` (mm) around `center` (3,), normal to `normal` (3,)."""
-    z = unit(normal, "normal")
-    x = any_normal(z)
+    z = normalize(normal, "normal")
+    x = make_normal(z)
     y = np.cross(z, x)
     corners = [(-1, -1), (1, -1), (1, 1), (-1, 1)]
     vertices = np.asarray(center, dtype=np.float64) + [size / 2 * (i * x + j * y) for i, j in corners]
     return Surface(name, trimesh.Trimesh(vertices, [[0, 1, 2], [0, 2, 3]], process=False), "sheet", into)
 
 
-def cylinder(
+def make_cylinder(
     name: str, ends: tuple[ArrayLike, ArrayLike], radius: float, into: int, facets: int = 96
 ) -> Surface:
     """Return a closed cylinder (an inscribed prism) between the centres `ends` of its faces; mm."""
     bottom, top = (np.asarray(end, dtype=np.float64) for end in ends)
-    z = unit(top - bottom, "cylinder axis")
-    x = any_normal(z)
+    z = normalize(top - bottom, "cylinder axis")
+    x = make_normal(z)
     angle = 2 * np.pi * np.arange(facets) / facets
     rim = radius * (np.outer(np.cos(angle), x) + np.outer(np.sin(angle), np.cross(z, x)))  # (facets, 3)
     vertices = np.vstack([bottom + rim, top + rim, bottom, top])
@@ -246,7 +246,7 @@ def cylinder(
     return Surface(name, trimesh.Trimesh(vertices, faces, process=False), "solid", into)
 
 
-def surface_faults(mesh: trimesh.Trimesh, kind: Kind) -> list[str]:
+def find_mesh_faults(mesh: trimesh.Trimesh, kind: SurfaceKind) -> list[str]:
     """Say what keeps `mesh` from being a boundary: a closed "solid", a "sheet" without holes."""
     if len(mesh.faces) == 0:
         return ["holds no triangles"]
@@ -256,10 +256,10 @@ def surface_faults(mesh: trimesh.Trimesh, kind: Kind) -> list[str]:
     faults = []
     if (counts > 2).any():
         faults.append(f"has {int((counts > 2).sum())} edges that more than two triangles share")
-    pieces = _components(edges)
+    pieces = _count_components(edges)
     if pieces > 1:
         faults.append(f"falls apart into {pieces} pieces")
-    rims = _components(edges[counts == 1])
+    rims = _count_components(edges[counts == 1])
     if kind == "solid" and rims:
         faults.append(
             f"does not close: {rims} hole{'s' if rims > 1 else ''}, {int((counts == 1).sum())} open edges"
@@ -273,7 +273,7 @@ def surface_faults(mesh: trimesh.Trimesh, kind: Kind) -> list[str]:
     return faults
 
 
-def _components(edges: NDArray[np.int64]) -> int:
+def _count_components(edges: NDArray[np.int64]) -> int:
     """Return the number of connected pieces of the graph of `edges` (E, 2), 0 if it has none."""
     if len(edges) == 0:
         return 0

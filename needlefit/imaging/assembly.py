@@ -8,9 +8,9 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from needlefit.datasets.check import check
+from needlefit.datasets.columns import InsertionRow, make_id
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.schema import InsertionRow, as_id
+from needlefit.datasets.read import check
 from needlefit.datasets.write import write_dataset
 from needlefit.errors import DataError
 from needlefit.geometry.surfaces import Surface
@@ -192,7 +192,7 @@ def _require_new(files: Mapping[str, Surface], written: Mapping[str, Surface], m
 
 def _file_stems(medium: str, surfaces: Sequence[Surface]) -> list[str]:
     """Return a file name for each surface: its own after the medium's, numbered where two are alike."""
-    own = [as_id(surface.name.removeprefix(f"{medium}_"), "surface") for surface in surfaces]
+    own = [make_id(surface.name.removeprefix(f"{medium}_"), "surface") for surface in surfaces]
     if len({name.lower() for name in own}) < len(own):  # not every file system tells a from A
         own = [f"{name}_{n}" for n, name in enumerate(own, start=1)]
     return [f"{medium}_{name}" for name in own]

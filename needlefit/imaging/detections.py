@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from needlefit.errors import DataError
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.frames import Frame
-from needlefit.geometry.patient import IN_PATIENT
+from needlefit.geometry.frames import IDENTITY_FRAME, Frame
 from needlefit.imaging.intensity_profile import sample_profile
 from needlefit.imaging.markers import find_markers, read_fiducials, read_markers, refine_fiducials
 from needlefit.imaging.needle.centerline import Centerline, trace_needle
@@ -52,7 +51,7 @@ class Detections:
     @property
     def patient(self) -> Frame:
         """The scan's LPS axes and origin in the world."""
-        return IN_PATIENT if self.registration is None else scan_frame(self.registration)
+        return IDENTITY_FRAME if self.registration is None else scan_frame(self.registration)
 
     @property
     def world(self) -> Floats:

@@ -17,9 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import surface_hits
-from needlefit.geometry.curves import arc_length, at_arc
-from needlefit.geometry.plane import any_normal
+from needlefit.geometry.crossings import find_surface_hits
+from needlefit.geometry.curves import arc_length, interpolate_at_arc, make_normal
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.reconstruction import EntryPose
 from needlefit.imaging.registration.register import Registration, target_covariance
@@ -144,7 +143,7 @@ def pose_from_shaft(shaft: OutsideShaft, along_sd: float) -> EntryPose:
         )
     s, points, sd = shaft.s[use], shaft.points[use], shaft.sd[use]
     chord = (points[-1] - points[0]) / np.linalg.norm(points[-1] - points[0])
-    sides = np.column_stack([any_normal(chord), np.cross(chord, any_normal(chord))])  # (3, 2)
+    sides = np.column_stack([make_normal(chord), np.cross(chord, make_normal(chord))])  # (3, 2)
     line = points[-1] + (s - s[-1])[:, None] * chord  # what is left to explain is across it
     x = 1 + s / shaft.free
     design = np.column_stack([np.ones_like(s), s, 3 * x**2 - 2 * x**3, shaft.free * (x**3 - x**2)])
@@ -196,7 +195,7 @@ def move_to_surface(pose: EntryPose, surfaces: tuple[Surface, ...]) -> EntryPose
     Of several such places the one nearest to the origin counts; where there is none, the origin stays.
     """
     ends = pose.origin + np.outer([-SURFACE_REACH_MM, SURFACE_REACH_MM], pose.direction)
-    hits = [surface_hits(ends, surface) for surface in surfaces if surface.into == 1]
+    hits = [find_surface_hits(ends, surface) for surface in surfaces if surface.into == 1]
     arcs = np.concatenate(hits) if hits else np.empty(0)
     if not len(arcs):
         return pose
@@ -226,7 +225,7 @@ def find_entry_arc_length(points: Floats, pose: EntryPose) -> float:
     n = int(before[0])
     s = arc_length(points)
     at: float = s[n] - along[n] / (along[n + 1] - along[n]) * (s[n + 1] - s[n])
-    away = float(np.linalg.norm(at_arc(points, [at])[0] - pose.origin))
+    away = float(np.linalg.norm(interpolate_at_arc(points, [at])[0] - pose.origin))
     if away > MAX_ENTRY_DISTANCE_MM:
         raise DataError(
             f"the needle crosses the plane of first contact {away:.1f} mm from the entry",

@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.optimize import least_squares
 from scipy.special import ndtr
 
-from needlefit.geometry.plane import any_normal
+from needlefit.geometry.curves import make_normal
 from needlefit.imaging.needle.axis_spline import AxisFrames, correlation_factor, disc_points, sample_planes
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU
 from needlefit.imaging.reconstruction import IntensityProfile
@@ -59,7 +59,7 @@ def sample_profile(volume: Volume, points: ArrayLike, s: ArrayLike) -> Intensity
     axis = np.asarray(points, dtype=np.float64)
     tangents = np.gradient(axis, axis=0)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    u = np.cross(tangents, any_normal(tangents[len(axis) // 2]))
+    u = np.cross(tangents, make_normal(tangents[len(axis) // 2]))
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     where = AxisFrames(axis, tangents, u, np.cross(tangents, u))
     plane = disc_points(RING_RADII_MM[1])

@@ -23,10 +23,10 @@ from scipy.ndimage import gaussian_filter
 from scipy.special import ndtri
 from skimage.measure import block_reduce, marching_cubes
 
-from needlefit.datasets.layers import mesh_faults
-from needlefit.datasets.schema import as_id
+from needlefit.datasets.columns import make_id
+from needlefit.datasets.layers import find_surface_faults
 from needlefit.errors import DataError
-from needlefit.geometry.solids import closed
+from needlefit.geometry.meshes import extract_solid
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.header_checks import parse_count
 from needlefit.imaging.image_headers import check_image_header
@@ -238,7 +238,7 @@ def _extract_surface(
     kji, faces = extract_boundary(mask, labels.volume.spacing[::-1])
     points = to_patient(labels.volume, (kji + low)[:, ::-1])
     name = labels.segments[layer - 1].name
-    surface, loose = closed(as_id(f"layer {layer} {name}".strip(), ""), points, faces, layer)
+    surface, loose = extract_solid(make_id(f"layer {layer} {name}".strip(), ""), points, faces, layer)
     place = f"layer {layer}{f' ({name})' if name else ''}" + " and those beyond" * (
         layer < len(labels.segments)
     )
@@ -250,7 +250,7 @@ def _extract_surface(
             expected="layers in one piece, one within or behind the other, in the order of the segments",
             fix="label bubbles and the needle as the tissue around them, remove islands, sort the segments",
         )
-    faults = [fault.what for fault in mesh_faults(surface, path)]
+    faults = [fault.what for fault in find_surface_faults(surface, path)]
     if faults:
         raise DataError(
             f"the surface of {place} {faults[0]}",

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 
 from needlefit.datasets.faults import Fault, as_error, from_error
-from needlefit.datasets.layers import depths_of, file_fault, mesh_faults
+from needlefit.datasets.layers import compute_depths, find_surface_faults, make_file_fault
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import crossings
-from needlefit.geometry.curves import arc_length, at_arc
-from needlefit.geometry.frames import Floats, Frame
-from needlefit.geometry.patient import SIGNS, System
-from needlefit.geometry.surfaces import MAX_MESH_BYTES, Surface, moved, nearest, read_surface
+from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.frames import AXIS_SIGNS, Floats, Frame, PatientSystem
+from needlefit.geometry.surfaces import MAX_MESH_BYTES, Surface, find_nearest, read_surface, transform_surface
 from needlefit.imaging.reconstruction import EntryPose, Layers
 from needlefit.imaging.registration.register import Registration, scan_frame, target_covariance
 from needlefit.imaging.scan import LayerSource, Scan
@@ -44,18 +43,18 @@ def read_mesh(source: LayerSource, into: int, found: list[Fault]) -> Surface | N
     try:
         surface = read_surface(source.path, source.kind or "sheet", into)
     except DataError as error:
-        found.append(file_fault(error, source.path))
+        found.append(make_file_fault(error, source.path))
         return None
     if source.kind is None and surface.mesh.is_watertight:
         surface = Surface(surface.name, surface.mesh, "solid", into)
-    faults = list(mesh_faults(surface, source.path))
+    faults = list(find_surface_faults(surface, source.path))
     if source.kind is None and surface.kind == "sheet" and not faults:
         faults = _hole_fault(surface, source.path)
     found += faults
     return None if faults else _to_lps(surface, read_coordinate_system(source.path))
 
 
-def read_coordinate_system(path: Path) -> System | None:
+def read_coordinate_system(path: Path) -> PatientSystem | None:
     """Return the coordinate system that 3D Slicer wrote into a mesh; None where nothing is said.
 
     It stands in the header of an STL, in a comment of a PLY or OBJ, as `SPACE=LPS` or `SPACE=RAS`.
@@ -67,9 +66,13 @@ def read_coordinate_system(path: Path) -> System | None:
     return "RAS" if match[1] == b"RAS" else "LPS"
 
 
-def _to_lps(surface: Surface, system: System | None) -> Surface:
+def _to_lps(surface: Surface, system: PatientSystem | None) -> Surface:
     """Return a surface turned to LPS: from RAS that is half a turn about z."""
-    return surface if system in (None, "LPS") else moved(surface, Frame(np.zeros(3), np.diag(SIGNS["RAS"])))
+    return (
+        surface
+        if system in (None, "LPS")
+        else transform_surface(surface, Frame(np.zeros(3), np.diag(AXIS_SIGNS["RAS"])))
+    )
 
 
 def _hole_fault(surface: Surface, path: Path) -> list[Fault]:
@@ -126,7 +129,7 @@ def read_layers(scan: Scan, patient: Frame, grid: VoxelGrid | None = None) -> tu
         read = [read_mesh(one, into, found) for one, into in zip(scan.surfaces, numbers, strict=True)]
         surfaces = [surface for surface in read if surface is not None]
         found += _skipped_layer_faults(numbers, scan)
-    world = tuple(moved(one, patient) if layers_in_scan(scan) else one for one in surfaces)
+    world = tuple(transform_surface(one, patient) if layers_in_scan(scan) else one for one in surfaces)
     if grid is not None and layers_in_scan(scan):  # those of the world may be larger than what was scanned
         found += _misplaced_surface_faults(world, patient, grid, scan)
     if found:
@@ -267,21 +270,23 @@ def find_crossed_layers(
     """
     if not surfaces:
         return Layers((), np.empty(0), np.empty(0), np.empty((0, 3)), (1,))
-    crossed = crossings(points, surfaces)
+    crossed = find_crossings(points, surfaces)
     sd = np.empty(0)
     if len(crossed.arc):
         sd = _crossing_sd(points, frame, surfaces, errors, crossed.arc)
-    return Layers(surfaces, depths_of(crossed.points, frame), sd, crossed.points, crossed.sequence)
+    return Layers(surfaces, compute_depths(crossed.points, frame), sd, crossed.points, crossed.sequence)
 
 
 def _crossing_sd(
     points: Floats, frame: Frame, surfaces: tuple[Surface, ...], errors: LayerErrors, arc: Floats
 ) -> Floats:
     """Return the standard deviations (m,) of the depths at which a needle crosses surfaces, mm."""
-    places = at_arc(points, arc)
-    tangents = at_arc(points, arc + TANGENT_STEP_MM) - at_arc(points, arc - TANGENT_STEP_MM)
+    places = interpolate_at_arc(points, arc)
+    tangents = interpolate_at_arc(points, arc + TANGENT_STEP_MM) - interpolate_at_arc(
+        points, arc - TANGENT_STEP_MM
+    )
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
-    normals = nearest(places, surfaces).normals
+    normals = find_nearest(places, surfaces).normals
     cosines = np.abs(np.sum(normals * tangents, axis=1))
     across = np.interp(arc, arc_length(points), errors.centerline)
     variances = errors.surface**2 + across**2 * (1 - cosines**2)

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.distance import cdist
 
+from needlefit.datasets.columns import POINT_COLUMNS
 from needlefit.datasets.faults import Fault, as_error
 from needlefit.datasets.formats import slicer
 from needlefit.datasets.formats.csv import read_points, read_table
-from needlefit.datasets.schema import POINT
 from needlefit.errors import DataError
 from needlefit.imaging.marker_blobs import find_blobs
 from needlefit.imaging.reconstruction import MarkerResult
@@ -83,7 +83,7 @@ def read_markers(path: Path) -> Floats:
         If the file is missing, of another kind, or holds no such places.
     """
     suffix = path.suffix.lower()
-    if suffix in slicer.ENDINGS:
+    if suffix in slicer.SLICER_SUFFIXES:
         return slicer.read_markups(path).points
     if suffix != ".csv":
         raise DataError(
@@ -93,7 +93,7 @@ def read_markers(path: Path) -> Floats:
             fix="save it as that",
         )
     found: list[Fault] = []
-    points = read_points(read_table(path, SCANS_DOCUMENT), POINT, {}, found, RENAME_FIX)
+    points = read_points(read_table(path, SCANS_DOCUMENT), POINT_COLUMNS, {}, found, RENAME_FIX)
     if points is None:
         raise as_error(found, path)
     return points.values

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import surface_hits
-from needlefit.geometry.curves import arc_length, at_arc
-from needlefit.geometry.frames import Frame, entry_frame
-from needlefit.geometry.plane import bending_plane
+from needlefit.geometry.crossings import find_surface_hits
+from needlefit.geometry.curves import arc_length, find_bending_direction, interpolate_at_arc
+from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging import entry
 from needlefit.imaging.detections import Detections, detect
@@ -82,7 +81,7 @@ def _locate_tissue(
     """
     outer = [surface for surface in surfaces if surface.into == 1]
     hits = (
-        np.concatenate([surface_hits(detections.world, surface) for surface in outer])
+        np.concatenate([find_surface_hits(detections.world, surface) for surface in outer])
         if outer
         else np.empty(0)
     )
@@ -197,7 +196,7 @@ def _sample_inserted(detections: Detections, begin: float, station: float) -> tu
     along = arc_length(detections.world)
     count = int(np.ceil((along[-1] - begin) / station)) + 1
     s = np.linspace(begin, along[-1], count)
-    return at_arc(detections.world, s), np.interp(s, along, detections.needle_axis.sd)
+    return interpolate_at_arc(detections.world, s), np.interp(s, along, detections.needle_axis.sd)
 
 
 def _predict_target_error(detections: Detections, points: Floats) -> Floats:
@@ -225,8 +224,8 @@ def _find_bending_frame(
     elif recipe.entry.plane == "bevel" and np.isfinite(bevel).all():
         toward, plane = bevel, "bevel"
     else:
-        toward, plane = bending_plane(points, pose.direction), "shape"
+        toward, plane = find_bending_direction(points, pose.direction), "shape"
     try:
-        return entry_frame(pose.origin, pose.direction, toward), plane
+        return make_entry_frame(pose.origin, pose.direction, toward), plane
     except DataError as error:
         raise DataError(error.what, where=str(scan.volume), expected=error.expected, fix=BEVEL_FIX) from None

@@ -7,11 +7,9 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from needlefit.errors import DataError
-from needlefit.geometry.crossings import crossings, surface_hits
-from needlefit.geometry.enclosure import enclosed_length
-from needlefit.geometry.frames import Floats, Frame
-from needlefit.geometry.patient import SIGNS
-from needlefit.geometry.surfaces import Surface, moved, nearest
+from needlefit.geometry.crossings import find_crossings, find_surface_hits, measure_enclosed_length
+from needlefit.geometry.frames import AXIS_SIGNS, Floats, Frame
+from needlefit.geometry.surfaces import Surface, find_nearest, transform_surface
 from needlefit.imaging.entry import compare_poses
 from needlefit.imaging.intensity_profile import find_tissue_edge
 from needlefit.imaging.reconstruction import Layers, Reconstruction
@@ -138,7 +136,9 @@ def refuse_tunnels(scan: Scan, surfaces: Sequence[Surface], needle: Floats) -> N
     DataError
         If a surface, the tissue's own or another, runs around the needle.
     """
-    lengths = [(surface.name, enclosed_length(needle, surface, TUNNEL_RADIUS_MM)) for surface in surfaces]
+    lengths = [
+        (surface.name, measure_enclosed_length(needle, surface, TUNNEL_RADIUS_MM)) for surface in surfaces
+    ]
     around = [f"{name} (along {length:.0f} mm)" for name, length in lengths if length >= MIN_TUNNEL_LENGTH_MM]
     if around:
         raise DataError(
@@ -185,13 +185,13 @@ def check_layer_count(scan: Scan, layers: Layers, points: Floats, patient: Frame
 
 def _crossing_warnings(layers: Layers, points: Floats, patient: Frame) -> Iterator[str]:
     for surface in layers.surfaces:
-        if surface.kind == "sheet" and not len(surface_hits(points, surface)):
+        if surface.kind == "sheet" and not len(find_surface_hits(points, surface)):
             beside = _distance_beside(points, surface)
             if beside is not None:
                 yield f"the needle passes {beside:.1f} mm beside the sheet {surface.name}: it is too small"
     beyond = [surface for surface in layers.surfaces if surface.into > 1]
     if beyond and not len(layers.boundaries):
-        away = nearest(points, beyond).distances
+        away = find_nearest(points, beyond).distances
         yield f"the needle crosses no layer; the nearest surface stays {away.min():.1f} mm away"
         if _crossed_in_ras(layers, points, patient):
             yield "the needle would cross layers if their files were in RAS: save them in LPS"
@@ -209,12 +209,12 @@ def _distance_beside(points: Floats, surface: Surface) -> float | None:
     n = int(passes[0])
     part = heights[n] / (heights[n] - heights[n + 1])
     place = points[n] + part * (points[n + 1] - points[n])
-    return float(nearest(place, [surface]).distances[0])
+    return float(find_nearest(place, [surface]).distances[0])
 
 
 def _crossed_in_ras(layers: Layers, points: Floats, patient: Frame) -> bool:
     """Say whether surfaces whose x and y have the other sign in the patient would be crossed."""
-    turn = patient.rotation @ np.diag(SIGNS["RAS"]) @ patient.rotation.T
+    turn = patient.rotation @ np.diag(AXIS_SIGNS["RAS"]) @ patient.rotation.T
     turned = Frame(patient.origin - turn @ patient.origin, turn)
-    flipped = [moved(surface, turned) for surface in layers.surfaces]
-    return len(crossings(points, flipped).sequence) > 1
+    flipped = [transform_surface(surface, turned) for surface in layers.surfaces]
+    return len(find_crossings(points, flipped).sequence) > 1

@@ -10,11 +10,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS, ID_PATTERN
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.rows import UNIT
-from needlefit.datasets.schema import BEVEL, DIRECTION, ENTRY, ID
-from needlefit.geometry.frames import PARALLEL, unit
-from needlefit.geometry.surfaces import Kind
+from needlefit.datasets.insertion_table import UNIT_VECTOR_TOLERANCE
+from needlefit.geometry.frames import PARALLEL_SINE, normalize
+from needlefit.geometry.surfaces import SurfaceKind
 from needlefit.imaging.volume import IMAGE_SUFFIXES, READABLE_VOLUMES
 from needlefit.project.input_files import is_file, path_exists
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
@@ -56,7 +56,7 @@ class LayerSource:
     """
 
     path: Path
-    kind: Kind | None = None
+    kind: SurfaceKind | None = None
     into: int | None = None
 
 
@@ -118,9 +118,9 @@ class Scan:
         return (self.volume, *(path for path in others if path is not None))
 
 
-STAGE_COLUMNS = (*ENTRY, *DIRECTION, "pose_shift_sd_mm", "pose_angle_sd_deg")
+STAGE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_shift_sd_mm", "pose_angle_sd_deg")
 COUNT_COLUMNS = ("layers", "layers_alternative")
-NUMBER_COLUMNS = (*STAGE_COLUMNS, *BEVEL, "bevel_side", *COUNT_COLUMNS, "guide_distance_mm")
+NUMBER_COLUMNS = (*STAGE_COLUMNS, *BEVEL_COLUMNS, "bevel_side", *COUNT_COLUMNS, "guide_distance_mm")
 """Columns of numbers."""
 
 SCAN_COLUMNS = (
@@ -195,7 +195,7 @@ def parse_layer_source(text: str, folder: Path, where: str = "") -> LayerSource 
 
 def build_scan(row: ScanRow, id_: str) -> Scan:
     """Return the scan of a row without faults."""
-    text, number, bevel = row.text, row.number, row.vector(BEVEL)
+    text, number, bevel = row.text, row.number, row.vector(BEVEL_COLUMNS)
     return Scan(
         id=id_,
         volume=row.folder / text["scan"],
@@ -208,7 +208,7 @@ def build_scan(row: ScanRow, id_: str) -> Scan:
         surfaces=tuple(layer for layer in row.layers() if isinstance(layer, LayerSource)),
         surfaces_in="scan" if text["surfaces_in"] == "scan" else "world",
         stage=_parse_stage(row),
-        bevel=None if np.isnan(bevel).any() else unit(bevel),
+        bevel=None if np.isnan(bevel).any() else normalize(bevel),
         side=-1 if number["bevel_side"] == -1 else 1,
         layers=_parse_count(number["layers"]),
         layers_alternative=_parse_count(number["layers_alternative"]),
@@ -221,7 +221,9 @@ def _parse_stage(row: ScanRow) -> StagePose | None:
     if np.isnan(row.vector(STAGE_COLUMNS)).any():
         return None
     shift, angle = row.number["pose_shift_sd_mm"], row.number["pose_angle_sd_deg"]
-    return StagePose(row.vector(ENTRY), unit(row.vector(DIRECTION)), shift, math.radians(angle))
+    return StagePose(
+        row.vector(ENTRY_COLUMNS), normalize(row.vector(DIRECTION_COLUMNS)), shift, math.radians(angle)
+    )
 
 
 def _parse_count(value: float) -> int | None:
@@ -246,7 +248,7 @@ def row_faults(row: ScanRow, numbers_read: bool) -> Iterator[Fault]:
 
 def name_faults(name: str, given: str, where: str) -> Iterator[Fault]:
     """Say that an id or a medium cannot name files; an empty one is a default."""
-    if given and not ID.fullmatch(given):
+    if given and not ID_PATTERN.fullmatch(given):
         expected = "A-Z, a-z, digits, `.`, `_`, `-`, the first a letter or digit: it names files"
         yield Fault(where, f"{name} is {given!r}", expected, "rename it")
 
@@ -286,22 +288,26 @@ def _relative_path_fix(row: ScanRow) -> str:
 
 
 def _stage_faults(row: ScanRow) -> Iterator[Fault]:
-    for names in (STAGE_COLUMNS, BEVEL):
+    for names in (STAGE_COLUMNS, BEVEL_COLUMNS):
         empty = [name for name in names if math.isnan(row.number[name])]
         if empty and len(empty) < len(names):
             fix = "fill these, or empty the others"
             yield Fault(row.where, f"{', '.join(empty)} are empty", "all of them, or none", fix)
-    length = float(np.linalg.norm(row.vector(DIRECTION)))
-    if abs(length - 1) > UNIT:
+    length = float(np.linalg.norm(row.vector(DIRECTION_COLUMNS)))
+    if abs(length - 1) > UNIT_VECTOR_TOLERANCE:
         what = f"entry direction has length {length:.4g}"
         fix = "divide the three numbers by their length" if length else "give the direction of insertion"
         yield Fault(row.where, what, "a unit vector (entry_dx, _dy, _dz)", fix)
-    turned = np.linalg.norm(np.cross(row.vector(DIRECTION), row.vector(BEVEL)))  # empty cells are nan
-    if row.vector(BEVEL).any() and turned < PARALLEL * np.linalg.norm(row.vector(BEVEL)):
+    turned = np.linalg.norm(
+        np.cross(row.vector(DIRECTION_COLUMNS), row.vector(BEVEL_COLUMNS))
+    )  # empty cells are nan
+    if row.vector(BEVEL_COLUMNS).any() and turned < PARALLEL_SINE * np.linalg.norm(row.vector(BEVEL_COLUMNS)):
         what = "the bevel is parallel to the entry direction"
         yield Fault(row.where, what, "a direction across the needle", BEVEL_FIX)
-    if not row.vector(BEVEL).any():  # three empty cells are nan
-        yield Fault(row.where, f"{', '.join(BEVEL)} are all 0", "a direction", "give it, or empty the cells")
+    if not row.vector(BEVEL_COLUMNS).any():  # three empty cells are nan
+        yield Fault(
+            row.where, f"{', '.join(BEVEL_COLUMNS)} are all 0", "a direction", "give it, or empty the cells"
+        )
 
 
 def _number_faults(row: ScanRow) -> Iterator[Fault]:

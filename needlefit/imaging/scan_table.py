@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
+from needlefit.datasets.columns import make_id
 from needlefit.datasets.faults import Fault, as_error
-from needlefit.datasets.formats.csv import Table, columns_there, numbers, read_table
-from needlefit.datasets.schema import as_id
+from needlefit.datasets.formats.csv import CsvTable, list_columns, parse_numbers, read_table
 from needlefit.imaging.scan import (
     NUMBER_COLUMNS,
     SCAN_COLUMNS,
@@ -129,15 +129,15 @@ def scan_id(volume: Path) -> str:
     """Return the id that a volume has by its name as given: no ending, and only what an id may hold."""
     name = volume.resolve().name if volume.name in ("", "..") else volume.name
     ending = next((end for end in (".seg.nrrd", *IMAGE_SUFFIXES, ".dcm") if name.lower().endswith(end)), "")
-    return as_id(name[: len(name) - len(ending)], "scan")
+    return make_id(name[: len(name) - len(ending)], "scan")
 
 
-def _column_faults(table: Table) -> Iterator[Fault]:
+def _column_faults(table: CsvTable) -> Iterator[Fault]:
     """Yield columns that nothing is known of: a name mistyped would silently leave its cells out."""
     where = f"{table.path}:1"
     if "scan" not in table.cells:
         expected = (
-            f"the path of each volume: {READABLE_VOLUMES}; there are {columns_there(table.cells.columns)}"
+            f"the path of each volume: {READABLE_VOLUMES}; there are {list_columns(table.cells.columns)}"
         )
         yield Fault(where, "column `scan` is missing", expected, "add the column")
         return
@@ -161,11 +161,11 @@ def _mixed_marker_faults(rows: Sequence[ScanRow]) -> Iterator[Fault]:
                 )
 
 
-def _parse_rows(table: Table, found: list[Fault]) -> list[ScanRow]:
+def _parse_rows(table: CsvTable, found: list[Fault]) -> list[ScanRow]:
     blank = [""] * len(table.lines)
     text = {name: table.cells[name].tolist() if name in table.cells else blank for name in SCAN_COLUMNS}
     number = {
-        name: numbers(table, name, found, optional=True)
+        name: parse_numbers(table, name, found, optional=True)
         if name in table.cells
         else np.full(len(blank), np.nan)
         for name in NUMBER_COLUMNS

@@ -26,7 +26,7 @@ def as_scene(
         Every parameter of the medium, ties resolved (Pa, mm).
     """
     guide = values.get("guide_distance_mm", insertion.guide_distance)
-    moved = insertion.base_moved
+    moved = insertion.base_shift
     return SceneRecord(
         schema_=1,
         title=title,
@@ -66,7 +66,7 @@ def layers_met(insertion: Insertion) -> tuple[tuple[float, int], ...]:
 def _in_two(insertion: Insertion) -> tuple[StepRecord, StepRecord]:
     """Return the insertion, and the move of its base behind it."""
     inserted = StepRecord(depth_mm=insertion.depth)
-    return inserted, StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_moved)
+    return inserted, StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_shift)
 
 
 def _needle(dataset: Dataset) -> NeedleRecord:

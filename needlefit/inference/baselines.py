@@ -9,8 +9,8 @@ from scipy.optimize import least_squares
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
+from needlefit.geometry.curves import BASELINE_COEFFICIENTS, integrate_curvature
 from needlefit.inference.comparison import Curve, Pose, Target, scored, target
-from needlefit.mechanics.baselines import BASELINES, curve
 
 Floats = NDArray[np.float64]
 
@@ -25,7 +25,7 @@ class Baseline:
     Attributes
     ----------
     name : str
-        One of `BASELINES`.
+        One of `BASELINE_COEFFICIENTS`.
     coefficients : tuple of float
         Curvature toward the bevel by powers of the distance from the tip, c_k in mm^-(k + 1).
     rms : float
@@ -50,14 +50,16 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
     ConfigError
         If there is no such curve, or no insertion.
     """
-    if name not in BASELINES:
-        raise ConfigError(f"there is no baseline `{name}`", expected=f"one of {', '.join(BASELINES)}")
+    if name not in BASELINE_COEFFICIENTS:
+        raise ConfigError(
+            f"there is no baseline `{name}`", expected=f"one of {', '.join(BASELINE_COEFFICIENTS)}"
+        )
     if not insertions:
         raise ConfigError("no insertion is selected to fit a baseline to", expected="at least one")
     pairs = [(insertion, target(pose, drop, insertion)) for insertion in insertions]
-    scale = LENGTH ** -np.arange(1.0, BASELINES[name] + 1)
-    found = np.zeros(BASELINES[name])
-    if BASELINES[name]:
+    scale = LENGTH ** -np.arange(1.0, BASELINE_COEFFICIENTS[name] + 1)
+    found = np.zeros(BASELINE_COEFFICIENTS[name])
+    if BASELINE_COEFFICIENTS[name]:
 
         def residuals(scaled: Floats) -> Floats:
             return _residuals(scale * scaled, pairs)
@@ -69,12 +71,12 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
 
 def fit_baselines(pose: Pose, drop: float, insertions: Sequence[Insertion]) -> Mapping[str, Baseline]:
     """Return every empirical curve, fitted, by name."""
-    return {name: fit_baseline(name, pose, drop, insertions) for name in BASELINES}
+    return {name: fit_baseline(name, pose, drop, insertions) for name in BASELINE_COEFFICIENTS}
 
 
 def _curve(insertion: Insertion, coefficients: Sequence[float] | Floats) -> Callable[[Floats], Floats]:
     turned = [insertion.side * c for c in coefficients]
-    return lambda s: curve(insertion.depth, turned, s)
+    return lambda s: integrate_curvature(insertion.depth, turned, s)
 
 
 def _residuals(coefficients: Floats, pairs: Sequence[tuple[Insertion, Target]]) -> Floats:

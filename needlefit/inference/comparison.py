@@ -17,12 +17,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.reach import reach_from_tip
-from needlefit.geometry.compare import STATIONS
-from needlefit.geometry.curves import arc_length, at_arc, resample
+from needlefit.datasets.insertion import Insertion, find_free_reach
+from needlefit.geometry.compare import COMPARISON_POINTS
+from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_curve
 from needlefit.geometry.frames import align_rigid
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 
 Floats = NDArray[np.float64]
 Curve = Callable[[Floats], Floats]
@@ -40,7 +39,7 @@ class SimulatedCurve:
 
     def __call__(self, s: Floats) -> Floats:
         """Return the points at `s` (K,)."""
-        return positions(self.shape, s)
+        return compute_positions(self.shape, s)
 
 
 def curve_of(shape: NeedleShape) -> SimulatedCurve:
@@ -66,14 +65,14 @@ class Target:
     pose: Pose
 
 
-def target(pose: Pose, drop: float, insertion: Insertion, stations: int = STATIONS) -> Target:
+def target(pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS) -> Target:
     """Return what a curve is compared with; see `scored_points`."""
     if pose == "known":
         fractions = np.linspace(0.0, 1.0, stations)
-        return Target(insertion.depth * fractions, resample(insertion.planar, fractions), pose)
-    to_tip = np.linspace(reach_from_tip(drop, insertion), 0.0, stations)
+        return Target(insertion.depth * fractions, resample_curve(insertion.planar, fractions), pose)
+    to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
     length = float(arc_length(insertion.planar)[-1])
-    measured = in_entry_axes(at_arc(insertion.planar, length - to_tip))
+    measured = in_entry_axes(interpolate_at_arc(insertion.planar, length - to_tip))
     return Target(insertion.depth - to_tip, measured, pose)
 
 
@@ -86,7 +85,7 @@ def scored(target: Target, curve: Curve) -> tuple[Floats, Floats]:
 
 
 def scored_points(
-    pose: Pose, drop: float, insertion: Insertion, curve: Curve, stations: int = STATIONS
+    pose: Pose, drop: float, insertion: Insertion, curve: Curve, stations: int = COMPARISON_POINTS
 ) -> tuple[Floats, Floats]:
     """Return the simulated and the measured points (K, 2) that are compared, entry side first, tip last.
 

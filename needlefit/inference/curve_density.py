@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.optimize import minimize
 
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.geometry.curves import BASELINE_COEFFICIENTS
 from needlefit.inference.baselines import LENGTH, Baseline, curve_for, fit_baseline
 from needlefit.inference.likelihood.evidence import Evidence, evidence, whitened
 from needlefit.inference.likelihood.marginal import log_marginals
 from needlefit.inference.parameters import SCALES
-from needlefit.mechanics.baselines import BASELINES
 from needlefit.schemas.recipe import LikelihoodRecord
 
 Floats = NDArray[np.float64]
@@ -33,7 +33,7 @@ class CurveDensity:
     Attributes
     ----------
     name : str
-        One of `BASELINES`.
+        One of `BASELINE_COEFFICIENTS`.
     dataset : Dataset
     insertions : tuple of Insertion
     how : LikelihoodRecord
@@ -50,12 +50,12 @@ class CurveDensity:
     @property
     def upper(self) -> Floats:
         """Upper bounds of theta: (P,)."""
-        return np.array([*[WIDE] * BASELINES[self.name], np.log(self.most)])
+        return np.array([*[WIDE] * BASELINE_COEFFICIENTS[self.name], np.log(self.most)])
 
     @property
     def lower(self) -> Floats:
         """Lower bounds of theta: (P,)."""
-        return np.array([*[-WIDE] * BASELINES[self.name], np.log(SCALES[0])])
+        return np.array([*[-WIDE] * BASELINE_COEFFICIENTS[self.name], np.log(SCALES[0])])
 
     def __call__(self, thetas: Floats) -> Floats:
         """Return the log densities (W,) of thetas (W, P), -inf outside the bounds."""

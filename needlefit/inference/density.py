@@ -23,10 +23,10 @@ from needlefit.inference.parameters import SCALES, Parameters
 from needlefit.inference.predict import predict, predict_each
 from needlefit.inference.slopes import predict_with_slopes
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.mechanics.batch import NeedleShapes, deflections_each, positions_each
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.batch import NeedleShapes, compute_batch_deflections, compute_batch_positions
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.medium import MediumRecord
 
 Floats = NDArray[np.float64]
@@ -78,7 +78,7 @@ class Density:
             for known in self.evidence
             for insertion in known.nodes.insertions
         ]
-        shapes = iter(follow_batches(batches, jobs))
+        shapes = iter(simulate_batches(batches, jobs))
         for known in self.evidence:
             yield _white_each(known, [next(shapes) for _ in known.nodes.s])
 
@@ -155,7 +155,7 @@ class Density:
         points = []
         for insertion, s in zip(nodes.insertions, nodes.s, strict=True):
             shape = predict(values, self.medium, self.needle, insertion)
-            points.append(positions(shape, s) if shape.converged else np.full((len(s), 2), np.nan))
+            points.append(compute_positions(shape, s) if shape.converged else np.full((len(s), 2), np.nan))
         return whitened(known, np.array(points))
 
     def _white_and_slopes(
@@ -176,5 +176,7 @@ def _white_each(known: Evidence, shapes: Sequence[NeedleShapes]) -> Floats:
     """Return the whitened residuals (B, m, R) of B needles at the m nodes; NaN where a solve failed."""
     pairs = list(zip(shapes, known.nodes.s, strict=True))
     if known.pose == "known":  # what is not aligned is compared in its deflection alone
-        return whitened_deflections(known, np.stack([deflections_each(*pair) for pair in pairs], axis=1))
-    return whitened(known, np.stack([positions_each(*pair) for pair in pairs], axis=1))
+        return whitened_deflections(
+            known, np.stack([compute_batch_deflections(*pair) for pair in pairs], axis=1)
+        )
+    return whitened(known, np.stack([compute_batch_positions(*pair) for pair in pairs], axis=1))

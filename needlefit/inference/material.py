@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.stats import t as student
 
-from needlefit.datasets.compression_loading import Specimen
+from needlefit.datasets.compression_loading import SpecimenLoading
 from needlefit.errors import FitError
 from needlefit.inference.material_profile import Profile
-from needlefit.mechanics.compression import Measure, growth, stress
+from needlefit.mechanics.compression import StressMeasure, compute_log_stress_derivative, compute_stress
 
 Floats = NDArray[np.float64]
 
@@ -76,8 +76,8 @@ class SpecimenFit:
         Other alphas at which the misfit has a minimum inside the 95 % region.
     """
 
-    specimen: Specimen
-    measure: Measure
+    specimen: SpecimenLoading
+    measure: StressMeasure
     mu: float
     alpha: float
     covariance: Floats
@@ -106,7 +106,7 @@ class SpecimenFit:
         return math.sqrt(self.covariance[0, 0]), math.sqrt(self.covariance[1, 1])
 
 
-def fit_specimen(specimen: Specimen, measure: Measure) -> SpecimenFit:
+def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenFit:
     """Fit mu and alpha to the loading of one specimen.
 
     Raises
@@ -152,7 +152,7 @@ def _cost(found: Found) -> float:
     return float(found[1] @ found[1])
 
 
-def _starts(specimen: Specimen, measure: Measure) -> list[tuple[float, float]]:
+def _starts(specimen: SpecimenLoading, measure: StressMeasure) -> list[tuple[float, float]]:
     """Return (mu, alpha) at every minimum of the profile, its ends among them."""
     alphas = np.linspace(*ALPHA_RANGE, GRID)
     mus, squares = _best_mu(specimen, measure, alphas)
@@ -161,11 +161,11 @@ def _starts(specimen: Specimen, measure: Measure) -> list[tuple[float, float]]:
     return [(float(mus[n]), float(alphas[n])) for n in lowest]
 
 
-def _best_mu(specimen: Specimen, measure: Measure, alphas: Floats) -> tuple[Floats, Floats]:
+def _best_mu(specimen: SpecimenLoading, measure: StressMeasure, alphas: Floats) -> tuple[Floats, Floats]:
     """Return the best mu (G,) of each alpha, and its sum of squares; infinite where mu is not positive."""
     found = []
     for alpha in alphas.tolist():
-        unit = stress(1.0, alpha, specimen.stretch, measure)
+        unit = compute_stress(1.0, alpha, specimen.stretch, measure)
         mu = float(unit @ specimen.stress) / float(unit @ unit)
         off = mu * unit - specimen.stress
         found.append((mu, float(off @ off) if mu > 0 else math.inf))
@@ -183,7 +183,9 @@ def _grid(minima: list[Found], covariances: list[Floats]) -> Floats:
     return every[(every >= ALPHA_RANGE[0]) & (every <= ALPHA_RANGE[1])]
 
 
-def _profile(specimen: Specimen, measure: Measure, of: tuple[float, float], alphas: Floats) -> Profile:
+def _profile(
+    specimen: SpecimenLoading, measure: StressMeasure, of: tuple[float, float], alphas: Floats
+) -> Profile:
     """Return the profile over the smallest sum of squares, `of` (that sum, points it is worth).
 
     Were the law linear in alpha, the ratio less 1 would be Student's t squared over its degrees of freedom.
@@ -204,12 +206,12 @@ def _widened(linear: Floats, profile: Profile, limit: float) -> Floats:
     return np.array([[at_alpha + slope**2 * variance, slope * variance], [slope * variance, variance]])
 
 
-def _refined(specimen: Specimen, measure: Measure, start: tuple[float, float]) -> Found:
+def _refined(specimen: SpecimenLoading, measure: StressMeasure, start: tuple[float, float]) -> Found:
     begin = np.array([math.log(start[0]), start[1]])
     scale = float(np.max(np.abs(specimen.stress)))
 
     def residuals(theta: Floats) -> Floats:
-        fitted = stress(math.exp(theta[0]), theta[1], specimen.stretch, measure)
+        fitted = compute_stress(math.exp(theta[0]), theta[1], specimen.stretch, measure)
         return (fitted - specimen.stress) / scale
 
     def slopes(theta: Floats) -> Floats:
@@ -222,13 +224,13 @@ def _refined(specimen: Specimen, measure: Measure, start: tuple[float, float]) -
     return (float(done.x[0]), float(done.x[1])), done.fun * scale
 
 
-def _jacobian(theta: Floats, specimen: Specimen, measure: Measure) -> Floats:
+def _jacobian(theta: Floats, specimen: SpecimenLoading, measure: StressMeasure) -> Floats:
     """Return the derivatives (N, 2) of the stress by ln mu and alpha."""
-    fitted = stress(math.exp(theta[0]), theta[1], specimen.stretch, measure)
-    return np.stack([fitted, fitted * growth(theta[1], specimen.stretch)], axis=1)
+    fitted = compute_stress(math.exp(theta[0]), theta[1], specimen.stretch, measure)
+    return np.stack([fitted, fitted * compute_log_stress_derivative(theta[1], specimen.stretch)], axis=1)
 
 
-def _inverse(theta: tuple[float, float], specimen: Specimen, measure: Measure) -> Floats:
+def _inverse(theta: tuple[float, float], specimen: SpecimenLoading, measure: StressMeasure) -> Floats:
     """Return the inverse of J^T J (2, 2)."""
     slopes = _jacobian(np.array(theta), specimen, measure)
     inverse: Floats = np.asarray(np.linalg.inv(slopes.T @ slopes), dtype=np.float64)

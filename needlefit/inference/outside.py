@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from needlefit.inference.parameters import Theta
 from needlefit.inference.predict import predict_each
 from needlefit.inference.problem import Problem
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.lanes import simulate_batches
 
 Floats = NDArray[np.float64]
 
@@ -23,6 +23,6 @@ def outside(problem: Problem, thetas: Sequence[Theta] | Floats, jobs: int = 1) -
         return found
     sets = [problem.values(theta) for theta in thetas]
     batches = [predict_each(sets, problem.medium, problem.dataset.needle, one) for one in problem.insertions]
-    for shapes in follow_batches(batches, jobs):
+    for shapes in simulate_batches(batches, jobs):
         found |= shapes.converged & ~shapes.validity.ok
     return found

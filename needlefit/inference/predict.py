@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.parameters import tissue
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
-from needlefit.mechanics.linearize import SHARP
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.linearize import MAX_TOLERANCE_MM
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord
 
@@ -51,7 +51,7 @@ def predict(
     ModelError
         If the needle does not reach the depth; a solve that fails is a value, `converged`.
     """
-    return follow(*conditions(values, medium, needle, insertion, boundaries, sequence))
+    return simulate_steps(*conditions(values, medium, needle, insertion, boundaries, sequence))
 
 
 def conditions(
@@ -61,10 +61,10 @@ def conditions(
     insertion: Insertion,
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
-) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:
-    """Return what `predict` simulates, as `follow` and `linearize_along` take it.
+) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
+    """Return what `predict` simulates, as `simulate_steps` and `linearize_along` take it.
 
-    Both solve to `SHARP`, so that values and derivatives are of one state: searches compare them.
+    Both solve to `MAX_TOLERANCE_MM`, so that values and derivatives are of one state: searches compare them.
     """
     met = insertion.sequence if sequence is None else sequence
     depths = insertion.boundaries if boundaries is None else boundaries
@@ -72,14 +72,14 @@ def conditions(
         needle,
         tissue(values, met, depths, medium),
         _steps(values, insertion),
-        replace(rules(medium), tolerance=SHARP),
+        replace(rules(medium), tolerance=MAX_TOLERANCE_MM),
     )
 
 
 def predict_each(
     sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
 ) -> Batch:
-    """Return one insertion with many parameter sets, for `lanes.follow_batches`; else as `predict`."""
+    """Return one insertion with many parameter sets, for `lanes.simulate_batches`; else as `predict`."""
     first = sets[0]
     guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
     return Batch(
@@ -99,9 +99,9 @@ def _steps(values: Mapping[str, float], insertion: Insertion) -> tuple[Step, ...
     bevel = Bevel(values["bevel_mm"], insertion.side)
     controls = _clamped(values.get("guide_distance_mm", insertion.guide_distance))
     inserted = Step(insertion.depth, bevel, controls)
-    if not insertion.base_moved:
+    if not insertion.base_shift:
         return (inserted,)
-    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_moved))
+    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_shift))
 
 
 def _clamped(guide_distance: float | None) -> Controls:
@@ -109,10 +109,10 @@ def _clamped(guide_distance: float | None) -> Controls:
     return Controls() if guide_distance is None else Controls(guides=(Guide(-guide_distance),))
 
 
-def rules(medium: MediumRecord) -> Rules:
+def rules(medium: MediumRecord) -> ModelOptions:
     """Return the rules of a medium, and the longest mesh size up to 1 mm in its constraint spacing."""
     spacing = medium.constraint_spacing_mm
-    return Rules(
+    return ModelOptions(
         spacing,
         spacing / math.ceil(spacing / LONGEST_ELEMENT - 1e-9),
         switch=medium.constraint_switch,

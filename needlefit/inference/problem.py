@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.errors import ConfigError
-from needlefit.geometry.compare import CurveErrors, compare
-from needlefit.geometry.frames import align_rigid, align_rigid_slopes
+from needlefit.geometry.compare import CurveErrors, compare_curves
+from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
 from needlefit.inference.comparison import Target, curve_of, scored, target
 from needlefit.inference.density import Density
 from needlefit.inference.likelihood.evidence import evidence
@@ -98,7 +98,7 @@ class Problem:
 
     def errors(self, theta: Theta) -> tuple[CurveErrors, ...]:
         """Return how far each simulated needle lies from the measured one."""
-        return tuple(compare(*pair) for pair in self.points(theta))
+        return tuple(compare_curves(*pair) for pair in self.points(theta))
 
     def objective(self, theta: Theta) -> float:
         """Return the mean over insertions of `metric.misfit`, mm; infinite if any solve fails."""
@@ -118,7 +118,7 @@ class Problem:
                 values, self.parameters, self.medium, self.dataset.needle, insertion, goal.s
             )
             if goal.pose == "free":
-                slopes = align_rigid_slopes(points, goal.measured, slopes)
+                slopes = differentiate_align_rigid(points, goal.measured, slopes)
                 points = align_rigid(points, goal.measured)
             total += misfit(points, goal.measured, self.weights)
             slope += misfit_slopes(points, goal.measured, self.weights, slopes)

@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Insertion
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.predict import conditions
-from needlefit.mechanics.linearize import linearize_along, moved
+from needlefit.mechanics.linearize import differentiate_positions, linearize_steps
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.medium import MediumRecord
 
 Floats = NDArray[np.float64]
@@ -44,12 +44,12 @@ def predict_with_slopes(
         If the needle does not reach the depth.
     """
     chain = _chain(values, parameters, insertion)
-    shape, jacobian = linearize_along(*conditions(values, medium, needle, insertion), wrt=_kinds(parameters))
+    shape, jacobian = linearize_steps(*conditions(values, medium, needle, insertion), wrt=_kinds(parameters))
     if not shape.converged:
         return np.full((len(s), 2), np.nan), np.full((len(s), 2, len(parameters.free)), np.nan)
     rows = [chain[name] for name in jacobian.names]
     by_theta = np.array(rows).reshape(len(rows), len(parameters.free))  # also where nothing is free
-    return positions(shape, s), moved(shape, jacobian, s) @ by_theta
+    return compute_positions(shape, s), differentiate_positions(shape, jacobian, s) @ by_theta
 
 
 def _kinds(parameters: Parameters) -> tuple[str, ...]:

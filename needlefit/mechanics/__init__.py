@@ -1,4 +1,4 @@
-"""The physics: nouns (needle, tissue, control), the model twice (`reference`, `kernel`), the verb `simulate`.
+"""The mechanical model: needle, tissue and controls, the model twice (`reference`, `kernel`), and `simulate`.
 
 Knows no data and no files; docs/model.md states the equations.
 """

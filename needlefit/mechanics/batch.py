@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Rules, Step
-from needlefit.mechanics.kernel import positions as kernel
+from needlefit.mechanics.control import Bevel, ModelOptions, Step
+from needlefit.mechanics.kernel import beam as kernel
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import element_solves
+from needlefit.mechanics.plan import count_element_solves
 from needlefit.mechanics.shape import NeedleShape, Status
-from needlefit.mechanics.simulate import STATUS
+from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import Validity, validity_of
+from needlefit.mechanics.validity import Validity, compute_validity
 from needlefit.schemas.limits import MAX_BATCH_ELEMENT_SOLVES, MAX_BATCH_NODES
 
 Floats = NDArray[np.float64]
@@ -26,12 +26,12 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Batch:
-    """One insertion with B parameter sets; what a set does not give is that of the nouns.
+    """One insertion with B parameter sets; what a set does not give is that of `needle`, `tissue`, `steps`.
 
     Attributes
     ----------
     needle, tissue, steps, rules
-        The insertion, as `simulate.follow` takes it.
+        The insertion, as `simulate.simulate_steps` takes it.
     mu, alpha : (B, n) arrays
         Of the n layers of `tissue`, MPa and 1.
     offset : (B,) array
@@ -47,7 +47,7 @@ class Batch:
     needle: Needle
     tissue: Tissue
     steps: tuple[Step, ...]
-    rules: Rules = Rules()
+    rules: ModelOptions = ModelOptions()
     mu: Floats | None = None
     alpha: Floats | None = None
     offset: Floats | None = None
@@ -58,7 +58,7 @@ class Batch:
 
     def __post_init__(self) -> None:
         sizes = {}
-        for name in VARYING:
+        for name in VARYING_FIELDS:
             value = getattr(self, name)
             if value is None:
                 continue
@@ -81,12 +81,12 @@ class Batch:
         self._check_size()
 
     def __len__(self) -> int:
-        return len(next(v for v in (getattr(self, name) for name in VARYING) if v is not None))
+        return len(next(v for v in (getattr(self, name) for name in VARYING_FIELDS) if v is not None))
 
     def _check_size(self) -> None:
         """Raise ModelError where all sets together would take minutes or gigabytes."""
         depths, element = tuple(step.depth for step in self.steps), self.rules.element
-        solves = len(self) * element_solves(depths, self.rules.spacing, element)
+        solves = len(self) * count_element_solves(depths, self.rules.spacing, element)
         nodes = len(self) * max(depths, default=0.0) / element
         if solves > MAX_BATCH_ELEMENT_SOLVES or nodes > MAX_BATCH_NODES:
             raise ModelError(
@@ -95,9 +95,9 @@ class Batch:
                 fix="divide the sets among several batches, one call after the other",
             )
 
-    def one(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], Rules]:
-        """Return set i as the arguments of `simulate.follow`."""
-        needle, steps = self.led(i)
+    def pick(self, i: int) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
+        """Return set i as the arguments of `simulate.simulate_steps`."""
+        needle, steps = self.vary_inputs(i)
         tissue = replace(
             self.tissue,
             mu=self.tissue.mu if self.mu is None else self.mu[i],
@@ -105,30 +105,30 @@ class Batch:
         )
         return needle, tissue, steps, self.rules
 
-    def led(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
+    def vary_inputs(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
         """Return the needle of set i and its steps."""
 
-        def pick(name: str, default: float) -> float:
+        def choose(name: str, default: float) -> float:
             values = getattr(self, name)
             return default if values is None else float(values[i])
 
-        def controlled(step: Step) -> Step:
+        def change_step(step: Step) -> Step:
             controls = replace(
                 step.controls,
-                base_y=pick("base_y", step.controls.base_y),
-                base_slope=pick("base_slope", step.controls.base_slope),
+                base_y=choose("base_y", step.controls.base_y),
+                base_slope=choose("base_slope", step.controls.base_slope),
             )
             if self.guide_x is not None:
                 (guide,) = step.controls.before
-                moved = replace(guide, x=float(self.guide_x[i]))
-                controls = replace(controls, guides=(moved, *step.controls.within))
-            return Step(step.depth, Bevel(pick("offset", step.bevel.offset), step.bevel.side), controls)
+                shifted_guide = replace(guide, x=float(self.guide_x[i]))
+                controls = replace(controls, guides=(shifted_guide, *step.controls.within))
+            return Step(step.depth, Bevel(choose("offset", step.bevel.offset), step.bevel.side), controls)
 
-        needle = replace(self.needle, flexural_rigidity=pick("rigidity", self.needle.flexural_rigidity))
-        return needle, tuple(controlled(step) for step in self.steps)
+        needle = replace(self.needle, flexural_rigidity=choose("rigidity", self.needle.flexural_rigidity))
+        return needle, tuple(change_step(step) for step in self.steps)
 
 
-VARYING = tuple(field.name for field in fields(Batch))[4:]
+VARYING_FIELDS = tuple(field.name for field in fields(Batch))[4:]
 """What a set may give."""
 
 
@@ -142,7 +142,7 @@ class NeedleShapes:
     constraints : (B, M + 1, 2) array
     tip_track : (B, M + 1, 2) array
     status : (B,) array of int
-        Into `simulate.STATUS`; 0: converged.
+        Into `simulate.STATUS_NAMES`; 0: converged.
     iterations : (B,) array of int
     scales : (B, 3) array
     """
@@ -162,11 +162,11 @@ class NeedleShapes:
     def __getitem__(self, i: int) -> NeedleShape:
         return NeedleShape(
             self.x[i], self.u[i], self.slope[i], self.constraints[i], self.tip_track[i],
-            STATUS[self.status[i]], int(self.iterations[i]), self.scales[i],
+            STATUS_NAMES[self.status[i]], int(self.iterations[i]), self.scales[i],
         )  # fmt: skip
 
     @classmethod
-    def of(cls, shapes: Sequence[NeedleShape]) -> Self:
+    def from_shapes(cls, shapes: Sequence[NeedleShape]) -> Self:
         """Return shapes of the same insertion together."""
         return cls(
             np.array([shape.x for shape in shapes]),
@@ -174,7 +174,7 @@ class NeedleShapes:
             np.array([shape.slope for shape in shapes]),
             np.array([shape.constraints for shape in shapes]),
             np.array([shape.tip_track for shape in shapes]),
-            np.array([STATUS.index(shape.status) for shape in shapes]),
+            np.array([STATUS_NAMES.index(shape.status) for shape in shapes]),
             np.array([shape.iterations for shape in shapes]),
             np.array([shape.scales for shape in shapes]),
         )
@@ -187,7 +187,7 @@ class NeedleShapes:
     @cached_property
     def validity(self) -> Validity:
         """How far each set strains what the model assumes, arrays (B,); NaN where it failed."""
-        return validity_of(self)
+        return compute_validity(self)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
@@ -197,15 +197,21 @@ class NeedleShapes:
     @property
     def failures(self) -> Counter[Status]:
         """How many sets failed, by reason."""
-        return Counter(STATUS[status] for status in self.status if status != 0)
+        return Counter(STATUS_NAMES[status] for status in self.status if status != 0)
 
 
-def positions_each(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return points (B, K, 2) in C of every needle at beam coordinates `s` (K,), mm; else as `positions`."""
-    return kernel.positions_each(shapes.x, shapes.u, shapes.slope, np.ascontiguousarray(s, dtype=np.float64))
+def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
+    """Return points (B, K, 2) in C of every needle at beam coordinates `s` (K,), mm; else as
+    `compute_positions`.
+    """
+    return kernel.compute_batch_positions(
+        shapes.x, shapes.u, shapes.slope, np.ascontiguousarray(s, dtype=np.float64)
+    )
 
 
-def deflections_each(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return the deflections (B, K) of every needle at beam coordinates `s` (K,), mm: `positions_each`'s."""
+def compute_batch_deflections(shapes: NeedleShapes, s: Floats) -> Floats:
+    """Return the deflections (B, K) of every needle at beam coordinates `s` (K,), mm:
+    `compute_batch_positions`'s.
+    """
     at = np.ascontiguousarray(s, dtype=np.float64)
-    return kernel.deflections_each(shapes.x, shapes.u, shapes.slope, at)
+    return kernel.compute_batch_deflections(shapes.x, shapes.u, shapes.slope, at)

@@ -26,24 +26,24 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-Measure = Literal["nominal", "true"]
+StressMeasure = Literal["nominal", "true"]
 """Force over the area before compression (engineering stress), or over the area now (Cauchy's)."""
 
-MEASURES: tuple[Measure, ...] = get_args(Measure)
+STRESS_MEASURES: tuple[StressMeasure, ...] = get_args(StressMeasure)
 
-SERIES = 1e-2
+SERIES_LIMIT = 1e-2
 """|x| below which two terms of a series are more exact than the closed form."""
 
 
-def stress(mu: float, alpha: float, stretch: Floats, measure: Measure) -> Floats:
+def compute_stress(mu: float, alpha: float, stretch: Floats, measure: StressMeasure) -> Floats:
     """Return the stress (N,) at `stretch` (N,), in the unit of the shear modulus `mu`."""
     h = np.log(stretch)
-    true = 3 * mu * h * np.exp(alpha * h / 4) * _sinh_over(0.75 * alpha * h)
-    found: Floats = true / stretch if measure == "nominal" else true
+    true_stress = 3 * mu * h * np.exp(alpha * h / 4) * _sinhc(0.75 * alpha * h)
+    found: Floats = true_stress / stretch if measure == "nominal" else true_stress
     return found
 
 
-def growth(alpha: float, stretch: Floats) -> Floats:
+def compute_log_stress_derivative(alpha: float, stretch: Floats) -> Floats:
     """Return d ln(stress) / d alpha (N,), the same for both measures.
 
     It is h / 4 (1 + 3 (coth x - 1 / x)): in small strain alpha tilts the curve by h / 4, no more.
@@ -53,8 +53,8 @@ def growth(alpha: float, stretch: Floats) -> Floats:
     return found
 
 
-def _sinh_over(x: Floats) -> Floats:
-    small = np.abs(x) < SERIES
+def _sinhc(x: Floats) -> Floats:
+    small = np.abs(x) < SERIES_LIMIT
     safe = np.where(small, 1.0, x)
     found: Floats = np.where(small, 1 + x**2 / 6 * (1 + x**2 / 20), np.sinh(safe) / safe)
     return found
@@ -62,7 +62,7 @@ def _sinh_over(x: Floats) -> Floats:
 
 def _langevin(x: Floats) -> Floats:
     """Return coth x - 1 / x."""
-    small = np.abs(x) < SERIES
+    small = np.abs(x) < SERIES_LIMIT
     safe = np.where(small, 1.0, x)
     found: Floats = np.where(small, x / 3 * (1 - x**2 / 15), 1 / np.tanh(safe) - 1 / safe)
     return found

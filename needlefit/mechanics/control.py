@@ -6,7 +6,7 @@ from itertools import pairwise
 from typing import Self
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.finite import finite
+from needlefit.mechanics.needle import is_finite
 from needlefit.schemas.limits import (
     MAX_CONSTRAINT_SPACING_MM,
     MAX_GUIDES,
@@ -25,7 +25,7 @@ class Bevel:
     side: int = 1
 
     def __post_init__(self) -> None:
-        if not finite(self.offset) or self.side not in (1, -1):
+        if not is_finite(self.offset) or self.side not in (1, -1):
             raise ModelError(
                 f"bevel has offset {self.offset} mm, side {self.side}",
                 expected="an offset that is a finite number, side +1 or -1",
@@ -60,7 +60,7 @@ class Guide:
     name: str = field(default="", compare=False)
 
     def __post_init__(self) -> None:
-        if not finite(self.x, self.y, self.slope or 0.0):
+        if not is_finite(self.x, self.y, self.slope or 0.0):
             raise ModelError(
                 f"guide stands at ({self.x}, {self.y}) mm, slope {self.slope}", expected="finite numbers"
             )
@@ -80,7 +80,7 @@ class TrackedTip:
     slope: float | None = None
 
     def __post_init__(self) -> None:
-        if not finite(self.y, self.slope or 0.0):
+        if not is_finite(self.y, self.slope or 0.0):
             raise ModelError(f"tracked tip is at {self.y} mm, slope {self.slope}", expected="finite numbers")
 
 
@@ -106,7 +106,7 @@ class Controls:
     tip: TrackedTip | None = None
 
     def __post_init__(self) -> None:
-        if not finite(self.base_y, self.base_slope, self.stage_slope):
+        if not is_finite(self.base_y, self.base_slope, self.stage_slope):
             raise ModelError(
                 f"base is at {self.base_y} mm, slope {self.base_slope}, on a stage of slope "
                 f"{self.stage_slope}",
@@ -147,15 +147,15 @@ class Step:
     controls: Controls = Controls()
 
     def __post_init__(self) -> None:
-        if not (finite(self.depth) and self.depth >= 0):
+        if not (is_finite(self.depth) and self.depth >= 0):
             raise ModelError(f"depth is {self.depth} mm", expected="a finite number, not negative")
         if self.depth > MAX_NEEDLE_LENGTH_MM:
             raise ModelError(f"depth is {self.depth:g} mm", expected=f"at most {MAX_NEEDLE_LENGTH_MM:g} mm")
 
 
 @dataclass(frozen=True)
-class Rules:
-    """What else decides the answer.
+class ModelOptions:
+    """Options of the model and the solver: discretisation, tolerances, and variants of the advance.
 
     Attributes
     ----------
@@ -194,7 +194,7 @@ class Rules:
             raise ModelError(
                 f"max_iterations is {self.max_iterations}", expected=f"from 1 to {MAX_ITERATIONS}"
             )
-        if not finite(self.spacing, self.element):
+        if not is_finite(self.spacing, self.element):
             raise ModelError(
                 f"constraint spacing is {self.spacing} mm, element size {self.element} mm",
                 expected="finite numbers",

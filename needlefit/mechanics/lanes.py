@@ -11,26 +11,39 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.mechanics import laws
-from needlefit.mechanics.batch import VARYING, Batch, NeedleShapes
+from needlefit.mechanics.batch import VARYING_FIELDS, Batch, NeedleShapes
 from needlefit.mechanics.kernel.foundation import make_foundation
-from needlefit.mechanics.kernel.grid import constraint_depths
-from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops
+from needlefit.mechanics.kernel.grid import list_constraint_depths
+from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
 from needlefit.mechanics.kernel.lanes import insertion as kernel
-from needlefit.mechanics.kernel.lanes.newton import LEFT, LaneInputs
-from needlefit.mechanics.kernel.lanes.passes import LANES
-from needlefit.mechanics.kernel.lanes.tables import Tables, tabulate
-from needlefit.mechanics.kernel.scalar import NON_FINITE, Newton
-from needlefit.mechanics.plan import NEAR, Lattice, Stop, check_size, lattice_of, moves_of, stops_of
+from needlefit.mechanics.kernel.lanes.newton import LEFT_LANES, LaneInputs
+from needlefit.mechanics.kernel.lanes.tables import LANES, LaneTables, tabulate
+from needlefit.mechanics.kernel.scalar import NON_FINITE, NewtonOptions
+from needlefit.mechanics.plan import (
+    SAME_DEPTH_MM,
+    Lattice,
+    TipStop,
+    check_size,
+    make_lattice,
+    make_moves,
+    make_stops,
+)
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import begin, compile_controls, follow, packed, read
-from needlefit.mechanics.validity import scales_each
+from needlefit.mechanics.simulate import (
+    begin_insertion,
+    compile_controls,
+    pack_groups,
+    read_shape,
+    simulate_steps,
+)
+from needlefit.mechanics.validity import compute_batch_scales
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-def follow_batches(batches: Sequence[Batch], threads: int | None = None) -> tuple[NeedleShapes, ...]:
+def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tuple[NeedleShapes, ...]:
     """Lead every parameter set of every batch through its steps; longest insertions first, on all cores.
 
     What a set gives does not depend on the sets beside it, on their order, or on the number of threads. A
@@ -54,13 +67,13 @@ def follow_batches(batches: Sequence[Batch], threads: int | None = None) -> tupl
     ModelError
         If a needle is too short for its steps.
     """
-    jobs = [_prepare(batch) for batch in batches]
+    jobs = [_prepare_job(batch) for batch in batches]
     tasks = [(n, start) for n, job in enumerate(jobs) for start in range(0, len(job.batch), LANES)]
     tasks.sort(key=lambda task: -jobs[task[0]].cost)  # stable: blocks of one batch stay in order
     threads = min(threads or len(os.sched_getaffinity(0)), len(tasks))
 
     def run(task: tuple[int, int]) -> NeedleShapes:
-        return _run(jobs[task[0]], task[1])
+        return _simulate_block(jobs[task[0]], task[1])
 
     if threads <= 1:
         parts = [run(task) for task in tasks]
@@ -70,25 +83,25 @@ def follow_batches(batches: Sequence[Batch], threads: int | None = None) -> tupl
     found: list[list[NeedleShapes]] = [[] for _ in jobs]
     for (n, _), part in zip(tasks, parts, strict=True):
         found[n].append(part)
-    return tuple(_join(some) for some in found)
+    return tuple(_concatenate(some) for some in found)
 
 
 @dataclass(frozen=True)
-class _Shared:
+class _SharedTables:
     """What the sets of a batch share in the lanes."""
 
-    grids: Insertion
-    tables: Tables
+    grids: KernelInsertion
+    tables: LaneTables
 
 
 @dataclass(frozen=True)
-class _Job:
+class _BatchJob:
     batch: Batch
     lattice: Lattice
-    groups: tuple[tuple[int, Stops, Ints], ...]  # as `simulate.packed`
-    stops: tuple[Stop, ...]
-    valid: Bools  # (B,) which sets are made of numbers that the nouns take
-    shared: _Shared | None  # None: every set goes alone
+    groups: tuple[tuple[int, TipStops, Ints], ...]  # as `simulate.packed`
+    stops: tuple[TipStop, ...]
+    valid: Bools  # (B,) which sets are made of numbers that needle and tissue accept
+    shared: _SharedTables | None  # None: every set goes alone
 
     @property
     def cost(self) -> float:
@@ -96,42 +109,42 @@ class _Job:
         return sum(stop.tip for stop in self.stops)
 
 
-def _prepare(batch: Batch) -> _Job:
-    valid = _valid(batch)
+def _prepare_job(batch: Batch) -> _BatchJob:
+    valid = _find_valid(batch)
     needle, steps, rules = batch.needle, batch.steps, batch.rules
-    if valid.any():  # where one set leads, all valid ones do: any of them stands for all
-        needle, steps = batch.led(int(np.argmax(valid)))
-    lattice = lattice_of(steps, rules)
-    moves = moves_of(steps, needle.length)
+    if valid.any():  # depths and controls are alike in all valid sets: any of them stands for all
+        needle, steps = batch.vary_inputs(int(np.argmax(valid)))
+    lattice = make_lattice(steps, rules)
+    moves = make_moves(steps, needle.length)
     check_size(tuple(step.depth for step in steps), rules)
-    stops = stops_of(moves, lattice)
+    stops = make_stops(moves, lattice)
     shared = None
-    if _fit(batch, lattice, stops):
-        grids = begin(needle, batch.tissue, steps, lattice, rules)
-        shared = _Shared(grids, tabulate(grids.main))
-    return _Job(batch, lattice, packed(moves, lattice), stops, valid, shared)
+    if _fits_lanes(batch, lattice, stops):
+        grids = begin_insertion(needle, batch.tissue, steps, lattice, rules)
+        shared = _SharedTables(grids, tabulate(grids.main))
+    return _BatchJob(batch, lattice, pack_groups(moves, lattice), stops, valid, shared)
 
 
-def _valid(batch: Batch) -> Bools:
+def _find_valid(batch: Batch) -> Bools:
     """Return which sets are made of numbers that a tissue or needle may have, (B,)."""
     good = np.ones(len(batch), dtype=bool)
     deepest = max(step.depth for step in batch.steps)
-    for name in VARYING:
+    for name in VARYING_FIELDS:
         values = getattr(batch, name)
         if values is not None:
-            fine = np.isfinite(values)
+            accepted = np.isfinite(values)
             if name in ("mu", "rigidity"):
-                fine &= values > 0
+                accepted &= values > 0
             if name == "guide_x":  # before the tissue, and where the base does not come to it
-                fine &= (values < 0) & (values > deepest - batch.needle.length)
-            good &= fine.reshape(len(batch), -1).all(axis=1)
+                accepted &= (values < 0) & (values > deepest - batch.needle.length)
+            good &= accepted.reshape(len(batch), -1).all(axis=1)
     return good
 
 
-def _fit(batch: Batch, lattice: Lattice, stops: Sequence[Stop]) -> bool:
+def _fits_lanes(batch: Batch, lattice: Lattice, stops: Sequence[TipStop]) -> bool:
     """Return whether the lanes know how to hold this needle."""
     element, first = batch.rules.element, lattice.first_cell
-    least = first - element * (math.ceil((first - NEAR) / element) - 1)  # depth of the first node
+    least = first - element * (math.ceil((first - SAME_DEPTH_MM) / element) - 1)  # depth of the first node
     # element 0 carries tissue where the entry has no node; its length must then be the same in all lanes
     short = least < 0.5 * element or any(0 < stop.tip < 0.5 * element for stop in stops)
     inputs = [step.controls for step in batch.steps]
@@ -143,8 +156,8 @@ def _fit(batch: Batch, lattice: Lattice, stops: Sequence[Stop]) -> bool:
     )
 
 
-def _layers(job: _Job, lane: Ints) -> tuple[Floats, Floats]:
-    """Return the series and limits of every lane's layers (n LAYER W,), and curvatures (W,)."""
+def _make_layers(job: _BatchJob, lane: Ints) -> tuple[Floats, Floats]:
+    """Return the series and limits of every lane's layers (n LAYER_ROWS W,), and curvatures (W,)."""
     tissue, shape = job.batch.tissue, (len(lane), job.batch.tissue.layers)
     mu = np.broadcast_to(tissue.mu if job.batch.mu is None else job.batch.mu[lane], shape)
     alpha = np.broadcast_to(tissue.alpha if job.batch.alpha is None else job.batch.alpha[lane], shape)
@@ -157,72 +170,74 @@ def _layers(job: _Job, lane: Ints) -> tuple[Floats, Floats]:
     return series.reshape(*shape, -1).transpose(1, 2, 0).ravel(), found.curvature.reshape(shape).max(axis=1)
 
 
-def _run(job: _Job, start: int) -> NeedleShapes:
+def _simulate_block(job: _BatchJob, start: int) -> NeedleShapes:
     """Return the shapes of one block of sets."""
     sets = np.arange(start, min(start + LANES, len(job.batch)))
     if job.shared is None:
-        return NeedleShapes.of([_alone(job, int(i)) for i in sets])
-    shapes, left = _together(job, job.shared, sets)
-    if left.all():  # the lanes were given up before their last stop
-        return NeedleShapes.of([_alone(job, int(i)) for i in sets])
-    for i in np.flatnonzero(left | ~job.valid[sets]):
-        alone = _alone(job, int(sets[i]))
-        for part, value in zip(_parts(shapes), _parts(NeedleShapes.of([alone])), strict=True):
+        return NeedleShapes.from_shapes([_simulate_alone(job, int(i)) for i in sets])
+    shapes, left_lanes = _simulate_lanes(job, job.shared, sets)
+    if left_lanes.all():  # the lanes were given up before their last stop
+        return NeedleShapes.from_shapes([_simulate_alone(job, int(i)) for i in sets])
+    for i in np.flatnonzero(left_lanes | ~job.valid[sets]):
+        alone = _simulate_alone(job, int(sets[i]))
+        for part, value in zip(
+            _list_fields(shapes), _list_fields(NeedleShapes.from_shapes([alone])), strict=True
+        ):
             part[i] = value[0]
     return shapes
 
 
-def _alone(job: _Job, i: int) -> NeedleShape:
+def _simulate_alone(job: _BatchJob, i: int) -> NeedleShape:
     """Return the shape of one set, from the scalar kernel."""
     batch = job.batch
     if job.valid[i]:
-        return follow(*batch.one(i), job.lattice)
+        return simulate_steps(*batch.pick(i), job.lattice)
     last = job.stops[-1]
-    untouched = begin(batch.needle, batch.tissue, batch.steps, job.lattice, batch.rules)
-    return read(untouched, batch.tissue, last, batch.steps[last.held].controls, NON_FINITE, 0)
+    untouched = begin_insertion(batch.needle, batch.tissue, batch.steps, job.lattice, batch.rules)
+    return read_shape(untouched, batch.tissue, last, batch.steps[last.controls_id].controls, NON_FINITE, 0)
 
 
-def _together(job: _Job, shared: _Shared, sets: Ints) -> tuple[NeedleShapes, Bools]:
+def _simulate_lanes(job: _BatchJob, shared: _SharedTables, sets: Ints) -> tuple[NeedleShapes, Bools]:
     """Return the shapes of up to LANES sets, and which of them left the lanes."""
     batch, last = job.batch, job.stops[-1]
     lane = np.resize(sets, LANES)  # lanes to spare repeat what the others do
     nodes = len(shared.grids.main.nodes) + 2
-    grids, tables = _own(shared)
-    under_way = kernel.begin_lanes(len(shared.grids.y), nodes, len(shared.grids.rays))
-    newton = Newton(batch.rules.tolerance, batch.rules.max_iterations)
-    tissue = _layers(job, lane)
-    for held, stops, cut in job.groups:
-        holds = compile_controls(batch.steps[held].controls)
-        inputs = _inputs(batch, tissue, holds, cut, lane)
-        kernel.advance_lanes(under_way, grids, tables, holds, inputs, stops, newton)
-    count, size = len(sets), int(under_way.size[0])
-    state = under_way.states[under_way.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
-    front = _front(job, holds, sets, float(under_way.nodes[0]), state[0])  # (B, F, 3)
+    grids, tables = _copy_entry_tables(shared)
+    lane_state = kernel.begin_lanes(len(shared.grids.y), nodes, len(shared.grids.rays))
+    newton = NewtonOptions(batch.rules.tolerance, batch.rules.max_iterations)
+    tissue = _make_layers(job, lane)
+    for controls_id, stops, bevel_id in job.groups:
+        conditions = compile_controls(batch.steps[controls_id].controls)
+        inputs = _make_inputs(batch, tissue, conditions, bevel_id, lane)
+        kernel.advance_lanes(lane_state, grids, tables, conditions, inputs, stops, newton)
+    count, size = len(sets), int(lane_state.size[0])
+    state = lane_state.states[lane_state.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
+    front = _solve_front(job, conditions, sets, float(lane_state.nodes[0]), state[0])  # (B, F, 3)
     points = np.empty((count, last.cell + 1, 2))
-    points[:, :, 0] = constraint_depths(last.tip, last.cell, job.lattice.first_cell, job.lattice.spacing)
-    points[:, :, 1] = under_way.y[: last.cell + 1, :count].T
-    track = under_way.track[: last.cell + 1].reshape(-1, 2, LANES)[:, :, :count]
-    inner = np.broadcast_to(under_way.nodes[:size], (count, size))
+    points[:, :, 0] = list_constraint_depths(last.tip, last.cell, job.lattice.first_cell, job.lattice.spacing)
+    points[:, :, 1] = lane_state.y[: last.cell + 1, :count].T
+    track = lane_state.track[: last.cell + 1].reshape(-1, 2, LANES)[:, :, :count]
+    inner = np.broadcast_to(lane_state.nodes[:size], (count, size))
     shapes = NeedleShapes(
         np.concatenate((front[:, :, 0], inner), axis=1),
         np.concatenate((front[:, :, 1], state[:, 0].T), axis=1),
         np.concatenate((front[:, :, 2], state[:, 1].T), axis=1),
         points, np.ascontiguousarray(track.transpose(2, 0, 1)),
-        np.zeros(count, np.int64), under_way.passes[:count].copy(), _scales(job, sets),
+        np.zeros(count, np.int64), lane_state.passes[:count].copy(), _make_scales(job, sets),
     )  # fmt: skip
-    return shapes, under_way.at[:count] == LEFT
+    return shapes, lane_state.lane_status[:count] == LEFT_LANES
 
 
-def _scales(job: _Job, sets: Ints) -> Floats:
+def _make_scales(job: _BatchJob, sets: Ints) -> Floats:
     """Return what the validity of some sets is measured by, (B, 3) mm."""
     batch, valid = job.batch, job.valid[sets]
     mu = batch.tissue.mu if batch.mu is None else batch.mu[sets]
     rigidity = batch.needle.flexural_rigidity if batch.rigidity is None else batch.rigidity[sets]
     mu, rigidity = np.where(valid[:, None], mu, np.nan), np.where(valid, rigidity, np.nan)
-    return scales_each(mu, rigidity, batch.tissue, job.stops[-1].tip, batch.rules.spacing)
+    return compute_batch_scales(mu, rigidity, batch.tissue, job.stops[-1].tip, batch.rules.spacing)
 
 
-def _own(shared: _Shared) -> tuple[Insertion, Tables]:
+def _copy_entry_tables(shared: _SharedTables) -> tuple[KernelInsertion, LaneTables]:
     """Return grid and tables for one block: element 0 changes at every stop if the entry has no node."""
     main, tables = shared.grids.main, shared.tables
     if main.first[1] == 0:
@@ -231,19 +246,21 @@ def _own(shared: _Shared) -> tuple[Insertion, Tables]:
     return shared.grids._replace(main=own), tables._replace(points=tables.points.copy())
 
 
-def _inputs(batch: Batch, tissue: tuple[Floats, Floats], holds: Holds, cut: Ints, lane: Ints) -> LaneInputs:
+def _make_inputs(
+    batch: Batch, tissue: tuple[Floats, Floats], conditions: BoundaryConditions, bevel_id: Ints, lane: Ints
+) -> LaneInputs:
     """Return what differs between lanes under the inputs of one step; `lane` (W,) says whose they are."""
 
     def given(name: str, otherwise: float) -> Floats:
         values = getattr(batch, name)
         return np.full(len(lane), otherwise) if values is None else values[lane]
 
-    bevels = [batch.steps[step].bevel for step in cut]  # of these stops alone: there may be many steps
+    bevels = [batch.steps[step].bevel for step in bevel_id]  # of these stops alone: there may be many steps
     turns = [bevel.side / batch.rules.spacing * given("offset", bevel.offset) for bevel in bevels]
-    before = np.repeat(holds.before[:, :, None], len(lane), axis=2)  # (F, 3, W)
+    before = np.repeat(conditions.before[:, :, None], len(lane), axis=2)  # (F, 3, W)
     if batch.guide_x is not None:
         before[0, 0] = batch.guide_x[lane]
-    base = holds.base
+    base = conditions.base
     return LaneInputs(
         given("rigidity", batch.needle.flexural_rigidity),
         *tissue,
@@ -253,18 +270,20 @@ def _inputs(batch: Batch, tissue: tuple[Floats, Floats], holds: Holds, cut: Ints
     )
 
 
-def _front(job: _Job, holds: Holds, sets: Ints, node: float, state: Floats) -> Floats:
+def _solve_front(
+    job: _BatchJob, conditions: BoundaryConditions, sets: Ints, node: float, state: Floats
+) -> Floats:
     """Return depth, deflection and slope (B, F, 3) of base and guides before the tissue.
 
     The slope of a guide that is passed freely follows from the moments on its two sides being equal;
     `state` (2, B) is deflection and slope of the first node in the tissue, which stands at `node`.
     """
     batch, tip, valid = job.batch, job.stops[-1].tip, job.valid[sets]
-    count, guides = len(sets), holds.before
+    count, guides = len(sets), conditions.before
     front = np.empty((count, 1 + len(guides), 3))
-    y = holds.base[0] if batch.base_y is None else batch.base_y[sets]
-    front[:, 0, 0], front[:, 0, 1] = tip - batch.needle.length, y + holds.base[2] * tip
-    front[:, 0, 2] = holds.base[1] if batch.base_slope is None else batch.base_slope[sets]
+    y = conditions.base[0] if batch.base_y is None else batch.base_y[sets]
+    front[:, 0, 0], front[:, 0, 1] = tip - batch.needle.length, y + conditions.base[2] * tip
+    front[:, 0, 2] = conditions.base[1] if batch.base_slope is None else batch.base_slope[sets]
     front[:, 1:] = guides
     if batch.guide_x is not None:
         front[:, 1, 0] = np.where(valid, batch.guide_x[sets], guides[0, 0])
@@ -283,9 +302,9 @@ def _front(job: _Job, holds: Holds, sets: Ints, node: float, state: Floats) -> F
     return front
 
 
-def _parts(shapes: NeedleShapes) -> list[NDArray[Any]]:
+def _list_fields(shapes: NeedleShapes) -> list[NDArray[Any]]:
     return [getattr(shapes, field.name) for field in fields(shapes)]
 
 
-def _join(parts: Sequence[NeedleShapes]) -> NeedleShapes:
-    return NeedleShapes(*(np.concatenate(some) for some in zip(*map(_parts, parts), strict=True)))
+def _concatenate(parts: Sequence[NeedleShapes]) -> NeedleShapes:
+    return NeedleShapes(*(np.concatenate(some) for some in zip(*map(_list_fields, parts), strict=True)))

@@ -10,31 +10,37 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Rules, Step
-from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
-from needlefit.mechanics.kernel.sensitivity import insertion as kernel
-from needlefit.mechanics.kernel.sensitivity.derivatives import Columns, History
-from needlefit.mechanics.kernel.sensitivity.movement import movement
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.kernel import insertion_derivatives as kernel
+from needlefit.mechanics.kernel.beam import compute_position_derivatives
+from needlefit.mechanics.kernel.parameter_loads import DerivativeColumns, DerivativeHistory
+from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, lattice_of, moves_of, stops_of
+from needlefit.mechanics.plan import Lattice, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import begin, compile_controls, compile_tissue, packed, read
+from needlefit.mechanics.simulate import (
+    begin_insertion,
+    compile_controls,
+    compile_tissue,
+    pack_groups,
+    read_shape,
+)
 from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-KINDS = (
+DERIVATIVE_KINDS = (
     "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "base_y", "base_slope", "stage_slope",
     "guides",
 )  # fmt: skip
 """What `wrt` may name, in the order of the Jacobian's columns."""
 
 _DEFAULT_CONTROLS = Controls()
-_DEFAULT_RULES = Rules()
+_DEFAULT_OPTIONS = ModelOptions()
 _DEFAULT_WRT = ("mu", "alpha", "offset")
 
-SHARP = 1e-9
+MAX_TOLERANCE_MM = 1e-9
 """mm; derivatives belong to the converged state: one that is 1e-7 mm off makes them up to 1e-6 wrong."""
 
 
@@ -71,7 +77,7 @@ def linearize(
     bevel: Bevel,
     depth: float,
     controls: Controls = _DEFAULT_CONTROLS,
-    rules: Rules = _DEFAULT_RULES,
+    rules: ModelOptions = _DEFAULT_OPTIONS,
     *,
     wrt: Sequence[str] = _DEFAULT_WRT,
 ) -> tuple[NeedleShape, Jacobian]:
@@ -80,7 +86,7 @@ def linearize(
     Parameters
     ----------
     wrt : sequence of str
-        Kinds of parameters, of `KINDS`; the columns stand in the order of `KINDS`.
+        Kinds of parameters, of `DERIVATIVE_KINDS`; the columns stand in the order of `DERIVATIVE_KINDS`.
 
     Returns
     -------
@@ -95,59 +101,65 @@ def linearize(
     """
     if not (math.isfinite(depth) and depth > 0):
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
-    return linearize_along(needle, tissue, (Step(float(depth), bevel, controls),), rules, wrt=wrt)
+    return linearize_steps(needle, tissue, (Step(float(depth), bevel, controls),), rules, wrt=wrt)
 
 
-def linearize_along(
+def linearize_steps(
     needle: Needle,
     tissue: Tissue,
     steps: Sequence[Step],
-    rules: Rules = _DEFAULT_RULES,
+    rules: ModelOptions = _DEFAULT_OPTIONS,
     lattice: Lattice | None = None,
     *,
     wrt: Sequence[str] = _DEFAULT_WRT,
 ) -> tuple[NeedleShape, Jacobian]:
-    """Lead the needle through `steps` as `follow` does; return its last shape and that shape's derivatives.
+    """Lead the needle through `steps` as `simulate_steps` does; return its last shape and that shape's
+    derivatives.
 
-    Parameters and returns are those of `follow` and `linearize`.
+    Parameters and returns are those of `simulate_steps` and `linearize`.
     """
-    lattice = lattice or lattice_of(steps, rules)
-    moves = moves_of(steps, needle.length)
-    stands = _stands(steps)
-    names, columns, at_guides = _columns(tuple(wrt), tissue.layers, stands)
-    under_way = begin(needle, tissue, steps, lattice, rules)
-    groups = packed(moves, lattice)
-    most = max(len(stops.tip) for _, stops, _ in groups)
-    under_way = under_way._replace(record=np.empty((most, *under_way.record.shape[1:])))
+    lattice = lattice or make_lattice(steps, rules)
+    moves = make_moves(steps, needle.length)
+    guide_depths = _list_guide_depths(steps)
+    names, columns, guide_columns = _make_columns(tuple(wrt), tissue.layers, guide_depths)
+    insertion = begin_insertion(needle, tissue, steps, lattice, rules)
+    groups = pack_groups(moves, lattice)
+    max_stops = max(len(stops.tip) for _, stops, _ in groups)
+    insertion = insertion._replace(record=np.empty((max_stops, *insertion.record.shape[1:])))
     foundation = compile_tissue(tissue)
     by_alpha = laws.term_slopes(tissue.law)
-    history = _nothing_yet(len(under_way.y), len(under_way.rays), columns.total)
-    whole = np.empty((len(under_way.nodes), 2, columns.total))
-    newton = Newton(min(rules.tolerance, SHARP), rules.max_iterations)
+    history = _make_history(len(insertion.y), len(insertion.rays), columns.total)
+    whole = np.empty((len(insertion.nodes), 2, columns.total))
+    newton = NewtonOptions(min(rules.tolerance, MAX_TOLERANCE_MM), rules.max_iterations)
     sides = np.array([step.bevel.side / rules.spacing for step in steps])
     offsets = np.array([step.bevel.offset for step in steps])
     status, iterations = CONVERGED, 0
-    for n, (held, stops, cut) in enumerate(groups):
-        swing = sides[cut]
-        stops = stops._replace(turn=offsets[cut] * swing)
-        controls = steps[held].controls
-        status, used = kernel.advance(
-            under_way, foundation, by_alpha, compile_controls(controls), _guides(controls, stands, at_guides),
-            stops, swing, newton, columns, history, whole if n + 1 == len(groups) else whole[:0],
+    for n, (controls_id, stops, bevel_id) in enumerate(groups):
+        turn_per_offset = sides[bevel_id]
+        stops = stops._replace(turn=offsets[bevel_id] * turn_per_offset)
+        controls = steps[controls_id].controls
+        status, used = kernel.advance_derivatives(
+            insertion, foundation, by_alpha, compile_controls(controls), _list_guide_columns(controls,
+            guide_depths, guide_columns), stops, turn_per_offset, newton, columns, history,
+            whole if n + 1 == len(groups) else whole[:0],
         )  # fmt: skip
         iterations += used
         if status != CONVERGED:
             break
-    shape = read(under_way, tissue, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
+    shape = read_shape(
+        insertion, tissue, make_stops(moves, lattice)[-1], steps[-1].controls, status, iterations
+    )
     if status != CONVERGED:
-        return shape, _nothing(names, shape)
+        return shape, _make_nan_jacobian(names, shape)
     whole, points = whole[: len(shape.x)], history.constraints[: len(shape.constraints)]
     controls = steps[-1].controls
-    nodes = _nodes(shape.x, controls, _guides(controls, stands, at_guides), columns.total)
+    nodes = _differentiate_nodes(
+        shape.x, controls, _list_guide_columns(controls, guide_depths, guide_columns), columns.total
+    )
     return shape, Jacobian(names, nodes, whole[:, 0], whole[:, 1], points)
 
 
-def moved(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
+def differentiate_positions(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
     """Return the derivatives (K, 2, P) of `positions(shape, s)` with respect to the Jacobian's parameters.
 
     Parameters
@@ -156,40 +168,45 @@ def moved(shape: NeedleShape, jacobian: Jacobian, s: Floats) -> Floats:
         Beam coordinates on the needle, mm.
     """
     wanted = np.ascontiguousarray(s, dtype=np.float64)
-    return movement(
+    return compute_position_derivatives(
         shape.x, shape.u, shape.slope, wanted, jacobian.x,
         np.ascontiguousarray(jacobian.u), np.ascontiguousarray(jacobian.slope),
     )  # fmt: skip
 
 
-def _stands(steps: Sequence[Step]) -> tuple[float, ...]:
+def _list_guide_depths(steps: Sequence[Step]) -> tuple[float, ...]:
     """Return where guides stand in any step, mm, from the base inwards."""
     return tuple(sorted({guide.x for step in steps for guide in step.controls.guides}))
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same columns over and over
-def _columns(
-    wrt: tuple[str, ...], layers: int, stands: tuple[float, ...]
-) -> tuple[tuple[str, ...], Columns, Ints]:
+def _make_columns(
+    wrt: tuple[str, ...], layers: int, guide_depths: tuple[float, ...]
+) -> tuple[tuple[str, ...], DerivativeColumns, Ints]:
     """Return the columns' names, where each kind begins, and each guide's columns (G, 3)."""
-    wrong = [kind for kind in wrt if kind not in KINDS]
+    wrong = [kind for kind in wrt if kind not in DERIVATIVE_KINDS]
     if wrong:
         raise ModelError(
-            f"there is no derivative with respect to `{wrong[0]}`", expected=f"of {', '.join(KINDS)}"
+            f"there is no derivative with respect to `{wrong[0]}`",
+            expected=f"of {', '.join(DERIVATIVE_KINDS)}",
         )
     names: list[str] = []
     first: dict[str, int] = {}
-    for kind in KINDS:
+    for kind in DERIVATIVE_KINDS:
         first[kind] = len(names) if kind in wrt else -1
         if kind in wrt:
-            names += _names(kind, layers, len(stands))
-    at_guides = np.full((len(stands), 3), -1)
+            names += _list_names(kind, layers, len(guide_depths))
+    guide_columns = np.full((len(guide_depths), 3), -1)
     if first["guides"] >= 0:
-        at_guides = first["guides"] + np.arange(3 * len(stands)).reshape(-1, 3)
-    return tuple(names), Columns(len(names), *(first[kind] for kind in KINDS[:-1])), at_guides
+        guide_columns = first["guides"] + np.arange(3 * len(guide_depths)).reshape(-1, 3)
+    return (
+        tuple(names),
+        DerivativeColumns(len(names), *(first[kind] for kind in DERIVATIVE_KINDS[:-1])),
+        guide_columns,
+    )
 
 
-def _names(kind: str, layers: int, guides: int) -> list[str]:
+def _list_names(kind: str, layers: int, guides: int) -> list[str]:
     if kind in ("mu", "alpha", "friction"):
         return [f"{kind}{i + 1}" for i in range(layers)]
     if kind == "boundaries":
@@ -199,27 +216,27 @@ def _names(kind: str, layers: int, guides: int) -> list[str]:
     return [kind]
 
 
-def _guides(controls: Controls, stands: tuple[float, ...], at_guides: Ints) -> Ints:
+def _list_guide_columns(controls: Controls, guide_depths: tuple[float, ...], guide_columns: Ints) -> Ints:
     """Return the columns (G, 3) of the guides of one step."""
-    return at_guides[[stands.index(guide.x) for guide in controls.guides]]
+    return guide_columns[[guide_depths.index(guide.x) for guide in controls.guides]]
 
 
-def _nothing_yet(points: int, rays: int, columns: int) -> History:
+def _make_history(points: int, rays: int, columns: int) -> DerivativeHistory:
     """Return the derivatives before first contact."""
-    return History(
+    return DerivativeHistory(
         np.zeros((points, columns)), np.zeros((rays, 2, columns)), np.zeros((2, columns)), np.zeros(points)
     )
 
 
-def _nodes(x: Floats, controls: Controls, at_guides: Ints, columns: int) -> Floats:
+def _differentiate_nodes(x: Floats, controls: Controls, guide_columns: Ints, columns: int) -> Floats:
     """Return how the nodes (N,) move along the needle: those of guides that hold it, with their own x."""
     nodes = np.zeros((len(x), columns))
-    for guide, column in zip(controls.guides, at_guides[:, 0], strict=True):
+    for guide, column in zip(controls.guides, guide_columns[:, 0], strict=True):
         if column >= 0:
             nodes[:-1][x[:-1] == guide.x, column] = 1.0  # none holds the tip
     return nodes
 
 
-def _nothing(names: tuple[str, ...], shape: NeedleShape) -> Jacobian:
+def _make_nan_jacobian(names: tuple[str, ...], shape: NeedleShape) -> Jacobian:
     nodes = np.full((len(shape.x), len(names)), np.nan)
     return Jacobian(names, nodes, nodes, nodes, np.full((len(shape.constraints), len(names)), np.nan))

@@ -1,4 +1,4 @@
-"""What acts on the needle across its axis: the tissue along its shaft, and whatever else holds it."""
+"""The lateral loads on the needle: the tissue's along the shaft, and the reactions of its supports."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -6,7 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.mechanics.control import Controls, Rules
+from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.kernel import load as kernel
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape
@@ -15,12 +15,12 @@ from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
 
-_DEFAULT_RULES = Rules()
+_DEFAULT_OPTIONS = ModelOptions()
 
 
 @dataclass(frozen=True)
-class Hold:
-    """What something that holds the needle puts on it at one place.
+class SupportReaction:
+    """Force and moment of a support (base, guide, tracked tip) on the needle.
 
     Attributes
     ----------
@@ -61,37 +61,41 @@ class Loads:
     s: Floats
     load: Floats
     weight: Floats
-    at_tip: float
-    base: Hold
-    guides: tuple[Hold, ...]
-    tip: Hold
+    tip_region_force: float
+    base: SupportReaction
+    guides: tuple[SupportReaction, ...]
+    tip: SupportReaction
 
     @property
     def tip_force(self) -> float:
         """Lateral force on the tip, N: of the tissue about it, and of what holds it where it is tracked."""
-        return self.at_tip + self.tip.force
+        return self.tip_region_force + self.tip.force
 
     @property
-    def tissue(self) -> Hold:
+    def tissue(self) -> SupportReaction:
         """The tissue's force on the whole shaft, N, and its moment about the entry, N mm."""
         forces = self.weight * self.load
-        return Hold(0.0, float(forces.sum()), float(forces @ self.s))
+        return SupportReaction(0.0, float(forces.sum()), float(forces @ self.s))
 
     @property
-    def everything(self) -> tuple[Hold, ...]:
+    def all_loads(self) -> tuple[SupportReaction, ...]:
         """The tissue and all that holds the needle: together they balance."""
         return self.tissue, self.base, *self.guides, self.tip
 
 
-def loads(
-    shape: NeedleShape, tissue: Tissue, needle: Needle, controls: Controls, rules: Rules = _DEFAULT_RULES
+def compute_loads(
+    shape: NeedleShape,
+    tissue: Tissue,
+    needle: Needle,
+    controls: Controls,
+    rules: ModelOptions = _DEFAULT_OPTIONS,
 ) -> Loads:
     """Return what acts on a needle in equilibrium: docs/model.md, section 3.
 
     Parameters
     ----------
     shape : NeedleShape
-    tissue, needle, rules : Tissue, Needle, Rules
+    tissue, needle, rules : Tissue, Needle, ModelOptions
         Those under which it was found.
     controls : Controls
         What holds the needle there: those of its last step.
@@ -101,35 +105,39 @@ def loads(
     Loads
         NaN where the shape is, if it did not converge.
     """
-    s, weight, load, last, held = kernel.balance(
+    s, weight, load, last, nodal_forces = kernel.balance_forces(
         shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
         rules.switch, needle.flexural_rigidity,
     )  # fmt: skip
-    acting = dict(zip(shape.x.tolist(), held.tolist(), strict=True))
+    reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
     base, tip = float(shape.x[0]), controls.tip
     return Loads(
         s,
         load,
         weight,
         float(weight[last:] @ load[last:]),
-        _hold(acting, base, clamped=True),
-        tuple(_hold(acting, guide.x, guide.slope is not None) for guide in controls.guides),
-        Hold(shape.depth) if tip is None else _hold(acting, shape.depth, tip.slope is not None),
+        _read_reaction(reactions, base, clamped=True),
+        tuple(_read_reaction(reactions, guide.x, guide.slope is not None) for guide in controls.guides),
+        SupportReaction(shape.depth)
+        if tip is None
+        else _read_reaction(reactions, shape.depth, tip.slope is not None),
     )
 
 
-def lateral_load(shape: NeedleShape, tissue: Tissue, s: Floats, rules: Rules = _DEFAULT_RULES) -> Floats:
+def compute_lateral_load(
+    shape: NeedleShape, tissue: Tissue, s: Floats, rules: ModelOptions = _DEFAULT_OPTIONS
+) -> Floats:
     """Return the lateral load (K,) of the tissue, N/mm, at beam coordinates `s` (K,), mm.
 
     Where the load jumps, that of the side nearer to the base.
     """
-    return kernel.load_at(
+    return kernel.compute_load(
         shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
         rules.switch, np.ascontiguousarray(s, dtype=np.float64),
     )  # fmt: skip
 
 
-def _hold(acting: Mapping[float, Sequence[float]], x: float, clamped: bool) -> Hold:
+def _read_reaction(reactions: Mapping[float, Sequence[float]], x: float, clamped: bool) -> SupportReaction:
     """Return what holds at `x`, given force and moment at each node; a guide without a node holds nothing."""
-    force, moment = acting.get(x, (0.0, 0.0))
-    return Hold(x, force, moment if clamped else 0.0)
+    force, moment = reactions.get(x, (0.0, 0.0))
+    return SupportReaction(x, force, moment if clamped else 0.0)

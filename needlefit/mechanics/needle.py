@@ -1,13 +1,20 @@
-"""The needle: an inextensible Euler-Bernoulli beam."""
+"""The needle: an inextensible Euler-Bernoulli beam; and the check that parameters are finite."""
 
 import math
 from dataclasses import dataclass
 from typing import Self
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.finite import finite
 from needlefit.schemas.limits import MAX_NEEDLE_DIAMETER_MM, MAX_NEEDLE_LENGTH_MM
 from needlefit.schemas.scene import NeedleRecord
+
+
+def is_finite(*values: float) -> bool:
+    """Return whether all values are finite numbers; what is no number at all is none."""
+    try:
+        return all(map(math.isfinite, values))
+    except (TypeError, OverflowError):
+        return False
 
 
 @dataclass(frozen=True)
@@ -28,7 +35,7 @@ class Needle:
     def __post_init__(self) -> None:
         for name in ("length", "flexural_rigidity"):
             value = getattr(self, name)
-            if not (finite(value) and value > 0):
+            if not (is_finite(value) and value > 0):
                 raise ModelError(f"needle {name} is {value}", expected="a positive, finite number")
         if self.length > MAX_NEEDLE_LENGTH_MM:
             raise ModelError(

@@ -1,20 +1,20 @@
-"""From steps to stops: where the tip halts, which ray cut its way there, which inputs hold the needle.
+"""From steps to stops: where the tip halts, which ray cut its path there, which controls hold the needle.
 
-Which equilibria an insertion asks for depends on depths and on where inputs change, never on the solution.
+Which equilibria an insertion needs depends on depths and on where inputs change, never on the solution.
 They are therefore written down beforehand as a straight list of stops, and whatever solves them (the
 reference, the compiled kernel, its lanes, the sensitivities, a session) follows the same list.
 """
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Rules, Step
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.schemas.limits import MAX_ELEMENT_SOLVES, MAX_ELEMENTS
 
-NEAR = 1e-9
+SAME_DEPTH_MM = 1e-9
 """Two depths nearer than this are the same, mm."""
 
 
@@ -23,12 +23,12 @@ class Move:
     """A step, as far as the plan needs it: the depth it leads to (mm), and names for its inputs."""
 
     depth: float
-    cut: int  # names the bevel
-    held: int  # names the controls
+    bevel_id: int  # names the bevel
+    controls_id: int  # names the controls
 
 
 @dataclass(frozen=True)
-class Stop:
+class TipStop:
     """One equilibrium of an insertion.
 
     Attributes
@@ -54,9 +54,9 @@ class Stop:
     cell: int
     permanent: bool
     ray: int
-    opens: bool
-    cut: int
-    held: int
+    starts_ray: bool
+    bevel_id: int
+    controls_id: int
 
 
 @dataclass(frozen=True)
@@ -67,8 +67,8 @@ class Ray:
     """
 
     start: float
-    cut: int
-    held: int
+    bevel_id: int
+    controls_id: int
     number: int
     before: "Ray | None" = field(default=None, compare=False, repr=False)
 
@@ -89,31 +89,31 @@ class Lattice:
     spacing: float
 
     def __post_init__(self) -> None:
-        if not NEAR < self.first_cell <= self.spacing + 2 * NEAR:
+        if not SAME_DEPTH_MM < self.first_cell <= self.spacing + 2 * SAME_DEPTH_MM:
             raise ModelError(
                 f"the first cell is {self.first_cell} mm",
-                expected=f"above {NEAR:g} mm, up to the constraint spacing of {self.spacing:g} mm",
+                expected=f"above {SAME_DEPTH_MM:g} mm, up to the constraint spacing of {self.spacing:g} mm",
             )
 
     @classmethod
     def ending_at(cls, depth: float, spacing: float) -> "Lattice":
         """Return the lattice with a constraint point at `depth`: the last cell is whole."""
-        cells = max(1, math.ceil((depth - NEAR) / spacing))
+        cells = max(1, math.ceil((depth - SAME_DEPTH_MM) / spacing))
         return cls(depth - (cells - 1) * spacing, spacing)
 
     def depth(self, m: int) -> float:
         """Return x_m, mm."""
         return 0.0 if m == 0 else self.first_cell + (m - 1) * self.spacing
 
-    def at(self, m: int, depth: float) -> bool:
+    def is_at(self, m: int, depth: float) -> bool:
         """Whether constraint point m lies at `depth`."""
-        return abs(self.depth(m) - depth) <= NEAR
+        return abs(self.depth(m) - depth) <= SAME_DEPTH_MM
 
     def cell(self, depth: float) -> int:
         """Return the number of the constraint point at `depth`, or of the next one deeper."""
-        if depth <= NEAR:
+        if depth <= SAME_DEPTH_MM:
             return 0
-        return 1 + max(0, math.ceil((depth - self.first_cell - NEAR) / self.spacing))
+        return 1 + max(0, math.ceil((depth - self.first_cell - SAME_DEPTH_MM) / self.spacing))
 
 
 @dataclass(frozen=True)
@@ -132,13 +132,13 @@ class Position:
         Whether inputs have changed since the tip came to this depth.
     """
 
-    last: Stop | None = None
+    last: TipStop | None = None
     ray: Ray | None = None
     move: Move | None = None
-    turned: bool = False
+    inputs_changed: bool = False
 
 
-def rays(position: Position) -> list[Ray]:
+def list_rays(position: Position) -> list[Ray]:
     """Return the rays that led to a position, from the entry on."""
     found, ray = [], position.ray
     while ray:
@@ -147,57 +147,68 @@ def rays(position: Position) -> list[Ray]:
     return found[::-1]
 
 
-def advance(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[Stop]]:
+def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[TipStop]]:
     """Return where a move leads, and its stops, the last of which stands at its depth under its inputs."""
     ray = position.ray
-    stops: list[Stop] = []
+    stops: list[TipStop] = []
 
-    def halt(depth: float, *, opens: bool = False) -> Stop:
+    def halt(depth: float, *, starts_ray: bool = False) -> TipStop:
         cell = lattice.cell(depth)
-        permanent = lattice.at(cell, depth)
+        permanent = lattice.is_at(cell, depth)
         tip = lattice.depth(cell) if permanent else depth
-        cut, number = (ray.cut, ray.number) if ray else (move.cut, -1)
-        stops.append(Stop(tip, cell, permanent, number, opens, cut, move.held))
+        bevel_id, number = (ray.bevel_id, ray.number) if ray else (move.bevel_id, -1)
+        stops.append(TipStop(tip, cell, permanent, number, starts_ray, bevel_id, move.controls_id))
         return stops[-1]
 
     here = position.last or halt(0.0)
     before = position.move or move
-    turned = position.turned or (before.cut, before.held) != (move.cut, move.held)
-    if move.depth > here.tip + NEAR:
+    inputs_changed = position.inputs_changed or (before.bevel_id, before.controls_id) != (
+        move.bevel_id,
+        move.controls_id,
+    )
+    if move.depth > here.tip + SAME_DEPTH_MM:
         # a cell goes on along its ray unless something has changed; at a constraint point a new cell begins
-        begins = ray is None or here.permanent or turned or (ray.cut, ray.held) != (move.cut, move.held)
-        if begins and here.held != move.held:
+        begins = (
+            ray is None
+            or here.permanent
+            or inputs_changed
+            or (ray.bevel_id, ray.controls_id) != (move.bevel_id, move.controls_id)
+        )
+        if begins and here.controls_id != move.controls_id:
             halt(here.tip)
         at = here.tip
-        while move.depth > at + NEAR:
+        while move.depth > at + SAME_DEPTH_MM:
             if begins:
-                ray = Ray(at, move.cut, move.held, ray.number + 1 if ray else 0, ray)
-            at = halt(min(lattice.depth(lattice.cell(at + 2 * NEAR)), move.depth), opens=begins).tip
+                ray = Ray(at, move.bevel_id, move.controls_id, ray.number + 1 if ray else 0, ray)
+            at = halt(
+                min(lattice.depth(lattice.cell(at + 2 * SAME_DEPTH_MM)), move.depth), starts_ray=begins
+            ).tip
             begins = True
-    elif move.depth < here.tip - NEAR:
-        while ray and ray.start >= move.depth - NEAR:
+    elif move.depth < here.tip - SAME_DEPTH_MM:
+        while ray and ray.start >= move.depth - SAME_DEPTH_MM:
             ray = ray.before
         halt(move.depth)
-    elif here.held != move.held:
+    elif here.controls_id != move.controls_id:
         halt(here.tip)
-    moved = abs(move.depth - here.tip) > NEAR
-    return Position(stops[-1] if stops else here, ray, move, turned and not moved), stops
+    depth_changed = abs(move.depth - here.tip) > SAME_DEPTH_MM
+    return Position(stops[-1] if stops else here, ray, move, inputs_changed and not depth_changed), stops
 
 
-def plan(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[Stop, ...]:
+def plan_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[TipStop, ...]:
     """Return the stops of all steps of a needle of `length` (mm), from first contact on.
 
-    Their `cut` and `held` are numbers: of the first step with that bevel, and with those controls.
+    Their `bevel_id` and `controls_id` are numbers: of the first step with that bevel, and with those
+    controls.
 
     Raises
     ------
     ModelError
         If there are no steps, or the needle is too short for one of them.
     """
-    return stops_of(moves_of(steps, length), lattice)
+    return make_stops(make_moves(steps, length), lattice)
 
 
-def moves_of(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
+def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
     """Return the steps as moves, once the needle of `length` (mm) is long enough for each of them."""
     if not steps:
         raise ModelError("an insertion without steps", expected="one step at least")
@@ -211,25 +222,29 @@ def moves_of(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
-def stops_of(moves: tuple[Move, ...], lattice: Lattice) -> tuple[Stop, ...]:
+def make_stops(moves: tuple[Move, ...], lattice: Lattice) -> tuple[TipStop, ...]:
     """Return the stops of all moves, from first contact on."""
-    position, stops = Position(), list[Stop]()
+    position, stops = Position(), list[TipStop]()
     for move in moves:
-        position, more = advance(position, move, lattice)
+        position, more = plan_move(position, move, lattice)
         stops += more
     return tuple(stops)
 
 
-def lattice_of(steps: Sequence[Step], rules: Rules) -> Lattice:
+def make_lattice(steps: Sequence[Step], rules: ModelOptions) -> Lattice:
     """Return the constraint points of a whole insertion: by default the tip ends on one of them."""
     if rules.first_cell is not None:
         return Lattice(rules.first_cell, rules.spacing)
     depth = steps[-1].depth if steps else 0.0
-    return Lattice.ending_at(depth, rules.spacing) if depth > NEAR else Lattice(rules.spacing, rules.spacing)
+    return (
+        Lattice.ending_at(depth, rules.spacing)
+        if depth > SAME_DEPTH_MM
+        else Lattice(rules.spacing, rules.spacing)
+    )
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
-def element_solves(depths: tuple[float, ...], spacing: float, element: float) -> float:
+def count_element_solves(depths: tuple[float, ...], spacing: float, element: float) -> float:
     """Return about how many elements an insertion solves for, and at most that many.
 
     On the way in the tip halts once in every cell, else once or twice a step; each halt solves for the
@@ -243,7 +258,7 @@ def element_solves(depths: tuple[float, ...], spacing: float, element: float) ->
     return total
 
 
-def check_size(depths: tuple[float, ...], rules: Rules) -> None:
+def check_size(depths: tuple[float, ...], rules: ModelOptions) -> None:
     """Raise ModelError where an insertion to these depths (mm), in order, would take minutes or gigabytes."""
     deepest = max(depths, default=0.0)
     if deepest > MAX_ELEMENTS * rules.element:
@@ -252,7 +267,7 @@ def check_size(depths: tuple[float, ...], rules: Rules) -> None:
             expected=f"at most {MAX_ELEMENTS} elements",
             fix="insert less deep, or take a larger constraint spacing and longer elements",
         )
-    solves = element_solves(depths, rules.spacing, rules.element)
+    solves = count_element_solves(depths, rules.spacing, rules.element)
     if solves > 1.01 * MAX_ELEMENT_SOLVES:  # the deepest insertion is allowed, whatever its first cell
         raise ModelError(
             f"{len(depths)} steps are {solves:.3g} elements to be solved for in all equilibria",
@@ -282,3 +297,44 @@ def check_reach(length: float, depth: float, controls: Controls) -> None:
         expected=f"a depth below {length - before:g} mm{nearer}",
         fix=f"lessen the depth,{' move the guide,' if nearer else ''} or give the needle's true length",
     )
+
+
+def find_input_path(
+    position: Position, last: Step, lattice: Lattice, inputs_of: Callable[[Ray], tuple[Bevel, Controls]]
+) -> tuple[Step, ...]:
+    """Return the shortest steps from first contact to where the needle stands: same rays, same inputs.
+
+    Movements that were taken back leave nothing behind, and are left out.
+
+    Parameters
+    ----------
+    position : Position
+    last : Step
+        Where the tip stands, and under which inputs.
+    lattice : Lattice
+    meant : callable
+        The bevel that cuts a ray, and the controls under which it was begun.
+    """
+    steps: list[Step] = []
+    bevel_id = list_rays(position)
+    ends = [ray.start for ray in bevel_id[1:]] + [last.depth] * bool(
+        bevel_id
+    )  # before the first cell there are none
+    for ray, end in zip(bevel_id, ends, strict=True):
+        step = Step(end, *inputs_of(ray))
+        if not steps or lattice.is_at(lattice.cell(ray.start), ray.start):
+            if steps and (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
+                steps.pop()  # at a constraint point a new ray begins of itself
+        elif (steps[-1].bevel, steps[-1].controls) == (step.bevel, step.controls):
+            steps.append(_flip_bevel(steps[-1]))  # within a cell only changed inputs begin one
+        steps.append(step)
+    if not steps or (steps[-1].bevel, steps[-1].controls) != (last.bevel, last.controls):
+        steps.append(last)
+    elif position.inputs_changed:
+        steps += [_flip_bevel(last), last]
+    return tuple(steps)
+
+
+def _flip_bevel(step: Step) -> Step:
+    """Return a step to the same place that turns the bevel over: so inputs have changed, and nothing else."""
+    return replace(step, bevel=replace(step.bevel, side=-step.bevel.side))

@@ -11,13 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Rules, Step
-from needlefit.mechanics.kernel.grid import GRIP
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.kernel.grid import GUIDE_ENGAGEMENT_MM
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, Stop, lattice_of, plan
+from needlefit.mechanics.plan import Lattice, TipStop, make_lattice, plan_stops
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import scales_of
+from needlefit.mechanics.validity import compute_scales
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -29,56 +29,59 @@ def simulate(
     bevel: Bevel,
     depth: float,
     controls: Controls = Controls(),
-    rules: Rules = Rules(),
+    rules: ModelOptions = ModelOptions(),
 ) -> NeedleShape:
     """Section 4: insert the needle under constant inputs; arguments as in `mechanics.simulate`."""
-    return follow(needle, tissue, (Step(depth, bevel, controls),), rules)
+    return simulate_steps(needle, tissue, (Step(depth, bevel, controls),), rules)
 
 
-def follow(
+def simulate_steps(
     needle: Needle,
     tissue: Tissue,
     steps: Sequence[Step],
-    rules: Rules = Rules(),
+    rules: ModelOptions = ModelOptions(),
     lattice: Lattice | None = None,
 ) -> NeedleShape:
-    """Section 4: bring the tip from one stop to the next; arguments as in `follow`."""
-    lattice = lattice or lattice_of(steps, rules)
+    """Section 4: bring the tip from one stop to the next; arguments as in `simulate_steps`."""
+    lattice = lattice or make_lattice(steps, rules)
     C_int = rules.spacing
     c: dict[int, float] = {0: 0.0}  # y of the constraint points, by their number
     rays: dict[int, tuple[float, float, float]] = {}  # where each ray begins: x, y and slope of the tip
     track: dict[int, tuple[float, float]] = {}
     x_tip = u_tip = slope_tip = 0.0
     iterations = 0
-    for stop in plan(steps, lattice, needle.length):
-        if stop.opens:
+    for stop in plan_stops(steps, lattice, needle.length):
+        if stop.starts_ray:
             rays[stop.ray] = x_tip, u_tip, slope_tip
         if stop.cell > 0:
             # c_m = u_tip + (x_m - x_tip) (u'_tip + s b / C_int): along the tangent, turned by the bevel
             x_0, u_0, slope_0 = rays[stop.ray]
             slope_0 *= rules.tangent  # 1, but in variants of this rule
-            bevel = steps[stop.cut].bevel
+            bevel = steps[stop.bevel_id].bevel
             c[stop.cell] = u_0 + (stop.tip - x_0) * (slope_0 + bevel.side * bevel.offset / C_int)
         x_c = np.array([lattice.depth(m) for m in range(stop.cell)] + [stop.tip])
         points = np.column_stack((x_c, [c[m] for m in range(stop.cell + 1)]))
-        nodes, u, held = mesh(stop, steps[stop.held].controls, lattice, needle.length, rules.element)
-        u, used = equilibrium(needle, tissue, nodes, points, u, held, rules)
+        nodes, u, prescribed = mesh(
+            stop, steps[stop.controls_id].controls, lattice, needle.length, rules.element
+        )
+        u, used = equilibrium(needle, tissue, nodes, points, u, prescribed, rules)
         iterations += used
         x_tip, u_tip, slope_tip = stop.tip, float(u[-2]), float(u[-1])
         track[stop.cell] = u_tip, slope_tip
     tips = np.array([track[m] for m in range(stop.cell + 1)])
-    scales = scales_of(tissue, needle.flexural_rigidity, stop.tip, C_int)
+    scales = compute_scales(tissue, needle.flexural_rigidity, stop.tip, C_int)
     return NeedleShape(nodes, u[0::2], u[1::2], points, tips, "converged", iterations, scales)
 
 
 def mesh(
-    stop: Stop, controls: Controls, lattice: Lattice, L: float, h: float
+    stop: TipStop, controls: Controls, lattice: Lattice, L: float, h: float
 ) -> tuple[Floats, Floats, Bools]:
     """Sections 3 and 4: the nodes of one stop, and what is prescribed there.
 
     Base and guides; the entry; every h, fixed in the tissue; the tip. Very short elements ruin the
     conditioning: the entry gets no node when the next one is nearer than h / 2, nor does a place nearer
-    than h / 2 to the tip or h / 4 to a guide in the tissue, which holds once the tip is GRIP past it.
+    than h / 2 to the tip or h / 4 to a guide in the tissue, which holds once the tip is GUIDE_ENGAGEMENT_MM
+    past it.
 
     Returns
     -------
@@ -89,7 +92,7 @@ def mesh(
         Which of them are prescribed.
     """
     tip = stop.tip
-    within = [guide for guide in controls.within if guide.x <= tip - GRIP]
+    within = [guide for guide in controls.within if guide.x <= tip - GUIDE_ENGAGEMENT_MM]
     least = lattice.first_cell - h * (math.ceil((lattice.first_cell - 1e-9) / h) - 1)  # in (0, h]
     fixed = [x for x in least + h * np.arange(math.ceil(tip / h)) if x <= tip - h / 2 + 1e-9]
     fixed = [x for x in fixed if all(abs(x - guide.x) >= h / 4 for guide in within)]
@@ -97,14 +100,14 @@ def mesh(
     entry = [0.0] if inserted[0] >= h / 2 - 1e-9 * h else []
     nodes = [tip - L, *(guide.x for guide in controls.before), *entry, *inserted]
 
-    u, held = np.zeros((len(nodes), 2)), np.zeros((len(nodes), 2), dtype=bool)
+    u, prescribed = np.zeros((len(nodes), 2)), np.zeros((len(nodes), 2), dtype=bool)
     base = (0, controls.base_y + controls.stage_slope * tip, controls.base_slope)
     guides = [(nodes.index(guide.x), guide.y, guide.slope) for guide in (*controls.before, *within)]
     tracked = [] if controls.tip is None else [(len(nodes) - 1, controls.tip.y, controls.tip.slope)]
     for node, y, slope in (base, *guides, *tracked):
         u[node] = y, slope or 0.0
-        held[node] = True, slope is not None
-    return np.array(nodes), u.ravel(), held.ravel()
+        prescribed[node] = True, slope is not None
+    return np.array(nodes), u.ravel(), prescribed.ravel()
 
 
 def equilibrium(
@@ -113,22 +116,22 @@ def equilibrium(
     nodes: Floats,
     constraints: Floats,
     u: Floats,
-    held: Bools,
-    rules: Rules,
+    prescribed: Bools,
+    rules: ModelOptions,
 ) -> tuple[Floats, int]:
     """Section 3: find u with int EI u'' v'' + sum_i int k_i(lambda) e g v = 0 for all v, by Newton's method.
 
-    `u` (2 N,) is a guess of deflection and slope of every node, true where they are `held`.
+    `u` (2 N,) is a guess of deflection and slope of every node, true where they are `prescribed`.
     """
     K_b = bending_stiffness(nodes, needle.flexural_rigidity)
-    change = changes(constraints[:, 0], rules.switch)
+    change = change_depths(constraints[:, 0], rules.switch)
     x_q, w_q = quadrature(nodes, change, tissue.boundaries)
     N, dN = shape_functions(nodes, x_q)  # (Q, 2 N) each
     layer = np.searchsorted(tissue.boundaries, x_q)
     nearest = np.searchsorted(change, x_q)
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
     u = u.copy()
-    free = ~held
+    free = ~prescribed
     before = math.inf
     for iteration in range(rules.max_iterations):
         e = N @ u - constraints[nearest, 1]
@@ -174,7 +177,7 @@ def bending_stiffness(nodes: Floats, EI: float) -> Floats:
     return K
 
 
-def changes(x_c: Floats, switch: float) -> Floats:
+def change_depths(x_c: Floats, switch: float) -> Floats:
     """Section 3: where the tissue's points change from one constraint point to the next; 0.5: halfway."""
     where: Floats = (1 - switch) * x_c[:-1] + switch * x_c[1:]
     return where

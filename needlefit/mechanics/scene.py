@@ -1,29 +1,30 @@
-"""A scene: everything that one insertion needs, and where it stands in the world."""
+"""A scene: everything that one insertion needs, its pose in the world, and its simulation step by step."""
 
 import math
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from needlefit.errors import ConfigError, ModelError
-from needlefit.geometry.frames import Frame
-from needlefit.geometry.placement import Placement
+from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import NEAR, Lattice, check_reach, check_size, lattice_of
-from needlefit.mechanics.session import Session
+from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, check_reach, check_size, make_lattice
+from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
+from needlefit.schemas.limits import MAX_SHOWN_POSITIONS
 from needlefit.schemas.scene import GuideRecord, ResolvedStep, SceneEntryRecord, SceneRecord, resolve_steps
 
 Floats = NDArray[np.float64]
 
-STEEPEST = math.radians(45)
+MAX_AXIS_ANGLE_RAD = math.radians(45)
 """Greatest angle between C's x axis and a guide's or the stage's."""
 
 
@@ -68,7 +69,7 @@ class Entry:
             If the axis lies 45 degrees or more off C's x: the needle need not meet its normal line.
         """
         turn = math.remainder(angle - self.angle, math.pi)  # an axis has no front
-        if abs(turn) >= STEEPEST:
+        if abs(turn) >= MAX_AXIS_ANGLE_RAD:
             raise ModelError(
                 f"an axis at {math.degrees(angle):g} degrees in the world lies {math.degrees(abs(turn)):g} "
                 f"degrees off the insertion axis",
@@ -80,7 +81,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Scene:
-    """The arguments of `follow`, and the entry's pose.
+    """The arguments of `simulate_steps`, and the entry's pose.
 
     Attributes
     ----------
@@ -95,7 +96,7 @@ class Scene:
     needle: Needle
     tissue: Tissue
     steps: tuple[Step, ...]
-    rules: Rules = Rules()
+    rules: ModelOptions = ModelOptions()
     entry: Entry = Entry()
     layer_names: tuple[str, ...] = ()
 
@@ -107,7 +108,7 @@ class Scene:
     @property
     def lattice(self) -> Lattice:
         """The constraint points of the whole insertion."""
-        return lattice_of(self.steps, self.rules)
+        return make_lattice(self.steps, self.rules)
 
     @classmethod
     def from_record(cls, record: SceneRecord, where: str = "") -> Self:
@@ -119,26 +120,26 @@ class Scene:
             If the model does not take one of its values; the key is named where there is one.
         """
         entry = Entry.from_record(record.entry)
-        with _naming(where):
+        with _name_keys(where):
             needle = Needle.from_record(record.needle)
             tissue = Tissue.from_records(record.layers, record.law)
-            rules = Rules.from_record(record.rules)
-        with _naming(where, "law"):
+            rules = ModelOptions.from_record(record.rules)
+        with _name_keys(where, "law"):
             laws.power_terms(tissue.law, tissue.alpha)  # refused here, where the key is known
-        steps = tuple(_step(whole, needle, entry, where) for whole in resolve_steps(record))
-        with _naming(where, *_sizing(record)):
+        steps = tuple(_make_step(whole, needle, entry, where) for whole in resolve_steps(record))
+        with _name_keys(where, *_list_size_keys(record)):
             check_size(tuple(step.depth for step in steps), rules)
         names = tuple(layer.name for layer in record.layers)
         return cls(needle, tissue, steps, rules, entry, names)
 
 
-def insert(scene: Scene) -> tuple[NeedleShape, ...]:
+def simulate_scene(scene: Scene) -> tuple[NeedleShape, ...]:
     """Return the needle's shape after each step in C, up to the first step that fails.
 
     All of them have the constraint points of the whole insertion, so that each one is the next one's past.
     Their iterations are counted from first contact.
     """
-    session = at_contact(scene, scene.lattice.first_cell)
+    session = begin_session(scene, scene.lattice.first_cell)
     shapes: list[NeedleShape] = []
     iterations = session.now.shape.iterations
     for step in scene.steps:
@@ -150,45 +151,49 @@ def insert(scene: Scene) -> tuple[NeedleShape, ...]:
     return tuple(shapes)
 
 
-def at_contact(scene: Scene, first_cell: float) -> Session:
+def begin_session(scene: Scene, first_cell: float) -> Session:
     """Return the needle of a scene at first contact, held as its first step begins, to go on step by step.
 
-    `first_cell` (mm) is that of `scene.lattice` for who wants the needle that `insert` finds.
+    `first_cell` (mm) is that of `scene.lattice` for who wants the needle that `simulate_scene` finds.
     """
     first = scene.steps[0]
     return Session(scene.needle, scene.tissue, first.bevel, first_cell, first.controls, scene.rules)
 
 
-def _step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) -> Step:
+def _make_step(whole: ResolvedStep, needle: Needle, entry: Entry, where: str) -> Step:
     """Return a step whose guides and stage, given in the world, are seen from C."""
-    held = whole.controls
-    with _naming(where, "controls.stage_angle_deg"):
-        stage = 0.0 if held.stage_angle_deg is None else entry.slope_of(math.radians(held.stage_angle_deg))
-    guides = [(key, _guide(guide, entry, key, where)) for key, guide in whole.guides if guide.engaged]
-    if held.guide_distance_mm is not None:
-        guides.append(("controls.guide_distance_mm", Guide(-held.guide_distance_mm)))
+    inputs = whole.controls
+    with _name_keys(where, "controls.stage_angle_deg"):
+        stage = (
+            0.0 if inputs.stage_angle_deg is None else entry.slope_of(math.radians(inputs.stage_angle_deg))
+        )
+    guides = [(key, _make_guide(guide, entry, key, where)) for key, guide in whole.guides if guide.engaged]
+    if inputs.guide_distance_mm is not None:
+        guides.append(("controls.guide_distance_mm", Guide(-inputs.guide_distance_mm)))
     tip = None
-    if held.tip_y_mm is not None:
-        tip = TrackedTip(held.tip_y_mm, None if held.tip_slope_deg is None else _slope(held.tip_slope_deg))
-    with _naming(where, *_at_one_x(guides)):
-        placed = tuple(guide for _, guide in guides)
-        controls = Controls(held.base_y_mm, _slope(held.base_slope_deg), stage, placed, tip)
-    with _naming(where, *_reaching(whole, needle, guides)):
+    if inputs.tip_y_mm is not None:
+        tip = TrackedTip(
+            inputs.tip_y_mm, None if inputs.tip_slope_deg is None else _to_slope(inputs.tip_slope_deg)
+        )
+    with _name_keys(where, *_list_repeated_guide_keys(guides)):
+        ordered_guides = tuple(guide for _, guide in guides)
+        controls = Controls(inputs.base_y_mm, _to_slope(inputs.base_slope_deg), stage, ordered_guides, tip)
+    with _name_keys(where, *_list_reach_keys(whole, needle, guides)):
         check_reach(needle.length, whole.depth_mm, controls)
         return Step(whole.depth_mm, Bevel.from_record(whole.bevel), controls)
 
 
-def _sizing(record: SceneRecord) -> list[str]:
+def _list_size_keys(record: SceneRecord) -> list[str]:
     """Return the keys that decide how many elements are solved for."""
     return ["steps" if record.steps else "depth_mm", "rules.constraint_spacing_mm", "rules.element_mm"]
 
 
-def _at_one_x(guides: Sequence[tuple[str, Guide]]) -> list[str]:
+def _list_repeated_guide_keys(guides: Sequence[tuple[str, Guide]]) -> list[str]:
     """Return the keys of the guides that stand where another one does."""
     return [key for key, guide in guides if sum(guide.x == other.x for _, other in guides) > 1]
 
 
-def _reaching(whole: ResolvedStep, needle: Needle, guides: Sequence[tuple[str, Guide]]) -> list[str]:
+def _list_reach_keys(whole: ResolvedStep, needle: Needle, guides: Sequence[tuple[str, Guide]]) -> list[str]:
     """Return the keys that decide whether the needle is long enough."""
     key, first = min(guides, key=lambda keyed: keyed[1].x, default=("", None))
     if first is None or first.in_tissue:
@@ -196,21 +201,21 @@ def _reaching(whole: ResolvedStep, needle: Needle, guides: Sequence[tuple[str, G
     return [whole.key if -first.x < needle.length else "needle.length_mm", key]
 
 
-def _guide(guide: GuideRecord, entry: Entry, key: str, where: str) -> Guide:
-    with _naming(where, key):
+def _make_guide(guide: GuideRecord, entry: Entry, key: str, where: str) -> Guide:
+    with _name_keys(where, key):
         (x, y), slope = entry.to_frame([[guide.x_mm, guide.y_mm]])[0], 0.0
         if guide.angle_deg is not None and not guide.turns_freely:
             slope = entry.slope_of(math.radians(guide.angle_deg))
-        at = 0.0 if abs(x) < NEAR else float(x)  # rounding must not push it out of the tissue
+        at = 0.0 if abs(x) < SAME_DEPTH_MM else float(x)  # rounding must not push it out of the tissue
         return Guide(at, float(y), None if guide.turns_freely else slope, guide.in_tissue, guide.name)
 
 
-def _slope(degrees: float) -> float:
+def _to_slope(degrees: float) -> float:
     return math.tan(math.radians(degrees))
 
 
 @contextmanager
-def _naming(where: str, *keys: str) -> Iterator[None]:
+def _name_keys(where: str, *keys: str) -> Iterator[None]:
     """Turn what the model refuses into a fault of the file, at those keys."""
     try:
         yield
@@ -221,3 +226,27 @@ def _naming(where: str, *keys: str) -> Iterator[None]:
         raise ConfigError(
             f"{named}{error.what}", where=where, expected=error.expected, fix=error.fix
         ) from error
+
+
+def iterate_states(scene: Scene, stride: float = 0.5) -> Iterator[tuple[float, NeedleState]]:
+    """Yield the path length of the tip (mm, back and forth) and the needle's state, from first contact on.
+
+    The depths of the steps are among the places where it is seen, the others at most `stride` mm apart, or
+    farther where that would be more than `MAX_SHOWN_POSITIONS`; it ends before a stride that fails.
+    """
+    depths = [0.0, *(step.depth for step in scene.steps)]
+    path = sum(abs(b - a) for a, b in pairwise(depths))
+    stride = max(stride, path / MAX_SHOWN_POSITIONS)
+    session = begin_session(scene, scene.lattice.first_cell)
+    path_length = 0.0
+    yield path_length, session.now
+    for step in scene.steps:
+        start = session.depth
+        count = max(1, math.ceil(abs(step.depth - start) / stride))
+        for n in range(1, count + 1):
+            part = n / count
+            depth = step.depth if n == count else start + part * (step.depth - start)
+            if not session.go(Step(depth, step.bevel, step.controls)).converged:
+                return
+            yield path_length + part * abs(step.depth - start), session.now
+        path_length += abs(step.depth - start)

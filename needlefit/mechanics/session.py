@@ -1,4 +1,4 @@
-"""The model step by step, for a hand on the needle."""
+"""The model step by step, for interactive simulation."""
 
 import copy
 import math
@@ -10,36 +10,36 @@ from typing import Any, Generic, Self, TypeVar
 import numpy as np
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
-from needlefit.mechanics.course import course
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.kernel import insertion as kernel
-from needlefit.mechanics.kernel.scalar import CONVERGED, Newton
+from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import (
-    NEAR,
+    SAME_DEPTH_MM,
     Lattice,
     Move,
     Position,
-    Stop,
-    advance,
+    TipStop,
     check_reach,
     check_size,
-    rays,
+    find_input_path,
+    list_rays,
+    plan_move,
 )
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack, read
+from needlefit.mechanics.simulate import compile_controls, compile_tissue, pack_stops, read_shape
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.limits import MAX_ELEMENTS, MAX_STEPS
 
 _DEFAULT_CONTROLS = Controls()
-_DEFAULT_RULES = Rules()
+_DEFAULT_OPTIONS = ModelOptions()
 T = TypeVar("T")
-_AS_IT_IS: Any = object()  # None already says that a tip is not tracked
+_UNCHANGED: Any = object()  # None already says that a tip is not tracked
 
 
 @dataclass(frozen=True)
-class Moment:
-    """A needle as it stands: its shape in C, the depth and the inputs that hold it there, and its tissue."""
+class NeedleState:
+    """A needle's state: its shape in C, the depth and the inputs that hold it there, and its tissue."""
 
     shape: NeedleShape
     step: Step
@@ -49,8 +49,8 @@ class Moment:
 class Session:
     """A needle that goes on from where it stands.
 
-    With the same first cell and the same steps it finds the same bits as `simulate.follow`; steps that
-    only divide a longer one change nothing at its end.
+    With the same first cell and the same steps it finds the same bits as `simulate.simulate_steps`; steps
+    that only divide a longer one change nothing at its end.
 
     Parameters
     ----------
@@ -60,10 +60,11 @@ class Session:
         As the insertion begins.
     first_cell : float
         Depth of the first constraint point, mm, up to the constraint spacing of `rules`; part of the
-        model, to be kept with a recording. `follow` by default takes what lets the last step end on one.
+        model, to be kept with a recording. `simulate_steps` by default takes what lets the last step end on
+        one.
     controls : Controls
         As the insertion begins.
-    rules : Rules
+    rules : ModelOptions
 
     Attributes
     ----------
@@ -82,7 +83,7 @@ class Session:
         bevel: Bevel,
         first_cell: float = 1.0,
         controls: Controls = _DEFAULT_CONTROLS,
-        rules: Rules = _DEFAULT_RULES,
+        rules: ModelOptions = _DEFAULT_OPTIONS,
     ) -> None:
         self.needle, self.tissue, self.rules = needle, tissue, rules
         self.lattice = Lattice(first_cell, rules.spacing)
@@ -90,18 +91,18 @@ class Session:
         self.failures: Counter[str] = Counter()
         self.solved = 0
         self._foundation = compile_tissue(tissue)
-        self._newton = Newton(rules.tolerance, rules.max_iterations)
+        self._newton = NewtonOptions(rules.tolerance, rules.max_iterations)
         self._position = Position()
-        self._bevels, self._controls = _Numbers[Bevel](), _Numbers[Controls]()
+        self._bevels, self._controls = _InputIds[Bevel](), _InputIds[Controls]()
         self._deepest = min(needle.length, MAX_ELEMENTS * rules.element)
         self._guides, self._rays = 4, math.ceil(self._deepest / rules.spacing)
-        self._under_way = self._begin()
+        self._insertion = self._begin()
         self._shape = self.go(self.last)
 
     @property
-    def now(self) -> Moment:
+    def now(self) -> NeedleState:
         """The needle as it stands."""
-        return Moment(self._shape, self.last, self.tissue)
+        return NeedleState(self._shape, self.last, self.tissue)
 
     @property
     def depth(self) -> float:
@@ -115,7 +116,7 @@ class Session:
         bevel: Bevel | None = None,
         base: tuple[float, float] | None = None,
         guides: tuple[Guide, ...] | None = None,
-        tip: TrackedTip | None = _AS_IT_IS,
+        tip: TrackedTip | None = _UNCHANGED,
     ) -> NeedleShape:
         """Change inputs, then insert or retract; what is not given stays as it is.
 
@@ -144,9 +145,9 @@ class Session:
         """
         given: dict[str, Any] = {} if base is None else {"base_y": base[0], "base_slope": base[1]}
         given |= {} if guides is None else {"guides": guides}
-        given |= {} if tip is _AS_IT_IS else {"tip": tip}
+        given |= {} if tip is _UNCHANGED else {"tip": tip}
         depth, controls = self.last.depth + insert, replace(self.last.controls, **given)
-        return self.go(Step(0.0 if abs(depth) < NEAR else depth, bevel or self.last.bevel, controls))
+        return self.go(Step(0.0 if abs(depth) < SAME_DEPTH_MM else depth, bevel or self.last.bevel, controls))
 
     def go(self, step: Step) -> NeedleShape:
         """Bring the tip to the depth of `step` under its inputs; else as `step`."""
@@ -159,20 +160,23 @@ class Session:
         other = copy.copy(self)
         other.failures = self.failures.copy()
         other._bevels, other._controls = self._bevels.copy(), self._controls.copy()
-        other._under_way = self._begin()
-        for part, ours in zip(_parts(other._under_way), _parts(self._under_way), strict=True):
+        other._insertion = self._begin()
+        for part, ours in zip(_list_arrays(other._insertion), _list_arrays(self._insertion), strict=True):
             part[...] = ours
         return other
 
-    def course(self) -> tuple[Step, ...]:
+    def input_path(self) -> tuple[Step, ...]:
         """Return the shortest steps from first contact to where the needle stands."""
         bevels, controls = self._bevels.values(), self._controls.values()
-        return course(
-            self._position, self.last, self.lattice, lambda ray: (bevels[ray.cut], controls[ray.held])
+        return find_input_path(
+            self._position,
+            self.last,
+            self.lattice,
+            lambda ray: (bevels[ray.bevel_id], controls[ray.controls_id]),
         )
 
-    def retold(self, tissue: Tissue | None = None, offset: float | None = None) -> "Session":
-        """Return a needle led the same way through another tissue, or with another bevel offset throughout.
+    def simulate_again(self, tissue: Tissue | None = None, offset: float | None = None) -> "Session":
+        """Simulate the same steps in another tissue, or with another bevel offset throughout.
 
         Its `failures` say whether a step of it failed; it then stands where that step began.
 
@@ -182,7 +186,7 @@ class Session:
         offset : float, optional
             b, mm, of every step.
         """
-        steps = self.course()
+        steps = self.input_path()
         if offset is not None:
             steps = tuple(replace(step, bevel=replace(step.bevel, offset=offset)) for step in steps)
         bevel, controls = steps[0].bevel, steps[0].controls
@@ -196,52 +200,54 @@ class Session:
 
     def _go(self, step: Step) -> NeedleShape:
         move = Move(step.depth, self._bevels.of(step.bevel), self._controls.of(step.controls))
-        position, stops = advance(self._position, move, self.lattice)
+        position, stops = plan_move(self._position, move, self.lattice)
         status, iterations = CONVERGED, 0
         self.solved += len(stops)
         if stops:  # there are none where only the bevel was turned
             _check_rays(stops[-1].ray + 1)
-            self._make_room(len(step.controls.guides), stops[-1].ray + 1)
-            moving = self._moving(stops)
-            kept = [part.copy() for part in moving]
-            # rays that open now are cut by this bevel; of the others nobody asks the turn
+            self._grow_arrays(len(step.controls.guides), stops[-1].ray + 1)
+            changed_arrays = self._list_changed_arrays(stops)
+            saved = [part.copy() for part in changed_arrays]
+            # rays that open now are cut by this bevel; the kernel does not read the turn of the others
             turn = step.bevel.side * step.bevel.offset / self.rules.spacing
-            packed = pack(stops)[0]._replace(turn=np.full(len(stops), turn))
-            holds = compile_controls(step.controls)
-            status, iterations, _ = kernel.advance(
-                self._under_way, self._foundation, holds, packed, self._newton
+            packed = pack_stops(stops)[0]._replace(turn=np.full(len(stops), turn))
+            conditions = compile_controls(step.controls)
+            status, iterations, _ = kernel.advance_needle(
+                self._insertion, self._foundation, conditions, packed, self._newton
             )
             self._stop = stops[-1]
-        shape = read(self._under_way, self.tissue, self._stop, step.controls, status, iterations)
+        shape = read_shape(self._insertion, self.tissue, self._stop, step.controls, status, iterations)
         if status == CONVERGED:
             self._position, self.last, self._shape = position, step, shape
-            self._bevels.forget(lambda: {move.cut, *(ray.cut for ray in rays(position))})
-            self._controls.forget(lambda: {move.held, *(ray.held for ray in rays(position))})
+            self._bevels.drop_unused(lambda: {move.bevel_id, *(ray.bevel_id for ray in list_rays(position))})
+            self._controls.drop_unused(
+                lambda: {move.controls_id, *(ray.controls_id for ray in list_rays(position))}
+            )
         else:
             self.failures[shape.status] += 1
             self._stop = self._position.last or self._stop
-            for part, before in zip(moving, kept, strict=True):
+            for part, before in zip(changed_arrays, saved, strict=True):
                 part[...] = before
         return shape
 
-    def _moving(self, stops: Sequence[Stop]) -> tuple[np.ndarray, ...]:
+    def _list_changed_arrays(self, stops: Sequence[TipStop]) -> tuple[np.ndarray, ...]:
         """Return what the stops of a step change."""
-        now = self._under_way
+        now = self._insertion
         cells = slice(min(stop.cell for stop in stops), max(stop.cell for stop in stops) + 1)
         rays = slice(max(min(stop.ray for stop in stops), 0), stops[-1].ray + 1)
         return now.y[cells], now.track[cells], now.rays[rays], now.tip, now.nodes, now.states, now.size
 
-    def _make_room(self, guides: int, rays: int) -> None:
+    def _grow_arrays(self, guides: int, rays: int) -> None:
         """Let the kernel's arrays hold so many guides and rays; what they hold already stays."""
         if guides <= self._guides and rays <= self._rays:
             return
         self._guides, self._rays = max(2 * guides, self._guides), max(2 * rays, self._rays)
-        before, self._under_way = self._under_way, self._begin()
-        for part, old in zip(_parts(self._under_way), _parts(before), strict=True):
+        before, self._insertion = self._insertion, self._begin()
+        for part, old in zip(_list_arrays(self._insertion), _list_arrays(before), strict=True):
             part[tuple(slice(n) for n in old.shape)] = old
 
-    def _begin(self) -> kernel.Insertion:
-        return kernel.begin(
+    def _begin(self) -> kernel.KernelInsertion:
+        return kernel.begin_insertion(
             self.needle.flexural_rigidity, self.needle.length, self.lattice.first_cell,
             self.lattice.spacing, self.rules.element, self.rules.switch, self.rules.tangent,
             self.tissue.boundaries, self._deepest, self._guides, self._rays,
@@ -252,25 +258,25 @@ def _check_rays(count: int) -> None:
     """Raise ModelError where a needle would have cut too many rays: each is kept, and may be cut again."""
     if count > MAX_STEPS + MAX_ELEMENTS:
         raise ModelError(
-            f"the needle has changed its course {count} times on its way",
+            f"the needle has changed its direction of cutting {count} times",
             expected=f"at most {MAX_STEPS + MAX_ELEMENTS} times",
             fix="retract it, or begin anew",
         )
 
 
-def _parts(now: kernel.Insertion) -> tuple[np.ndarray, ...]:
+def _list_arrays(now: kernel.KernelInsertion) -> tuple[np.ndarray, ...]:
     """Return what an insertion under way has left behind."""
     return now.y, now.track, now.rays, now.tip, now.nodes, now.states, now.size
 
 
-class _Numbers(Generic[T]):
+class _InputIds(Generic[T]):
     """The numbers by which the plan knows inputs: equal inputs have equal ones."""
 
     def __init__(self) -> None:
         self._numbers: dict[T, int] = {}
-        self._next, self._most = 0, 256
+        self._next, self._max_kept = 0, 256
 
-    def copy(self) -> "_Numbers[T]":
+    def copy(self) -> "_InputIds[T]":
         """Return the same numbers for the same inputs."""
         other = copy.copy(self)
         other._numbers = self._numbers.copy()
@@ -287,9 +293,9 @@ class _Numbers(Generic[T]):
             self._next += 1
         return self._numbers[value]
 
-    def forget(self, used: Callable[[], set[int]]) -> None:
+    def drop_unused(self, used: Callable[[], set[int]]) -> None:
         """Now and then drop inputs under which no ray was cut, lest a long session grow."""
-        if len(self._numbers) > self._most:
-            kept = used()
-            self._numbers = {value: number for value, number in self._numbers.items() if number in kept}
-            self._most = 256 + 2 * len(self._numbers)
+        if len(self._numbers) > self._max_kept:
+            saved = used()
+            self._numbers = {value: number for value, number in self._numbers.items() if number in saved}
+            self._max_kept = 256 + 2 * len(self._numbers)

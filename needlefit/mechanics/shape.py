@@ -1,4 +1,4 @@
-"""The answer of a simulation: the needle's shape in the constraint frame C."""
+"""The result of a simulation: the needle's shape in the constraint frame C."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
-from needlefit.mechanics.kernel import positions as kernel
-from needlefit.mechanics.validity import Validity, unknown_scales, validity_of
+from needlefit.mechanics.kernel import beam as kernel
+from needlefit.mechanics.validity import Validity, compute_validity, make_unknown_scales
 
 Floats = NDArray[np.float64]
 Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
@@ -19,7 +19,7 @@ Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 class NeedleShape:
     """Nodes of the deflected beam in C, base first, tip last.
 
-    `x` is the beam coordinate (arc length, 0 at the entry), not the place in space: see `positions`.
+    `x` is the beam coordinate (arc length, 0 at the entry), not the place in space: see `compute_positions`.
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class NeedleShape:
     iterations : int
         Newton iterations over all steps.
     scales : (3,) array
-        What validity is measured by: see `validity.scales_of`; infinite where there is no tissue.
+        What validity is measured by: see `validity.compute_scales`; infinite where there is no tissue.
     """
 
     x: Floats
@@ -44,12 +44,12 @@ class NeedleShape:
     tip_track: Floats
     status: Status
     iterations: int
-    scales: Floats = field(default_factory=unknown_scales)
+    scales: Floats = field(default_factory=make_unknown_scales)
 
     @cached_property
     def validity(self) -> Validity:
         """How far the shape strains what the model assumes; NaN where there is no solution."""
-        return validity_of(self)
+        return compute_validity(self)
 
     @property
     def valid(self) -> bool:
@@ -77,7 +77,7 @@ class NeedleShape:
         return float(self.u[-1])
 
 
-def positions(shape: NeedleShape, s: Floats) -> Floats:
+def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
     """Return the needle's points in C.
 
     The needle keeps its length: x(s) = integral of cos(atan u') from the base, y = u (the tip therefore
@@ -106,18 +106,19 @@ def positions(shape: NeedleShape, s: Floats) -> Floats:
             f"beam coordinates {wanted.min():g} ... {wanted.max():g} mm leave the needle",
             expected=f"{shape.x[0]:g} ... {shape.x[-1]:g} mm",
         )
-    return kernel.positions(shape.x, shape.u, shape.slope, wanted)
+    return kernel.compute_positions(shape.x, shape.u, shape.slope, wanted)
 
 
-def placed(shape: NeedleShape, points: Floats) -> Floats:
-    """Return where points (K, 2), given by beam coordinate and y, lie beside the needle of `positions`.
+def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
+    """Return where points (K, 2), given by beam coordinate and y, lie beside the needle of
+    `compute_positions`.
 
     What belongs to a beam coordinate is carried along x with that point of the needle and keeps its y: so its
     distance from the needle is the one that the model knows.
     """
-    return np.column_stack((positions(shape, points[:, 0])[:, 0], points[:, 1]))
+    return np.column_stack((compute_positions(shape, points[:, 0])[:, 0], points[:, 1]))
 
 
-def inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:
+def sample_inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:
     """Return points (stations, 2) in C at equal fractions of inserted arc length, entry to tip."""
-    return positions(shape, np.linspace(0.0, shape.depth, stations))
+    return compute_positions(shape, np.linspace(0.0, shape.depth, stations))

@@ -10,32 +10,37 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
-from needlefit.mechanics.kernel.grid import GRIP, build_grid, constraint_depths, node_depths
-from needlefit.mechanics.kernel.scalar import CONVERGED, WIDTH, Newton, equilibrate
+from needlefit.mechanics.kernel.grid import (
+    GUIDE_ENGAGEMENT_MM,
+    build_grid,
+    list_constraint_depths,
+    list_node_depths,
+)
+from needlefit.mechanics.kernel.scalar import CONVERGED, FACTOR_COLUMNS, NewtonOptions, equilibrate
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import (
     Lattice,
     Move,
-    Stop,
+    TipStop,
     check_reach,
     check_size,
-    lattice_of,
-    moves_of,
-    stops_of,
+    make_lattice,
+    make_moves,
+    make_stops,
 )
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.tissue import Tissue
-from needlefit.mechanics.validity import scales_of
+from needlefit.mechanics.validity import compute_scales
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-STATUS: tuple[Status, ...] = ("converged", "over-compressed", "not converged", "non-finite")
+STATUS_NAMES: tuple[Status, ...] = ("converged", "over-compressed", "not converged", "non-finite")
 _DEFAULT_CONTROLS = Controls()
-_DEFAULT_RULES = Rules()
+_DEFAULT_OPTIONS = ModelOptions()
 
 
 def simulate(
@@ -44,7 +49,7 @@ def simulate(
     bevel: Bevel,
     depth: float,
     controls: Controls = _DEFAULT_CONTROLS,
-    rules: Rules = _DEFAULT_RULES,
+    rules: ModelOptions = _DEFAULT_OPTIONS,
 ) -> NeedleShape:
     """Insert the needle to `depth` (mm of inserted arc length) under constant inputs; return its shape in C.
 
@@ -62,14 +67,14 @@ def simulate(
     """
     if not (math.isfinite(depth) and depth > 0):
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
-    return follow(needle, tissue, (Step(float(depth), bevel, controls),), rules)
+    return simulate_steps(needle, tissue, (Step(float(depth), bevel, controls),), rules)
 
 
-def follow(
+def simulate_steps(
     needle: Needle,
     tissue: Tissue,
     steps: Sequence[Step],
-    rules: Rules = _DEFAULT_RULES,
+    rules: ModelOptions = _DEFAULT_OPTIONS,
     lattice: Lattice | None = None,
 ) -> NeedleShape:
     """Lead the needle through `steps`, insertions and retractions, and return its last shape in C.
@@ -79,7 +84,7 @@ def follow(
     needle : Needle
     tissue : Tissue
     steps : sequence of Step
-    rules : Rules
+    rules : ModelOptions
     lattice : Lattice, optional
         Where constraint points lie; by default so that the last step ends on one.
 
@@ -92,21 +97,23 @@ def follow(
     ModelError
         If there are no steps, or the needle is too short for one of them.
     """
-    lattice = lattice or lattice_of(steps, rules)
-    moves = moves_of(steps, needle.length)
-    under_way = begin(needle, tissue, steps, lattice, rules)
+    lattice = lattice or make_lattice(steps, rules)
+    moves = make_moves(steps, needle.length)
+    insertion = begin_insertion(needle, tissue, steps, lattice, rules)
     foundation = compile_tissue(tissue)
-    newton = Newton(rules.tolerance, rules.max_iterations)
+    newton = NewtonOptions(rules.tolerance, rules.max_iterations)
     turns = np.array([step.bevel.side * step.bevel.offset / rules.spacing for step in steps])
     status, iterations = CONVERGED, 0
-    for held, stops, cut in packed(moves, lattice):
-        stops = stops._replace(turn=turns[cut])
-        holds = compile_controls(steps[held].controls)
-        status, used, _ = kernel.advance(under_way, foundation, holds, stops, newton)
+    for controls_id, stops, bevel_id in pack_groups(moves, lattice):
+        stops = stops._replace(turn=turns[bevel_id])
+        conditions = compile_controls(steps[controls_id].controls)
+        status, used, _ = kernel.advance_needle(insertion, foundation, conditions, stops, newton)
         iterations += used
         if status != CONVERGED:
             break
-    return read(under_way, tissue, stops_of(moves, lattice)[-1], steps[-1].controls, status, iterations)
+    return read_shape(
+        insertion, tissue, make_stops(moves, lattice)[-1], steps[-1].controls, status, iterations
+    )
 
 
 def equilibrium(
@@ -114,7 +121,7 @@ def equilibrium(
     tissue: Tissue,
     constraints: Floats,
     controls: Controls = _DEFAULT_CONTROLS,
-    rules: Rules = _DEFAULT_RULES,
+    rules: ModelOptions = _DEFAULT_OPTIONS,
 ) -> NeedleShape:
     """Return the equilibrium against given constraint points, without any history.
 
@@ -130,17 +137,17 @@ def equilibrium(
         raise ModelError(f"depth is {depth} mm", expected="a positive, finite number")
     check_reach(needle.length, depth, controls)
     check_size((depth,), rules)
-    holds = compile_controls(controls)
-    within = np.array([guide.x for guide in controls.within if guide.x <= depth - GRIP])
-    nodes = node_depths(depth, depths[1], rules.spacing, rules.element, within)
+    conditions = compile_controls(controls)
+    within = np.array([guide.x for guide in controls.within if guide.x <= depth - GUIDE_ENGAGEMENT_MM])
+    nodes = list_node_depths(depth, depths[1], rules.spacing, rules.element, within)
     grid = build_grid(depths, tissue.boundaries, nodes, rules.switch)
     last = len(grid.nodes) - 1
     size = 1 + len(controls.before) + len(grid.nodes)
-    chain = kernel.begin_chain(holds, needle.flexural_rigidity, size)
-    kernel.hold(chain, holds, grid, last, depth, needle.length)
-    state, trial, factor = np.zeros((size, 2)), np.empty((size, 2)), np.empty((size, WIDTH))
-    kernel.start(state, chain, size)
-    newton = Newton(rules.tolerance, rules.max_iterations)
+    chain = kernel.begin_chain(conditions, needle.flexural_rigidity, size)
+    kernel.prescribe_stop(chain, conditions, grid, last, depth, needle.length)
+    state, trial, factor = np.zeros((size, 2)), np.empty((size, 2)), np.empty((size, FACTOR_COLUMNS))
+    kernel.apply_prescribed(state, chain, size)
+    newton = NewtonOptions(rules.tolerance, rules.max_iterations)
     status, iterations = equilibrate(
         state, chain, compile_tissue(tissue), grid, y, last, newton, trial, factor
     )
@@ -148,22 +155,22 @@ def equilibrium(
         state[:] = np.nan
     nodes = np.concatenate((chain.front, grid.nodes))
     points = np.column_stack((depths, y))
-    scales = scales_of(tissue, needle.flexural_rigidity, depth, rules.spacing)
+    scales = compute_scales(tissue, needle.flexural_rigidity, depth, rules.spacing)
     return NeedleShape(
-        nodes, state[:, 0], state[:, 1], points, state[-1:], STATUS[status], iterations, scales
+        nodes, state[:, 0], state[:, 1], points, state[-1:], STATUS_NAMES[status], iterations, scales
     )
 
 
-def begin(
-    needle: Needle, tissue: Tissue, steps: Sequence[Step], lattice: Lattice, rules: Rules
-) -> kernel.Insertion:
+def begin_insertion(
+    needle: Needle, tissue: Tissue, steps: Sequence[Step], lattice: Lattice, rules: ModelOptions
+) -> kernel.KernelInsertion:
     """Return the needle before first contact, with room for all steps."""
     depths = tuple(step.depth for step in steps)
     check_size(depths, rules)
     deepest = max(depths)
     guides = max(len(step.controls.guides) for step in steps)
     rays = lattice.cell(deepest) + len(steps) + 1
-    return kernel.begin(
+    return kernel.begin_insertion(
         needle.flexural_rigidity, needle.length, lattice.first_cell, lattice.spacing, rules.element,
         rules.switch, rules.tangent, tissue.boundaries, deepest, guides, rays,
     )  # fmt: skip
@@ -176,18 +183,18 @@ def compile_tissue(tissue: Tissue) -> Foundation:
 
 
 @lru_cache(maxsize=64)
-def compile_controls(controls: Controls) -> kernel.Holds:
+def compile_controls(controls: Controls) -> kernel.BoundaryConditions:
     """Return the inputs as the kernel reads them."""
     tip = controls.tip
-    return kernel.Holds(
+    return kernel.BoundaryConditions(
         np.array([controls.base_y, controls.base_slope, controls.stage_slope]),
-        _places(controls.before),
-        _places(controls.within),
+        _make_guide_array(controls.before),
+        _make_guide_array(controls.within),
         np.array([np.nan, np.nan] if tip is None else [tip.y, _or_nan(tip.slope)]),
     )
 
 
-def _places(guides: tuple[Guide, ...]) -> Floats:
+def _make_guide_array(guides: tuple[Guide, ...]) -> Floats:
     return np.array([(guide.x, guide.y, _or_nan(guide.slope)) for guide in guides]).reshape(-1, 3)
 
 
@@ -196,35 +203,44 @@ def _or_nan(slope: float | None) -> float:
 
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
-def packed(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, kernel.Stops, Ints], ...]:
+def pack_groups(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, kernel.TipStops, Ints], ...]:
     """Return the stops of all moves in groups under the same inputs: whose, the stops, and whose bevels."""
     groups = []
-    for held, some in groupby(stops_of(moves, lattice), key=lambda stop: stop.held):
-        stops, cut = pack(tuple(some))
-        groups.append((held, stops, cut))
+    for controls_id, some in groupby(make_stops(moves, lattice), key=lambda stop: stop.controls_id):
+        stops, bevel_id = pack_stops(tuple(some))
+        groups.append((controls_id, stops, bevel_id))
     return tuple(groups)
 
 
-def pack(stops: Sequence[Stop]) -> tuple[kernel.Stops, Ints]:
+def pack_stops(stops: Sequence[TipStop]) -> tuple[kernel.TipStops, Ints]:
     """Return stops as the kernel reads them, their turn left open, and the names of their bevels."""
-    columns = zip(*((s.tip, s.cell, s.permanent, s.ray, s.opens, s.cut) for s in stops), strict=True)
-    tip, cell, permanent, ray, opens, cut = (np.array(column) for column in columns)
-    return kernel.Stops(tip, cell, permanent, ray, opens, np.empty(0)), cut
+    columns = zip(
+        *((s.tip, s.cell, s.permanent, s.ray, s.starts_ray, s.bevel_id) for s in stops), strict=True
+    )
+    tip, cell, permanent, ray, starts_ray, bevel_id = (np.array(column) for column in columns)
+    return kernel.TipStops(tip, cell, permanent, ray, starts_ray, np.empty(0)), bevel_id
 
 
-def read(
-    under_way: kernel.Insertion, tissue: Tissue, stop: Stop, controls: Controls, status: int, iterations: int
+def read_shape(
+    insertion: kernel.KernelInsertion,
+    tissue: Tissue,
+    stop: TipStop,
+    controls: Controls,
+    status: int,
+    iterations: int,
 ) -> NeedleShape:
     """Return the needle's shape at a stop; NaN where the solution failed on the way there."""
     if status == CONVERGED:
-        size = int(under_way.size[0])
-        nodes, state = under_way.nodes[:size].copy(), under_way.states[0, :size].copy()
+        size = int(insertion.size[0])
+        nodes, state = insertion.nodes[:size].copy(), insertion.states[0, :size].copy()
     else:
-        nodes = kernel.chain_nodes(under_way, compile_controls(controls), stop.tip, stop.cell)
+        nodes = kernel.list_chain_nodes(insertion, compile_controls(controls), stop.tip, stop.cell)
         state = np.full((len(nodes), 2), np.nan)
-    x = constraint_depths(stop.tip, stop.cell, under_way.first_cell, under_way.spacing)
+    x = list_constraint_depths(stop.tip, stop.cell, insertion.first_cell, insertion.spacing)
     points = np.empty((len(x), 2))
-    points[:, 0], points[:, 1] = x, under_way.y[: stop.cell + 1]
-    track = under_way.track[: stop.cell + 1].copy()
-    scales = scales_of(tissue, under_way.rigidity, stop.tip, under_way.spacing)
-    return NeedleShape(nodes, state[:, 0], state[:, 1], points, track, STATUS[status], iterations, scales)
+    points[:, 0], points[:, 1] = x, insertion.y[: stop.cell + 1]
+    track = insertion.track[: stop.cell + 1].copy()
+    scales = compute_scales(tissue, insertion.rigidity, stop.tip, insertion.spacing)
+    return NeedleShape(
+        nodes, state[:, 0], state[:, 1], points, track, STATUS_NAMES[status], iterations, scales
+    )

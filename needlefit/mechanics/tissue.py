@@ -46,15 +46,15 @@ class Tissue:
         if n > MAX_LAYERS:
             raise ModelError(f"tissue has {n} layers", expected=f"at most {MAX_LAYERS}")
         for name, size in (("mu", n), ("alpha", n), ("thickness", n), ("friction", n), ("boundaries", n - 1)):
-            object.__setattr__(self, name, _vector(name, getattr(self, name), size))
+            object.__setattr__(self, name, _to_layer_array(name, getattr(self, name), size))
         if np.any(np.diff(self.boundaries) < 0) or np.any(self.boundaries < 0):
             raise ModelError(
                 f"layer boundaries are {self.boundaries.tolist()} mm",
                 expected="depths that increase, none negative",
             )
-        _refuse("mu", " MPa", self.mu, self.mu <= 0, "above 0")
-        _refuse("thickness", " mm", self.thickness, self.thickness <= 0, "above 0")
-        _refuse("friction", "", self.friction, self.friction < 0, "0 or above")
+        _require("mu", " MPa", self.mu, self.mu <= 0, "above 0")
+        _require("thickness", " mm", self.thickness, self.thickness <= 0, "above 0")
+        _require("friction", "", self.friction, self.friction < 0, "0 or above")
 
     @property
     def layers(self) -> int:
@@ -74,7 +74,7 @@ class Tissue:
         )
 
 
-def _refuse(name: str, unit: str, values: Floats, wrong: NDArray[np.bool_], expected: str) -> None:
+def _require(name: str, unit: str, values: Floats, wrong: NDArray[np.bool_], expected: str) -> None:
     """Raise ModelError for the first layer whose value is wrong."""
     for layer in np.flatnonzero(wrong):
         raise ModelError(
@@ -82,7 +82,7 @@ def _refuse(name: str, unit: str, values: Floats, wrong: NDArray[np.bool_], expe
         )
 
 
-def _vector(name: str, value: ArrayLike, size: int) -> Floats:
+def _to_layer_array(name: str, value: ArrayLike, size: int) -> Floats:
     """Return `value` as a (size,) array; one number stands for all layers."""
     array = np.array(value, dtype=np.float64, ndmin=1)  # a copy
     if array.ndim != 1 or (len(array) != size and not (len(array) == 1 and size > 0)):

@@ -1,4 +1,4 @@
-"""Whether a solution keeps to what the model assumes: a needle may converge and still be no answer.
+"""Whether a solution keeps to what the model assumes: a needle may converge and its shape still be wrong.
 
 The record stands beside the status of every solution. Each quantity is the worst of the whole needle, and
 each has a limit; docs/solver.md, "Validity of a solution", says where the limits come from.
@@ -38,7 +38,7 @@ ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
 """Of `Validity.rounding_mm`: fitted to the errors that `benchmarks/validity.py` measures."""
 
 
-class Solved(Protocol):
+class SolvedShape(Protocol):
     """What validity is read from: a `NeedleShape`, or the `NeedleShapes` of a batch (leading axes ...)."""
 
     @property
@@ -63,7 +63,7 @@ class Solved(Protocol):
 
     @property
     def scales(self) -> Floats:
-        """What `scales_of` returns, (..., 3)."""
+        """What `compute_scales` returns, (..., 3)."""
 
 
 @dataclass(frozen=True)
@@ -124,7 +124,7 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
 """Attribute of `Validity`, its limit, and what it is called."""
 
 
-def worst_of(solutions: Sequence[Validity]) -> Validity:
+def find_worst(solutions: Sequence[Validity]) -> Validity:
     """Return the worst of each quantity over several single solutions; those that failed are left out."""
     worst = {name: np.array([getattr(one, name) for one in solutions]) for name, _, _ in LIMITS}
     with warnings.catch_warnings():
@@ -132,46 +132,46 @@ def worst_of(solutions: Sequence[Validity]) -> Validity:
         return Validity(**{name: np.nanmax(values) for name, values in worst.items()})
 
 
-def validity_of(solved: Solved) -> Validity:
+def compute_validity(solved: SolvedShape) -> Validity:
     """Return how far a solution, or each of a batch, strains the model's assumptions."""
     x, u, slope, scales = solved.x, solved.u, solved.slope, solved.scales
     length = x[..., -1] - x[..., 0]
     step = np.diff(x, axis=-1)
     thinnest, thickness, reach = scales[..., 0], scales[..., 1], scales[..., 2]
     with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        steepest, squared = _slopes(u, slope, step)
+        steepest, squared = _find_slopes(u, slope, step)
         steepest = np.maximum(steepest, np.abs(solved.tip_track[..., 1]).max(axis=-1))
         range_ = u.max(axis=-1) - u.min(axis=-1)
-        finest = _shortest_in_tissue(x, step)
+        finest = _find_shortest_element(x, step)
         largest = np.abs(u).max(axis=-1)
         # what rounds off in a beam element's stiffness, 12 EI / h^3, moves the length over which the tissue
         # leaves the needle free; each constraint point inherits the error of those before it
-        grown = (np.minimum(reach, length) / finest) ** ROUNDING_ORDER * solved.tip_track.shape[-2]
+        amplification = (np.minimum(reach, length) / finest) ** ROUNDING_ORDER * solved.tip_track.shape[-2]
         return Validity(
             steepest,
             range_ / length,
             squared / thinnest,
-            _compression(solved) / thickness,
-            ROUNDING_FACTOR * np.finfo(np.float64).eps * largest * grown,
+            _find_compression(solved) / thickness,
+            ROUNDING_FACTOR * np.finfo(np.float64).eps * largest * amplification,
         )
 
 
-BEFORE_ENTRY_MM = -1e-9
+ENTRY_TOLERANCE_MM = -1e-9
 """Where an element begins that lies before the entry, mm."""
 
 
-def _shortest_in_tissue(x: Floats, step: Floats) -> Floats:
+def _find_shortest_element(x: Floats, step: Floats) -> Floats:
     """Return the shortest element in the tissue, mm; of a needle before the entry the shortest of all.
 
     Elements before the entry are left out: no constraint point inherits their rounding, and at nearly full
     insertion, or between a guide and the entry, one may be as short as a micrometre.
     """
-    within = np.where(x[..., :-1] < BEFORE_ENTRY_MM, np.inf, step).min(axis=-1)
+    within = np.where(x[..., :-1] < ENTRY_TOLERANCE_MM, np.inf, step).min(axis=-1)
     found: Floats = np.where(np.isinf(within), step.min(axis=-1), within)
     return found
 
 
-def _slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats]:
+def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats]:
     """Return the greatest |u'| of the cubics between nodes, and by how much the needle shortens, mm."""
     begin, mean = slope[..., :-1], np.diff(u, axis=-1) / step
     end = slope[..., 1:]
@@ -180,14 +180,14 @@ def _slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats]:
     at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
     turning = begin + np.where((at > 0) & (at < 1), at, 0.0) * (bend + at * curl)
     steepest = np.maximum(np.abs(turning).max(axis=-1), np.abs(slope).max(axis=-1))
-    lost = sum(weight * _lost(begin + t * (bend + t * curl)) for t, weight in _GAUSS)
-    return steepest, (lost * step).sum(axis=-1)
+    shortening = sum(weight * _shorten(begin + t * (bend + t * curl)) for t, weight in _GAUSS)
+    return steepest, (shortening * step).sum(axis=-1)
 
 
 _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15), 5 / 18))
 
 
-def _lost(slope: Floats) -> Floats:
+def _shorten(slope: Floats) -> Floats:
     """Return 1 - cos(atan slope), to the last digit for small slopes."""
     squared = slope * slope
     root = np.sqrt(1 + squared)
@@ -195,7 +195,7 @@ def _lost(slope: Floats) -> Floats:
     return found
 
 
-def _compression(solved: Solved) -> Floats:
+def _find_compression(solved: SolvedShape) -> Floats:
     """Return the greatest distance of the needle from a constraint point, mm."""
     depths, y = solved.constraints[..., 0], solved.constraints[..., 1]
     nodes = solved.x.reshape(-1, solved.x.shape[-1])[0]  # all have theirs in the same order
@@ -212,39 +212,41 @@ def _compression(solved: Solved) -> Floats:
     return found
 
 
-def scales_of(tissue: Tissue, rigidity: float, depth: float, spacing: float) -> Floats:
+def compute_scales(tissue: Tissue, rigidity: float, depth: float, spacing: float) -> Floats:
     """Return the lengths (3,) that a needle at `depth` is measured by, mm.
 
     The thinnest of the layers that it has entered, at least one constraint spacing (infinite for the only
     layer); their least thickness t; the length 1 / beta over which the softest of them holds the needle.
     """
-    thinnest, met = _layers_met(tissue, depth, spacing)
-    softest = float(tissue.mu[:met].min())
-    return np.array((thinnest, float(tissue.thickness[:met].min()), held_over(rigidity, softest)))
+    thinnest, entered = _find_entered_layers(tissue, depth, spacing)
+    softest = float(tissue.mu[:entered].min())
+    return np.array((thinnest, float(tissue.thickness[:entered].min()), foundation_length(rigidity, softest)))
 
 
-def scales_each(batch_mu: Floats, rigidity: Floats, tissue: Tissue, depth: float, spacing: float) -> Floats:
-    """Return `scales_of` (B, 3) for sets that differ in mu (B, n) and rigidity (B,)."""
-    thinnest, met = _layers_met(tissue, depth, spacing)
+def compute_batch_scales(
+    batch_mu: Floats, rigidity: Floats, tissue: Tissue, depth: float, spacing: float
+) -> Floats:
+    """Return `compute_scales` (B, 3) for sets that differ in mu (B, n) and rigidity (B,)."""
+    thinnest, entered = _find_entered_layers(tissue, depth, spacing)
     found = np.empty((len(batch_mu), 3))
-    found[:, 0], found[:, 1] = thinnest, tissue.thickness[:met].min()
-    found[:, 2] = (4 * rigidity / (3 * batch_mu[:, :met].min(axis=1))) ** 0.25
+    found[:, 0], found[:, 1] = thinnest, tissue.thickness[:entered].min()
+    found[:, 2] = (4 * rigidity / (3 * batch_mu[:, :entered].min(axis=1))) ** 0.25
     return found
 
 
-def _layers_met(tissue: Tissue, depth: float, spacing: float) -> tuple[float, int]:
+def _find_entered_layers(tissue: Tissue, depth: float, spacing: float) -> tuple[float, int]:
     """Return the thinnest layer that a tip at `depth` has entered, mm, and how many these are."""
     ends = tissue.boundaries.tolist()
-    met = 1 + sum(end < depth for end in ends)
-    widths = [end - top for top, end in zip([0.0, *ends], ends[:met], strict=False) if end > top]
-    return max(min(widths), spacing) if widths else math.inf, met
+    entered = 1 + sum(end < depth for end in ends)
+    widths = [end - top for top, end in zip([0.0, *ends], ends[:entered], strict=False) if end > top]
+    return max(min(widths), spacing) if widths else math.inf, entered
 
 
-def held_over(rigidity: float, mu: float) -> float:
+def foundation_length(rigidity: float, mu: float) -> float:
     """Return 1 / beta = (4 EI / k)^(1/4) with k = 3 mu, mm."""
     return math.sqrt(math.sqrt(4 * rigidity / (3 * mu)))
 
 
-def unknown_scales() -> Floats:
+def make_unknown_scales() -> Floats:
     """Return the scales of a shape without a tissue: nothing is measured by them."""
     return np.full(3, np.inf)

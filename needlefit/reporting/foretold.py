@@ -2,7 +2,7 @@
 
 import pandas as pd
 
-from needlefit.datasets.independent import groups
+from needlefit.datasets.select import group_independent
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.names import medium_name
 from needlefit.reporting.numbers import fixed
@@ -49,7 +49,7 @@ def foretold_layout(results: Results) -> Display:
 
 def told_cells(told: pd.DataFrame) -> tuple[str, ...]:
     """Return the cells under `TOLD` of some needles: shares within their intervals, and mean scores."""
-    together = groups(list(told["insertion"]), list(told["specimen"]))
+    together = group_independent(list(told["insertion"]), list(told["specimen"]))
     held = (f"{what}_in_{level}" for what in ("tip", "shape") for level in (50, 95))
     shares = (said_of(estimate_proportion(list(told[column]), together)) for column in held)
     scores = (fixed(told[f"{what}_crps_mm"].mean(), 3) for what in ("tip", "shape"))

@@ -76,7 +76,7 @@ def write_material(report: Report, folder: Path) -> list[Path]:
 
 def as_json(report: Report) -> dict[str, Any]:
     """Return the result for machines."""
-    said = [*summary(report.material, report.foundation), *report.test.remarks]
+    said = [*summary(report.material, report.foundation), *report.test.warnings]
     prior = _prior_tables(report) if report.material.alpha_identified else None
     return {"name": report.name, "summary": said, "specimens": table(report.material), "prior": prior}
 
@@ -93,7 +93,7 @@ def provenance(report: Report) -> dict[str, Any]:
         "law": "ogden, one term, incompressible: energy 2 mu / alpha^2 (sum lambda^alpha - 3)",
         "alpha_range": list(ALPHA_RANGE),
         "foundation": None if report.foundation is None else asdict(report.foundation),
-        "remarks": list(report.test.remarks),
+        "warnings": list(report.test.warnings),
     }
 
 

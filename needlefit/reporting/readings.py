@@ -7,7 +7,7 @@ predictions the other one only makes other groups, whose cells stand beside the 
 
 from dataclasses import replace
 
-from needlefit.datasets.select import other_reading
+from needlefit.datasets.select import get_other_rule
 from needlefit.validation.results import Results
 
 Group = tuple[str, int]
@@ -16,7 +16,7 @@ Group = tuple[str, int]
 def reread(results: Results) -> Results:
     """Return the same results with the insertions grouped by the other reading."""
     record = results.record.model_copy(
-        update={"layer_count_rule": other_reading(results.record.layer_count_rule)}
+        update={"layer_count_rule": get_other_rule(results.record.layer_count_rule)}
     )
     errors = results.errors.assign(
         layers=results.errors["layers_other"], layers_other=results.errors["layers"]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from needlefit.datasets.volumes import ScanVolume, write_volumes
+from needlefit.datasets.sources import ScanVolume, write_volumes
 from needlefit.imaging.assembly import DatasetDescription, assemble_checked
 from needlefit.imaging.batch import VERSIONED_PACKAGES, ReconstructionFailure
 from needlefit.imaging.reconstruction import Reconstruction

@@ -6,11 +6,11 @@ import numpy as np
 import pandas as pd
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.geometry.placement import Placement
-from needlefit.mechanics.load import lateral_load
+from needlefit.geometry.frames import Placement
+from needlefit.mechanics.load import compute_lateral_load
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Moment
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.shape import compute_positions
 from needlefit.project.outputs import require_folder
 from needlefit.reporting.files import write_csv
 
@@ -18,7 +18,7 @@ _WORLD = ("world_x_mm", "world_y_mm", "world_z_mm")
 _SAME = 1e-6  # mm: a node so near a whole millimetre stands for it
 
 
-def shape_table(scene: Scene, moment: Moment, placement: Placement | None = None) -> pd.DataFrame:
+def shape_table(scene: Scene, moment: NeedleState, placement: Placement | None = None) -> pd.DataFrame:
     """Return a row for every node and every whole millimetre of the needle, base first.
 
     `placement` is where a measured needle lies.
@@ -38,7 +38,7 @@ def shape_table(scene: Scene, moment: Moment, placement: Placement | None = None
     """
     shape, tissue = moment.shape, moment.tissue
     s = _stations(shape.x)
-    place = positions(shape, s)
+    place = compute_positions(shape, s)
     world = (placement or scene.entry).to_world(place)  # (K, 3) or (K, 2)
     layer = pd.array(1 + np.searchsorted(tissue.boundaries, s), dtype="Int64")
     layer[s < 0] = pd.NA
@@ -49,13 +49,13 @@ def shape_table(scene: Scene, moment: Moment, placement: Placement | None = None
             "y_mm": place[:, 1],
             "slope": CubicHermiteSpline(shape.x, shape.u, shape.slope)(s, 1),
             **dict(zip(_WORLD, world.T, strict=False)),
-            "load_n_per_mm": lateral_load(shape, tissue, s, scene.rules),
+            "load_n_per_mm": compute_lateral_load(shape, tissue, s, scene.rules),
             "layer": layer,
         }
     )
 
 
-def write_shape(scene: Scene, moment: Moment, path: Path, placement: Placement | None = None) -> None:
+def write_shape(scene: Scene, moment: NeedleState, path: Path, placement: Placement | None = None) -> None:
     """Write the table of a shape, .csv.
 
     Raises

@@ -7,12 +7,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.formats.markups import Markups
-from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.placement import Placement
-from needlefit.geometry.tubes import tube, write_ply
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.geometry.frames import Placement
+from needlefit.geometry.meshes import make_tube, write_ply
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.project.outputs import require_folder
 from needlefit.reporting.names import METHOD_COLOURS, PAPER, rgb
 from needlefit.validation.needles_in_scan import DEFAULT_DIAMETER_MM, Band, NeedleInScan
@@ -43,7 +43,7 @@ def write_needles(results: Results, folder: Path) -> None:
         for name, points, widths in _bodies(needle):
             doubt = ", NOT CONVERGED" if name == "band" and _unconverged(needle) else ""
             comments = (f"needlefit: {needle.insertion}, {name}{said}{doubt}, mm",)
-            body = tube(points, widths, needle.toward)
+            body = make_tube(points, widths, needle.toward)
             write_ply(body, folder / f"{needle.insertion}.{name}.ply", comments)
 
 
@@ -66,14 +66,14 @@ def write_scene(
         return False
     if path.suffix.lower() == ".ply":
         radius = (DEFAULT_DIAMETER_MM if diameter is None else diameter) / 2
-        write_ply(tube(curves[-1][0], radius, placement.across), path)
+        write_ply(make_tube(curves[-1][0], radius, placement.across), path)
         return True
     steps = [f"needle, step {n}" for n in range(1, len(curves) + 1)] if len(shapes) > 1 else ["needle"]
     lists = [
         Markups(path, f"{name}, {shape.depth:g} mm deep", "Curve", _labels(s), points)
         for name, shape, (points, s) in zip(steps, shapes, curves, strict=False)
     ]
-    write_mrk_json(path, [(one, Look(rgb(_FITTED), THICK)) for one in lists])
+    write_mrk_json(path, [(one, CurveStyle(rgb(_FITTED), THICK)) for one in lists])
     return True
 
 
@@ -82,7 +82,7 @@ def _unconverged(needle: NeedleInScan) -> bool:
     return needle.band is not None and not needle.band.converged
 
 
-def _curves(needle: NeedleInScan, said: str) -> Iterator[tuple[Markups, Look]]:
+def _curves(needle: NeedleInScan, said: str) -> Iterator[tuple[Markups, CurveStyle]]:
     found = "predicted" if needle.role == "validate" else "fitted"
     lines = [("measured", needle.measured, _MEASURED, THICK)]
     if needle.fitted is not None:
@@ -93,7 +93,7 @@ def _curves(needle: NeedleInScan, said: str) -> Iterator[tuple[Markups, Look]]:
         labels = _labels(arc_length(points))
         path = Path(needle.insertion)
         curve = Markups(path, f"{needle.insertion} {name}{said}", "Curve", labels, points)
-        yield curve, Look(rgb(colour), thickness)
+        yield curve, CurveStyle(rgb(colour), thickness)
 
 
 def _edges(band: Band) -> Iterable[tuple[str, Floats, str, float]]:
@@ -120,7 +120,7 @@ def _simulated(placement: Placement, shape: NeedleShape) -> tuple[Floats, Floats
     before = np.linspace(shape.x[0], 0.0, BEFORE) if shape.x[0] < 0 else np.zeros(1)
     inserted = np.linspace(0.0, shape.depth, INSERTED)[1:] if shape.depth > 0 else np.empty(0)
     s = np.concatenate([before, inserted])
-    return placement.to_patient(positions(shape, s)), s
+    return placement.to_patient(compute_positions(shape, s)), s
 
 
 def _labels(s: Floats) -> tuple[str, ...]:

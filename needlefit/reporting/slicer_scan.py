@@ -7,9 +7,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.formats.markups import Markups
-from needlefit.datasets.formats.mrk_json import Look, write_mrk_json
+from needlefit.datasets.formats.mrk_json import CurveStyle, write_mrk_json
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.tubes import tube, write_ply
+from needlefit.geometry.meshes import make_tube, write_ply
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.reporting.names import GREY, METHOD_COLOURS, PAPER, rgb
 from needlefit.reporting.slicer import THICK, THIN
@@ -41,11 +41,11 @@ def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) ->
     for body, points, radius in _bodies(reconstruction, diameter):
         files.append(folder / f"{name}.{body}.ply")
         toward = _toward(reconstruction)
-        write_ply(tube(points, radius, toward), files[-1], (f"needlefit: {name}, {body}{said}, mm",))
+        write_ply(make_tube(points, radius, toward), files[-1], (f"needlefit: {name}, {body}{said}, mm",))
     return tuple(files)
 
 
-def _lists(reconstruction: Reconstruction, said: str) -> Iterator[tuple[Markups, Look]]:
+def _lists(reconstruction: Reconstruction, said: str) -> Iterator[tuple[Markups, CurveStyle]]:
     whole, inserted = reconstruction.needle_axis.points, _inserted(reconstruction)
     depth = reconstruction.depth
     half = _NINETY_FIVE * reconstruction.sd[:, None] * _toward(reconstruction)
@@ -59,11 +59,14 @@ def _lists(reconstruction: Reconstruction, said: str) -> Iterator[tuple[Markups,
     for name, points, s, colour, thickness in curves:
         yield (
             _list(reconstruction, f"{name}{said}", "Curve", _labels(s), points),
-            Look(rgb(colour), thickness),
+            CurveStyle(rgb(colour), thickness),
         )
     for name, labels, points, colour in _points(reconstruction):
         if len(points):
-            yield _list(reconstruction, f"{name}{said}", "Fiducial", labels, points), Look(rgb(colour), POINT)
+            yield (
+                _list(reconstruction, f"{name}{said}", "Fiducial", labels, points),
+                CurveStyle(rgb(colour), POINT),
+            )
 
 
 def _list(

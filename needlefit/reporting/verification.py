@@ -10,7 +10,7 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.mechanics.control import Rules
+from needlefit.mechanics.control import ModelOptions
 from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting.captions import CONVERGENCE
 from needlefit.reporting.display import Column, Display, text
@@ -115,7 +115,7 @@ def provenance(verification: Verification) -> dict[str, Any]:
         "versions": package_versions(_PACKAGES),
         "machine": platform.machine(),
         "seed": verification.seed,
-        "rules": asdict(Rules()),
+        "rules": asdict(ModelOptions()),
         "failed": len(verification.failed),
     }
 

@@ -20,7 +20,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.geometry.curves import arc_length, at_arc
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.imaging.assembly import DatasetDescription, assemble_dataset
 from needlefit.imaging.detections import Detections
 from needlefit.imaging.needle.centerline import Centerline
@@ -166,7 +166,9 @@ def _simulate_axis(
     end = length + TIP_SD_MM[0] * rng.normal()
     begin = length - insertion.true_insertion.shape.depth - WHOLE_BOX_SETUP.outside
     s = np.linspace(begin, end, int(np.ceil((end - begin) / recipe.centerline.station_spacing_mm)) + 1)
-    true = at_arc(whole, np.minimum(s, length)) + np.outer(np.maximum(s - length, 0), _end_direction(whole))
+    true = interpolate_at_arc(whole, np.minimum(s, length)) + np.outer(
+        np.maximum(s - length, 0), _end_direction(whole)
+    )
     apart = np.abs(s[:, None] - s)
     hang_together = np.linalg.cholesky(np.exp(-apart / (recipe.centerline.knot_spacing_mm / 2)))
     sideways = AXIS_SD_MM * hang_together @ rng.normal(size=(len(s), 2))

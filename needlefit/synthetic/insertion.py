@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
-from needlefit.geometry.crossings import crossings
-from needlefit.geometry.frames import Frame, entry_frame
+from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.frames import Frame, make_entry_frame
 from needlefit.geometry.surfaces import Surface
-from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.synthetic.design import PlannedInsertion
@@ -31,7 +31,7 @@ Floats = NDArray[np.float64]
 MAX_POINT_SPACING_MM = 0.5
 """Distance between the points of a centreline, mm (at most)."""
 
-TRUTH_OPTIONS = Rules(element=0.25)
+TRUTH_OPTIONS = ModelOptions(element=0.25)
 """A finer mesh than is fitted with (the constraint spacing is part of the model)."""
 
 SUBLAYER_THICKNESS_MM = 2.0
@@ -71,7 +71,7 @@ class TrueInsertion:
     @property
     def deflection(self) -> float:
         """Deflection of the tip from the entry in the plane of the bevel, mm."""
-        ends = positions(self.shape, np.array([0.0, self.shape.depth]))
+        ends = compute_positions(self.shape, np.array([0.0, self.shape.depth]))
         return float(ends[1, 1] - ends[0, 1])
 
 
@@ -107,7 +107,7 @@ def insert_needle(
 
 def stated_frame(planned: PlannedInsertion) -> Frame:
     """Return C as the stage and the bevel's mark state it."""
-    return entry_frame(planned.origin, planned.direction, planned.toward)
+    return make_entry_frame(planned.origin, planned.direction, planned.toward)
 
 
 def true_frame(planned: PlannedInsertion, deviations: PlanDeviations) -> Frame:
@@ -116,7 +116,7 @@ def true_frame(planned: PlannedInsertion, deviations: PlanDeviations) -> Frame:
     x, y, z = stated.rotation.T
     origin = stated.origin + deviations.shift @ np.stack([y, z])
     direction = x + deviations.tilt @ np.stack([y, z])
-    return entry_frame(origin, direction, np.cos(deviations.roll) * y + np.sin(deviations.roll) * z)
+    return make_entry_frame(origin, direction, np.cos(deviations.roll) * y + np.sin(deviations.roll) * z)
 
 
 def centerline_stations(depth: float) -> Floats:
@@ -132,7 +132,7 @@ def needle_points(shape: NeedleShape, frame: Frame, deviations: PlanDeviations, 
     amplitude = 0.04 + 0.06 * abs(shape.deflection)
     along = np.clip(s, 0.0, None) / shape.depth
     aside = amplitude * (deviations.out_of_plane @ np.stack([along**2, along**3]))
-    return frame.to_world(np.column_stack([positions(shape, s), aside]))
+    return frame.to_world(np.column_stack([compute_positions(shape, s), aside]))
 
 
 def _straight_points(frame: Frame, depth: float) -> Floats:
@@ -142,7 +142,7 @@ def _straight_points(frame: Frame, depth: float) -> Floats:
 def _find_crossed_layers(
     curve: Floats, frame: Frame, surfaces: tuple[Surface, ...]
 ) -> tuple[Floats, tuple[int, ...]]:
-    met = crossings(curve, surfaces)
+    met = find_crossings(curve, surfaces)
     return frame.to_local(met.points)[:, 0], met.sequence
 
 

@@ -8,7 +8,7 @@ from scipy.interpolate import make_interp_spline
 from scipy.spatial import cKDTree
 
 from needlefit.geometry.curves import arc_length
-from needlefit.geometry.frames import unit
+from needlefit.geometry.frames import normalize
 from needlefit.imaging.volume import VoxelGrid
 from needlefit.synthetic.ct_scene import Needle3D, SceneMarkers
 
@@ -79,8 +79,8 @@ def densify(points: Floats) -> Floats:
 def bevel_side(needle: Needle3D) -> Floats:
     """Return the unit vector (3,) across the axis at the tip on which the bevel's point lies."""
     end = densify(needle.points)[-3:]
-    tangent = unit(end[-1] - end[0])
-    return unit(needle.bevel_toward - (needle.bevel_toward @ tangent) * tangent, "the bevel's side")
+    tangent = normalize(end[-1] - end[0])
+    return normalize(needle.bevel_toward - (needle.bevel_toward @ tangent) * tangent, "the bevel's side")
 
 
 def _nonzero_voxels(voxels: NDArray[np.int64], part: Floats, hu: float) -> MetalVoxels:

@@ -8,7 +8,7 @@ the phantom about z, and z says at which height the needle enters.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from needlefit.geometry.surfaces import Surface, cylinder, sheet
+from needlefit.geometry.surfaces import Surface, make_cylinder, make_sheet
 
 BOX_MM = 80.0
 """Edge of the box, mm."""
@@ -63,14 +63,14 @@ def displace(phantom: Phantom, shifts: Sequence[float]) -> Phantom:
 def make_surfaces(phantom: Phantom) -> tuple[Surface, ...]:
     """Return the boundaries of a phantom's layers, from the entry inwards."""
     sheets = tuple(
-        sheet(f"interface{n}", (x, 0, 0), (1, 0, 0), BOX_MM, into=n + 1)
+        make_sheet(f"interface{n}", (x, 0, 0), (1, 0, 0), BOX_MM, into=n + 1)
         for n, x in enumerate(phantom.interfaces, start=1)
     )
     if phantom.cylinder is None:
         return sheets
     axis, half = phantom.cylinder.top + phantom.cylinder.radius, phantom.cylinder.length / 2
     ends = ((axis, -half, 0), (axis, half, 0))
-    return (*sheets, cylinder("cylinder", ends, phantom.cylinder.radius, into=4))
+    return (*sheets, make_cylinder("cylinder", ends, phantom.cylinder.radius, into=4))
 
 
 def surface_file_name(medium: str, surface: Surface) -> str:

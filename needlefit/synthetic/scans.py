@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from needlefit.datasets.columns import BEVEL_COLUMNS, DIRECTION_COLUMNS, ENTRY_COLUMNS
 from needlefit.datasets.formats.toml import dumps
-from needlefit.datasets.schema import BEVEL, DIRECTION, ENTRY
 from needlefit.geometry.surfaces import write_surface
 from needlefit.imaging.scan import LayerSource, Scan, StagePose
 from needlefit.imaging.volume_files import write_volume
@@ -27,7 +27,14 @@ from needlefit.synthetic.truth import POSE_ANGLE_SD_DEG, POSE_SHIFT_SD_MM
 
 STATED_COLUMNS = (
     *("id", "scan", "medium", "specimen", "markers", "surfaces", "surfaces_in"),
-    *(*ENTRY, *DIRECTION, "pose_shift_sd_mm", "pose_angle_sd_deg", *BEVEL, "bevel_side"),
+    *(
+        *ENTRY_COLUMNS,
+        *DIRECTION_COLUMNS,
+        "pose_shift_sd_mm",
+        "pose_angle_sd_deg",
+        *BEVEL_COLUMNS,
+        "bevel_side",
+    ),
     *("layers", "layers_alternative", "origin"),
 )
 """The columns of `scans.csv` that the twin fills."""

@@ -3,9 +3,9 @@
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from needlefit.datasets.copies import is_copy
+from needlefit.datasets.dataset_warnings import is_copy
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.select import select
+from needlefit.datasets.select import select_insertions
 from needlefit.errors import ConfigError
 from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
@@ -32,14 +32,14 @@ def make_folds(record: FitRecord | StudyRecord, dataset: Dataset) -> tuple[Fold,
     ConfigError
         If a selection matches nothing, an insertion stands on both sides, or there is nothing to leave out.
     """
-    tune = select(dataset, record.tune, record.layer_count_rule)
+    tune = select_insertions(dataset, record.tune, record.layer_count_rule)
     if not isinstance(record, StudyRecord):
         return (Fold("all", tune, ()),)
     if record.leave_out is not None:
         return leave_out(tune, record.leave_out)
     validate: dict[str, Insertion] = {}
     for n, selection in enumerate(record.validate_, start=1):
-        chosen = select(dataset, selection, record.layer_count_rule, f"validate.{n}")
+        chosen = select_insertions(dataset, selection, record.layer_count_rule, f"validate.{n}")
         validate |= {insertion.id: insertion for insertion in chosen}
     both = sorted(validate.keys() & {insertion.id for insertion in tune})
     if both:

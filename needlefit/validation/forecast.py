@@ -24,8 +24,8 @@ from needlefit.inference.sampling.posterior import load
 from needlefit.inference.starts import Watch
 from needlefit.inference.weighing.about_fit import by_importance
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import positions
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.shape import compute_positions
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.json_values import to_json_values
@@ -149,8 +149,8 @@ def _solve_curve(
         replace(step, depth=step.depth + deep, bevel=replace(step.bevel, offset=values["bevel_mm"]))
         for step in scene.steps
     )
-    shape = follow(scene.needle, tissue, steps, rules(job.medium))
-    return (positions(shape, s + deep), shape.valid) if shape.converged else None
+    shape = simulate_steps(scene.needle, tissue, steps, rules(job.medium))
+    return (compute_positions(shape, s + deep), shape.valid) if shape.converged else None
 
 
 def _measurement_sd(s: Floats, dataset: Dataset) -> Floats:

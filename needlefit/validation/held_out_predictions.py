@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import layers_of
+from needlefit.datasets.select import count_layers
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.draws import Draws, from_posterior, noise_factor
 from needlefit.inference.likelihood.covariance import points_covariance
@@ -25,7 +25,7 @@ from needlefit.inference.likelihood.pose import modes
 from needlefit.inference.predict import predict
 from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile, worst_level
 from needlefit.inference.weighing.about_fit import drawn_from, of_fit
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.project.random_streams import random_stream
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
@@ -163,7 +163,7 @@ def _solve_heights(
     shape = predict(values, job.medium, job.dataset.needle, perturbed)
     if not shape.converged:
         return None
-    points = positions(shape, s)
+    points = compute_positions(shape, s)
     if observation.pose == "free":
         points = align_rigid(points, observation.measured)
     heights: Floats = points[:, 1]
@@ -188,7 +188,7 @@ def _describe_insertion(job: Job, insertion: Insertion, draws: Draws, failed: in
         "insertion": insertion.id,
         "specimen": insertion.specimen,
         "medium": insertion.medium,
-        "layers": layers_of(insertion, job.record.layer_count_rule),
+        "layers": count_layers(insertion, job.record.layer_count_rule),
         "depth_mm": insertion.depth,
         "draw_source": draws.source,
         "certified": not draws.faults,

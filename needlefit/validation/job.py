@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.noise import NoiseFloor, noise_floor
+from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
 from needlefit.inference.material_prior import with_material
@@ -13,7 +13,7 @@ from needlefit.inference.parameters import Parameters, with_noise_scale
 from needlefit.inference.predict import rules as mesh
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.mechanics.plan import check_size, element_solves
+from needlefit.mechanics.plan import check_size, count_element_solves
 from needlefit.project.load import load
 from needlefit.project.locate import FileKind, find_file
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress
@@ -112,7 +112,7 @@ class Job:
 
     def floor(self, insertion: Insertion) -> NoiseFloor:
         """Return the noise floor of an insertion, the same whatever else is asked of it."""
-        return noise_floor(
+        return estimate_noise_floor(
             self.dataset, insertion, random_stream(self.recipe.seed, "noise floor", insertion.id)
         )
 
@@ -249,7 +249,7 @@ def _check_size(job: Job) -> None:
                 fix=error.fix,
             ) from None
         conditions = 1 + 2 * len(insertion.sequence) if job.recipe.likelihood.depths != "fixed" else 1
-        total += conditions * element_solves((insertion.depth,), rules.spacing, rules.element)
+        total += conditions * count_element_solves((insertion.depth,), rules.spacing, rules.element)
     if total > MAX_EVALUATION_ELEMENT_SOLVES:
         raise ConfigError(
             f"{len(job.insertions)} insertions are {total:.3g} elements to be solved for in one evaluation",

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.geometry.curves import arc_length, at_arc
-from needlefit.geometry.frames import align_rigid
-from needlefit.geometry.placement import Placement
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.frames import Placement, align_rigid
 from needlefit.inference.comparison import curve_of, target
 from needlefit.inference.draws import from_posterior
 from needlefit.inference.identifiability.identify import Verdict
@@ -23,8 +22,8 @@ from needlefit.inference.identifiability.information import jacobian, steps
 from needlefit.inference.predict import predict, predict_each
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.starts import Fit
-from needlefit.mechanics.batch import positions_each
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.batch import compute_batch_positions
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
 
@@ -165,7 +164,7 @@ class _NeedleCurve:
 def align_with_measured(insertion: Insertion, s: Floats, points: Floats) -> Floats:
     """Return points (K, 2) of a simulated needle at beam coordinates `s` (K,), laid on the measured one."""
     planar = insertion.planar
-    measured = at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
+    measured = interpolate_at_arc(planar, arc_length(planar)[-1] - (insertion.depth - s))
     return align_rigid(points, measured)
 
 
@@ -191,8 +190,8 @@ def _sampled_band(
     job, insertion = stations.job, stations.insertion
     draws = from_posterior(posterior, job.parameters, BAND_DRAWS)
     sets = [job.parameters.values(theta) for theta in draws.thetas]
-    (shapes,) = follow_batches([predict_each(sets, job.medium, job.dataset.needle, insertion)], jobs)
-    needles = positions_each(shapes, stations.s)[shapes.converged]  # (B, K, 2)
+    (shapes,) = simulate_batches([predict_each(sets, job.medium, job.dataset.needle, insertion)], jobs)
+    needles = compute_batch_positions(shapes, stations.s)[shapes.converged]  # (B, K, 2)
     if not len(needles):
         return None
     heights = np.array([stations.align(needle)[:, 1] for needle in needles])  # (B, K)

@@ -11,11 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.layers import layers_met
+from needlefit.datasets.layers import find_layers
 from needlefit.inference.predict import predict
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.shape import NeedleShape, inserted_points
+from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
 from needlefit.validation.folds import Fold
 from needlefit.validation.job import Job
@@ -67,7 +67,7 @@ def planned_layers(
         shape = predict(*layers)
         if not shape.converged:
             return None
-        after = _find_layers(inserted_points(shape), insertion)
+        after = _find_layers(sample_inserted_points(shape), insertion)
         same = after[1] == layers[1]
         if same and np.all(np.abs(after[0] - layers[0]) < CROSSING_TOLERANCE_MM):
             return after
@@ -78,7 +78,7 @@ def planned_layers(
 def _find_layers(planar: Floats, insertion: Insertion) -> Layers:
     """Return the layers that a curve (K, 2) in C meets."""
     world = insertion.frame.to_world(np.column_stack((planar, np.zeros(len(planar)))))
-    return layers_met(world, insertion.frame, insertion.surfaces)
+    return find_layers(world, insertion.frame, insertion.surfaces)
 
 
 def simulate_design(
@@ -130,7 +130,7 @@ def _simulate_insertion(job: Job, insertion: Insertion, values: Mapping[str, flo
     needle = shape(*layers)
     if not needle.converged:
         return None
-    planar = inserted_points(needle, len(insertion.planar))
+    planar = sample_inserted_points(needle, len(insertion.planar))
     flat = np.zeros(len(planar))
     return replace(
         insertion,

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.datasets.select import layers_of, other_reading
-from needlefit.geometry.compare import compare
+from needlefit.datasets.select import count_layers, get_other_rule
+from needlefit.geometry.compare import compare_curves
 from needlefit.inference.comparison import Curve, SimulatedCurve, curve_of, scored_points
 from needlefit.inference.predict import predict
 from needlefit.mechanics.shape import NeedleShape
@@ -97,15 +97,15 @@ class Scorer:
         return {
             "medium": insertion.medium,
             "specimen": insertion.specimen,
-            "layers": layers_of(insertion, self.layer_count_rule),
-            "layers_other": layers_of(insertion, other_reading(self.layer_count_rule)),
+            "layers": count_layers(insertion, self.layer_count_rule),
+            "layers_other": count_layers(insertion, get_other_rule(self.layer_count_rule)),
             "depth_mm": insertion.depth,
             "comparison": "world" if self.dataset.pose == "known" else "aligned",
             **floor,
         }
 
     def _errors(self, insertion: Insertion, simulated: Floats, measured: Floats) -> Row:
-        e = compare(simulated, measured)
+        e = compare_curves(simulated, measured)
         side = insertion.side
         floor = self.floors[insertion.id].te_mm
         return {

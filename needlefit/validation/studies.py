@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from needlefit.datasets.sources import dataset_file, lacking
+from needlefit.datasets.sources import find_dataset_file, is_missing
 from needlefit.project.load import load, read_toml
 from needlefit.project.locate import find_file
 from needlefit.schemas.analyses import AnalysisRecord
@@ -29,7 +29,7 @@ def load_study(path: Path) -> AnyStudy:
 def find_missing_data(path: Path) -> list[str]:
     """Return the datasets that a study file names and whose data lie elsewhere, and are not there."""
     named = dict.fromkeys(_datasets(read_toml(path)))
-    return [name for name in named if lacking(dataset_file(find_file("dataset", name)))]
+    return [name for name in named if is_missing(find_dataset_file(find_file("dataset", name)))]
 
 
 def _datasets(table: object) -> Iterator[str]:

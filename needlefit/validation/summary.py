@@ -7,9 +7,8 @@ from typing import Any, Literal
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.select import layers_of, other_reading
+from needlefit.datasets.select import count_layers, get_other_rule, group_independent
 from needlefit.schemas.study import LayerCountRule
 from needlefit.validation.job import Job
 from needlefit.validation.results import COLUMNS, FLOOR_COLUMNS, METHODS, METRICS, SCORE_KEYS, Results
@@ -90,7 +89,7 @@ def compare_methods(results: Results, against: str = "fitted", role: str = "vali
         `against` has the smaller mean IPE).
     """
     errors = results.errors[(results.errors["role"] == role) & (results.errors["boundaries"] == "measured")]
-    errors = errors.assign(group=groups(list(errors["insertion"]), list(errors["specimen"])))
+    errors = errors.assign(group=group_independent(list(errors["insertion"]), list(errors["specimen"])))
     ipe, te = (
         errors.assign(value=_finite(errors[metric])).pivot_table(
             index=["fold", "group"], columns="method", values="value", sort=False
@@ -214,7 +213,7 @@ def tabulate_design(job: Job) -> pd.DataFrame:
     """
     ours, others = (
         _group_by_layers(job, r)
-        for r in (job.record.layer_count_rule, other_reading(job.record.layer_count_rule))
+        for r in (job.record.layer_count_rule, get_other_rule(job.record.layer_count_rule))
     )
     rows = [_design_row(group, ours.get(group, {}), others.get(group, {})) for group in {**ours, **others}]
     return pd.DataFrame(rows, columns=list(COLUMNS["design"])).sort_values(
@@ -225,7 +224,7 @@ def tabulate_design(job: Job) -> pd.DataFrame:
 def _group_by_layers(job: Job, layer_count_rule: LayerCountRule) -> dict[Group, dict[str, Insertion]]:
     found: dict[Group, dict[str, Insertion]] = {}
     for role, insertion in _iterate_roles(job):
-        group = (role, insertion.medium, layers_of(insertion, layer_count_rule))
+        group = (role, insertion.medium, count_layers(insertion, layer_count_rule))
         found.setdefault(group, {})[insertion.id] = insertion
     return found
 

@@ -7,17 +7,17 @@ from typing import TypeVar
 import numpy as np
 
 from needlefit.mechanics import laws
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step, TrackedTip
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 """The paper's: 150 mm, 18 gauge, 80 GPa."""
 
-EXACT = Rules(tolerance=1e-11)
+EXACT = ModelOptions(tolerance=1e-11)
 """The default mesh, solved down to rounding."""
 
 
@@ -42,9 +42,9 @@ class Case:
     tissue: Tissue
     steps: tuple[Step, ...]
 
-    def shape(self, rules: Rules = EXACT, lattice: Lattice | None = None) -> NeedleShape:
+    def shape(self, rules: ModelOptions = EXACT, lattice: Lattice | None = None) -> NeedleShape:
         """Return where it ends."""
-        return solved(follow(self.needle, self.tissue, self.steps, rules, lattice))
+        return solved(simulate_steps(self.needle, self.tissue, self.steps, rules, lattice))
 
 
 T = TypeVar("T")
@@ -61,7 +61,7 @@ def random_case(rng: np.random.Generator, deepest: float = 60.0, softest: float 
         alpha=rng.uniform(-10, 10, count),
         boundaries=np.sort(rng.uniform(1, depth - 0.2, count - 1)) + 0.05 * np.arange(count - 1),
         thickness=rng.uniform(5, 80, count),
-        law=str(rng.choice(laws.names())),
+        law=str(rng.choice(laws.list_laws())),
     )
     base = Controls(float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)))
     return Case(NEEDLE, tissue, (Step(depth, _bevel(rng), base),))

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Controls, Rules
-from needlefit.mechanics.plan import Stop, lattice_of, plan
+from needlefit.mechanics.control import Controls, ModelOptions
+from needlefit.mechanics.plan import TipStop, make_lattice, plan_stops
 from needlefit.verification.cases import Case
 from needlefit.verification.law import STEP, Law, Numbers
 
@@ -55,30 +55,30 @@ def parameters(case: Case) -> dict[str, Parameter]:
     return named
 
 
-def derivatives(case: Case, wanted: list[Parameter], rules: Rules) -> tuple[Floats, Floats]:
+def derivatives(case: Case, wanted: list[Parameter], rules: ModelOptions) -> tuple[Floats, Floats]:
     """Return the derivatives of deflections and slopes (2 N, P) and of constraint points (M + 1, P)."""
-    lattice = lattice_of(case.steps, rules)
+    lattice = make_lattice(case.steps, rules)
     c, dc = {0: 0.0}, {0: np.zeros(len(wanted))}
     rays: dict[int, tuple[float, Floats, Floats]] = {}  # where each ray begins: x, (u, u'), and d(u, u')/dp
     x_tip, tip, dtip = 0.0, np.zeros(2), np.zeros((2, len(wanted)))
     by_offset = np.array([p.kind == "offset" for p in wanted], dtype=np.float64)
-    for stop in plan(case.steps, lattice, case.needle.length):
-        if stop.opens:
+    for stop in plan_stops(case.steps, lattice, case.needle.length):
+        if stop.starts_ray:
             rays[stop.ray] = x_tip, tip, dtip
         if stop.cell > 0:
             x, (u_0, slope), (du_0, dslope) = rays[stop.ray]
-            bevel, ahead = case.steps[stop.cut].bevel, stop.tip - x
+            bevel, ahead = case.steps[stop.bevel_id].bevel, stop.tip - x
             slope, dslope = rules.tangent * slope, rules.tangent * dslope
             c[stop.cell] = u_0 + ahead * (slope + bevel.side * bevel.offset / rules.spacing)
             dc[stop.cell] = du_0 + ahead * (dslope + by_offset * bevel.side / rules.spacing)
         places = [lattice.depth(m) for m in range(stop.cell)] + [stop.tip]
         points = np.column_stack((places, [c[m] for m in range(stop.cell + 1)]))
         moved = np.array([dc[m] for m in range(stop.cell + 1)])  # (M + 1, P)
-        controls = case.steps[stop.held].controls
+        controls = case.steps[stop.controls_id].controls
         nodes, guess, held = reference.mesh(stop, controls, lattice, case.needle.length, rules.element)
         guess = np.where(held, guess, along_the_cut(nodes, points))
         u, _ = reference.equilibrium(case.needle, case.tissue, nodes, points, guess, held, rules)
-        here = Equilibrium(nodes, points, u, held, reference.changes(points[:, 0], rules.switch))
+        here = Equilibrium(nodes, points, u, held, reference.change_depths(points[:, 0], rules.switch))
         du = response(case, here, wanted, moved, imposed(case, wanted, here, stop, controls))
         x_tip, tip, dtip = stop.tip, u[-2:], du[-2:]
     return du, moved
@@ -90,7 +90,9 @@ def along_the_cut(nodes: Floats, points: Floats) -> Floats:
     return np.column_stack((u, np.gradient(u, nodes))).ravel()
 
 
-def imposed(case: Case, wanted: list[Parameter], here: Equilibrium, stop: Stop, controls: Controls) -> Floats:
+def imposed(
+    case: Case, wanted: list[Parameter], here: Equilibrium, stop: TipStop, controls: Controls
+) -> Floats:
     """Return the derivatives (2 N, P) of what is prescribed at the nodes."""
     base = {"base_y": (0, 1.0), "base_slope": (1, 1.0), "stage_slope": (0, stop.tip)}
     rates = np.zeros((len(here.held), len(wanted)))

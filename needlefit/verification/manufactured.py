@@ -13,8 +13,8 @@ from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.mechanics.control import Rules
-from needlefit.mechanics.kernel.scalar import Newton
+from needlefit.mechanics.control import ModelOptions
+from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.check import Curve, worst
@@ -80,14 +80,14 @@ def solve(tissue: Tissue, chosen: Chosen, h: float, first_cell: float) -> tuple[
     """Return nodes, mm, and what the compiled solver makes of the problem on elements of h (mm)."""
     depths = np.array([0.0, *np.arange(first_cell, DEPTH - 1e-9, h), DEPTH])
     straight = np.column_stack((depths, np.zeros(len(depths))))
-    stop = stop_at(Needle(FREE + DEPTH, EI), tissue, straight, Rules(h, h))
+    stop = stop_at(Needle(FREE + DEPTH, EI), tissue, straight, ModelOptions(h, h))
     x = stop.grid.x  # of the quadrature points
     layer = np.searchsorted(tissue.boundaries, x)
     e = Law.of(tissue).deflection_of(layer, -EI * chosen.at(x, 4), chosen.at(x, 1))
     grid = stop.grid._replace(constraint=np.arange(len(x)))
     stop = replace(stop, grid=grid, y=chosen.at(x) - e)
     guess = 0.9 * np.column_stack((chosen.at(stop.x), chosen.at(stop.x, 1)))  # not the answer itself
-    state = settle(stop, guess, Newton(1e-12, 60))
+    state = settle(stop, guess, NewtonOptions(1e-12, 60))
     return stop.x, CubicHermiteSpline(stop.x, *state.T)
 
 

@@ -5,17 +5,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.mechanics.control import Rules
+from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.kernel.foundation import Foundation
-from needlefit.mechanics.kernel.grid import Grid, build_grid
-from needlefit.mechanics.kernel.scalar import CLAMPED, WIDTH, Chain, Newton, equilibrate
+from needlefit.mechanics.kernel.grid import NodeGrid, build_grid
+from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, Chain, NewtonOptions, equilibrate
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.simulate import STATUS, compile_tissue, equilibrium
+from needlefit.mechanics.simulate import STATUS_NAMES, compile_tissue, equilibrium
 from needlefit.mechanics.tissue import Tissue
 
 Floats = NDArray[np.float64]
 
-ONE_STEP = Newton(np.inf, 1)
+ONE_STEP = NewtonOptions(np.inf, 1)
 
 
 @dataclass(frozen=True)
@@ -32,12 +32,12 @@ class Stop:
 
     x: Floats
     chain: Chain
-    grid: Grid
+    grid: NodeGrid
     foundation: Foundation
     y: Floats
 
 
-def stop_at(needle: Needle, tissue: Tissue, constraints: Floats, rules: Rules) -> Stop:
+def stop_at(needle: Needle, tissue: Tissue, constraints: Floats, rules: ModelOptions) -> Stop:
     """Return the stop with these constraint points (M + 1, 2)."""
     x = equilibrium(needle, tissue, constraints, rules=rules).x
     depths, y = np.ascontiguousarray(constraints.T)
@@ -47,7 +47,7 @@ def stop_at(needle: Needle, tissue: Tissue, constraints: Floats, rules: Rules) -
     return Stop(x, held, grid, compile_tissue(tissue), y)
 
 
-def settle(stop: Stop, guess: Floats, newton: Newton) -> Floats:
+def settle(stop: Stop, guess: Floats, newton: NewtonOptions) -> Floats:
     """Return the state (N, 2) that Newton's method makes of a guess.
 
     Raises
@@ -56,9 +56,9 @@ def settle(stop: Stop, guess: Floats, newton: Newton) -> Floats:
         If it does not converge.
     """
     state = guess.copy()
-    room = np.empty_like(state), np.empty((len(state), WIDTH))
+    room = np.empty_like(state), np.empty((len(state), FACTOR_COLUMNS))
     last = len(stop.grid.nodes) - 1
     status, _ = equilibrate(state, stop.chain, stop.foundation, stop.grid, stop.y, last, newton, *room)
-    if STATUS[status] != "converged":
-        raise ArithmeticError(f"the solver failed: {STATUS[status]}")
+    if STATUS_NAMES[status] != "converged":
+        raise ArithmeticError(f"the solver failed: {STATUS_NAMES[status]}")
     return state

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from needlefit.geometry.placement import Placement
+from needlefit.geometry.frames import Placement
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Moment
+from needlefit.mechanics.session import NeedleState
 from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import Recording, begin_replay, read_recording, replay
 
@@ -47,7 +47,7 @@ class RecordingOutcome:
         return None if placement is None else Placement.from_record(placement)
 
     @property
-    def state(self) -> Moment:
+    def state(self) -> NeedleState:
         """The needle at the end."""
         return self.steering.now
 
@@ -70,7 +70,7 @@ def replay_to_end(recording: Recording) -> RecordingOutcome:
     return RecordingOutcome(recording, steering, tip_offset_mm)
 
 
-def list_timed_states(recording: Recording) -> Iterator[tuple[float, Moment]]:
+def list_timed_states(recording: Recording) -> Iterator[tuple[float, NeedleState]]:
     """Yield every moment of a recording with its time, s."""
     return ((replayed.time, replayed.state) for replayed in replay(recording))
 
@@ -162,7 +162,7 @@ def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "Beside":
             viewed_scene.spread,
             scene.needle,
             scene.tissue,
-            steering.course(),
+            steering.input_path(),
             scene.rules,
             steering.first_cell,
         )

@@ -18,7 +18,7 @@ from needlefit import __version__
 from needlefit.datasets.formats.toml import dumps
 from needlefit.errors import DataError, ModelError
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Moment
+from needlefit.mechanics.session import NeedleState
 from needlefit.project.input_files import parse_toml, read_text
 from needlefit.project.load import check
 from needlefit.schemas.recording import PlacementRecord, RecordingRecord
@@ -246,7 +246,7 @@ class ReplayedStep:
     """
 
     recorded: RecordedStep | None
-    state: Moment
+    state: NeedleState
 
     @property
     def time(self) -> float:

@@ -66,11 +66,11 @@ def warm() -> None:
             importlib.import_module(module.name)
     for name in ("matplotlib.pyplot", "typst", "h5netcdf", "xarray", "emcee", "nlopt", "trimesh", "jinja2"):
         importlib.import_module(name)
-    from needlefit.mechanics.warm import ROOMS, insert
-    from needlefit.mechanics.warm import warm as compile_ahead
+    from needlefit.mechanics.precompile import KERNEL_PARTS, compile_parts
+    from needlefit.mechanics.precompile import precompile as compile_ahead
 
-    compile_ahead(*ROOMS)
-    insert(list(ROOMS))
+    compile_ahead(*KERNEL_PARTS)
+    compile_parts(list(KERNEL_PARTS))
     if not os.environ.get("NEEDLEFIT_FAULTS_DRAW"):
         _draw_nothing()
 

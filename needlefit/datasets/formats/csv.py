@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
+from needlefit.datasets.columns import POINT_COLUMNS, SD_COLUMN
 from needlefit.datasets.faults import Fault
-from needlefit.datasets.formats.points import LARGEST, Points
-from needlefit.datasets.schema import POINT, SD
+from needlefit.datasets.formats.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
 from needlefit.project.input_files import read_text
 
@@ -23,21 +23,21 @@ MAX_TABLE_BYTES = 64 * 2**20
 MAX_COLUMNS, MAX_CELLS = 1000, 4_000_000
 """A table beyond these would take more than a gigabyte of memory."""
 
-SHOWN_CHARS, SHOWN_COLUMNS = 60, 30
+MAX_SHOWN_CHARS, MAX_SHOWN_COLUMNS = 60, 30
 _NAME = re.compile(r"[^\W\d][\w .()\[\]/%^-]{0,39}")
 """What may be the name of a column."""
 
-SHOWN = 5
+MAX_LISTED_CELLS = 5
 """Bad cells of one column that are listed one by one; the rest is counted."""
 
-MAPPED = "add the column, or name the one that holds it under `columns` in dataset.toml"
+MISSING_COLUMN_FIX = "add the column, or name the one that holds it under `columns` in dataset.toml"
 """What fixes a missing column of a dataset."""
 
 OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 
 @dataclass(frozen=True)
-class Table:
+class CsvTable:
     """Cells as text (stripped), and the line of the file on which each row stands, as an editor counts.
 
     `names` gives the names in the file of columns that were renamed to ours.
@@ -48,7 +48,7 @@ class Table:
     lines: NDArray[np.int64]  # (N,)
     names: Mapping[str, str] = field(default_factory=dict)
 
-    def called(self, column: str) -> str:
+    def describe_column(self, column: str) -> str:
         """Return a column's name for a message: as its file has it, and ours behind it where that differs."""
         theirs = self.names.get(column, column)
         return theirs if theirs == column else f"{theirs} ({column})"
@@ -58,7 +58,7 @@ class Table:
         return f"{self.path}:{self.lines[row]}"
 
 
-def read_table(path: Path, documented: str = "data/README.md") -> Table:
+def read_table(path: Path, documented: str = "data/README.md") -> CsvTable:
     """Read a CSV file with a header; byte order mark, CRLF and blank lines are fine.
 
     An error names `documented` as the place where its columns are explained.
@@ -69,7 +69,7 @@ def read_table(path: Path, documented: str = "data/README.md") -> Table:
         If the file is missing, is no UTF-8 text, has no rows, another delimiter, columns of the same
         name, or a row with more cells than the header.
     """
-    rows = _rows(path)
+    rows = _read_rows(path)
     if not rows:
         raise DataError(
             "is empty",
@@ -96,11 +96,16 @@ def read_table(path: Path, documented: str = "data/README.md") -> Table:
             )
     width = len(header)
     cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
-    return Table(path, cells, np.array([line for line, _ in body], dtype=np.int64))
+    return CsvTable(path, cells, np.array([line for line, _ in body], dtype=np.int64))
 
 
-def numbers(
-    table: Table, column: str, found: list[Fault], *, optional: bool = False, largest: float = LARGEST
+def parse_numbers(
+    table: CsvTable,
+    column: str,
+    found: list[Fault],
+    *,
+    optional: bool = False,
+    largest: float = MAX_COORDINATE,
 ) -> Floats:
     """Return a column as numbers (N,); NaN where the cell is faulty, or empty and `optional`.
 
@@ -111,22 +116,22 @@ def numbers(
     values = np.where(np.abs(values) <= largest, values, np.nan)
     empty = (text == "").to_numpy()
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))
-    for row in bad[:SHOWN]:
-        problem = "is empty" if empty[row] else f"is {text.iloc[row][:SHOWN_CHARS]!r}"
+    for row in bad[:MAX_LISTED_CELLS]:
+        problem = "is empty" if empty[row] else f"is {text.iloc[row][:MAX_SHOWN_CHARS]!r}"
         found.append(
             Fault(
                 table.where(row),
-                f"{table.called(column)} {problem}",
+                f"{table.describe_column(column)} {problem}",
                 f"a finite number, at most {largest:g}",
                 "fix the cell",
             )
         )
-    if len(bad) > SHOWN:
-        more, line = len(bad) - SHOWN, table.lines[bad[SHOWN]]
+    if len(bad) > MAX_LISTED_CELLS:
+        more, line = len(bad) - MAX_LISTED_CELLS, table.lines[bad[MAX_LISTED_CELLS]]
         found.append(
             Fault(
                 f"{table.path}:{line}",
-                f"{table.called(column)} has {more} more such cells from here on",
+                f"{table.describe_column(column)} has {more} more such cells from here on",
                 "finite numbers",
                 "fix the cells",
             )
@@ -135,35 +140,39 @@ def numbers(
 
 
 def read_points(
-    table: Table, columns: Sequence[str], names: Mapping[str, str], found: list[Fault], fix: str = MAPPED
+    table: CsvTable,
+    columns: Sequence[str],
+    names: Mapping[str, str],
+    found: list[Fault],
+    fix: str = MISSING_COLUMN_FIX,
 ) -> Points | None:
     """Return the points under the three `columns` (renamed by `names`), or None after a fault."""
     wanted = [names.get(column, column) for column in columns]
-    if missing_columns(table, wanted, found, fix):
+    if note_missing_columns(table, wanted, found, fix):
         return None
     before = len(found)
-    values = np.column_stack([numbers(table, column, found) for column in wanted])
+    values = np.column_stack([parse_numbers(table, column, found) for column in wanted])
     return Points(table.path, values, table.lines) if len(found) == before else None
 
 
-def read_curve(table: Table, names: Mapping[str, str], found: list[Fault]) -> Points | None:
+def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
     """Return the points of a centreline, with their deviations where it has any; None after a fault."""
     before = len(found)
-    points = read_points(table, POINT, names, found)
-    if SD in names:
-        missing_columns(table, [names[SD]], found)
-    sd = _deviations(table, names.get(SD, SD), found)
+    points = read_points(table, POINT_COLUMNS, names, found)
+    if SD_COLUMN in names:
+        note_missing_columns(table, [names[SD_COLUMN]], found)
+    sd = _parse_deviations(table, names.get(SD_COLUMN, SD_COLUMN), found)
     if points is None or len(found) > before:
         return None
     return replace(points, sd=sd, columns=tuple(map(str, table.cells.columns)))
 
 
-def _deviations(table: Table, column: str, found: list[Fault]) -> Floats | None:
+def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Floats | None:
     """Return the standard deviations under `column` (N,); None where it is absent or empty all through."""
     if column not in table.cells or (table.cells[column] == "").all():
         return None
-    values = numbers(table, column, found)
-    for row in np.flatnonzero(values < 0)[:SHOWN]:
+    values = parse_numbers(table, column, found)
+    for row in np.flatnonzero(values < 0)[:MAX_LISTED_CELLS]:
         found.append(
             Fault(
                 table.where(int(row)),
@@ -175,7 +184,9 @@ def _deviations(table: Table, column: str, found: list[Fault]) -> Floats | None:
     return values
 
 
-def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], fix: str = MAPPED) -> bool:
+def note_missing_columns(
+    table: CsvTable, wanted: Sequence[str], found: list[Fault], fix: str = MISSING_COLUMN_FIX
+) -> bool:
     """Note every column of `wanted` that the table lacks, and its `fix`; say whether there was one."""
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
@@ -183,14 +194,14 @@ def missing_columns(table: Table, wanted: Sequence[str], found: list[Fault], fix
             Fault(
                 f"{table.path}:1",
                 f"column `{column}` is missing",
-                f"a column of that name; there are {columns_there(table.cells.columns)}",
+                f"a column of that name; there are {list_columns(table.cells.columns)}",
                 fix,
             )
         )
     return bool(missing)
 
 
-def _rows(path: Path) -> list[tuple[int, list[str]]]:
+def _read_rows(path: Path) -> list[tuple[int, list[str]]]:
     """Return every line that is not blank: its number and its cells."""
     # pandas would forget on which line a row stood
     reader = csv.reader(io.StringIO(read_text(path, MAX_TABLE_BYTES)), skipinitialspace=True)
@@ -223,10 +234,10 @@ def _check_extent(rows: int, columns: int, where: str) -> None:
         )
 
 
-def columns_there(columns: Iterable[object]) -> str:
+def list_columns(columns: Iterable[object]) -> str:
     """Name the columns of a table for a message; only what may be a name, since it may be any file."""
     names = [name for name in map(str, columns) if _NAME.fullmatch(name)]
-    shown = ", ".join(names[:SHOWN_COLUMNS]) + ", ..." * (len(names) > SHOWN_COLUMNS)
+    shown = ", ".join(names[:MAX_SHOWN_COLUMNS]) + ", ..." * (len(names) > MAX_SHOWN_COLUMNS)
     return shown if len(names) > 1 else "no names of columns"
 
 
@@ -239,10 +250,11 @@ def _check_header(header: list[str], where: str) -> None:
                 expected="commas between columns, points in decimals",
                 fix="save it again as comma-separated values",
             )
-    twice = sorted({name for name in header if header.count(name) > 1})
-    if twice:
+    repeated = sorted({name for name in header if header.count(name) > 1})
+    if repeated:
         raise DataError(
-            f"has more than one column `{'`, `'.join(name[:SHOWN_CHARS] for name in twice[:SHOWN])}`",
+            f"has more than one column "
+            f"`{'`, `'.join(name[:MAX_SHOWN_CHARS] for name in repeated[:MAX_LISTED_CELLS])}`",
             where=where,
             expected="a name for every column",
             fix="rename or remove one of them",

@@ -8,18 +8,20 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.formats.points import LARGEST, Points
+from needlefit.datasets.formats.points import MAX_COORDINATE, Points
 from needlefit.errors import DataError
-from needlefit.geometry.patient import System
+from needlefit.geometry.frames import PatientSystem
 
 Floats = NDArray[np.float64]
 
-SYSTEMS: Mapping[str, System] = MappingProxyType({"LPS": "LPS", "1": "LPS", "RAS": "RAS", "0": "RAS"})
+SYSTEM_NAMES: Mapping[str, PatientSystem] = MappingProxyType(
+    {"LPS": "LPS", "1": "LPS", "RAS": "RAS", "0": "RAS"}
+)
 """How files name their coordinate system; until 2019 by numbers."""
 
 EXPECTED_SYSTEM = "LPS or RAS (older files: 1 or 0)"
 
-KINDS = ("Curve", "Fiducial")
+CURVE_KINDS = ("Curve", "Fiducial")
 """Lists whose points, in their order, can be a centreline."""
 
 
@@ -52,13 +54,13 @@ class Markups:
     kind: str
     labels: tuple[str, ...]
     points: Floats
-    system: System = "LPS"
+    system: PatientSystem = "LPS"
     unset: tuple[str, ...] = ()
     lines: NDArray[np.int64] | None = None
 
     def as_curve(self) -> Points:
         """Return the points as a centreline; DataError if the list is none."""
-        if self.kind in KINDS:
+        if self.kind in CURVE_KINDS:
             return Points(self.path, self.points, self.lines)
         raise DataError(
             f"`{self.name}` is a {self.kind}, which is no centreline",
@@ -68,28 +70,28 @@ class Markups:
         )
 
 
-def system_of(said: str, where: str) -> System:
+def parse_system(name: str, where: str) -> PatientSystem:
     """Return the coordinate system that a file names; DataError if it is none in which points can stand."""
-    if said in SYSTEMS:
-        return SYSTEMS[said]
-    ijk = said in ("2", "IJK")
+    if name in SYSTEM_NAMES:
+        return SYSTEM_NAMES[name]
+    ijk = name in ("2", "IJK")
     raise DataError(
-        f"the coordinate system is {said!r}" + (": voxels of a volume that the file does not hold" * ijk),
+        f"the coordinate system is {name!r}" + (": voxels of a volume that the file does not hold" * ijk),
         where=where,
         expected=EXPECTED_SYSTEM,
         fix="load it into Slicer with its volume, and save it again" if ijk else "correct it",
     )
 
 
-def position_of(values: object, where: str) -> list[float]:
+def parse_position(values: object, where: str) -> list[float]:
     """Return three coordinates that a file holds as numbers; DataError if they are not that."""
     numbers = [_number(value) for value in values] if isinstance(values, list | tuple) else []
-    if len(numbers) == 3 and all(abs(number) <= LARGEST for number in numbers):
+    if len(numbers) == 3 and all(abs(number) <= MAX_COORDINATE for number in numbers):
         return numbers
     raise DataError(
         f"the position is {str(values)[:80]}",
         where=where,
-        expected=f"three finite numbers, at most {LARGEST:g}",
+        expected=f"three finite numbers, at most {MAX_COORDINATE:g}",
         fix="place the point again in Slicer, or remove it",
     )
 

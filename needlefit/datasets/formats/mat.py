@@ -24,30 +24,30 @@ from needlefit.project.sandbox import (
 
 Floats = NDArray[np.float64]
 
-SIGNATURE, PLACES = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
+SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
 """Of HDF5, which MATLAB writes from version 7.3 on behind a head of its own; and where it may stand."""
 
-SHOWN = 20
+MAX_SHOWN_VARIABLES = 20
 """Variables that a message lists."""
 
-ELEMENTS = range(1, 19)
-COMPRESSED = 15
+ELEMENT_TYPES = range(1, 19)
+COMPRESSED_TYPE = 15
 """Kinds of elements of versions 5 to 7: numbers, matrices, compressed ones, text."""
 
-HEAD_BYTES = 128
-VERSION = 124
+HEADER_BYTES = 128
+VERSION_OFFSET = 124
 """Length of the head of versions 5 to 7, and where in it stand the version and the order of bytes."""
 
-LEAST_BYTES = 20
+MIN_BYTES = 20
 """Of the head of one matrix of version 4."""
 
-EXPANSION = 8
+MAX_EXPANSION = 8
 """Memory that the content of a file may take, in sizes of the file."""
 
 READ_BYTES_PER_SECOND = 2**20
-EXPECTED = "N x 3 arrays of numbers, mm, entry first"
-READABLE = "a MATLAB .mat file"
-SAVE = "save it again, e.g. save(file, 'x', '-v7')"
+EXPECTED_ARRAYS = "N x 3 arrays of numbers, mm, entry first"
+EXPECTED_FILE = "a MATLAB .mat file"
+SAVE_FIX = "save it again, e.g. save(file, 'x', '-v7')"
 
 
 def read_curves(path: Path) -> dict[str, Points]:
@@ -63,16 +63,17 @@ def read_curves(path: Path) -> dict[str, Points]:
     data = read_bytes(path)
     if not _is_hdf(data):
         _check_elements(data, path)
-    memory = stated_memory_bytes() or EXPANSION * len(data)
+    memory = stated_memory_bytes() or MAX_EXPANSION * len(data)
     allowed = limits_for(memory, READER_BYTES + memory, len(data) / READ_BYTES_PER_SECOND)
     variables, found = read_in_sandbox(
         "needlefit.datasets.formats.mat:read_variables", path, allowed, {"path": str(path)}
     )
     if not found:
         raise DataError(
-            f"holds no curve; its variables are {', '.join(map(str, variables[:SHOWN])) or '(none)'}",
+            f"holds no curve; its variables are "
+            f"{', '.join(map(str, variables[:MAX_SHOWN_VARIABLES])) or '(none)'}",
             where=str(path),
-            expected=EXPECTED,
+            expected=EXPECTED_ARRAYS,
             fix="save the points of the centreline as one N x 3 array",
         )
     return {name: Points(path, array) for name, array in found.items()}
@@ -82,13 +83,13 @@ def read_variables(results: SandboxArrays, path: str) -> list[str]:
     """In the child: fill an array for every curve in a file; return the names of all variables."""
     data = read_bytes(Path(path))
     try:
-        variables = _hdf(data) if _is_hdf(data) else _classic(data)
+        variables = _read_hdf(data) if _is_hdf(data) else _read_classic(data)
     except MemoryError:
         raise
     except Exception as error:  # the readers raise whatever the bytes provoke
-        raise _unreadable(Path(path), f"({type(error).__name__})") from None
+        raise _read_error(Path(path), f"({type(error).__name__})") from None
     for key, value in variables.items():
-        for name, array in _arrays(key, value):
+        for name, array in _iterate_arrays(key, value):
             results.new(name, array.shape, "float64")[...] = array
     return list(variables)
 
@@ -101,21 +102,21 @@ def _check_elements(data: bytes, path: Path) -> None:
     DataError
         If one does not, or the file is too short for any version.
     """
-    if len(data) < LEAST_BYTES:
-        raise _unreadable(path, "it is too short")
-    if 0 in data[:4] or len(data) < HEAD_BYTES:  # version 4 begins with a number
+    if len(data) < MIN_BYTES:
+        raise _read_error(path, "it is too short")
+    if 0 in data[:4] or len(data) < HEADER_BYTES:  # version 4 begins with a number
         return
-    order: Literal["little", "big"] = "little" if data[VERSION + 2 : HEAD_BYTES] == b"IM" else "big"
-    place = HEAD_BYTES
+    order: Literal["little", "big"] = "little" if data[VERSION_OFFSET + 2 : HEADER_BYTES] == b"IM" else "big"
+    place = HEADER_BYTES
     while place + 8 <= len(data):
         kind, size = (int.from_bytes(data[at : at + 4], order) for at in (place, place + 4))
-        if kind not in ELEMENTS or place + 8 + size > len(data):
-            raise _unreadable(path, f"the element at byte {place} is of no kind, or reaches beyond the end")
-        place += 8 + size + (0 if kind == COMPRESSED else -size % 8)
+        if kind not in ELEMENT_TYPES or place + 8 + size > len(data):
+            raise _read_error(path, f"the element at byte {place} is of no kind, or reaches beyond the end")
+        place += 8 + size + (0 if kind == COMPRESSED_TYPE else -size % 8)
 
 
-def _unreadable(path: Path, reason: str) -> DataError:
-    return DataError(f"cannot be read: {reason}", where=str(path), expected=READABLE, fix=SAVE)
+def _read_error(path: Path, reason: str) -> DataError:
+    return DataError(f"cannot be read: {reason}", where=str(path), expected=EXPECTED_FILE, fix=SAVE_FIX)
 
 
 def read_points(path: Path) -> Points:
@@ -131,13 +132,13 @@ def read_points(path: Path) -> Points:
     return next(iter(curves.values()))
 
 
-def _arrays(name: str, value: Any) -> Iterator[tuple[str, Floats]]:  # noqa: ANN401 - whatever MATLAB saved
+def _iterate_arrays(name: str, value: Any) -> Iterator[tuple[str, Floats]]:  # noqa: ANN401 - whatever MATLAB saved
     if isinstance(value, dict):
         for key, part in value.items():
-            yield from _arrays(f"{name}_{key}", part)
+            yield from _iterate_arrays(f"{name}_{key}", part)
     elif isinstance(value, list) or (isinstance(value, np.ndarray) and value.dtype == object):
         for number, part in enumerate(value if isinstance(value, list) else value.ravel(), 1):
-            yield from _arrays(f"{name}_{number}", part)
+            yield from _iterate_arrays(f"{name}_{number}", part)
     elif isinstance(value, np.ndarray) and _is_curve(value):
         yield name, np.ascontiguousarray(value, dtype=np.float64)
 
@@ -147,7 +148,7 @@ def _is_curve(value: NDArray[Any]) -> bool:
     return bool(real and value.ndim == 2 and value.shape[1] == 3 and value.shape[0] > 3)
 
 
-def _classic(data: bytes) -> dict[str, Any]:
+def _read_classic(data: bytes) -> dict[str, Any]:
     from scipy.io import loadmat
 
     opened: Any = BytesIO(data)  # which it takes, though its stubs do not say so
@@ -156,17 +157,21 @@ def _classic(data: bytes) -> dict[str, Any]:
 
 
 def _is_hdf(data: bytes) -> bool:
-    return any(data.startswith(SIGNATURE, at) for at in PLACES)
+    return any(data.startswith(SIGNATURE, at) for at in SIGNATURE_OFFSETS)
 
 
-def _hdf(data: bytes) -> dict[str, Any]:
+def _read_hdf(data: bytes) -> dict[str, Any]:
     import h5py
 
     with h5py.File(BytesIO(data), "r") as file:
-        return {key: _hdf_value(file, _own(file, key)) for key in file if not key.startswith("#")}
+        return {
+            key: _read_hdf_value(file, _get_local_member(file, key))
+            for key in file
+            if not key.startswith("#")
+        }
 
 
-def _own(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
+def _get_local_member(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
     """Return a member of a group; ValueError if it lies in another file, which links may name."""
     import h5py
 
@@ -176,12 +181,12 @@ def _own(group: Any, key: str) -> Any:  # noqa: ANN401 - h5py has no stubs
     return item
 
 
-def _hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no stubs
+def _read_hdf_value(file: Any, item: Any) -> Any:  # noqa: ANN401 - h5py has no stubs
     """Return a struct as a dict, a cell array as a list, a matrix as MATLAB shows it (the file turns it)."""
     if hasattr(item, "keys"):
-        return {key: _hdf_value(file, _own(item, key)) for key in item}
+        return {key: _read_hdf_value(file, _get_local_member(item, key)) for key in item}
     if item.external or item.is_virtual:  # reached by a reference
         raise ValueError("not in this file")
     if item.dtype == object:
-        return [_hdf_value(file, file[reference]) for reference in np.ravel(item[()])]
+        return [_read_hdf_value(file, file[reference]) for reference in np.ravel(item[()])]
     return np.asarray(item[()]).T

@@ -12,12 +12,12 @@ import numpy as np
 from needlefit.datasets.formats.markups import (
     EXPECTED_SYSTEM,
     Markups,
-    position_of,
+    parse_position,
+    parse_system,
     require_points,
-    system_of,
 )
 from needlefit.errors import DataError
-from needlefit.geometry.patient import lps
+from needlefit.geometry.frames import to_lps
 from needlefit.project.input_files import read_json
 
 SCHEMA = (
@@ -26,19 +26,19 @@ SCHEMA = (
 )
 """What Slicer itself writes: an identifier, no address."""
 
-UNITS = {"mm": 1.0, "um": 1e-3, "cm": 10.0, "m": 1e3}
+UNITS_MM = {"mm": 1.0, "um": 1e-3, "cm": 10.0, "m": 1e3}
 """UCUM codes of length, in mm."""
 
-SET, UNSET = ("defined",), ("undefined", "preview", "missing")
+SET_STATES, UNSET_STATES = ("defined",), ("undefined", "preview", "missing")
 """States of a point."""
 
-SAVE_AGAIN = "save the list again in Slicer, as Markups JSON"
+SAVE_AGAIN_FIX = "save the list again in Slicer, as Markups JSON"
 
 _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
-class Look:
+class CurveStyle:
     """How Slicer shows a list: colour (red, green, blue; 0 to 1) and thickness of its line, mm."""
 
     colour: tuple[float, float, float]
@@ -54,9 +54,11 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
         If the file is missing, no markups file, or holds no list of points; if a list is empty, does not
         say its coordinate system, or has a point that is not finite.
     """
-    lists = _lists(path)
+    lists = _read_lists(path)
     found = [
-        _markups(path, one, n) for n, one in enumerate(lists, 1) if one.get("type") not in ("Plane", "ROI")
+        _parse_markups(path, one, n)
+        for n, one in enumerate(lists, 1)
+        if one.get("type") not in ("Plane", "ROI")
     ]
     if not found:
         kinds = ", ".join(str(one.get("type")) for one in lists) or "nothing"
@@ -69,17 +71,17 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
     return tuple(found)
 
 
-def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, Look]]) -> None:
+def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, CurveStyle]]) -> None:
     """Write lists as one file that Slicer opens as so many nodes: LPS, mm, locked, every digit.
 
     The same lists give the same bytes.
     """
-    texts = [_text(markups, look) for markups, look in lists]
+    texts = [_format_markups(markups, style) for markups, style in lists]
     body = ",\n".join(texts)
     path.write_bytes(f'{{\n"@schema": "{SCHEMA}",\n"markups": [\n{body}\n]\n}}\n'.encode())
 
 
-def _lists(path: Path) -> Sequence[dict[str, Any]]:
+def _read_lists(path: Path) -> Sequence[dict[str, Any]]:
     whole = read_json(path)
     lists = whole.get("markups") if isinstance(whole, dict) else None
     if not isinstance(lists, list) or not all(isinstance(one, dict) for one in lists):
@@ -87,7 +89,7 @@ def _lists(path: Path) -> Sequence[dict[str, Any]]:
             "has no `markups`",
             where=str(path),
             expected='{"@schema": ..., "markups": [{"type": "Curve", ...}]}',
-            fix=SAVE_AGAIN,
+            fix=SAVE_AGAIN_FIX,
         )
     schema = whole.get("@schema", SCHEMA)
     if not (isinstance(schema, str) and _SCHEMA.search(schema)):
@@ -95,51 +97,53 @@ def _lists(path: Path) -> Sequence[dict[str, Any]]:
             f"its schema is {str(schema)[:120]!r}",
             where=str(path),
             expected="markups-schema-v1.x.y.json",
-            fix=SAVE_AGAIN,
+            fix=SAVE_AGAIN_FIX,
         )
     return lists
 
 
-def _markups(path: Path, one: dict[str, Any], number: int) -> Markups:
+def _parse_markups(path: Path, one: dict[str, Any], number: int) -> Markups:
     name = str(one.get("name") or (path.name.removesuffix(".json").removesuffix(".mrk")))
     where = f"{path}, list {number} `{name}`"
     kind = one.get("type")
     if not isinstance(kind, str):
-        raise DataError("has no `type`", where=where, expected="Fiducial, Curve, ...", fix=SAVE_AGAIN)
+        raise DataError("has no `type`", where=where, expected="Fiducial, Curve, ...", fix=SAVE_AGAIN_FIX)
     if one.get("coordinateSystem") in (None, ""):
         raise DataError(
             "does not say its coordinate system",
             where=where,
             expected=f'"coordinateSystem": {EXPECTED_SYSTEM}',
-            fix="add the key (Slicer writes it, and takes LPS where it is missing), or " + SAVE_AGAIN,
+            fix="add the key (Slicer writes it, and takes LPS where it is missing), or " + SAVE_AGAIN_FIX,
         )
-    system = system_of(str(one["coordinateSystem"]), where)
-    scale = _scale(one.get("coordinateUnits", "mm"), where)
+    system = parse_system(str(one["coordinateSystem"]), where)
+    scale = _find_scale(one.get("coordinateUnits", "mm"), where)
     points = one.get("controlPoints", [])
     if not isinstance(points, list) or not all(isinstance(point, dict) for point in points):
-        raise DataError("`controlPoints` is no list of points", where=where, fix=SAVE_AGAIN)
+        raise DataError("`controlPoints` is no list of points", where=where, fix=SAVE_AGAIN_FIX)
     labels, positions, unset = [], [], []
     for n, point in enumerate(points, start=1):
         label = str(point.get("label") or "")
         there = f"{where}, point {n}" + (f" ({label})" if label else "")
         if _is_set(point, there):
             labels.append(label)
-            positions.append(position_of(point["position"], there))
+            positions.append(parse_position(point["position"], there))
         else:
             unset.append(label)
-    placed = scale * np.array(positions, dtype=np.float64).reshape(-1, 3)
-    return require_points(Markups(path, name, kind, tuple(labels), lps(placed, system), system, tuple(unset)))
+    coordinates = scale * np.array(positions, dtype=np.float64).reshape(-1, 3)
+    return require_points(
+        Markups(path, name, kind, tuple(labels), to_lps(coordinates, system), system, tuple(unset))
+    )
 
 
-def _scale(units: object, where: str) -> float:
+def _find_scale(units: object, where: str) -> float:
     """Return the factor to mm; units are a code, or a code with its coding scheme and meaning."""
     code = units[0] if isinstance(units, list) and units else units
-    if isinstance(code, str) and code in UNITS:
-        return UNITS[code]
+    if isinstance(code, str) and code in UNITS_MM:
+        return UNITS_MM[code]
     raise DataError(
         f"coordinateUnits is {str(units)[:80]}",
         where=where,
-        expected=f"one of {', '.join(UNITS)} (UCUM)",
+        expected=f"one of {', '.join(UNITS_MM)} (UCUM)",
         fix="save the list in mm",
     )
 
@@ -147,17 +151,17 @@ def _scale(units: object, where: str) -> float:
 def _is_set(point: dict[str, Any], where: str) -> bool:
     """Return whether a point has a position: Slicer leaves it empty where it was never placed."""
     status = point.get("positionStatus", "defined")
-    if status not in (*SET, *UNSET):
+    if status not in (*SET_STATES, *UNSET_STATES):
         raise DataError(
             f"positionStatus is {str(status)[:80]!r}",
             where=where,
-            expected=f"one of {', '.join((*SET, *UNSET))}",
-            fix=SAVE_AGAIN,
+            expected=f"one of {', '.join((*SET_STATES, *UNSET_STATES))}",
+            fix=SAVE_AGAIN_FIX,
         )
-    return status in SET and point.get("position") not in (None, "", [])
+    return status in SET_STATES and point.get("position") not in (None, "", [])
 
 
-def _text(markups: Markups, look: Look) -> str:
+def _format_markups(markups: Markups, style: CurveStyle) -> str:
     head = {
         "type": markups.kind,
         "name": markups.name,
@@ -183,14 +187,14 @@ def _text(markups: Markups, look: Look) -> str:
         }
         for n, (label, position) in enumerate(zip(markups.labels, markups.points, strict=True), start=1)
     ]
-    listed = ",\n".join(_json(point) for point in points)
-    display = ", ".join(f"{_json(key)}: {_json(value)}" for key, value in _display(look).items())
-    start = _json(head)[:-1]
+    listed = ",\n".join(_to_json(point) for point in points)
+    display = ", ".join(f"{_to_json(key)}: {_to_json(value)}" for key, value in _make_display(style).items())
+    start = _to_json(head)[:-1]
     return f'{start}, "controlPoints": [\n{listed}\n], "measurements": [], "display": {{{display}}}}}'
 
 
-def _display(look: Look) -> dict[str, object]:
-    colour = list(look.colour)
+def _make_display(style: CurveStyle) -> dict[str, object]:
+    colour = list(style.colour)
     return {
         "visibility": True,
         "opacity": 1.0,
@@ -202,7 +206,7 @@ def _display(look: Look) -> dict[str, object]:
         "textScale": 3.0,
         "glyphType": "Sphere3D",
         "glyphScale": 1.0,
-        "glyphSize": look.thickness,
+        "glyphSize": style.thickness,
         "useGlyphScale": False,
         "sliceProjection": True,
         "sliceProjectionUseFiducialColor": True,
@@ -211,5 +215,5 @@ def _display(look: Look) -> dict[str, object]:
     }
 
 
-def _json(value: object) -> str:
+def _to_json(value: object) -> str:
     return json.dumps(value, ensure_ascii=False, allow_nan=False)

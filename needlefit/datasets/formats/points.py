@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-LARGEST = 1e6
+MAX_COORDINATE = 1e6
 """No number of a dataset is greater: a kilometre in mm."""
 
 
@@ -38,13 +38,13 @@ class Points:
         sd = None if self.sd is None else self.sd[rows]
         return replace(self, values=self.values[rows], lines=lines, sd=sd)
 
-    def written(self) -> NDArray[np.float64]:
+    def to_columns(self) -> NDArray[np.float64]:
         """Return the columns of a centreline's file: (N, 3), or (N, 4) with deviations."""
         return self.values if self.sd is None else np.column_stack([self.values, self.sd])
 
     def unusable(self) -> NDArray[np.int64]:
         """Return the points that are not finite, or absurdly far away."""
-        sound = (np.abs(np.nan_to_num(self.values, nan=np.inf)) <= LARGEST).all(axis=1)
+        sound = (np.abs(np.nan_to_num(self.values, nan=np.inf)) <= MAX_COORDINATE).all(axis=1)
         return np.flatnonzero(~sound)
 
     def where(self, index: int = 0) -> str:

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PchipInterpolator
 from scipy.ndimage import map_coordinates
 
-from needlefit.geometry.plane import any_normal
+from needlefit.geometry.curves import make_normal
 from needlefit.imaging.volume import Volume, to_index
 
 Floats = NDArray[np.float64]
@@ -127,7 +127,7 @@ def axis_frames(axis: AxisSpline, s: Floats) -> AxisFrames:
     tangents = axis.spline.derivative()(s)
     tangents /= np.linalg.norm(tangents, axis=1, keepdims=True)
     ends = axis.spline(np.array([0.0, axis.length]))
-    reference = any_normal((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
+    reference = make_normal((ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0]))
     u = reference - (tangents @ reference)[:, None] * tangents
     u /= np.linalg.norm(u, axis=1, keepdims=True)
     return AxisFrames(axis.spline(s), tangents, u, np.cross(tangents, u))

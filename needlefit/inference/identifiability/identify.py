@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.independent import ENOUGH, groups
+from needlefit.datasets.select import MIN_GROUPS, group_independent
 from needlefit.inference.identifiability.information import (
     Direction,
     cramer_rao,
@@ -146,10 +146,10 @@ def between_needles(problem: Problem, slope: Floats, residuals: Floats, informat
     parts = zip(np.split(slope, ends), np.split(residuals, ends), strict=True)
     ids, specimens = zip(*((i.id, i.specimen) for i in problem.insertions), strict=True)
     pulls: dict[str, Floats] = {}
-    for group, (j, r) in zip(groups(ids, specimens), parts, strict=True):
+    for group, (j, r) in zip(group_independent(ids, specimens), parts, strict=True):
         pulls[group] = pulls.get(group, np.zeros(j.shape[1])) + j.T @ r
     n = len(pulls)
-    if n < max(ENOUGH, len(problem.names) + 2) or not problem.names:
+    if n < max(MIN_GROUPS, len(problem.names) + 2) or not problem.names:
         return np.zeros(len(problem.names))
     scatter = np.array(list(pulls.values()))  # (n, P)
     scatter = scatter - scatter.mean(axis=0)

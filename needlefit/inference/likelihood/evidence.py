@@ -13,11 +13,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cholesky, qr, solve_triangular
 
-from needlefit.datasets.insertion import Dataset, Insertion, Noise
-from needlefit.datasets.reach import reach_from_tip
+from needlefit.datasets.insertion import Dataset, Insertion, Noise, find_free_reach
 from needlefit.errors import DataError
-from needlefit.geometry.curves import arc_length, at_arc
-from needlefit.geometry.frames import align_rigid, align_rigid_slopes
+from needlefit.geometry.curves import arc_length, interpolate_at_arc
+from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
 from needlefit.inference.comparison import Pose, in_entry_axes
 from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.likelihood.depths import Nodes, nodes
@@ -128,7 +127,7 @@ def whitened_deflections(evidence: Evidence, deflections: Floats) -> Floats:
 def whitened_slopes(evidence: Evidence, simulated: Floats, slopes: Floats) -> Floats:
     """Return the derivatives (R, P) of `whitened`, given those of the simulated points, (K, 2, P)."""
     if evidence.pose == "free":
-        slopes = align_rigid_slopes(simulated, evidence.measured, slopes)
+        slopes = differentiate_align_rigid(simulated, evidence.measured, slopes)
     white: Floats = evidence.whitening @ slopes[:, 1]
     return white
 
@@ -141,10 +140,10 @@ def _compared(dataset: Dataset, insertion: Insertion) -> tuple[Floats, Floats, F
         at = along * (insertion.depth / along[-1])
     else:
         to_tip = along[-1] - along
-        kept = to_tip <= reach_from_tip(dataset.drop_proximal, insertion)
+        kept = to_tip <= find_free_reach(dataset.drop_proximal, insertion)
         along, at = along[kept], insertion.depth - to_tip[kept]
     step = max(1, math.ceil(len(at) / MOST_POINTS))
     chosen = np.arange(len(at) - 1, -1, -step)[::-1]  # keeps the tip
-    places = at_arc(insertion.planar, along[chosen])
+    places = interpolate_at_arc(insertion.planar, along[chosen])
     sd = None if insertion.sd is None else np.interp(along[chosen], whole, insertion.sd)
     return at[chosen], places if dataset.pose == "known" else in_entry_axes(places), sd

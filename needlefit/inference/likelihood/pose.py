@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion, Noise
-from needlefit.datasets.noise import MEAN_OF_NORM
+from needlefit.datasets.noise import MEAN_NORM_PER_SD
 
 Floats = NDArray[np.float64]
 
@@ -33,5 +33,5 @@ def pose_sds(insertion: Insertion, noise: Noise) -> Floats:
     A registration error of mean length m, isotropic in space, has m / sqrt(8 / pi) per axis. It and the
     row's pose deviation are often one error told twice: the larger one counts, as in the noise floor.
     """
-    shift = max(insertion.pose_shift_sd, noise.registration_mean / MEAN_OF_NORM)
+    shift = max(insertion.pose_shift_sd, noise.registration_mean / MEAN_NORM_PER_SD)
     return np.array([shift, insertion.pose_angle_sd, shift])

@@ -11,13 +11,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.tracks.track import Track
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import DataError
 from needlefit.inference.parameters import tissue
 from needlefit.inference.predict import rules
 from needlefit.mechanics.batch import Batch, NeedleShapes
 from needlefit.mechanics.control import Bevel, Controls, Guide, Step
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 
@@ -35,12 +35,12 @@ LEAST = 2
 class Course:
     """An insertion, and which tracks (by their number) are read off it."""
 
-    like: Track
+    like: TipTrack
     depth: float
     serves: tuple[int, ...]
 
 
-def courses(tracks: Sequence[Track], spacing: float) -> tuple[Course, ...]:
+def courses(tracks: Sequence[TipTrack], spacing: float) -> tuple[Course, ...]:
     """Return the insertions to simulate for `tracks`, with constraint points `spacing` mm apart.
 
     Raises
@@ -68,7 +68,7 @@ def tips(
     sets: Sequence[Values],
     medium: MediumRecord,
     needle: Needle,
-    tracks: Sequence[Track],
+    tracks: Sequence[TipTrack],
     jobs: int = 1,
 ) -> tuple[Floats, ...]:
     """Return the simulated deflections (B, n) of the tip at the readings of every track, mm.
@@ -84,7 +84,7 @@ def tips(
         In C, whose x is the needle at first contact; NaN where a solve failed.
     """
     led = courses(tracks, medium.constraint_spacing_mm)
-    shapes = follow_batches([_batch(sets, medium, needle, course) for course in led], jobs)
+    shapes = simulate_batches([_batch(sets, medium, needle, course) for course in led], jobs)
     found: dict[int, Floats] = {}
     for course, some in zip(led, shapes, strict=True):
         found |= {n: tip_at(some, tracks[n].depth) for n in course.serves}
@@ -132,7 +132,7 @@ def _steps(course: Course, values: Values) -> tuple[Step, ...]:
     return tuple(Step(end, bevel, held(float(y))) for end, y in zip(ends, track.guide[1:], strict=True))
 
 
-def _check_apart(track: Track, spacing: float) -> None:
+def _check_apart(track: TipTrack, spacing: float) -> None:
     nearest, least = float(np.diff(track.depth).min()), LEAST * spacing
     if nearest < least:
         raise DataError(

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.tracks.track import Track
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.inference.tracks.evidence import TrackEvidence
 from needlefit.inference.tracks.foresight import Drawn
 
@@ -20,7 +20,7 @@ CURVES = ("straight", "constant_curvature")
 
 
 def fit_curve(
-    name: str, tuned: Sequence[TrackEvidence], held: Sequence[Track], count: int, rng: np.random.Generator
+    name: str, tuned: Sequence[TrackEvidence], held: Sequence[TipTrack], count: int, rng: np.random.Generator
 ) -> Drawn:
     """Return `count` draws of the curve `name` given the runs `tuned`: Student's t about least squares."""
     bent = np.concatenate([known.whitening @ _bow(known.track) for known in tuned])
@@ -37,7 +37,7 @@ def fit_curve(
     )
 
 
-def _bow(track: Track) -> Floats:
+def _bow(track: TipTrack) -> Floats:
     """Return what a unit curvature toward the bevel does to the readings (n,), mm^2."""
     bow: Floats = track.side * track.depth**2 / 2
     return bow

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Noise
-from needlefit.datasets.tracks.track import Track
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import DataError
 from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.likelihood.evidence import whiten
@@ -33,7 +33,7 @@ class TrackEvidence:
     log_norm : float
     """
 
-    track: Track
+    track: TipTrack
     covariance: Floats
     whitening: Floats
     log_norm: float
@@ -55,7 +55,7 @@ def frame(depth: Floats) -> Floats:
     return np.column_stack([np.ones(len(depth)), depth])
 
 
-def track_evidence(track: Track, noise: Noise) -> TrackEvidence:
+def track_evidence(track: TipTrack, noise: Noise) -> TrackEvidence:
     """Return the evidence of one run.
 
     Raises

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Noise
-from needlefit.datasets.tracks.track import Track
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import SCALES, Parameters, Theta
 from needlefit.inference.ties import NOISE_SCALE
@@ -43,7 +43,7 @@ class TrackProblem:
     """
 
     needle: Needle
-    tracks: tuple[Track, ...]
+    tracks: tuple[TipTrack, ...]
     medium: MediumRecord
     parameters: Parameters
     noise: Noise

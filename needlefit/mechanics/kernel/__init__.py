@@ -1,8 +1,9 @@
 """The model of `mechanics/reference.py`, compiled; a test ties the two.
 
-`insertion` goes from stop to stop; at each `grid` says what is met, `scalar` finds the equilibrium and
-`foundation` evaluates the tissue's law; `positions` lays the beam in the plane. `lanes/` does the same for
-many parameter sets at once, `sensitivity/` adds exact derivatives.
+`insertion` goes from stop to stop; at each `grid` places nodes and quadrature points, `scalar` finds the
+equilibrium and `foundation` evaluates the tissue's law; `beam` gives the points in the plane. `lanes/` does
+the same for many parameter sets at once; `insertion_derivatives`, with `adjoint` and `parameter_loads`, adds
+exact derivatives. `precompile` compiles three parts: kernel (one needle), lanes, sensitivity (derivatives).
 
 A function with `fastmath` lets the compiler fuse or reorder its sums, so its last digits depend on what it
 is compiled together with. A function that is called by another is compiled more than once (alone, and within
@@ -19,14 +20,14 @@ from typing import Any
 import numba
 from numba.core.caching import FunctionCache
 
-from needlefit.mechanics.kernel.cache import Cache, folder
+from needlefit.mechanics.kernel.cache import FileCache, find_cache_folder
 
 _config: Any = numba.config  # a module that makes its attributes at run time
-_before, _config.CACHE_DIR = _config.CACHE_DIR, str(folder().path)
+_before, _config.CACHE_DIR = _config.CACHE_DIR, str(find_cache_folder().path)
 try:  # numba reads the setting when a function is declared
     for _found in pkgutil.walk_packages(__path__, f"{__name__}."):
         for _name, _value in vars(importlib.import_module(_found.name)).items():
             if type(getattr(_value, "_cache", None)) is FunctionCache:
-                _value._cache = Cache(_value._cache, f"{_value.py_func.__module__}.{_name}")
+                _value._cache = FileCache(_value._cache, f"{_value.py_func.__module__}.{_name}")
 finally:
     _config.CACHE_DIR = _before

@@ -30,14 +30,14 @@ from llvmlite import binding
 from numba.core.caching import FunctionCache
 from numba.core.serialize import dumps
 
-VARIABLE = "NEEDLEFIT_CACHE_DIR"
+CACHE_DIR_VARIABLE = "NEEDLEFIT_CACHE_DIR"
 """Environment variable: where to keep compiled functions. A temporary folder is handed to children by it."""
 
 DIGEST_BYTES = hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True)
-class Folder:
+class CacheFolder:
     """Where compiled functions are kept; `why_temporary` is empty if they stay there."""
 
     path: Path
@@ -45,25 +45,25 @@ class Folder:
 
 
 @cache
-def folder() -> Folder:
+def find_cache_folder() -> CacheFolder:
     """Return the folder of the compiled functions of exactly these sources, on this processor."""
-    path = _caches() / _digest()
-    why = _unusable(path)
+    path = _find_cache_root() / _hash_sources()
+    why = _find_problem(path)
     if not why:
-        return Folder(path)
+        return CacheFolder(path)
     temporary = Path(tempfile.mkdtemp(prefix="needlefit-"))
     atexit.register(shutil.rmtree, temporary, ignore_errors=True)
-    os.environ[VARIABLE] = str(temporary)  # a process that this one starts need not compile again
+    os.environ[CACHE_DIR_VARIABLE] = str(temporary)  # a process that this one starts need not compile again
     (temporary / path.name).mkdir(mode=0o700)
-    return Folder(temporary / path.name, f"{path} {why}")
+    return CacheFolder(temporary / path.name, f"{path} {why}")
 
 
-def _caches() -> Path:
-    given = os.environ.get(VARIABLE) or os.environ.get("NUMBA_CACHE_DIR")
-    return Path(given or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "needlefit")).expanduser()
+def _find_cache_root() -> Path:
+    configured = os.environ.get(CACHE_DIR_VARIABLE) or os.environ.get("NUMBA_CACHE_DIR")
+    return Path(configured or Path(os.environ.get("XDG_CACHE_HOME") or "~/.cache", "needlefit")).expanduser()
 
 
-def _digest() -> str:
+def _hash_sources() -> str:
     here = Path(__file__).parent
     sources = b"".join(path.name.encode() + path.read_bytes() for path in sorted(here.rglob("*.py")))
     features = binding.get_host_cpu_features().flatten()
@@ -73,27 +73,27 @@ def _digest() -> str:
     return hashlib.sha256(sources + repr((target, versions)).encode()).hexdigest()[:16]
 
 
-def _unusable(path: Path) -> str:
+def _find_problem(path: Path) -> str:
     """Return why compiled functions cannot be kept in `path`; make it if it is missing."""
     try:
         path.mkdir(mode=0o700, parents=True, exist_ok=True)
-        about = path.stat()
+        status = path.stat()
         tempfile.TemporaryFile(dir=path).close()
     except (OSError, RuntimeError) as error:  # RuntimeError: there is no home folder
         return f"cannot be written to ({getattr(error, 'strerror', None) or error})"
     if not hasattr(os, "geteuid"):  # Windows: a profile's folders are its user's own
         return ""
-    if about.st_uid != os.geteuid():
+    if status.st_uid != os.geteuid():
         return "belongs to another user"
-    return "can be written to by others" if stat.S_IMODE(about.st_mode) & 0o022 else ""
+    return "can be written to by others" if stat.S_IMODE(status.st_mode) & 0o022 else ""
 
 
-class Cache(FunctionCache):
+class FileCache(FunctionCache):
     """What numba asks for a compiled function; it has none rather than fail."""
 
-    def __init__(self, numbas: FunctionCache, name: str) -> None:
-        vars(self).update(vars(numbas))
-        self._cache_file = _Files(name)  # type: ignore[assignment]
+    def __init__(self, numba_cache: FunctionCache, name: str) -> None:
+        vars(self).update(vars(numba_cache))
+        self._cache_file = _FunctionFiles(name)  # type: ignore[assignment]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:  # noqa: ANN401  numba's own types
         """Return the function compiled for some types; None if it is not there, damaged or unreadable."""
@@ -107,29 +107,31 @@ class Cache(FunctionCache):
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError:
-            _not_kept.append(self._name)
+            _unsaved.append(self._name)
 
 
-_not_kept: list[str] = []
+_unsaved: list[str] = []
 
 
-def is_complete(room: str) -> bool:
-    """Return whether what moves a needle in a room (kernel, lanes, sensitivity) is compiled on disk."""
-    return _stamp(room).is_file()
+def is_complete(part: str) -> bool:
+    """Return whether a part of the kernel (kernel, lanes, sensitivity) is compiled on disk."""
+    return _stamp_path(part).is_file()
 
 
-def mark_complete(room: str) -> None:
-    """Say, once a needle was moved in a room, that all of it is on disk; not if a file is not."""
-    if not _not_kept:
+def mark_complete(part: str) -> None:
+    """Record that all functions of a part are on disk, once a needle was simulated by them; not if one is
+    not.
+    """
+    if not _unsaved:
         with suppress(OSError):
-            _stamp(room).touch()
+            _stamp_path(part).touch()
 
 
-def _stamp(room: str) -> Path:
-    return folder().path / f"{room}.complete"
+def _stamp_path(part: str) -> Path:
+    return find_cache_folder().path / f"{part}.complete"
 
 
-class _Files:
+class _FunctionFiles:
     """The files of one function, one for each set of argument types."""
 
     def __init__(self, name: str) -> None:
@@ -158,9 +160,9 @@ class _Files:
                 raise
 
     def flush(self) -> None:
-        for path in folder().path.glob(f"{self._name}.*.compiled"):
+        for path in find_cache_folder().path.glob(f"{self._name}.*.compiled"):
             path.unlink(missing_ok=True)
 
     def _path(self, key: object) -> Path:
         types = hashlib.sha256(repr(key).encode()).hexdigest()[:16]
-        return folder().path / f"{self._name}.{types}.compiled"
+        return find_cache_folder().path / f"{self._name}.{types}.compiled"

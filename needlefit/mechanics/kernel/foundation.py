@@ -8,9 +8,9 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-TERMS = 6  # of the series of k in the compression
-TRUNCATION = 1e-10  # relative error of k that the series may have; beyond, the exact law is evaluated
-MOST = 0.2  # of the thickness that a series may span
+SERIES_TERMS = 6  # of the series of k in the compression
+SERIES_TOLERANCE = 1e-10  # relative error of k that the series may have; beyond, the exact law is evaluated
+MAX_SERIES_COMPRESSION = 0.2  # |e| / t; a series spans no more of the thickness
 
 
 class Foundation(NamedTuple):
@@ -21,18 +21,18 @@ class Foundation(NamedTuple):
     exponents: Floats  # (n, P)
     thickness: Floats  # (n,) mm
     friction: Floats  # (n,)
-    series: Floats  # (n, TERMS) of k in the deflection |e|, MPa / mm^j
+    series: Floats  # (n, SERIES_TERMS) of k in the deflection |e|, MPa / mm^j
     limit: Floats  # (n,) the |e| up to which the series is used, mm
-    rough: bool  # whether any layer has friction
+    has_friction: bool  # whether any layer has friction
     curvature: Floats  # (n,) a Newton step leaves at most about this times its increment squared, 1 / mm
 
 
-class Trend(NamedTuple):
-    """What alpha does to the layers: derivatives with respect to each layer's own."""
+class AlphaDerivative(NamedTuple):
+    """Derivatives of the law's terms and series with respect to each layer's own alpha."""
 
     coefficients: Floats  # (P,) of the law's coefficients
     exponents: Floats  # (P,) and exponents
-    series: Floats  # (n, TERMS) of k in |e|, MPa / mm^j
+    series: Floats  # (n, SERIES_TERMS) of k in |e|, MPa / mm^j
     limit: Floats  # (n,) the |e| up to which that is used, mm
 
 
@@ -46,107 +46,114 @@ def make_foundation(
     shrinks with the sixth power of a quarter of its length.
     """
     count = len(mu)
-    series, limit, curvature = np.zeros((count, TERMS)), np.empty(count), np.empty(count)
+    series, limit, curvature = np.zeros((count, SERIES_TERMS)), np.empty(count), np.empty(count)
     for i in range(count):
-        limit[i] = 4.0 * _reach(coefficients[i], exponents[i], 4.0) * thickness[i]
-        _interpolate(series[i], mu[i] * coefficients[i], exponents[i], thickness[i], limit[i])
+        limit[i] = 4.0 * _find_series_range(coefficients[i], exponents[i], 4.0) * thickness[i]
+        _fit_series(series[i], mu[i] * coefficients[i], exponents[i], thickness[i], limit[i])
         # half the second derivative of k e over its first, as far as the polynomial goes; doubled, for the
         # lever of a needle that reaches beyond its stiffest layer
         bend, tangent, step = 0.0, 0.0, 1.0
-        for j in range(TERMS):
+        for j in range(SERIES_TERMS):
             tangent += (j + 1) * series[i, j] * step
             if j > 0:
                 bend += 0.5 * j * (j + 1) * abs(series[i, j]) * step / limit[i]
             step *= limit[i]
         curvature[i] = 2.0 * bend / min(series[i, 0], max(tangent, 0.0))
-    rough = bool(np.any(friction > 0.0))
-    return Foundation(mu, coefficients, exponents, thickness, friction, series, limit, rough, curvature)
+    has_friction = bool(np.any(friction > 0.0))
+    return Foundation(
+        mu, coefficients, exponents, thickness, friction, series, limit, has_friction, curvature
+    )
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _reach(coefficients: Floats, exponents: Floats, interval: float) -> float:
-    """Return the d = |e| / t at which the first term left out of Taylor's series is TRUNCATION of k.
+def _find_series_range(coefficients: Floats, exponents: Floats, interval: float) -> float:
+    """Return the d = |e| / t at which the first term left out of Taylor's series is SERIES_TOLERANCE of k.
 
     The interval that a polynomial is fitted to is so many times as long.
     """
     left_out, value, steepest = 0.0, 0.0, 0.0
     for p in range(len(coefficients)):
         term = coefficients[p]
-        for j in range(TERMS):
+        for j in range(SERIES_TERMS):
             term *= (j - exponents[p]) / (j + 1)
         left_out += abs(term)
         value += coefficients[p]
-        steepest = max(steepest, TERMS - exponents[p])
+        steepest = max(steepest, SERIES_TERMS - exponents[p])
     if left_out == 0.0:
-        return MOST / interval
-    at_rest = (TRUNCATION * value / (2.0 * left_out)) ** (1.0 / TERMS)
+        return MAX_SERIES_COMPRESSION / interval
+    at_rest = (SERIES_TOLERANCE * value / (2.0 * left_out)) ** (1.0 / SERIES_TERMS)
     reach = at_rest
-    for _ in range(8):  # the term grows along the interval as lambda^(q - TERMS)
-        end = min(interval * reach, MOST)
-        reach = at_rest * (1.0 - end) ** (steepest / TERMS)
-    return float(min(reach, MOST / interval))
+    for _ in range(8):  # the term grows along the interval as lambda^(q - SERIES_TERMS)
+        end = min(interval * reach, MAX_SERIES_COMPRESSION)
+        reach = at_rest * (1.0 - end) ** (steepest / SERIES_TERMS)
+    return float(min(reach, MAX_SERIES_COMPRESSION / interval))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _interpolate(series: Floats, factors: Floats, exponents: Floats, thickness: float, limit: float) -> None:
+def _fit_series(series: Floats, factors: Floats, exponents: Floats, thickness: float, limit: float) -> None:
     """Fill `series` with the polynomial through k at Chebyshev's points of 0 <= |e| <= limit."""
-    at, value = np.empty(TERMS), np.zeros(TERMS)
-    for j in range(TERMS):
-        at[j] = 0.5 * limit * (1.0 - np.cos((2 * j + 1) * np.pi / (2 * TERMS)))
+    at, value = np.empty(SERIES_TERMS), np.zeros(SERIES_TERMS)
+    for j in range(SERIES_TERMS):
+        at[j] = 0.5 * limit * (1.0 - np.cos((2 * j + 1) * np.pi / (2 * SERIES_TERMS)))
         for p in range(len(factors)):
             value[j] += factors[p] * np.exp(exponents[p] * np.log1p(-at[j] / thickness))
-    for j in range(1, TERMS):  # Newton's divided differences
-        for i in range(TERMS - 1, j - 1, -1):
+    for j in range(1, SERIES_TERMS):  # Newton's divided differences
+        for i in range(SERIES_TERMS - 1, j - 1, -1):
             value[i] = (value[i] - value[i - 1]) / (at[i] - at[i - j])
     series[:] = 0.0
-    for j in range(TERMS - 1, -1, -1):  # to powers of |e|
-        for i in range(TERMS - 1, 0, -1):
+    for j in range(SERIES_TERMS - 1, -1, -1):  # to powers of |e|
+        for i in range(SERIES_TERMS - 1, 0, -1):
             series[i] = series[i - 1] - at[j] * series[i]
         series[0] = value[j] - at[j] * series[0]
 
 
 @njit(cache=True)
-def make_trend(foundation: Foundation, coefficients: Floats, exponents: Floats) -> Trend:
+def make_alpha_derivative(foundation: Foundation, coefficients: Floats, exponents: Floats) -> AlphaDerivative:
     """Return the change of the layers per unit of alpha, given that of the law's powers (P,).
 
     Taylor's series here: dk/dalpha vanishes at e = 0, and so must its error.
     """
     series, limit = np.zeros_like(foundation.series), np.empty(len(foundation.mu))
     for i in range(len(foundation.mu)):
-        reach = _reach(foundation.coefficients[i], foundation.exponents[i], 1.0)
+        reach = _find_series_range(foundation.coefficients[i], foundation.exponents[i], 1.0)
         limit[i] = 0.5 * reach * foundation.thickness[i]  # what it is the slope of converges a little faster
         for p in range(len(coefficients)):
             term = foundation.mu[i] * foundation.coefficients[i, p]
             slope = foundation.mu[i] * coefficients[p]
-            for j in range(TERMS):
+            for j in range(SERIES_TERMS):
                 series[i, j] += slope
                 shorter = -1.0 / ((j + 1) * foundation.thickness[i])
                 factor = shorter * (foundation.exponents[i, p] - j)
                 slope = slope * factor + term * shorter * exponents[p]
                 term *= factor
-    return Trend(coefficients, exponents, series, limit)
+    return AlphaDerivative(coefficients, exponents, series, limit)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def power(exponent: float, d: float) -> tuple[float, float]:
+def evaluate_power(exponent: float, d: float) -> tuple[float, float]:
     """Return lambda^q, one term of k, and d(lambda^q e)/de at a compression d = 1 - lambda < 1."""
     part = np.exp(exponent * np.log1p(-d))
     return part, part * (1.0 - d * exponent / (1.0 - d))
 
 
 @njit(cache=True, nogil=True)
-def drag(gamma: float, slope: float) -> tuple[float, float]:
+def friction_factor(gamma: float, slope: float) -> tuple[float, float]:
     """Return the friction factor g = 1 - gamma sin^2(atan u') and dg/du'."""
     square = slope * slope
     return 1.0 - gamma * square / (1.0 + square), -2.0 * gamma * slope / ((1.0 + square) * (1.0 + square))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def steepen(foundation: Foundation, trend: Trend, layer: int, size: float) -> float:
+def stiffness_alpha_derivative(
+    foundation: Foundation, alpha_derivative: AlphaDerivative, layer: int, size: float
+) -> float:
     """Return dk/dalpha, MPa, at |e| = size mm: mu sum (dc/dalpha + c dq/dalpha ln lambda) lambda^q."""
     logarithm = np.log1p(-size / foundation.thickness[layer])
     total = 0.0
-    for p in range(len(trend.exponents)):
-        slope = trend.coefficients[p] + foundation.coefficients[layer, p] * trend.exponents[p] * logarithm
+    for p in range(len(alpha_derivative.exponents)):
+        slope = (
+            alpha_derivative.coefficients[p]
+            + foundation.coefficients[layer, p] * alpha_derivative.exponents[p] * logarithm
+        )
         total += slope * np.exp(foundation.exponents[layer, p] * logarithm)
     return float(foundation.mu[layer] * total)

@@ -6,19 +6,19 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.hermite import hermite
+from needlefit.mechanics.kernel.beam import fill_hermite
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
-GAUSS = 0.5 / np.sqrt(3.0)  # two Gauss points stand at 1/2 -+ this, in fractions of an interval
-SLACK = 1e-9  # mm; depths nearer than this are the same
-GRIP = (
-    0.05  # mm; a guide in the tissue holds once the tip is this far past it: a length of the model, not of h
-)
+GAUSS_OFFSET = 0.5 / np.sqrt(3.0)  # two Gauss points stand at 1/2 -+ this, in fractions of an interval
+SAME_DEPTH_MM = 1e-9  # mm; depths nearer than this are the same
+# a guide in the tissue holds the needle once the tip is this far past it: a length of the model, not of the
+# mesh
+GUIDE_ENGAGEMENT_MM = 0.05
 
 
-class Grid(NamedTuple):
+class NodeGrid(NamedTuple):
     """Element e ends at node e; element 0 reaches from the last node before the tissue to node 0.
 
     Quadrature points are sorted by depth; those of element e are `first[e]` to `first[e + 1]`.
@@ -34,15 +34,15 @@ class Grid(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def cell_of(depth: float, first_cell: float, spacing: float) -> int:
+def find_cell(depth: float, first_cell: float, spacing: float) -> int:
     """Return the number of the constraint point at `depth`, or of the next one deeper."""
-    if depth <= SLACK:
+    if depth <= SAME_DEPTH_MM:
         return 0
-    return 1 + max(0, int(np.ceil((depth - first_cell - SLACK) / spacing)))
+    return 1 + max(0, int(np.ceil((depth - first_cell - SAME_DEPTH_MM) / spacing)))
 
 
 @njit(cache=True, nogil=True)
-def constraint_depths(tip: float, cell: int, first_cell: float, spacing: float) -> Floats:
+def list_constraint_depths(tip: float, cell: int, first_cell: float, spacing: float) -> Floats:
     """Return the depths (cell + 1,) of the constraint points behind the tip and of the one under it."""
     x = np.empty(cell + 1)
     x[0] = 0.0
@@ -53,7 +53,7 @@ def constraint_depths(tip: float, cell: int, first_cell: float, spacing: float) 
 
 
 @njit(cache=True, nogil=True)
-def node_depths(tip: float, first_cell: float, spacing: float, element: float, within: Floats) -> Floats:
+def list_node_depths(tip: float, first_cell: float, spacing: float, element: float, within: Floats) -> Floats:
     """Return the nodes in the tissue of a tip at `tip`; `within` (G,) are the guides that hold there.
 
     Nodes stand every `element` before and after x_1. Short elements ruin the conditioning: a node is left
@@ -61,14 +61,16 @@ def node_depths(tip: float, first_cell: float, spacing: float, element: float, w
     the first one after it is nearer than half an element.
     """
     per_cell = round(spacing / element)
-    i = 1 - int(np.ceil((first_cell - SLACK) / element))  # counted from x_1; the first after the entry
+    i = 1 - int(
+        np.ceil((first_cell - SAME_DEPTH_MM) / element)
+    )  # counted from x_1; the first after the entry
     nodes = np.empty(int(np.ceil(tip / element)) + 4 + len(within))
     count = 1  # room for the entry
     guide = 0
     while True:
         cell = max(i, 0) // per_cell
         x = first_cell + cell * spacing + (i - cell * per_cell) * element  # to the bit, wherever the tip is
-        if x > tip - 0.5 * element + SLACK:
+        if x > tip - 0.5 * element + SAME_DEPTH_MM:
             break
         i += 1
         while guide < len(within) and within[guide] < x:
@@ -87,14 +89,14 @@ def node_depths(tip: float, first_cell: float, spacing: float, element: float, w
         guide += 1
     nodes[count] = tip
     count += 1
-    if nodes[1] >= (0.5 - SLACK) * element:
+    if nodes[1] >= (0.5 - SAME_DEPTH_MM) * element:
         nodes[0] = 0.0
         return nodes[:count].copy()
     return nodes[1:count].copy()
 
 
 @njit(cache=True, nogil=True)
-def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: float) -> Grid:
+def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: float) -> NodeGrid:
     """Return the quadrature for constraint depths (M + 1,), layer boundaries (n - 1,) and nodes (N,).
 
     Every interval of quadrature lies in one element, one layer, and belongs to one constraint point: from
@@ -121,7 +123,7 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
         length = b - a
         if length > 0.0:
             for side in (-1.0, 1.0):
-                x[points] = 0.5 * (a + b) + side * GAUSS * length
+                x[points] = 0.5 * (a + b) + side * GAUSS_OFFSET * length
                 weight[points] = 0.5 * length
                 layer[points] = here
                 nearest[points] = closest
@@ -137,5 +139,5 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
     shapes = np.empty((points, 8))
     for e in range(1, count):
         for q in range(first[e], first[e + 1]):
-            hermite(shapes[q], x[q] - nodes[e - 1], nodes[e] - nodes[e - 1])
-    return Grid(nodes, first, x[:points], weight[:points], layer[:points], nearest[:points], shapes)
+            fill_hermite(shapes[q], x[q] - nodes[e - 1], nodes[e] - nodes[e - 1])
+    return NodeGrid(nodes, first, x[:points], weight[:points], layer[:points], nearest[:points], shapes)

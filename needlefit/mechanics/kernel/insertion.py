@@ -1,4 +1,6 @@
-"""An insertion under way: the needle goes from stop to stop, and what it leaves in the tissue stays."""
+"""Insert one needle: the tip goes from stop to stop, and each equilibrium leaves a constraint point
+behind.
+"""
 
 from typing import NamedTuple
 
@@ -6,25 +8,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from needlefit.mechanics.kernel.beam import fill_hermite
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import (
-    GRIP,
-    SLACK,
-    Grid,
+    GUIDE_ENGAGEMENT_MM,
+    SAME_DEPTH_MM,
+    NodeGrid,
     build_grid,
-    cell_of,
-    constraint_depths,
-    node_depths,
+    find_cell,
+    list_constraint_depths,
+    list_node_depths,
 )
-from needlefit.mechanics.kernel.hermite import hermite
 from needlefit.mechanics.kernel.scalar import (
     CLAMPED,
     CONVERGED,
+    FACTOR_COLUMNS,
     FREE,
     PINNED,
-    WIDTH,
     Chain,
-    Newton,
+    NewtonOptions,
     equilibrate,
 )
 
@@ -33,19 +35,19 @@ Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
 
-class Stops(NamedTuple):
+class TipStops(NamedTuple):
     """Where the tip halts, in order (S,); `mechanics.plan` says what the fields mean."""
 
     tip: Floats
     cell: Ints
     permanent: Bools
     ray: Ints
-    opens: Bools
+    starts_ray: Bools
     turn: Floats  # s b / C_int of the bevel that cuts the ray: the slope that it adds
 
 
-class Holds(NamedTuple):
-    """What holds the needle, in C; a slope that is left free is NaN."""
+class BoundaryConditions(NamedTuple):
+    """Prescribed deflections and slopes of base, guides and tip, in C; a slope that is left free is NaN."""
 
     base: Floats  # (3,) y, slope, slope of the stage's axis
     before: Floats  # (G, 3) x, y, slope of the guides before the tissue
@@ -53,8 +55,10 @@ class Holds(NamedTuple):
     tip: Floats  # (2,) y, slope; NaN where the tip is not tracked
 
 
-class Insertion(NamedTuple):
-    """The needle, its place in the tissue, and what the stops so far have left behind."""
+class KernelInsertion(NamedTuple):
+    """The state of an insertion: the needle, its position, and the constraint points and rays of all stops so
+    far.
+    """
 
     rigidity: float  # EI, N mm^2
     length: float  # mm
@@ -64,7 +68,7 @@ class Insertion(NamedTuple):
     switch: float  # where between two constraint points the target changes from one to the other
     tangent: float  # part of the tip's slope that a ray takes on
     boundaries: Floats  # (n - 1,) mm
-    main: Grid  # of all constraint points that the tip can reach
+    main: NodeGrid  # of all constraint points that the tip can reach
     y: Floats  # (M + 1,) of the constraint points, mm
     track: Floats  # (M + 1, 2) deflection and slope of the tip as it stood at each
     rays: Floats  # (R, 4) x, y of the tip where each ray begins, the slope that it takes on, the bevel's turn
@@ -73,34 +77,38 @@ class Insertion(NamedTuple):
     states: Floats  # (3, C, 2) their deflection and slope: now, one cell ago, and room for a third
     size: Ints  # (4,) nodes of the chain, those before the tissue, whether the rest are the main grid's,
     # and how many of them stood in the tissue one cell ago (0: there was no such stop)
-    record: Floats  # (S, C + 1, 2) for who differentiates: the state at each stop under way, and below it
-    # the y of the constraint point there and the depth where its ray begins; (0, C + 1, 2): nobody does
+    record: Floats  # (S, C + 1, 2) for derivatives: the state at each stop under way, and below it
+    # the y of the constraint point there and the depth where its ray begins; (0, C + 1, 2): none are wanted
 
 
 @njit(cache=True, nogil=True)
-def begin(
+def begin_insertion(
     rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
     tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int,
-) -> Insertion:  # fmt: skip
+) -> KernelInsertion:  # fmt: skip
     """Return a needle before first contact, with room up to `deepest` (mm) for so many guides and rays."""
-    cells = max(cell_of(deepest, first_cell, spacing), 1)
+    cells = max(find_cell(deepest, first_cell, spacing), 1)
     tip = first_cell + (cells - 1) * spacing
-    nodes = node_depths(tip, first_cell, spacing, element, np.empty(0))
-    main = build_grid(constraint_depths(tip, cells, first_cell, spacing), boundaries, nodes, switch)
-    room = len(nodes) + guides + 3  # base, entry, a tip between constraint points
+    nodes = list_node_depths(tip, first_cell, spacing, element, np.empty(0))
+    main = build_grid(list_constraint_depths(tip, cells, first_cell, spacing), boundaries, nodes, switch)
+    capacity = len(nodes) + guides + 3  # base, entry, a tip between constraint points
     y = np.full(cells + 1, np.nan)  # what a failed insertion never reached stays NaN
     y[0] = 0.0
-    return Insertion(
+    return KernelInsertion(
         rigidity, length, first_cell, spacing, element, switch, tangent, boundaries, main, y,
         np.full((cells + 1, 2), np.nan), np.zeros((rays, 4)),
-        np.zeros(3), np.zeros(room), np.zeros((3, room, 2)), np.zeros(4, np.int64),
-        np.zeros((0, room + 1, 2)),
+        np.zeros(3), np.zeros(capacity), np.zeros((3, capacity, 2)), np.zeros(4, np.int64),
+        np.zeros((0, capacity + 1, 2)),
     )  # fmt: skip
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def advance(
-    insertion: Insertion, foundation: Foundation, holds: Holds, stops: Stops, newton: Newton
+def advance_needle(
+    insertion: KernelInsertion,
+    foundation: Foundation,
+    conditions: BoundaryConditions,
+    stops: TipStops,
+    newton: NewtonOptions,
 ) -> tuple[int, int, int]:
     """Bring the needle from stop to stop; return the status, Newton iterations and stops reached.
 
@@ -108,29 +116,29 @@ def advance(
     """
     iterations = 0
     rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
-    record, room = insertion.record, insertion.states.shape[1]
-    chain = begin_chain(holds, insertion.rigidity, room)
-    trial, factor = np.empty((room, 2)), np.empty((room, WIDTH))
+    record, capacity = insertion.record, insertion.states.shape[1]
+    chain = begin_chain(conditions, insertion.rigidity, capacity)
+    trial, factor = np.empty((capacity, 2)), np.empty((capacity, FACTOR_COLUMNS))
     for s in range(len(stops.tip)):
         depth, cell, ray = stops.tip[s], stops.cell[s], stops.ray[s]
-        if stops.opens[s]:
+        if stops.starts_ray[s]:
             rays[ray, 0], rays[ray, 1], rays[ray, 3] = tip[0], tip[1], stops.turn[s]
             rays[ray, 2] = insertion.tangent * tip[2]
         if cell > 0:
             y[cell] = rays[ray, 1] + (depth - rays[ray, 0]) * (rays[ray, 2] + rays[ray, 3])
-        on_main = stops.permanent[s] and cell > 0 and len(holds.within) == 0
+        on_main = stops.permanent[s] and cell > 0 and len(conditions.within) == 0
         if on_main:
             grid = insertion.main
-            last = np.searchsorted(grid.nodes, depth - SLACK)
+            last = np.searchsorted(grid.nodes, depth - SAME_DEPTH_MM)
         else:
-            grid = grid_at(insertion, holds, depth, cell)
+            grid = build_stop_grid(insertion, conditions, depth, cell)
             last = len(grid.nodes) - 1
-        hold(chain, holds, grid, last, depth, insertion.length)
-        bold = carry(insertion, chain, grid, last, on_main)
+        prescribe_stop(chain, conditions, grid, last, depth, insertion.length)
+        extrapolated = guess_next_state(insertion, chain, grid, last, on_main)
         status, used = equilibrate(states[0], chain, foundation, grid, y, last, newton, trial, factor)
         iterations += used
-        if status != CONVERGED and bold:
-            go_straight(insertion, chain, grid)
+        if status != CONVERGED and extrapolated:
+            extend_straight(insertion, chain, grid)
             status, used = equilibrate(states[0], chain, foundation, grid, y, last, newton, trial, factor)
             iterations += used
         if status != CONVERGED:
@@ -141,24 +149,28 @@ def advance(
         if len(record) > 0:
             for i in range(size[0]):
                 record[s, i, 0], record[s, i, 1] = states[0, i, 0], states[0, i, 1]
-            record[s, room, 0], record[s, room, 1] = y[cell], rays[ray, 0]
+            record[s, capacity, 0], record[s, capacity, 1] = y[cell], rays[ray, 0]
     return CONVERGED, iterations, len(stops.tip)
 
 
 @njit(cache=True, nogil=True)
-def grid_at(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Grid:
+def build_stop_grid(
+    insertion: KernelInsertion, conditions: BoundaryConditions, tip: float, cell: int
+) -> NodeGrid:
     """Return the grid of a tip that stands between constraint points, or of guides in the tissue."""
-    active = holds.within[:, 0]
-    active = active[active <= tip - GRIP]
-    nodes = node_depths(tip, insertion.first_cell, insertion.spacing, insertion.element, active)
-    points = constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
+    active = conditions.within[:, 0]
+    active = active[active <= tip - GUIDE_ENGAGEMENT_MM]
+    nodes = list_node_depths(tip, insertion.first_cell, insertion.spacing, insertion.element, active)
+    points = list_constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
     return build_grid(points, insertion.boundaries, nodes, insertion.switch)
 
 
 @njit(cache=True, nogil=True)
-def chain_nodes(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Floats:
+def list_chain_nodes(
+    insertion: KernelInsertion, conditions: BoundaryConditions, tip: float, cell: int
+) -> Floats:
     """Return the depths of all nodes of a tip at `tip`, base first."""
-    before, nodes = holds.before[:, 0], grid_at(insertion, holds, tip, cell).nodes
+    before, nodes = conditions.before[:, 0], build_stop_grid(insertion, conditions, tip, cell).nodes
     depths = np.empty(1 + len(before) + len(nodes))
     depths[0] = tip - insertion.length
     for i in range(len(before)):
@@ -169,32 +181,36 @@ def chain_nodes(insertion: Insertion, holds: Holds, tip: float, cell: int) -> Fl
 
 
 @njit(cache=True, nogil=True)
-def begin_chain(holds: Holds, rigidity: float, room: int) -> Chain:
-    """Return a chain of up to `room` nodes on which base and guides before the tissue are prescribed."""
-    before = 1 + len(holds.before)
-    front, kind, value = np.zeros(before), np.zeros(room, np.int64), np.zeros((room, 2))
+def begin_chain(conditions: BoundaryConditions, rigidity: float, capacity: int) -> Chain:
+    """Return a chain of up to `capacity` nodes on which base and guides before the tissue are prescribed."""
+    before = 1 + len(conditions.before)
+    front, kind, value = np.zeros(before), np.zeros(capacity, np.int64), np.zeros((capacity, 2))
     kind[0] = CLAMPED
-    value[0, 1] = holds.base[1]
+    value[0, 1] = conditions.base[1]
     for i in range(1, before):
-        front[i] = holds.before[i - 1, 0]
-        _prescribe(kind, value, i, holds.before[i - 1, 1], holds.before[i - 1, 2])
+        front[i] = conditions.before[i - 1, 0]
+        _prescribe(kind, value, i, conditions.before[i - 1, 1], conditions.before[i - 1, 2])
     return Chain(rigidity, front, kind, value)
 
 
 @njit(cache=True, nogil=True, inline="always")
-def hold(chain: Chain, holds: Holds, grid: Grid, last: int, tip: float, length: float) -> None:
+def prescribe_stop(
+    chain: Chain, conditions: BoundaryConditions, grid: NodeGrid, last: int, tip: float, length: float
+) -> None:
     """Prescribe what depends on where the tip stands: the base, guides in the tissue, the tip itself."""
     before = len(chain.front)
     chain.front[0] = tip - length
-    chain.value[0, 0] = holds.base[0] + holds.base[2] * tip
+    chain.value[0, 0] = conditions.base[0] + conditions.base[2] * tip
     for i in range(before, before + last + 1):
         chain.kind[i] = FREE
-    for i in range(len(holds.within)):
-        node = np.searchsorted(grid.nodes, holds.within[i, 0])
-        if node < last and grid.nodes[node] == holds.within[i, 0]:  # none holds the tip itself
-            _prescribe(chain.kind, chain.value, before + node, holds.within[i, 1], holds.within[i, 2])
-    if not np.isnan(holds.tip[0]):
-        _prescribe(chain.kind, chain.value, before + last, holds.tip[0], holds.tip[1])
+    for i in range(len(conditions.within)):
+        node = np.searchsorted(grid.nodes, conditions.within[i, 0])
+        if node < last and grid.nodes[node] == conditions.within[i, 0]:  # none holds the tip itself
+            _prescribe(
+                chain.kind, chain.value, before + node, conditions.within[i, 1], conditions.within[i, 2]
+            )
+    if not np.isnan(conditions.tip[0]):
+        _prescribe(chain.kind, chain.value, before + last, conditions.tip[0], conditions.tip[1])
 
 
 @njit(cache=True, nogil=True)
@@ -207,51 +223,53 @@ def _prescribe(kind: Ints, value: Floats, node: int, y: float, slope: float) -> 
 
 
 @njit(cache=True, nogil=True, inline="always")
-def carry(insertion: Insertion, chain: Chain, grid: Grid, last: int, on_main: bool) -> bool:
+def guess_next_state(
+    insertion: KernelInsertion, chain: Chain, grid: NodeGrid, last: int, on_main: bool
+) -> bool:
     """Guess the next stop from the shape as it is; return whether it was extrapolated from two stops."""
     states, nodes, now = insertion.states, insertion.nodes, insertion.size
     before, size = len(chain.front), len(chain.front) + last + 1
-    old_size, known = now[0], now[3]
+    old_size, older_size = now[0], now[3]
     same = on_main and now[2] == 1 and before == now[1]  # the nodes behind have not moved
-    grown = size - old_size
+    growth = size - old_size
     if not same and old_size > 0:
         old_nodes, old_state = nodes[:old_size].copy(), states[0, :old_size].copy()
         for i in range(size):
-            _read(
+            _interpolate_state(
                 old_nodes, old_state, chain.front[i] if i < before else grid.nodes[i - before], states[0, i]
             )
     now[0], now[1], now[2], now[3] = size, before, int(on_main), 0
     nodes[0] = chain.front[0]
     for i in range(max(old_size, 1) if same else 1, size):
         nodes[i] = chain.front[i] if i < before else grid.nodes[i - before]
-    if not same or grown <= 0:
-        start(states[0], chain, size)
+    if not same or growth <= 0:
+        apply_prescribed(states[0], chain, size)
         return False
     now[3] = old_size
     for i in range(old_size):
         for j in range(2):
             states[2, i, j] = states[1, i, j]
             states[1, i, j] = states[0, i, j]
-    go_straight(insertion, chain, grid)
-    if grown != old_size - known or known < before + grown:
+    extend_straight(insertion, chain, grid)
+    if growth != old_size - older_size or older_size < before + growth:
         return False
     # every node moves on as it moved, or as the node one cell behind it did, in the cell before
-    u, slope = states[2, known - 1, 0], states[2, known - 1, 1]
+    u, slope = states[2, older_size - 1, 0], states[2, older_size - 1, 1]
     for i in range(before, size):
-        j = i if i < known else i - grown
+        j = i if i < older_size else i - growth
         if i < old_size:
             states[0, i, 0] += states[1, j, 0] - states[2, j, 0]
             states[0, i, 1] += states[1, j, 1] - states[2, j, 1]
         else:
-            ahead = nodes[j] - nodes[known - 1]
+            ahead = nodes[j] - nodes[older_size - 1]
             states[0, i, 0] += states[1, j, 0] - (u + ahead * slope)
             states[0, i, 1] += states[1, j, 1] - slope
-    start(states[0], chain, size)
+    apply_prescribed(states[0], chain, size)
     return True
 
 
 @njit(cache=True, nogil=True)
-def go_straight(insertion: Insertion, chain: Chain, grid: Grid) -> None:
+def extend_straight(insertion: KernelInsertion, chain: Chain, grid: NodeGrid) -> None:
     """Guess that the shape stays and goes on along the tip's tangent in its new cell."""
     states, tip, old_size, before = insertion.states, insertion.tip, insertion.size[3], insertion.size[1]
     for i in range(insertion.size[0]):
@@ -260,11 +278,11 @@ def go_straight(insertion: Insertion, chain: Chain, grid: Grid) -> None:
         else:
             states[0, i, 0] = tip[1] + (grid.nodes[i - before] - tip[0]) * tip[2]
             states[0, i, 1] = tip[2]
-    start(states[0], chain, insertion.size[0])
+    apply_prescribed(states[0], chain, insertion.size[0])
 
 
 @njit(cache=True, nogil=True)
-def start(state: Floats, chain: Chain, size: int) -> None:
+def apply_prescribed(state: Floats, chain: Chain, size: int) -> None:
     """Put what is prescribed into a guess."""
     for i in range(size):
         if chain.kind[i] != FREE:
@@ -274,7 +292,7 @@ def start(state: Floats, chain: Chain, size: int) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _read(nodes: Floats, state: Floats, x: float, into: Floats) -> None:
+def _interpolate_state(nodes: Floats, state: Floats, x: float, into: Floats) -> None:
     """Read deflection and slope of a chain at `x`; beyond its ends it goes straight on."""
     end = len(nodes) - 1
     if x <= nodes[0] or x >= nodes[end]:
@@ -283,7 +301,7 @@ def _read(nodes: Floats, state: Floats, x: float, into: Floats) -> None:
         return
     e = np.searchsorted(nodes, x) - 1
     n = np.empty(8)
-    hermite(n, x - nodes[e], nodes[e + 1] - nodes[e])
+    fill_hermite(n, x - nodes[e], nodes[e + 1] - nodes[e])
     a0, a1, b0, b1 = state[e, 0], state[e, 1], state[e + 1, 0], state[e + 1, 1]
     into[0] = n[0] * a0 + n[1] * a1 + n[2] * b0 + n[3] * b1
     into[1] = n[4] * a0 + n[5] * a1 + n[6] * b0 + n[7] * b1

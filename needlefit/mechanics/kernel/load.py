@@ -4,17 +4,16 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.foundation import Foundation, drag, power
+from needlefit.mechanics.kernel.beam import fill_element_ends, fill_hermite, find_element
+from needlefit.mechanics.kernel.foundation import Foundation, evaluate_power, friction_factor
 from needlefit.mechanics.kernel.grid import build_grid
-from needlefit.mechanics.kernel.hermite import hermite
-from needlefit.mechanics.kernel.positions import element_at, ends_of
-from needlefit.mechanics.kernel.scalar import bending
+from needlefit.mechanics.kernel.scalar import compute_bending_stiffness
 
 Floats = NDArray[np.float64]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def load_at(
+def compute_load(
     x: Floats, u: Floats, slope: Floats, constraints: Floats, foundation: Foundation, boundaries: Floats,
     switch: float, s: Floats,
 ) -> Floats:  # fmt: skip
@@ -25,9 +24,9 @@ def load_at(
     for i in range(len(s)):
         if s[i] < 0.0:
             continue
-        e = element_at(x, s[i])
-        ends_of(ends, u, slope, e)
-        hermite(row, s[i] - x[e], x[e + 1] - x[e])
+        e = find_element(x, s[i])
+        fill_element_ends(ends, u, slope, e)
+        fill_hermite(row, s[i] - x[e], x[e + 1] - x[e])
         layer = np.searchsorted(boundaries, s[i])
         away = -constraints[np.searchsorted(change, s[i]), 1]
         turn = 0.0
@@ -35,14 +34,14 @@ def load_at(
             away += row[j] * ends[j]
             turn += row[4 + j] * ends[j]
         for p in range(foundation.exponents.shape[1]):
-            part, _ = power(foundation.exponents[layer, p], abs(away) / foundation.thickness[layer])
+            part, _ = evaluate_power(foundation.exponents[layer, p], abs(away) / foundation.thickness[layer])
             load[i] -= foundation.mu[layer] * foundation.coefficients[layer, p] * part * away
-        load[i] *= drag(foundation.friction[layer], turn)[0]
+        load[i] *= friction_factor(foundation.friction[layer], turn)[0]
     return load
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def balance(
+def balance_forces(
     x: Floats, u: Floats, slope: Floats, constraints: Floats, foundation: Foundation, boundaries: Floats,
     switch: float, rigidity: float,
 ) -> tuple[Floats, Floats, Floats, int, Floats]:  # fmt: skip
@@ -60,27 +59,27 @@ def balance(
     """
     front = np.searchsorted(x, 0.0)  # base and guides before the tissue
     grid = build_grid(constraints[:, 0].copy(), boundaries, x[front:].copy(), switch)
-    load = load_at(x, u, slope, constraints, foundation, boundaries, switch, grid.x)
-    held = np.zeros((len(x), 2))
+    load = compute_load(x, u, slope, constraints, foundation, boundaries, switch, grid.x)
+    nodal_forces = np.zeros((len(x), 2))
     ends, row = np.empty(4), np.empty(8)
     for i in range(len(x) - 1):
-        ends_of(ends, u, slope, i)
+        fill_element_ends(ends, u, slope, i)
         length = x[i + 1] - x[i]
-        a, b, c, d = bending(rigidity, length)
+        a, b, c, d = compute_bending_stiffness(rigidity, length)
         away = ends[0] - ends[2]
-        held[i, 0] += a * away + b * (ends[1] + ends[3])
-        held[i, 1] += b * away + c * ends[1] + d * ends[3]
-        held[i + 1, 0] -= a * away + b * (ends[1] + ends[3])
-        held[i + 1, 1] += b * away + d * ends[1] + c * ends[3]
+        nodal_forces[i, 0] += a * away + b * (ends[1] + ends[3])
+        nodal_forces[i, 1] += b * away + c * ends[1] + d * ends[3]
+        nodal_forces[i + 1, 0] -= a * away + b * (ends[1] + ends[3])
+        nodal_forces[i + 1, 1] += b * away + d * ends[1] + c * ends[3]
         e = i + 1 - front  # the grid's element from node i to node i + 1
         if e < 0:
             continue
         for q in range(grid.first[e], grid.first[e + 1]):
-            hermite(row, grid.x[q] - x[i], length)
+            fill_hermite(row, grid.x[q] - x[i], length)
             force = grid.weight[q] * load[q]
-            held[i, 0] -= force * row[0]
-            held[i, 1] -= force * row[1]
-            held[i + 1, 0] -= force * row[2]
-            held[i + 1, 1] -= force * row[3]
+            nodal_forces[i, 0] -= force * row[0]
+            nodal_forces[i, 1] -= force * row[1]
+            nodal_forces[i + 1, 0] -= force * row[2]
+            nodal_forces[i + 1, 1] -= force * row[3]
     last = int(np.searchsorted(grid.constraint, len(constraints) - 1))
-    return grid.x, grid.weight, load, last, held
+    return grid.x, grid.weight, load, last, nodal_forces

@@ -10,23 +10,20 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.foundation import TERMS, Foundation, drag, power
-from needlefit.mechanics.kernel.grid import Grid
-from needlefit.mechanics.kernel.hermite import hermite
+from needlefit.mechanics.kernel.beam import fill_hermite
+from needlefit.mechanics.kernel.foundation import SERIES_TERMS, Foundation, evaluate_power, friction_factor
+from needlefit.mechanics.kernel.grid import NodeGrid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE = 0, 1, 2, 3
-WIDTH = 14  # of a node's row of the factor: G = S^-1 K_ab (4), z = S^-1 r (2), S^-1 (4), K_ba (4)
+FACTOR_COLUMNS = 14  # of a node: G = S^-1 K_ab (4), z = S^-1 r (2), S^-1 (4), K_ba (4)
 FREE, PINNED, CLAMPED = 0, 1, 2  # a node: its deflection is prescribed, or its slope too
-ROUNDING = 1e-4  # mm; Newton's last steps square the increment: only rounding keeps one this small alive
-BEARABLE = 0.5  # |e| / t
-BROKEN, EXACT, SERIES = (
-    0,
-    1,
-    2,
-)  # a sweep: tissue compressed to nothing; law or series evaluated
+ROUNDING_MM = 1e-4  # Newton's last steps square the increment: only rounding keeps one this small alive
+MAX_FACTORED_COMPRESSION = 0.5  # |e| / t
+# results of a sweep: tissue compressed to nothing; the exact law was evaluated somewhere; series alone
+TISSUE_CRUSHED, EXACT_LAW, SERIES_LAW = 0, 1, 2
 
 
 class Chain(NamedTuple):
@@ -38,7 +35,7 @@ class Chain(NamedTuple):
     value: Floats  # (F + N, 2) prescribed deflection (mm) and slope
 
 
-class Newton(NamedTuple):
+class NewtonOptions(NamedTuple):
     """When to stop."""
 
     tolerance: float  # mm
@@ -47,8 +44,8 @@ class Newton(NamedTuple):
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def equilibrate(
-    state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, newton: Newton,
-    trial: Floats, factor: Floats,
+    state: Floats, chain: Chain, foundation: Foundation, grid: NodeGrid, y: Floats, last: int,
+    newton: NewtonOptions, trial: Floats, factor: Floats,
 ) -> tuple[int, int]:  # fmt: skip
     """Bring `state` into equilibrium with the tip at node `last` of the grid.
 
@@ -58,7 +55,7 @@ def equilibrate(
         Deflection and slope of the chain's nodes: a guess, replaced by the answer.
     y : (M + 1,) array
         Constraint points, mm.
-    trial, factor : (F + N, 2) and (F + N, WIDTH) arrays
+    trial, factor : (F + N, 2) and (F + N, FACTOR_COLUMNS) arrays
         Room to work in; `factor` is left as the last sweep filled it.
 
     Returns
@@ -67,50 +64,52 @@ def equilibrate(
     """
     front = len(chain.front)
     size = front + last + 1
-    span_shapes(grid, chain.front[front - 1])
+    fill_entry_element(grid, chain.front[front - 1])
     state, trial, factor = state[:size], trial[:size], factor[:size]
-    copy(trial, state)
+    copy_state(trial, state)
     before = np.inf
     curvature = np.max(foundation.curvature)
-    borne = compressed = False
+    seen_uncrushed = compressed = False
     for iteration in range(newton.max_iterations):
-        tissue = sweep(trial, chain, foundation, grid, y, last, factor)
-        if tissue == BROKEN and not borne:  # a guess beyond what tissue bears; the answer may not be
-            if not np.isfinite(back(trial, factor)):
+        tissue = sweep_forward(trial, chain, foundation, grid, y, last, factor)
+        if (
+            tissue == TISSUE_CRUSHED and not seen_uncrushed
+        ):  # a guess beyond what tissue bears; the answer may not be
+            if not np.isfinite(substitute_back(trial, factor)):
                 return NON_FINITE, iteration + 1
             continue
-        if tissue == BROKEN:
+        if tissue == TISSUE_CRUSHED:
             compressed = True
             # half the way back toward the last state that some tissue bore
             for i in range(size):
                 trial[i, 0] = 0.5 * (trial[i, 0] + state[i, 0])
                 trial[i, 1] = 0.5 * (trial[i, 1] + state[i, 1])
             continue
-        borne = True
-        copy(state, trial)
-        change = back(trial, factor)
+        seen_uncrushed = True
+        copy_state(state, trial)
+        change = substitute_back(trial, factor)
         if not np.isfinite(change):
             return NON_FINITE, iteration + 1
         # a step's error is about the square of its increment times the law's curvature, which bounds the
         # next increment; one this small that no longer shrinks is rounding: fine meshes in soft tissue
-        next_one = curvature * change * change if tissue == SERIES else change
-        if min(change, next_one) < newton.tolerance or (change < ROUNDING and change > 0.5 * before):
-            copy(state, trial)
+        next_one = curvature * change * change if tissue == SERIES_LAW else change
+        if min(change, next_one) < newton.tolerance or (change < ROUNDING_MM and change > 0.5 * before):
+            copy_state(state, trial)
             return CONVERGED, iteration + 1
         before = change
-    return OVER_COMPRESSED if compressed or not borne else NOT_CONVERGED, newton.max_iterations
+    return OVER_COMPRESSED if compressed or not seen_uncrushed else NOT_CONVERGED, newton.max_iterations
 
 
 @njit(cache=True, nogil=True)
-def copy(into: Floats, state: Floats) -> None:
+def copy_state(into: Floats, state: Floats) -> None:
     """Copy deflections and slopes; an assignment of arrays takes seconds to compile."""
     for i in range(len(state)):
         into[i, 0], into[i, 1] = state[i, 0], state[i, 1]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
-def sweep(
-    state: Floats, chain: Chain, foundation: Foundation, grid: Grid, y: Floats, last: int, factor: Floats,
+def sweep_forward(
+    state: Floats, chain: Chain, foundation: Foundation, grid: NodeGrid, y: Floats, last: int, factor: Floats,
     keep: Floats | None = None,
 ) -> int:  # fmt: skip
     """Linearise about `state` and eliminate from base to tip; return which form of the law it took.
@@ -122,8 +121,8 @@ def sweep(
     shapes, front, kind, value, rigidity = grid.shapes, chain.front, chain.kind, chain.value, chain.rigidity
     mu, coefficients, exponents = foundation.mu, foundation.coefficients, foundation.exponents
     thickness, friction = foundation.thickness, foundation.friction
-    series, limit, rough = foundation.series, foundation.limit, foundation.rough
-    tissue, broken = SERIES, False
+    series, limit, has_friction = foundation.series, foundation.limit, foundation.has_friction
+    tissue, crushed = SERIES_LAW, False
     s00 = s01 = s10 = s11 = r0 = r1 = 0.0
     before = len(front)
     end = before + last
@@ -145,28 +144,28 @@ def sweep(
                     size = abs(away)
                     if size <= limit[here]:
                         k = tangent = 0.0
-                        for j in range(TERMS - 1, -1, -1):
+                        for j in range(SERIES_TERMS - 1, -1, -1):
                             k = k * size + series[here, j]
                             tangent = tangent * size + (j + 1) * series[here, j]
                     else:
                         d = size / thickness[here]
-                        tissue = EXACT
-                        if d >= 1.0:  # the factor is then of a linear foundation as stiff as at BEARABLE
-                            broken, d = True, BEARABLE
+                        tissue = EXACT_LAW
+                        if d >= 1.0:  # take the factor of a linear foundation, as stiff as at the maximum
+                            crushed, d = True, MAX_FACTORED_COMPRESSION
                         k = tangent = 0.0
                         for p in range(exponents.shape[1]):
-                            part, tangent_part = power(exponents[here, p], d)
+                            part, tangent_part = evaluate_power(exponents[here, p], d)
                             k += mu[here] * coefficients[here, p] * part
                             tangent += mu[here] * coefficients[here, p] * tangent_part
                         if size >= thickness[here]:
                             tangent = k
                     w = weight[q]
                     r = 0.0
-                    if rough:
-                        tissue = EXACT
+                    if has_friction:
+                        tissue = EXACT_LAW
                         m0, m1, m2, m3 = shapes[q, 4], shapes[q, 5], shapes[q, 6], shapes[q, 7]
                         slope = m0 * a0 + m1 * a1 + m2 * b0 + m3 * b1
-                        g, g_slope = drag(friction[here], slope)
+                        g, g_slope = friction_factor(friction[here], slope)
                         h = w * k * away * g_slope
                         h0, h1, h2, h3 = h * n0, h * n1, h * n2, h * n3
                         x00, x01, x02, x03 = x00 + h0 * m0, x01 + h0 * m1, x02 + h0 * m2, x03 + h0 * m3
@@ -185,7 +184,7 @@ def sweep(
                     k22, k23, k33 = k22 + n2 * t2, k23 + n2 * t3, k33 + n3 * t3
                     f0, f1, f2, f3 = f0 + n0 * r, f1 + n1 * r, f2 + n2 * r, f3 + n3 * r
             stop = nodes[e] if e >= 0 else front[i + 1]
-            a, b, c, d = bending(rigidity, stop - start)
+            a, b, c, d = compute_bending_stiffness(rigidity, stop - start)
             start = stop
             k10, k20, k21 = k01 + b + x10, k02 - a + x20, k12 - b + x21
             k30, k31, k32 = k03 + b + x30, k13 + d + x31, k23 - b + x32
@@ -211,11 +210,11 @@ def sweep(
         s00, s01 = k22 - k20 * g00 - k21 * g10, k23 - k20 * g01 - k21 * g11
         s10, s11 = k32 - k30 * g00 - k31 * g10, k33 - k30 * g01 - k31 * g11
         r0, r1 = f2 - k20 * z0 - k21 * z1, f3 - k30 * z0 - k31 * z1
-    return BROKEN if broken else tissue
+    return TISSUE_CRUSHED if crushed else tissue
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def back(state: Floats, factor: Floats) -> float:
+def substitute_back(state: Floats, factor: Floats) -> float:
     """Substitute back from tip to base into `state`; return the largest change, mm.
 
     Of a deflection, or of a slope over a millimetre: where all deflections are prescribed, slopes alone tell.
@@ -235,14 +234,16 @@ def back(state: Floats, factor: Floats) -> float:
 
 
 @njit(cache=True, nogil=True, inline="always")
-def bending(rigidity: float, length: float) -> tuple[float, float, float, float]:
+def compute_bending_stiffness(rigidity: float, length: float) -> tuple[float, float, float, float]:
     """Return 12, 6 l, 4 l^2 and 2 l^2 times EI / l^3, the stiffness of a cubic beam element."""
     f = rigidity / (length * length * length)
     return 12.0 * f, 6.0 * f * length, 4.0 * f * length * length, 2.0 * f * length * length
 
 
 @njit(cache=True, nogil=True)
-def span_shapes(grid: Grid, held: float) -> None:
-    """Fill the rows of element 0, whose length changes as the needle advances; `held` is where it begins."""
+def fill_entry_element(grid: NodeGrid, span_start: float) -> None:
+    """Fill the rows of element 0, whose length changes as the needle advances; `span_start` is where it
+    begins.
+    """
     for q in range(grid.first[0], grid.first[1]):
-        hermite(grid.shapes[q], grid.x[q] - held, grid.nodes[0] - held)
+        fill_hermite(grid.shapes[q], grid.x[q] - span_start, grid.nodes[0] - span_start)

@@ -21,7 +21,7 @@ Floats = NDArray[np.float64]
 
 
 @cache  # simulate asks at every call; the folder does not change under a running program
-def names() -> tuple[str, ...]:
+def list_laws() -> tuple[str, ...]:
     """Return the laws there are: the files of this folder."""
     return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
 
@@ -34,7 +34,7 @@ def power_terms(law: str, alpha: Floats) -> tuple[Floats, Floats]:
     ModelError
         If there is no law of that name.
     """
-    (c, q), (dc, dq) = _at_zero(law), term_slopes(law)
+    (c, q), (dc, dq) = _make_terms_at_zero(law), term_slopes(law)
     return c + alpha[..., None] * dc, q + alpha[..., None] * dq
 
 
@@ -47,18 +47,22 @@ def term_slopes(law: str) -> tuple[Floats, Floats]:
     ModelError
         If there is no law of that name.
     """
-    slopes = np.array(_terms(law)(1.0)) - np.array(_terms(law)(0.0))  # (P, 2): the terms are linear in alpha
+    slopes = np.array(_find_terms(law)(1.0)) - np.array(
+        _find_terms(law)(0.0)
+    )  # (P, 2): the terms are linear in alpha
     return np.ascontiguousarray(slopes[:, 0]), np.ascontiguousarray(slopes[:, 1])
 
 
 @cache
-def _at_zero(law: str) -> tuple[Floats, Floats]:
-    pairs = np.array(_terms(law)(0.0))  # (P, 2)
+def _make_terms_at_zero(law: str) -> tuple[Floats, Floats]:
+    pairs = np.array(_find_terms(law)(0.0))  # (P, 2)
     return np.ascontiguousarray(pairs[:, 0]), np.ascontiguousarray(pairs[:, 1])
 
 
-def _terms(law: str) -> Callable[[float], list[tuple[float, float]]]:
-    if law not in names():
-        raise ModelError(f"there is no tissue law called `{law}`", expected=f"one of {', '.join(names())}")
+def _find_terms(law: str) -> Callable[[float], list[tuple[float, float]]]:
+    if law not in list_laws():
+        raise ModelError(
+            f"there is no tissue law called `{law}`", expected=f"one of {', '.join(list_laws())}"
+        )
     terms: Callable[[float], list[tuple[float, float]]] = importlib.import_module(f"{__name__}.{law}").terms
     return terms

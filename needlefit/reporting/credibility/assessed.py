@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from needlefit.datasets.independent import groups
+from needlefit.datasets.select import group_independent
 from needlefit.reporting import captions
 from needlefit.reporting.credibility.case import Case, drawn, found_in
 from needlefit.reporting.credibility.told import Finding, Told
@@ -115,7 +115,7 @@ def agreement(case: Case) -> Told:
 
 def _held(results: Results) -> str:
     rows = results.predictive
-    together = groups(list(rows["insertion"]), list(rows["specimen"]))
+    together = group_independent(list(rows["insertion"]), list(rows["specimen"]))
     tips, shapes = (
         said_of(estimate_proportion(list(rows[f"{what}_in_95"]), together)) for what in ("tip", "shape")
     )

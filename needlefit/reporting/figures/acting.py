@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Step
-from needlefit.mechanics.load import Loads, loads
+from needlefit.mechanics.load import Loads, compute_loads
 from needlefit.mechanics.scene import Entry, Scene
-from needlefit.mechanics.session import Moment
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.shape import compute_positions
 from needlefit.reporting.figures import look
 from needlefit.reporting.figures.steps import changes
 
@@ -27,19 +27,19 @@ _ARROW = {
 }
 
 
-def acting(scene: Scene, moment: Moment) -> Loads:
+def acting(scene: Scene, moment: NeedleState) -> Loads:
     """Return what acts on the needle."""
-    return loads(moment.shape, moment.tissue, scene.needle, moment.step.controls, scene.rules)
+    return compute_loads(moment.shape, moment.tissue, scene.needle, moment.step.controls, scene.rules)
 
 
-def profile(entry: Entry, moment: Moment, found: Loads, per_mm: float) -> Floats:
+def profile(entry: Entry, moment: NeedleState, found: Loads, per_mm: float) -> Floats:
     """Return the outline in the world of the load along the shaft: from the needle to where it pulls.
 
     `per_mm` is the load that a drawn millimetre stands for, N/mm.
     """
     if len(found.s) == 0 or per_mm == 0:
         return np.empty((0, 2))
-    needle = positions(moment.shape, found.s)
+    needle = compute_positions(moment.shape, found.s)
     pulled = needle + np.column_stack((np.zeros(len(needle)), found.load / per_mm))
     return entry.to_world(np.concatenate((needle, pulled[::-1])))
 
@@ -50,16 +50,16 @@ def draw_load(axes: Axes, outline: Floats) -> None:
         axes.fill(*outline.T, zorder=1.8, **look.LOAD)
 
 
-def draw_tip_force(axes: Axes, entry: Entry, moment: Moment, length: float) -> None:
+def draw_tip_force(axes: Axes, entry: Entry, moment: NeedleState, length: float) -> None:
     """Draw the tip force as an arrow of that `length` (mm, + toward C's y) from the tip."""
     if abs(length) < 1e-3:
         return
-    tip = positions(moment.shape, moment.shape.x[-1:])[0]
+    tip = compute_positions(moment.shape, moment.shape.x[-1:])[0]
     start, end = entry.to_world([tip, (tip[0], tip[1] + length)])
     axes.annotate("", end, start, arrowprops=_ARROW, zorder=7)
 
 
-def told(entry: Entry, moment: Moment, found: Loads, letters: int) -> tuple[list[str], list[str]]:
+def told(entry: Entry, moment: NeedleState, found: Loads, letters: int) -> tuple[list[str], list[str]]:
     """Return what is written above a drawing: where the needle stands and what holds it; and of its tip.
 
     In lines, the first of at most so many letters.

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 
 from needlefit.errors import ConfigError
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.session import Moment
+from needlefit.mechanics.session import NeedleState
 from needlefit.project.outputs import require_folder
 from needlefit.reporting.figures.acting import round_up
 from needlefit.reporting.figures.moment import paint
@@ -30,7 +30,7 @@ DOTS = 110
 """To the inch."""
 
 _ALONE = Beside()
-Timed = tuple[float, Moment]
+Timed = tuple[float, NeedleState]
 
 
 def animate(
@@ -70,14 +70,14 @@ def animate(
         _film(sheet, shown, writer, path)
 
 
-def _settle(sheet: Sheet, moment: Moment) -> None:
+def _settle(sheet: Sheet, moment: NeedleState) -> None:
     """Find the layout of a sheet."""
     FigureCanvasAgg(sheet.figure)
     paint(sheet, moment)
     snug(sheet.figure)
 
 
-def _film(sheet: Sheet, shown: Iterable[Moment], writer: AbstractMovieWriter, path: Path) -> None:
+def _film(sheet: Sheet, shown: Iterable[NeedleState], writer: AbstractMovieWriter, path: Path) -> None:
     """Write a frame for each moment; nothing moves but what moves, and no frame is laid out again."""
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
         sheet.figure.set_layout_engine(None)
@@ -87,10 +87,10 @@ def _film(sheet: Sheet, shown: Iterable[Moment], writer: AbstractMovieWriter, pa
                 writer.grab_frame()
 
 
-def sampled(moments: Iterable[Timed], times: Sequence[float]) -> list[Moment]:
+def sampled(moments: Iterable[Timed], times: Sequence[float]) -> list[NeedleState]:
     """Return what is seen at each of `times`, increasing: the last moment that is not later."""
-    found: list[Moment] = []
-    seen: Moment | None = None
+    found: list[NeedleState] = []
+    seen: NeedleState | None = None
     for time, moment in moments:
         while len(found) < len(times) and time > times[len(found)]:
             found.append(seen or moment)

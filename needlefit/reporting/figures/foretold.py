@@ -17,7 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from needlefit.datasets.independent import groups
+from needlefit.datasets.select import group_independent
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, study_name
 from needlefit.reporting.tables import Row, study_label
@@ -53,7 +53,7 @@ def counted(results: Sequence[Results]) -> pd.DataFrame:
 
 def _rows(results: Results) -> Iterator[Row]:
     told = results.predictive
-    together = groups(list(told["insertion"]), list(told["specimen"]))
+    together = group_independent(list(told["insertion"]), list(told["specimen"]))
     trials = len(set(together))
     about: Row = {"study": study_name(study_label(results)), "origin": results.origin}
     about |= {"needles": len(told), "trials": trials}

@@ -8,7 +8,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.mechanics.compression import Measure
+from needlefit.mechanics.compression import StressMeasure
 from needlefit.reporting.figures.style import WIDTH, light_grid, plot
 from needlefit.reporting.material_tables import PRIOR
 from needlefit.reporting.names import GREY, INK
@@ -24,7 +24,7 @@ _DOTS = 60
 """Measured points of a specimen that are drawn, about."""
 
 
-def draw_curves(measure: Measure, curves: pd.DataFrame, path: Path) -> Path:
+def draw_curves(measure: StressMeasure, curves: pd.DataFrame, path: Path) -> Path:
     """Draw measured and fitted stress over stretch, and below what the fit leaves."""
     return plot(path, curves, lambda frame: _paint_curves(measure, frame))
 
@@ -34,7 +34,7 @@ def draw_profiles(profiles: pd.DataFrame, path: Path) -> Path:
     return plot(path, profiles, _paint_profiles)
 
 
-def _paint_curves(measure: Measure, curves: pd.DataFrame) -> Figure:
+def _paint_curves(measure: StressMeasure, curves: pd.DataFrame) -> Figure:
     figure = Figure(figsize=(0.6 * WIDTH, 3.3))
     upper, lower = figure.subplots(2, 1, height_ratios=(2.2, 1), sharex=True)
     for colour, (name, rows) in _coloured(curves):

@@ -8,8 +8,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from needlefit.mechanics.scene import Entry, Scene
-from needlefit.mechanics.session import Moment
-from needlefit.mechanics.shape import placed
+from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.shape import map_beam_points
 from needlefit.reporting.figures import look
 from needlefit.reporting.figures.acting import acting, draw_load, draw_tip_force, profile, told
 from needlefit.reporting.figures.sheet import Beside, Sheet, lay_out
@@ -20,7 +20,12 @@ _ALONE = Beside()
 
 
 def draw_moment(
-    title: str, scene: Scene, moment: Moment, path: Path, beside: Beside = _ALONE, whole: bool | None = None
+    title: str,
+    scene: Scene,
+    moment: NeedleState,
+    path: Path,
+    beside: Beside = _ALONE,
+    whole: bool | None = None,
 ) -> None:
     """Draw one moment, mm in both directions alike, to a .pdf, .png or .svg file.
 
@@ -50,7 +55,7 @@ def draw_moment(
     draw(path, figure)
 
 
-def paint(sheet: Sheet, moment: Moment) -> None:
+def paint(sheet: Sheet, moment: NeedleState) -> None:
     """Paint one moment on a sheet, in place of whatever is on it."""
     axes, scene = sheet.axes, replace(sheet.scene, tissue=moment.tissue)
     for old in (*axes.lines, *axes.patches, *axes.texts):
@@ -59,7 +64,7 @@ def paint(sheet: Sheet, moment: Moment) -> None:
     _draw_beside(axes, scene.entry, sheet.beside)
     found = acting(scene, moment)
     draw_load(axes, profile(scene.entry, moment, found, sheet.per_mm))
-    path = placed(moment.shape, moment.shape.tip_path)
+    path = map_beam_points(moment.shape, moment.shape.tip_path)
     axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **look.PATH)
     draw_needle(axes, scene, moment.step, moment.shape)
     draw_tip_force(axes, scene.entry, moment, found.tip_force * sheet.arrow)

@@ -8,8 +8,8 @@ from matplotlib.image import imsave
 from matplotlib.ticker import MultipleLocator
 from numpy.typing import NDArray
 
-from needlefit.geometry.crossings import surface_hits
-from needlefit.geometry.curves import at_arc
+from needlefit.geometry.crossings import find_surface_hits
+from needlefit.geometry.curves import interpolate_at_arc
 from needlefit.geometry.surfaces import Surface
 from needlefit.imaging.needle.segmentation import MAX_AIR_HU
 from needlefit.imaging.reconstruction import Reconstruction, ScanView
@@ -130,6 +130,6 @@ def outline(
     for level in np.arange(*span, _STEP):
         course[:, up] = level
         path = reconstruction.frame.to_world(course)
-        hits = at_arc(path, surface_hits(path, surface)).reshape(-1, 3)
+        hits = interpolate_at_arc(path, find_surface_hits(path, surface)).reshape(-1, 3)
         cuts.append(reconstruction.frame.to_local(hits)[:, [0, up]])
     return np.concatenate(cuts) if cuts else np.empty((0, 2))

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from needlefit.mechanics.control import Controls
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import NeedleShape, placed, positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.reporting.figures import look
 from needlefit.reporting.figures.steps import paint_steps
 from needlefit.reporting.figures.style import WIDTH, draw, snug, stretch
@@ -47,7 +47,7 @@ def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Pa
 
 def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     start = max(float(shape.x[0]), -_OUTSIDE * scene.depth)
-    needle = positions(shape, np.linspace(start, shape.depth, 400))  # (400, 2)
+    needle = compute_positions(shape, np.linspace(start, shape.depth, 400))  # (400, 2)
     if not shape.converged:
         needle = np.zeros((1, 2))  # there is none to show
     bend = float(np.abs(needle[:, 1]).max()) if shape.converged else 0.1 * scene.depth
@@ -96,7 +96,9 @@ def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
 
 def _draw_needle(axes: Axes, shape: NeedleShape, needle: np.ndarray) -> None:
     axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)), zorder=1)
-    axes.plot(*placed(shape, shape.constraints).T, zorder=2, label="constraint points", **look.POINTS)
+    axes.plot(
+        *map_beam_points(shape, shape.constraints).T, zorder=2, label="constraint points", **look.POINTS
+    )
     axes.plot(*needle.T, zorder=3, label="needle", **look.NEEDLE)
     tip = needle[-1]
     axes.plot(*tip, zorder=4, **look.TIP_MARK)

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from needlefit.mechanics.control import Controls
 from needlefit.mechanics.load import Loads
 from needlefit.mechanics.scene import Entry, Scene
-from needlefit.mechanics.session import Moment
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.session import NeedleState
+from needlefit.mechanics.shape import compute_positions
 from needlefit.reporting.figures import look
 from needlefit.reporting.figures.acting import acting, profile, round_up, told
 from needlefit.reporting.figures.style import WIDTH, label_origin
@@ -90,7 +90,7 @@ class Sheet:
 
 
 def lay_out(
-    title: str, scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool | None = None
+    title: str, scene: Scene, moments: Sequence[NeedleState], beside: Beside, whole: bool | None = None
 ) -> Sheet:
     """Return an empty sheet on which each of the moments has room.
 
@@ -157,7 +157,7 @@ def _axis_labels(entry: Entry) -> dict[str, str]:
     return {"xlabel": "x in the world (mm)", "ylabel": "y in the world (mm)"}
 
 
-def _shown(scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool) -> Floats:
+def _shown(scene: Scene, moments: Sequence[NeedleState], beside: Beside, whole: bool) -> Floats:
     """Return points in the world that a drawing of all these moments must hold, (K, 2) mm."""
     deepest = max(moment.shape.depth for moment in moments)
     start = -scene.needle.length if whole or deepest == 0 else -_OUTSIDE * deepest
@@ -170,9 +170,9 @@ def _shown(scene: Scene, moments: Sequence[Moment], beside: Beside, whole: bool)
     return shown
 
 
-def _forces(entry: Entry, moment: Moment, found: Loads, per_mm: float, arrow: float) -> Floats:
+def _forces(entry: Entry, moment: NeedleState, found: Loads, per_mm: float, arrow: float) -> Floats:
     """Return points that a drawing of the forces must hold, (K, 2) mm."""
-    ((x, y),) = positions(moment.shape, moment.shape.x[-1:])
+    ((x, y),) = compute_positions(moment.shape, moment.shape.x[-1:])
     pulled = [(x, y + arrow * found.tip_force)]
     return np.concatenate([profile(entry, moment, found, per_mm), entry.to_world(pulled)])
 

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Step
 from needlefit.mechanics.scene import Entry, Scene
-from needlefit.mechanics.shape import NeedleShape, placed, positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.reporting.figures import look
 from needlefit.reporting.figures.tissue import layer_labels, shades
 from needlefit.reporting.names import GREY, INK
@@ -22,7 +22,7 @@ _FAR = 1e4  # mm: further than any panel reaches
 
 def needle_line(entry: Entry, shape: NeedleShape) -> Floats:
     """Return the needle from base to tip in the world, (300, 2) mm."""
-    return entry.to_world(positions(shape, np.linspace(shape.x[0], shape.depth, 300)))
+    return entry.to_world(compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300)))
 
 
 def base_point(scene: Scene, step: Step) -> Floats:
@@ -110,7 +110,7 @@ def draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> Non
     if not shape.converged:
         write_failure(axes, shape)
         return
-    axes.plot(*entry.to_world(placed(shape, shape.constraints)).T, zorder=2, **look.POINTS)
+    axes.plot(*entry.to_world(map_beam_points(shape, shape.constraints)).T, zorder=2, **look.POINTS)
     needle = needle_line(entry, shape)
     axes.plot(*needle.T, zorder=3, **look.NEEDLE)
     axes.plot(*needle[-1], zorder=6, **look.TIP_MARK)

@@ -12,7 +12,7 @@ from needlefit.inference.likelihood.covariance import points_covariance
 from needlefit.inference.likelihood.depths import moved
 from needlefit.inference.likelihood.pose import modes, pose_sds
 from needlefit.inference.predict import predict
-from needlefit.mechanics.shape import positions
+from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.medium import MediumRecord
 
 Floats = NDArray[np.float64]
@@ -44,7 +44,7 @@ def simulate_measurement(
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
         return None
-    points = positions(shape, at)
+    points = compute_positions(shape, at)
     cov = points_covariance(s, dataset.noise, insertion.sd)
     if dataset.pose == "known":
         spread = modes(points) * pose_sds(insertion, dataset.noise)

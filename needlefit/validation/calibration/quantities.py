@@ -9,8 +9,8 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.inference.identifiability.identify import told_by
 from needlefit.inference.predict import predict_each
 from needlefit.inference.problem import Problem
-from needlefit.mechanics.batch import positions_each
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.batch import compute_batch_positions
+from needlefit.mechanics.lanes import simulate_batches
 
 Floats = NDArray[np.float64]
 
@@ -50,8 +50,8 @@ class RankedQuantities:
         prior = self.problem.parameters.prior
         likelihood = log_posterior - [prior.log_density(values) for values in sets]
         medium, needle = self.problem.medium, self.problem.dataset.needle
-        (shapes,) = follow_batches([predict_each(sets, medium, needle, self.tip)], 1)
-        tips = positions_each(shapes, np.array([self.tip.depth]))[:, 0, 1]
+        (shapes,) = simulate_batches([predict_each(sets, medium, needle, self.tip)], 1)
+        tips = compute_batch_positions(shapes, np.array([self.tip.depth]))[:, 0, 1]
         return np.column_stack([thetas, combined, tips, likelihood])
 
 

@@ -9,9 +9,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.tracks.read import read_tracks
-from needlefit.datasets.tracks.select import select_runs
-from needlefit.datasets.tracks.track import Track, TrackDataset
+from needlefit.datasets.tip_track_table import read_tracks
+from needlefit.datasets.tip_tracks import TipTrack, TrackDataset, select_runs
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.draws import from_posterior
 from needlefit.inference.identifiability.agreement import is_small
@@ -57,7 +56,7 @@ class TrackTask:
 
     name: str
     problem: TrackProblem
-    held: tuple[Track, ...]
+    held: tuple[TipTrack, ...]
     recipe: RecipeRecord
 
 
@@ -112,7 +111,7 @@ def make_task(one: TrackFitRecord, dataset: TrackDataset, recipe: RecipeRecord) 
     return TrackTask(one.name, problem, held, recipe)
 
 
-def _check_needle(dataset: TrackDataset, tracks: tuple[Track, ...], parameters: Parameters) -> None:
+def _check_needle(dataset: TrackDataset, tracks: tuple[TipTrack, ...], parameters: Parameters) -> None:
     """Refuse a needle whose base would reach the guide."""
     name = "guide_distance_mm"
     far = parameters.bounds[name][1] if name in parameters.bounds else parameters.fixed.get(name, 0.0)

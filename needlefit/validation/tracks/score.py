@@ -5,7 +5,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.datasets.tracks.track import Track
+from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.inference.predictive import LEVELS, Mixture, crps, interval, quantile, worst_level
 from needlefit.inference.tracks.evidence import TrackEvidence, frame
 from needlefit.inference.tracks.foresight import Drawn, ahead, slopes
@@ -41,16 +41,16 @@ def predict_runs(
         yield row, list(_reading_rows(known.track, mixture, placed))
 
 
-def count_registration_readings(track: Track, placed_by: float) -> int:
+def count_registration_readings(track: TipTrack, placed_by: float) -> int:
     """Return how many readings of a run say how it lies in the tracker's frame; the others are scored."""
     return max(1, int(np.sum(track.depth <= placed_by)))
 
 
-def _describe_track(track: Track, readings: int) -> Row:
+def _describe_track(track: TipTrack, readings: int) -> Row:
     return {"run": track.id, "medium": track.medium, "specimen": track.specimen, "readings": readings}
 
 
-def _aligned_error(track: Track, deflection: Floats, placed: int) -> Row:
+def _aligned_error(track: TipTrack, deflection: Floats, placed: int) -> Row:
     """Return what is left between the scored readings and the draws, shift and slope taken from all alike."""
     off = (track.tip - deflection)[:, placed:]  # (B, m)
     taken = np.linalg.qr(frame(track.depth[placed:]))[0]
@@ -72,7 +72,7 @@ def _score_prediction(mixture: Mixture, measured: Floats, rng: np.random.Generat
     return row
 
 
-def _reading_rows(track: Track, mixture: Mixture, placed: int) -> Iterator[Row]:
+def _reading_rows(track: TipTrack, mixture: Mixture, placed: int) -> Iterator[Row]:
     predicted = {"median_mm": quantile(mixture, 0.5)}
     for level in LEVELS:
         low, high = interval(mixture, level)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from needlefit.mechanics.load import Hold, loads
+from needlefit.mechanics.load import SupportReaction, compute_loads
 from needlefit.verification.cases import EXACT, Case, random_schedule
 from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 
@@ -11,13 +11,13 @@ RANDOM = 10
 
 def unbalanced(case: Case) -> tuple[float, float]:
     """Return the sum of all forces, and of all moments about the entry, over the sum of their sizes."""
-    found = loads(case.shape(), case.tissue, case.needle, case.steps[-1].controls, EXACT)
-    forces = [held.force for held in found.everything]
-    moments = [_about_entry(held) for held in found.everything]
+    found = compute_loads(case.shape(), case.tissue, case.needle, case.steps[-1].controls, EXACT)
+    forces = [held.force for held in found.all_loads]
+    moments = [_about_entry(held) for held in found.all_loads]
     return _sum_over_sizes(forces), _sum_over_sizes(moments)
 
 
-def _about_entry(held: Hold) -> float:
+def _about_entry(held: SupportReaction) -> float:
     return held.moment + held.x * held.force
 
 

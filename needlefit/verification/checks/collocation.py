@@ -4,15 +4,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needlefit.mechanics.control import Bevel, Controls, Guide, Rules, Step
-from needlefit.mechanics.simulate import equilibrium, follow
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.simulate import equilibrium, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import NEEDLE, layers, solved
 from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 from needlefit.verification.collocation import collocate
 from needlefit.verification.samples import read
 
-FINE = Rules(element=0.25, tolerance=1e-9)
+FINE = ModelOptions(element=0.25, tolerance=1e-9)
 
 _QUANTITIES = (
     Quantity("difference of the deflection, h = 0.25 mm", at_most(1e-6), "mm"),
@@ -31,10 +31,10 @@ class Insertion:
 def difference(insertion: Insertion) -> tuple[float, float]:
     """Return how far the collocation of its last equilibrium is from ours on the fine and default mesh."""
     tissue, steps = insertion.tissue, insertion.steps
-    constraints = solved(follow(NEEDLE, tissue, steps)).constraints
+    constraints = solved(simulate_steps(NEEDLE, tissue, steps)).constraints
     controls = steps[-1].controls
     x, u = collocate(NEEDLE, tissue, constraints, controls)
-    shapes = (equilibrium(NEEDLE, tissue, constraints, controls, rules) for rules in (FINE, Rules()))
+    shapes = (equilibrium(NEEDLE, tissue, constraints, controls, rules) for rules in (FINE, ModelOptions()))
     fine, default = (worst(np.abs(read(solved(shape), x) - u)) for shape in shapes)
     return fine, default
 

@@ -6,8 +6,8 @@ import numpy as np
 
 from needlefit.mechanics import laws, reference
 from needlefit.mechanics.batch import Batch
-from needlefit.mechanics.control import Bevel, Controls, Rules, Step
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.verification.cases import (
     NEEDLE,
@@ -34,7 +34,7 @@ _QUANTITIES = (
 
 def reference_shape(case: Case) -> tuple[Case, NeedleShape]:
     """Return the case with the reference's answer."""
-    return case, reference.follow(case.needle, case.tissue, case.steps)
+    return case, reference.simulate_steps(case.needle, case.tissue, case.steps)
 
 
 def compare(fast: NeedleShape, slow: NeedleShape) -> tuple[float, float]:
@@ -52,7 +52,7 @@ def worst_of(pairs: Iterable[tuple[NeedleShape, NeedleShape]]) -> tuple[float, f
 def _check(title: str, draw: Draw, count: int, deepest: float) -> Check:
     def measure(rng: np.random.Generator) -> Outcome:
         cases, said = solvable(lambda: draw(rng, deepest, SOFTEST), reference_shape, count)
-        return Outcome(worst_of((case.shape(Rules()), slow) for case, slow in cases), said)
+        return Outcome(worst_of((case.shape(ModelOptions()), slow) for case, slow in cases), said)
 
     return Check(Group.REFERENCE, f"{count} random {title}", _QUANTITIES, measure)
 
@@ -71,11 +71,13 @@ def _in_lanes(rng: np.random.Generator) -> Outcome:
             offset=rng.uniform(0.01, 0.15, SETS),
             rigidity=10 ** rng.uniform(3.5, 4.5, SETS),
         )
-        for law in laws.names()
+        for law in laws.list_laws()
     ]
-    found = zip(batches, follow_batches(batches), strict=True)
+    found = zip(batches, simulate_batches(batches), strict=True)
     pairs = [
-        (solved(shapes[i]), reference.follow(*batch.one(i))) for batch, shapes in found for i in range(SETS)
+        (solved(shapes[i]), reference.simulate_steps(*batch.pick(i)))
+        for batch, shapes in found
+        for i in range(SETS)
     ]
     return Outcome(worst_of(pairs))
 

@@ -6,7 +6,7 @@ b halved with it turns as much per mm, and still does not give the same needle.
 
 import numpy as np
 
-from needlefit.mechanics.control import Bevel, Rules
+from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.verification.cases import NEEDLE, layers, solved
 from needlefit.verification.check import Bound, Check, Group, Outcome, Quantity
@@ -17,7 +17,9 @@ _TISSUE = layers(mu=[0.2, 33.0, 0.2, 33.0], alpha=[1.0, -1.0, 1.0, -1.0], bounda
 
 def tip(spacing: float, offset: float) -> float:
     """Return the tip's deflection, mm."""
-    return solved(simulate(NEEDLE, _TISSUE, Bevel(offset), DEPTH, rules=Rules(spacing, spacing))).deflection
+    return solved(
+        simulate(NEEDLE, _TISSUE, Bevel(offset), DEPTH, rules=ModelOptions(spacing, spacing))
+    ).deflection
 
 
 def _measure(rng: np.random.Generator) -> Outcome:

@@ -7,10 +7,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from needlefit.mechanics.control import Rules, Step
+from needlefit.mechanics.control import ModelOptions, Step
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import MAX_SLOPE
 from needlefit.project.load import load
@@ -23,10 +23,10 @@ FINER = 8
 RANDOM = 40
 
 
-def error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: Rules) -> float:
+def error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> float:
     """Return how far the tip moves when elements become eight times shorter, mm."""
-    fine = Rules(rules.spacing, rules.element / FINER)
-    tips = [solved(follow(needle, tissue, steps, each)).deflection for each in (rules, fine)]
+    fine = ModelOptions(rules.spacing, rules.element / FINER)
+    tips = [solved(simulate_steps(needle, tissue, steps, each)).deflection for each in (rules, fine)]
     return abs(tips[1] - tips[0])
 
 
@@ -47,10 +47,10 @@ def _random(rng: np.random.Generator) -> Outcome:
         if steep > RANDOM:
             raise ArithmeticError(f"most insertions are steeper than {MAX_SLOPE:g}")
         case = random_case(rng)
-        if worst(np.abs(case.shape(Rules()).slope)) > MAX_SLOPE:
+        if worst(np.abs(case.shape(ModelOptions()).slope)) > MAX_SLOPE:
             steep += 1
             continue
-        errors.append(error(case.needle, case.tissue, case.steps, Rules()))
+        errors.append(error(case.needle, case.tissue, case.steps, ModelOptions()))
     said = f"{steep} more drawn whose slopes exceed {MAX_SLOPE:g}"
     return Outcome((worst(errors), float(np.median(errors))), said)
 

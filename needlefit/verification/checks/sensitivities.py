@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.mechanics.control import Rules
-from needlefit.mechanics.linearize import linearize_along
+from needlefit.mechanics.control import ModelOptions
+from needlefit.mechanics.linearize import linearize_steps
 from needlefit.verification.cases import EXACT, Case, Draw, random_case, random_schedule, solvable, solved
 from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
 from needlefit.verification.complex_step import KINDS, derivatives, parameters
@@ -14,7 +14,7 @@ from needlefit.verification.complex_step import KINDS, derivatives, parameters
 Floats = NDArray[np.float64]
 
 RANDOM = 10
-RULES: Rules = EXACT
+RULES: ModelOptions = EXACT
 SMALLEST = 1e-3
 """mm per unit (per logarithm of mu and EI): a column below is measured against this, for the state itself is
 known to no better than 1e-10 mm. Of slopes: a hundredth, per mm."""
@@ -49,7 +49,7 @@ def errors(other: Stepped) -> dict[str, float]:
         If the Jacobian lacks a column.
     """
     case = other.case
-    shape, jacobian = linearize_along(case.needle, case.tissue, case.steps, RULES, wrt=KINDS)
+    shape, jacobian = linearize_steps(case.needle, case.tissue, case.steps, RULES, wrt=KINDS)
     solved(shape)
     columns = [jacobian.names.index(name) for name in other.names]
     unit = np.array([_unit(case, name) for name in other.names])

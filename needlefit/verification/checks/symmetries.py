@@ -7,7 +7,7 @@ import numpy as np
 
 from needlefit.mechanics.control import Bevel, Controls, Step
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import lattice_of
+from needlefit.mechanics.plan import make_lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import EXACT, Case, Draw, random_case, random_schedule, solved
@@ -67,14 +67,14 @@ def there_and_back(case: Case) -> float:
 def one_by_one(case: Case) -> float:
     """A session led step by step finds what the whole schedule finds, bit by bit."""
     first = case.steps[0]
-    lattice = lattice_of(case.steps, EXACT)
+    lattice = make_lattice(case.steps, EXACT)
     session = Session(case.needle, case.tissue, first.bevel, lattice.first_cell, first.controls, EXACT)
     shapes = [solved(session.go(step)) for step in case.steps]
     return worst(np.abs(shapes[-1].u - case.shape().u))
 
 
 def _against(case: Case, steps: tuple[Step, ...]) -> float:
-    lattice = lattice_of(case.steps, EXACT)
+    lattice = make_lattice(case.steps, EXACT)
     return distance(case.shape(), replace(case, steps=steps).shape(lattice=lattice))
 
 

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.mechanics import reference
-from needlefit.mechanics.control import Bevel, Rules
-from needlefit.mechanics.kernel.scalar import Newton
+from needlefit.mechanics.control import Bevel, ModelOptions
+from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification.cases import NEEDLE, layers, solved
@@ -30,7 +30,7 @@ def residual(stop: Stop, tissue: Tissue, constraints: Floats) -> Callable[[Numbe
     """Return R(u) of the reference's equations, (2 N,), but for the clamped base's; u may be complex."""
     x_c, y_c = constraints.T
     K_b = reference.bending_stiffness(stop.x, NEEDLE.flexural_rigidity)
-    change = reference.changes(x_c, Rules().switch)
+    change = reference.change_depths(x_c, ModelOptions().switch)
     x, w = reference.quadrature(stop.x, change, tissue.boundaries)
     N, dN = reference.shape_functions(stop.x, x)
     layer = np.searchsorted(tissue.boundaries, x)
@@ -53,10 +53,10 @@ def measure(friction: float) -> tuple[float, float]:
         mu=[0.5, 3.0], alpha=[6.0, -5.0], boundaries=[13.37], thickness=[5.0, 5.0], friction=[friction] * 2
     )
     constraints = solved(simulate(NEEDLE, tissue, Bevel(0.2), 25.0)).constraints
-    stop = stop_at(NEEDLE, tissue, constraints, Rules())
+    stop = stop_at(NEEDLE, tissue, constraints, ModelOptions())
     s = (stop.x - stop.x[0]) / NEEDLE.length
     sway = np.column_stack((s**2 * np.cos(9 * s), (2 * s * np.cos(9 * s) - 9 * s**2 * np.sin(9 * s)) / 150))
-    found = settle(stop, np.zeros_like(sway), Newton(1e-12, 60))
+    found = settle(stop, np.zeros_like(sway), NewtonOptions(1e-12, 60))
     start = found + _STARTS[0] * sway
     step = settle(stop, start, ONE_STEP) - start
     R = residual(stop, tissue, constraints)

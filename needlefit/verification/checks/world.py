@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.mechanics.scene import Scene, insert
-from needlefit.mechanics.shape import inserted_points
+from needlefit.mechanics.scene import Scene, simulate_scene
+from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.project.load import check
 from needlefit.schemas.scene import SceneRecord
 from needlefit.verification.cases import solved
@@ -44,9 +44,9 @@ def scene(origin: complex, turn: float) -> Scene:
 def difference(origin: complex, turn: float) -> tuple[float, float]:
     """Return how far the shape in C, and the needle in the moved world, are from what they must be, mm."""
     here, there = scene(0j, 0.0), scene(origin, turn)
-    one, other = (solved(insert(each)[-1]) for each in (here, there))
-    points = _complex(here.entry.to_world(inserted_points(one)))
-    moved = _complex(there.entry.to_world(inserted_points(other)))
+    one, other = (solved(simulate_scene(each)[-1]) for each in (here, there))
+    points = _complex(here.entry.to_world(sample_inserted_points(one)))
+    moved = _complex(there.entry.to_world(sample_inserted_points(other)))
     in_world = worst(np.abs(moved - (origin + points * cmath.exp(1j * turn))))
     return worst(np.abs(one.u - other.u)), in_world
 

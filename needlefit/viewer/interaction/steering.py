@@ -8,8 +8,8 @@ import numpy as np
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Step
-from needlefit.mechanics.scene import Scene, at_contact
-from needlefit.mechanics.session import Moment, Session
+from needlefit.mechanics.scene import Scene, begin_session
+from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.tissue import Tissue
 from needlefit.viewer.interaction.inputs import PARAMETERS, Change, apply_changes
 
@@ -64,12 +64,12 @@ class SteeredNeedle:
         self.names = list_guide_names(scene)
         self.scene = replace(scene, steps=tuple(_with_guide_names(step) for step in scene.steps))
         self.number, self.solved, self.failed = 0, 0, 0
-        self._session = at_contact(self.scene, first_cell)
+        self._session = begin_session(self.scene, first_cell)
         self._saved: dict[int, Session] = {}
         self.keep()
 
     @property
-    def now(self) -> Moment:
+    def now(self) -> NeedleState:
         """The needle as it stands."""
         return self._session.now
 
@@ -78,9 +78,9 @@ class SteeredNeedle:
         """Depth of the first constraint point, mm."""
         return self._session.lattice.first_cell
 
-    def course(self) -> tuple[Step, ...]:
+    def input_path(self) -> tuple[Step, ...]:
         """Return the shortest steps that lead to where the needle stands."""
-        return self._session.course()
+        return self._session.input_path()
 
     def step_rate(self) -> float:
         """Return how many steps a second this needle can make, at the depth that the scene ends at."""
@@ -91,7 +91,7 @@ class SteeredNeedle:
         before = self.now.step.controls.before
         return self.scene.needle.length + (before[0].x if before else 0.0) - 1e-6
 
-    def apply(self, changes: Sequence[Change]) -> Moment:
+    def apply(self, changes: Sequence[Change]) -> NeedleState:
         """Carry out one step: all changes together.
 
         Raises
@@ -144,7 +144,7 @@ class SteeredNeedle:
 
     def _recompute(self, parameters: Sequence[Change]) -> Session:
         offset = next((c.value for c in parameters if c.name == "offset_throughout_mm"), None)
-        session = self._session.retold(_with_parameters(self._session.tissue, parameters), offset)
+        session = self._session.simulate_again(_with_parameters(self._session.tissue, parameters), offset)
         if session.failures:
             self.failed += 1
             raise ModelError(

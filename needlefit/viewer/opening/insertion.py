@@ -4,15 +4,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.noise import noise_floor
+from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.read import read
-from needlefit.geometry.placement import Placement, carried
+from needlefit.geometry.frames import Placement, move_frame
 from needlefit.inference.as_scene import as_scene
 from needlefit.inference.comparison import target
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import NeedleShape, positions
-from needlefit.mechanics.simulate import follow
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.simulate import simulate_steps
 from needlefit.project.load import load
 from needlefit.project.locate import find_file, list_names, unknown_name_error
 from needlefit.project.random_streams import random_stream
@@ -105,8 +105,8 @@ def find_placement(dataset: Dataset, insertion: Insertion, shape: NeedleShape) -
         if not shape.converged:
             return None
         s = target(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
-        points = positions(shape, s)
-        frame = carried(frame, points, align_with_measured(insertion, s, points))
+        points = compute_positions(shape, s)
+        frame = move_frame(frame, points, align_with_measured(insertion, s, points))
     return Placement(frame, insertion.patient).to_record()
 
 
@@ -162,8 +162,8 @@ def make_viewed_scene(
     title = f"{insertion.id} · {dataset.title}"
     record = as_scene(shown.values, shown.medium, dataset, insertion, title)
     scene = Scene.from_record(record, f"{name}/{insertion.id}")
-    shape = follow(scene.needle, scene.tissue, scene.steps, scene.rules)
-    floor = noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
+    shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
+    floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))
     scan, lacking = find_scan(dataset, insertion)
     return ViewedScene(
         name=f"{name}/{insertion.id}",

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.mechanics.batch import Batch, positions_each
-from needlefit.mechanics.control import Rules, Step
-from needlefit.mechanics.lanes import follow_batches
+from needlefit.mechanics.batch import Batch, compute_batch_positions
+from needlefit.mechanics.control import ModelOptions, Step
+from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.tissue import Tissue
 from needlefit.validation.needles_in_scan import BAND_PERCENTILES, NEEDLE_POINTS
@@ -77,7 +77,7 @@ def compute_band(
     needle: Needle,
     tissue: Tissue,
     steps: tuple[Step, ...],
-    rules: Rules,
+    rules: ModelOptions,
     first_cell: float,
 ) -> NeedleBand | None:
     """Return the band of a needle that was led through `steps`; None where it has no width to show.
@@ -88,7 +88,7 @@ def compute_band(
     Parameters
     ----------
     steps : tuple of Step
-        The shortest that lead to where the needle stands: `Session.course`.
+        The shortest that lead to where the needle stands: `Session.input_path`.
     first_cell : float
         Of the session, mm.
 
@@ -109,8 +109,10 @@ def compute_band(
         alpha=spread.alpha,
         offset=spread.offset,
     )
-    (shapes,) = follow_batches([led], threads=1)
-    found = positions_each(shapes, np.linspace(0.0, depth, NEEDLE_POINTS))[shapes.converged]  # (B, K, 2)
+    (shapes,) = simulate_batches([led], threads=1)
+    found = compute_batch_positions(shapes, np.linspace(0.0, depth, NEEDLE_POINTS))[
+        shapes.converged
+    ]  # (B, K, 2)
     if not len(found):
         return None
     low, _, high = np.percentile(found[:, :, 1], BAND_PERCENTILES, axis=0)

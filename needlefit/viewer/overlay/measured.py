@@ -7,11 +7,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.geometry.compare import STATIONS, CurveErrors, compare
+from needlefit.geometry.compare import COMPARISON_POINTS, CurveErrors, compare_curves
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import align_rigid
 from needlefit.inference.comparison import Target, curve_of, scored, target
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +21,7 @@ DEPTH_TOLERANCE_MM = 1e-6
 MIN_COMPARED_MM = 1.0
 """Of less than this in common, mm, nothing is said."""
 
-_FRACTIONS = np.linspace(0.0, 1.0, STATIONS)
+_FRACTIONS = np.linspace(0.0, 1.0, COMPARISON_POINTS)
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ def make_measured_overlay(
     if dataset.pose == "free":
         points, s = aim.measured, aim.s
         if shape.converged:
-            points = align_rigid(points, positions(shape, s))
+            points = align_rigid(points, compute_positions(shape, s))
     stated = None if math.isnan(floor) else floor
     return MeasuredOverlay(insertion.id, points, s, aim, insertion.depth, insertion.side, stated)
 
@@ -119,7 +119,7 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveEr
     whole = abs(beyond) <= DEPTH_TOLERANCE_MM
     if whole:
         curve = curve_of(shape)
-        errors = compare(*scored(measured.target, lambda s: curve(s + beyond)))
+        errors = compare_curves(*scored(measured.target, lambda s: curve(s + beyond)))
     elif measured.target.pose == "known":
         errors = _compare_common_length(measured, shape, upto)
     else:
@@ -132,4 +132,4 @@ def _compare_common_length(measured: MeasuredOverlay, shape: NeedleShape, upto: 
     """Compare both needles up to the same inserted length."""
     s = upto * _FRACTIONS
     seen = np.column_stack([np.interp(s, measured.s, axis) for axis in measured.points.T])
-    return compare(positions(shape, s), seen)
+    return compare_curves(compute_positions(shape, s), seen)

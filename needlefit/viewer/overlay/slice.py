@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.datasets.insertion import Dataset, Insertion
-from needlefit.datasets.volumes import ScanVolume, volume_of
+from needlefit.datasets.sources import ScanVolume, find_volume
 from needlefit.imaging.views import ENTRY_MARGIN_MM, render_bending_plane
 from needlefit.imaging.volume_files import ct_packages_installed, read_volume
 from needlefit.project.input_files import path_exists
@@ -38,7 +38,7 @@ def find_scan(dataset: Dataset, insertion: Insertion) -> tuple[InsertionScan | N
     DataError
         If the table of the dataset's scans has a fault.
     """
-    volume = volume_of(dataset, insertion.id)
+    volume = find_volume(dataset, insertion.id)
     if volume is None:
         return None, ""
     if not ct_packages_installed():

@@ -126,7 +126,7 @@ async def _send_bands(window: Window, socket: web.WebSocketResponse) -> None:
         if spread is not None and number != sent:
             sent, steering = number, trial.steering
             found = await asyncio.to_thread(
-                compute_band, spread, trial.scene.needle, steering.now.tissue, steering.course(),
+                compute_band, spread, trial.scene.needle, steering.now.tissue, steering.input_path(),
                 trial.scene.rules, steering.first_cell,
             )  # fmt: skip
             if trial is window.trial:

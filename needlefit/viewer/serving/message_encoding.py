@@ -6,9 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Guide
-from needlefit.mechanics.load import Loads, loads
+from needlefit.mechanics.load import Loads, compute_loads
 from needlefit.mechanics.scene import Scene
-from needlefit.mechanics.shape import NeedleShape, placed, positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.viewer.interaction.inputs import guide_number
 from needlefit.viewer.overlay.band import NeedleBand
 from needlefit.viewer.overlay.measured import compute_live_errors
@@ -68,8 +68,8 @@ def state_message(trial: InteractiveTrial) -> dict[str, Any]:
     steering, now = trial.steering, trial.steering.now
     shape, step, controls = now.shape, now.step, now.step.controls
     s = _stations(shape)
-    needle = positions(shape, s)  # (K, 2)
-    load = loads(shape, now.tissue, trial.scene.needle, controls, trial.scene.rules)
+    needle = compute_positions(shape, s)  # (K, 2)
+    load = compute_loads(shape, now.tissue, trial.scene.needle, controls, trial.scene.rules)
     return {
         "kind": "state",
         "step": steering.number,
@@ -77,8 +77,8 @@ def state_message(trial: InteractiveTrial) -> dict[str, Any]:
         "depth_mm": step.depth,
         "x": _round_lengths(needle[:, 0]),
         "y": _round_lengths(needle[:, 1]),
-        "constraints": [_round_lengths(column) for column in placed(shape, shape.constraints).T],
-        "tip_path": [_round_lengths(column) for column in placed(shape, shape.tip_path).T],
+        "constraints": [_round_lengths(column) for column in map_beam_points(shape, shape.constraints).T],
+        "tip_path": [_round_lengths(column) for column in map_beam_points(shape, shape.tip_path).T],
         "load": _encode_load(load, shape),
         "forces": _encode_forces(load, trial),
         "base": _encode_end(needle[0], shape.slope[0])
@@ -145,7 +145,7 @@ def _encode_limits(scene: Scene) -> dict[str, Any]:
 def _encode_load(load: Loads, shape: NeedleShape) -> dict[str, list[float]]:
     if not len(load.s):
         return {"x": [], "y": [], "n_per_mm": []}
-    at = positions(shape, load.s)
+    at = compute_positions(shape, load.s)
     return {
         "x": _round_lengths(at[:, 0]),
         "y": _round_lengths(at[:, 1]),

@@ -6,7 +6,7 @@ from time import monotonic
 from typing import Any, Protocol
 
 from needlefit.errors import ModelError, NeedlefitError
-from needlefit.mechanics.plan import NEAR
+from needlefit.mechanics.plan import SAME_DEPTH_MM
 from needlefit.viewer.interaction.inputs import Change, find_changes
 from needlefit.viewer.recording import (
     RecordedStep,
@@ -57,9 +57,9 @@ class Stroke:
         now, reach = trial.steering.now.step.depth, trial.steering.reach()
         low, high = (0.0, reach) if self.to is None else sorted((now, min(max(self.to, 0.0), reach)))
         depth = min(max(now + self.speed * dt, low), high)
-        if abs(depth - now) > NEAR:
+        if abs(depth - now) > SAME_DEPTH_MM:
             trial.act((Change("depth_mm", None, depth),), self.gesture)
-        return abs((high if self.speed > 0 else low) - depth) > NEAR
+        return abs((high if self.speed > 0 else low) - depth) > SAME_DEPTH_MM
 
 
 class Play:

@@ -15,13 +15,25 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.grid import SLACK, Grid
-from needlefit.mechanics.kernel.hermite import hermite
-from needlefit.mechanics.kernel.insertion import Holds, Insertion, Stops, grid_at
-from needlefit.mechanics.kernel.lanes.newton import HERE, LaneInputs, Room, equilibrate_lanes
-from needlefit.mechanics.kernel.lanes.passes import LANES, ROWS, SUMS, foresee
-from needlefit.mechanics.kernel.lanes.tables import Tables, tabulate, tabulate_point
-from needlefit.mechanics.kernel.scalar import Newton
+from needlefit.mechanics.kernel.beam import fill_hermite
+from needlefit.mechanics.kernel.grid import SAME_DEPTH_MM, NodeGrid
+from needlefit.mechanics.kernel.insertion import (
+    BoundaryConditions,
+    KernelInsertion,
+    TipStops,
+    build_stop_grid,
+)
+from needlefit.mechanics.kernel.lanes.newton import IN_LANE, LaneInputs, LaneWorkspace, equilibrate_lanes
+from needlefit.mechanics.kernel.lanes.passes import extrapolate_node
+from needlefit.mechanics.kernel.lanes.tables import (
+    LANES,
+    NODE_ROWS,
+    SUM_ROWS,
+    LaneTables,
+    tabulate,
+    tabulate_point,
+)
+from needlefit.mechanics.kernel.scalar import NewtonOptions
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -29,7 +41,7 @@ Ints = NDArray[np.int64]
 W = LANES
 
 
-class Lanes(NamedTuple):
+class LaneState(NamedTuple):
     """The insertion under way in all lanes; rows of W numbers."""
 
     y: Floats  # (M + 1, W) of the constraint points
@@ -38,7 +50,7 @@ class Lanes(NamedTuple):
     starts: Floats  # (R,) depth where each ray begins, mm
     states: Floats  # (2, N, 2 W) deflection and slope of the nodes in the tissue, now and one cell ago
     nodes: Floats  # (N,) their depth now
-    at: Ints  # (W,) HERE or LEFT
+    lane_status: Ints  # (W,) IN_LANE or LEFT_LANES
     passes: Ints  # (W,) full or half Newton passes
     size: Ints  # (4,) nodes in the tissue now, whether they are the main grid's, nodes one cell ago, and
     # which of the two states is now
@@ -46,9 +58,9 @@ class Lanes(NamedTuple):
 
 
 @njit(cache=True, nogil=True)
-def begin_lanes(cells: int, nodes: int, rays: int) -> Lanes:
+def begin_lanes(cells: int, nodes: int, rays: int) -> LaneState:
     """Return lanes before first contact."""
-    return Lanes(
+    return LaneState(
         np.zeros((cells + 1, W)), np.full((cells + 1, 2 * W), np.nan), np.zeros((rays, 3 * W)),
         np.zeros(rays), np.zeros((2, nodes, 2 * W)), np.zeros(nodes),
         np.zeros(W, np.int64), np.zeros(W, np.int64), np.zeros(4, np.int64), np.zeros(1),
@@ -57,41 +69,44 @@ def begin_lanes(cells: int, nodes: int, rays: int) -> Lanes:
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def advance_lanes(
-    lanes: Lanes, insertion: Insertion, main: Tables, holds: Holds, inputs: LaneInputs, stops: Stops,
-    newton: Newton,
+    lanes: LaneState, insertion: KernelInsertion, main: LaneTables, conditions: BoundaryConditions,
+    inputs: LaneInputs, stops: TipStops, newton: NewtonOptions,
 ) -> None:  # fmt: skip
     """Bring the needles of all lanes from stop to stop; else as `insertion.advance`.
 
-    `insertion` lends its grids, `holds` the places of what holds the needle.
+    `insertion` lends its grids, `conditions` the places of what holds the needle.
     """
     nodes = lanes.states.shape[1]
     points = len(insertion.main.x) + 8
-    room = Room(
-        np.zeros((nodes + 2) * ROWS * W), np.zeros(points * W), np.zeros(SUMS * W), np.zeros(SUMS * W)
+    workspace = LaneWorkspace(
+        np.zeros((nodes + 2) * NODE_ROWS * W),
+        np.zeros(points * W),
+        np.zeros(SUM_ROWS * W),
+        np.zeros(SUM_ROWS * W),
     )
     for s in range(len(stops.tip)):
         tip, cell = stops.tip[s], stops.cell[s]
-        _place(lanes, inputs, stops, s, insertion.tangent)
+        _place_constraint(lanes, inputs, stops, s, insertion.tangent)
         on_main = stops.permanent[s] and cell > 0
         grid, tables = insertion.main, main
         if not on_main:
-            grid = grid_at(insertion, holds, tip, cell)
+            grid = build_stop_grid(insertion, conditions, tip, cell)
             tables = tabulate(grid)
-        last = np.searchsorted(grid.nodes, tip - SLACK)
-        _carry(lanes, grid, last, on_main)
-        ends = _front(lanes, inputs, grid, tables, tip, insertion.length)
+        last = np.searchsorted(grid.nodes, tip - SAME_DEPTH_MM)
+        _guess_next_state(lanes, grid, last, on_main)
+        ends = _condense_front(lanes, inputs, grid, tables, tip, insertion.length)
         state = lanes.states[lanes.size[3]].reshape(-1)
         equilibrate_lanes(
             state,
             lanes.y.reshape(-1),
-            lanes.at,
+            lanes.lane_status,
             lanes.passes,
             inputs,
             grid,
             tables,
             last,
             ends,
-            room,
+            workspace,
             newton,
         )
         lanes.depth[0] = tip
@@ -99,16 +114,16 @@ def advance_lanes(
             lanes.track[cell, l] = lanes.states[lanes.size[3], last, l]
         here = 0
         for l in range(W):
-            here += int(lanes.at[l] == HERE)
+            here += int(lanes.lane_status[l] == IN_LANE)
         if here == 0:
             return
 
 
 @njit(cache=True, nogil=True)
-def _place(lanes: Lanes, inputs: LaneInputs, stops: Stops, s: int, tangent: float) -> None:
+def _place_constraint(lanes: LaneState, inputs: LaneInputs, stops: TipStops, s: int, tangent: float) -> None:
     """Put the constraint point under the tip of stop `s` on its ray, in every lane."""
     ray, cell = stops.ray[s], stops.cell[s]
-    if stops.opens[s]:
+    if stops.starts_ray[s]:
         lanes.starts[ray] = lanes.depth[0]
         tip = lanes.states[lanes.size[3], lanes.size[0] - 1]
         for l in range(W):
@@ -121,35 +136,35 @@ def _place(lanes: Lanes, inputs: LaneInputs, stops: Stops, s: int, tangent: floa
 
 
 @njit(cache=True, nogil=True, forceinline=True)
-def _carry(lanes: Lanes, grid: Grid, last: int, on_main: bool) -> None:
+def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool) -> None:
     """Guess the next stop from the last two, or, where there are none, from the shape as it is."""
     size, now = last + 1, lanes.size[3]
-    old, known = lanes.size[0], lanes.size[2]
+    old, older_size = lanes.size[0], lanes.size[2]
     state, other = lanes.states[now], lanes.states[1 - now]
     same = on_main and lanes.size[1] == 1
-    grown = size - old
+    growth = size - old
     lanes.size[0], lanes.size[1], lanes.size[2] = size, int(on_main), 0
     nodes = lanes.nodes
     if not same:
         if old > 0:
-            _read(state, nodes[:old].copy(), other, grid.nodes[:size])
+            _interpolate_state(state, nodes[:old].copy(), other, grid.nodes[:size])
             lanes.size[3] = 1 - now
-    elif grown > 0:
-        bold = grown == old - known and known >= grown
+    elif growth > 0:
+        extrapolated = growth == old - older_size and older_size >= growth
         for i in range(size - 1, -1, -1):  # from the tip back: `other` is read behind where it is written
             if i >= old:
                 ahead = grid.nodes[i] - nodes[old - 1]
-                j, behind = i - grown, grid.nodes[i - grown] - nodes[known - 1]
+                j, behind = i - growth, grid.nodes[i - growth] - nodes[older_size - 1]
                 for l in range(W):
                     u, slope = state[old - 1, l], state[old - 1, W + l]
                     u += ahead * slope
-                    if bold:  # as far beside the tangent as the cell before
-                        u += state[j, l] - (other[known - 1, l] + behind * other[known - 1, W + l])
-                        slope += state[j, W + l] - other[known - 1, W + l]
+                    if extrapolated:  # as far beside the tangent as the cell before
+                        u += state[j, l] - (other[older_size - 1, l] + behind * other[older_size - 1, W + l])
+                        slope += state[j, W + l] - other[older_size - 1, W + l]
                     other[i, l], other[i, W + l] = u, slope
-            elif bold:  # every node moves on as it, or the node one cell behind it, moved
-                j = i if i < known else i - grown
-                foresee(other[i], state[i], state[j], other[j])
+            elif extrapolated:  # every node moves on as it, or the node one cell behind it, moved
+                j = i if i < older_size else i - growth
+                extrapolate_node(other[i], state[i], state[j], other[j])
             else:
                 for l in range(2 * W):
                     other[i, l] = state[i, l]
@@ -159,7 +174,7 @@ def _carry(lanes: Lanes, grid: Grid, last: int, on_main: bool) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _read(state: Floats, nodes: Floats, into: Floats, at: Floats) -> None:
+def _interpolate_state(state: Floats, nodes: Floats, into: Floats, at: Floats) -> None:
     """Read the shapes `state` (N, 2 W) at other depths; beyond their ends they go straight on."""
     end, n = len(nodes) - 1, np.empty(8)
     for i in range(len(at)):
@@ -170,7 +185,7 @@ def _read(state: Floats, nodes: Floats, into: Floats, at: Floats) -> None:
                 into[i, W + l] = state[e, W + l]
             continue
         e = np.searchsorted(nodes, at[i]) - 1
-        hermite(n, at[i] - nodes[e], nodes[e + 1] - nodes[e])
+        fill_hermite(n, at[i] - nodes[e], nodes[e + 1] - nodes[e])
         for l in range(W):
             a0, a1, b0, b1 = state[e, l], state[e, W + l], state[e + 1, l], state[e + 1, W + l]
             into[i, l] = n[0] * a0 + n[1] * a1 + n[2] * b0 + n[3] * b1
@@ -178,7 +193,9 @@ def _read(state: Floats, nodes: Floats, into: Floats, at: Floats) -> None:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _front(lanes: Lanes, inputs: LaneInputs, grid: Grid, tables: Tables, tip: float, length: float) -> Floats:
+def _condense_front(
+    lanes: LaneState, inputs: LaneInputs, grid: NodeGrid, tables: LaneTables, tip: float, length: float
+) -> Floats:
     """Condense base, guides and free spans to the first node in the tissue.
 
     What lies before the last node whose slope is held does not reach the tissue.
@@ -192,9 +209,9 @@ def _front(lanes: Lanes, inputs: LaneInputs, grid: Grid, tables: Tables, tip: fl
     last = len(inputs.before)  # the last node that is clamped; node 0 is the base
     while last > 0 and np.isnan(inputs.before[last - 1, 2, 0]):
         last -= 1
-    held = tip - length if last == 0 else inputs.before[last - 1, 0, 0]
+    span_start = tip - length if last == 0 else inputs.before[last - 1, 0, 0]
     for q in range(grid.first[1]):
-        hermite(grid.shapes[q], grid.x[q] - held, grid.nodes[0] - held)
+        fill_hermite(grid.shapes[q], grid.x[q] - span_start, grid.nodes[0] - span_start)
         tabulate_point(tables.points[q], grid.shapes[q], grid.weight[q])
     ends = np.empty(7 * W)
     for l in range(W):

@@ -4,28 +4,77 @@ Everything is a flat array of rows of LANES numbers, one row for each quantity o
 unsigned offsets: a slice would count references, and a signed index be checked for being negative, at every
 element. As few arrays as possible: only then does the compiler check cheaply that nothing overlaps, and
 turns each loop into packed instructions. `tests/test_mechanics_lanes.py` looks whether it did.
+
+A full pass integrates with the tangent modulus and eliminates; a chord pass (modified Newton) integrates the
+right-hand side alone and keeps tangents and factor, which is half the work. Regular elements, two intervals
+and four points, are most of a mesh and have a loop of their own; all others are summed interval by interval.
 """
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from needlefit.mechanics.kernel.lanes.tables import (
+    B2,
+    B4,
+    B6,
+    B12,
+    EXCESS,
+    F0,
+    F1,
+    F2,
+    F3,
+    INVERSE,
+    K01,
+    K02,
+    K03,
+    K11,
+    K12,
+    K13,
+    K22,
+    K23,
+    K33,
+    LANES,
+    LIMIT,
+    N0,
+    N1,
+    N2,
+    N3,
+    NODE,
+    ONE,
+    OVER,
+    Q1,
+    Q2,
+    Q3,
+    TANGENT,
+    W1,
+    W2,
+    W3,
+    W4,
+    W5,
+    WN0,
+    WN00,
+    WN01,
+    WN02,
+    WN03,
+    WN1,
+    WN2,
+    WN3,
+    WN11,
+    WN12,
+    WN13,
+    WN22,
+    WN23,
+    WN33,
+    R,
+    S,
+    Z,
+)
+
 Floats = NDArray[np.float64]
 Offset = np.uint64
 
-LANES = 32  # at least 16: the compiler checks at run time whether rows overlap only where that pays
-FAST = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a lane must see its own NaN
-
-POINT = 18  # of a quadrature point's table: N (4), w N (4), w N N (10, rows of the upper triangle)
-LAYER = 7  # rows of a layer: the series of k (6), the |e| up to which it holds
-ROWS = 19  # of a node: G = S^-1 K_ab, S^-1, z = S^-1 r, tangents of its element's points; S, r, excess
-SUMS = 15  # rows of an element's sums: K (10), f (4), excess
-
-ONE = np.uint64(1)
-W1, W2, W3, W4, W5, W6, W7, W8, W9, W10, W11, W12, W13, W14 = (
-    np.uint64(i * LANES) for i in range(1, SUMS)
-)  # offsets of rows; an unsigned number and a signed one would make a float
-INVERSE, Z, TANGENT, S, R, EXCESS, NODE = (np.uint64(i * LANES) for i in (4, 7, 9, 13, 16, 18, ROWS))
+FASTMATH = {"contract", "arcp", "nsz", "reassoc"}  # not nnan: a lane must see its own NaN
 
 
 @njit(inline="always")
@@ -68,7 +117,7 @@ def _eliminate(
     )  # fmt: skip
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
     table: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset,
@@ -84,7 +133,7 @@ def full_regular(
     layers, first, second
         Rows of all layers; where those of its two intervals begin.
     table, row
-        (T, 4 POINT + 4) of the points of elements, then 12, 6 l, 4 l^2, 2 l^2 over l^3; which is its own.
+        (T, REGULAR_COLUMNS) of regular elements (`tables`); which row is its own.
     rigidity : (LANES,) array
     work, own
         Rows of all nodes; where those of the element's first node begin. From the rows before them S, r and
@@ -95,8 +144,13 @@ def full_regular(
         a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
         c0, c1, c2 = layers[first + l], layers[first + W1 + l], layers[first + W2 + l]
         c3, c4, c5 = layers[first + W3 + l], layers[first + W4 + l], layers[first + W5 + l]
-        u0 = table[row, 0] * a0 + table[row, 1] * a1 + table[row, 2] * b0 + table[row, 3] * b1
-        u1 = table[row, 18] * a0 + table[row, 19] * a1 + table[row, 20] * b0 + table[row, 21] * b1
+        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
+        u1 = (
+            table[row, Q1 + N0] * a0
+            + table[row, Q1 + N1] * a1
+            + table[row, Q1 + N2] * b0
+            + table[row, Q1 + N3] * b1
+        )
         e0, e1 = u0 - y[point + l], u1 - y[point + l]
         s0, s1 = abs(e0), abs(e1)
         k0, t0 = _modulus(s0, c0, c1, c2, c3, c4, c5)
@@ -104,31 +158,55 @@ def full_regular(
         r0, r1 = t0 * u0 - k0 * e0, t1 * u1 - k1 * e1
         c0, c1, c2 = layers[second + l], layers[second + W1 + l], layers[second + W2 + l]
         c3, c4, c5 = layers[second + W3 + l], layers[second + W4 + l], layers[second + W5 + l]
-        u2 = table[row, 36] * a0 + table[row, 37] * a1 + table[row, 38] * b0 + table[row, 39] * b1
-        u3 = table[row, 54] * a0 + table[row, 55] * a1 + table[row, 56] * b0 + table[row, 57] * b1
+        u2 = (
+            table[row, Q2 + N0] * a0
+            + table[row, Q2 + N1] * a1
+            + table[row, Q2 + N2] * b0
+            + table[row, Q2 + N3] * b1
+        )
+        u3 = (
+            table[row, Q3 + N0] * a0
+            + table[row, Q3 + N1] * a1
+            + table[row, Q3 + N2] * b0
+            + table[row, Q3 + N3] * b1
+        )
         e2, e3 = u2 - y[point + W1 + l], u3 - y[point + W1 + l]
         s2, s3 = abs(e2), abs(e3)
         k2, t2 = _modulus(s2, c0, c1, c2, c3, c4, c5)
         k3, t3 = _modulus(s3, c0, c1, c2, c3, c4, c5)
         r2, r3 = t2 * u2 - k2 * e2, t3 * u3 - k3 * e3
-        over = max(max(s0, s1) - layers[first + W6 + l], max(s2, s3) - layers[second + W6 + l])
+        over = max(max(s0, s1) - layers[first + LIMIT + l], max(s2, s3) - layers[second + LIMIT + l])
         ei = rigidity[l]
-        b12, b6, b4, b2 = ei * table[row, 72], ei * table[row, 73], ei * table[row, 74], ei * table[row, 75]
+        b12, b6, b4, b2 = ei * table[row, B12], ei * table[row, B6], ei * table[row, B4], ei * table[row, B2]
         out = _eliminate(
-            b12 + table[row, 8] * t0 + table[row, 26] * t1 + table[row, 44] * t2 + table[row, 62] * t3,
-            b6 + table[row, 9] * t0 + table[row, 27] * t1 + table[row, 45] * t2 + table[row, 63] * t3,
-            -b12 + table[row, 10] * t0 + table[row, 28] * t1 + table[row, 46] * t2 + table[row, 64] * t3,
-            b6 + table[row, 11] * t0 + table[row, 29] * t1 + table[row, 47] * t2 + table[row, 65] * t3,
-            b4 + table[row, 12] * t0 + table[row, 30] * t1 + table[row, 48] * t2 + table[row, 66] * t3,
-            -b6 + table[row, 13] * t0 + table[row, 31] * t1 + table[row, 49] * t2 + table[row, 67] * t3,
-            b2 + table[row, 14] * t0 + table[row, 32] * t1 + table[row, 50] * t2 + table[row, 68] * t3,
-            b12 + table[row, 15] * t0 + table[row, 33] * t1 + table[row, 51] * t2 + table[row, 69] * t3,
-            -b6 + table[row, 16] * t0 + table[row, 34] * t1 + table[row, 52] * t2 + table[row, 70] * t3,
-            b4 + table[row, 17] * t0 + table[row, 35] * t1 + table[row, 53] * t2 + table[row, 71] * t3,
-            table[row, 4] * r0 + table[row, 22] * r1 + table[row, 40] * r2 + table[row, 58] * r3,
-            table[row, 5] * r0 + table[row, 23] * r1 + table[row, 41] * r2 + table[row, 59] * r3,
-            table[row, 6] * r0 + table[row, 24] * r1 + table[row, 42] * r2 + table[row, 60] * r3,
-            table[row, 7] * r0 + table[row, 25] * r1 + table[row, 43] * r2 + table[row, 61] * r3,
+            b12 + table[row, WN00] * t0 + table[row, Q1 + WN00] * t1
+            + table[row, Q2 + WN00] * t2 + table[row, Q3 + WN00] * t3,
+            b6 + table[row, WN01] * t0 + table[row, Q1 + WN01] * t1
+            + table[row, Q2 + WN01] * t2 + table[row, Q3 + WN01] * t3,
+            -b12 + table[row, WN02] * t0 + table[row, Q1 + WN02] * t1
+            + table[row, Q2 + WN02] * t2 + table[row, Q3 + WN02] * t3,
+            b6 + table[row, WN03] * t0 + table[row, Q1 + WN03] * t1
+            + table[row, Q2 + WN03] * t2 + table[row, Q3 + WN03] * t3,
+            b4 + table[row, WN11] * t0 + table[row, Q1 + WN11] * t1
+            + table[row, Q2 + WN11] * t2 + table[row, Q3 + WN11] * t3,
+            -b6 + table[row, WN12] * t0 + table[row, Q1 + WN12] * t1
+            + table[row, Q2 + WN12] * t2 + table[row, Q3 + WN12] * t3,
+            b2 + table[row, WN13] * t0 + table[row, Q1 + WN13] * t1
+            + table[row, Q2 + WN13] * t2 + table[row, Q3 + WN13] * t3,
+            b12 + table[row, WN22] * t0 + table[row, Q1 + WN22] * t1
+            + table[row, Q2 + WN22] * t2 + table[row, Q3 + WN22] * t3,
+            -b6 + table[row, WN23] * t0 + table[row, Q1 + WN23] * t1
+            + table[row, Q2 + WN23] * t2 + table[row, Q3 + WN23] * t3,
+            b4 + table[row, WN33] * t0 + table[row, Q1 + WN33] * t1
+            + table[row, Q2 + WN33] * t2 + table[row, Q3 + WN33] * t3,
+            table[row, WN0] * r0 + table[row, Q1 + WN0] * r1
+            + table[row, Q2 + WN0] * r2 + table[row, Q3 + WN0] * r3,
+            table[row, WN1] * r0 + table[row, Q1 + WN1] * r1
+            + table[row, Q2 + WN1] * r2 + table[row, Q3 + WN1] * r3,
+            table[row, WN2] * r0 + table[row, Q1 + WN2] * r1
+            + table[row, Q2 + WN2] * r2 + table[row, Q3 + WN2] * r3,
+            table[row, WN3] * r0 + table[row, Q1 + WN3] * r1
+            + table[row, Q2 + WN3] * r2 + table[row, Q3 + WN3] * r3,
             work[before + S + l], work[before + S + W1 + l], work[before + S + W2 + l],
             work[before + R + l], work[before + R + W1 + l],
         )  # fmt: skip
@@ -144,7 +222,7 @@ def full_regular(
         work[own + R + l], work[own + R + W1 + l] = out[12], out[13]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def chord_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
     table: Floats, row: Offset, work: Floats, own: Offset,
@@ -155,38 +233,63 @@ def chord_regular(
         a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
         c0, c1, c2 = layers[first + l], layers[first + W1 + l], layers[first + W2 + l]
         c3, c4, c5 = layers[first + W3 + l], layers[first + W4 + l], layers[first + W5 + l]
-        u0 = table[row, 0] * a0 + table[row, 1] * a1 + table[row, 2] * b0 + table[row, 3] * b1
-        u1 = table[row, 18] * a0 + table[row, 19] * a1 + table[row, 20] * b0 + table[row, 21] * b1
+        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
+        u1 = (
+            table[row, Q1 + N0] * a0
+            + table[row, Q1 + N1] * a1
+            + table[row, Q1 + N2] * b0
+            + table[row, Q1 + N3] * b1
+        )
         e0, e1 = u0 - y[point + l], u1 - y[point + l]
         s0, s1 = abs(e0), abs(e1)
         r0 = work[own + TANGENT + l] * u0 - _series(s0, c0, c1, c2, c3, c4, c5) * e0
         r1 = work[own + TANGENT + W1 + l] * u1 - _series(s1, c0, c1, c2, c3, c4, c5) * e1
         c0, c1, c2 = layers[second + l], layers[second + W1 + l], layers[second + W2 + l]
         c3, c4, c5 = layers[second + W3 + l], layers[second + W4 + l], layers[second + W5 + l]
-        u2 = table[row, 36] * a0 + table[row, 37] * a1 + table[row, 38] * b0 + table[row, 39] * b1
-        u3 = table[row, 54] * a0 + table[row, 55] * a1 + table[row, 56] * b0 + table[row, 57] * b1
+        u2 = (
+            table[row, Q2 + N0] * a0
+            + table[row, Q2 + N1] * a1
+            + table[row, Q2 + N2] * b0
+            + table[row, Q2 + N3] * b1
+        )
+        u3 = (
+            table[row, Q3 + N0] * a0
+            + table[row, Q3 + N1] * a1
+            + table[row, Q3 + N2] * b0
+            + table[row, Q3 + N3] * b1
+        )
         e2, e3 = u2 - y[point + W1 + l], u3 - y[point + W1 + l]
         s2, s3 = abs(e2), abs(e3)
         r2 = work[own + TANGENT + W2 + l] * u2 - _series(s2, c0, c1, c2, c3, c4, c5) * e2
         r3 = work[own + TANGENT + W3 + l] * u3 - _series(s3, c0, c1, c2, c3, c4, c5) * e3
-        over = max(max(s0, s1) - layers[first + W6 + l], max(s2, s3) - layers[second + W6 + l])
+        over = max(max(s0, s1) - layers[first + LIMIT + l], max(s2, s3) - layers[second + LIMIT + l])
         work[own + EXCESS + l] = max(work[before + EXCESS + l], over)
         f0 = (
             work[before + R + l]
-            + table[row, 4] * r0
-            + table[row, 22] * r1
-            + table[row, 40] * r2
-            + table[row, 58] * r3
+            + table[row, WN0] * r0
+            + table[row, Q1 + WN0] * r1
+            + table[row, Q2 + WN0] * r2
+            + table[row, Q3 + WN0] * r3
         )
         f1 = (
             work[before + R + W1 + l]
-            + table[row, 5] * r0
-            + table[row, 23] * r1
-            + table[row, 41] * r2
-            + table[row, 59] * r3
+            + table[row, WN1] * r0
+            + table[row, Q1 + WN1] * r1
+            + table[row, Q2 + WN1] * r2
+            + table[row, Q3 + WN1] * r3
         )
-        f2 = table[row, 6] * r0 + table[row, 24] * r1 + table[row, 42] * r2 + table[row, 60] * r3
-        f3 = table[row, 7] * r0 + table[row, 25] * r1 + table[row, 43] * r2 + table[row, 61] * r3
+        f2 = (
+            table[row, WN2] * r0
+            + table[row, Q1 + WN2] * r1
+            + table[row, Q2 + WN2] * r2
+            + table[row, Q3 + WN2] * r3
+        )
+        f3 = (
+            table[row, WN3] * r0
+            + table[row, Q1 + WN3] * r1
+            + table[row, Q2 + WN3] * r2
+            + table[row, Q3 + WN3] * r3
+        )
         g00, g01, g10, g11 = (
             work[own + l],
             work[own + W1 + l],
@@ -200,78 +303,78 @@ def chord_regular(
         work[own + R + W1 + l] = f3 - g01 * f0 - g11 * f1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_interval(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, layer: Offset,
-    table: Floats, row: Offset, tangents: Floats, kept: Offset, sums: Floats,
+    table: Floats, row: Offset, tangents: Floats, tangent_row: Offset, sums: Floats,
 ) -> None:  # fmt: skip
-    """Add one interval of any element to `sums` (SUMS LANES,); keep the tangents of its two points.
+    """Add one interval of any element to `sums` (SUM_ROWS LANES,); keep the tangents of its two points.
 
-    `table` (Q, POINT) is of single points here, `row` the first of the two.
+    `table` (Q, POINT_COLUMNS) is of single points here, `row` the first of the two.
     """
     for l in range(W1):
         a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
         c0, c1, c2 = layers[layer + l], layers[layer + W1 + l], layers[layer + W2 + l]
         c3, c4, c5 = layers[layer + W3 + l], layers[layer + W4 + l], layers[layer + W5 + l]
-        u0 = table[row, 0] * a0 + table[row, 1] * a1 + table[row, 2] * b0 + table[row, 3] * b1
+        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
         u1 = (
-            table[row + ONE, 0] * a0
-            + table[row + ONE, 1] * a1
-            + table[row + ONE, 2] * b0
-            + table[row + ONE, 3] * b1
+            table[row + ONE, N0] * a0
+            + table[row + ONE, N1] * a1
+            + table[row + ONE, N2] * b0
+            + table[row + ONE, N3] * b1
         )
         e0, e1 = u0 - y[point + l], u1 - y[point + l]
         s0, s1 = abs(e0), abs(e1)
         k0, t0 = _modulus(s0, c0, c1, c2, c3, c4, c5)
         k1, t1 = _modulus(s1, c0, c1, c2, c3, c4, c5)
-        tangents[kept + l], tangents[kept + W1 + l] = t0, t1
+        tangents[tangent_row + l], tangents[tangent_row + W1 + l] = t0, t1
         r0, r1 = t0 * u0 - k0 * e0, t1 * u1 - k1 * e1
-        sums[l] += table[row, 8] * t0 + table[row + ONE, 8] * t1
-        sums[W1 + l] += table[row, 9] * t0 + table[row + ONE, 9] * t1
-        sums[W2 + l] += table[row, 10] * t0 + table[row + ONE, 10] * t1
-        sums[W3 + l] += table[row, 11] * t0 + table[row + ONE, 11] * t1
-        sums[W4 + l] += table[row, 12] * t0 + table[row + ONE, 12] * t1
-        sums[W5 + l] += table[row, 13] * t0 + table[row + ONE, 13] * t1
-        sums[W6 + l] += table[row, 14] * t0 + table[row + ONE, 14] * t1
-        sums[W7 + l] += table[row, 15] * t0 + table[row + ONE, 15] * t1
-        sums[W8 + l] += table[row, 16] * t0 + table[row + ONE, 16] * t1
-        sums[W9 + l] += table[row, 17] * t0 + table[row + ONE, 17] * t1
-        sums[W10 + l] += table[row, 4] * r0 + table[row + ONE, 4] * r1
-        sums[W11 + l] += table[row, 5] * r0 + table[row + ONE, 5] * r1
-        sums[W12 + l] += table[row, 6] * r0 + table[row + ONE, 6] * r1
-        sums[W13 + l] += table[row, 7] * r0 + table[row + ONE, 7] * r1
-        sums[W14 + l] = max(sums[W14 + l], max(s0, s1) - layers[layer + W6 + l])
+        sums[l] += table[row, WN00] * t0 + table[row + ONE, WN00] * t1
+        sums[K01 + l] += table[row, WN01] * t0 + table[row + ONE, WN01] * t1
+        sums[K02 + l] += table[row, WN02] * t0 + table[row + ONE, WN02] * t1
+        sums[K03 + l] += table[row, WN03] * t0 + table[row + ONE, WN03] * t1
+        sums[K11 + l] += table[row, WN11] * t0 + table[row + ONE, WN11] * t1
+        sums[K12 + l] += table[row, WN12] * t0 + table[row + ONE, WN12] * t1
+        sums[K13 + l] += table[row, WN13] * t0 + table[row + ONE, WN13] * t1
+        sums[K22 + l] += table[row, WN22] * t0 + table[row + ONE, WN22] * t1
+        sums[K23 + l] += table[row, WN23] * t0 + table[row + ONE, WN23] * t1
+        sums[K33 + l] += table[row, WN33] * t0 + table[row + ONE, WN33] * t1
+        sums[F0 + l] += table[row, WN0] * r0 + table[row + ONE, WN0] * r1
+        sums[F1 + l] += table[row, WN1] * r0 + table[row + ONE, WN1] * r1
+        sums[F2 + l] += table[row, WN2] * r0 + table[row + ONE, WN2] * r1
+        sums[F3 + l] += table[row, WN3] * r0 + table[row + ONE, WN3] * r1
+        sums[OVER + l] = max(sums[OVER + l], max(s0, s1) - layers[layer + LIMIT + l])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def chord_interval(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, layer: Offset,
-    table: Floats, row: Offset, tangents: Floats, kept: Offset, sums: Floats,
+    table: Floats, row: Offset, tangents: Floats, tangent_row: Offset, sums: Floats,
 ) -> None:  # fmt: skip
     """Add the right-hand side of one interval to `sums`, with the tangents of the last full pass."""
     for l in range(W1):
         a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
         c0, c1, c2 = layers[layer + l], layers[layer + W1 + l], layers[layer + W2 + l]
         c3, c4, c5 = layers[layer + W3 + l], layers[layer + W4 + l], layers[layer + W5 + l]
-        u0 = table[row, 0] * a0 + table[row, 1] * a1 + table[row, 2] * b0 + table[row, 3] * b1
+        u0 = table[row, N0] * a0 + table[row, N1] * a1 + table[row, N2] * b0 + table[row, N3] * b1
         u1 = (
-            table[row + ONE, 0] * a0
-            + table[row + ONE, 1] * a1
-            + table[row + ONE, 2] * b0
-            + table[row + ONE, 3] * b1
+            table[row + ONE, N0] * a0
+            + table[row + ONE, N1] * a1
+            + table[row + ONE, N2] * b0
+            + table[row + ONE, N3] * b1
         )
         e0, e1 = u0 - y[point + l], u1 - y[point + l]
         s0, s1 = abs(e0), abs(e1)
-        r0 = tangents[kept + l] * u0 - _series(s0, c0, c1, c2, c3, c4, c5) * e0
-        r1 = tangents[kept + W1 + l] * u1 - _series(s1, c0, c1, c2, c3, c4, c5) * e1
-        sums[W10 + l] += table[row, 4] * r0 + table[row + ONE, 4] * r1
-        sums[W11 + l] += table[row, 5] * r0 + table[row + ONE, 5] * r1
-        sums[W12 + l] += table[row, 6] * r0 + table[row + ONE, 6] * r1
-        sums[W13 + l] += table[row, 7] * r0 + table[row + ONE, 7] * r1
-        sums[W14 + l] = max(sums[W14 + l], max(s0, s1) - layers[layer + W6 + l])
+        r0 = tangents[tangent_row + l] * u0 - _series(s0, c0, c1, c2, c3, c4, c5) * e0
+        r1 = tangents[tangent_row + W1 + l] * u1 - _series(s1, c0, c1, c2, c3, c4, c5) * e1
+        sums[F0 + l] += table[row, WN0] * r0 + table[row + ONE, WN0] * r1
+        sums[F1 + l] += table[row, WN1] * r0 + table[row + ONE, WN1] * r1
+        sums[F2 + l] += table[row, WN2] * r0 + table[row + ONE, WN2] * r1
+        sums[F3 + l] += table[row, WN3] * r0 + table[row + ONE, WN3] * r1
+        sums[OVER + l] = max(sums[OVER + l], max(s0, s1) - layers[layer + LIMIT + l])
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def full_sums(
     sums: Floats, bending: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset
 ) -> None:
@@ -286,14 +389,14 @@ def full_sums(
             ei * bending[row, 3],
         )
         out = _eliminate(
-            sums[l] + b12, sums[W1 + l] + b6, sums[W2 + l] - b12, sums[W3 + l] + b6,
-            sums[W4 + l] + b4, sums[W5 + l] - b6, sums[W6 + l] + b2, sums[W7 + l] + b12,
-            sums[W8 + l] - b6, sums[W9 + l] + b4,
-            sums[W10 + l], sums[W11 + l], sums[W12 + l], sums[W13 + l],
+            sums[l] + b12, sums[K01 + l] + b6, sums[K02 + l] - b12, sums[K03 + l] + b6,
+            sums[K11 + l] + b4, sums[K12 + l] - b6, sums[K13 + l] + b2, sums[K22 + l] + b12,
+            sums[K23 + l] - b6, sums[K33 + l] + b4,
+            sums[F0 + l], sums[F1 + l], sums[F2 + l], sums[F3 + l],
             work[before + S + l], work[before + S + W1 + l], work[before + S + W2 + l],
             work[before + R + l], work[before + R + W1 + l],
         )  # fmt: skip
-        work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[W14 + l])
+        work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[OVER + l])
         work[own + l], work[own + W1 + l] = out[0], out[1]
         work[own + W2 + l], work[own + W3 + l] = out[2], out[3]
         work[own + INVERSE + l], work[own + INVERSE + W1 + l] = out[4], out[5]
@@ -303,22 +406,22 @@ def full_sums(
         work[own + R + l], work[own + R + W1 + l] = out[12], out[13]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def chord_sums(sums: Floats, work: Floats, own: Offset) -> None:
     """Hand on the right-hand side of an element whose intervals stand in `sums`."""
     before = own - NODE
     for l in range(W1):
-        work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[W14 + l])
-        f0, f1 = work[before + R + l] + sums[W10 + l], work[before + R + W1 + l] + sums[W11 + l]
+        work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[OVER + l])
+        f0, f1 = work[before + R + l] + sums[F0 + l], work[before + R + W1 + l] + sums[F1 + l]
         i00, i01 = work[own + INVERSE + l], work[own + INVERSE + W1 + l]
         i11 = work[own + INVERSE + W2 + l]
         work[own + Z + l], work[own + Z + W1 + l] = i00 * f0 + i01 * f1, i01 * f0 + i11 * f1
-        work[own + R + l] = sums[W12 + l] - work[own + l] * f0 - work[own + W2 + l] * f1
-        work[own + R + W1 + l] = sums[W13 + l] - work[own + W1 + l] * f0 - work[own + W3 + l] * f1
+        work[own + R + l] = sums[F2 + l] - work[own + l] * f0 - work[own + W2 + l] * f1
+        work[own + R + W1 + l] = sums[F3 + l] - work[own + W1 + l] * f0 - work[own + W3 + l] * f1
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
-def last_node(work: Floats, own: Offset) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def solve_tip(work: Floats, own: Offset) -> None:
     """Solve for the tip's node; S^-1 is kept for the half pass."""
     before = own - NODE
     for l in range(W1):
@@ -332,8 +435,8 @@ def last_node(work: Floats, own: Offset) -> None:
         work[own + EXCESS + l] = work[before + EXCESS + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
-def last_chord(work: Floats, own: Offset) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def solve_tip_chord(work: Floats, own: Offset) -> None:
     """Solve for the tip's node with the S^-1 of the last full pass."""
     before = own - NODE
     for l in range(W1):
@@ -344,8 +447,8 @@ def last_chord(work: Floats, own: Offset) -> None:
         work[own + EXCESS + l] = work[before + EXCESS + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
-def back_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def update_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
     """Take over the tip's solution in the lanes that are at work.
 
     `lanes` (3 LANES,): whether a lane is at work, its increment, the one before.
@@ -357,8 +460,8 @@ def back_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floa
         state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
-def back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def substitute_back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
     """Substitute back to a node from the one after it."""
     for l in range(W1):
         b0, b1 = state[node + W2 + l], state[node + W3 + l]
@@ -370,8 +473,8 @@ def back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) 
         state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath=FAST, forceinline=True)
-def foresee(new: Floats, node: Floats, last: Floats, older: Floats) -> None:
+@njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
+def extrapolate_node(new: Floats, node: Floats, last: Floats, older: Floats) -> None:
     """Move a node (2 LANES,) as another, or it, moved from `older` to `last`; `new` may be `older`."""
     for l in range(2 * LANES):
         new[l] = node[l] + (last[l] - older[l])

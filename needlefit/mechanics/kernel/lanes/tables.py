@@ -1,4 +1,7 @@
-"""A grid as the loops over lanes read it: every weight and shape function multiplied out beforehand."""
+"""The layout of the lanes' arrays (columns of tables, rows of LANES numbers), and the tables of a grid.
+
+In the tables every weight and shape function is multiplied out beforehand.
+"""
 
 from typing import NamedTuple
 
@@ -6,52 +9,80 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.grid import Grid
-from needlefit.mechanics.kernel.lanes.passes import POINT
+from needlefit.mechanics.kernel.grid import NodeGrid
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+LANES = 32  # at least 16: the compiler checks at run time whether rows overlap only where that pays
 
-class Tables(NamedTuple):
+# Columns of a quadrature point's table; N: shape functions of (u, u') at the element's two ends, w: weight.
+POINT_COLUMNS = 18
+N0, N1, N2, N3 = 0, 1, 2, 3
+WN0, WN1, WN2, WN3 = 4, 5, 6, 7  # w N
+WN00, WN01, WN02, WN03, WN11, WN12, WN13, WN22, WN23, WN33 = 8, 9, 10, 11, 12, 13, 14, 15, 16, 17  # w N_i N_j
+
+# Columns of a regular element's table: those of its four points one after the other (Q1: the first column of
+# the second point), then its bending stiffness over EI: 12 / l^3, 6 / l^2, 4 / l, 2 / l.
+Q1, Q2, Q3 = 18, 36, 54
+B12, B6, B4, B2 = 72, 73, 74, 75
+REGULAR_COLUMNS = 76
+
+# Rows of LANES numbers. Of a layer: the series of k (6), and the |e| up to which it holds. Of a node:
+# G = S^-1 K_ab, S^-1, z = S^-1 r, tangents at its element's points, S, r, excess. Of an element's sums:
+# K (10), f (4), excess.
+LAYER_ROWS, NODE_ROWS, SUM_ROWS = 7, 19, 15
+
+# Offsets of rows in flat arrays. All are unsigned: an unsigned number and a signed one would make a float.
+ONE = np.uint64(1)
+W1, W2, W3, W4, W5, W6, W7, W8, W9, W10, W11, W12, W13, W14 = (
+    np.uint64(i * LANES) for i in range(1, SUM_ROWS)
+)
+LIMIT = W6  # of a layer: the |e| up to which its series holds
+INVERSE, Z, TANGENT, S, R, EXCESS, NODE = (np.uint64(i * LANES) for i in (4, 7, 9, 13, 16, 18, NODE_ROWS))
+K01, K02, K03, K11, K12, K13, K22, K23, K33 = W1, W2, W3, W4, W5, W6, W7, W8, W9  # of the sums; K00 is row 0
+F0, F1, F2, F3, OVER = W10, W11, W12, W13, W14
+
+
+class LaneTables(NamedTuple):
     """A grid as the loops over lanes read it."""
 
-    points: Floats  # (Q, POINT) N, w N, w N N of every point
+    points: Floats  # (Q, POINT_COLUMNS) of every point
     bending: Floats  # (N, 4) 12, 6 l, 4 l^2, 2 l^2 over l^3 of the element that ends at each node
-    regular: Floats  # (T, 4 POINT + 4) of the different elements with two intervals
-    which: Ints  # (N,) the row of an element in `regular`, -1 for elements of another kind
+    regular: Floats  # (T, REGULAR_COLUMNS) of the different elements with two intervals
+    regular_row: Ints  # (N,) the row of an element in `regular`, -1 for elements of another kind
 
 
 @njit(cache=True, nogil=True)
-def tabulate(grid: Grid) -> Tables:
+def tabulate(grid: NodeGrid) -> LaneTables:
     """Return the tables of a grid; those of element 0 are filled when its length is known."""
     count = len(grid.nodes)
-    points, bending = np.zeros((len(grid.x), POINT)), np.zeros((count, 4))
-    regular, which, kinds = np.empty((count, 4 * POINT + 4)), np.full(count, -1), 0
+    points, bending = np.zeros((len(grid.x), POINT_COLUMNS)), np.zeros((count, 4))
+    regular, regular_row, regular_count = np.empty((count, REGULAR_COLUMNS)), np.full(count, -1), 0
     for e in range(1, count):
         length = grid.nodes[e] - grid.nodes[e - 1]
-        _stiffness(bending[e], length)
+        _fill_bending(bending[e], length)
         for q in range(grid.first[e], grid.first[e + 1]):
             tabulate_point(points[q], grid.shapes[q], grid.weight[q])
         first = grid.first[e]
         if grid.first[e + 1] - first != 4 or grid.constraint[first + 2] != grid.constraint[first] + 1:
             continue
-        row = regular[kinds]
+        row = regular[regular_count]
         for q in range(4):
-            for i in range(POINT):
-                row[q * POINT + i] = points[first + q, i]
+            for i in range(POINT_COLUMNS):
+                row[q * POINT_COLUMNS + i] = points[first + q, i]
         for i in range(4):
-            row[4 * POINT + i] = bending[e, i]
-        which[e] = kinds
-        if kinds > 0 and _alike(row, regular[kinds - 1]):
-            which[e] -= 1
+            row[B12 + i] = bending[e, i]
+        regular_row[e] = regular_count
+        if regular_count > 0 and _are_equal(row, regular[regular_count - 1]):
+            regular_row[e] -= 1
         else:
-            kinds += 1
-    return Tables(points, bending, regular[:kinds].copy(), which)
+            regular_count += 1
+    return LaneTables(points, bending, regular[:regular_count].copy(), regular_row)
 
 
 @njit(cache=True, nogil=True)
-def _alike(row: Floats, other: Floats) -> bool:
+def _are_equal(row: Floats, other: Floats) -> bool:
     """Return whether two tables are the same but for rounding; one of them then stays in the cache."""
     different = 0
     for i in range(len(row)):
@@ -61,14 +92,15 @@ def _alike(row: Floats, other: Floats) -> bool:
 
 @njit(cache=True, nogil=True)
 def tabulate_point(row: Floats, shape: Floats, weight: float) -> None:
-    at = 8
+    """Fill `row` (POINT_COLUMNS,) of a quadrature point, given its shape functions."""
+    at = WN00
     for i in range(4):
-        row[i], row[4 + i] = shape[i], weight * shape[i]
+        row[N0 + i], row[WN0 + i] = shape[i], weight * shape[i]
         for j in range(i, 4):
             row[at] = weight * shape[i] * shape[j]
             at += 1
 
 
 @njit(cache=True, nogil=True)
-def _stiffness(row: Floats, length: float) -> None:
+def _fill_bending(row: Floats, length: float) -> None:
     row[0], row[1], row[2], row[3] = 12.0 / length**3, 6.0 / length**2, 4.0 / length, 2.0 / length

@@ -57,12 +57,12 @@ class ModelCandidate:
 
 def fit_candidate(name: str, job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
     """Return what the candidate of this name learns from a fold's insertions; None after a stop."""
-    return _fit_law(job, fold, settings) if name in laws.names() else _fit_curve(name, job, fold)
+    return _fit_law(job, fold, settings) if name in laws.list_laws() else _fit_curve(name, job, fold)
 
 
 def candidate_job(name: str, job: Job) -> Job:
     """Return the job of one candidate: its law, if it is one, and a noise factor that is estimated."""
-    medium = _with_law(job.medium, name) if name in laws.names() else job.medium
+    medium = _with_law(job.medium, name) if name in laws.list_laws() else job.medium
     likelihood = job.recipe.likelihood.model_copy(update={"noise_scale": "estimated"})
     return replace(
         job,

@@ -8,8 +8,8 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from needlefit.datasets.independent import groups
 from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.datasets.select import group_independent
 from needlefit.errors import ConfigError
 from needlefit.inference.ties import NOISE_SCALE
 from needlefit.inference.weighing.pareto import RELIABLE
@@ -268,7 +268,7 @@ def deal_folds(insertions: tuple[Insertion, ...], count: int) -> tuple[Fold, ...
 
 
 def _group_repeats(insertions: tuple[Insertion, ...]) -> tuple[str, ...]:
-    return groups([one.id for one in insertions], [one.specimen for one in insertions])
+    return group_independent([one.id for one in insertions], [one.specimen for one in insertions])
 
 
 def _run_task(name: str, job: Job, fold: Fold, settings: Settings) -> FrameRows:

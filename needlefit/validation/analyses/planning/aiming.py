@@ -18,10 +18,10 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.geometry.frames import Frame, entry_frame, unit
+from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.inference.likelihood.depths import in_order
 from needlefit.inference.predict import predict
-from needlefit.mechanics.shape import NeedleShape, positions
+from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.schemas.planning import EntryPlaneRecord, ObstacleRecord, PlanRecord
 from needlefit.validation.job import Job
 from needlefit.validation.planned_insertions import planned_layers
@@ -87,14 +87,14 @@ class TargetSite:
     def plane(self) -> Frame:
         """The plane of the plan: its x, y and normal in the world."""
         entry_plane = self.record.entry_plane
-        return entry_frame(entry_plane.position_mm, unit(entry_plane.direction), entry_plane.across)
+        return make_entry_frame(entry_plane.position_mm, normalize(entry_plane.direction), entry_plane.across)
 
     def insertion(self, aim: Aim, across: float = 0.0, turn: float = 0.0) -> Insertion:
         """Return an aim as an insertion that errs, without its layers."""
         plane, angle = self.plane, math.radians(aim.angle) + turn
         x, y = plane.rotation[:, 0], plane.rotation[:, 1]
         ahead, left = math.cos(angle) * x + math.sin(angle) * y, math.cos(angle) * y - math.sin(angle) * x
-        frame = entry_frame(plane.origin + aim.offset * y + across * left, ahead, left)
+        frame = make_entry_frame(plane.origin + aim.offset * y + across * left, ahead, left)
         return replace(self.like, frame=frame, depth=aim.depth, side=aim.side)
 
     def layered(self, insertion: Insertion, values: Values) -> Insertion | None:
@@ -122,7 +122,7 @@ class TargetSite:
         shape = self.shape(executed, trial.values)
         if not shape.converged:
             return None
-        points = positions(shape, np.linspace(0.0, shape.depth, PATH_POINTS))
+        points = compute_positions(shape, np.linspace(0.0, shape.depth, PATH_POINTS))
         world = insertion.frame.to_world(np.column_stack([points, np.zeros(PATH_POINTS)]))
         flat: Floats = self.plane.to_local(world)[:, :2]
         return flat

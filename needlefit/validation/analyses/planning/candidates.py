@@ -9,16 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.datasets.layers import layers_before
+from needlefit.datasets.layers import select_layers
 from needlefit.errors import ConfigError
-from needlefit.geometry.frames import Frame, entry_frame, unit
+from needlefit.geometry.frames import Frame, make_entry_frame, normalize
 from needlefit.inference.predict import predict, predict_each
 from needlefit.inference.problem import Problem
 from needlefit.inference.weighing.about_fit import of_fit
 from needlefit.inference.weighing.importance import Effort
-from needlefit.mechanics.batch import positions_each
-from needlefit.mechanics.lanes import follow_batches
-from needlefit.mechanics.shape import NeedleShape, inserted_points
+from needlefit.mechanics.batch import compute_batch_positions
+from needlefit.mechanics.lanes import simulate_batches
+from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.planning import CandidateEntryRecord, NextInsertionRecord
 from needlefit.validation.analyses.posterior_fit import PosteriorFit, fit_posterior
@@ -108,15 +108,19 @@ def predict_candidate(
 def with_predicted_shape(job: Job, insertion: Insertion, values: Mapping[str, float]) -> Insertion | None:
     """Return an insertion whose measured shape is the one that `values` predict; None without one."""
     needle = predict(values, job.medium, job.dataset.needle, insertion)
-    return replace(insertion, planar=inserted_points(needle, MEASURED_POINTS)) if needle.converged else None
+    return (
+        replace(insertion, planar=sample_inserted_points(needle, MEASURED_POINTS))
+        if needle.converged
+        else None
+    )
 
 
 def frame_of(entry: CandidateEntryRecord, angle: float) -> Frame:
     """Return C in the world at an entry: x turned by `angle` (degrees) to where the bevel faces."""
-    x = unit(entry.direction)
-    y = entry_frame(entry.position_mm, x, entry.bending_direction).rotation[:, 1]
+    x = normalize(entry.direction)
+    y = make_entry_frame(entry.position_mm, x, entry.bending_direction).rotation[:, 1]
     cos, sin = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-    return entry_frame(entry.position_mm, cos * x + sin * y, cos * y - sin * x)
+    return make_entry_frame(entry.position_mm, cos * x + sin * y, cos * y - sin * x)
 
 
 def _find_layers(
@@ -124,7 +128,7 @@ def _find_layers(
 ) -> tuple[Floats, tuple[int, ...]] | None:
     """Return boundaries (n - 1,) and the n layers met; None where the planned path does not come to rest."""
     if entry.layers is not None:
-        before, met = layers_before(np.array(entry.boundaries_mm, dtype=np.float64), planned.depth)
+        before, met = select_layers(np.array(entry.boundaries_mm, dtype=np.float64), planned.depth)
         return before, entry.layers[: len(met)]
     if not planned.surfaces:
         raise ConfigError(
@@ -215,8 +219,8 @@ def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
 def predict_tips(known: WeightedPosterior, insertion: Insertion) -> Floats:
     """Return the deflection (B,) of an insertion's tip by every draw, mm; NaN where a solve fails."""
     batch = predict_each(known.sets, known.problem.medium, known.problem.dataset.needle, insertion)
-    (shapes,) = follow_batches([batch], 1)
-    found: Floats = positions_each(shapes, np.array([insertion.depth]))[:, 0, 1]
+    (shapes,) = simulate_batches([batch], 1)
+    found: Floats = compute_batch_positions(shapes, np.array([insertion.depth]))[:, 0, 1]
     return np.where(shapes.converged, found, np.nan)
 
 

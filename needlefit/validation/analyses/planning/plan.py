@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.geometry.crossings import crossings
+from needlefit.geometry.crossings import find_crossings
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.planning import EntryPlaneRecord, PlanRecord
 from needlefit.validation.analyses.planning.aiming import (
@@ -245,7 +245,7 @@ def _layer_rows(site: TargetSite) -> FrameRows:
     rows = []
     for height in np.linspace(-half, half, LAYER_RAYS).tolist():
         ends = site.plane.to_world(np.array([[0.0, height, 0.0], [far, height, 0.0]]))
-        met = crossings(ends, site.like.surfaces)
+        met = find_crossings(ends, site.like.surfaces)
         stops = [0.0, *met.arc.tolist(), far]
         for k, layer in enumerate(met.sequence):
             place = {"y_mm": height, "interval": k, "layer": layer}

@@ -1,4 +1,4 @@
-"""The nouns of tracked tips: one run, and the dataset."""
+"""Measured tip tracks: one run (tip and guide at each depth), the dataset of runs, and their selection."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -8,17 +8,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Noise
+from needlefit.errors import ConfigError
 from needlefit.mechanics.needle import Needle
+from needlefit.project.locate import join_names, sort_by_similarity
 from needlefit.project.result_warnings import ResultWarning
+from needlefit.schemas.study import TrackSelectionRecord
 
 Floats = NDArray[np.float64]
 
-STANDS = 0.05
+GUIDE_STILL_MM = 0.05
 """mm; a guide that moved less stood still: stages jitter."""
 
 
 @dataclass(frozen=True)
-class Track:
+class TipTrack:
     """One insertion, of which the tip was read now and then; the first reading is first contact.
 
     Attributes
@@ -53,7 +56,7 @@ class Track:
     @property
     def guided(self) -> bool:
         """Whether the guide moved."""
-        return bool(np.ptp(self.guide) > STANDS)
+        return bool(np.ptp(self.guide) > GUIDE_STILL_MM)
 
 
 @dataclass(frozen=True)
@@ -64,7 +67,7 @@ class TrackDataset:
     title: str
     origin: Literal["measured", "synthetic"]
     needle: Needle
-    tracks: tuple[Track, ...]
+    tracks: tuple[TipTrack, ...]
     media: tuple[str, ...]
     noise: Noise
     path: Path
@@ -72,3 +75,40 @@ class TrackDataset:
     notes: tuple[str, ...] = ()
     remarks: tuple[str, ...] = ()
     warnings: tuple[ResultWarning, ...] = ()
+
+
+def select_runs(dataset: TrackDataset, wanted: TrackSelectionRecord) -> tuple[TipTrack, ...]:
+    """Return the runs that meet every key of `wanted`, in the dataset's order.
+
+    Raises
+    ------
+    ConfigError
+        If a medium or run is unknown, or none is left.
+    """
+    for kind, names, known in (
+        ("medium", wanted.media, dataset.media),
+        ("run", wanted.runs, tuple(track.id for track in dataset.tracks)),
+    ):
+        for name in names:
+            if name not in known:
+                raise ConfigError(
+                    f"{kind} {name} is not in dataset {dataset.name}, or is left out",
+                    expected=f"one of {join_names(sort_by_similarity(name, known))}",
+                    fix="correct the selection",
+                )
+    chosen = tuple(track for track in dataset.tracks if _matches(track, wanted))
+    if not chosen:
+        raise ConfigError(
+            f"no run of dataset {dataset.name} meets {wanted.model_dump(exclude_defaults=True)}",
+            expected="a selection that leaves at least one",
+            fix="widen or correct the selection",
+        )
+    return chosen
+
+
+def _matches(track: TipTrack, wanted: TrackSelectionRecord) -> bool:
+    return (
+        (not wanted.media or track.medium in wanted.media)
+        and (not wanted.runs or track.id in wanted.runs)
+        and (wanted.guided is None or track.guided == wanted.guided)
+    )

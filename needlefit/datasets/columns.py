@@ -1,4 +1,4 @@
-"""The columns of `insertions.csv` and of a centreline, and a row of the former."""
+"""The columns of `insertions.csv` and of a centreline, and the type of a row."""
 
 import re
 import unicodedata
@@ -13,46 +13,53 @@ from needlefit.geometry.frames import Frame
 Floats = NDArray[np.float64]
 PoseSource = Literal["stage", "shaft", "fitted", "none"]
 
-POINT = ("x_mm", "y_mm", "z_mm")
-SD = "sd_mm"
+POINT_COLUMNS = ("x_mm", "y_mm", "z_mm")
+SD_COLUMN = "sd_mm"
 """The column of a centreline with the standard deviation of each point across the needle."""
 
-ENTRY = ("entry_x_mm", "entry_y_mm", "entry_z_mm")
-DIRECTION = ("entry_dx", "entry_dy", "entry_dz")
-BEVEL = ("bevel_x", "bevel_y", "bevel_z")
-POSE = (*ENTRY, *DIRECTION, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg")
+ENTRY_COLUMNS = ("entry_x_mm", "entry_y_mm", "entry_z_mm")
+DIRECTION_COLUMNS = ("entry_dx", "entry_dy", "entry_dz")
+BEVEL_COLUMNS = ("bevel_x", "bevel_y", "bevel_z")
+POSE_COLUMNS = (*ENTRY_COLUMNS, *DIRECTION_COLUMNS, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg")
 
-SCAN_TURN = ("scan_rx_deg", "scan_ry_deg", "scan_rz_deg")
-SCAN_SHIFT = ("scan_x_mm", "scan_y_mm", "scan_z_mm")
-SCAN = (*SCAN_TURN, *SCAN_SHIFT)
+SCAN_ROTATION_COLUMNS = ("scan_rx_deg", "scan_ry_deg", "scan_rz_deg")
+SCAN_SHIFT_COLUMNS = ("scan_x_mm", "scan_y_mm", "scan_z_mm")
+SCAN_COLUMNS = (*SCAN_ROTATION_COLUMNS, *SCAN_SHIFT_COLUMNS)
 """From the patient coordinates (LPS) of an insertion's scan to the world: rotation vector and shift."""
 
-REQUIRED = ("id", "medium", "layers", "depth_mm")
-"""Columns every table of insertions has; with a known pose those of `POSE` too."""
+REQUIRED_COLUMNS = ("id", "medium", "layers", "depth_mm")
+"""Columns every table of insertions has; with a known pose those of `POSE_COLUMNS` too."""
 
-COLUMNS = (
+INSERTION_COLUMNS = (
     *("id", "medium", "specimen", "layers", "layers_alternative", "depth_mm", "bevel_side"),
-    *(*ENTRY, *DIRECTION, *BEVEL, "pose_source", "pose_shift_sd_mm", "pose_angle_sd_deg"),
+    *(
+        *ENTRY_COLUMNS,
+        *DIRECTION_COLUMNS,
+        *BEVEL_COLUMNS,
+        "pose_source",
+        "pose_shift_sd_mm",
+        "pose_angle_sd_deg",
+    ),
     *("boundary_sd_mm", "depth_sd_mm", "guide_distance_mm"),
 )
-"""The columns of `insertions.csv` in the order in which they are written; `MOVED` follows where any base was
-moved, and `SCAN` where any insertion has a motion of its own."""
+"""The columns of `insertions.csv` in the order in which they are written; `BASE_SHIFT_COLUMN` follows where
+any base was moved, and `SCAN_COLUMNS` where any insertion has a motion of its own."""
 
-MOVED = "base_shift_mm"
+BASE_SHIFT_COLUMN = "base_shift_mm"
 
 POSE_SOURCES: tuple[PoseSource, ...] = get_args(PoseSource)
 
-ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
+ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 """An id names a file: at most 100 letters, digits, point, underline, hyphen."""
 
 
-def as_id(text: str, otherwise: str) -> str:
-    """Return `text` with only what `ID` allows, `otherwise` where nothing is left.
+def make_id(text: str, default: str) -> str:
+    """Return `text` with only what `ID_PATTERN` allows, `default` where nothing is left.
 
     Letters lose their accents, so that a name is the same id however its file system writes them.
     """
     plain = "".join(one for one in unicodedata.normalize("NFKD", text) if not unicodedata.combining(one))
-    return re.sub(r"[^A-Za-z0-9._-]+", "_", plain).lstrip("._-") or otherwise
+    return re.sub(r"[^A-Za-z0-9._-]+", "_", plain).lstrip("._-") or default
 
 
 @dataclass(frozen=True)
@@ -90,5 +97,5 @@ class InsertionRow:
     depth_sd: float = 0.0
     guide_distance: float | None = None
     patient: Frame | None = None
-    base_moved: float = 0.0
+    base_shift: float = 0.0
     line: int = 0

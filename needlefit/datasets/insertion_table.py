@@ -1,4 +1,4 @@
-"""The table of insertions: cells -> rows, and what is wrong with a row by itself."""
+"""Parse the table of insertions: cells to rows, and the faults of each row."""
 
 import math
 from collections.abc import Iterator
@@ -6,103 +6,106 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from needlefit.datasets.faults import Fault
-from needlefit.datasets.formats.csv import Table, missing_columns, numbers
-from needlefit.datasets.schema import (
-    BEVEL,
-    COLUMNS,
-    DIRECTION,
-    ENTRY,
-    ID,
-    MOVED,
-    POSE,
+from needlefit.datasets.columns import (
+    BASE_SHIFT_COLUMN,
+    BEVEL_COLUMNS,
+    DIRECTION_COLUMNS,
+    ENTRY_COLUMNS,
+    ID_PATTERN,
+    INSERTION_COLUMNS,
+    POSE_COLUMNS,
     POSE_SOURCES,
-    REQUIRED,
-    SCAN,
-    SCAN_SHIFT,
-    SCAN_TURN,
+    REQUIRED_COLUMNS,
+    SCAN_COLUMNS,
+    SCAN_ROTATION_COLUMNS,
+    SCAN_SHIFT_COLUMNS,
     Floats,
     InsertionRow,
 )
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.formats.csv import CsvTable, note_missing_columns, parse_numbers
 from needlefit.geometry.frames import Frame
 from needlefit.project.unit_warnings import LENGTH_UNITS
 from needlefit.schemas.dataset import DatasetRecord, InsertionsRecord
 from needlefit.schemas.names import EXPECTED_NAME, name_fault
 
-UNIT = 1e-3
+UNIT_VECTOR_TOLERANCE = 1e-3
 """Greatest deviation of a direction's length from 1."""
 
-SMALLEST_DEPTH = 1.0
+MIN_DEPTH_MM = 1.0
 """An insertion of less than this, mm, was written in metres."""
 
-SHORTEST_NEEDLE = 30.0
+MIN_NEEDLE_LENGTH_MM = 30.0
 """A needle of less than this, mm, may have been measured in centimetres or inches."""
 
 
-def parse_rows(table: Table, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
+def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
     """Return the rows without a fault of their own; note the faults of the others."""
-    known = record.frame.pose == "known"
-    named = _our_columns(table, record.insertions, found)
-    placed = any(column in named.cells for column in SCAN)
-    wanted = (*REQUIRED, *(POSE if known else ()), *(SCAN if placed else ()))
-    if missing_columns(named, wanted, found):
+    pose_known = record.frame.pose == "known"
+    named = _rename_columns(table, record.insertions, found)
+    has_scan = any(column in named.cells for column in SCAN_COLUMNS)
+    wanted = (*REQUIRED_COLUMNS, *(POSE_COLUMNS if pose_known else ()), *(SCAN_COLUMNS if has_scan else ()))
+    if note_missing_columns(named, wanted, found):
         return []
     cell_faults: list[Fault] = []
-    rows = _rows(named, known, cell_faults)
+    rows = _make_rows(named, pose_known, cell_faults)
     unread = {fault.where for fault in cell_faults}
-    faults = list(_duplicates(named))
+    faults = list(_find_duplicates(named))
     for n, row in enumerate(rows):
-        if named.where(n) not in unread and _finite(row):
-            faults += _row_faults(row, named.where(n), record)
+        if named.where(n) not in unread and _is_finite(row):
+            faults += _find_row_faults(row, named.where(n), record)
     found += [*cell_faults, *faults]
     bad = unread | {fault.where for fault in faults}
-    return [row for n, row in enumerate(rows) if named.where(n) not in bad and _finite(row)]
+    return [row for n, row in enumerate(rows) if named.where(n) not in bad and _is_finite(row)]
 
 
-def _finite(row: InsertionRow) -> bool:
+def _is_finite(row: InsertionRow) -> bool:
     """Say whether every number that a row must have could be read; where not, a fault is noted."""
     pose = [] if row.entry is None or row.direction is None else [*row.entry, *row.direction]
     return bool(np.isfinite([row.depth, *pose]).all())
 
 
-def _our_columns(table: Table, record: InsertionsRecord, found: list[Fault]) -> Table:
+def _rename_columns(table: CsvTable, record: InsertionsRecord, found: list[Fault]) -> CsvTable:
     """Return the table under our column names; a constant fills a column that is not there."""
-    missing_columns(table, list(record.columns.values()), found)
+    note_missing_columns(table, list(record.columns.values()), found)
     cells = table.cells.rename(columns={theirs: ours for ours, theirs in record.columns.items()})
     cells = cells.loc[:, ~cells.columns.duplicated(keep="last")]
     absent = {name: str(value) for name, value in record.constants.items() if name not in cells}
-    return Table(table.path, cells.assign(**absent), table.lines, record.columns)
+    return CsvTable(table.path, cells.assign(**absent), table.lines, record.columns)
 
 
-def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
+def _make_rows(table: CsvTable, pose_known: bool, found: list[Fault]) -> list[InsertionRow]:
     """Turn cells into rows; a faulty number leaves a NaN and a note."""
-    text = {name: table.cells[name].tolist() for name in COLUMNS if name in table.cells}
+    text = {name: table.cells[name].tolist() for name in INSERTION_COLUMNS if name in table.cells}
     blank = [""] * len(table.lines)
 
     def column(name: str, default: float | None = None) -> Floats:
-        return _column(table, name, default, found)
+        return _parse_column(table, name, default, found)
 
     def vector(names: tuple[str, ...]) -> Floats:
         return np.column_stack([column(name) for name in names])
 
     layers, alternative = column("layers"), column("layers_alternative", math.nan)
-    bevel = vector(BEVEL)
-    turn, shift = (np.column_stack([column(c, math.nan) for c in names]) for names in (SCAN_TURN, SCAN_SHIFT))
-    entry, direction = (vector(ENTRY), vector(DIRECTION)) if known else (None, None)
+    bevel = vector(BEVEL_COLUMNS)
+    turn, shift = (
+        np.column_stack([column(c, math.nan) for c in names])
+        for names in (SCAN_ROTATION_COLUMNS, SCAN_SHIFT_COLUMNS)
+    )
+    entry, direction = (vector(ENTRY_COLUMNS), vector(DIRECTION_COLUMNS)) if pose_known else (None, None)
     shift_sd, angle_sd = column("pose_shift_sd_mm", 0.0), column("pose_angle_sd_deg", 0.0)
     boundary_sd, depth_sd = column("boundary_sd_mm", 0.0), column("depth_sd_mm", 0.0)
     depth, side, guide = column("depth_mm"), column("bevel_side", 1.0), column("guide_distance_mm", math.nan)
-    moved = column(MOVED, 0.0)
-    sources = text.get("pose_source", blank) if known else ["none"] * len(blank)
+    base_shift = column(BASE_SHIFT_COLUMN, 0.0)
+    sources = text.get("pose_source", blank) if pose_known else ["none"] * len(blank)
     return [
         InsertionRow(
             id=text["id"][n],
             medium=text["medium"][n],
             specimen=text.get("specimen", blank)[n] or text["id"][n],
-            layers=_whole(layers[n]),
-            layers_alternative=_whole(layers[n] if np.isnan(alternative[n]) else alternative[n]),
+            layers=_to_int(layers[n]),
+            layers_alternative=_to_int(layers[n] if np.isnan(alternative[n]) else alternative[n]),
             depth=float(depth[n]),
-            side=_whole(side[n]),
+            side=_to_int(side[n]),
             entry=None if entry is None else entry[n],
             direction=None if direction is None else direction[n],
             bevel=None if np.isnan(bevel[n]).all() else bevel[n],
@@ -112,24 +115,24 @@ def _rows(table: Table, known: bool, found: list[Fault]) -> list[InsertionRow]:
             boundary_sd=float(boundary_sd[n]),
             depth_sd=float(depth_sd[n]),
             guide_distance=None if np.isnan(guide[n]) else float(guide[n]),
-            patient=_patient(turn[n], shift[n]),
-            base_moved=float(moved[n]),
+            patient=_make_patient_frame(turn[n], shift[n]),
+            base_shift=float(base_shift[n]),
             line=int(table.lines[n]),
         )
         for n in range(len(blank))
     ]
 
 
-def _column(table: Table, name: str, default: float | None, found: list[Fault]) -> Floats:
+def _parse_column(table: CsvTable, name: str, default: float | None, found: list[Fault]) -> Floats:
     """Return a column as numbers; `default` (None: NaN) where it is absent or, if it may be, empty."""
     fill = math.nan if default is None else default
     if name not in table.cells:
         return np.full(len(table.lines), fill)
-    values = numbers(table, name, found, optional=default is not None or name in BEVEL)
+    values = parse_numbers(table, name, found, optional=default is not None or name in BEVEL_COLUMNS)
     return np.where(np.isnan(values), fill, values)
 
 
-def _patient(turn: Floats, shift: Floats) -> Frame | None:
+def _make_patient_frame(turn: Floats, shift: Floats) -> Frame | None:
     """Return a scan's frame in the world, None where all six cells are empty; NaN where only some are."""
     six = np.concatenate([turn, shift])
     if np.isnan(six).all():
@@ -139,14 +142,14 @@ def _patient(turn: Floats, shift: Floats) -> Frame | None:
     return Frame(shift, Rotation.from_rotvec(turn, degrees=True).as_matrix())
 
 
-def _whole(value: float) -> int:
+def _to_int(value: float) -> int:
     """Return a whole number as int, 0 (which no column allows) for anything else."""
     return int(value) if np.isfinite(value) and value == round(value) else 0
 
 
-def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+def _find_row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     """Say what is wrong with one row; numbers that could not be read were noted before."""
-    if not ID.fullmatch(row.id):
+    if not ID_PATTERN.fullmatch(row.id):
         yield Fault(
             where,
             f"id is {row.id!r}",
@@ -187,17 +190,17 @@ def _row_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterato
                 "a standard deviation, 0 or more",
                 "remove the sign, or leave the cell empty: 0",
             )
-    yield from _depth_faults(row, where, record)
-    yield from _pose_faults(row, where, record)
+    yield from _find_depth_faults(row, where, record)
+    yield from _find_pose_faults(row, where, record)
 
 
-def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     length, guide = record.needle.length_mm, row.guide_distance
-    depth_mm = called(record, "depth_mm")
+    depth_mm = describe_column(record, "depth_mm")
     if row.depth <= 0:
         fix = "give the length from the entry to the tip, without a sign"
         yield Fault(where, f"{depth_mm} is {row.depth:g}", "an inserted length above 0", fix)
-    elif row.depth < SMALLEST_DEPTH:
+    elif row.depth < MIN_DEPTH_MM:
         yield Fault(
             where,
             f"{depth_mm} is {row.depth:g}: this looks like metres",
@@ -205,7 +208,7 @@ def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Itera
             "multiply the column by 1000",
         )
     if row.depth >= length:
-        looks = _unit_of(row.depth, length)
+        looks = _guess_unit(row.depth, length)
         yield Fault(
             where,
             f"{depth_mm} is {row.depth:g}, but the needle is only {length:g} mm long{looks}",
@@ -221,34 +224,39 @@ def _depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Itera
         )
 
 
-def called(record: DatasetRecord, column: str) -> str:
+def describe_column(record: DatasetRecord, column: str) -> str:
     """Return a column of the table of insertions for a message: its name there, and ours behind it."""
     theirs = record.insertions.columns.get(column, column)
     return theirs if theirs == column else f"{theirs} ({column})"
 
 
-def _unit_of(depth: float, length: float) -> str:
+def _guess_unit(depth: float, length: float) -> str:
     """Return which of a depth and a shorter needle is probably in which other unit, in words."""
-    if length < SMALLEST_DEPTH:
+    if length < MIN_DEPTH_MM:
         return ": this looks like metres"
-    if length < SHORTEST_NEEDLE and depth < LENGTH_UNITS["inches"] * length:
+    if length < MIN_NEEDLE_LENGTH_MM and depth < LENGTH_UNITS["inches"] * length:
         return ": its length looks like centimetres or inches"
-    if SMALLEST_DEPTH <= 1e-3 * depth < length:
+    if MIN_DEPTH_MM <= 1e-3 * depth < length:
         return f": {depth:g} looks like micrometres"
     return ""
 
 
-def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
+def _find_pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterator[Fault]:
     if row.bevel is not None and (np.isnan(row.bevel).any() or not np.linalg.norm(row.bevel) > 0):
         yield Fault(
             where,
-            f"{', '.join(BEVEL)} are {row.bevel.tolist()}",
+            f"{', '.join(BEVEL_COLUMNS)} are {row.bevel.tolist()}",
             "a direction, or three empty cells",
             "fill all three, or none",
         )
     if row.patient is not None and np.isnan(row.patient.origin).any():
         expected = "six numbers, or six empty cells: as [frame] lps_to_world says"
-        yield Fault(where, f"{SCAN[0]} ... {SCAN[-1]} are filled in part", expected, "fill all six, or none")
+        yield Fault(
+            where,
+            f"{SCAN_COLUMNS[0]} ... {SCAN_COLUMNS[-1]} are filled in part",
+            expected,
+            "fill all six, or none",
+        )
     if record.frame.pose == "free" or row.direction is None:
         return
     if row.pose_source not in POSE_SOURCES[:-1]:
@@ -256,14 +264,14 @@ def _pose_faults(row: InsertionRow, where: str, record: DatasetRecord) -> Iterat
         fix = 'say where the entry pose comes from; where there is none, frame.pose is "free"'
         yield Fault(where, f"pose_source is {row.pose_source!r}", expected, fix)
     length = float(np.linalg.norm(row.direction))
-    if abs(length - 1) > UNIT:
+    if abs(length - 1) > UNIT_VECTOR_TOLERANCE:
         fix = "divide the three numbers by their length" if length else "give the direction of insertion"
         yield Fault(
             where, f"entry direction has length {length:.4g}", "a unit vector (entry_dx, _dy, _dz)", fix
         )
 
 
-def _duplicates(table: Table) -> Iterator[Fault]:
+def _find_duplicates(table: CsvTable) -> Iterator[Fault]:
     first: dict[str, int] = {}
     for n, name in enumerate(table.cells["id"]):
         if name in first:

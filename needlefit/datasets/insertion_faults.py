@@ -1,0 +1,296 @@
+"""Find what is wrong with an insertion: its centreline's points, and the layers that it meets."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from needlefit.datasets.columns import Floats, InsertionRow
+from needlefit.datasets.faults import Fault
+from needlefit.datasets.formats.points import Points
+from needlefit.datasets.insertion import Insertion
+from needlefit.datasets.insertion_table import describe_column
+from needlefit.datasets.layers import select_layers
+from needlefit.geometry.crossings import find_crossings
+from needlefit.geometry.curves import arc_length
+from needlefit.geometry.frames import Frame
+from needlefit.geometry.surfaces import Surface, transform_surface
+from needlefit.project.toml_lines import locate_key
+from needlefit.project.unit_warnings import BOUNDARY_TO_DEPTH, LENGTH_UNITS
+from needlefit.schemas.dataset import DatasetRecord
+
+MIN_POINTS = 5
+"""Fewer points are no curve."""
+
+MAX_BACKWARD_MM = 0.05
+"""A centreline may go back by this, mm, between two points: noise does that."""
+
+SAME_POINT_MM = 1e-6
+"""Points closer than this, mm, are one point twice."""
+
+LENGTH_TOLERANCE = {"known": 0.05, "free": 0.30}
+"""Relative difference allowed between length and depth; a free shape need not begin at the entry."""
+
+LENGTH_TOLERANCE_MM = 2.0
+"""The same in mm, whichever is more."""
+
+MAX_START_DISTANCE_MM = 5.0
+"""Greatest distance of a centreline's first point from the entry pose, mm."""
+
+MAX_HEADING_DEG = 45.0
+"""Greatest angle between the entry direction and the chord of the centreline."""
+
+UNIT_TOLERANCE = 0.25
+"""Relative difference of a curve's span from the depth at which another unit explains their ratio."""
+
+
+def find_curve_faults(
+    points: Points, row: InsertionRow, record: DatasetRecord, place: str
+) -> Iterator[Fault]:
+    """Say what is wrong with finite points as the centreline of `row`, which stands at `place`."""
+    curve = points.values
+    if len(curve) < MIN_POINTS:
+        yield Fault(
+            points.where(),
+            f"has only {len(curve)} points",
+            f"at least {MIN_POINTS}",
+            "sample the needle more densely",
+        )
+        return
+    depth_mm = describe_column(record, "depth_mm")
+    unit = _find_unit_fault(points, row, depth_mm, place)
+    if unit:
+        yield unit
+        return  # in metres every other length is wrong as well
+    yield from _find_order_faults(points)
+    length, tolerance = arc_length(curve)[-1], LENGTH_TOLERANCE[record.frame.pose]
+    if abs(length - row.depth) > max(LENGTH_TOLERANCE_MM, tolerance * row.depth):
+        yield Fault(
+            points.where(),
+            f"is {length:.2f} mm long, but {depth_mm} is {row.depth:.2f}",
+            f"the inserted length, within {max(LENGTH_TOLERANCE_MM, tolerance * row.depth):.1f} mm",
+            f"keep exactly the points from the entry to the tip, or correct {depth_mm}",
+        )
+    if row.entry is not None and row.direction is not None:
+        yield from _find_entry_faults(points, row.entry, row.direction)
+
+
+def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: str) -> Fault | None:
+    """Return the fault of a curve, or of the depth beside it, that is in another unit."""
+    span = _measure_span(points.values)
+    for name, factor in LENGTH_UNITS.items():
+        if abs(span * factor / row.depth - 1) < UNIT_TOLERANCE:
+            return Fault(
+                points.where(),
+                f"spans {span:.4g} where {depth_mm} is {row.depth:.4g}: this looks like {name}",
+                "millimetres",
+                f"multiply the coordinates by {factor:g}",
+            )
+        if factor > 1 and abs(factor * row.depth / max(span, SAME_POINT_MM) - 1) < UNIT_TOLERANCE:
+            return Fault(
+                place,
+                f"{depth_mm} is {row.depth:.4g} where the centreline spans {span:.4g}: "
+                f"this looks like {name}",
+                "millimetres",
+                f"multiply the column by {factor:g}, and check every other length of the dataset",
+            )
+    return None
+
+
+def _measure_span(curve: Floats) -> float:
+    """Return the distance of the two ends of a curve, in whatever order its points are."""
+    end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]
+    return float(np.linalg.norm(curve - end, axis=1).max())
+
+
+def _find_order_faults(points: Points) -> Iterator[Fault]:
+    steps = np.diff(points.values, axis=0)
+    lengths = np.linalg.norm(steps, axis=1)
+    repeated = np.flatnonzero(lengths < SAME_POINT_MM)
+    if len(repeated):
+        yield Fault(
+            points.where(int(repeated[0]) + 1),
+            f"repeats the point before it{_describe_more(len(repeated))}",
+            "points that differ",
+            "remove the repeated points",
+        )
+    back = _find_backward_points(points.values)
+    if len(back):
+        yield Fault(
+            points.where(int(back[0])),
+            f"goes back: the centreline is unsorted or folded here{_describe_more(len(back))}",
+            "points in order from the entry to the tip",
+            "sort the points along the needle, and remove branches and loops",
+        )
+
+
+def _find_backward_points(curve: Floats) -> np.ndarray:
+    """Return the points that lie behind an earlier one, along the chord or along the step before."""
+    chord = curve[-1] - curve[0]
+    along = curve @ (chord / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
+    behind = along < np.maximum.accumulate(along) - MAX_BACKWARD_MM
+    steps = np.diff(curve, axis=0)
+    headings = steps / np.maximum(np.linalg.norm(steps, axis=1), SAME_POINT_MM)[:, None]
+    behind[2:] |= np.einsum("ij,ij->i", steps[1:], headings[:-1]) < -MAX_BACKWARD_MM
+    return np.flatnonzero(behind)
+
+
+def _describe_more(count: int) -> str:
+    return f" (and at {count - 1} more)" if count > 1 else ""
+
+
+def _find_entry_faults(points: Points, entry: Floats, direction: Floats) -> Iterator[Fault]:
+    first, last = points.values[0], points.values[-1]
+    off = float(np.linalg.norm(first - entry))
+    if off > MAX_START_DISTANCE_MM:
+        flipped = np.linalg.norm(last - entry) < off
+        yield Fault(
+            points.where(),
+            f"begins {off:.2f} mm from the entry pose"
+            + (": it seems to run from tip to entry" if flipped else ""),
+            f"the entry first, within {MAX_START_DISTANCE_MM:g} mm of entry_x_mm, entry_y_mm, entry_z_mm",
+            "reverse the order of the points"
+            if flipped
+            else "bring pose and centreline into one frame (LPS, RAS?)",
+        )
+        return
+    chord = last - first
+    cosine = float(chord @ direction / max(float(np.linalg.norm(chord)), SAME_POINT_MM))
+    if cosine < np.cos(np.radians(MAX_HEADING_DEG)):
+        yield Fault(
+            points.where(),
+            f"runs {np.degrees(np.arccos(np.clip(cosine, -1, 1))):.0f} degrees off the entry direction",
+            f"at most {MAX_HEADING_DEG:g} degrees",
+            "point entry_dx, _dy, _dz into the tissue, in the frame of the centreline (LPS, RAS?)",
+        )
+
+
+RAS_TO_LPS = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
+"""From RAS to LPS, and back: x and y change their signs."""
+
+
+@dataclass(frozen=True)
+class ListedInsertion:
+    """An insertion, and the line of the table on which it stands."""
+
+    insertion: Insertion
+    where: str
+
+
+def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
+    """Say which media skip a layer number: an `into` mistyped, or a surface left out."""
+    for name, medium in record.media.items():
+        numbers = {surface.into for surface in medium.surfaces}
+        skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
+        if skipped:
+            listed = ", ".join(map(str, sorted(numbers)))
+            yield Fault(
+                locate_key(file, f"media.{name}.surfaces"),
+                f"no surface of medium {name} leads into layer {skipped[0]}; they lead into {listed}",
+                "layers numbered without a gap: 1, where needles begin, then 2, 3, ...",
+                "correct `into`, or add the surface that is missing",
+            )
+
+
+def find_layer_faults(
+    listed: Sequence[ListedInsertion], record: DatasetRecord, file: Path
+) -> Iterator[Fault]:
+    """Say which insertions do not meet the layers listed for them, and why if all miss all surfaces."""
+    for name in dict.fromkeys(one.insertion.medium for one in listed):
+        group = [one for one in listed if one.insertion.medium == name]
+        copies = _find_copies(group[0].insertion.surfaces)
+        if copies:  # their layers cannot be counted
+            yield from (
+                _make_repeat_fault(locate_key(file, f"media.{name}.surfaces"), name, *pair) for pair in copies
+            )
+            continue
+        unit = _find_boundary_unit(group, record.media[name].boundaries_mm or ())
+        if unit:
+            yield Fault(
+                locate_key(file, f"media.{name}.boundaries_mm"),
+                f"boundaries_mm of medium {name} do not give the layers listed for its insertions, and do so "
+                f"once they are multiplied by {LENGTH_UNITS[unit]:g}: this looks like {unit}",
+                "depths along the needle, mm",
+                f"multiply boundaries_mm by {LENGTH_UNITS[unit]:g}",
+            )
+            continue
+        missed = all(one.insertion.surfaces and one.insertion.sequence == (1,) for one in group)
+        if missed and all(_meets_flipped_surfaces(one.insertion) for one in group):
+            yield Fault(
+                locate_key(file, f"media.{name}.surfaces"),
+                f"all {len(group)} insertions into {name} miss all its surfaces, and meet them once x and y "
+                "change their signs: surfaces and centrelines are one in LPS and one in RAS",
+                "surfaces and centrelines in one frame",
+                "export the surfaces again in the frame of the centrelines (3D Slicer asks: LPS or RAS)",
+            )
+        else:
+            yield from (fault for one in group for fault in _find_count_fault(one))
+
+
+def _find_boundary_unit(group: Sequence[ListedInsertion], boundaries: Sequence[float]) -> str:
+    """Return the unit of given depths with which alone all insertions meet the layers listed, or ""."""
+    if not boundaries or _match_listed_layers(group, boundaries, 1.0):
+        return ""
+    deepest = max(one.insertion.depth for one in group)
+    likely = (
+        unit
+        for unit, mm in LENGTH_UNITS.items()
+        if mm * boundaries[0] > BOUNDARY_TO_DEPTH * deepest and mm * boundaries[-1] < deepest
+    )
+    return next((unit for unit in likely if _match_listed_layers(group, boundaries, LENGTH_UNITS[unit])), "")
+
+
+def _match_listed_layers(
+    group: Sequence[ListedInsertion], boundaries: Sequence[float], factor: float
+) -> bool:
+    scaled = factor * np.array(boundaries)
+    return all(
+        len(select_layers(scaled, _find_reach(one.insertion))[1])
+        in (one.insertion.layers, one.insertion.layers_alternative)
+        for one in group
+    )
+
+
+def _find_reach(insertion: Insertion) -> float:
+    """Return the depth along C's x down to which given boundaries are met, mm."""
+    return insertion.depth if insertion.pose_source == "none" else float(insertion.planar[-1, 0])
+
+
+def _make_repeat_fault(where: str, medium: str, one: str, other: str) -> Fault:
+    listed = f"lists surface {one} twice" if one == other else f"lists one surface as {one} and as {other}"
+    expected = "a surface of its own for every boundary"
+    return Fault(where, f"medium {medium} {listed}", expected, "name the right file, or remove one")
+
+
+def _find_copies(surfaces: Sequence[Surface]) -> list[tuple[str, str]]:
+    """Return the names of the surfaces of one insertion that are the same, two by two."""
+    names_by_mesh: dict[bytes, str] = {}
+    found = []
+    for surface in surfaces:
+        key = np.ascontiguousarray(surface.mesh.vertices).tobytes()
+        found += [(names_by_mesh[key], surface.name)] if key in names_by_mesh else []
+        names_by_mesh.setdefault(key, surface.name)
+    return found
+
+
+def _meets_flipped_surfaces(insertion: Insertion) -> bool:
+    flipped = [transform_surface(surface, RAS_TO_LPS) for surface in insertion.surfaces]
+    return len(find_crossings(insertion.centerline, flipped).sequence) > 1
+
+
+def _find_count_fault(one: ListedInsertion) -> Iterator[Fault]:
+    insertion, layer_count = one.insertion, len(one.insertion.sequence)
+    allowed = {insertion.layers, insertion.layers_alternative}
+    if layer_count in allowed:
+        return
+    listed = " or ".join(map(str, sorted(allowed)))
+    depths = ", ".join(f"{depth:.2f}" for depth in insertion.boundaries) or "none"
+    order = " > ".join(map(str, insertion.sequence))
+    yield Fault(
+        one.where,
+        f"{insertion.id} meets {layer_count} layers ({order}; interfaces at {depths} mm), but {listed} are "
+        f"listed",
+        f"{listed} layers",
+        f"correct layers or layers_alternative, or the boundaries of medium {insertion.medium}",
+    )

@@ -1,0 +1,133 @@
+"""Build meshes: a closed tube along a curve, its PLY file, and a solid from raw triangles."""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike, NDArray
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from needlefit.errors import DataError
+from needlefit.geometry.frames import PARALLEL_SINE, normalize
+from needlefit.geometry.surfaces import Surface
+
+Floats = NDArray[np.float64]
+
+TUBE_FACETS = 12
+"""Corners of a cross-section."""
+
+
+def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> trimesh.Trimesh:
+    """Return a closed tube with elliptic cross-sections, its triangles turned outward.
+
+    Parameters
+    ----------
+    points : (N, 3) array
+        Its axis, mm; neighbours differ.
+    half_widths : (N, 2) array, or what broadcasts to it
+        Semi-axes of each cross-section, mm: along `toward`, and across it.
+    toward : (3,) array
+        The first semi-axis, as far as it is normal to the curve.
+
+    Raises
+    ------
+    DataError
+        If there are fewer than two points, two neighbours coincide, or the curve runs along `toward`.
+    """
+    axis = np.asarray(points, dtype=np.float64)
+    count = len(axis)
+    if count < 2 or not np.isfinite(axis).all():
+        raise DataError(f"a tube along {count} points", expected="two finite points or more")
+    first, second = _find_cross_sections(axis, toward)
+    widths = np.broadcast_to(np.asarray(half_widths, dtype=np.float64), (count, 2))
+    angle = 2 * np.pi * np.arange(TUBE_FACETS) / TUBE_FACETS
+    rim = np.stack([np.cos(angle), np.sin(angle)], axis=1)  # (TUBE_FACETS, 2)
+    arms = np.stack([first, second], axis=1) * widths[:, :, None]  # (N, 2, 3)
+    vertices = axis[:, None, :] + np.einsum("fk,nkd->nfd", rim, arms)  # (N, TUBE_FACETS, 3)
+    ends = np.stack([axis[0], axis[-1]])
+    return trimesh.Trimesh(np.vstack([vertices.reshape(-1, 3), ends]), _list_faces(count), process=False)
+
+
+def write_ply(mesh: trimesh.Trimesh, path: Path, comments: Sequence[str] = ()) -> None:
+    """Write a mesh in LPS as binary PLY, float32; the same mesh gives the same bytes.
+
+    The header says `SPACE=LPS`, which 3D Slicer reads; `comments` stand beside it.
+    """
+    data: bytes = trimesh.exchange.ply.export_ply(mesh, encoding="binary", vertex_normal=False)
+    head, format_line, body = data.partition(b"\nformat binary_little_endian 1.0\n")
+    lines = "".join(f"comment {line}\n" for line in ("SPACE=LPS", *comments))
+    path.write_bytes(head + format_line + lines.encode("ascii", "replace") + body)
+
+
+def _find_cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Floats]:
+    """Return the two unit normals (N, 3) of each cross-section; with the tangent they are right-handed."""
+    steps = np.diff(axis, axis=0)
+    lengths = np.linalg.norm(steps, axis=1, keepdims=True)
+    if not (lengths > 0).all():
+        raise DataError(
+            "two neighbouring points of a curve coincide",
+            expected="points that differ",
+            fix="remove the repeated points",
+        )
+    steps = steps / lengths
+    tangents = np.vstack([steps[:1], steps[1:] + steps[:-1], steps[-1:]])
+    first = normalize(toward) - tangents * (
+        (tangents @ normalize(toward)) / np.maximum(np.sum(tangents**2, axis=1), PARALLEL_SINE)
+    ).reshape(-1, 1)
+    size = np.linalg.norm(first, axis=1, keepdims=True)
+    if not (size > PARALLEL_SINE).all():
+        raise DataError(
+            "the curve runs along the direction that its cross-sections are to have",
+            expected="a direction across the needle",
+        )
+    first = first / size
+    second = np.cross(tangents, first)
+    return first, second / np.linalg.norm(second, axis=1, keepdims=True)
+
+
+def _list_faces(count: int) -> NDArray[np.int64]:
+    """Return the triangles of `count` rims, one after the other, and of the two caps."""
+    i = np.arange(TUBE_FACETS)
+    j = (i + 1) % TUBE_FACETS
+    side = np.vstack(
+        [np.column_stack([i, j, j + TUBE_FACETS]), np.column_stack([i, j + TUBE_FACETS, i + TUBE_FACETS])]
+    )
+    wall = (side[None] + TUBE_FACETS * np.arange(count - 1)[:, None, None]).reshape(-1, 3)
+    last, centre = TUBE_FACETS * (count - 1), TUBE_FACETS * count
+    bottom = np.column_stack([j, i, np.full(TUBE_FACETS, centre)])
+    top = np.column_stack([i + last, j + last, np.full(TUBE_FACETS, centre + 1)])
+    return np.vstack([wall, bottom, top])
+
+
+def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -> tuple[Surface, float]:
+    """Return the largest piece of a mesh as a solid, turned outward, and what the others take up beside it.
+
+    Parameters
+    ----------
+    vertices : (V, 3) array
+        mm.
+    faces : (F, 3) array of int
+        Triangles, turned alike; every piece closed, pieces within another ones (cavities) the other way.
+
+    Returns
+    -------
+    Surface
+    float
+        Volume of all other pieces, islands and cavities, as a part of that of the largest.
+    """
+    points, corners = np.asarray(vertices, dtype=np.float64), np.asarray(faces, dtype=np.int64)
+    i, j = np.hstack([corners[:, :2].T, corners[:, 1:].T])
+    links = coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
+    pieces = connected_components(links, directed=False)[1][corners[:, 0]]  # (F,)
+    a, b, c = (points[corners[:, k]] for k in range(3))
+    volumes = np.bincount(pieces, np.einsum("fk,fk->f", a, np.cross(b, c)) / 6)
+    largest = int(np.argmax(np.abs(volumes)))
+    largest_faces = corners[pieces == largest]
+    used, largest_faces = np.unique(largest_faces, return_inverse=True)
+    largest_faces = largest_faces.reshape(-1, 3)
+    if volumes[largest] < 0:
+        largest_faces = largest_faces[:, ::-1]
+    others = float(np.abs(volumes).sum() / abs(volumes[largest])) - 1.0
+    return Surface(name, trimesh.Trimesh(points[used], largest_faces, process=False), "solid", into), others

@@ -1,0 +1,165 @@
+"""Exact derivatives of an insertion with respect to its parameters, from stop to stop.
+
+What lies behind the needle enters a stop only through the ordinates of the constraint points, and these
+through the rays that the tip cut. Kept are therefore, per parameter, the derivatives of every constraint
+point and of every ray. At each stop two adjoint rows, K^T lam = the tip's deflection and slope, turn those
+into the tip's derivatives; whole tangent systems are solved at the last stop only.
+"""
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from needlefit.mechanics.kernel import insertion as forward
+from needlefit.mechanics.kernel.adjoint import (
+    add_entry_derivatives,
+    add_layer_derivatives,
+    differentiate_shape,
+    fill_alpha_loads,
+    solve_adjoint,
+    start_from_constraints,
+    sum_adjoint_loads,
+)
+from needlefit.mechanics.kernel.foundation import Foundation, make_alpha_derivative
+from needlefit.mechanics.kernel.grid import SAME_DEPTH_MM
+from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
+from needlefit.mechanics.kernel.parameter_loads import (
+    DerivativeColumns,
+    DerivativeHistory,
+    list_load_entries,
+    make_workspace,
+)
+from needlefit.mechanics.kernel.scalar import (
+    CONVERGED,
+    OVER_COMPRESSED,
+    TISSUE_CRUSHED,
+    NewtonOptions,
+    fill_entry_element,
+    sweep_forward,
+)
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def advance_derivatives(
+    insertion: KernelInsertion, foundation: Foundation, by_alpha: tuple[Floats, Floats],
+    conditions: BoundaryConditions, guides: Ints, stops: TipStops, turn_per_offset: Floats,
+    newton: NewtonOptions, columns: DerivativeColumns, history: DerivativeHistory, whole: Floats,
+) -> tuple[int, int]:  # fmt: skip
+    """Bring the needle from stop to stop, then its derivatives; return the status and Newton iterations.
+
+    Parameters
+    ----------
+    by_alpha : (P,) and (P,) arrays
+        Derivatives of the law's coefficients and exponents with respect to alpha.
+    guides : (G + H, 3) array
+        Columns of each guide's x, y and slope, of those before the tissue first; -1: not asked for.
+    swing : (S,) array
+        Derivative of each stop's turn with respect to the bevel offset, 1 / mm.
+    whole : (C, 2, P) array
+        Filled with the derivatives of every node's deflection and slope at the last stop; without rows:
+        more stops are to follow.
+    """
+    status, iterations, _ = forward.advance_needle(insertion, foundation, conditions, stops, newton)
+    if status != CONVERGED:
+        return status, iterations
+    alpha_derivative = make_alpha_derivative(foundation, by_alpha[0], by_alpha[1])
+    size = insertion.states.shape[1]
+    chain = forward.begin_chain(conditions, insertion.rigidity, size)
+    workspace = make_workspace(insertion, len(foundation.mu), len(guides))
+    record, y, factor, main = insertion.record, history.y, workspace.factor, insertion.main
+    boundaries, rigidity, length, before = (
+        insertion.boundaries, insertion.rigidity, insertion.length, len(chain.front)
+    )  # fmt: skip
+    constraints, rays, tip = history.constraints, history.rays, history.tip
+    depths, cells, ray_of, starts_ray, permanent = (
+        stops.tip,
+        stops.cell,
+        stops.ray,
+        stops.starts_ray,
+        stops.permanent,
+    )
+    total, offset, outside_guides_only = columns.total, columns.offset, len(conditions.within) == 0
+    local = (
+        len(guides) > 0 or max(columns.boundary, columns.base_y, columns.base_slope, columns.stage_slope) >= 0
+    )
+    kind, mu, points, rows, prescribed_rows = (
+        chain.kind,
+        foundation.mu,
+        workspace.points,
+        workspace.rows,
+        workspace.prescribed_rows,
+    )
+    by_constraint, by_layer = workspace.by_constraint, workspace.by_layer
+    has_alpha = columns.alpha >= 0
+    has_friction = foundation.has_friction or columns.friction >= 0
+    end = len(depths) - 1
+    for s in range(end + 1):
+        depth, cell, ray, state = depths[s], cells[s], ray_of[s], record[s]
+        if starts_ray[s]:
+            for p in range(total):
+                rays[ray, 0, p], rays[ray, 1, p] = tip[0, p], insertion.tangent * tip[1, p]
+        if cell > 0:  # c = y + (tip - x)(slope + turn)
+            y[cell] = state[size, 0]
+            ahead = depth - state[size, 1]
+            for p in range(total):
+                constraints[cell, p] = rays[ray, 0, p] + ahead * rays[ray, 1, p]
+            if offset >= 0:
+                constraints[cell, offset] += ahead * turn_per_offset[s]
+        if permanent[s] and cell > 0 and outside_guides_only:
+            grid = main
+            last = np.searchsorted(grid.nodes, depth - SAME_DEPTH_MM)
+        else:
+            grid = forward.build_stop_grid(insertion, conditions, depth, cell)
+            last = len(grid.nodes) - 1
+        forward.prescribe_stop(chain, conditions, grid, last, depth, length)
+        fill_entry_element(grid, chain.front[before - 1])
+        if sweep_forward(state, chain, foundation, grid, y, last, factor, points) == TISSUE_CRUSHED:
+            return OVER_COMPRESSED, iterations
+        if has_alpha:
+            fill_alpha_loads(points, foundation, alpha_derivative, grid, last)
+        load_entries = 0
+        if local:
+            load_entries = list_load_entries(
+                workspace,
+                boundaries,
+                foundation,
+                grid,
+                chain,
+                state,
+                y,
+                conditions,
+                guides,
+                columns,
+                last,
+                depth,
+            )
+        if s == end and len(whole) > 0:
+            differentiate_shape(
+                whole, workspace, load_entries, foundation, grid, chain, state, constraints, columns, last
+            )
+        else:
+            solve_adjoint(kind, before + last, factor, rows, prescribed_rows)
+            sum_adjoint_loads(
+                rows,
+                points,
+                by_constraint,
+                by_layer,
+                foundation,
+                grid,
+                state,
+                before,
+                last,
+                cell,
+                has_friction,
+            )
+            start_from_constraints(tip, by_constraint, constraints, cell, total)
+            add_layer_derivatives(
+                tip, by_layer, mu, rigidity, columns.mu, columns.alpha, columns.friction,
+                columns.rigidity,
+            )  # fmt: skip
+            if load_entries > 0:
+                add_entry_derivatives(tip, workspace, load_entries, kind)
+    return CONVERGED, iterations

@@ -1,1 +1,0 @@
-"""Exact derivatives: `insertion` > `tangent`, `adjoint` > `derivatives`, `perturbation`; `movement` in C."""
