@@ -20,7 +20,7 @@ import numpy as np
 from scipy.optimize import minimize
 
 from needlefit.datasets.read import read
-from needlefit.inference.problem import Problem, problem
+from needlefit.inference.problem import Problem, make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
@@ -61,13 +61,13 @@ def one(number: int, insertions: int, seed: int) -> list[dict[str, object]]:
     values = {name: float(np.exp(rng.uniform(*np.log(ends)))) for name, ends in RANGES.items()}
     into = [i for i in dataset.insertions if i.medium == "phantom2"][:insertions]
     planned = [replace(i, depth_sd=DEPTH_SD) for i in into]
-    start = problem(dataset, planned, medium, WeightsRecord())
+    start = make_problem(dataset, planned, medium, WeightsRecord())
     truth = start.parameters.theta(values)
     everything = start.values(truth)
     made = [
         i for one in planned if (i := simulate_measurement(dataset, one, everything, medium, rng)) is not None
     ]
-    tasks = {name: problem(dataset, made, medium, WeightsRecord(), how) for name, how in HOW.items()}
+    tasks = {name: make_problem(dataset, made, medium, WeightsRecord(), how) for name, how in HOW.items()}
     slope = tasks["correlated, depths linear"].jacobian(truth)[1]
     stiff = np.linalg.eigh(slope.T @ slope)[1][:, -1]
     bevel = np.eye(len(truth))[-1]

@@ -15,7 +15,7 @@ from dataclasses import replace
 import numpy as np
 
 from needlefit.datasets.read import read
-from needlefit.inference.problem import problem
+from needlefit.inference.problem import make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
@@ -49,7 +49,7 @@ def main() -> None:
     medium = load(find_file("medium", "phantom2"), MediumRecord)
     rows = []
     for depths in ("fixed", "linear", "quadrature"):
-        task = problem(dataset, insertions, medium, WeightsRecord(), LikelihoodRecord(depths=depths))
+        task = make_problem(dataset, insertions, medium, WeightsRecord(), LikelihoodRecord(depths=depths))
         theta = task.parameters.theta(VALUES)
         many = theta + 0.01 * np.random.default_rng(1).normal(size=(SETS, len(theta)))
         alone = milliseconds(lambda: task.log_posterior(theta), options.rounds)  # noqa: B023

@@ -14,8 +14,7 @@ from needlefit.datasets.tip_track_table import read_tracks
 from needlefit.datasets.tip_tracks import select_runs
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters, with_noise_scale
-from needlefit.inference.tracks.curves import CURVES, fit_curve
-from needlefit.inference.tracks.foresight import Drawn
+from needlefit.inference.tracks.prediction import TRACK_CURVES, TrackDraws, fit_curve
 from needlefit.inference.tracks.problem import TrackProblem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -42,16 +41,16 @@ def main() -> None:
         met = [n for n in parameters.free if not n.startswith("mu") or int(n[2:-3]) in runs[0].sequence]
         asked = parameters.with_only(met, dict.fromkeys(parameters.free, 1.0))  # a layer not met has no say
         problem = TrackProblem(dataset.needle, runs, medium, asked, dataset.noise)
-        left = [_left(problem, fit_curve(one, problem.evidence, (), 100, _rng())) for one in CURVES]
+        left = [_left(problem, fit_curve(one, problem.observations, (), 100, _rng())) for one in TRACK_CURVES]
         fit = minimize(problem, recipe, _rng())
         tips = problem.tips([fit.values])
-        left.append(_left(problem, Drawn(tips, (), np.ones(1))))
+        left.append(_left(problem, TrackDraws(tips, (), np.ones(1))))
         at = ", ".join(f"{key} {fit.values[key]:.3g}" for key in problem.names)
         print(name, len(runs), *(f"{one:.3f}" for one in left), at, sep=" | ", flush=True)
 
 
-def _left(problem: TrackProblem, drawn: Drawn) -> float:
-    rows = tabulate_tuned(problem.evidence, drawn)
+def _left(problem: TrackProblem, drawn: TrackDraws) -> float:
+    rows = tabulate_tuned(problem.observations, drawn)
     return float(np.sqrt(np.mean([row["aligned_rms_mm"] ** 2 for row in rows])))
 
 

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.compression import CompressionTest
 from needlefit.datasets.compression_loading import SpecimenLoading
-from needlefit.inference.material import NORMAL, fit_specimen
-from needlefit.inference.population import fit_material
+from needlefit.inference.material import fit_material
+from needlefit.inference.specimen_fit import NORMAL_95_HALF_WIDTH_SD, fit_specimen
 from needlefit.mechanics.compression import compute_stress
 
 Floats = NDArray[np.float64]
@@ -58,7 +58,7 @@ def of_a_further_one(specimens: int, tests: int, rng: np.random.Generator) -> tu
         found = fit_material(CompressionTest(Path(), "", "nominal", (), made, ()))
         if len(found.pooled) > 1:
             known += 1
-            held += abs(alphas[-1] - found.mean[1]) < NORMAL * found.sds[1]
+            held += abs(alphas[-1] - found.mean[1]) < NORMAL_95_HALF_WIDTH_SD * found.sds[1]
     return held, known
 
 

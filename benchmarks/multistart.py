@@ -25,10 +25,10 @@ import numpy as np
 from coverage_rates import measured
 
 from needlefit.datasets.read import read
-from needlefit.inference.goal import posterior
+from needlefit.inference.fit import StartPoint
+from needlefit.inference.objective import make_posterior_objective
 from needlefit.inference.optimize import minimize, search
-from needlefit.inference.problem import Problem, problem
-from needlefit.inference.starts import Place
+from needlefit.inference.problem import Problem, make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
@@ -51,12 +51,12 @@ def drawn(number: int, most: int, recipe: RecipeRecord) -> tuple[Problem, np.nda
         own = [i for i in dataset.insertions if i.medium == name]
         picked = rng.choice(len(own), size=rng.integers(1, most + 1), replace=False)
         planned = [own[k] for k in sorted(picked)]
-        blank = problem(dataset, planned, medium, recipe.weights, recipe.likelihood)
+        blank = make_problem(dataset, planned, medium, recipe.weights, recipe.likelihood)
         ends = [RANGES["bevel" if n.startswith("bevel") else "mu"] for n in blank.names]
         truth = np.array([rng.uniform(*np.log(pair)) for pair in ends])
         if all(shape.converged for shape in blank.shapes(truth)):
             made = [measured(dataset, i, blank.values(truth), medium, rng) for i in planned]
-            return problem(dataset, made, medium, recipe.weights, recipe.likelihood), truth
+            return make_problem(dataset, made, medium, recipe.weights, recipe.likelihood), truth
     raise RuntimeError(f"problem {number} could not be drawn")
 
 
@@ -69,7 +69,9 @@ def one(number: int, seeds: int, most: int, larger: int, recipe: RecipeRecord) -
     rivals = {
         "larger": minimize(task, many, random_stream(seeds, "larger", str(number))).objective,
         "slsqp": minimize(task, other, random_stream(seeds, "other", str(number))).objective,
-        "truth": search(posterior(task), recipe, Place(0, tuple(truth.tolist()))).objective,
+        "truth": search(
+            make_posterior_objective(task), recipe, StartPoint(0, tuple(truth.tolist()))
+        ).objective,
     }
     best = min(*rivals.values(), *(fit.objective for fit in fits))
     return {

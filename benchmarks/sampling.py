@@ -26,11 +26,11 @@ import numpy as np
 from full_needle import FullNeedle
 
 from needlefit.errors import ConfigError
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.forward_model import make_batch
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import predict_each
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling import sample as sampler
-from needlefit.inference.starts import Watch
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.kernel.lanes import insertion as kernel
 from needlefit.project.load import load
@@ -100,7 +100,7 @@ def measure(
         clock.around(sampler, "convergence", "rule", time.process_time),
         clock.around(sampler, "autocorrelation_times", "rule", time.process_time),
     ):
-        got = sampler.sample(Timed(problem, clock), ends, settings, rng, Watch(jobs=jobs))
+        got = sampler.sample(Timed(problem, clock), ends, settings, rng, Callbacks(jobs=jobs))
     seconds, processor = time.perf_counter() - begin, time.process_time() - begin_processor
     shares = dict(clock.seconds)
     shares["likelihood"] = shares.pop("density") - shares["kernel"]
@@ -114,7 +114,7 @@ def measure(
         "burn_in": got.burn_in,
         "longest_tau": round(float(got.convergence.tau.max()), 1),
         "acceptance": round(float(np.mean(got.acceptance)), 2),
-        "fewest_draws": round(float(min(got.convergence.bulk.min(), got.convergence.tail.min()))),
+        "fewest_draws": round(float(min(got.convergence.ess_bulk.min(), got.convergence.ess_tail.min()))),
         "converged": got.converged,
         "seconds": round(seconds, 1),
         "processor_seconds": round(processor, 1),
@@ -128,8 +128,8 @@ def rival(problem: Problem, theta, evaluations: int) -> dict[str, object]:
     values = [problem.values(theta)]
     medium, needle = problem.medium, problem.dataset.needle
     batches = [
-        predict_each(values, medium, needle, replace(insertion, depth=float(round(insertion.depth))))
-        for known in problem.density.evidence
+        make_batch(values, medium, needle, replace(insertion, depth=float(round(insertion.depth))))
+        for known in problem.density.observations
         for insertion in known.nodes.insertions
     ]
     with ProcessPoolExecutor(POOL, mp_context=multiprocessing.get_context("spawn")) as workers:
@@ -182,7 +182,7 @@ def main() -> None:
         problem = replace(
             problem, likelihood=problem.likelihood.model_copy(update={"depths": options.depths})
         )
-        fit = minimize(problem, job.recipe, random_stream(1, target, "starts"), Watch(jobs=options.jobs))
+        fit = minimize(problem, job.recipe, random_stream(1, target, "starts"), Callbacks(jobs=options.jobs))
         for moves in options.moves:
             for seed in options.seeds:
                 settings = job.recipe.sample.model_copy(update={"moves": moves})

@@ -16,9 +16,9 @@ import time
 
 from needlefit.datasets.read import read
 from needlefit.datasets.select import select_insertions
+from needlefit.inference.fit import Callbacks
 from needlefit.inference.optimize import minimize
-from needlefit.inference.problem import problem
-from needlefit.inference.starts import Watch
+from needlefit.inference.problem import make_problem
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
@@ -44,7 +44,7 @@ def search(fit: str, starts: int, slope: float, jobs: int) -> list[dict[str, obj
     recipe = load(find_file("recipe", "default"), RecipeRecord)
     dataset = read(find_file("dataset", record.dataset))
     chosen = select_insertions(dataset, record.tune, record.layer_count_rule)
-    task = problem(
+    task = make_problem(
         dataset,
         chosen,
         load(find_file("medium", record.medium), MediumRecord),
@@ -55,7 +55,7 @@ def search(fit: str, starts: int, slope: float, jobs: int) -> list[dict[str, obj
     for name in (*SEARCHES, APPROACH):
         how = {"algorithm": name.split(",")[0], "starts": starts, "approach": name == APPROACH}
         rng, begun = random_stream(recipe.seed, "search benchmark", fit), time.process_time()
-        result = minimize(task, recipe.model_copy(update=how), rng, Watch(jobs=jobs))
+        result = minimize(task, recipe.model_copy(update=how), rng, Callbacks(jobs=jobs))
         found[name] = result, time.process_time() - begun
     best = min(result.objective for result, _ in found.values())
     rows = []

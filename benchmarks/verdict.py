@@ -8,9 +8,9 @@ import sys
 import time
 from dataclasses import replace
 
-from needlefit.inference.identifiability.examine import examine
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.identifiability.parameter_profiles import profile_parameters
 from needlefit.inference.optimize import minimize
-from needlefit.inference.starts import Watch
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
@@ -24,11 +24,11 @@ def main(name: str, count: int, jobs: int, starts: int) -> None:
     problem = replace(job.problem(job.folds[0]), insertions=job.folds[0].tune[:count])
     problem.jacobian(0.5 * (problem.lower + problem.upper))  # compiles
     began = time.perf_counter(), time.process_time()
-    fit = minimize(problem, recipe, random_stream(recipe.seed, "verdict"), Watch(jobs=jobs))
+    fit = minimize(problem, recipe, random_stream(recipe.seed, "verdict"), Callbacks(jobs=jobs))
     between = time.perf_counter(), time.process_time()
-    minimize(problem, metric_recipe(recipe), random_stream(recipe.seed, "metric"), Watch(jobs=jobs))
+    minimize(problem, metric_recipe(recipe), random_stream(recipe.seed, "metric"), Callbacks(jobs=jobs))
     beside = time.perf_counter(), time.process_time()
-    examination = examine(problem, fit, jobs)
+    examination = profile_parameters(problem, fit, jobs)
     ended = time.perf_counter(), time.process_time()
     parts = ((began, between), (between, beside), (beside, ended), (began, ended))
     took = [(b[0] - a[0], b[1] - a[1]) for a, b in parts]

@@ -8,9 +8,9 @@ import numpy as np
 
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.geometry.frames import Frame
-from needlefit.inference.predict import predict
+from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import Problem
-from needlefit.inference.problem import problem as build_problem
+from needlefit.inference.problem import make_problem as build_problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.schemas.medium import MediumRecord
@@ -114,7 +114,7 @@ class Analytic:
     def objective(self, theta: np.ndarray) -> float:
         return self.function(theta)
 
-    def slope(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
+    def objective_gradient(self, theta: np.ndarray) -> tuple[float, np.ndarray]:
         moves = 1e-6 * np.eye(len(theta))
         slopes = [(self.function(theta + m) - self.function(theta - m)) / 2e-6 for m in moves]
         return self.function(theta), np.array(slopes)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 from inference_cases import recipe
 
-from needlefit.inference.goal import Goal
+from needlefit.inference.fit import Start, StartPoint
+from needlefit.inference.objective import ObjectiveFunction
 from needlefit.inference.optimize import search
-from needlefit.inference.starts import Place, Start
 
 FOLDER = Path(__file__).parent / "nist"
 LEVELS = ("lower", "average", "higher")
@@ -109,7 +109,7 @@ class Regression:
         columns = [MODELS[self.name](t, self.x).imag / h for t in moved]
         return self.residuals(theta), np.stack(columns, axis=1)
 
-    def goal(self, half: float = np.inf) -> Goal:
+    def goal(self, half: float = np.inf) -> ObjectiveFunction:
         """Half the sum of squares, in a box of `half` times the larger start on each side of 0."""
         size = half * np.max(np.abs(self.starts), axis=0)
 
@@ -122,7 +122,7 @@ class Regression:
             residuals, jacobian = self.jacobian(theta)
             return 0.5 * float(residuals @ residuals), residuals @ jacobian
 
-        return Goal(-size, size, value, gradient, self.residuals, self.jacobian)
+        return ObjectiveFunction(-size, size, value, gradient, self.residuals, self.jacobian)
 
     def digits(self, theta: tuple[float, ...]) -> float:
         """Return how many significant digits of the worst parameter agree with the certified ones."""
@@ -179,7 +179,7 @@ def ended(
 ) -> Start:
     """What one search came to, by a recipe's algorithm."""
     how = recipe(algorithm=algorithm, evaluations=evaluations, tolerance=1e-13)
-    return search(one.goal(half), how, Place(0, one.starts[start]))
+    return search(one.goal(half), how, StartPoint(0, one.starts[start]))
 
 
 def attained(one: Regression, start: Start) -> bool:

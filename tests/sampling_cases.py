@@ -70,5 +70,5 @@ def flat(posterior: Posterior) -> np.ndarray:
 
 def standard_errors(posterior: Posterior) -> np.ndarray:
     """Monte Carlo standard errors (P,) of the means, by the independent draws that the posterior claims."""
-    draws = posterior.convergence.bulk.sum(axis=0)[: len(posterior.names)]
+    draws = posterior.convergence.ess_bulk.sum(axis=0)[: len(posterior.names)]
     return flat(posterior).std(axis=0) / np.sqrt(draws)

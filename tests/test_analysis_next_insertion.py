@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from needlefit.inference.weighing.importance import Effort
+from needlefit.inference.importance.sampler import Effort
 from needlefit.reporting.inquiries.next_insertion import said
 from needlefit.reporting.inquiries.write import write_answer
 from needlefit.schemas.planning import CandidateEntryRecord, NextInsertionRecord
@@ -71,7 +71,7 @@ def test_an_entry_says_its_layers_whole(entry, fault):
 
 def test_deep_insertions_into_one_layer_tell_more_and_alpha_nothing(tmp_path, monkeypatch):
     monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
-    monkeypatch.setattr(candidates, "PLANNING_EFFORT", Effort(draws=100, enough=150.0))
+    monkeypatch.setattr(candidates, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
     answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())
     found = answer.frames["candidates"].set_index("depth_mm")
     assert found["nats"][80] > found["nats"][10] + 5 * found["nats_se"][10]

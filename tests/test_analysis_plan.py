@@ -94,7 +94,7 @@ def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
     monkeypatch.setattr(plan, "SEARCH_DRAWS", 3)
     monkeypatch.setattr(plan, "TEST_DRAWS", 20)
     monkeypatch.setattr(
-        candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, enough=100.0)
+        candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, min_ess=100.0)
     )
     answer = plan.run("aim", PlanRecord.model_validate(CHICKEN), Settings())
     plans = answer.frames["plans"].set_index("plan")
@@ -120,7 +120,7 @@ def test_a_plan_that_does_not_reach_says_so_and_what_stands_at_a_bound(monkeypat
     monkeypatch.setattr(plan, "SEARCH_DRAWS", 2)
     monkeypatch.setattr(plan, "TEST_DRAWS", 6)
     monkeypatch.setattr(
-        candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, enough=100.0)
+        candidates, "PLANNING_EFFORT", replace(candidates.PLANNING_EFFORT, draws=100, min_ess=100.0)
     )
     entry_plane = {**AHEAD, "depth_mm": [20, 30]}
     record = {**CHICKEN, "target_mm": [29, 4], "tolerances_mm": [1.0], "entry_plane": entry_plane}

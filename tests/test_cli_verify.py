@@ -9,7 +9,16 @@ import pytest
 from test_cli import run
 
 from needlefit.verification import run as running
-from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most
+from needlefit.verification.check import (
+    AcceptanceBound,
+    Check,
+    CheckOutcome,
+    ConvergenceCurve,
+    Group,
+    Quantity,
+    at_most,
+    within,
+)
 
 FILES = {
     "convergence.csv", "convergence.pdf", "report.pdf", "run.json", "timing.json",
@@ -20,8 +29,10 @@ NORMS = {"deflection": 4, "slope": 3, "deflection at the nodes": 4, "slope at th
 
 
 def refined(rng):
-    curve = Curve("A power law", H, {norm: tuple(1e-6 * h**p for h in H) for norm, p in NORMS.items()})
-    return Outcome((curve.order("deflection"),), curves=(curve,))
+    curve = ConvergenceCurve(
+        "A power law", H, {norm: tuple(1e-6 * h**p for h in H) for norm, p in NORMS.items()}
+    )
+    return CheckOutcome((curve.order("deflection"),), curves=(curve,))
 
 
 def read_csv(path):
@@ -37,18 +48,21 @@ GOOD = (
         Group.CLOSED_FORMS,
         "A beam",
         (Quantity("error", at_most(1e-5), "mm"),),
-        lambda rng: Outcome((2.5e-7,)),
+        lambda rng: CheckOutcome((2.5e-7,)),
     ),
-    Check(Group.MANUFACTURED, "A power law", (Quantity("order", about(4, 0.2), ""),), refined),
+    Check(Group.MANUFACTURED, "A power law", (Quantity("order", within(4, 0.2), ""),), refined),
     Check(
         Group.STATED,
         "A spacing",
-        (Quantity("tip", Bound(), "mm"),),
-        lambda rng: Outcome((3.0,), "another model"),
+        (Quantity("tip", AcceptanceBound(), "mm"),),
+        lambda rng: CheckOutcome((3.0,), "another model"),
     ),
 )
 BAD = Check(
-    Group.SYMMETRIES, "A mirror", (Quantity("difference", at_most(0.0), "mm"),), lambda rng: Outcome((0.1,))
+    Group.SYMMETRIES,
+    "A mirror",
+    (Quantity("difference", at_most(0.0), "mm"),),
+    lambda rng: CheckOutcome((0.1,)),
 )
 WORSE = Check(Group.TANGENT, "A step", (Quantity("defect", at_most(1e-8), ""),), crash)
 

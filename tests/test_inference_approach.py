@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, Squares, insertion, measure, medium, problem, squares_recipe, two_layers
 
+from needlefit.inference.fit import Callbacks, Start, start_from_dict, start_to_dict
 from needlefit.inference.optimize import minimize
-from needlefit.inference.optimize.approach import leaders
-from needlefit.inference.starts import Start, Watch, from_dict, to_dict
+from needlefit.inference.optimize.multistart import group_approaches
 from needlefit.schemas.recipe import LikelihoodRecord
 
 
@@ -81,7 +81,7 @@ def test_ends_apart_in_one_parameter_have_not_met():
 
     ends = [end(0, (1.0, 5.0), 2.0), end(1, (1.0, 3.0), 2.0), end(2, (1.005, 3.0), 2.0 - 1e-4)]
     ends += [end(3, (1.0, 3.0), 2.1), end(4, (0.0, 0.0), math.inf), end(5, (0.0, 0.0), math.inf)]
-    assert leaders(ends) == {0: 0, 1: 2, 2: 2, 3: 3, 4: 4, 5: 5}
+    assert group_approaches(ends) == {0: 0, 1: 2, 2: 2, 3: 3, 4: 4, 5: 5}
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -89,15 +89,17 @@ def test_what_is_resumed_is_the_very_same_fit(jobs):
     search = squares_recipe(starts=8)
     whole = minimize(led(), search, rng())
     for kept in ([0], [3, 4, 5], range(7), range(8)):
-        finished = {k: from_dict(json.loads(json.dumps(to_dict(whole.starts[k])))) for k in kept}
-        assert minimize(led(), search, rng(), Watch(finished=finished, jobs=jobs)) == whole
+        finished = {k: start_from_dict(json.loads(json.dumps(start_to_dict(whole.starts[k])))) for k in kept}
+        assert minimize(led(), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole
 
 
 def test_an_interrupted_approach_leaves_its_best_point():
     count = itertools.count()
     reported, steps = [], []
-    watch = Watch(report=reported.append, stop=lambda: next(count) > 40, step=lambda *a: steps.append(a))
-    fit = minimize(led(), squares_recipe(starts=12), rng(), watch)
+    callbacks = Callbacks(
+        report=reported.append, stop=lambda: next(count) > 40, step=lambda *a: steps.append(a)
+    )
+    fit = minimize(led(), squares_recipe(starts=12), rng(), callbacks)
     assert fit.interrupted and reported == [] and len(steps) >= 2 and steps[0] == (1, 12)
     assert [start.stopped for start in fit.starts] == ["interrupted"]
     assert fit.objective == led().constant * -1 + 0.5 * float(np.sum(hills(np.array(fit.theta))[0] ** 2))

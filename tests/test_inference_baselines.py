@@ -8,7 +8,7 @@ from inference_cases import insertion
 
 from needlefit.errors import ConfigError
 from needlefit.geometry.curves import integrate_curvature
-from needlefit.inference.baselines import curve_for, fit_baseline, fit_baselines
+from needlefit.inference.baselines import fit_baseline, fit_baselines, make_baseline_curve
 
 AT = np.linspace(0, 100, 21)
 
@@ -53,7 +53,9 @@ def test_a_curve_of_its_kind_is_recovered(pose, coefficients):
     assert fitted.coefficients == pytest.approx(coefficients, rel=1e-4)
     assert fitted.rms < 1e-3
     ahead = measured(120.0, coefficients)
-    assert curve_for(fitted, ahead)(np.array([120.0]))[0] == pytest.approx(ahead.planar[-1], abs=1e-2)
+    assert make_baseline_curve(fitted, ahead)(np.array([120.0]))[0] == pytest.approx(
+        ahead.planar[-1], abs=1e-2
+    )
 
 
 def test_the_rms_is_over_distances():
@@ -82,7 +84,7 @@ def test_unknown_names_and_empty_selections_are_errors():
 def test_the_real_stereo_shapes_give_the_known_baselines():
     from needlefit.datasets.read import read
     from needlefit.geometry.compare import compare_curves
-    from needlefit.inference.comparison import scored_points
+    from needlefit.inference.compared_points import compare_points
     from needlefit.project.locate import find_file
 
     shapes = read(find_file("dataset", "stereo_shapes"))
@@ -90,7 +92,9 @@ def test_the_real_stereo_shapes_give_the_known_baselines():
     deep = [i for i in shapes.insertions if i.depth == 120]
     fits = fit_baselines(pose, drop, [i for i in shapes.insertions if i.depth < 120])
     errors = {
-        name: np.mean([compare_curves(*scored_points(pose, drop, i, curve_for(b, i))).mean for i in deep])
+        name: np.mean(
+            [compare_curves(*compare_points(pose, drop, i, make_baseline_curve(b, i))).mean for i in deep]
+        )
         for name, b in fits.items()
     }
     assert errors["straight"] == pytest.approx(0.59, abs=0.02)

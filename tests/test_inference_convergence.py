@@ -6,7 +6,12 @@ import warnings
 import numpy as np
 import pytest
 
-from needlefit.inference.sampling.convergence import Convergence, autocorrelation_times, convergence, r_hat
+from needlefit.inference.sampling.convergence import (
+    Convergence,
+    assess_convergence,
+    autocorrelation_times,
+    r_hat,
+)
 
 with warnings.catch_warnings():
     warnings.simplefilter("ignore", FutureWarning)  # arviz announces its next version once a day
@@ -46,15 +51,15 @@ def test_the_autocorrelation_time_of_a_known_series(memory):
 def test_independent_draws_agree_with_those_of_arviz():
     """Of one walker an ensemble is a chain; the estimates of both windows differ by a few percent."""
     series = autoregressive(0.8, (4, 20000, 1))
-    found = convergence(series[..., None], series, ["x"])
+    found = assess_convergence(series[..., None], series, ["x"])
     theirs = {kind: float(arviz.ess(series[..., 0], method=kind)) for kind in ("bulk", "tail")}
-    assert found.bulk.sum(axis=0)[0] == pytest.approx(theirs["bulk"], rel=0.1)
-    assert found.tail.sum(axis=0)[0] == pytest.approx(theirs["tail"], rel=0.15)
+    assert found.ess_bulk.sum(axis=0)[0] == pytest.approx(theirs["bulk"], rel=0.1)
+    assert found.ess_tail.sum(axis=0)[0] == pytest.approx(theirs["tail"], rel=0.15)
 
 
 def test_walkers_that_are_independent_add_up():
-    found = convergence(autoregressive(0.5, (4, 3000, 16))[..., None], np.zeros((4, 3000, 16)), ["x"])
-    assert found.bulk[:, 0] == pytest.approx(np.full(4, 16 * 3000 / 3), rel=0.1)
+    found = assess_convergence(autoregressive(0.5, (4, 3000, 16))[..., None], np.zeros((4, 3000, 16)), ["x"])
+    assert found.ess_bulk[:, 0] == pytest.approx(np.full(4, 16 * 3000 / 3), rel=0.1)
 
 
 def test_the_stiff_direction_is_asked_too():
@@ -62,7 +67,7 @@ def test_the_stiff_direction_is_asked_too():
     sloppy = autoregressive(0.0, (4, 500, 8), 3)
     stiff = 0.01 * autoregressive(0.0, (4, 500, 8), 4) + 0.01 * np.arange(4)[:, None, None]
     thetas = np.stack([sloppy + stiff, sloppy - stiff], axis=3)
-    found = convergence(thetas, autoregressive(0.0, (4, 500, 8), 5), ["a", "b"])
+    found = assess_convergence(thetas, autoregressive(0.0, (4, 500, 8), 5), ["a", "b"])
     assert found.quantities == ("a", "b", "direction 1", "direction 2", "log posterior")
     by_name = dict(zip(found.quantities, found.r_hat, strict=True))
     assert by_name["direction 1"] > 1.2 > 1.01 > max(by_name["a"], by_name["b"])
@@ -75,8 +80,8 @@ def met(**changed):
         "quantities": ("x",),
         "r_hat": np.array([1.009]),
         "tau": np.array([[9.9], [9.0], [9.0], [9.0]]),
-        "bulk": np.array([[401.0], [500.0], [500.0], [500.0]]),
-        "tail": np.array([[401.0], [500.0], [500.0], [500.0]]),
+        "ess_bulk": np.array([[401.0], [500.0], [500.0], [500.0]]),
+        "ess_tail": np.array([[401.0], [500.0], [500.0], [500.0]]),
         "steps": 500,
     }
     return Convergence(**{**fine, **changed})
@@ -89,8 +94,8 @@ def test_each_clause_of_the_rule_counts():
         met(r_hat=np.array([math.nan])),
         met(tau=np.array([[10.0], [9.0], [9.0], [9.0]])),
         met(tau=np.array([[math.inf], [9.0], [9.0], [9.0]])),
-        met(bulk=np.array([[401.0], [400.0]])),
-        met(tail=np.array([[400.0], [500.0]])),
+        met(ess_bulk=np.array([[401.0], [400.0]])),
+        met(ess_tail=np.array([[400.0], [500.0]])),
         met(tau=np.array([[9.9], [9.0], [9.0]])),
     ]
     assert [len(one.faults) for one in broken] == [1] * len(broken)

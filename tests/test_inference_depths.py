@@ -10,9 +10,9 @@ from scipy.special import logsumexp, ndtri
 from scipy.stats import qmc
 
 from needlefit.datasets.read import read
-from needlefit.inference.likelihood.evidence import evidence, whitened
+from needlefit.inference.forward_model import predict
 from needlefit.inference.likelihood.marginal import log_marginals
-from needlefit.inference.predict import predict
+from needlefit.inference.likelihood.observation import make_observation, whiten_residuals
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
@@ -33,14 +33,14 @@ def insertion(name):
 
 
 def white(known, one, s):
-    return whitened(known, compute_positions(predict(VALUES, MEDIUM, TWIN.needle, one), s))
+    return whiten_residuals(known, compute_positions(predict(VALUES, MEDIUM, TWIN.needle, one), s))
 
 
 @cache
 def brute_force(name):
     """The mean likelihood over the prior: 256 draws of the boundaries at each of 5 insertion depths."""
     one = insertion(name)
-    known = evidence(TWIN, one)
+    known = make_observation(TWIN, one)
     draws = one.boundary_sd * ndtri(qmc.Sobol(len(one.boundaries), seed=5).random(256))
     places, weights = np.polynomial.hermite_e.hermegauss(5)
     squares = np.empty((len(places), len(draws)))
@@ -52,7 +52,7 @@ def brute_force(name):
 
 
 def marginal(name, depths):
-    known = evidence(TWIN, insertion(name), how=LikelihoodRecord(depths=depths))
+    known = make_observation(TWIN, insertion(name), likelihood=LikelihoodRecord(depths=depths))
     pairs = zip(known.nodes.insertions, known.nodes.s, strict=True)
     curves = np.array([white(known, one, s) for one, s in pairs])
     return float(log_marginals(curves[None], known.nodes, np.ones(1))[0])

@@ -8,12 +8,12 @@ import pytest
 from inference_cases import TRUTH, box, insertion, measure, medium, problem, recipe, two_layers
 
 from needlefit.errors import ModelError
-from needlefit.inference.failure import Failure, failure
-from needlefit.inference.ledger import KEPT
+from needlefit.inference.evaluation_checks import EvaluationFailure, explain_failure
+from needlefit.inference.evaluation_recorder import MAX_FAILED_POINTS
+from needlefit.inference.fit import Callbacks, start_from_dict, start_to_dict
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.starts import Watch, from_dict, to_dict
 from needlefit.schemas.recipe import SampleRecord
 
 
@@ -44,8 +44,8 @@ def test_the_first_failures_of_a_start_are_kept_and_all_are_counted():
 
     start = minimize(box(noted), recipe(algorithm="crs2", starts=1, evaluations=200), rng()).starts[0]
     lost = [theta for theta in asked if theta[0] < 0]
-    assert start.failures == len(lost) > KEPT
-    assert start.failed == tuple(lost[:KEPT])
+    assert start.failures == len(lost) > MAX_FAILED_POINTS
+    assert start.failed == tuple(lost[:MAX_FAILED_POINTS])
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -53,9 +53,9 @@ def test_failures_survive_a_checkpoint_to_the_last_bit(jobs):
     search = recipe(algorithm="neldermead", evaluations=60)
     whole = minimize(box(half), search, rng())
     assert whole.failures > 0
-    finished = {s.index: from_dict(json.loads(json.dumps(to_dict(s)))) for s in whole.starts[:2]}
+    finished = {s.index: start_from_dict(json.loads(json.dumps(start_to_dict(s)))) for s in whole.starts[:2]}
     assert finished == {s.index: s for s in whole.starts[:2]}
-    assert minimize(box(half), search, rng(), Watch(finished=finished, jobs=jobs)) == whole
+    assert minimize(box(half), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole
 
 
 def test_recorded_points_fail_again_and_say_where_and_why():
@@ -64,7 +64,7 @@ def test_recorded_points_fail_again_and_say_where_and_why():
     recorded = [theta for start in fit.starts for theta in start.failed]
     assert 0 < len(recorded) <= fit.failures
     for theta in recorded:
-        found = failure(p, theta)
+        found = explain_failure(p, theta)
         assert p.objective(np.array(theta)) == math.inf and math.isnan(p.log_posterior(theta))
         at = [i.id for i in p.insertions].index(found.insertion)
         assert found.reason == p.shapes(theta)[at].status != "converged"
@@ -76,20 +76,20 @@ def test_the_insertion_named_is_the_first_without_a_solution(bevel, named):
     p = violent()
     alone = [problem(p.medium, [i]).objective(np.log([2e7, bevel])) for i in p.insertions]
     assert [math.isinf(value) for value in alone] == [named == "at6", True]
-    assert failure(p, np.log([2e7, bevel])) == Failure(named, "over-compressed")
+    assert explain_failure(p, np.log([2e7, bevel])) == EvaluationFailure(named, "over-compressed")
 
 
 def test_a_model_that_refuses_says_so_in_its_own_words():
     record = medium(1, guide_distance_mm={"bounds": [2.0, 140.0]}, mu1_pa={"fixed": 3e5})
     p = problem(record, [measure({**TRUTH, "guide_distance_mm": 15.0}, record, insertion(55.0))])
-    found = failure(p, p.parameters.theta({**TRUTH, "guide_distance_mm": 120.0}))
+    found = explain_failure(p, p.parameters.theta({**TRUTH, "guide_distance_mm": 120.0}))
     assert found.insertion == "at55"
     assert found.reason.startswith("ModelError: ") and "\n" not in found.reason
 
 
 def test_where_every_needle_is_solved_no_simulation_is_to_blame():
     p = two_layers(count=1)
-    assert failure(p, p.parameters.theta(TRUTH)) == Failure("", "value not finite")
+    assert explain_failure(p, p.parameters.theta(TRUTH)) == EvaluationFailure("", "value not finite")
 
 
 def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(tmp_path):
@@ -97,9 +97,9 @@ def test_the_sampler_counts_failed_solves_and_keeps_the_first_of_each_ensemble(t
     settings = SampleRecord(ensembles=2, walkers=8, steps=60, moves="stretch")  # steps far out
     got = sample(p, np.log([2e7, 30.0]), settings, rng())
     assert got.failures >= sum(len(thetas) for thetas in got.failed) > 0
-    assert len(got.failed) == 2 and max(len(thetas) for thetas in got.failed) <= KEPT
+    assert len(got.failed) == 2 and max(len(thetas) for thetas in got.failed) <= MAX_FAILED_POINTS
     for theta in (theta for ensemble in got.failed for theta in ensemble):
-        assert failure(p, theta).reason == "over-compressed"
+        assert explain_failure(p, theta).reason == "over-compressed"
     assert np.all(np.isfinite(got.log_posterior))
     save(got, tmp_path / "posterior.nc")
     assert load(tmp_path / "posterior.nc").failed == got.failed

@@ -3,27 +3,27 @@
 import numpy as np
 import pytest
 
-from needlefit.inference.identifiability.gain import Foreseen, linear, nested
+from needlefit.inference.identifiability.design_gain import PredictedData, linearized_gain, nested_gain
 from needlefit.inference.likelihood.depths import Nodes
 
 COVARIANCE = np.array([[1.0, -0.6], [-0.6, 0.5]])
 SLOPES = np.array([[1.5, 0.4], [0.2, 1.1], [-0.7, 0.9]])  # (R, P), whitened
 
 
-def foreseen(thetas: np.ndarray, by_depth: np.ndarray) -> Foreseen:
+def foreseen(thetas: np.ndarray, by_depth: np.ndarray) -> PredictedData:
     """Draws of equal weight whose data are SLOPES theta; one uncertain depth moves them by `by_depth`."""
     first = thetas @ SLOPES.T
     white = np.stack([first, first + by_depth, first - by_depth], axis=1)  # (B, m, R)
     turns = np.array([[1.0, 0.0, 0.0], [0.0, 0.5, -0.5]])
     nodes = Nodes((), np.empty((3, 0)), turns, None)
-    return Foreseen(np.full(len(thetas), -np.log(len(thetas))), np.ones(len(thetas)), white, nodes)
+    return PredictedData(np.full(len(thetas), -np.log(len(thetas))), np.ones(len(thetas)), white, nodes)
 
 
 @pytest.mark.parametrize("by_depth", [np.zeros(3), np.array([0.5, -1.0, 2.0])])
 def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_depth):
     rng = np.random.default_rng(1)
     thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=1200)
-    found = nested(foreseen(thetas, by_depth), np.arange(400), thetas, rng)
+    found = nested_gain(foreseen(thetas, by_depth), np.arange(400), thetas, rng)
     noise = np.eye(3) + np.outer(by_depth, by_depth)  # the depth, integrated over
     after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ np.linalg.solve(noise, SLOPES))
     nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
@@ -37,7 +37,7 @@ def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_dep
 def test_linear_gain_is_half_the_log_determinant():
     after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ SLOPES)
     nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
-    assert linear(COVARIANCE, SLOPES) == pytest.approx(nats, rel=1e-9)
+    assert linearized_gain(COVARIANCE, SLOPES) == pytest.approx(nats, rel=1e-9)
 
 
 def test_weights_count_as_draws():
@@ -47,10 +47,10 @@ def test_weights_count_as_draws():
     twice = np.concatenate([thetas, thetas[:10]])
     heavy = foreseen(thetas, np.zeros(3))
     weights = np.log(np.where(np.arange(50) < 10, 2.0, 1.0) / 60)
-    heavy = Foreseen(weights, heavy.scales, heavy.white, heavy.nodes)
+    heavy = PredictedData(weights, heavy.scales, heavy.white, heavy.nodes)
     of = np.arange(20)
-    one = nested(heavy, of, thetas, np.random.default_rng(3))
-    other = nested(foreseen(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
+    one = nested_gain(heavy, of, thetas, np.random.default_rng(3))
+    other = nested_gain(foreseen(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
     assert one.nats == pytest.approx(other.nats, rel=1e-12)
     assert one.sds == pytest.approx(other.sds, rel=1e-9)
 
@@ -59,8 +59,8 @@ def test_data_that_tell_nothing_gain_nothing():
     rng = np.random.default_rng(4)
     thetas = rng.standard_normal((100, 1))
     nodes = Nodes((), np.empty((1, 0)), np.array([[1.0]]), None)
-    blind = Foreseen(np.full(100, -np.log(100.0)), np.ones(100), np.zeros((100, 1, 5)), nodes)
-    found = nested(blind, np.arange(30), thetas, rng)
+    blind = PredictedData(np.full(100, -np.log(100.0)), np.ones(100), np.zeros((100, 1, 5)), nodes)
+    found = nested_gain(blind, np.arange(30), thetas, rng)
     assert found.nats == pytest.approx(0.0, abs=1e-12)
     assert found.quantity_nats == pytest.approx([0.0], abs=1e-12)
-    assert found.worth == pytest.approx(100.0)
+    assert found.effective_sample_size == pytest.approx(100.0)

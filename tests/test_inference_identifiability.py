@@ -8,13 +8,21 @@ import numpy as np
 import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem, two_layers
 
-from needlefit.inference.identifiability.agreement import AGREE, judge, unlike
-from needlefit.inference.identifiability.examine import Examined, examine
-from needlefit.inference.identifiability.expect import DRAWS, expect
-from needlefit.inference.identifiability.freed import fixed_alphas, freed
-from needlefit.inference.identifiability.identify import Verdict
-from needlefit.inference.identifiability.profile import THRESHOLD, Profile
-from needlefit.inference.starts import Fit
+from needlefit.inference.fit import Fit
+from needlefit.inference.identifiability.assessment import (
+    AGREEMENT,
+    add_sampled_disagreement,
+    assess_parameter,
+)
+from needlefit.inference.identifiability.design_gain import OTHER_POINTS, expect_precision
+from needlefit.inference.identifiability.identify import Identifiability
+from needlefit.inference.identifiability.parameter_profiles import (
+    ParameterProfile,
+    find_fixed_alphas,
+    free_alpha,
+    profile_parameters,
+)
+from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile
 from needlefit.validation.identification import add_sampled_ratios, identify_parameters, reconcile_verdict
 
 MIDDLE = math.log(0.1)
@@ -28,8 +36,8 @@ def fit_at(p, values):
 def parabola(name="bevel_mm", best=MIDDLE, sd=0.1, ends=("closed", "closed"), **changed):
     """The profile of a Gaussian."""
     at = best + sd * np.linspace(-2.5, 2.5, 9)
-    half = math.sqrt(THRESHOLD) * sd
-    made = Profile(
+    half = math.sqrt(DEVIANCE_95) * sd
+    made = LikelihoodProfile(
         name, at, ((at - best) / sd) ** 2, 2 * (at - best) / sd**2, at[:, None], best, sd,
         best - half, best + half, ends, 1, 9, 0,
     )  # fmt: skip
@@ -41,31 +49,37 @@ PRIOR_SD = (BOUNDS[1] - BOUNDS[0]) / math.sqrt(12)
 
 
 def test_three_ways_that_agree_are_said_to():
-    judged = judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD))
-    assert judged.determined and judged.agreement == AGREE
-    assert judged.says == "0.0822 to 0.122 (95 %)"
+    judged = assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD))
+    assert judged.determined and judged.agreement == AGREEMENT
+    assert judged.profile_verdict == "0.0822 to 0.122 (95 %)"
 
 
 def test_a_bent_ridge_is_said_to_be_wider_than_the_information_says():
     profile = parabola()
     wide = replace(profile, low=profile.best - 10 * 0.196)
-    judged = judge(Examined(wide, BOUNDS), (0.1, PRIOR_SD))
+    judged = assess_parameter(ParameterProfile(wide, BOUNDS), (0.1, PRIOR_SD))
     assert "10 times wider below than the information says" in judged.agreement
     assert not judged.determined
     assert "by the information determined, by the profile in part" in judged.agreement
 
 
 def test_an_open_end_leaves_a_parameter_undetermined_whatever_the_information_says():
-    judged = judge(Examined(parabola(ends=("bound", "closed"), low=BOUNDS[0]), BOUNDS), (0.1, PRIOR_SD))
+    judged = assess_parameter(
+        ParameterProfile(parabola(ends=("bound", "closed"), low=BOUNDS[0]), BOUNDS), (0.1, PRIOR_SD)
+    )
     assert not judged.determined
-    assert judged.says == "not identifiable: below 0.122 (95 %), open at its bound 0.001"
+    assert judged.profile_verdict == "not identifiable: below 0.122 (95 %), open at its bound 0.001"
 
 
 def test_equal_starts_outside_the_interval_and_draws_that_differ_are_said():
-    judged = judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD), (math.log(0.05), math.log(0.1)))
+    judged = assess_parameter(
+        ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD), (math.log(0.05), math.log(0.1))
+    )
     assert "equally good starts end outside its interval, 0.05 to 0.1" in judged.agreement
-    assert unlike(AGREE, 0.1, 0.11) == AGREE
-    assert "draws contract to 0.6 of the prior, the information says 0.1" in unlike(AGREE, 0.1, 0.6)
+    assert add_sampled_disagreement(AGREEMENT, 0.1, 0.11) == AGREEMENT
+    assert "draws contract to 0.6 of the prior, the information says 0.1" in add_sampled_disagreement(
+        AGREEMENT, 0.1, 0.6
+    )
 
 
 def test_layers_of_one_material_share_the_alpha_that_is_freed():
@@ -73,8 +87,8 @@ def test_layers_of_one_material_share_the_alpha_that_is_freed():
     made = [measure({**TRUTH, "mu3_pa": 3e5, "alpha3": 1.0, "mu4_pa": 2e8, "alpha4": 1.0}, record,
                     insertion(40.0, (12.0, 25.0), (1, 2, 3)))]  # fmt: skip
     p = problem(record, made)
-    assert fixed_alphas(p) == {"alpha1": ("alpha3",), "alpha2": ()}  # layer 4 is not met
-    opened = freed(p, "alpha1").parameters
+    assert find_fixed_alphas(p) == {"alpha1": ("alpha3",), "alpha2": ()}  # layer 4 is not met
+    opened = free_alpha(p, "alpha1").parameters
     assert opened.bounds["alpha1"] == (-3.0, 5.0) and opened.ties["alpha3"] == (1.0, "alpha1")
     theta = opened.theta({**TRUTH, "alpha1": 2.5})
     assert opened.values(theta)["alpha3"] == 2.5
@@ -82,10 +96,10 @@ def test_layers_of_one_material_share_the_alpha_that_is_freed():
 
 def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
     p = two_layers()
-    examination = examine(p, fit_at(p, TRUTH))
+    examination = profile_parameters(p, fit_at(p, TRUTH))
     alphas = {one.name: one for one in examination.parameters if one.fixed_at is not None}
     assert set(alphas) == {"alpha1", "alpha2"} and all(one.profile.flat for one in alphas.values())
-    assert all(one.tip_moves is not None and one.tip_moves < 0.02 for one in alphas.values())
+    assert all(one.tip_range_mm is not None and one.tip_range_mm < 0.02 for one in alphas.values())
     b = next(one.profile for one in examination.parameters if one.name == "bevel_mm")
     assert b.low < math.log(TRUTH["bevel_mm"]) < b.high
     told = identify_parameters(p, examination, {})
@@ -97,27 +111,29 @@ def test_a_fit_of_good_data_closes_and_its_fixed_alphas_are_flat():
 def test_a_better_point_than_the_fit_is_told_by_how_much():
     p = two_layers()
     worse = {**TRUTH, "bevel_mm": 1.1 * TRUTH["bevel_mm"]}
-    found = examine(p, fit_at(p, worse))
+    found = profile_parameters(p, fit_at(p, worse))
     lost = p.log_posterior(p.parameters.theta(TRUTH)) - p.log_posterior(p.parameters.theta(worse))
     assert found.gain >= lost - 0.01 and found.gain > 1
-    assert abs(examine(p, fit_at(p, TRUTH)).gain) < 0.01
+    assert abs(profile_parameters(p, fit_at(p, TRUTH)).gain) < 0.01
 
 
 def test_threads_change_nothing_and_a_stop_leaves_out_what_has_not_begun():
     p = two_layers(count=1)
-    one, two = (identify_parameters(p, examine(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
+    one, two = (identify_parameters(p, profile_parameters(p, fit_at(p, TRUTH), jobs), {}) for jobs in (1, 2))
     assert one.points == two.points
-    assert examine(p, fit_at(p, TRUTH), stop=lambda: True).parameters == ()
+    assert profile_parameters(p, fit_at(p, TRUTH), stop=lambda: True).parameters == ()
 
 
 def test_a_profile_overrules_a_verdict_that_the_information_gave():
     names = {"bevel_mm": True}
-    verdict = Verdict(
+    verdict = Identifiability(
         {"bevel_mm": 0.1}, names, {"bevel_mm": ""}, {}, {}, 1, (), {"bevel_mm": "known"}, 1.0, False
     )
-    kept = reconcile_verdict(verdict, {"bevel_mm": judge(Examined(parabola(), BOUNDS), (0.1, PRIOR_SD))})
+    kept = reconcile_verdict(
+        verdict, {"bevel_mm": assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.1, PRIOR_SD))}
+    )
     assert kept.determined["bevel_mm"] and kept.notes["bevel_mm"] == "known"
-    cut = judge(Examined(parabola(ends=("closed", "bound")), BOUNDS), (0.1, PRIOR_SD))
+    cut = assess_parameter(ParameterProfile(parabola(ends=("closed", "bound")), BOUNDS), (0.1, PRIOR_SD))
     lost = reconcile_verdict(verdict, {"bevel_mm": cut})
     assert not lost.determined["bevel_mm"] and lost.notes["bevel_mm"].startswith(
         "not determined: its profile"
@@ -130,21 +146,21 @@ def test_four_equal_insertions_tell_twice_as_exactly():
 
     def told(count):
         p = problem(record, [measure(TRUTH, record, insertion(40.0)) for _ in range(count)])
-        return expect(lambda values: p, TRUTH, np.random.default_rng(1))
+        return expect_precision(lambda values: p, TRUTH, np.random.default_rng(1))
 
     one, four = told(1), told(4)
-    assert len(one.sds) == 1 + DRAWS
+    assert len(one.sds) == 1 + OTHER_POINTS
     assert four.directions[0].sd == pytest.approx(one.directions[0].sd / 2, rel=0.02)
     assert one.prior_sds == pytest.approx([math.log(1e6) / math.sqrt(12), math.log(500) / math.sqrt(12)])
     assert np.all(one.sds <= one.prior_sds * (1 + 1e-9))
 
 
 def test_a_design_without_a_solution_is_none():
-    assert expect(lambda values: None, TRUTH, np.random.default_rng(1)) is None
+    assert expect_precision(lambda values: None, TRUTH, np.random.default_rng(1)) is None
 
 
 def test_needles_that_differ_are_said_to():
-    judged = judge(Examined(parabola(), BOUNDS), (0.25, PRIOR_SD), scatter=2.5)
+    judged = assess_parameter(ParameterProfile(parabola(), BOUNDS), (0.25, PRIOR_SD), scatter=2.5)
     assert judged.agreement == "needles differ by 2.5 times what the profile's noise allows"
 
 
@@ -153,8 +169,8 @@ def test_draws_say_their_own_contraction():
     rng = np.random.default_rng(1)
     drawn = np.stack([np.exp(rng.normal(-2, 0.3, (2, 4000))), rng.normal(1, 2.0, (2, 4000))], axis=2)
     posterior = SimpleNamespace(names=("bevel_mm", "alpha1"), draws=drawn)
-    about = {"sd_ratio": 0.1, "agreement": AGREE}
+    about = {"sd_ratio": 0.1, "agreement": AGREEMENT}
     rows = [{"parameter": n, "prior_sd": 2.0, **about} for n in ("bevel_mm", "alpha1", "mu1_pa")]
     add_sampled_ratios(posterior, rows)
     assert [row.get("sd_ratio_sampled") for row in rows[:2]] == pytest.approx([0.15, 1.0], rel=0.05)
-    assert "draws contract to" in rows[1]["agreement"] and rows[2]["agreement"] == AGREE
+    assert "draws contract to" in rows[1]["agreement"] and rows[2]["agreement"] == AGREEMENT

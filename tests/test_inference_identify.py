@@ -7,15 +7,15 @@ from inference_cases import TRUTH, insertion, measure, medium, problem, two_laye
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.select import group_independent
+from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.identify import identify, tip_range
 from needlefit.inference.identifiability.information import (
-    combination,
     cramer_rao,
-    directions,
-    jacobian,
-    steps,
+    describe_combination,
+    difference_jacobian,
+    difference_steps,
+    principal_directions,
 )
-from needlefit.inference.starts import Fit, Start
 from needlefit.schemas.recipe import LikelihoodRecord
 
 FINE = Noise(point_sd=0.02)
@@ -116,7 +116,7 @@ def test_information_of_a_linear_model_by_hand():
     def linear(theta):
         return np.array([2 * theta[0] + theta[1], 3 * theta[1], 1.0])
 
-    slope = jacobian(linear, np.array([0.3, 0.7]), np.array([1e-3, 1e-3]))
+    slope = difference_jacobian(linear, np.array([0.3, 0.7]), np.array([1e-3, 1e-3]))
     assert slope == pytest.approx(np.array([[2, 1], [0, 3], [0, 0]]), abs=1e-9)
     information = slope.T @ slope  # [[4, 2], [2, 10]], inverse [[10, -2], [-2, 4]] / 36
     assert cramer_rao(information) == pytest.approx([math.sqrt(10) / 6, 2 / 6])
@@ -126,7 +126,9 @@ def test_a_neighbour_that_fails_is_replaced_by_the_other():
     def one_sided(theta):
         return np.array([np.nan]) if theta[0] > 1 else np.array([5 * theta[0]])
 
-    assert jacobian(one_sided, np.array([1.0]), np.array([1e-3])).tolist() == [[pytest.approx(5.0)]]
+    assert difference_jacobian(one_sided, np.array([1.0]), np.array([1e-3])).tolist() == [
+        [pytest.approx(5.0)]
+    ]
 
 
 def test_nothing_known_is_infinite_not_an_error():
@@ -138,16 +140,16 @@ def test_directions_are_said_in_words():
     v = np.array([1.0, 1.9]) / math.hypot(1, 1.9)
     w = np.array([-v[1], v[0]])
     information = np.outer(v, v) / 0.01**2 + np.outer(w, w) / 2.0**2
-    first, second = directions(information, names)
+    first, second = principal_directions(information, names)
     assert first.words.startswith("mu1^0.53 * b is known to 1.1 %")
     assert first.sd == pytest.approx(0.01) and second.sd == pytest.approx(2.0)
     assert "nearly free" in second.words and "factor of" in second.words
-    assert combination(np.array([1.0, -0.5]), ("alpha1", "bevel_mm")) == "alpha1 - 0.5 ln b"
-    assert combination(np.array([0.001, 1.0]), ("alpha1", "mu2_pa")) == "mu2"
+    assert describe_combination(np.array([1.0, -0.5]), ("alpha1", "bevel_mm")) == "alpha1 - 0.5 ln b"
+    assert describe_combination(np.array([0.001, 1.0]), ("alpha1", "mu2_pa")) == "mu2"
 
 
 def test_steps_suit_logarithms_and_alpha():
-    assert steps(("mu1_pa", "alpha1"))[1] > steps(("mu1_pa", "alpha1"))[0] > 0
+    assert difference_steps(("mu1_pa", "alpha1"))[1] > difference_steps(("mu1_pa", "alpha1"))[0] > 0
 
 
 def test_needles_that_differ_widen_the_deviations_and_repeats_of_one_do_not_count_twice():

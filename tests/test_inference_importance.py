@@ -6,23 +6,29 @@ import pytest
 from sampling_cases import Known, banana, gaussian, two_hills
 from scipy.stats import genpareto, norm
 
-from needlefit.inference.sampling.evaluator import Evaluator
-from needlefit.inference.sampling.laplace import laplace
-from needlefit.inference.weighing.importance import Effort, Weighted, importance, resampled
-from needlefit.inference.weighing.mixture import Mixture
-from needlefit.inference.weighing.pareto import pareto_fit, smoothed
+from needlefit.inference.importance.pareto import fit_pareto, smooth_weights
+from needlefit.inference.importance.sampler import (
+    Effort,
+    StudentMixture,
+    WeightedDraws,
+    resample,
+    sample_by_importance,
+)
+from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
 
-EFFORT = Effort(draws=1000, enough=1000)
+EFFORT = Effort(draws=1000, min_ess=1000)
 
 
-def weighted(known: Known, modes: object = None, effort: Effort = EFFORT, seed: int = 1) -> Weighted:
+def weighted(known: Known, modes: object = None, effort: Effort = EFFORT, seed: int = 1) -> WeightedDraws:
     ends = np.atleast_2d(np.zeros(known.dimensions) if modes is None else modes)
     evaluator = Evaluator(known, 1)
-    about = [laplace(evaluator, end, known.lower, known.upper) for end in ends]
-    return importance(evaluator, about, (known.lower, known.upper), np.random.default_rng(seed), effort)
+    about = [approximate_by_laplace(evaluator, end, known.lower, known.upper) for end in ends]
+    return sample_by_importance(
+        evaluator, about, (known.lower, known.upper), np.random.default_rng(seed), effort
+    )
 
 
-def moments(found: Weighted) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Mean, covariance, and the mean's Monte Carlo errors."""
     weights = np.exp(found.log_weights)
     mean = weights @ found.thetas
@@ -44,7 +50,7 @@ def test_a_correlated_gaussian_of_twenty_dimensions():
     rng = np.random.default_rng(4)
     factor = rng.normal(size=(20, 20))
     covariance = factor @ factor.T / 20 + 0.05 * np.eye(20)
-    found = weighted(Known(gaussian(covariance), 20), effort=Effort(draws=2000, rounds=1, enough=300))
+    found = weighted(Known(gaussian(covariance), 20), effort=Effort(draws=2000, rounds=1, min_ess=300))
     mean, got, errors = moments(found)
     assert found.certified
     assert np.all(np.abs(mean) < 5 * errors)
@@ -53,7 +59,7 @@ def test_a_correlated_gaussian_of_twenty_dimensions():
 
 def test_a_banana_comes_back():
     """E x1 = 1, var x1 = 2.25; x0 is normal; from its Laplace approximation alone k says that it does not."""
-    once = weighted(Known(banana, half=40.0), effort=Effort(rounds=1, enough=1))
+    once = weighted(Known(banana, half=40.0), effort=Effort(rounds=1, min_ess=1))
     found = weighted(Known(banana, half=40.0))
     mean, covariance, errors = moments(found)
     assert found.certified and once.k > found.k
@@ -88,7 +94,9 @@ def test_both_hills_of_two_weigh_alike():
 def test_heavy_tails_are_not_certified():
     """Weights of a Pareto law with k = 1.5 have no mean; k is drawn to 0.5, by ten weights."""
     heavy = np.log(genpareto.rvs(1.5, size=20000, random_state=3))
-    found = Weighted(np.zeros((20000, 1)), np.zeros(20000), *smoothed(heavy), enough=1.0, log_evidence=0.0)
+    found = WeightedDraws(
+        np.zeros((20000, 1)), np.zeros(20000), *smooth_weights(heavy), min_ess=1.0, log_evidence=0.0
+    )
     assert found.k == pytest.approx(1.5, abs=0.4) and not found.certified
 
 
@@ -96,27 +104,29 @@ def test_heavy_tails_are_not_certified():
 @pytest.mark.parametrize("shape", [-0.3, 0.2, 0.9])
 def test_smoothed_weights_are_arviz_s(shape):
     log_weights = np.log(genpareto.rvs(shape, size=1500, random_state=5))
-    ours, k = smoothed(log_weights)
+    ours, k = smooth_weights(log_weights)
     theirs, their_k = arviz.psislw(log_weights.copy())
     assert k == pytest.approx(float(their_k), abs=1e-10)
     assert ours == pytest.approx(np.asarray(theirs), abs=1e-10)
 
 
 def test_the_fit_finds_a_pareto_law():
-    shape, scale = pareto_fit(np.sort(genpareto.rvs(0.4, scale=2.0, size=4000, random_state=1)))
+    shape, scale = fit_pareto(np.sort(genpareto.rvs(0.4, scale=2.0, size=4000, random_state=1)))
     assert (shape, scale) == (pytest.approx(0.4, abs=0.06), pytest.approx(2.0, rel=0.08))
 
 
 def test_a_mixture_is_fitted_to_its_own_draws():
     rng = np.random.default_rng(2)
-    true = Mixture(
+    true = StudentMixture(
         np.array([0.7, 0.3]), np.array([[0.0, 0.0], [6.0, 1.0]]), np.array([np.eye(2), 0.5 * np.eye(2)])
     )
     draws = true.draw(4000, rng)
-    start = Mixture(np.array([0.5, 0.5]), np.array([[1.0, 1.0], [4.0, 0.0]]), np.array([np.eye(2)] * 2))
+    start = StudentMixture(
+        np.array([0.5, 0.5]), np.array([[1.0, 1.0], [4.0, 0.0]]), np.array([np.eye(2)] * 2)
+    )
     even = np.full(4000, 1 / 4000)
     for _ in range(15):
-        start = start.refitted(draws, even, 1e-9 * np.eye(2))
+        start = start.refit(draws, even, 1e-9 * np.eye(2))
     assert start.weights == pytest.approx(true.weights, abs=0.03)
     assert start.centres == pytest.approx(true.centres, abs=0.12)
     assert np.exp(true.log_density(draws[:1])) > 0
@@ -124,8 +134,8 @@ def test_a_mixture_is_fitted_to_its_own_draws():
 
 def test_resampled_draws_stand_once_and_by_their_weight():
     rng = np.random.default_rng(7)
-    known = Weighted(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
-    assert len(set(resampled(known, 79, rng).tolist())) == 79
+    known = WeightedDraws(np.zeros((400, 1)), np.zeros(400), np.log(np.full(400, 1 / 400)), 0.0, 1.0, 0.0)
+    assert len(set(resample(known, 79, rng).tolist())) == 79
     few = np.log(np.array([0.8, 0.2]))
-    drawn = resampled(Weighted(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
+    drawn = resample(WeightedDraws(np.zeros((2, 1)), np.zeros(2), few, 0.0, 1.0, 0.0), 4000, rng)
     assert np.mean(drawn == 0) == pytest.approx(0.8, abs=0.03)

@@ -8,9 +8,14 @@ from scipy.stats import multivariate_normal, norm
 
 from needlefit.datasets.insertion import Noise
 from needlefit.errors import DataError
-from needlefit.inference.likelihood.covariance import points_covariance
-from needlefit.inference.likelihood.evidence import evidence, whiten, whitened
-from needlefit.inference.likelihood.pose import modes, pose_sds
+from needlefit.inference.likelihood.observation import (
+    make_observation,
+    points_covariance,
+    pose_modes,
+    pose_sds,
+    whiten,
+    whiten_residuals,
+)
 from needlefit.schemas.recipe import LikelihoodRecord
 
 STRAIGHT = np.column_stack([np.linspace(0, 40, 41), np.zeros(41)])
@@ -32,12 +37,12 @@ def along(shift=(0.0, 0.0), angle=0.0, bump=0.0):
 
 
 def log_likelihood(known, curve):
-    white = whitened(known, curve(known.nodes.s[0]))
+    white = whiten_residuals(known, curve(known.nodes.s[0]))
     return known.log_norm - 0.5 * white @ white
 
 
 def test_independent_noise_gives_the_textbook_density():
-    known = evidence(dataset([], Noise(point_sd=0.2)), straight())
+    known = make_observation(dataset([], Noise(point_sd=0.2)), straight())
     got = log_likelihood(known, along(shift=(0.0, 0.1)))
     n = 41
     expected = -0.5 * 41 * (0.1 / 0.2) ** 2 - n * math.log(0.2) - 0.5 * n * math.log(2 * math.pi)
@@ -46,13 +51,15 @@ def test_independent_noise_gives_the_textbook_density():
 
 def test_the_density_is_that_of_the_stated_covariance():
     noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
-    known = evidence(dataset([], noise), measured)
-    spread = modes(STRAIGHT) * pose_sds(measured, noise)
+    known = make_observation(dataset([], noise), measured)
+    spread = pose_modes(STRAIGHT) * pose_sds(measured, noise)
     cov = points_covariance(STRAIGHT[:, 0], noise) + spread @ spread.T
     curve = along(shift=(0.02, -0.1), angle=0.003, bump=0.07)
     residual = curve(STRAIGHT[:, 0])[:, 1]
     assert log_likelihood(known, curve) == pytest.approx(multivariate_normal(cov=cov).logpdf(residual))
-    assert np.linalg.inv(known.whitening) @ whitened(known, curve(STRAIGHT[:, 0])) == pytest.approx(residual)
+    assert np.linalg.inv(known.whitening) @ whiten_residuals(known, curve(STRAIGHT[:, 0])) == pytest.approx(
+        residual
+    )
 
 
 def test_the_covariance_of_two_points_by_hand():
@@ -66,7 +73,7 @@ def test_the_covariance_of_two_points_by_hand():
 
 def test_the_deviations_of_points_replace_the_datasets():
     noise, sd = Noise(point_sd=0.01, correlated_sd=0.3), np.linspace(0.1, 0.2, 41)
-    known = evidence(dataset([], noise), replace(straight(), sd=sd))
+    known = make_observation(dataset([], noise), replace(straight(), sd=sd))
     inverse = np.linalg.inv(points_covariance(STRAIGHT[:, 0], noise, sd))
     assert known.whitening.T @ known.whitening == pytest.approx(inverse)
 
@@ -74,7 +81,7 @@ def test_the_deviations_of_points_replace_the_datasets():
 def test_a_pose_moves_a_parabola_as_its_modes_say():
     x = np.linspace(0.0, 40.0, 81)
     parabola = np.column_stack([x, 1e-3 * x**2])
-    across, turn, along_axis = modes(parabola).T
+    across, turn, along_axis = pose_modes(parabola).T
     assert across == pytest.approx(1.0) and turn == pytest.approx(x)
     assert along_axis == pytest.approx(-2e-3 * x, abs=1e-9)  # y(x - d) = y(x) - d y'(x)
 
@@ -89,7 +96,7 @@ def test_a_very_wide_pose_prior_tends_to_the_projected_pose_up_to_its_constant()
     """N(r; 0, C + M S^2 M^T) (2 pi)^(f / 2) det S tends to the density of what M leaves of r."""
     rng, s = np.random.default_rng(7), STRAIGHT[:, 0]
     cov = points_covariance(s, Noise(point_sd=0.05, correlated_sd=0.1))
-    free = modes(np.column_stack([s, 1e-3 * s**2]))[:, :2]
+    free = pose_modes(np.column_stack([s, 1e-3 * s**2]))[:, :2]
     whitening, log_norm = whiten(cov, free)
     assert whitening.shape == (39, 41)
     for residual in rng.normal(0, 0.2, (3, 41)):
@@ -115,7 +122,7 @@ def test_the_projected_density_is_the_integral_over_all_poses():
 
 def test_independent_noise_keeps_each_points_whole_deviation():
     noise, measured = Noise(0.19, 0.05, 0.1, 5.0), straight(angle_sd=0.01)
-    known = evidence(dataset([], noise), measured, how=LikelihoodRecord(noise="independent"))
+    known = make_observation(dataset([], noise), measured, likelihood=LikelihoodRecord(noise="independent"))
     shift = 0.19 / math.sqrt(8 / math.pi)
     sd = np.sqrt(0.05**2 + 0.1**2 + shift**2 + (0.01 * STRAIGHT[:, 0]) ** 2)
     assert known.whitening == pytest.approx(np.diag(1 / sd))
@@ -123,17 +130,17 @@ def test_independent_noise_keeps_each_points_whole_deviation():
 
 def test_a_wrong_pose_within_its_prior_costs_little_and_a_wrong_shape_much():
     noise = Noise(registration_mean=0.2 * math.sqrt(8 / math.pi), point_sd=0.05)  # 0.2 mm per axis
-    known = evidence(dataset([], noise), straight(angle_sd=0.01))
+    known = make_observation(dataset([], noise), straight(angle_sd=0.01))
     best = log_likelihood(known, along())
     assert best - log_likelihood(known, along(shift=(0.0, 0.2))) == pytest.approx(0.5, rel=0.1)
     assert best - log_likelihood(known, along(angle=0.01)) == pytest.approx(0.5, rel=0.1)
     assert best - log_likelihood(known, along(bump=0.25)) > 10
-    without = evidence(dataset([], Noise(point_sd=0.05)), straight())
+    without = make_observation(dataset([], Noise(point_sd=0.05)), straight())
     assert log_likelihood(without, along()) - log_likelihood(without, along(shift=(0.0, 0.2))) > 300
 
 
 def test_correlated_noise_forgives_a_long_wave_more_than_a_jump():
-    known = evidence(
+    known = make_observation(
         dataset([], Noise(point_sd=0.02, correlated_sd=0.2, correlation_length=20.0)), straight()
     )
     smooth = log_likelihood(known, lambda s: np.column_stack([s, 0.2 * np.sin(s / 10)]))
@@ -152,7 +159,7 @@ def test_a_free_pose_costs_nothing():
 
 def test_a_centreline_of_many_points_is_thinned_and_keeps_its_tip():
     dense = measure(TRUTH, medium(1), insertion(50.0), 2001)
-    known = evidence(dataset([], Noise(point_sd=0.1)), dense)
+    known = make_observation(dataset([], Noise(point_sd=0.1)), dense)
     assert 100 < len(known.measured) <= 200
     assert known.measured[-1] == pytest.approx(dense.planar[-1]) and known.nodes.s[0, -1] == pytest.approx(
         50.0
@@ -161,7 +168,7 @@ def test_a_centreline_of_many_points_is_thinned_and_keeps_its_tip():
 
 def test_no_stated_noise_is_an_error_that_says_what_is_missing():
     with pytest.raises(DataError, match="point_sd_mm"):
-        evidence(dataset([], Noise()), straight())
+        make_observation(dataset([], Noise()), straight())
 
 
 def test_the_whitened_residuals_of_noisy_data_have_unit_variance():

@@ -11,10 +11,15 @@ from test_inference_identify import FINE, fit_at
 from needlefit.datasets.compression_loading import SpecimenRows, extract_loading
 from needlefit.errors import ConfigError, FitError
 from needlefit.inference.identifiability.identify import identify
-from needlefit.inference.material import fit_specimen
-from needlefit.inference.material_prior import Foundation, prior_of_material, with_material
+from needlefit.inference.material import (
+    MaterialEstimate,
+    MaterialFoundation,
+    make_material_prior,
+    pool,
+    set_material_prior,
+)
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.population import Material, pool
+from needlefit.inference.specimen_fit import fit_specimen
 from needlefit.project.load import check
 from needlefit.schemas.medium import MaterialRecord, MediumRecord, PriorRecord
 
@@ -45,7 +50,7 @@ def test_errors_shared_by_neighbours_count_as_few_points():
     wave = 0.01 * np.abs(one.stress).max() * np.sin(np.linspace(0, 18, 60))
     smooth = fit_specimen(type(one)("gel", one.stretch, one.stress + wave), "nominal")
     rough = fit_specimen(specimen(-5.0, 0.85, 0.01 / math.sqrt(2)), "nominal")
-    assert smooth.independent < 5 < rough.independent
+    assert smooth.effective_points < 5 < rough.effective_points
     assert smooth.sds[1] > 2 * rough.sds[1]
 
 
@@ -56,7 +61,7 @@ def test_a_slow_error_is_not_hidden_by_noise_from_reading_to_reading():
     error = 0.005 * np.sin(np.linspace(0, 14, 20000)) + 0.005 * np.random.default_rng(1).normal(size=20000)
     record = SpecimenRows("gel", [], exact.stretch, exact.stress + largest * error)
     fit = fit_specimen(extract_loading(record), "nominal")
-    assert fit.independent < 6 and fit.profile.regions[0][0] < -5 < fit.profile.regions[0][1]
+    assert fit.effective_points < 6 and fit.profile.regions[0][0] < -5 < fit.profile.regions[0][1]
 
 
 def test_a_shallow_test_is_flat_in_alpha():
@@ -71,7 +76,7 @@ def test_a_mirror_image_is_found_and_not_chosen_from():
     assert not fit.identified and len(fit.profile.regions) == 2
     (low, high), (low_too, high_too) = fit.profile.regions
     assert low < -20 < high < low_too < 40 < high_too
-    assert sorted([fit.alpha, *fit.others]) == pytest.approx([-20, 40], abs=0.5)
+    assert sorted([fit.alpha, *fit.other_alphas]) == pytest.approx([-20, 40], abs=0.5)
 
 
 def test_stresses_of_the_wrong_sign_fit_no_mu():
@@ -97,20 +102,20 @@ def test_of_one_specimen_nothing_is_known_between():
     assert mean.tolist() == [0, 1] and np.isnan(between).all() and covariance.tolist() == np.eye(2).tolist()
 
 
-def material() -> Material:
+def material() -> MaterialEstimate:
     covariance = np.array([[0.04, -0.05], [-0.05, 0.25]])
-    return Material((), ("a", "b"), np.array([math.log(0.02), 3.0]), np.zeros((2, 2)), covariance)
+    return MaterialEstimate((), ("a", "b"), np.array([math.log(0.02), 3.0]), np.zeros((2, 2)), covariance)
 
 
 def test_alpha_carries_over_and_mu_only_with_a_stated_factor():
-    alpha, mu = prior_of_material(material(), None)
+    alpha, mu = make_material_prior(material(), None)
     assert (alpha.mean, alpha.sd) == (3.0, 0.5) and mu is None
-    _, mu = prior_of_material(material(), Foundation(0.2, 5.0))
+    _, mu = make_material_prior(material(), MaterialFoundation(0.2, 5.0))
     sd = math.hypot(0.2, math.log(5))
     assert mu.median == pytest.approx(4000.0) and mu.factor == pytest.approx(math.exp(sd), rel=1e-5)
     assert mu.correlation == pytest.approx(-0.05 / (sd * 0.5), rel=1e-5)
     with pytest.raises(ConfigError, match="cannot be"):
-        Foundation(0.2, 1.0)
+        MaterialFoundation(0.2, 1.0)
 
 
 ALPHA = {"mean": 3.0, "sd": 0.5}
@@ -183,12 +188,12 @@ def test_a_prior_is_checked_in_its_file(parameter, said):
 
 def test_a_test_of_the_material_frees_the_alpha_of_its_layer():
     tested = MaterialRecord(schema=1, alpha=PriorRecord(**ALPHA), mu_pa=PriorRecord(**MODULUS))
-    parameters = Parameters.from_record(with_material(medium(2), "2", tested))
+    parameters = Parameters.from_record(set_material_prior(medium(2), "2", tested))
     assert parameters.bounds["alpha2"] == (1.0, 5.0)  # four deviations
     assert parameters.prior.names == ("mu2_pa", "alpha2") and "alpha1" in parameters.fixed
     with pytest.raises(ConfigError, match="no layer `3`"):
-        with_material(medium(2), "3", tested)
+        set_material_prior(medium(2), "3", tested)
     with pytest.raises(ConfigError, match="alpha2, which is tied"):
-        with_material(medium(2, alpha2={"tie": "alpha1"}), "2", tested)
+        set_material_prior(medium(2, alpha2={"tie": "alpha1"}), "2", tested)
     with pytest.raises(ConfigError, match="law is `linear`"):
-        with_material(medium(2).model_copy(update={"law": "linear"}), "2", tested)
+        set_material_prior(medium(2).model_copy(update={"law": "linear"}), "2", tested)

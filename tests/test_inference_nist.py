@@ -5,8 +5,8 @@ import pytest
 from inference_cases import squares_recipe
 from nist_cases import DIGITS, LEVELS, attained, ended, regressions
 
+from needlefit.inference.fit import StartPoint
 from needlefit.inference.optimize import search
-from needlefit.inference.starts import Place
 
 EVERY = list(regressions().values())
 EASIER = [one for one in EVERY if one.level != "higher"]
@@ -64,7 +64,7 @@ def test_the_second_minimum_is_one_and_the_other_start_finds_the_first():
     one = regressions()["enso"]
     ends = [ended(one, k, "neldermead", half=10.0, evaluations=4_000) for k in (0, 1)]
     assert [attained(one, end) for end in ends] == [False, True]
-    settled = search(one.goal(), squares_recipe(evaluations=100), Place(0, ends[0].theta))
+    settled = search(one.goal(), squares_recipe(evaluations=100), StartPoint(0, ends[0].theta))
     assert settled.succeeded and settled.objective == pytest.approx(SECOND["enso"], rel=1e-9)
 
 

@@ -7,10 +7,10 @@ import pytest
 from inference_cases import Analytic, Squares, box, recipe, squares_recipe
 
 from needlefit.errors import ConfigError, FitError, ModelError
+from needlefit.inference.fit import Callbacks, Start, start_from_dict, start_to_dict
 from needlefit.inference.optimize import ALGORITHMS, minimize, starting_points
-from needlefit.inference.starts import Start, Watch, from_dict, to_dict
 
-SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.asks != "jacobian")
+SINGLE = sorted(name for name, a in ALGORITHMS.items() if a.needs != "jacobian")
 
 
 def bowl(theta):
@@ -77,12 +77,14 @@ def test_a_bug_is_raised_not_counted(jobs):
         raise KeyError("mu7_pa")
 
     with pytest.raises(KeyError, match="mu7_pa"):
-        minimize(box(bug), recipe(), rng(), Watch(jobs=jobs))
+        minimize(box(bug), recipe(), rng(), Callbacks(jobs=jobs))
 
 
 @pytest.mark.parametrize("algorithm", SINGLE)
 def test_the_result_does_not_depend_on_the_number_of_threads(algorithm):
-    fits = [minimize(box(rosenbrock), recipe(algorithm=algorithm), rng(), Watch(jobs=j)) for j in (1, 2, 3)]
+    fits = [
+        minimize(box(rosenbrock), recipe(algorithm=algorithm), rng(), Callbacks(jobs=j)) for j in (1, 2, 3)
+    ]
     assert fits[0] == fits[1] == fits[2]
 
 
@@ -104,12 +106,14 @@ def test_an_interrupted_search_resumes_to_the_very_same_fit(algorithm, jobs):
             calls[0] += 1
             return calls[0] > 300
 
-    watch = Watch(report=reported.append, stop=stop, jobs=jobs)
-    part = minimize(box(rosenbrock), recipe(algorithm=algorithm), rng(), watch)
+    callbacks = Callbacks(report=reported.append, stop=stop, jobs=jobs)
+    part = minimize(box(rosenbrock), recipe(algorithm=algorithm), rng(), callbacks)
     assert part.interrupted and not whole.interrupted
     assert math.isfinite(part.objective) and part.objective == rosenbrock(np.array(part.theta))
     assert all(s.stopped != "interrupted" for s in reported)
-    finished = {s.index: from_dict(json.loads(json.dumps(to_dict(s), allow_nan=False))) for s in reported}
+    finished = {
+        s.index: start_from_dict(json.loads(json.dumps(start_to_dict(s), allow_nan=False))) for s in reported
+    }
     assert finished == {i: whole.starts[i] for i in finished} and 0 < len(finished) < 4
     evaluated = []
 
@@ -117,28 +121,30 @@ def test_an_interrupted_search_resumes_to_the_very_same_fit(algorithm, jobs):
         evaluated.append(0)
         return rosenbrock(theta)
 
-    again = minimize(box(counted), recipe(algorithm=algorithm), rng(), Watch(finished=finished, jobs=jobs))
+    again = minimize(
+        box(counted), recipe(algorithm=algorithm), rng(), Callbacks(finished=finished, jobs=jobs)
+    )
     assert again == whole
     assert len(evaluated) == whole.evaluations - sum(s.evaluations for s in reported)
 
 
 def test_a_stop_before_the_first_evaluation_is_an_interrupted_fit_of_no_worth():
-    fit = minimize(box(bowl), recipe(), rng(), Watch(stop=lambda: True))
+    fit = minimize(box(bowl), recipe(), rng(), Callbacks(stop=lambda: True))
     assert fit.interrupted and fit.objective == math.inf and fit.starts == ()
 
 
 def test_a_checkpoint_of_another_fit_is_refused():
     start = minimize(box(bowl), recipe(), rng()).starts[0]
     with pytest.raises(FitError, match="began elsewhere"):
-        minimize(box(bowl), recipe(), np.random.default_rng(6), Watch(finished={0: start}))
+        minimize(box(bowl), recipe(), np.random.default_rng(6), Callbacks(finished={0: start}))
 
 
 def test_starts_go_through_json_exactly():
     theta = tuple(np.random.default_rng(1).normal(size=5).tolist())
     start = Start(3, theta, theta[::-1], math.inf, 7, 7, "no finite value")
-    assert from_dict(json.loads(json.dumps(to_dict(start), allow_nan=False))) == start
+    assert start_from_dict(json.loads(json.dumps(start_to_dict(start), allow_nan=False))) == start
     with pytest.raises(FitError, match="damaged"):
-        from_dict({"index": 1})
+        start_from_dict({"index": 1})
 
 
 def test_more_starts_extend_fewer_and_fill_the_box():
@@ -246,5 +252,5 @@ def test_evaluations_with_derivatives_are_counted_among_all_and_within_the_budge
 def test_a_fit_by_derivatives_resumes_to_the_very_same_one(algorithm, jobs):
     search = squares_recipe(algorithm=algorithm, starts=6)
     whole = minimize(squares(valley), search, rng())
-    finished = {s.index: from_dict(json.loads(json.dumps(to_dict(s)))) for s in whole.starts[1:4]}
-    assert minimize(squares(valley), search, rng(), Watch(finished=finished, jobs=jobs)) == whole
+    finished = {s.index: start_from_dict(json.loads(json.dumps(start_to_dict(s)))) for s in whole.starts[1:4]}
+    assert minimize(squares(valley), search, rng(), Callbacks(finished=finished, jobs=jobs)) == whole

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from inference_cases import TRUTH, medium
 
 from needlefit.errors import ConfigError
-from needlefit.inference.parameters import Parameters, tissue
+from needlefit.inference.parameters import Parameters, make_tissue
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.schemas.medium import MediumRecord
@@ -87,11 +87,11 @@ def test_values_and_theta_are_inverse(mu, b):
 
 
 def test_tissue_repeats_layers_in_the_order_met_and_turns_pa_into_mpa():
-    met = tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), medium())
+    met = make_tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), medium())
     assert met.mu == pytest.approx([0.3, 20.0, 0.3])
     assert met.alpha.tolist() == [1.0, -1.0, 1.0]
     with pytest.raises(ConfigError, match="meets layer 3"):
-        tissue(TRUTH, (1, 3), np.array([10.0]), medium())
+        make_tissue(TRUTH, (1, 3), np.array([10.0]), medium())
 
 
 @pytest.mark.parametrize(

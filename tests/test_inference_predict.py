@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from inference_cases import NEEDLE, TRUTH, insertion, medium
 
-from needlefit.inference.parameters import tissue
-from needlefit.inference.predict import predict
+from needlefit.inference.forward_model import predict
+from needlefit.inference.parameters import make_tissue
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.scene import Scene
@@ -25,7 +25,7 @@ def unusual(*kept: str) -> MediumRecord:
 
 
 def test_the_tissue_has_the_medium_s_law_and_thickness() -> None:
-    met = tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), unusual(*UNUSUAL))
+    met = make_tissue(TRUTH, (1, 2, 1), np.array([10.0, 20.0]), unusual(*UNUSUAL))
     assert met.thickness.tolist() == [3.0, 3.0, 3.0]
     assert met.law == "neo_hookean"
 

@@ -6,11 +6,11 @@ import pytest
 from inference_cases import NEEDLE, TRUTH, insertion, measure, medium, problem, recipe, two_layers
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.comparison import scored_points
+from needlefit.inference.compared_points import compare_points
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.forward_model import make_options, predict
 from needlefit.inference.optimize import minimize
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import predict, rules
-from needlefit.inference.starts import Watch
 from needlefit.schemas.recipe import WeightsRecord
 
 
@@ -54,7 +54,7 @@ def test_a_solve_that_fails_makes_the_objective_infinite():
 @pytest.mark.parametrize("jobs", [1, 2])
 def test_noise_free_shapes_give_their_parameters_back(jobs):
     p = two_layers()
-    fit = minimize(p, recipe(algorithm="bobyqa+neldermead", evaluations=300), rng(), Watch(jobs=jobs))
+    fit = minimize(p, recipe(algorithm="bobyqa+neldermead", evaluations=300), rng(), Callbacks(jobs=jobs))
     assert fit.objective < 0.003
     assert fit.values["mu1_pa"] == pytest.approx(TRUTH["mu1_pa"], rel=0.05)
     assert fit.values["mu2_pa"] == pytest.approx(TRUTH["mu2_pa"], rel=0.1)
@@ -92,7 +92,7 @@ def test_the_guide_distance_can_be_fitted_and_a_guide_out_of_reach_is_a_failed_s
 
 def test_repeats_of_one_fit_are_equal_for_any_number_of_jobs():
     p = two_layers(count=2)
-    fits = [minimize(p, recipe(evaluations=40), rng(), Watch(jobs=jobs)) for jobs in (1, 2)]
+    fits = [minimize(p, recipe(evaluations=40), rng(), Callbacks(jobs=jobs)) for jobs in (1, 2)]
     assert fits[0] == fits[1]
 
 
@@ -111,7 +111,7 @@ def test_planned_boundaries_replace_the_measured_ones():
 
 def test_the_mesh_divides_the_constraint_spacing():
     for spacing, element in ((1.0, 1.0), (0.5, 0.5), (2.0, 1.0), (2.5, 2.5 / 3)):
-        got = rules(medium().model_copy(update={"constraint_spacing_mm": spacing}))
+        got = make_options(medium().model_copy(update={"constraint_spacing_mm": spacing}))
         assert (got.spacing, got.element) == (spacing, pytest.approx(element))
 
 
@@ -148,7 +148,7 @@ def test_a_free_arc_is_shown_in_the_axes_of_its_entry_side():
     at = np.linspace(0, length, 1001) / radius
     arc = radius * np.column_stack([np.sin(at), 1 - np.cos(at)])
     measured = replace(insertion(length), planar=rotated(arc, 80.0, [5.0, 5.0]))
-    simulated, shown = scored_points("free", 0.0, measured, lambda s: np.column_stack([s, 0 * s]), 401)
+    simulated, shown = compare_points("free", 0.0, measured, lambda s: np.column_stack([s, 0 * s]), 401)
     assert shown[0] == pytest.approx([0, 0], abs=1e-12)
     # The line through the first fifth is the tangent at its middle, a tenth of the way.
     tangent = radius * (1 - math.cos(0.9 * length / radius)) - radius * (1 - math.cos(0.1 * length / radius))
@@ -160,7 +160,7 @@ def test_a_free_arc_is_shown_in_the_axes_of_its_entry_side():
 def test_a_shape_shorter_than_what_is_left_out_is_an_error():
     short = replace(insertion(8.0), planar=np.array([[0.0, 0.0], [8.0, 0.0]]))
     with pytest.raises(DataError, match="at8"):
-        scored_points("free", 10.0, short, lambda s: np.column_stack([s, 0 * s]))
+        compare_points("free", 10.0, short, lambda s: np.column_stack([s, 0 * s]))
 
 
 def rng():

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 import numpy as np
 import pytest
 
-from needlefit.inference.identifiability.profile import THRESHOLD, Profile, profile
-from needlefit.inference.identifiability.settle import settle
+from needlefit.inference.identifiability.gauss_newton import minimize_squares
+from needlefit.inference.identifiability.profile import DEVIANCE_95, LikelihoodProfile, compute_profile
 
 REACH = 20.0
 VAST = np.full(2, 1e4)  # bounds so far away that they say nothing
@@ -46,8 +46,8 @@ def banana() -> Known:
     )
 
 
-def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5), elsewhere=()) -> Profile:
-    return profile(target, k, settle(target, np.array(start)), elsewhere)
+def found(target: Known, k: int, start: tuple[float, float] = (0.5, 0.5), elsewhere=()) -> LikelihoodProfile:
+    return compute_profile(target, k, minimize_squares(target, np.array(start)), elsewhere)
 
 
 def test_a_linear_gaussian_has_the_parabola_of_its_information():
@@ -59,15 +59,15 @@ def test_a_linear_gaussian_has_the_parabola_of_its_information():
         assert p.deviance == pytest.approx(((p.at - best) / sd) ** 2, abs=1e-6)
         fine = np.linspace(p.at[0], p.at[-1], 77)
         assert p.curve(fine) == pytest.approx(p.parabola(fine), abs=1e-6)
-        half = math.sqrt(THRESHOLD) * sd
+        half = math.sqrt(DEVIANCE_95) * sd
         assert (p.low, p.high) == pytest.approx((best - half, best + half))
         assert p.closed and p.minima == 1 and not p.flat
-        assert p.deviance[0] > THRESHOLD < p.deviance[-1]
+        assert p.deviance[0] > DEVIANCE_95 < p.deviance[-1]
 
 
 def test_a_scale_widens_the_interval_by_its_root():
     target = line()
-    wide = profile(target, 0, settle(target, np.zeros(2)), scale=4.0)
+    wide = compute_profile(target, 0, minimize_squares(target, np.zeros(2)), scale=4.0)
     assert wide.high - wide.best == pytest.approx(2 * (found(line(), 0).high - 1.5))
     assert wide.sd == pytest.approx(1.0, rel=0.01)
 
@@ -81,8 +81,8 @@ def test_a_banana_has_the_known_curves():
     for y, deviance in zip(up.at, up.deviance, strict=True):
         assert deviance == pytest.approx(np.min(((x - 1) / 0.5) ** 2 + ((y - x**2) / 0.1) ** 2), abs=5e-3)
     # the parabola would end it at 1 - 1.96 * 1.005, where there is no banana
-    assert up.low > -0.3 > up.best - math.sqrt(THRESHOLD) * up.sd
-    assert up.high > up.best + math.sqrt(THRESHOLD) * up.sd
+    assert up.low > -0.3 > up.best - math.sqrt(DEVIANCE_95) * up.sd
+    assert up.high > up.best + math.sqrt(DEVIANCE_95) * up.sd
 
 
 def test_a_parameter_without_a_say_is_flat():
@@ -153,9 +153,9 @@ def test_where_no_solution_is_found_the_end_says_so():
 
 def test_a_descent_stops_at_bounds_and_holds_what_is_held():
     target = line(lower=np.array([2.0, -20.0]))
-    end = settle(target, np.array([5.0, 5.0]))
+    end = minimize_squares(target, np.array([5.0, 5.0]))
     assert end.converged and end.theta == pytest.approx([2.0, -0.5])
-    held = settle(target, np.array([5.0, 5.0]), held=0)
+    held = minimize_squares(target, np.array([5.0, 5.0]), held=0)
     assert held.theta == pytest.approx([5.0, -2.0]) and held.value == pytest.approx(49.0)
     assert target.calls < 20
 

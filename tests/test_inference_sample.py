@@ -9,13 +9,13 @@ from inference_cases import TRUTH as VALUES
 from inference_cases import Analytic, box, insertion, measure, medium, problem
 
 from needlefit.errors import ConfigError, DataError, FitError
-from needlefit.inference.sampling import learning
+from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling import sample as sample_module
-from needlefit.inference.sampling.ensembles import INDEPENDENT, shares
+from needlefit.inference.sampling import walkers
+from needlefit.inference.sampling.ensembles import INDEPENDENT, parse_moves
 from needlefit.inference.sampling.posterior import load, save
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.sampling.snapshots import Snapshots
-from needlefit.inference.starts import Watch
 from needlefit.schemas.recipe import SampleRecord
 
 MEAN, COV = np.array([0.4, -0.2]), np.array([[0.04, 0.03], [0.03, 0.09]])
@@ -31,9 +31,9 @@ def settings(**changed):
     return SampleRecord(**{"ensembles": 4, "walkers": 8, "steps": 60, "check_interval": 20, **changed})
 
 
-def draw(function=gaussian, watch=None, seed=1, kept=None, **changed):
+def draw(function=gaussian, callbacks=None, seed=1, kept=None, **changed):
     rng = np.random.default_rng(seed)
-    return sample(box(function), (0.4, -0.2), settings(**changed), rng, watch, Snapshots(kept))
+    return sample(box(function), (0.4, -0.2), settings(**changed), rng, callbacks, Snapshots(kept))
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +46,7 @@ def test_a_run_ends_when_the_rule_is_met_and_not_before(long):
     found, steps = long.convergence, long.steps + long.burn_in
     assert steps < 4000 and steps % 50 == 0
     assert np.all(found.r_hat < 1.01) and long.steps > 50 * found.tau.max()
-    assert min(found.bulk.min(), found.tail.min()) > 400
+    assert min(found.ess_bulk.min(), found.ess_tail.min()) > 400
     shorter = draw(steps=steps - 50, check_interval=50, walkers=12)
     assert not shorter.converged  # one block less was not enough
     assert np.all(long.burn_in <= steps / 2)
@@ -70,7 +70,7 @@ def test_the_budget_ends_a_run_that_says_that_it_has_not_converged():
 
 
 def test_the_draws_do_not_depend_on_the_number_of_threads():
-    first, second = draw(), draw(watch=Watch(jobs=2))
+    first, second = draw(), draw(callbacks=Callbacks(jobs=2))
     assert np.array_equal(first.draws, second.draws)
     assert not np.array_equal(first.draws, draw(seed=2).draws)
 
@@ -89,8 +89,8 @@ def test_ensembles_begun_in_one_place_go_their_own_ways(monkeypatch):
         one, known = state.coordinates[:1], state.log_density[:1]
         return type(state)(np.repeat(one, 4, axis=0), np.repeat(known, 4, axis=0), state.random)
 
-    whole = sample_module.begin
-    monkeypatch.setattr(sample_module, "begin", same)
+    whole = sample_module.initialize_walkers
+    monkeypatch.setattr(sample_module, "initialize_walkers", same)
     draws = draw(steps=40).draws
     for one in range(4):
         for other in range(one):
@@ -136,9 +136,9 @@ def test_an_unknown_move_is_an_error():
 
 
 def test_moves_share_the_steps_by_their_factors():
-    assert shares("stretch") == {"stretch": 1.0}
-    assert shares("de+snooker") == pytest.approx({"de": 0.8, "snooker": 0.2})
-    assert shares("3 * de + 1*stretch") == {"de": 0.75, "stretch": 0.25}
+    assert parse_moves("stretch") == {"stretch": 1.0}
+    assert parse_moves("de+snooker") == pytest.approx({"de": 0.8, "snooker": 0.2})
+    assert parse_moves("3 * de + 1*stretch") == {"de": 0.75, "stretch": 0.25}
 
 
 def stopping_after(count):
@@ -154,7 +154,7 @@ def stopping_after(count):
 def test_a_stop_finishes_the_step_and_keeps_equal_lengths():
     steps = []
     stop = stopping_after(52)
-    got = draw(watch=Watch(stop=stop, step=lambda done, total: steps.append((done, total))))
+    got = draw(callbacks=Callbacks(stop=stop, step=lambda done, total: steps.append((done, total))))
     assert got.interrupted and got.draws.shape == (4, got.steps * 8, 2)
     assert steps[-1] == (got.steps + got.burn_in, 60) and 40 < steps[-1][0] < 60
     assert "interrupted" in got.faults[0]
@@ -162,14 +162,14 @@ def test_a_stop_finishes_the_step_and_keeps_equal_lengths():
 
 def test_a_stop_at_once_leaves_nothing():
     with pytest.raises(FitError, match="nothing to keep"):
-        draw(watch=Watch(stop=lambda: True))
+        draw(callbacks=Callbacks(stop=lambda: True))
 
 
 @pytest.mark.parametrize("stopped", [1, 21, 37, 59])
 def test_a_run_goes_on_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
     save(draw(), tmp_path / "whole.nc")
     try:
-        draw(watch=Watch(stop=stopping_after(stopped)), kept=tmp_path / "kept")
+        draw(callbacks=Callbacks(stop=stopping_after(stopped)), kept=tmp_path / "kept")
     except FitError:
         assert stopped == 1
     save(draw(kept=tmp_path / "kept"), tmp_path / "again.nc")
@@ -179,15 +179,15 @@ def test_a_run_goes_on_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
 
 @pytest.mark.parametrize("stopped", [5, 11, 40])
 def test_what_ensembles_had_learned_they_know_again(tmp_path, monkeypatch, stopped):
-    monkeypatch.setattr(learning, "LESSONS", (10, 25))
+    monkeypatch.setattr(walkers, "ADAPTATION_STEPS", (10, 25))
     save(draw(moves=INDEPENDENT), tmp_path / "whole.nc")
-    draw(moves=INDEPENDENT, watch=Watch(stop=stopping_after(2 * stopped)), kept=tmp_path / "kept")
-    save(draw(moves=INDEPENDENT, watch=Watch(jobs=2), kept=tmp_path / "kept"), tmp_path / "again.nc")
+    draw(moves=INDEPENDENT, callbacks=Callbacks(stop=stopping_after(2 * stopped)), kept=tmp_path / "kept")
+    save(draw(moves=INDEPENDENT, callbacks=Callbacks(jobs=2), kept=tmp_path / "kept"), tmp_path / "again.nc")
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
 
 
 def test_what_was_learned_from_is_burn_in(monkeypatch):
-    monkeypatch.setattr(learning, "LESSONS", (10, 30))
+    monkeypatch.setattr(walkers, "ADAPTATION_STEPS", (10, 30))
     assert draw(moves=INDEPENDENT).burn_in == 30
     assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
 
@@ -262,6 +262,6 @@ def test_the_needle_posterior_covers_the_truth():
     record = medium(1, mu1_pa={"fixed": 3e5})
     p = problem(record, [measure(VALUES, record, insertion(30.0), 31)])
     best = p.parameters.theta(VALUES)
-    got = sample(p, best, settings(ensembles=2), np.random.default_rng(3), Watch(jobs=2))
+    got = sample(p, best, settings(ensembles=2), np.random.default_rng(3), Callbacks(jobs=2))
     low, high = got.percentiles((0.5, 99.5))["bevel_mm"]
     assert low < VALUES["bevel_mm"] < high < 0.5

@@ -8,7 +8,7 @@ from sampling_cases import Known, banana, draw, flat, gaussian, settings, standa
 from scipy.stats import norm, truncnorm
 
 from needlefit.inference.sampling.convergence import autocorrelation_times
-from needlefit.inference.sampling.independent import learned, unlearned
+from needlefit.inference.sampling.proposal_density import fit_proposal, make_initial_proposal
 from needlefit.inference.sampling.sample import sample
 from needlefit.schemas.recipe import SampleRecord
 
@@ -22,7 +22,7 @@ def test_a_gaussian_of_five_dimensions_by_every_move(moves):
     """emcee's own snooker move finds 0.7 of these variances."""
     got = draw(Known(gaussian(np.eye(5)), 5), moves=moves, steps=2000)
     assert flat(got).mean(axis=0) == pytest.approx(np.zeros(5), abs=4 * standard_errors(got).max())
-    squares = np.sqrt(2 / got.convergence.bulk.sum(axis=0)[:5])
+    squares = np.sqrt(2 / got.convergence.ess_bulk.sum(axis=0)[:5])
     assert np.all(np.abs(flat(got).var(axis=0) - 1) < 5 * squares)
 
 
@@ -40,7 +40,7 @@ def test_a_gaussian_that_bounds_cut(moves):
 def test_independent_proposals_are_drawn_as_their_density_says():
     """Weighed by a known density over theirs, they have its moments."""
     random, seen = np.random.RandomState(1), np.random.default_rng(1).exponential(size=(60, 2))
-    for picture in (learned(seen), unlearned(2)):
+    for picture in (fit_proposal(seen), make_initial_proposal(2)):
         points = picture.draw(20000, random)
         weights = np.exp(gaussian(0.5 * np.eye(2), 1.0)(points) - picture.log_density(points))
         mean = weights @ points / weights.sum()

@@ -8,7 +8,7 @@ import pytest
 from inference_cases import TRUTH, insertion, measure, medium, problem
 
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
-from needlefit.inference.identifiability.information import jacobian
+from needlefit.inference.identifiability.information import difference_jacobian
 
 PRIOR = {"bounds": [1e3, 1e9], "prior": {"median": 2e5, "factor": 2.0, "correlation": -0.6}}
 ALPHA = {"bounds": [-30.0, 50.0], "prior": {"mean": 3.0, "sd": 2.0}}
@@ -38,7 +38,10 @@ def test_the_jacobian_is_that_of_the_residuals(name, pose):
     residuals, exact = p.jacobian(theta)
     assert residuals == pytest.approx(p.residuals(theta), abs=2e-3)  # Newton to 1e-7 mm, whitened
     steps = np.array([3.0 if n.startswith("alpha") else 2e-3 for n in p.names])
-    fourth = (4 * jacobian(p.residuals, theta, steps / 2) - jacobian(p.residuals, theta, steps)) / 3
+    fourth = (
+        4 * difference_jacobian(p.residuals, theta, steps / 2)
+        - difference_jacobian(p.residuals, theta, steps)
+    ) / 3
     off = np.linalg.norm(exact - fourth, axis=0) / np.linalg.norm(fourth, axis=0)
     assert np.all(off < np.where(steps > 1, 1e-3, 1e-5)), off
 
@@ -85,6 +88,6 @@ def test_an_alignment_is_differentiated_exactly():
     def aligned(t):
         return align_rigid(moving + slopes @ t, fixed).ravel()
 
-    differences = jacobian(aligned, np.zeros(3), np.full(3, 1e-5))
+    differences = difference_jacobian(aligned, np.zeros(3), np.full(3, 1e-5))
     exact = differentiate_align_rigid(moving, fixed, slopes).reshape(14, 3)
     np.testing.assert_allclose(exact, differences, atol=1e-8)

@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 from scipy.stats import multivariate_normal
 
-from needlefit.inference.specimens import KERNELS, Population, Specimen, best_told, shortest, specimen
+from needlefit.inference.specimen_spread import (
+    KERNELS_PER_SPECIMEN,
+    Population,
+    Specimen,
+    best_determined,
+    highest_density_interval,
+    make_specimen,
+)
 
 RIDGE = np.array([[0.05, -0.024], [-0.024, 0.0144]])
 BOUNDS = np.array([4.0, -7.0]), np.array([18.0, -0.5])
@@ -17,13 +24,13 @@ def population(tau: float, count: int, seed: int) -> Population:
     for _ in range(count):
         theta = MEAN + tau * rng.standard_normal(2)
         estimate = rng.multivariate_normal(theta, RIDGE)
-        found.append(specimen(rng.multivariate_normal(estimate, RIDGE, size=KERNELS)))
+        found.append(make_specimen(rng.multivariate_normal(estimate, RIDGE, size=KERNELS_PER_SPECIMEN)))
     return Population(tuple(found), BOUNDS, spread_sd=1.0)
 
 
 def test_kernels_keep_mean_and_covariance_of_their_draws():
     draws = np.random.default_rng(1).multivariate_normal([1.0, 2.0], RIDGE, size=50)
-    found = specimen(draws)
+    found = make_specimen(draws)
     assert found.mean == pytest.approx(draws.mean(axis=0))
     assert found.covariance == pytest.approx(np.cov(draws.T, bias=True))
 
@@ -50,7 +57,9 @@ def test_a_spread_of_zero_is_found_to_reach_zero_and_a_large_one_is_not():
         found = population(tau, 10, 3).posterior(np.random.default_rng(4))
         assert found.certified
         weights = np.exp(found.log_weights)
-        intervals[tau] = [shortest(column, weights, 0.95, 0.0) for column in found.thetas.T[2:]]
+        intervals[tau] = [
+            highest_density_interval(column, weights, 0.95, 0.0) for column in found.thetas.T[2:]
+        ]
     assert [low for low, _ in intervals[0.0]] == [0.0, 0.0]
     assert max(high for _, high in intervals[0.0]) < 0.2
     assert all(0.2 < low < 0.6 < high < 1.3 for low, high in intervals[0.6])
@@ -65,13 +74,13 @@ def test_one_specimen_leaves_the_spread_to_its_prior():
 def test_best_told_is_the_stiff_direction():
     draws = np.random.default_rng(7).multivariate_normal([0, 0], RIDGE, size=400)
     stiff = np.linalg.eigh(RIDGE)[1][:, 0]
-    assert abs(best_told([specimen(draws)]) @ stiff) == pytest.approx(1.0, abs=0.01)
+    assert abs(best_determined([make_specimen(draws)]) @ stiff) == pytest.approx(1.0, abs=0.01)
 
 
 def test_shortest_interval_of_a_half_normal_begins_at_its_end():
     values = np.abs(np.random.default_rng(8).standard_normal(4000))
-    low, high = shortest(values, np.full(4000, 1 / 4000), 0.95, 0.0)
+    low, high = highest_density_interval(values, np.full(4000, 1 / 4000), 0.95, 0.0)
     assert low == 0.0
     assert high == pytest.approx(1.96, abs=0.1)
-    low, high = shortest(values, np.full(4000, 1 / 4000), 0.5, 0.0)
+    low, high = highest_density_interval(values, np.full(4000, 1 / 4000), 0.5, 0.0)
     assert high == pytest.approx(0.674, abs=0.06)

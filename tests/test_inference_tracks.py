@@ -8,10 +8,15 @@ from track_cases import DEPTH, GUIDE, MEDIUM, NEEDLE, NOISE, TRUTH, measured, pr
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.inference.optimize import minimize
-from needlefit.inference.tracks.course import courses, tips
-from needlefit.inference.tracks.curves import fit_curve
-from needlefit.inference.tracks.evidence import track_evidence
-from needlefit.inference.tracks.foresight import Drawn, Slopes, ahead, slopes
+from needlefit.inference.tracks.prediction import (
+    SlopeMoments,
+    TrackDraws,
+    estimate_slopes,
+    fit_curve,
+    predict_readings,
+)
+from needlefit.inference.tracks.problem import make_track_observation
+from needlefit.inference.tracks.simulation import group_tracks, simulate_tips
 from needlefit.mechanics.control import Bevel, Guide, ModelOptions
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
@@ -31,7 +36,7 @@ def runs():
 def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
     """The session moves the needle the same way; asked on constraint points, and between them."""
     depth = DEPTH + beyond * (DEPTH > 0)
-    (found,) = tips([TRUTH], MEDIUM, NEEDLE, [track("run", GUIDE, depth)])
+    (found,) = simulate_tips([TRUTH], MEDIUM, NEEDLE, [track("run", GUIDE, depth)])
     gel = Tissue(np.array([0.03]), np.array([1.0]), np.empty(0), np.array([40.0]))
     session = Session(NEEDLE, gel, Bevel(0.03), rules=ModelOptions())
     for n, more in enumerate(np.diff(depth), start=1):
@@ -41,17 +46,17 @@ def test_a_track_is_where_a_stepwise_insertion_has_its_tip(beyond):
 
 def test_runs_under_a_resting_guide_are_one_insertion():
     tracks = [track("a", REST), track("b", REST, 0.9 * DEPTH), track("c", GUIDE)]
-    found = courses(tracks, 1.0)
-    assert [(one.depth, one.serves) for one in found] == [(60.0, (0, 1)), (60.0, (2,))]
-    together = tips([TRUTH], MEDIUM, NEEDLE, tracks)
-    alone = [tips([TRUTH], MEDIUM, NEEDLE, [one])[0] for one in tracks]
+    found = group_tracks(tracks, 1.0)
+    assert [(one.depth, one.track_numbers) for one in found] == [(60.0, (0, 1)), (60.0, (2,))]
+    together = simulate_tips([TRUTH], MEDIUM, NEEDLE, tracks)
+    alone = [simulate_tips([TRUTH], MEDIUM, NEEDLE, [one])[0] for one in tracks]
     for one, other in zip(together, alone, strict=True):
         assert one == pytest.approx(other, abs=1e-9)
 
 
 def test_readings_closer_than_constraint_points_are_refused():
     with pytest.raises(DataError, match=r"readings 0\.5 mm apart while its guide moves"):
-        courses([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
+        group_tracks([track("run", GUIDE, 0.1 * DEPTH)], 1.0)
 
 
 def test_the_truth_is_found_again(runs):
@@ -73,7 +78,7 @@ def test_shift_and_slope_of_the_frame_change_nothing(runs):
 
 
 def test_the_projection_is_the_limit_of_a_wide_prior(runs):
-    known = track_evidence(runs[0], NOISE)
+    known = make_track_observation(runs[0], NOISE)
     off = 0.1 * np.sin(DEPTH / 7)
     ours = known.log_norm - 0.5 * np.sum((known.whitening @ off) ** 2)
     wide = 30.0
@@ -97,26 +102,26 @@ def test_log_posterior_residuals_and_gradient_are_one_density(runs):
 
 def test_what_is_ahead_covers_as_often_as_it_says():
     """Shift free, slope as its prior says: 95 % intervals of the last reading hold in 95 % of runs."""
-    rng, blank = np.random.default_rng(5), track_evidence(track("run", REST), NOISE)
-    slope, hits = Slopes(np.full(200, 0.03), np.full(200, 0.01**2)), 0
+    rng, blank = np.random.default_rng(5), make_track_observation(track("run", REST), NOISE)
+    slope, hits = SlopeMoments(np.full(200, 0.03), np.full(200, 0.01**2)), 0
     for _ in range(200):
         noise = NOISE.point_sd * rng.normal(size=len(DEPTH))
         tip = rng.normal(0, 20) + rng.normal(0.03, 0.01) * DEPTH + noise
         known = replace(blank, track=replace(blank.track, tip=tip))
-        draws = ahead(known, np.zeros((200, len(DEPTH))), np.ones(200), slope, 5, rng)
+        draws = predict_readings(known, np.zeros((200, len(DEPTH))), np.ones(200), slope, 5, rng)
         low, high = np.quantile(draws[:, -1], (0.025, 0.975))
         hits += low <= tip[-1] <= high
     assert 0.9 <= hits / 200 <= 0.985  # 0.95 +- 3 deviations
 
 
 def test_nothing_ahead_enters_what_is_foretold(runs):
-    known = track_evidence(runs[0], NOISE)
+    known = make_track_observation(runs[0], NOISE)
     later = runs[0].tip.copy()
     later[5:] += 9.0
     other = replace(known, track=replace(runs[0], tip=later))
-    slope = Slopes(np.zeros(8), np.ones(8))
+    slope = SlopeMoments(np.zeros(8), np.ones(8))
     one, two = (
-        ahead(at, np.zeros((8, len(DEPTH))), np.ones(8), slope, 5, np.random.default_rng(1))
+        predict_readings(at, np.zeros((8, len(DEPTH))), np.ones(8), slope, 5, np.random.default_rng(1))
         for at in (known, other)
     )
     assert np.array_equal(one, two)
@@ -125,14 +130,14 @@ def test_nothing_ahead_enters_what_is_foretold(runs):
 def test_slopes_of_further_runs_are_told_by_those_fitted_to():
     frames = (0.01, 0.02, 0.03, 0.04, 0.05)
     bent = [measured(track(f"run{n}", REST), n, one) for n, one in enumerate(frames)]
-    seen = [track_evidence(one, NOISE) for one in bent]
-    (y,) = tips([TRUTH], MEDIUM, NEEDLE, bent[:1])
-    drawn = Drawn((y,) * 5, (), np.ones(1))
-    found = slopes(drawn, seen)
+    seen = [make_track_observation(one, NOISE) for one in bent]
+    (y,) = simulate_tips([TRUTH], MEDIUM, NEEDLE, bent[:1])
+    drawn = TrackDraws((y,) * 5, (), np.ones(1))
+    found = estimate_slopes(drawn, seen)
     assert found.mean[0] == pytest.approx(0.03)
     assert found.variance[0] == pytest.approx(0.00025 * 1.2 * 4 / 2)  # scatter, one more run, Student
     with pytest.raises(ConfigError, match="3 runs say too little"):
-        slopes(Drawn((y,) * 3, (), np.ones(1)), seen[:3])
+        estimate_slopes(TrackDraws((y,) * 3, (), np.ones(1)), seen[:3])
 
 
 def test_a_parabola_is_fitted_toward_the_bevel():
@@ -142,13 +147,13 @@ def test_a_parabola_is_fitted_toward_the_bevel():
         replace(one, tip=one.tip + 0.02 * np.random.default_rng(n).normal(size=len(DEPTH)))
         for n, one in enumerate(tracks)
     ]
-    seen = [track_evidence(one, NOISE) for one in noisy]
+    seen = [make_track_observation(one, NOISE) for one in noisy]
     found = fit_curve("constant_curvature", seen, tracks, 500, np.random.default_rng(2))
-    ends = found.held[0][:, -1], found.held[1][:, -1]
+    ends = found.held_out[0][:, -1], found.held_out[1][:, -1]
     assert np.median(ends[0]) == pytest.approx(bow[-1], abs=3 * np.std(ends[0]))
     assert np.std(ends[0]) < 0.05 and np.allclose(ends[0], -ends[1])
     assert np.median(found.scale) == pytest.approx(1.0, abs=0.35)
-    assert not fit_curve("straight", seen, tracks, 5, np.random.default_rng(2)).held[0].any()
+    assert not fit_curve("straight", seen, tracks, 5, np.random.default_rng(2)).held_out[0].any()
 
 
 def test_a_medium_without_a_guide_is_refused():

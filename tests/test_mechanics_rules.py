@@ -17,7 +17,7 @@ from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.simulate import simulate, simulate_steps
 from needlefit.mechanics.tissue import Tissue
 from needlefit.verification import complex_step
-from needlefit.verification.cases import Case
+from needlefit.verification.cases import RandomCase
 
 NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 TISSUE = Tissue(mu=[0.2, 33.0], alpha=[1.0, -1.0], boundaries=[9.3])
@@ -62,7 +62,9 @@ def test_lanes_equal_the_scalar_kernel_under_any_rules(seed: int) -> None:
 def test_derivatives_equal_complex_steps_under_any_rules(switch: float, tangent: float) -> None:
     rules = ModelOptions(tolerance=1e-11, switch=switch, tangent=tangent)
     turned = Bevel(0.08, -1)
-    case = Case(NEEDLE, TISSUE, (Step(8.2, BEVEL), Step(12.6, turned), Step(11.1, turned), Step(14.6, BEVEL)))
+    case = RandomCase(
+        NEEDLE, TISSUE, (Step(8.2, BEVEL), Step(12.6, turned), Step(11.1, turned), Step(14.6, BEVEL))
+    )
     named = complex_step.parameters(case)
     names = ("mu1", "mu2", "alpha2", "offset", "rigidity", "base_y", "boundary1")
     kinds = ("mu", "alpha", "offset", "rigidity", "base_y", "boundaries")

@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from needlefit.inference.identifiability.profile import THRESHOLD
+from needlefit.inference.identifiability.profile import DEVIANCE_95
 from needlefit.reporting.figures.profiles import draw_profiles, log_ticks
 
 
@@ -33,7 +33,7 @@ def frames(sds):
     about = {"parameter": "alpha1", "value": 1.0, "fisher_sd": math.inf, "status": "fixed", "rise": 0.01}
     rows.append({**about, **open_, "interval_low": -3.0, "interval_high": 5.0})
     points += [{"parameter": "alpha1", "value": x, "deviance": 0.0, "slope": 0.0} for x in (-3.0, 1.0, 5.0)]
-    made = pd.DataFrame(points).assign(fold="all", threshold=THRESHOLD)
+    made = pd.DataFrame(points).assign(fold="all", threshold=DEVIANCE_95)
     return pd.DataFrame(rows).assign(fold="all"), made
 
 

@@ -19,11 +19,11 @@ from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, DataError
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.meshes import TUBE_FACETS, make_tube, write_ply
+from needlefit.inference.fit import Callbacks
 from needlefit.inference.identifiability.identify import identify
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.starts import Watch
 from needlefit.mechanics.scene import Entry
 from needlefit.project.random_streams import random_stream
 from needlefit.reporting.slicer import write_needles, write_scene
@@ -87,7 +87,7 @@ def fitted(project: Path):  # noqa: F811
     job = prepare("needles", study(), Settings())
     (fold,) = job.folds
     problem = job.problem(fold)
-    fit = minimize(problem, job.recipe, random_stream(1, "test"), Watch())
+    fit = minimize(problem, job.recipe, random_stream(1, "test"), Callbacks())
     return job, fold, FoldFit(fit, identify(problem, fit))
 
 

@@ -9,7 +9,7 @@ import pytest
 
 from needlefit.errors import ModelError
 from needlefit.geometry.crossings import find_crossings
-from needlefit.inference.predict import rules
+from needlefit.inference.forward_model import make_options
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate
@@ -204,7 +204,7 @@ def test_the_needle_starts_at_the_entry_keeps_its_length_and_leaves_its_plane():
 def test_the_true_needle_is_not_what_the_fit_assumes(name, friction):
     """A finer mesh, friction, another rigidity; taking any of them away gives another shape."""
     planned, specimen, found = truly_inserted(name)
-    fitted = rules(load(find_file("medium", planned.medium), MediumRecord))
+    fitted = make_options(load(find_file("medium", planned.medium), MediumRecord))
     assert TRUTH_OPTIONS.element <= fitted.element / 4 and TRUTH_OPTIONS.spacing == fitted.spacing
     assert np.max(np.diff(found.shape.x[1:])) == pytest.approx(fitted.element / 4)
     assert found.tissue.friction == pytest.approx(friction)

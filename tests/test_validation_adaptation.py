@@ -5,7 +5,7 @@ import pytest
 
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.transfer import LEAST, inflated
+from needlefit.inference.transferred_prior import MIN_SPREAD, widen_posterior
 from needlefit.schemas.analyses import AdaptationRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.validation.analyses.adaptation.run import estimate, estimate_needed_count, plan, resample
@@ -70,8 +70,8 @@ def test_an_inflated_prior_is_the_old_posterior_widened_by_twice_the_spreads_squ
     centre = old.theta({"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08})
     thetas = centre + rng.multivariate_normal([0.0, 0.0], covariance, size=20000)
     fit = old.values(centre)
-    same = inflated(old, fit, thetas, old, {})
-    wider = inflated(old, fit, thetas, old, {"mu1_pa": 0.6, "bevel_mm": 0.2})
+    same = widen_posterior(old, fit, thetas, old, {})
+    wider = widen_posterior(old, fit, thetas, old, {"mu1_pa": 0.6, "bevel_mm": 0.2})
     assert same.mean == pytest.approx(centre)
     found, more = (np.linalg.inv(prior.information(old.free)) for prior in (same, wider))
     assert found == pytest.approx(covariance, abs=0.02)
@@ -83,14 +83,14 @@ def test_layers_that_the_old_medium_ties_may_differ_in_the_new_one():
     new = Parameters.from_record(medium(layers=2))
     fit = old.values(old.theta({"mu1_pa": 1e5, "bevel_mm": 0.1}))
     thetas = np.array([old.theta(fit), old.theta({**fit, "mu1_pa": 1.2e5})])
-    prior = inflated(old, fit, thetas, new, {"mu1_pa": 0.5, "mu2_pa": 0.5})
+    prior = widen_posterior(old, fit, thetas, new, {"mu1_pa": 0.5, "mu2_pa": 0.5})
     assert dict(zip(prior.names, np.exp(prior.mean), strict=True)) == pytest.approx(
         {"mu1_pa": 1e5, "mu2_pa": 2e5, "bevel_mm": 0.1}
     )
     cov = np.linalg.inv(prior.information(new.free))
     together = np.log(1.2) ** 2 / 2
     assert cov[0, 1] == pytest.approx(together)
-    assert cov[1, 1] == pytest.approx(together + 2 * 0.5**2 + LEAST**2)
+    assert cov[1, 1] == pytest.approx(together + 2 * 0.5**2 + MIN_SPREAD**2)
 
 
 def test_media_without_a_common_parameter_and_bounds_that_miss_the_old_fit_are_refused():
@@ -98,10 +98,10 @@ def test_media_without_a_common_parameter_and_bounds_that_miss_the_old_fit_are_r
     fit = old.values(old.theta({"mu1_pa": 3e5, "bevel_mm": 0.08}))
     narrow = Parameters.from_record(medium(layers=1, mu1_pa={"bounds": [1e6, 1e8]}))
     with pytest.raises(ConfigError, match="mu1_pa of the old medium"):
-        inflated(old, fit, old.theta(fit)[None], narrow, {})
+        widen_posterior(old, fit, old.theta(fit)[None], narrow, {})
     nothing = old.with_only((), fit)
     with pytest.raises(ConfigError, match="no parameter in common"):
-        inflated(old, fit, old.theta(fit)[None], nothing, {})
+        widen_posterior(old, fit, old.theta(fit)[None], nothing, {})
 
 
 TRUTH = {"mu1_pa": 3e5, "alpha1": 1.0, "bevel_mm": 0.08}

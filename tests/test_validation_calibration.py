@@ -9,7 +9,7 @@ from inference_cases import NEEDLE, insertion, measure, medium
 from scipy.stats import norm
 
 from needlefit.datasets.insertion import Dataset, Noise
-from needlefit.inference.draws import of_prior
+from needlefit.inference.draws import draw_from_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.inference.problem import Problem
 from needlefit.schemas.recipe import RecipeRecord
@@ -127,7 +127,7 @@ def test_without_errors_a_measured_needle_is_the_likelihood_s_own(pose):
         sure = replace(one, pose_angle_sd=0.0)
         seen = simulate_measurement(still, sure, SEEN, job.medium, np.random.default_rng(2), scale=1e-9)
         problem = Problem(still, (seen,), job.medium, job.parameters, job.recipe.weights)
-        residuals = problem.residuals(problem.parameters.theta(SEEN))[: sum(problem.density.told)]
+        residuals = problem.residuals(problem.parameters.theta(SEEN))[: sum(problem.density.residual_counts)]
         assert np.abs(residuals).max() < (1e-3 if pose == "known" else 0.05)
 
 
@@ -170,7 +170,7 @@ def test_the_prior_is_drawn_as_it_is_stated():
         alpha1={"bounds": [-3.0, 2.5], "prior": {"mean": 2.0, "sd": 0.5}},
         bevel_mm={"bounds": [0.02, 0.3]},
     )
-    draws = of_prior(Parameters.from_record(record), 4000, np.random.default_rng(1))
+    draws = draw_from_prior(Parameters.from_record(record), 4000, np.random.default_rng(1))
     mu, alpha, bevel = draws.T
     assert alpha.max() < 2.5 and np.mean(alpha < 2.0) == pytest.approx(0.5 / norm.cdf(1.0), abs=0.03)
     slope = np.cov(mu, alpha)[0, 1] / np.var(alpha)

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.inference.starts import Start
+from needlefit.inference.fit import Start
 from needlefit.project.checkpoint_folder import remove_checkpoint
 from needlefit.project.ownership import STAMP
 from needlefit.validation.checkpoint import open_checkpoint

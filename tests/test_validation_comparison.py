@@ -10,12 +10,10 @@ from scipy.integrate import quad
 from scipy.stats import multivariate_normal
 
 from needlefit.errors import ConfigError
-from needlefit.inference.baselines import LENGTH, curve_for
-from needlefit.inference.curve_density import CurveDensity
-from needlefit.inference.likelihood.covariance import points_covariance
+from needlefit.inference.baselines import COEFFICIENT_LENGTH_MM, CurveDensity, make_baseline_curve
+from needlefit.inference.forward_model import make_batch, predict, predict_with_derivatives
+from needlefit.inference.likelihood.observation import points_covariance
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.predict import predict, predict_each
-from needlefit.inference.slopes import predict_with_slopes
 from needlefit.inference.ties import NOISE_SCALE
 from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
@@ -82,14 +80,14 @@ def _curved(depth, side=1):
 def test_a_curves_density_is_the_gaussian_of_its_deflections():
     one = _curved(40.0)
     density = CurveDensity("constant_curvature", dataset([one]), (one,), LikelihoodRecord(), 1000.0)
-    theta = np.array([0.0012 * LENGTH, math.log(1.7)])
-    s = density.known[0].nodes.s[0]
+    theta = np.array([0.0012 * COEFFICIENT_LENGTH_MM, math.log(1.7)])
+    s = density.observations[0].nodes.s[0]
     x = one.planar[:, 0] - one.planar[0, 0]
     slope = np.polynomial.Polynomial.fit(x, one.planar[:, 1], 3).deriv()(x)
     shift = NOISE.registration_mean / math.sqrt(8 / math.pi)
     modes = np.column_stack([shift * np.ones(len(x)), one.pose_angle_sd * x, -shift * slope])
     cov = 1.7**2 * (points_covariance(s, NOISE) + modes @ modes.T)
-    off = curve_for(density.curve(theta), one)(s)[:, 1] - one.planar[:, 1]
+    off = make_baseline_curve(density.curve(theta), one)(s)[:, 1] - one.planar[:, 1]
     assert density(theta[None])[0] == pytest.approx(multivariate_normal.logpdf(off, cov=cov), rel=1e-6)
     assert density(np.array([[0.0, math.log(1e4)]]))[0] == -np.inf
 
@@ -126,7 +124,7 @@ def test_further_points_add_their_whole_density():
     job = candidate_job("ogden", _job(tuple(made), ()))
     theta = job.parameters.theta({**TRUTH, "bevel_mm": 0.1, NOISE_SCALE: 1.3})
     one, both = (job.problem(Fold("", tuple(some), ())) for some in (made[:1], made))
-    s = both.density.evidence[1].nodes.s[0]
+    s = both.density.observations[1].nodes.s[0]
     shape = predict(both.values(theta), medium(layers=1), NEEDLE, made[1])
     flat, x = np.full(len(s), NOISE.registration_mean / math.sqrt(8 / math.pi)), made[1].planar[:, 0]
     slope = np.polynomial.Polynomial.fit(x, made[1].planar[:, 1], 5).deriv()(x)
@@ -216,14 +214,14 @@ def test_a_base_that_moves_does_so_once_the_needle_is_in():
     still = predict(SOFT, THIN, NEEDLE, replace(MOVED, base_shift=0.0))
     assert shape.constraints == pytest.approx(still.constraints, abs=1e-9)  # the cut stays where it was
     assert compute_positions(shape, np.array([0.0]))[0, 1] > 1.0  # the tissue gives way at the entry
-    (lanes,) = simulate_batches([predict_each([SOFT], THIN, NEEDLE, MOVED)])
+    (lanes,) = simulate_batches([make_batch([SOFT], THIN, NEEDLE, MOVED)])
     assert lanes.u[0] == pytest.approx(shape.u, abs=1e-6)
 
 
 def test_a_moved_bases_needle_has_exact_derivatives():
     parameters = Parameters.from_record(THIN)
     theta, s = parameters.theta(SOFT), np.linspace(0.0, 40.0, 9)
-    _, slopes = predict_with_slopes(SOFT, parameters, THIN, NEEDLE, MOVED, s)
+    _, slopes = predict_with_derivatives(SOFT, parameters, THIN, NEEDLE, MOVED, s)
     for k, move in enumerate(1e-4 * np.eye(len(theta))):
         ends = [predict(parameters.values(theta + sign * move), THIN, NEEDLE, MOVED) for sign in (1, -1)]
         by = (compute_positions(ends[0], s) - compute_positions(ends[1], s)) / 2e-4

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from needlefit.inference.predictive import Mixture, worst_level
+from needlefit.inference.predictive_distribution import PredictiveMixture, simulate_shape_pit
 from needlefit.validation.proportions import estimate_proportion, wilson_interval
 
 
@@ -27,8 +27,8 @@ def test_a_whole_curve_leaves_its_band_as_often_as_foretold(length):
     covariance = 0.04 * np.exp(-np.abs(s[:, None] - s) / length) + 1e-9 * np.eye(30)
     root = np.linalg.cholesky(covariance)
     means = 0.1 * rng.normal(size=(100, 1)) * s
-    mixture = Mixture(means, np.sqrt(np.diag(covariance)))
+    mixture = PredictiveMixture(means, np.sqrt(np.diag(covariance)))
     observed = means[rng.integers(100, size=300)] + rng.normal(size=(300, 30)) @ root.T
-    levels = np.array([worst_level(mixture, covariance, one, rng) for one in observed])
+    levels = np.array([simulate_shape_pit(mixture, covariance, one, rng) for one in observed])
     for level in (0.5, 0.95):  # 300 trials: four standard deviations
         assert np.mean(levels <= level) == pytest.approx(level, abs=4 * np.sqrt(level * (1 - level) / 300))

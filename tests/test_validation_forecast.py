@@ -10,7 +10,7 @@ from test_cli import run
 
 import needlefit
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.draws import Draws, from_posterior
+from needlefit.inference.draws import Draws, thin_posterior
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
@@ -111,8 +111,8 @@ def test_draws_of_a_posterior_are_spread_over_it(job):
     many = np.full((4, 3), 500.0)
     found = Convergence(names, np.ones(3), np.ones((4, 3)), many, many, 4)
     posterior = Posterior(names, values, np.zeros((4, 20)), 5, "de", np.ones(4), found, 0, 0, False)
-    thetas = from_posterior(posterior, job.parameters, 10).thetas
-    assert from_posterior(posterior, job.parameters, 10).faults == posterior.faults != ()
+    thetas = thin_posterior(posterior, job.parameters, 10).thetas
+    assert thin_posterior(posterior, job.parameters, 10).faults == posterior.faults != ()
     assert thetas[[0, -1], 0] == pytest.approx(np.log([1e4, 1e6]))
     assert np.exp(thetas[:, names.index("bevel_mm")]) == pytest.approx(0.05)
 
@@ -160,7 +160,7 @@ def test_what_is_foretold_without_sampling_is_the_posterior(job, tmp_path):
     weighed = draw_parameters(job, tmp_path, Settings()).thetas
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
     walked = sample(problem, fit.theta, SampleRecord(steps=400, check_interval=200), np.random.default_rng(2))
-    thetas = from_posterior(walked, job.parameters, 2000).thetas
+    thetas = thin_posterior(walked, job.parameters, 2000).thetas
     axes = np.linalg.eigh(np.cov(thetas.T))[1]
     for direction in axes.T:
         one, two = weighed @ direction, thetas @ direction

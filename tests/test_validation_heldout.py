@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from needlefit.inference.identifiability.identify import identify
-from needlefit.inference.likelihood.pose import pose_sds
+from needlefit.inference.likelihood.observation import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.project.load import load
 from needlefit.project.locate import find_file

@@ -12,7 +12,7 @@ import pytest
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.inference.predict import predict
+from needlefit.inference.forward_model import predict
 from needlefit.mechanics.control import Bevel
 from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate

@@ -15,7 +15,7 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.read import read
 from needlefit.geometry.surfaces import make_sheet
-from needlefit.inference.predict import predict
+from needlefit.inference.forward_model import predict
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
 from needlefit.reporting.numbers import number
 from needlefit.reporting.parameters import parameters_table

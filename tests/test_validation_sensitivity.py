@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.inference.predict import predict, rules
+from needlefit.inference.forward_model import make_options, predict
 from needlefit.project.locate import find_file
 from needlefit.reporting.inquiries.pages import PAGES
 from needlefit.schemas.analyses import VariationRecord
@@ -53,7 +53,7 @@ def test_a_variation_changes_what_it_names_and_nothing_else():
         boundary_shift_sd=2.0,
     )
     changed = apply_variation(job, variation)
-    now, before = rules(changed.medium), rules(job.medium)
+    now, before = make_options(changed.medium), make_options(job.medium)
     assert (now.switch, now.tangent, now.first_cell, now.spacing) == (0.0, 1.0, 0.5, before.spacing)
     assert changed.medium.thickness_mm == 20.0 and changed.dataset.needle == job.dataset.needle
     for one, other in zip(changed.insertions, job.insertions, strict=True):

@@ -8,8 +8,8 @@ from inference_cases import NEEDLE, TRUTH, dataset, insertion, medium, two_layer
 
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.errors import ConfigError, NeedlefitError
-from needlefit.inference.outside import outside
-from needlefit.inference.predict import predict
+from needlefit.inference.evaluation_checks import find_outside_validity
+from needlefit.inference.forward_model import predict
 from needlefit.project.result_warnings import read_warnings
 from needlefit.schemas.analyses import VariationRecord
 from needlefit.schemas.limits import MAX_LAYERS
@@ -25,12 +25,12 @@ STEEP = {**TRUTH, "bevel_mm": 0.9}
 def test_parameter_sets_are_outside_where_any_of_their_needles_is():
     problem = two_layers(count=2)
     thetas = [problem.parameters.theta({**TRUTH, "bevel_mm": b}) for b in (0.02, 0.08, 0.5, 0.9)]
-    found = outside(problem, thetas)
+    found = find_outside_validity(problem, thetas)
     for theta, beyond in zip(thetas, found, strict=True):
         shapes = problem.shapes(theta)
         assert beyond == any(shape.converged and not shape.valid for shape in shapes)
     assert not found[0] and found[-1]
-    assert outside(problem, []).shape == (0,)
+    assert find_outside_validity(problem, []).shape == (0,)
     assert all(np.isfinite(problem.objective(theta)) for theta in thetas)  # nothing is penalised
 
 

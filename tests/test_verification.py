@@ -10,9 +10,19 @@ from needlefit.mechanics import laws, reference
 from needlefit.mechanics import simulate as simulate_module
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
 from needlefit.mechanics.simulate import equilibrium, simulate_steps
-from needlefit.verification import stop as stop_module
-from needlefit.verification.cases import NEEDLE, Case, layers
-from needlefit.verification.check import Bound, Check, Curve, Group, Outcome, Quantity, about, at_most, worst
+from needlefit.verification import clamped_needle as clamped_module
+from needlefit.verification.cases import PAPER_NEEDLE, RandomCase, make_tissue
+from needlefit.verification.check import (
+    AcceptanceBound,
+    Check,
+    CheckOutcome,
+    ConvergenceCurve,
+    Group,
+    Quantity,
+    at_most,
+    within,
+    worst,
+)
 from needlefit.verification.checks import (
     balance,
     cantilever,
@@ -24,11 +34,11 @@ from needlefit.verification.checks import (
     sensitivities,
     symmetries,
     tangent,
-    world,
+    world_frame,
 )
-from needlefit.verification.foundation import hetenyi
-from needlefit.verification.law import Law
-from needlefit.verification.manufactured import DEPTH, FREE, choose
+from needlefit.verification.checks.elastic_foundation import hetenyi
+from needlefit.verification.checks.manufactured import DEPTH_MM, FREE_LENGTH_MM, make_deflection
+from needlefit.verification.law import ReferenceLaw
 from needlefit.verification.run import find_checks, verify
 
 
@@ -80,9 +90,9 @@ def test_a_file_in_the_folder_is_a_row(tmp_path, monkeypatch):
     from needlefit.verification import checks
 
     (tmp_path / "another.py").write_text(
-        "from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most\n"
+        "from needlefit.verification.check import Check, Group, CheckOutcome, Quantity, at_most\n"
         "ROWS = (Quantity('zero', at_most(1), ''),)\n"
-        "CHECKS = (Check(Group.TANGENT, 'One more', ROWS, lambda rng: Outcome((0.0,))),)\n"
+        "CHECKS = (Check(Group.TANGENT, 'One more', ROWS, lambda rng: CheckOutcome((0.0,))),)\n"
     )
     before = len(find_checks())
     monkeypatch.setattr(checks, "__path__", [*checks.__path__, str(tmp_path)])
@@ -94,9 +104,9 @@ def test_a_check_that_crashes_is_a_failed_row_with_its_reason_and_the_next_one_g
     def crash(rng):
         raise ZeroDivisionError("no\nluck")
 
-    quantities = (Quantity("a", at_most(1.0), "mm"), Quantity("b", Bound(), ""))
+    quantities = (Quantity("a", at_most(1.0), "mm"), Quantity("b", AcceptanceBound(), ""))
     bad = Check(Group.TANGENT, "bad", quantities, crash)
-    good = Check(Group.TANGENT, "good", quantities, lambda rng: Outcome((0.5, 7.0)))
+    good = Check(Group.TANGENT, "good", quantities, lambda rng: CheckOutcome((0.5, 7.0)))
     found = verify(1, [bad, good])
     assert [row.verdict for row in found.rows] == ["FAILS", "FAILS", "passes", "stated"]
     assert found.rows[0].remark == "not measured: ZeroDivisionError: no luck"
@@ -108,11 +118,11 @@ def test_a_check_that_crashes_is_a_failed_row_with_its_reason_and_the_next_one_g
     [
         (at_most(1e-6), 1e-6, "passes"),
         (at_most(1e-6), 1.01e-6, "FAILS"),
-        (about(4, 0.2), 3.79, "FAILS"),
-        (about(4, 0.2), 4.21, "FAILS"),
-        (about(4, 0.2), 4.1, "passes"),
-        (Bound(), 3.0, "stated"),
-        (Bound(), float("nan"), "FAILS"),
+        (within(4, 0.2), 3.79, "FAILS"),
+        (within(4, 0.2), 4.21, "FAILS"),
+        (within(4, 0.2), 4.1, "passes"),
+        (AcceptanceBound(), 3.0, "stated"),
+        (AcceptanceBound(), float("nan"), "FAILS"),
         (at_most(1.0), float("-inf"), "FAILS"),
     ],
 )
@@ -122,7 +132,7 @@ def test_verdicts(bound, value, verdict):
 
 def test_orders_of_a_power_law_are_its_exponent():
     h = (4.0, 2.0, 1.0)
-    curve = Curve("x^3", h, {"u": tuple(0.7 * x**3 for x in h)})
+    curve = ConvergenceCurve("x^3", h, {"u": tuple(0.7 * x**3 for x in h)})
     assert curve.order("u") == pytest.approx(3)
     assert curve.orders("u") == pytest.approx([3, 3])
 
@@ -147,18 +157,20 @@ def test_equal_layers_are_one():
 
 def test_the_propped_cantilever_carries_three_eighths():
     """A uniform load all along: the prop at the tip carries 3 q L / 8."""
-    tip = np.array([NEEDLE.length])
-    reaction = cantilever.cantilever(tip, 0.0) / cantilever.prop(tip, NEEDLE.length)
-    assert reaction == pytest.approx(3 / 8 * cantilever.LOAD * NEEDLE.length)
+    tip = np.array([PAPER_NEEDLE.length])
+    reaction = cantilever.cantilever_deflection(tip, 0.0) / cantilever.prop_deflection(
+        tip, PAPER_NEEDLE.length
+    )
+    assert reaction == pytest.approx(3 / 8 * cantilever.LOAD * PAPER_NEEDLE.length)
 
 
 def test_the_chosen_deflection_is_smooth_clamped_and_free_at_the_tip():
-    chosen = choose(np.array([17.37]))
+    chosen = make_deflection(np.array([17.37]))
     for order in range(4):
         for x in (0.0, 17.37):
             below, above = (float(chosen.at(np.array([x + d]), order)[0]) for d in (-1e-9, 1e-9))
             assert below == pytest.approx(above, abs=1e-9)
-    base, tip = np.array([-FREE]), np.array([DEPTH])
+    base, tip = np.array([-FREE_LENGTH_MM]), np.array([DEPTH_MM])
     for x, order in ((base, 0), (base, 1), (tip, 2), (tip, 3)):
         assert chosen.at(x, order)[0] == pytest.approx(0, abs=1e-12)
     assert abs(float(np.diff(chosen.at(np.array([17.36999, 17.37001]), 4))[0])) > 1e-6
@@ -166,7 +178,7 @@ def test_the_chosen_deflection_is_smooth_clamped_and_free_at_the_tip():
 
 def test_the_reaction_by_hand_and_its_inverse():
     """alpha = 3, mu = 1, lambda = 1/4: k = 32.125 (see the model's tests); here e = 3 of t = 4 mm."""
-    law, layer = Law.of(layers([1.0], [3.0], thickness=[4.0])), np.array([0])
+    law, layer = ReferenceLaw.of(make_tissue([1.0], [3.0], thickness=[4.0])), np.array([0])
     e, level = np.array([3.0]), np.array([0.0])
     assert law.reaction(layer, e, level)[0] == pytest.approx(3 * 32.125)
     assert law.reaction(layer, -e, level)[0] == pytest.approx(-3 * 32.125)
@@ -175,7 +187,7 @@ def test_the_reaction_by_hand_and_its_inverse():
 
 def test_every_law_stands_in_the_independent_form_too():
     for name in laws.list_laws():
-        law = Law.of(layers([2.0], [1.3], law=name))
+        law = ReferenceLaw.of(make_tissue([2.0], [1.3], law=name))
         force = law.reaction(np.array([0]), np.array([1e-9]), np.array([0.0]))  # raises where it is missing
         assert force[0] == pytest.approx(6e-9), f"write {name} out in needlefit/verification/law.py"
 
@@ -190,7 +202,7 @@ def fault(monkeypatch, change):
     def wrong(tissue):
         return true(change(tissue))
 
-    for module in (simulate_module, stop_module):
+    for module in (simulate_module, clamped_module):
         monkeypatch.setattr(module, "compile_tissue", wrong)
 
 
@@ -232,7 +244,7 @@ def test_friction_left_out_is_noticed(monkeypatch):
 
 def test_wrong_weights_are_noticed(monkeypatch):
     """Quadrature that loses a fiftieth of every element's second half."""
-    true = stop_module.build_grid
+    true = clamped_module.build_grid
 
     def wrong(*arguments):
         grid = true(*arguments)
@@ -240,7 +252,7 @@ def test_wrong_weights_are_noticed(monkeypatch):
         weight[1::2] *= 0.98
         return grid._replace(weight=weight)
 
-    monkeypatch.setattr(stop_module, "build_grid", wrong)
+    monkeypatch.setattr(clamped_module, "build_grid", wrong)
     monkeypatch.setattr(simulate_module, "build_grid", wrong)
     assert failing(cantilever, elastic_foundation) == titles(cantilever) | titles(elastic_foundation)
     assert failing(manufactured) == titles(manufactured)
@@ -249,7 +261,7 @@ def test_wrong_weights_are_noticed(monkeypatch):
 
 def test_one_gauss_point_for_two_costs_orders(monkeypatch):
     """The midpoint rule is consistent, so errors still fall: with order 2, which is seen."""
-    true = stop_module.build_grid
+    true = clamped_module.build_grid
 
     def wrong(*arguments):
         grid = true(*arguments)
@@ -257,7 +269,7 @@ def test_one_gauss_point_for_two_costs_orders(monkeypatch):
         shapes = grid.shapes.reshape(-1, 2, 8).mean(axis=1).repeat(2, axis=0)  # of a nearby rule
         return grid._replace(x=pairs, shapes=shapes)
 
-    monkeypatch.setattr(stop_module, "build_grid", wrong)
+    monkeypatch.setattr(clamped_module, "build_grid", wrong)
     rows = verify(1, manufactured.CHECKS[:1]).rows
     assert rows[0].verdict == "FAILS" and rows[0].measured == pytest.approx(2, abs=0.5)
 
@@ -314,7 +326,7 @@ def test_sub_steps_that_matter_are_noticed(monkeypatch):
 
 
 def test_a_template_that_stays_behind_is_noticed(monkeypatch):
-    true = world.scene
+    true = world_frame.make_scene
 
     def forgotten(origin, turn):
         moved = true(origin, turn)
@@ -324,8 +336,8 @@ def test_a_template_that_stays_behind_is_noticed(monkeypatch):
         )
         return replace(moved, steps=steps) if turn else moved
 
-    monkeypatch.setattr(world, "scene", forgotten)
-    assert failing(world) == titles(world)
+    monkeypatch.setattr(world_frame, "make_scene", forgotten)
+    assert failing(world_frame) == titles(world_frame)
 
 
 def test_a_jacobian_one_part_in_a_million_wrong_is_noticed(monkeypatch):
@@ -400,12 +412,12 @@ def test_a_kind_of_columns_that_is_missing_fails(monkeypatch):
 
 
 def test_a_kind_that_no_case_has_fails(monkeypatch):
-    true = sensitivities.errors
+    true = sensitivities.measure_errors
 
     def measured(other):
         return {name: error for name, error in true(other).items() if not name.startswith("alpha")}
 
-    monkeypatch.setattr(sensitivities, "errors", measured)
+    monkeypatch.setattr(sensitivities, "measure_errors", measured)
     few(monkeypatch)
     assert len(verify(1, sensitivities.CHECKS[:1]).failed) == 3
 
@@ -422,26 +434,26 @@ def test_a_solution_that_fails_under_derivatives_is_not_drawn_again(monkeypatch)
 def test_a_single_distance_without_a_number_fails(check, monkeypatch):
     """The last of ten shapes is no shape: Python's own max of the ten would be a number."""
     shapes = []
-    true = Case.shape
+    true = RandomCase.shape
 
     def last_is_nan(self, *arguments, **named):
         shape = true(self, *arguments, **named)
         shapes.append(shape)
         return replace(shape, u=np.full_like(shape.u, np.nan)) if len(shapes) == 10 else shape
 
-    monkeypatch.setattr(Case, "shape", last_is_nan)
+    monkeypatch.setattr(RandomCase, "shape", last_is_nan)
     assert len(verify(1, [check]).failed) == 1
 
 
 def test_a_tip_that_is_no_number_fails_its_refinement(monkeypatch):
     count = []
-    true = refinement.error
+    true = refinement.measure_error
 
     def third(*arguments):
         count.append(1)
         return np.nan if len(count) == 3 else true(*arguments)
 
-    monkeypatch.setattr(refinement, "error", third)
+    monkeypatch.setattr(refinement, "measure_error", third)
     assert verify(1, refinement.CHECKS[:1]).rows[0].verdict == "FAILS"
     count.clear()
     assert {row.verdict for row in verify(1, refinement.CHECKS[1:]).rows} == {"FAILS"}
@@ -460,13 +472,13 @@ def test_a_difference_that_is_no_number_fails_its_comparison(monkeypatch):
 
 
 def test_an_order_of_errors_that_are_no_numbers_fails(monkeypatch):
-    true = manufactured.refine
+    true = manufactured.measure_errors
 
     def third(title, *case):
         curve = true(title, *case)
         blank = {norm: (*errors[:-1], np.nan) for norm, errors in curve.errors.items()}
         return replace(curve, errors=blank) if "neo" in title else curve
 
-    monkeypatch.setattr(manufactured, "refine", third)
+    monkeypatch.setattr(manufactured, "measure_errors", third)
     failed = failing(manufactured)
     assert any("neo" in title for title in failed) and any("at the nodes" in title for title in failed)

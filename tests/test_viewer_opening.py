@@ -12,8 +12,7 @@ import pytest
 from inference_cases import dataset, insertion, medium
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.inference.as_scene import as_scene, layers_met
-from needlefit.inference.predict import conditions, predict
+from needlefit.inference.forward_model import find_layers, make_scene_record, make_simulation_inputs, predict
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.simulate import simulate_steps
@@ -96,11 +95,11 @@ AGAIN = insertion(38.0, [12.0, 21.5], (1, 2, 1))
     ],
 )
 def test_an_insertion_said_as_a_scene_is_the_needle_that_is_predicted(one, record):
-    said = as_scene(VALUES, record, dataset([one]), one)
+    said = make_scene_record(VALUES, record, dataset([one]), one)
     again = SceneRecord.model_validate_json(said.model_dump_json(by_alias=True))
     scene, (needle, tissue, steps, sharp) = (
         Scene.from_record(again),
-        conditions(VALUES, record, dataset([one]).needle, one),
+        make_simulation_inputs(VALUES, record, dataset([one]).needle, one),
     )
     assert scene.steps == steps and dataclasses.replace(scene.rules, tolerance=sharp.tolerance) == sharp
     for part in ("mu", "alpha", "boundaries", "thickness", "friction"):
@@ -115,9 +114,9 @@ def test_an_insertion_said_as_a_scene_is_the_needle_that_is_predicted(one, recor
 
 def test_a_layer_of_no_thickness_is_left_out():
     squeezed = dataclasses.replace(AGAIN, boundaries=np.array([12.0, 12.0]), sequence=(1, 2, 1))
-    assert layers_met(squeezed) == ((0.0, 1), (12.0, 1))
+    assert find_layers(squeezed) == ((0.0, 1), (12.0, 1))
     at_once = dataclasses.replace(AGAIN, boundaries=np.array([0.0, 12.0]), sequence=(1, 2, 1))
-    assert layers_met(at_once) == ((0.0, 2), (12.0, 1))
+    assert find_layers(at_once) == ((0.0, 2), (12.0, 1))
 
 
 def test_a_scene_is_shown_as_it_is_simulated(monkeypatch, tmp_path):

@@ -20,9 +20,8 @@ from needlefit.geometry.frames import Frame, align_rigid, make_entry_frame
 from needlefit.imaging import volume_files as scans
 from needlefit.imaging.volume import Volume, to_patient
 from needlefit.imaging.volume_files import write_volume
-from needlefit.inference.as_scene import as_scene
-from needlefit.inference.comparison import scored_points
-from needlefit.inference.predict import predict
+from needlefit.inference.compared_points import compare_points
+from needlefit.inference.forward_model import make_scene_record, predict
 from needlefit.mechanics.control import Guide
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import Session
@@ -77,7 +76,7 @@ def test_errors_grow_into_those_of_the_whole_needle():
 
 def test_at_the_measured_depth_errors_are_those_of_a_study():
     shape = predict(OFF, medium(), dataset([MEASURED]).needle, MEASURED)
-    expected = compare_curves(*scored_points("known", 0.0, MEASURED, lambda s: compute_positions(shape, s)))
+    expected = compare_curves(*compare_points("known", 0.0, MEASURED, lambda s: compute_positions(shape, s)))
     found = compute_live_errors(of(MEASURED), shape)
     assert (found.te, found.ipe_mean, found.ipe_max) == (expected.te, expected.mean, expected.maximum)
     assert found.edp == expected.edp
@@ -98,7 +97,7 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     free = dataclasses.replace(MEASURED, planar=turned)
     shape = predict(OFF, medium(), dataset([free]).needle, free)
     one = of(free, "free", shape=shape, drop=5.0)
-    expected = compare_curves(*scored_points("free", 5.0, free, lambda s: compute_positions(shape, s)))
+    expected = compare_curves(*compare_points("free", 5.0, free, lambda s: compute_positions(shape, s)))
     assert compute_live_errors(one, shape).te == expected.te
     assert compute_live_errors(one, straight(30.0)) is None
     onto = compute_positions(shape, one.s)
@@ -107,7 +106,7 @@ def test_a_shape_of_unknown_pose_lies_on_the_needle_and_is_compared_where_it_is_
     assert arc_length(one.points)[-1] == pytest.approx(35.0, abs=0.05)
 
 
-SCENE = Scene.from_record(as_scene(TRUTH, medium(), dataset([PLAN]), PLAN))
+SCENE = Scene.from_record(make_scene_record(TRUTH, medium(), dataset([PLAN]), PLAN))
 
 
 def spread(count: int = 60) -> ParameterDraws:

@@ -13,7 +13,7 @@ from test_viewer_opening import FIT
 from needlefit.datasets.read import read as read_dataset
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Placement
-from needlefit.inference.comparison import target
+from needlefit.inference.compared_points import select_points
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.study import StudyRecord
@@ -74,7 +74,7 @@ def test_a_steered_needle_lies_where_the_files_of_a_run_have_it(pose, tmp_path, 
     steered(tmp_path / "log.csv")
     outcome = replay_to_end(read_recording(tmp_path / "log.csv"))
     one = next(one for one in read_dataset(tmp_path / "data" / "needles").insertions if one.id == ID)
-    s = target(pose, 2.0 if pose == "free" else 0.0, one, NEEDLE_POINTS).s
+    s = select_points(pose, 2.0 if pose == "free" else 0.0, one, NEEDLE_POINTS).s
     found = outcome.placement.to_patient(compute_positions(outcome.state.shape, s))
     np.testing.assert_allclose(found, results.needles[ID].fitted, rtol=0, atol=1e-6)
 

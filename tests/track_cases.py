@@ -8,8 +8,8 @@ import numpy as np
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.tip_tracks import TipTrack
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.tracks.course import tips
 from needlefit.inference.tracks.problem import TrackProblem
+from needlefit.inference.tracks.simulation import simulate_tips
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 
@@ -70,7 +70,7 @@ def track(name: str, guide: np.ndarray, depth: np.ndarray = DEPTH, side: int = 1
 
 def measured(one: TipTrack, shift: float = 0.0, slope: float = 0.0, seed: int | None = None) -> TipTrack:
     """The run as the model has it at the truth, in such a frame, with noise if seeded."""
-    (tip,) = tips([TRUTH], MEDIUM, NEEDLE, [one])
+    (tip,) = simulate_tips([TRUTH], MEDIUM, NEEDLE, [one])
     noise = 0.0 if seed is None else NOISE.point_sd * np.random.default_rng(seed).normal(size=len(one.depth))
     return replace(one, tip=tip[0] + shift + slope * one.depth + noise)
 

@@ -35,8 +35,7 @@ def material(
     prior that fits use, with tables and figure, to OUT/material-<file>/.
     """
     from needlefit.datasets.compression import read_compression
-    from needlefit.inference.material_prior import Foundation
-    from needlefit.inference.population import fit_material
+    from needlefit.inference.material import MaterialFoundation, fit_material
     from needlefit.project.ownership import require_replaceable
     from needlefit.reporting.material import Report, as_json, layout, write_material
     from needlefit.reporting.material_said import summary
@@ -45,7 +44,7 @@ def material(
     require_file_name(file.stem, str(file))
     name = f"material-{file.stem}"
     require_replaceable(out / name)
-    stated = None if foundation is None else Foundation(*foundation)
+    stated = None if foundation is None else MaterialFoundation(*foundation)
     test = read_compression(file, stress)
     report = Report(name, test, fit_material(test), stated)
     write_material(report, out / name)

@@ -1,1 +1,1 @@
-"""From a dataset and a model to fitted parameters with what the data say of them."""
+"""Estimate parameters from a dataset and a model, and state what the data determine."""

@@ -1,4 +1,4 @@
-"""Draws of what is known of the parameters: of a posterior, or of the prior alone."""
+"""Draws of the parameters, from a posterior or from the prior."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Source = Literal["posterior", "importance"]
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of theta (B, P) of a posterior: sampled, or weighed about its modes.
+    """Draws of theta (B, P) of a posterior: sampled, or by importance sampling about its modes.
 
     `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is that of
     the weights, NaN of a sampled posterior.
@@ -29,7 +29,7 @@ class Draws:
     pareto_k: float = math.nan
 
 
-def from_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:
+def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:
     """Return `count` draws, evenly spread over all chains and steps.
 
     Raises
@@ -44,7 +44,7 @@ def from_posterior(posterior: Posterior, parameters: Parameters, count: int) -> 
     return Draws(thetas, "posterior", posterior.faults)
 
 
-def noise_factor(draws: Draws, parameters: Parameters, stated: float | str) -> float:
+def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -> float:
     """Return what multiplies deviations of noise and pose: as stated, or root mean square of the draws'."""
     if NOISE_SCALE not in parameters.free:
         return 1.0 if isinstance(stated, str) else stated
@@ -52,18 +52,20 @@ def noise_factor(draws: Draws, parameters: Parameters, stated: float | str) -> f
     return float(np.sqrt(np.mean(np.square(scales))))
 
 
-def of_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
+def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
     """Return `count` draws (B, P) of the prior: flat within the bounds, times what the medium states."""
     lower, upper = parameters.lower, parameters.upper
     slopes = parameters.prior.slopes(parameters.free)  # (Q, P)
-    told = slopes.any(axis=0)
+    stated_columns = slopes.any(axis=0)
     middle = 0.5 * (lower + upper)
     off = parameters.prior.residuals(parameters.values(middle))
-    spread = np.linalg.pinv(slopes[:, told])
+    spread = np.linalg.pinv(slopes[:, stated_columns])
     drawn = np.empty((0, len(lower)))
     while len(drawn) < count:
         thetas = rng.uniform(lower, upper, size=(count, len(lower)))
-        thetas[:, told] = middle[told] + (rng.standard_normal((count, len(off))) - off) @ spread.T
+        thetas[:, stated_columns] = (
+            middle[stated_columns] + (rng.standard_normal((count, len(off))) - off) @ spread.T
+        )
         inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
         drawn = np.concatenate([drawn, thetas[inside]])
     return drawn[:count]

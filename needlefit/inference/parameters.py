@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
-from needlefit.inference.prior import Prior, prior_of
-from needlefit.inference.ties import NOISE_SCALE, dimension, parse, resolve
+from needlefit.inference.prior import Prior, make_prior
+from needlefit.inference.ties import NOISE_SCALE, dimension, parse_tie, resolve_ties
 from needlefit.mechanics.tissue import Tissue
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
 
@@ -24,12 +24,12 @@ Theta = Sequence[float] | Floats
 Status = Literal["free", "fixed", "tied"]
 
 
-def in_logarithm(name: str) -> bool:
+def is_logarithmic(name: str) -> bool:
     """Return whether theta holds the natural logarithm of this parameter."""
     return dimension(name) != "exponent"
 
 
-SCALES = (0.1, 10.0)
+NOISE_SCALE_BOUNDS = (0.1, 10.0)
 """Bounds of a noise scale that is estimated; its prior is flat in the logarithm."""
 
 
@@ -68,18 +68,18 @@ class Parameters:
         """
         table = record.parameters
         names = _ordered_names(record)
-        ties = {name: parse(name, p.tie) for name, p in table.items() if p.tie is not None}
+        ties = {name: parse_tie(name, p.tie) for name, p in table.items() if p.tie is not None}
         for name in names:
             _check_positive(name, table[name])
         fixed = {name: value for name in names if (value := table[name].fixed) is not None}
-        ends = resolve(ties, frozenset(names))
+        ends = resolve_ties(ties, frozenset(names))
         return cls(
             names=names,
             bounds={name: bounds for name in names if (bounds := table[name].bounds) is not None},
             # what is tied to a fixed parameter is fixed too
             fixed=fixed | {name: factor * fixed[at] for name, (factor, at) in ends.items() if at in fixed},
             ties={name: tie for name, tie in ends.items() if tie[1] not in fixed},
-            prior=prior_of({name: table[name] for name in names}),
+            prior=make_prior({name: table[name] for name in names}),
         )
 
     @property
@@ -90,12 +90,12 @@ class Parameters:
     @property
     def lower(self) -> Floats:
         """Lower bounds of theta: (P,)."""
-        return np.array([_forward(name, self.bounds[name][0]) for name in self.free])
+        return np.array([_to_coordinate(name, self.bounds[name][0]) for name in self.free])
 
     @property
     def upper(self) -> Floats:
         """Upper bounds of theta: (P,)."""
-        return np.array([_forward(name, self.bounds[name][1]) for name in self.free])
+        return np.array([_to_coordinate(name, self.bounds[name][1]) for name in self.free])
 
     @property
     def status(self) -> dict[str, Status]:
@@ -111,7 +111,7 @@ class Parameters:
             raise ValueError(f"theta has {len(theta)} entries, {len(self.bounds)} parameters are free")
         known = dict(self.fixed)
         for name, entry in zip(self.free, theta, strict=True):
-            known[name] = math.exp(entry) if in_logarithm(name) else float(entry)
+            known[name] = math.exp(entry) if is_logarithmic(name) else float(entry)
         for name, (factor, source) in self.ties.items():
             known[name] = factor * known[source]
         return {name: known[name] for name in self.names}
@@ -119,14 +119,14 @@ class Parameters:
     def slopes(self, values: Mapping[str, float]) -> dict[str, Floats]:
         """Return d value / d theta (P,) of every parameter, through logarithms and ties; 0 where fixed."""
         unit = dict(zip(self.free, np.eye(len(self.bounds)), strict=True))
-        known = {n: (values[n] if in_logarithm(n) else 1.0) * row for n, row in unit.items()}
+        known = {n: (values[n] if is_logarithmic(n) else 1.0) * row for n, row in unit.items()}
         tied = {name: factor * known[source] for name, (factor, source) in self.ties.items()}
         held = {name: np.zeros(len(self.bounds)) for name in self.fixed}
         return held | known | tied
 
     def theta(self, values: Mapping[str, float]) -> Floats:
         """Return theta (P,) of the free parameters among `values` (Pa, mm)."""
-        return np.array([_forward(name, values[name]) for name in self.free])
+        return np.array([_to_coordinate(name, values[name]) for name in self.free])
 
     def with_only(self, free: Sequence[str], values: Mapping[str, float]) -> Self:
         """Return parameters of which only `free` stay free, all others fixed at `values`.
@@ -142,9 +142,9 @@ class Parameters:
         ties = {name: tie for name, tie in self.ties.items() if tie[1] in free}
         held = [name for name in self.names if name not in free and name not in ties]
         known = {**self.fixed, **values}
-        lost = [name for name in held if name not in known]
-        if lost:
-            raise ConfigError(f"no value is given for {', '.join(lost)}", fix="give one, or leave it free")
+        missing = [name for name in held if name not in known]
+        if missing:
+            raise ConfigError(f"no value is given for {', '.join(missing)}", fix="give one, or leave it free")
         return replace(
             self,
             bounds={name: self.bounds[name] for name in self.free if name in free},
@@ -153,13 +153,16 @@ class Parameters:
         )
 
 
-def with_noise_scale(parameters: Parameters, most: float = SCALES[1]) -> Parameters:
-    """Return the parameters with a free noise scale, up to `most`, as the last of them."""
-    names, bounds = (*parameters.names, NOISE_SCALE), {**parameters.bounds, NOISE_SCALE: (SCALES[0], most)}
+def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS[1]) -> Parameters:
+    """Return the parameters with a free noise scale, up to `largest`, as the last of them."""
+    names, bounds = (
+        (*parameters.names, NOISE_SCALE),
+        {**parameters.bounds, NOISE_SCALE: (NOISE_SCALE_BOUNDS[0], largest)},
+    )
     return replace(parameters, names=names, bounds=bounds)
 
 
-def tissue(
+def make_tissue(
     values: Mapping[str, float], sequence: Sequence[int], boundaries: Floats, medium: MediumRecord
 ) -> Tissue:
     """Return the tissue met by one insertion.
@@ -190,8 +193,8 @@ def tissue(
     )
 
 
-def _forward(name: str, value: float) -> float:
-    return math.log(value) if in_logarithm(name) else float(value)
+def _to_coordinate(name: str, value: float) -> float:
+    return math.log(value) if is_logarithmic(name) else float(value)
 
 
 def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
@@ -206,19 +209,19 @@ def _ordered_names(record: MediumRecord) -> tuple[str, ...]:
             "; ".join(faults),
             key=f"parameters.{extra[0]}" if extra else "parameters",
             expected=f"{', '.join(needed)} ({record.layers} layers), and guide_distance_mm if wanted",
-            fix=_fix(missing, extra, record.layers),
+            fix=_suggest_fix(missing, extra, record.layers),
         )
     return (*needed, *(["guide_distance_mm"] if "guide_distance_mm" in record.parameters else []))
 
 
-def _fix(missing: Sequence[str], extra: Sequence[str], layers: int) -> str:
+def _suggest_fix(missing: Sequence[str], extra: Sequence[str], layers: int) -> str:
     """Return what to do about missing and unknown parameters: one may be the other, mistyped."""
-    left, fixes = list(missing), []
+    remaining, fixes = list(missing), []
     for name in extra:
-        near = difflib.get_close_matches(name, left, n=1)
+        near = difflib.get_close_matches(name, remaining, n=1)
         fixes.append(f"write `{near[0]}` for `{name}`" if near else f"remove `{name}`")
-        left = [one for one in left if one not in near]
-    fixes += [f"add `{name}`" for name in left]
+        remaining = [one for one in remaining if one not in near]
+    fixes += [f"add `{name}`" for name in remaining]
     return f"{', '.join(fixes)}; or correct `layers = {layers}`"
 
 
@@ -228,7 +231,7 @@ _PER_LAYER = (("mu", "_pa"), ("alpha", ""))
 def _check_positive(name: str, parameter: ParameterRecord) -> None:
     """Refuse what has no logarithm; a fixed bevel of 0, the symmetric tip, is allowed."""
     low = parameter.bounds[0] if parameter.bounds else parameter.fixed
-    if low is None or not in_logarithm(name):
+    if low is None or not is_logarithmic(name):
         return
     if low < 0 or (low == 0 and not (name == "bevel_mm" and parameter.bounds is None)):
         raise ConfigError(

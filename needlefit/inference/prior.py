@@ -1,4 +1,4 @@
-"""What is known of the parameters before any needle is seen: a Gaussian in theta, beside the flat bounds."""
+"""The stated prior: a Gaussian in theta, within the flat bounds."""
 
 import math
 from collections.abc import Mapping, Sequence
@@ -37,7 +37,7 @@ class Prior:
         if not self.names:
             return np.empty(0)
         off = [
-            coordinate(name, values[name]) - mean for name, mean in zip(self.names, self.mean, strict=True)
+            to_coordinate(name, values[name]) - mean for name, mean in zip(self.names, self.mean, strict=True)
         ]
         white: Floats = np.array(self.whitening) @ np.array(off)
         return white
@@ -68,8 +68,8 @@ class Prior:
         spread = np.linalg.inv(np.array(self.whitening))
         return float(np.linalg.norm(spread[self.names.index(name)]))
 
-    def said(self, name: str) -> str:
-        """Return in words what is stated of one parameter, to end a sentence with; nothing if nothing is."""
+    def describe(self, name: str) -> str:
+        """Describe the prior of one parameter, to end a sentence with; empty if there is none."""
         if name not in self.names:
             return ""
         mean, sd = self.mean[self.names.index(name)], self.sd(name)
@@ -80,7 +80,7 @@ class Prior:
         return f"; stated before: {known} (counts in the posterior, not in the errors minimised)"
 
 
-def prior_of(table: Mapping[str, ParameterRecord]) -> Prior:
+def make_prior(table: Mapping[str, ParameterRecord]) -> Prior:
     """Return the prior that a medium's parameters state.
 
     Raises
@@ -100,11 +100,11 @@ def prior_of(table: Mapping[str, ParameterRecord]) -> Prior:
         if one.correlation:
             j = names.index(_alpha_of(name))
             correlations[j, k] = correlations[k, j] = one.correlation
-    peaks = np.array([coordinate(name, _peak(one)) for name, one in stated.items()])
-    return gaussian(names, peaks, correlations * np.outer(sds, sds))
+    peaks = np.array([to_coordinate(name, _peak(one)) for name, one in stated.items()])
+    return make_gaussian_prior(names, peaks, correlations * np.outer(sds, sds))
 
 
-def gaussian(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
+def make_gaussian_prior(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
     """Return the prior of `mean` (Q,) and `covariance` (Q, Q), in theta's coordinates of `names`."""
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     return Prior(tuple(names), tuple(mean.tolist()), tuple(tuple(row) for row in whitening.tolist()))
@@ -133,7 +133,7 @@ def _alpha_of(mu: str) -> str:
     return mu.replace("mu", "alpha").removesuffix("_pa")
 
 
-def coordinate(name: str, value: float) -> float:
+def to_coordinate(name: str, value: float) -> float:
     """Return what theta holds of a parameter's value: its logarithm, but of alpha."""
     return value if dimension(name) == "exponent" else math.log(value)
 

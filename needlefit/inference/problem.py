@@ -1,4 +1,13 @@
-"""One fit as a mathematical problem: theta in, objective, residuals or log posterior out."""
+"""A fit as an optimisation problem: theta in, metric objective, residuals or log posterior out.
+
+The metric objective: how far one simulated needle lies from the measured one, in the paper's own errors.
+
+    ipe * mean_j IPE_j  +  te * TE  +  edp * TE / max(|measured deflection|, edp_floor_mm)            (mm)
+
+with the recipe's weights; edp_floor_mm is about the noise of a tip: a deflection below it says nothing.
+A distance |d| has a kink at 0, where it has no gradient; here it is sqrt(d^2 + e^2) - e with e =
+`SMOOTHING_MM`, which is smooth and at most e shorter.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -11,22 +20,49 @@ from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.errors import ConfigError
 from needlefit.geometry.compare import CurveErrors, compare_curves
 from needlefit.geometry.frames import align_rigid, differentiate_align_rigid
-from needlefit.inference.comparison import Target, curve_of, scored, target
-from needlefit.inference.density import Density
-from needlefit.inference.likelihood.evidence import evidence
-from needlefit.inference.metric import misfit, misfit_slopes
+from needlefit.inference.compared_points import ComparedPoints, align_points, make_curve, select_points
+from needlefit.inference.forward_model import predict, predict_with_derivatives
+from needlefit.inference.likelihood.observation import make_observation
 from needlefit.inference.parameters import Parameters, Theta, with_noise_scale
-from needlefit.inference.predict import predict
-from needlefit.inference.slopes import predict_with_slopes
+from needlefit.inference.posterior_density import PosteriorDensity
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import LikelihoodRecord, ObjectiveName, WeightsRecord
 
 Floats = NDArray[np.float64]
 
-_DEFAULT = LikelihoodRecord()
+SMOOTHING_MM = 1e-4
+"""Distance below which a distance counts as squared, mm: less than any measured centreline is known to."""
 
-PLAIN = Noise(point_sd=0.1)
+
+def metric_misfit(simulated: Floats, measured: Floats, weights: WeightsRecord) -> float:
+    """Return what one insertion contributes, mm: points (K, 2) from the entry to the tip."""
+    off = simulated - measured  # (K, 2)
+    distances = np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (K,)
+    return float(_station_weights(measured, weights) @ distances)
+
+
+def metric_misfit_gradient(
+    simulated: Floats, measured: Floats, weights: WeightsRecord, slopes: Floats
+) -> Floats:
+    """Return the derivatives (P,) of `metric_misfit`, given those of the simulated points, (K, 2, P)."""
+    off = simulated - measured
+    along = off / np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2)[:, None]  # (K, 2)
+    moved: Floats = np.einsum("k,ki,kip->p", _station_weights(measured, weights), along, slopes)
+    return moved
+
+
+def _station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
+    """Return the weight (K,) of the distance at each station."""
+    deflection = abs(float(measured[-1, 1] - measured[0, 1]))
+    station_weights = np.full(len(measured), weights.ipe / len(measured))
+    station_weights[-1] += weights.te + weights.edp / max(deflection, weights.edp_floor_mm)
+    return station_weights
+
+
+_DEFAULT_LIKELIHOOD = LikelihoodRecord()
+
+UNIFORM_NOISE = Noise(point_sd=0.1)
 """That all points err alike; which deviation stands for it hardly matters."""
 
 
@@ -56,7 +92,7 @@ class Problem:
     parameters: Parameters
     weights: WeightsRecord
     noise: Noise | None = None
-    likelihood: LikelihoodRecord = _DEFAULT
+    likelihood: LikelihoodRecord = _DEFAULT_LIKELIHOOD
 
     def __post_init__(self) -> None:
         if not self.insertions:
@@ -93,8 +129,8 @@ class Problem:
 
     def points(self, theta: Theta) -> tuple[tuple[Floats, Floats], ...]:
         """Return the simulated and the measured points (K, 2) compared in each insertion, mm."""
-        pairs = zip(self.targets, self.shapes(theta), strict=True)
-        return tuple(scored(goal, curve_of(shape)) for goal, shape in pairs)
+        pairs = zip(self.compared_points, self.shapes(theta), strict=True)
+        return tuple(align_points(goal, make_curve(shape)) for goal, shape in pairs)
 
     def errors(self, theta: Theta) -> tuple[CurveErrors, ...]:
         """Return how far each simulated needle lies from the measured one."""
@@ -103,25 +139,25 @@ class Problem:
     def objective(self, theta: Theta) -> float:
         """Return the mean over insertions of `metric.misfit`, mm; infinite if any solve fails."""
         values, total = self.values(theta), 0.0
-        for insertion, goal in zip(self.insertions, self.targets, strict=True):
+        for insertion, goal in zip(self.insertions, self.compared_points, strict=True):
             shape = predict(values, self.medium, self.dataset.needle, insertion)
             if not shape.converged:
                 return float("inf")
-            total += misfit(*scored(goal, curve_of(shape)), self.weights)
+            total += metric_misfit(*align_points(goal, make_curve(shape)), self.weights)
         return total / len(self.insertions)
 
-    def slope(self, theta: Theta) -> tuple[float, Floats]:
+    def objective_gradient(self, theta: Theta) -> tuple[float, Floats]:
         """Return `objective` and its exact gradient (P,); NaN where a solve fails."""
         values, total, slope = self.values(theta), 0.0, np.zeros(len(self.names))
-        for insertion, goal in zip(self.insertions, self.targets, strict=True):
-            points, slopes = predict_with_slopes(
+        for insertion, goal in zip(self.insertions, self.compared_points, strict=True):
+            points, slopes = predict_with_derivatives(
                 values, self.parameters, self.medium, self.dataset.needle, insertion, goal.s
             )
             if goal.pose == "free":
                 slopes = differentiate_align_rigid(points, goal.measured, slopes)
                 points = align_rigid(points, goal.measured)
-            total += misfit(points, goal.measured, self.weights)
-            slope += misfit_slopes(points, goal.measured, self.weights, slopes)
+            total += metric_misfit(points, goal.measured, self.weights)
+            slope += metric_misfit_gradient(points, goal.measured, self.weights, slopes)
         return total / len(self.insertions), slope / len(self.insertions)
 
     def residuals(self, theta: Theta) -> Floats:
@@ -149,14 +185,14 @@ class Problem:
         The prior is flat in theta within the bounds (moduli and lengths are log-uniform), times what the
         medium states. -inf outside, NaN where a solve fails: the density is not known there.
         """
-        return self.density.log(self.values(theta)) if self._inside(theta) else float("-inf")
+        return self.density.log_density(self.values(theta)) if self._inside(theta) else float("-inf")
 
     def log_posteriors(self, thetas: Floats, jobs: int = 1) -> Floats:
         """Return `log_posterior` (W,) of many thetas (W, P) at once, on `jobs` threads."""
         density = np.full(len(thetas), -np.inf)
         inside = np.flatnonzero(np.all((thetas >= self.lower) & (thetas <= self.upper), axis=1))
         if len(inside):
-            density[inside] = self.density.logs([self.values(thetas[w]) for w in inside], jobs)
+            density[inside] = self.density.log_densities([self.values(thetas[w]) for w in inside], jobs)
         return density
 
     def _inside(self, theta: Theta) -> bool:
@@ -171,8 +207,8 @@ class Problem:
         """
         if minimized == "metric":
             plain = self.likelihood.model_copy(update={"noise": "independent", "depths": "fixed"})
-            return replace(self, likelihood=plain, noise=PLAIN)
-        if not any(known.nodes.axes for known in self.density.evidence):
+            return replace(self, likelihood=plain, noise=UNIFORM_NOISE)
+        if not any(known.nodes.axes for known in self.density.observations):
             return None
         return replace(self, likelihood=self.likelihood.model_copy(update={"depths": "fixed"}))
 
@@ -181,26 +217,28 @@ class Problem:
         return replace(self, parameters=parameters)
 
     @cached_property
-    def targets(self) -> tuple[Target, ...]:
+    def compared_points(self) -> tuple[ComparedPoints, ...]:
         """What each insertion's simulated needle is compared with; computed once."""
         pose, drop = self.dataset.pose, self.dataset.drop_proximal
-        return tuple(target(pose, drop, insertion) for insertion in self.insertions)
+        return tuple(select_points(pose, drop, insertion) for insertion in self.insertions)
 
     @cached_property
-    def density(self) -> Density:
+    def density(self) -> PosteriorDensity:
         """The posterior density of all values; computed once."""
-        how = self.likelihood
-        known = tuple(evidence(self.dataset, insertion, self.noise, how) for insertion in self.insertions)
-        scale = 1.0 if how.noise_scale == "estimated" else how.noise_scale
-        return Density(self.parameters, self.medium, self.dataset.needle, known, scale)
+        likelihood = self.likelihood
+        known = tuple(
+            make_observation(self.dataset, insertion, self.noise, likelihood) for insertion in self.insertions
+        )
+        scale = 1.0 if likelihood.noise_scale == "estimated" else likelihood.noise_scale
+        return PosteriorDensity(self.parameters, self.medium, self.dataset.needle, known, scale)
 
 
-def problem(
+def make_problem(
     dataset: Dataset,
     insertions: Sequence[Insertion],
     medium: MediumRecord,
     weights: WeightsRecord,
-    likelihood: LikelihoodRecord = _DEFAULT,
+    likelihood: LikelihoodRecord = _DEFAULT_LIKELIHOOD,
 ) -> Problem:
     """Return the problem of fitting `medium` to `insertions`, everything free that the medium frees."""
     parameters = Parameters.from_record(medium)

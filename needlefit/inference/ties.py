@@ -33,7 +33,7 @@ def dimension(name: str) -> str:
     return {"mu": "modulus", "alpha": "exponent"}.get(match[1] or "", "length")
 
 
-def parse(name: str, tie: str) -> tuple[float, str]:
+def parse_tie(name: str, tie: str) -> tuple[float, str]:
     """Return (factor, source) of the tie that the parameter `name` states.
 
     Raises
@@ -43,22 +43,24 @@ def parse(name: str, tie: str) -> tuple[float, str]:
     """
     match = _TIE.fullmatch(tie)
     if match is None:
-        raise _wrong(name, tie, "cannot be read")
+        raise _tie_error(name, tie, "cannot be read")
     try:
         factor = float(match["factor"] or 1.0)
     except ValueError:
-        raise _wrong(name, tie, f"has the factor `{match['factor']}`, which is no number") from None
+        raise _tie_error(name, tie, f"has the factor `{match['factor']}`, which is no number") from None
     if dimension(match["name"]) != dimension(name):
-        raise _wrong(
+        raise _tie_error(
             name, tie, f"joins different quantities, {dimension(name)} and {dimension(match['name'])}"
         )
     positive = dimension(name) != "exponent"
     if not math.isfinite(factor) or (positive and factor <= 0):
-        raise _wrong(name, tie, f"has the factor {factor:g}; moduli and lengths stay positive")
+        raise _tie_error(name, tie, f"has the factor {factor:g}; moduli and lengths stay positive")
     return factor, match["name"]
 
 
-def resolve(ties: Mapping[str, tuple[float, str]], known: frozenset[str]) -> dict[str, tuple[float, str]]:
+def resolve_ties(
+    ties: Mapping[str, tuple[float, str]], known: frozenset[str]
+) -> dict[str, tuple[float, str]]:
     """Return each tied parameter's (factor, source) with a source that is itself not tied.
 
     Raises
@@ -66,32 +68,34 @@ def resolve(ties: Mapping[str, tuple[float, str]], known: frozenset[str]) -> dic
     ConfigError
         If a tie leads to no parameter of the medium, or in a circle.
     """
-    return {name: _follow(name, ties, known) for name in ties}
+    return {name: _resolve_tie(name, ties, known) for name in ties}
 
 
-def _follow(name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[str]) -> tuple[float, str]:
-    factor, at, seen = 1.0, name, [name]
+def _resolve_tie(
+    name: str, ties: Mapping[str, tuple[float, str]], known: frozenset[str]
+) -> tuple[float, str]:
+    factor, at, visited = 1.0, name, [name]
     while at in ties:
         step, at = ties[at]
         factor *= step
-        if at in seen:
+        if at in visited:
             raise ConfigError(
-                f"ties run in a circle: {' -> '.join([*seen, at])}",
+                f"ties run in a circle: {' -> '.join([*visited, at])}",
                 key=f"parameters.{name}.tie",
                 fix="leave one of them free or fixed",
             )
         if at not in known:
             raise ConfigError(
-                f"`{seen[-1]}` is tied to `{at}`, which this medium has not",
+                f"`{visited[-1]}` is tied to `{at}`, which this medium has not",
                 key=f"parameters.{name}.tie",
-                expected=f"one of {', '.join(sorted(known - set(seen)))}",
+                expected=f"one of {', '.join(sorted(known - set(visited)))}",
                 fix="tie it to one of these, or give it bounds",
             )
-        seen.append(at)
+        visited.append(at)
     return factor, at
 
 
-def _wrong(name: str, tie: str, fault: str) -> ConfigError:
+def _tie_error(name: str, tie: str, fault: str) -> ConfigError:
     return ConfigError(
         f"the tie `{tie}` {fault}",
         key=f"parameters.{name}.tie",

@@ -7,7 +7,12 @@ from typing import Any
 
 import pandas as pd
 
-from needlefit.inference.predictive import LEVELS, Mixture, interval, quantile
+from needlefit.inference.predictive_distribution import (
+    INTERVAL_PROBABILITIES,
+    PredictiveMixture,
+    interval,
+    quantile,
+)
 from needlefit.project.atomic_write import replace_folder
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.json_values import to_json_values
@@ -30,9 +35,9 @@ def forecast_table(forecast: Forecast) -> pd.DataFrame:
     """Return one row per station: s and x, then median and ends of the bands of y, all mm."""
     columns = {"s_mm": forecast.s, "x_mm": forecast.x}
     for name in _BANDS:
-        mixture: Mixture = getattr(forecast, name)
+        mixture: PredictiveMixture = getattr(forecast, name)
         columns[f"{name}_median_mm"] = quantile(mixture, 0.5)
-        for level in LEVELS:
+        for level in INTERVAL_PROBABILITIES:
             low, high = interval(mixture, level)
             columns[f"{name}_{100 * level:.0f}_low_mm"] = low
             columns[f"{name}_{100 * level:.0f}_high_mm"] = high
@@ -57,10 +62,13 @@ def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
     """Return the tip's table for the screen."""
     row = forecast_table(forecast).iloc[-1]
     columns = [text("Tip's y"), Column("Median", "mm")]
-    columns += [Column(f"{100 * level:.0f} %", "mm") for level in LEVELS]
+    columns += [Column(f"{100 * level:.0f} %", "mm") for level in INTERVAL_PROBABILITIES]
     cells = []
     for name, said in _BANDS.items():
-        ends = [(row[f"{name}_{100 * p:.0f}_low_mm"], row[f"{name}_{100 * p:.0f}_high_mm"]) for p in LEVELS]
+        ends = [
+            (row[f"{name}_{100 * p:.0f}_low_mm"], row[f"{name}_{100 * p:.0f}_high_mm"])
+            for p in INTERVAL_PROBABILITIES
+        ]
         shown = [f"{fixed(low)} to {fixed(high)}" for low, high in ends]
         cells.append((said, fixed(row[f"{name}_median_mm"]), *shown))
     source = {

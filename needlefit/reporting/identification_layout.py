@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.identifiability.expect import Expectation
-from needlefit.inference.identifiability.information import Direction, combination
+from needlefit.inference.identifiability.design_gain import ExpectedPrecision
+from needlefit.inference.identifiability.information import Direction, describe_combination
 from needlefit.reporting.display import Column, Display, text, without_empty
 from needlefit.reporting.identification_said import millimetres
 from needlefit.reporting.numbers import fixed, in_symbols, number, symbol, typeset
@@ -46,7 +46,7 @@ def identification_layout(identification: pd.DataFrame, expected: bool = False) 
     )
 
 
-def directions_expected_layout(expectation: Expectation) -> Display:
+def directions_expected_layout(expectation: ExpectedPrecision) -> Display:
     """Return the principal directions, best known first."""
     rows = tuple(
         (
@@ -64,7 +64,7 @@ def directions_expected_layout(expectation: Expectation) -> Display:
     return Display("directions", "Combinations that the design can tell, best known first.", columns, rows)
 
 
-def directions_table(expectation: Expectation, origin: str) -> pd.DataFrame:
+def directions_table(expectation: ExpectedPrecision, origin: str) -> pd.DataFrame:
     """Return the principal directions: deviations at the place asked for and near, and their contraction."""
     rows = [
         {
@@ -85,7 +85,7 @@ def directions_table(expectation: Expectation, origin: str) -> pd.DataFrame:
 
 def _combination(direction: Direction, names: tuple[str, ...]) -> str:
     """Return the direction's combination: `mu1 * b^1.9`."""
-    return combination(np.array(direction.weights), names)
+    return describe_combination(np.array(direction.weights), names)
 
 
 def _cells(row: Row) -> tuple[str, ...]:

@@ -10,9 +10,8 @@ import pandas as pd
 
 from needlefit.datasets.compression import CompressionTest
 from needlefit.datasets.formats.toml import dumps
-from needlefit.inference.material import ALPHA_RANGE, SpecimenFit
-from needlefit.inference.material_prior import Foundation, prior_of_material
-from needlefit.inference.population import Material
+from needlefit.inference.material import MaterialEstimate, MaterialFoundation, make_material_prior
+from needlefit.inference.specimen_fit import ALPHA_RANGE, SpecimenFit
 from needlefit.project.atomic_write import replace_folder
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.figures.material import draw_curves, draw_profiles
@@ -35,8 +34,8 @@ class Report:
 
     name: str
     test: CompressionTest
-    material: Material
-    foundation: Foundation | None = None
+    material: MaterialEstimate
+    foundation: MaterialFoundation | None = None
 
 
 def layout(report: Report) -> Display:
@@ -109,7 +108,7 @@ def prior_file(report: Report) -> str:
 
 
 def _prior_tables(report: Report) -> dict[str, Mapping[str, Any]]:
-    alpha, mu = prior_of_material(report.material, report.foundation)
+    alpha, mu = make_material_prior(report.material, report.foundation)
     stated = {"alpha": alpha} if mu is None else {"alpha": alpha, "mu_pa": mu}
     return {name: one.model_dump(exclude_defaults=True) for name, one in stated.items()}
 
@@ -123,7 +122,7 @@ def _cells(fit: SpecimenFit) -> tuple[str, ...]:
         f"{fit.alpha:.2f}".replace("-", "−") if fit.identified else "–",
         ranges.replace("-", "−"),
         f"{100 * fit.noise / size:.2g}",
-        f"{fit.neighbours:.2f}",
-        f"{fit.independent:.0f}",
+        f"{fit.neighbour_correlation:.2f}",
+        f"{fit.effective_points:.0f}",
         verdict(fit),
     )

@@ -2,9 +2,8 @@
 
 from math import exp
 
-from needlefit.inference.material import ALPHA_RANGE, SpecimenFit
-from needlefit.inference.material_prior import Foundation
-from needlefit.inference.population import Material
+from needlefit.inference.material import MaterialEstimate, MaterialFoundation
+from needlefit.inference.specimen_fit import ALPHA_RANGE, SpecimenFit
 from needlefit.reporting.numbers import number
 
 OTHER_MU = (
@@ -14,7 +13,7 @@ OTHER_MU = (
 OPTION = "--foundation FACTOR SPREAD"
 
 
-def summary(material: Material, foundation: Foundation | None) -> list[str]:
+def summary(material: MaterialEstimate, foundation: MaterialFoundation | None) -> list[str]:
     """Return what is known, and what is not, a sentence each."""
     open_ones = [not_identified(fit) for fit in material.fits if not fit.identified]
     if not material.alpha_identified:
@@ -46,7 +45,7 @@ def not_identified(fit: SpecimenFit) -> str:
     return said
 
 
-def prior_note(material: Material) -> str:
+def prior_note(material: MaterialEstimate) -> str:
     """Return what the prior is of, and what is not in it."""
     count = len(material.pooled)
     if count == 1:
@@ -54,7 +53,7 @@ def prior_note(material: Material) -> str:
     return f"a further specimen like these {count}: their spread is in it"
 
 
-def _known(material: Material) -> str:
+def _known(material: MaterialEstimate) -> str:
     sd_log_mu, sd_alpha = material.sds
     mu = f"mu = {number(1e3 * exp(material.mean[0]))} kPa within {100 * sd_log_mu:.2g} %"
     said = (

@@ -5,11 +5,11 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.material import SpecimenFit
-from needlefit.inference.population import Material
+from needlefit.inference.material import MaterialEstimate
+from needlefit.inference.specimen_fit import SpecimenFit
 
 
-def table(material: Material) -> list[dict[str, Any]]:
+def table(material: MaterialEstimate) -> list[dict[str, Any]]:
     """Return one row per specimen for machines, and one for a further specimen if alpha is known."""
     rows = [_row(fit) for fit in material.fits]
     if material.alpha_identified:
@@ -46,10 +46,10 @@ def _row(fit: SpecimenFit) -> dict[str, Any]:
         "correlation": float(fit.covariance[0, 1]) / (sd_log_mu * sd_alpha),
         "alpha_regions_95": " or ".join(f"{low:.4g} to {high:.4g}" for low, high in fit.profile.regions),
         "alpha_identified": fit.identified,
-        "other_alphas": " ".join(f"{other:.4g}" for other in fit.others),
+        "other_alphas": " ".join(f"{other:.4g}" for other in fit.other_alphas),
         "residual_sd_pa": 1e6 * fit.noise,
-        "neighbours_correlation": fit.neighbours,
-        "independent_points": fit.independent,
+        "neighbours_correlation": fit.neighbour_correlation,
+        "independent_points": fit.effective_points,
     }
 
 
@@ -57,12 +57,12 @@ PRIOR = "(prior, ± one sd)"
 """Stands for a specimen in rows of `profiles` that hold the ends of the prior of alpha."""
 
 
-def curves(material: Material) -> pd.DataFrame:
+def curves(material: MaterialEstimate) -> pd.DataFrame:
     """Return measured and fitted stress of all specimens, Pa, negative in compression."""
     return pd.concat([_curve(fit) for fit in material.fits], ignore_index=True)
 
 
-def profiles(material: Material) -> pd.DataFrame:
+def profiles(material: MaterialEstimate) -> pd.DataFrame:
     """Return the profiles of alpha of all specimens, then the ends of the prior that follows, if any does."""
     found = [_profile(fit) for fit in material.fits]
     if material.alpha_identified:
@@ -93,7 +93,7 @@ def _profile(fit: SpecimenFit) -> pd.DataFrame:
             "specimen": fit.specimen.name,
             "alpha": fit.profile.alpha,
             "mu_pa": 1e6 * fit.profile.mu,
-            "log_likelihood": -0.5 * fit.independent * np.log(ratio),
+            "log_likelihood": -0.5 * fit.effective_points * np.log(ratio),
             "in_95_region": ratio <= fit.profile.limit,
         }
     ).replace({np.inf: np.nan, -np.inf: np.nan})

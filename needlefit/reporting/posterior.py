@@ -125,8 +125,8 @@ def _rows(fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], Row]) 
             **dict(zip(map(_head, PERCENTILES), values, strict=True)),
             **_beside(fits.get((str(fold), name)), values),
             "r_hat": float(found.r_hat[number]),
-            "ess_bulk": float(found.bulk[:, number].min()),
-            "ess_tail": float(found.tail[:, number].min()),
+            "ess_bulk": float(found.ess_bulk[:, number].min()),
+            "ess_tail": float(found.ess_tail[:, number].min()),
             **about,
         }
         for number, (name, values) in enumerate(posterior.percentiles().items())

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.inference.identifiability.information import Direction, directions
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.identifiability.information import Direction, principal_directions
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.numbers import in_symbols
 from needlefit.validation.results import Results
 
@@ -64,7 +64,7 @@ def axes_of(draws: pd.DataFrame) -> tuple[Direction, ...]:
     names = [str(name) for name in draws.columns]
     spread = np.atleast_2d(np.cov(coordinates(draws), rowvar=False))
     information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
-    return directions(information, names)
+    return principal_directions(information, names)
 
 
 def is_ridge(axes: tuple[Direction, ...]) -> bool:
@@ -74,7 +74,7 @@ def is_ridge(axes: tuple[Direction, ...]) -> bool:
 
 def coordinates(values: pd.DataFrame) -> Floats:
     """Return values as theta has them (N, P): logarithms of moduli and lengths."""
-    columns = [np.log(values[n]) if in_logarithm(str(n)) else values[n] for n in values.columns]
+    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
     return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
 
 
@@ -86,7 +86,7 @@ def ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
     middle, step = coordinates(draws).mean(axis=0), REACH * axes[-1].sd * np.array(axes[-1].weights)
     return [
         {
-            str(name): float(np.exp(at) if in_logarithm(str(name)) else at)
+            str(name): float(np.exp(at) if is_logarithmic(str(name)) else at)
             for name, at in zip(draws.columns, end, strict=True)
         }
         for end in (middle - step, middle + step)

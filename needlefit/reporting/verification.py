@@ -19,7 +19,7 @@ from needlefit.reporting.figures.convergence import convergence
 from needlefit.reporting.files import write_csv, write_json
 from needlefit.reporting.numbers import MISSING, number, typeset
 from needlefit.validation.provenance import package_versions
-from needlefit.verification.check import Bound, Row
+from needlefit.verification.check import AcceptanceBound, CheckRow
 from needlefit.verification.run import Verification
 
 _PACKAGES = ("numpy", "scipy", "numba")
@@ -41,7 +41,7 @@ def layouts(verification: Verification) -> list[Display]:
         )
         remarks = "; ".join(f"{row.title.split(':')[0]}: {row.remark}" for row in _remarked(shown))
         notes = (f"{remarks}.",) if remarks else ()
-        caption = f"{group.title}. {group.says}"
+        caption = f"{group.title}. {group.explanation}"
         parts.append(Display(group.name.lower(), caption, columns, tuple(cells), notes=notes))
     return parts
 
@@ -143,7 +143,7 @@ def _payload(verification: Verification, pictures: Sequence[Path]) -> dict[str, 
     }
 
 
-def _cells(row: Row, before: Row | None) -> tuple[str, ...]:
+def _cells(row: CheckRow, before: CheckRow | None) -> tuple[str, ...]:
     begins = before is None or before.title != row.title
     same = not begins and before is not None and before.group is row.group
     return (
@@ -166,7 +166,7 @@ def measured_said(value: float) -> str:
     return typeset(f"{mantissa}e{int(exponent)}")
 
 
-def bound_said(bound: Bound) -> str:
+def bound_said(bound: AcceptanceBound) -> str:
     """Return a bound as print has it."""
     low, high = (typeset(number(value)) for value in (bound.low, bound.high))
     if low and high:
@@ -174,6 +174,6 @@ def bound_said(bound: Bound) -> str:
     return f"≤ {high}" if high else f"≥ {low}" if low else MISSING
 
 
-def _remarked(rows: list[Row]) -> list[Row]:
+def _remarked(rows: list[CheckRow]) -> list[CheckRow]:
     first = {row.title: row for row in reversed(rows) if row.remark}
     return [first[title] for title in dict.fromkeys(row.title for row in rows) if title in first]

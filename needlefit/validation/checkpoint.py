@@ -8,8 +8,8 @@ from pathlib import Path
 from typing import Any
 
 from needlefit.errors import DataError, FitError
+from needlefit.inference.fit import Start, start_from_dict, start_to_dict
 from needlefit.inference.sampling.snapshots import Snapshots
-from needlefit.inference.starts import Start, from_dict, to_dict
 from needlefit.project.atomic_write import replace_file
 from needlefit.project.checkpoint_file import MAX_CHECKPOINT_BYTES, set_aside
 from needlefit.project.checkpoint_folder import Lock, claim_checkpoint, hash_work
@@ -34,7 +34,7 @@ class Checkpoint:
     def finished(self, search: str) -> dict[int, Start]:
         """Return the starts of one search that are kept whole."""
         try:
-            starts = [from_dict(row) for row in self.rows(search)]
+            starts = [start_from_dict(row) for row in self.rows(search)]
         except FitError:  # rows of something else, however whole
             self._set_aside(search, [])
             return {}
@@ -42,7 +42,7 @@ class Checkpoint:
 
     def keep(self, search: str, start: Start) -> None:
         """Add a finished start."""
-        self.keep_row(search, to_dict(start))
+        self.keep_row(search, start_to_dict(start))
 
     def rows(self, work: str, keys: Sequence[str] = ()) -> list[dict[str, Any]]:
         """Return the rows, with these `keys`, that are kept of some work.

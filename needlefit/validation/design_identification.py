@@ -7,10 +7,10 @@ from typing import Any, Literal
 import pandas as pd
 
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.identifiability.examine import examine
-from needlefit.inference.identifiability.expect import Expectation, expect
-from needlefit.inference.identifiability.identify import with_noise
-from needlefit.inference.starts import Fit
+from needlefit.inference.fit import Fit
+from needlefit.inference.identifiability.design_gain import ExpectedPrecision, expect_precision
+from needlefit.inference.identifiability.identify import add_estimated_noise
+from needlefit.inference.identifiability.parameter_profiles import profile_parameters
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
 from needlefit.project.result_warnings import warnings_entry
@@ -58,7 +58,7 @@ class Identification:
     depths: tuple[float, float]
     layers: Literal["planned", "stated"]
     thickness: float
-    expectation: Expectation
+    expectation: ExpectedPrecision
     identification: pd.DataFrame
     profiles: pd.DataFrame
     run: dict[str, Any]
@@ -91,8 +91,10 @@ def identify_design(
         )
     values, place = choose_reference_values(job, fitted)
     rng = random_stream(job.recipe.seed, job.name, "design")
-    noise = None if fitted is None else with_noise(job.problem(fold), job.parameters.theta(values)).noise
-    expectation = expect(lambda at: simulate_design(job, fold, at, noise), values, rng)
+    noise = (
+        None if fitted is None else add_estimated_noise(job.problem(fold), job.parameters.theta(values)).noise
+    )
+    expectation = expect_precision(lambda at: simulate_design(job, fold, at, noise), values, rng)
     problem = simulate_design(job, fold, values, noise)
     if expectation is None or problem is None:
         raise FitError(
@@ -102,7 +104,7 @@ def identify_design(
     theta = problem.parameters.theta(values)
     here = Fit(tuple(theta.tolist()), problem.values(theta), 0.0, (), 0, 0, False)
     sds = dict(zip(expectation.names, expectation.sds[0].tolist(), strict=True))
-    found = identify_parameters(problem, examine(problem, here, settings.jobs, settings.stop), sds)
+    found = identify_parameters(problem, profile_parameters(problem, here, settings.jobs, settings.stop), sds)
     rows = [
         {"fold": fold.name, **row, "value": values[n := row["parameter"]], **_sd_range(expectation, n)}
         for row in found.rows
@@ -132,7 +134,7 @@ def identify_design(
     )
 
 
-def _sd_range(expectation: Expectation, name: str) -> dict[str, float]:
+def _sd_range(expectation: ExpectedPrecision, name: str) -> dict[str, float]:
     """Return the range of a parameter's expected deviation over all places."""
     if name not in expectation.names:
         return {}

@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.identifiability.identify import AT_BOUND
-from needlefit.inference.parameters import Parameters, in_logarithm
+from needlefit.inference.identifiability.identify import BOUND_FRACTION
+from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.project.result_warnings import ResultWarning, read_warnings, warnings_entry
 from needlefit.validation.job import Job
 from needlefit.validation.results import BASELINES, Results
@@ -78,11 +78,11 @@ def _bound_warning(what: str, ends: Sequence[str], of: str) -> Iterator[ResultWa
 
 def _describe_bound(name: str, value: float, low: float, high: float) -> str:
     """Return at which bound a fitted value lies, "" if at none."""
-    least, at, most = (math.log(one) if in_logarithm(name) else one for one in (low, value, high))
+    least, at, most = (math.log(one) if is_logarithmic(name) else one for one in (low, value, high))
     place = (at - least) / (most - least)
-    if place < AT_BOUND:
+    if place < BOUND_FRACTION:
         return f"lower bound, {low:g}"
-    return f"upper bound, {high:g}" if place > 1 - AT_BOUND else ""
+    return f"upper bound, {high:g}" if place > 1 - BOUND_FRACTION else ""
 
 
 def baseline_warnings(results: Results) -> Iterator[ResultWarning]:

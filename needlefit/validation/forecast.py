@@ -14,15 +14,15 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.draws import Draws, Source, from_posterior, noise_factor
-from needlefit.inference.likelihood.depths import in_order
-from needlefit.inference.likelihood.pose import pose_sds
+from needlefit.inference.draws import Draws, Source, rms_noise_scale, thin_posterior
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.forward_model import make_options
+from needlefit.inference.importance.fit_posterior import draw_by_importance
+from needlefit.inference.likelihood.depths import enforce_order
+from needlefit.inference.likelihood.observation import pose_sds
 from needlefit.inference.optimize import minimize
-from needlefit.inference.predict import rules
-from needlefit.inference.predictive import Mixture
+from needlefit.inference.predictive_distribution import PredictiveMixture
 from needlefit.inference.sampling.posterior import load
-from needlefit.inference.starts import Watch
-from needlefit.inference.weighing.about_fit import by_importance
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
@@ -70,8 +70,8 @@ class Forecast:
 
     s: Floats
     x: Floats
-    needle: Mixture
-    measured: Mixture
+    needle: PredictiveMixture
+    measured: PredictiveMixture
     source: Source
     failed: int
     outside: int = 0
@@ -106,12 +106,12 @@ def forecast(scene: Scene, draws: Draws, job: Job) -> Forecast:
             fix="look at `needlefit simulate` of the scene; lessen its depth or its deflection",
         )
     y = solved[:, :, 1]
-    factor = noise_factor(draws, job.parameters, job.recipe.likelihood.noise_scale)
+    factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
     return Forecast(
         s=s,
         x=np.median(solved[:, :, 0], axis=0),
-        needle=Mixture(y, np.zeros(len(s))),
-        measured=Mixture(y, factor * _measurement_sd(s, job.dataset)),
+        needle=PredictiveMixture(y, np.zeros(len(s))),
+        measured=PredictiveMixture(y, factor * _measurement_sd(s, job.dataset)),
         source=draws.source,
         failed=len(curves) - len(solved),
         outside=sum(not valid for _, valid in kept),
@@ -141,7 +141,7 @@ def _solve_curve(
     tissue = Tissue(
         np.array([values[f"mu{n}_pa"] * 1e-6 for n in layers]),
         np.array([values[f"alpha{n}"] for n in layers]),
-        in_order(scene.tissue.boundaries + deep + wrong),
+        enforce_order(scene.tissue.boundaries + deep + wrong),
         np.array([job.medium.thickness_mm]),
         law=job.medium.law,
     )
@@ -149,7 +149,7 @@ def _solve_curve(
         replace(step, depth=step.depth + deep, bevel=replace(step.bevel, offset=values["bevel_mm"]))
         for step in scene.steps
     )
-    shape = simulate_steps(scene.needle, tissue, steps, rules(job.medium))
+    shape = simulate_steps(scene.needle, tissue, steps, make_options(job.medium))
     return (compute_positions(shape, s + deep), shape.valid) if shape.converged else None
 
 
@@ -201,7 +201,7 @@ def draw_parameters(job: Job, run: Path, settings: Settings, required: bool = Fa
     if is_file(run / POSTERIOR_FILE):
         require_same_configuration(job, run)
         with convert_stored_errors(run / POSTERIOR_FILE):
-            return from_posterior(load(run / POSTERIOR_FILE), job.parameters, FORECAST_DRAWS)
+            return thin_posterior(load(run / POSTERIOR_FILE), job.parameters, FORECAST_DRAWS)
     if required:
         raise ConfigError(
             f"holds no {POSTERIOR_FILE}",
@@ -212,10 +212,10 @@ def draw_parameters(job: Job, run: Path, settings: Settings, required: bool = Fa
     (fold,) = job.folds
     problem = job.problem(fold)
     rng = random_stream(job.recipe.seed, job.name, fold.name, "fitted", "starts")
-    fit = minimize(problem, job.recipe, rng, Watch(stop=settings.stop, jobs=settings.jobs))
+    fit = minimize(problem, job.recipe, rng, Callbacks(stop=settings.stop, jobs=settings.jobs))
     if fit.interrupted:
         return None
-    found = by_importance(
+    found = draw_by_importance(
         problem, fit, FORECAST_DRAWS, random_stream(job.recipe.seed, job.name, "predict"), settings.jobs
     )
     faults = (*((fit.fault,) if fit.fault else ()), *found.faults)

@@ -17,14 +17,25 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.select import count_layers
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.draws import Draws, from_posterior, noise_factor
-from needlefit.inference.likelihood.covariance import points_covariance
-from needlefit.inference.likelihood.depths import moved
-from needlefit.inference.likelihood.evidence import Evidence, evidence
-from needlefit.inference.likelihood.pose import modes
-from needlefit.inference.predict import predict
-from needlefit.inference.predictive import LEVELS, Mixture, cdf, crps, interval, quantile, worst_level
-from needlefit.inference.weighing.about_fit import drawn_from, of_fit
+from needlefit.inference.draws import Draws, rms_noise_scale, thin_posterior
+from needlefit.inference.forward_model import predict
+from needlefit.inference.importance.fit_posterior import resample_draws, sample_about_fit
+from needlefit.inference.likelihood.depths import shift_depths
+from needlefit.inference.likelihood.observation import (
+    Observation,
+    make_observation,
+    points_covariance,
+    pose_modes,
+)
+from needlefit.inference.predictive_distribution import (
+    INTERVAL_PROBABILITIES,
+    PredictiveMixture,
+    cdf,
+    crps,
+    interval,
+    quantile,
+    simulate_shape_pit,
+)
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.random_streams import random_stream
 from needlefit.validation.folds import Fold
@@ -74,7 +85,7 @@ def draw_fold_parameters(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) ->
     """
     if known.posterior is not None:
         few, many = (
-            from_posterior(known.posterior, job.parameters, count)
+            thin_posterior(known.posterior, job.parameters, count)
             for count in (PREDICTION_DRAWS, FIGURE_DRAWS)
         )
         return few, many
@@ -82,8 +93,8 @@ def draw_fold_parameters(job: Job, fold: Fold, known: FoldFit, jobs: int = 1) ->
         few, many = (Draws(np.empty((count, 0)), "importance") for count in (PREDICTION_DRAWS, FIGURE_DRAWS))
         return few, many
     rng = random_stream(job.recipe.seed, job.name, fold.name, "foretold")
-    found = of_fit(job.problem(fold), known.fit, rng, jobs)
-    few, many = (drawn_from(found, count, rng) for count in (PREDICTION_DRAWS, FIGURE_DRAWS))
+    found = sample_about_fit(job.problem(fold), known.fit, rng, jobs)
+    few, many = (resample_draws(found, count, rng) for count in (PREDICTION_DRAWS, FIGURE_DRAWS))
     return few, many
 
 
@@ -120,12 +131,12 @@ def predict_held_out(job: Job, fold: Fold, draws: Draws) -> Iterator[HeldOutPred
 
     Of an insertion whose points have no stated noise, nothing: its measurement then has no distribution.
     """
-    factor = noise_factor(draws, job.parameters, job.recipe.likelihood.noise_scale)
+    factor = rms_noise_scale(draws, job.parameters, job.recipe.likelihood.noise_scale)
     for insertion in fold.validate:
         if not job.dataset.noise.stated and insertion.sd is None:
             continue
         chance = random_stream(job.recipe.seed, job.name, fold.name, "foretold", insertion.id)
-        observation = evidence(job.dataset, insertion, how=job.recipe.likelihood)
+        observation = make_observation(job.dataset, insertion, likelihood=job.recipe.likelihood)
         curves = [_solve_heights(job, theta, insertion, observation, chance) for theta in draws.thetas]
         kept = [curve for curve in curves if curve is not None]
         solved = np.array([heights for heights, _ in kept])
@@ -134,9 +145,11 @@ def predict_held_out(job: Job, fold: Fold, draws: Draws) -> Iterator[HeldOutPred
                 factor**2 * _measurement_covariance(job, observation),
                 observation.measured[:, 1],
             )
-            mixture = Mixture(solved, np.sqrt(np.diag(covariance)))
+            mixture = PredictiveMixture(solved, np.sqrt(np.diag(covariance)))
             row = {"fold": fold.name, **_describe_insertion(job, insertion, draws, len(curves) - len(solved))}
-            row |= _score_prediction(mixture, measured, worst_level(mixture, covariance, measured, chance))
+            row |= _score_prediction(
+                mixture, measured, simulate_shape_pit(mixture, covariance, measured, chance)
+            )
             where = {"fold": fold.name, "insertion": insertion.id}
             band = ({**where, **point} for point in _band_rows(mixture, observation.measured))
             yield HeldOutPrediction(
@@ -148,7 +161,7 @@ def predict_held_out(job: Job, fold: Fold, draws: Draws) -> Iterator[HeldOutPred
 
 
 def _solve_heights(
-    job: Job, theta: Floats, insertion: Insertion, observation: Evidence, rng: np.random.Generator
+    job: Job, theta: Floats, insertion: Insertion, observation: Observation, rng: np.random.Generator
 ) -> tuple[Floats, bool] | None:
     """Return y (K,) of one draw's needle at the measured points, and its validity; None if a solve fails."""
     values = job.parameters.values(theta)
@@ -159,7 +172,7 @@ def _solve_heights(
         return None
     count = len(met.boundaries)
     shifts = deep + insertion.boundary_sd * wrong[:count]
-    perturbed, s = moved(met, observation.nodes.s[0], shifts, deep)
+    perturbed, s = shift_depths(met, observation.nodes.s[0], shifts, deep)
     shape = predict(values, job.medium, job.dataset.needle, perturbed)
     if not shape.converged:
         return None
@@ -170,14 +183,14 @@ def _solve_heights(
     return heights, shape.valid
 
 
-def _measurement_covariance(job: Job, observation: Evidence) -> Floats:
+def _measurement_covariance(job: Job, observation: Observation) -> Floats:
     """Return the covariance (K, K) of the measured y about a given needle: of points, and of a known pose.
 
     A free shape is laid on the measured one, which takes from its errors what a motion can.
     """
     if observation.pose == "known":
         return np.asarray(np.linalg.inv(observation.whitening.T @ observation.whitening), dtype=np.float64)
-    moved_by: Floats = np.linalg.qr(modes(observation.measured)[:, :2])[0]  # (K, 2): across, turn
+    moved_by: Floats = np.linalg.qr(pose_modes(observation.measured)[:, :2])[0]  # (K, 2): across, turn
     left = np.eye(len(moved_by)) - moved_by @ moved_by.T
     aligned: Floats = left @ points_covariance(observation.nodes.s[0], job.dataset.noise) @ left
     return aligned
@@ -197,26 +210,26 @@ def _describe_insertion(job: Job, insertion: Insertion, draws: Draws, failed: in
     }
 
 
-def _band_rows(mixture: Mixture, measured: Floats) -> Iterator[Row]:
+def _band_rows(mixture: PredictiveMixture, measured: Floats) -> Iterator[Row]:
     """Yield median and intervals at some of the measured points (K, 2), the tip the last."""
     kept = np.unique(np.linspace(0, len(measured) - 1, BAND_POINTS).round().astype(np.int64))
-    some = Mixture(mixture.means[:, kept], mixture.sd[kept])
+    some = PredictiveMixture(mixture.means[:, kept], mixture.sd[kept])
     columns = {"x_mm": measured[kept, 0], "measured_mm": measured[kept, 1], "median_mm": quantile(some, 0.5)}
-    for level in LEVELS:
+    for level in INTERVAL_PROBABILITIES:
         ends = zip(("low", "high"), interval(some, level), strict=True)
         columns |= {f"{side}_{100 * level:.0f}_mm": end for side, end in ends}
     for k in range(len(kept)):
         yield {name: float(values[k]) for name, values in columns.items()}
 
 
-def _score_prediction(mixture: Mixture, measured: Floats, shape_pit: float) -> Row:
+def _score_prediction(mixture: PredictiveMixture, measured: Floats, shape_pit: float) -> Row:
     """Return what became of the prediction of points (K,), the last of them the tip."""
-    tip = Mixture(mixture.means[:, -1:], mixture.sd[-1:])
+    tip = PredictiveMixture(mixture.means[:, -1:], mixture.sd[-1:])
     at, score = float(measured[-1]), crps(mixture, measured)
     row: Row = {"tip_measured_mm": at, "tip_median_mm": float(quantile(tip, 0.5)[0])}
     row |= {"tip_pit": float(cdf(tip, [at])[0]), "tip_crps_mm": float(score[-1])}
     row |= {"shape_crps_mm": float(score.mean()), "shape_pit": shape_pit}
-    for level in LEVELS:
+    for level in INTERVAL_PROBABILITIES:
         name = f"{100 * level:.0f}"
         low, high = interval(mixture, level)
         row |= {f"tip_{name}_low_mm": float(low[-1]), f"tip_{name}_high_mm": float(high[-1])}

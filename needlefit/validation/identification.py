@@ -7,11 +7,16 @@ from typing import Any
 
 import numpy as np
 
-from needlefit.inference.identifiability.agreement import Judgement, is_small, judge, unlike
-from needlefit.inference.identifiability.examine import Examination, Examined
-from needlefit.inference.identifiability.identify import Verdict, known_before
-from needlefit.inference.identifiability.profile import THRESHOLD
-from needlefit.inference.parameters import Parameters, in_logarithm
+from needlefit.inference.identifiability.assessment import (
+    Assessment,
+    add_sampled_disagreement,
+    assess_parameter,
+    is_determined_by_data,
+)
+from needlefit.inference.identifiability.identify import Identifiability, prior_information
+from needlefit.inference.identifiability.parameter_profiles import FitProfiles, ParameterProfile
+from needlefit.inference.identifiability.profile import DEVIANCE_95
+from needlefit.inference.parameters import Parameters, is_logarithmic
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
 
@@ -48,13 +53,16 @@ class IdentificationRows:
         Of the frames "identification" and "profiles".
     """
 
-    judgements: Mapping[str, Judgement]
+    judgements: Mapping[str, Assessment]
     rows: tuple[Row, ...]
     points: tuple[Row, ...]
 
 
 def identify_parameters(
-    problem: Problem, examination: Examination, sds: Mapping[str, float], verdict: Verdict | None = None
+    problem: Problem,
+    examination: FitProfiles,
+    sds: Mapping[str, float],
+    verdict: Identifiability | None = None,
 ) -> IdentificationRows:
     """Return what examination and deviations say together.
 
@@ -67,7 +75,7 @@ def identify_parameters(
     verdict : Verdict, optional
         Of the fit; before one, a parameter counts as determined if its sd and its profile say so.
     """
-    spread = np.linalg.inv(known_before(problem)) if problem.names else np.zeros((0, 0))
+    spread = np.linalg.inv(prior_information(problem)) if problem.names else np.zeros((0, 0))
     before = dict(zip(problem.names, np.sqrt(np.diag(spread)).tolist(), strict=True))
     judgements, rows, points = {}, [], []
     for one in examination.parameters:
@@ -75,10 +83,10 @@ def identify_parameters(
         alone = 1 / math.hypot(1 / one.profile.sd, 1 / prior_sd)
         sd = sds.get(one.name, alone)
         scatter = 1.0 if verdict is None else sd / alone
-        judged = judge(one, (sd, prior_sd), _equal_starts_range(one, verdict), scatter)
+        judged = assess_parameter(one, (sd, prior_sd), _equal_starts_range(one, verdict), scatter)
         judgements[one.name] = judged
         if verdict is None:
-            is_determined = is_small(one.name, sd, prior_sd)
+            is_determined = is_determined_by_data(one.name, sd, prior_sd)
         else:
             is_determined = verdict.determined.get(one.name, False)
         known = is_determined and judged.determined and one.fixed_at is None
@@ -87,14 +95,14 @@ def identify_parameters(
     return IdentificationRows(judgements, tuple(rows), tuple(points))
 
 
-def reconcile_verdict(verdict: Verdict, judgements: Mapping[str, Judgement]) -> Verdict:
+def reconcile_verdict(verdict: Identifiability, judgements: Mapping[str, Assessment]) -> Identifiability:
     """Return the verdict without the parameters whose profiles contradict it, and say so in their notes."""
     denied = {n for n, one in judgements.items() if verdict.determined.get(n) and not one.determined}
     return replace(
         verdict,
         determined={n: known and n not in denied for n, known in verdict.determined.items()},
         notes={
-            n: f"not determined: its profile is {judgements[n].says}" if n in denied else note
+            n: f"not determined: its profile is {judgements[n].profile_verdict}" if n in denied else note
             for n, note in verdict.notes.items()
         },
     )
@@ -106,20 +114,22 @@ def add_sampled_ratios(posterior: Posterior, rows: list[Row]) -> None:
     for row in rows:
         if row["parameter"] in posterior.names:
             draws = flat[:, posterior.names.index(row["parameter"])]
-            draws = np.log(draws) if in_logarithm(row["parameter"]) else draws
+            draws = np.log(draws) if is_logarithmic(row["parameter"]) else draws
             row["sd_ratio_sampled"] = float(np.std(draws)) / row["prior_sd"]
-            row["agreement"] = unlike(row["agreement"], row["sd_ratio"], row["sd_ratio_sampled"])
+            row["agreement"] = add_sampled_disagreement(
+                row["agreement"], row["sd_ratio"], row["sd_ratio_sampled"]
+            )
 
 
-def _equal_starts_range(one: Examined, verdict: Verdict | None) -> tuple[float, float] | None:
+def _equal_starts_range(one: ParameterProfile, verdict: Identifiability | None) -> tuple[float, float] | None:
     """Return between which coordinates equally good starts ended, where there are several."""
     if verdict is None or verdict.equal_starts < 2 or one.name not in verdict.spread_low:
         return None
     ends = verdict.spread_low[one.name], verdict.spread_high[one.name]
-    return (math.log(ends[0]), math.log(ends[1])) if in_logarithm(one.name) else ends
+    return (math.log(ends[0]), math.log(ends[1])) if is_logarithmic(one.name) else ends
 
 
-def _parameter_row(one: Examined, judged: Judgement, prior_sd: float, sd: float) -> Row:
+def _parameter_row(one: ParameterProfile, judged: Assessment, prior_sd: float, sd: float) -> Row:
     profile, nothing = one.profile, math.nan
     return {
         "parameter": one.name,
@@ -138,13 +148,13 @@ def _parameter_row(one: Examined, judged: Judgement, prior_sd: float, sd: float)
         "end_high": profile.ends[1],
         "rise": profile.rise,
         "minima": profile.minima,
-        "tip_range_mm": nothing if one.tip_moves is None else one.tip_moves,
-        "profile_verdict": judged.says,
+        "tip_range_mm": nothing if one.tip_range_mm is None else one.tip_range_mm,
+        "profile_verdict": judged.profile_verdict,
         "agreement": judged.agreement,
     }
 
 
-def _profile_rows(parameters: Parameters, one: Examined) -> list[Row]:
+def _profile_rows(parameters: Parameters, one: ParameterProfile) -> list[Row]:
     """Return the computed points of one profile, with where all other parameters went."""
     profile = one.profile
     # a freed alpha is not among the fit's parameters: it stands under its own name, theirs keep theirs
@@ -156,7 +166,7 @@ def _profile_rows(parameters: Parameters, one: Examined) -> list[Row]:
             "deviance": float(profile.deviance[k]),
             "slope": float(profile.slope[k]),
             "fisher_deviance": float(profile.parabola(profile.at[k : k + 1])[0]),
-            "threshold": THRESHOLD,
+            "threshold": DEVIANCE_95,
             **{name: _to_value(name, float(at)) for name, at in zip(names, profile.thetas[k], strict=True)},
         }
         for k in range(len(profile.at))
@@ -168,4 +178,4 @@ def _names_with(parameters: Parameters, name: str) -> tuple[str, ...]:
 
 
 def _to_value(name: str, coordinate: float) -> float:
-    return math.exp(coordinate) if in_logarithm(name) else coordinate
+    return math.exp(coordinate) if is_logarithmic(name) else coordinate

@@ -8,9 +8,9 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor, estimate_noise_floor
 from needlefit.datasets.read import read
 from needlefit.errors import ConfigError, ModelError
-from needlefit.inference.material_prior import with_material
+from needlefit.inference.forward_model import make_options as mesh
+from needlefit.inference.material import set_material_prior
 from needlefit.inference.parameters import Parameters, with_noise_scale
-from needlefit.inference.predict import rules as mesh
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
 from needlefit.mechanics.plan import check_size, count_element_solves
@@ -192,7 +192,7 @@ def _load_medium(record: FitRecord | StudyRecord, file: Path) -> MediumRecord:
     for layer, path in record.priors.items():
         material = load(Path(path), MaterialRecord)
         with add_key_context(f"priors.{layer}"):
-            medium = with_material(medium, layer, material)
+            medium = set_material_prior(medium, layer, material)
     return medium
 
 

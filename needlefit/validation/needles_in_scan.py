@@ -15,13 +15,13 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.curves import arc_length, interpolate_at_arc
 from needlefit.geometry.frames import Placement, align_rigid
-from needlefit.inference.comparison import curve_of, target
-from needlefit.inference.draws import from_posterior
-from needlefit.inference.identifiability.identify import Verdict
-from needlefit.inference.identifiability.information import jacobian, steps
-from needlefit.inference.predict import predict, predict_each
+from needlefit.inference.compared_points import make_curve, select_points
+from needlefit.inference.draws import thin_posterior
+from needlefit.inference.fit import Fit
+from needlefit.inference.forward_model import make_batch, predict
+from needlefit.inference.identifiability.identify import Identifiability
+from needlefit.inference.identifiability.information import difference_jacobian, difference_steps
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.starts import Fit
 from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.validation.folds import Fold
@@ -93,7 +93,7 @@ class FoldFit:
     """What one fold found out: the fit, how well it is known, and draws where they were asked for."""
 
     fit: Fit
-    verdict: Verdict
+    verdict: Identifiability
     posterior: Posterior | None = None
 
 
@@ -138,7 +138,7 @@ class _NeedleCurve:
     def s(self) -> Floats:
         """Beam coordinates (K,), mm."""
         dataset = self.job.dataset
-        return target(dataset.pose, dataset.drop_proximal, self.insertion, NEEDLE_POINTS).s
+        return select_points(dataset.pose, dataset.drop_proximal, self.insertion, NEEDLE_POINTS).s
 
     def points(self, theta: Floats) -> Floats:
         """Return the needle (K, 2) in C, aligned where the pose is free; NaN where the solve fails."""
@@ -146,7 +146,7 @@ class _NeedleCurve:
         shape = predict(values, self.job.medium, self.job.dataset.needle, self.insertion)
         if not shape.converged:
             return np.full((NEEDLE_POINTS, 2), np.nan)
-        return self.align(curve_of(shape)(self.s))
+        return self.align(make_curve(shape)(self.s))
 
     def heights(self, theta: Floats) -> Floats:
         """Return y of the needle (K,)."""
@@ -176,7 +176,7 @@ def _linear_band(stations: _NeedleCurve, known: FoldFit) -> tuple[Floats, Floats
         return None
     weights = np.array([direction.weights for direction in known.verdict.directions])  # (D, P)
     sds = np.array([direction.sd for direction in known.verdict.directions])
-    moves = jacobian(stations.heights, theta, steps(names)) @ weights.T * sds  # (K, D)
+    moves = difference_jacobian(stations.heights, theta, difference_steps(names)) @ weights.T * sds  # (K, D)
     width = NORMAL_95_HALF_WIDTH_SD * np.sqrt(np.sum(moves**2, axis=1))
     if not np.isfinite(width).all():
         return None
@@ -188,9 +188,9 @@ def _sampled_band(
 ) -> tuple[Floats, Floats, Floats] | None:
     """Return the band (low, middle, high) of y over the needles of draws; None where none can be solved."""
     job, insertion = stations.job, stations.insertion
-    draws = from_posterior(posterior, job.parameters, BAND_DRAWS)
+    draws = thin_posterior(posterior, job.parameters, BAND_DRAWS)
     sets = [job.parameters.values(theta) for theta in draws.thetas]
-    (shapes,) = simulate_batches([predict_each(sets, job.medium, job.dataset.needle, insertion)], jobs)
+    (shapes,) = simulate_batches([make_batch(sets, job.medium, job.dataset.needle, insertion)], jobs)
     needles = compute_batch_positions(shapes, stations.s)[shapes.converged]  # (B, K, 2)
     if not len(needles):
         return None

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion, Noise
 from needlefit.datasets.layers import find_layers
-from needlefit.inference.predict import predict
+from needlefit.inference.forward_model import predict
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points

@@ -6,7 +6,7 @@ from dataclasses import asdict
 from importlib.metadata import version
 from typing import Any
 
-from needlefit.inference.predict import rules as mesh
+from needlefit.inference.forward_model import make_options as mesh
 from needlefit.schemas.medium import MediumRecord
 from needlefit.validation.job import Job
 from needlefit.validation.result_rows import ResultRows

@@ -9,25 +9,24 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.baselines import Baseline, curve_for, fit_baselines
-from needlefit.inference.comparison import Curve
+from needlefit.inference.baselines import Baseline, fit_baselines, make_baseline_curve
+from needlefit.inference.compared_points import Curve
 from needlefit.inference.draws import Draws
-from needlefit.inference.failure import failure
-from needlefit.inference.identifiability.agreement import Judgement
-from needlefit.inference.identifiability.examine import Examination
+from needlefit.inference.evaluation_checks import explain_failure, find_outside_validity
+from needlefit.inference.fit import Fit, Start
+from needlefit.inference.identifiability.assessment import Assessment
 from needlefit.inference.identifiability.identify import (
-    EQUAL_LOG,
-    Verdict,
-    as_good,
-    excess,
+    LOG_POSTERIOR_TOLERANCE,
+    Identifiability,
     identify,
-    practically_equal,
+    objective_excess,
+    select_within_tolerance,
+    within_tolerance,
 )
-from needlefit.inference.outside import outside
+from needlefit.inference.identifiability.parameter_profiles import FitProfiles
 from needlefit.inference.parameters import Theta
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.posterior import Posterior
-from needlefit.inference.starts import Fit, Start
 from needlefit.validation.folds import Fold
 from needlefit.validation.held_out_predictions import HeldOutPrediction
 from needlefit.validation.identification import add_sampled_ratios, identify_parameters, reconcile_verdict
@@ -55,7 +54,7 @@ class ResultRows:
     draws: list[Row] = field(default_factory=list)
     searches: dict[str, dict[str, Row]] = field(default_factory=dict)
     posteriors: dict[str, Posterior] = field(default_factory=dict)
-    verdicts: dict[str, Verdict] = field(default_factory=dict)
+    verdicts: dict[str, Identifiability] = field(default_factory=dict)
     search_faults: dict[str, list[str]] = field(default_factory=dict)
     counts: ValidityCounts = field(default_factory=ValidityCounts)
 
@@ -72,7 +71,7 @@ def tabulate_fold(
     fits: Mapping[str, Fit],
     scorer: Scorer,
     tables: ResultRows,
-    examination: Examination | None = None,
+    examination: FitProfiles | None = None,
 ) -> None:
     """Score every method of one fold, and say what the searches found and what profiles make of it."""
     usable = {name: fit for name, fit in fits.items() if math.isfinite(fit.objective)}
@@ -81,7 +80,7 @@ def tabulate_fold(
         place = {"fold": fold.name, "fit": name}
         tables.starts += [{**place, **_start_row(problem, start, fit)} for start in fit.starts]
         ends = [start.theta for start in fit.starts if math.isfinite(start.objective)]
-        tables.counts.starts.add(len(ends), int(outside(problem, ends).sum()))
+        tables.counts.starts.add(len(ends), int(find_outside_validity(problem, ends).sum()))
         for start in fit.starts:
             tables.failures += _failure_rows({**place, "start": start.index}, problem, start.failed)
     tables.searches[fold.name] = {name: _search_row(fit) for name, fit in fits.items()}
@@ -89,7 +88,7 @@ def tabulate_fold(
         tables.search_faults[fold.name] = faults
     if "fitted" in usable:
         verdict = identify(job.problem(fold), usable["fitted"])
-        judgements: Mapping[str, Judgement] = {}
+        judgements: Mapping[str, Assessment] = {}
         if examination is not None:
             found = identify_parameters(job.problem(fold), examination, verdict.sds, verdict)
             tables.identification += [{"fold": fold.name, **row} for row in found.rows]
@@ -128,7 +127,9 @@ def tabulate_draws(job: Job, fold: Fold, draws: Draws, tables: ResultRows) -> No
         "certified": not draws.faults,
     }
     tables.draws += [{**about, **job.parameters.values(theta)} for theta in draws.thetas]
-    tables.counts.draws.add(len(draws.thetas), int(outside(job.problem(fold), draws.thetas).sum()))
+    tables.counts.draws.add(
+        len(draws.thetas), int(find_outside_validity(job.problem(fold), draws.thetas).sum())
+    )
 
 
 def tabulate_predictions(predictions: Iterable[HeldOutPrediction], tables: ResultRows) -> None:
@@ -156,13 +157,13 @@ def make_predictors(job: Job, fold: Fold, fits: Mapping[str, Fit]) -> dict[str, 
 
 
 def _curve(baseline: Baseline) -> Callable[[Insertion], Curve]:
-    return lambda insertion: curve_for(baseline, insertion)
+    return lambda insertion: make_baseline_curve(baseline, insertion)
 
 
-def _search_faults(fit: Fit | None, examination: Examination | None) -> list[str]:
+def _search_faults(fit: Fit | None, examination: FitProfiles | None) -> list[str]:
     """Return why the best point of a search may not be the best there is."""
     faults = [fit.fault] if fit is not None and fit.fault else []
-    if examination is not None and examination.gain > EQUAL_LOG:
+    if examination is not None and examination.gain > LOG_POSTERIOR_TOLERANCE:
         faults.append(
             f"the profiles met a log posterior {examination.gain:.3g} above that of the fit: raise the "
             "recipe’s starts or evaluations"
@@ -175,8 +176,8 @@ def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
         "start": start.index,
         "minimized": fit.minimized,
         "objective": start.objective,
-        "excess": excess(start, fit),
-        "within_tolerance": as_good(start, fit),
+        "excess": objective_excess(start, fit),
+        "within_tolerance": within_tolerance(start, fit),
         "evaluations": start.evaluations,
         "gradients": start.gradients,
         "failed_solves": start.failures,
@@ -188,7 +189,7 @@ def _start_row(problem: Problem, start: Start, fit: Fit) -> Row:
 
 def _failure_rows(place: Row, problem: Problem, thetas: Iterable[Theta]) -> list[Row]:
     """Return one row per theta that failed, simulated again for the insertion and the reason."""
-    found = [(failure(problem, theta), problem.values(theta)) for theta in thetas]
+    found = [(explain_failure(problem, theta), problem.values(theta)) for theta in thetas]
     return [{**place, "insertion": f.insertion, "reason": f.reason, **values} for f, values in found]
 
 
@@ -200,7 +201,7 @@ def _search_row(fit: Fit) -> Row:
         _UNITS[fit.minimized]: fit.objective if math.isfinite(fit.objective) else None,
         "values": dict(fit.values),
         "starts": len(fit.starts),
-        "equal_starts": len(practically_equal(fit)),
+        "equal_starts": len(select_within_tolerance(fit)),
         "evaluations": fit.evaluations,
         "gradients": fit.gradients,
         "failed_solves": fit.failures,
@@ -208,7 +209,7 @@ def _search_row(fit: Fit) -> Row:
 
 
 def _fitted_rows(
-    job: Job, fold: Fold, fit: Fit, verdict: Verdict, judgements: Mapping[str, Judgement]
+    job: Job, fold: Fold, fit: Fit, verdict: Identifiability, judgements: Mapping[str, Assessment]
 ) -> list[Row]:
     """Return the fitted values with what the data say of them; a tied one shares its source's verdict."""
     status = job.parameters.status
@@ -242,7 +243,9 @@ def _fitted_rows(
 def _metric_rows(job: Job, fold: Fold, fit: Fit) -> list[Row]:
     """Return the values that the metric objective prefers; what they are worth is said of the posterior's."""
     unknown = dict.fromkeys(("bound_low", "bound_high", "sd"), math.nan)
-    ends = np.array([s.theta for s in practically_equal(fit)] or [fit.theta]).reshape(-1, len(fit.theta))
+    ends = np.array([s.theta for s in select_within_tolerance(fit)] or [fit.theta]).reshape(
+        -1, len(fit.theta)
+    )
     low, high = (job.parameters.values(end(ends, axis=0)) for end in (np.min, np.max))
     return [
         {
@@ -267,9 +270,13 @@ def _describe_status(name: str, status: str, factor: float, source: str) -> str:
     )
 
 
-def _describe_profile(judged: Judgement | None) -> str:
+def _describe_profile(judged: Assessment | None) -> str:
     """Return what to add to the note of a fixed parameter that was freed for its profile."""
-    return "" if judged is None else f"; freed, {'its profile is flat' if judged.flat else judged.says}"
+    return (
+        ""
+        if judged is None
+        else f"; freed, {'its profile is flat' if judged.flat else judged.profile_verdict}"
+    )
 
 
 def _published_rows(job: Job, fold: Fold, retuned: Fit | None) -> list[Row]:

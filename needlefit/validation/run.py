@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.errors import FitError
-from needlefit.inference.identifiability.examine import Examination, examine
-from needlefit.inference.identifiability.identify import practically_equal
+from needlefit.inference.fit import Callbacks, Fit, Start
+from needlefit.inference.identifiability.identify import select_within_tolerance
+from needlefit.inference.identifiability.parameter_profiles import FitProfiles, profile_parameters
 from needlefit.inference.optimize import minimize
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.starts import Fit, Start, Watch
 from needlefit.project.random_streams import random_stream
 from needlefit.project.threads import one_thread
 from needlefit.schemas.study import FitRecord, StudyRecord
@@ -107,9 +107,9 @@ def _run_searches(
         key = f"{fold.name}/{search}"
         kept = checkpoint.finished(key)
         counter = _StartCounter(settings, label, done + len(kept), total, key, checkpoint)
-        watch = Watch(kept, counter.report, settings.stop, counter.approach, settings.jobs)
+        callbacks = Callbacks(kept, counter.report, settings.stop, counter.approach, settings.jobs)
         rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
-        fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, watch)
+        fits[search] = minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
     return fits
 
 
@@ -133,12 +133,12 @@ class _StartCounter:
         self.settings.progress(self.label, self.done, self.total)
 
 
-def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> Examination | None:
+def _examine(job: Job, fold: Fold, fits: dict[str, Fit], settings: Settings) -> FitProfiles | None:
     """Return the profiles of the fit; many folds are scored, not examined."""
     if len(job.folds) > 1 or not math.isfinite(fits["fitted"].objective):
         return None
     settings.progress(f"{job.name}: profiles", 0, 1)
-    return examine(job.problem(fold), fits["fitted"], settings.jobs, settings.stop)
+    return profile_parameters(job.problem(fold), fits["fitted"], settings.jobs, settings.stop)
 
 
 def _sample(
@@ -150,12 +150,12 @@ def _sample(
         settings.progress(f"{job.name}: posterior", done, total)
 
     rng = random_stream(job.recipe.seed, job.name, fold.name, "posterior")
-    watch = Watch(stop=settings.stop, step=step, jobs=settings.jobs)
-    others = [start.theta for start in practically_equal(fit) if start.theta != fit.theta]
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
+    others = [start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta]
     ends = np.array([fit.theta, *others])
     snapshots = checkpoint.snapshots(fold.name)
     try:
-        posterior = sample(job.problem(fold), ends, job.recipe.sample, rng, watch, snapshots)
+        posterior = sample(job.problem(fold), ends, job.recipe.sample, rng, callbacks, snapshots)
     except FitError:
         if settings.stop():  # before there is anything to keep: there is no posterior to write
             return True

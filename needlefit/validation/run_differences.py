@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from needlefit.errors import DataError
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.run_file import read_run
 from needlefit.validation.csv_tables import TableSchema, read_table
@@ -197,7 +197,7 @@ def _compare_parameter(name: str, row: "pd.Series[Any]", determined: bool) -> It
     tied = row["status_a"] == row["status_b"] == "tied"  # moves with its source
     if one == two or tied or not (math.isfinite(one) and math.isfinite(two)):
         return
-    logarithm = in_logarithm(str(row["parameter"])) and one > 0 and two > 0
+    logarithm = is_logarithmic(str(row["parameter"])) and one > 0 and two > 0
     shift = abs(math.log(two / one)) if logarithm else abs(two - one)
     sd = np.nanmax([row["sd_a"], row["sd_b"], 0.0])
     if not sd > 0:

@@ -12,8 +12,8 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import NoiseFloor
 from needlefit.datasets.select import count_layers, get_other_rule
 from needlefit.geometry.compare import compare_curves
-from needlefit.inference.comparison import Curve, SimulatedCurve, curve_of, scored_points
-from needlefit.inference.predict import predict
+from needlefit.inference.compared_points import Curve, SimulatedCurve, compare_points, make_curve
+from needlefit.inference.forward_model import predict
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import LayerCountRule
@@ -43,7 +43,7 @@ def model_predictor(values: Mapping[str, float], medium: MediumRecord, dataset: 
             planned = planned_layers(insertion, at)
             shapes["planned"] = None if planned is None else at(*planned)
         return {
-            kind: curve_of(shape) if shape is not None and shape.converged else None
+            kind: make_curve(shape) if shape is not None and shape.converged else None
             for kind, shape in shapes.items()
         }
 
@@ -87,7 +87,7 @@ class Scorer:
             if isinstance(curve, SimulatedCurve):
                 self.counts.score(where, curve.shape.validity)
             pose, drop = self.dataset.pose, self.dataset.drop_proximal
-            simulated, measured = scored_points(pose, drop, insertion, curve)
+            simulated, measured = compare_points(pose, drop, insertion, curve)
             errors.append({**row, **self._errors(insertion, simulated, measured)})
             shapes += _shape_rows(where, simulated, measured)
         return errors, shapes

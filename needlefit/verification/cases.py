@@ -1,10 +1,15 @@
-"""Random insertions, far wider than any prior of a fit."""
+"""Random insertions, far wider than any prior of a fit, and how shapes are compared between their nodes.
+
+Reading a shape between its nodes, where a small error at the nodes proves little.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
@@ -13,15 +18,16 @@ from needlefit.mechanics.plan import Lattice
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
+from needlefit.verification.check import worst
 
-NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
+PAPER_NEEDLE = Needle.from_tube(150.0, 1.27, 80e3)
 """The paper's: 150 mm, 18 gauge, 80 GPa."""
 
-EXACT = ModelOptions(tolerance=1e-11)
+EXACT_OPTIONS = ModelOptions(tolerance=1e-11)
 """The default mesh, solved down to rounding."""
 
 
-def layers(
+def make_tissue(
     mu: Sequence[float],
     alpha: Sequence[float],
     boundaries: Sequence[float] = (),
@@ -35,24 +41,24 @@ def layers(
 
 
 @dataclass(frozen=True)
-class Case:
+class RandomCase:
     """A needle, what it is inserted into, and how."""
 
     needle: Needle
     tissue: Tissue
     steps: tuple[Step, ...]
 
-    def shape(self, rules: ModelOptions = EXACT, lattice: Lattice | None = None) -> NeedleShape:
+    def shape(self, rules: ModelOptions = EXACT_OPTIONS, lattice: Lattice | None = None) -> NeedleShape:
         """Return where it ends."""
-        return solved(simulate_steps(self.needle, self.tissue, self.steps, rules, lattice))
+        return require_converged(simulate_steps(self.needle, self.tissue, self.steps, rules, lattice))
 
 
 T = TypeVar("T")
-Draw = Callable[[np.random.Generator, float, float], Case]
+Draw = Callable[[np.random.Generator, float, float], RandomCase]
 """Draws a case: deepest tip (mm) and softest layer (MPa)."""
 
 
-def random_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> Case:
+def draw_case(rng: np.random.Generator, deepest: float = 60.0, softest: float = 1e-3) -> RandomCase:
     """Return an insertion into 1 to 4 layers of any law: mu `softest` to 100 MPa, |alpha| up to 10."""
     count = int(rng.integers(1, 5))
     depth = float(rng.uniform(0.25, 1.0) * deepest)
@@ -64,23 +70,25 @@ def random_case(rng: np.random.Generator, deepest: float = 60.0, softest: float 
         law=str(rng.choice(laws.list_laws())),
     )
     base = Controls(float(rng.uniform(-1, 1)), float(rng.uniform(-0.01, 0.01)))
-    return Case(NEEDLE, tissue, (Step(depth, _bevel(rng), base),))
+    return RandomCase(PAPER_NEEDLE, tissue, (Step(depth, _draw_bevel(rng), base),))
 
 
-def random_schedule(rng: np.random.Generator, deepest: float = 25.0, softest: float = 1e-3) -> Case:
+def draw_schedule(rng: np.random.Generator, deepest: float = 25.0, softest: float = 1e-3) -> RandomCase:
     """Return a case with friction and changing inputs of all kinds, retraction and re-insertion."""
-    case = random_case(rng, deepest, softest)
+    case = draw_case(rng, deepest, softest)
     depth = case.steps[0].depth
     stops = (0.4 * depth, 0.7 * depth, 0.55 * depth, 0.55 * depth, depth)
     tissue = replace(case.tissue, friction=rng.uniform(0, 1, case.tissue.layers))
-    return Case(NEEDLE, tissue, tuple(Step(stop, _bevel(rng), _inputs(rng, depth)) for stop in stops))
+    return RandomCase(
+        PAPER_NEEDLE, tissue, tuple(Step(stop, _draw_bevel(rng), _draw_inputs(rng, depth)) for stop in stops)
+    )
 
 
-def _bevel(rng: np.random.Generator) -> Bevel:
+def _draw_bevel(rng: np.random.Generator) -> Bevel:
     return Bevel(float(rng.uniform(0.01, 0.3)), int(rng.choice([-1, 1])))
 
 
-def _inputs(rng: np.random.Generator, depth: float) -> Controls:
+def _draw_inputs(rng: np.random.Generator, depth: float) -> Controls:
     """Return a base, and with even chances a guide before the tissue, one within it or else a tracked tip.
 
     Not both of these: the tip passes the guide, and held 0.1 mm apart they bend the needle without bound.
@@ -96,7 +104,9 @@ def _inputs(rng: np.random.Generator, depth: float) -> Controls:
     return Controls(y[0], slope[0], slope[2], tuple(guides), tip)
 
 
-def solvable(draw: Callable[[], Case], solve: Callable[[Case], T], count: int) -> tuple[list[T], str]:
+def solve_cases(
+    draw: Callable[[], RandomCase], solve: Callable[[RandomCase], T], count: int
+) -> tuple[list[T], str]:
     """Return what `solve` makes of so many cases, and what to remark.
 
     The reference begins every stop at the straight needle, and compresses thin tissue to nothing where the
@@ -114,8 +124,37 @@ def solvable(draw: Callable[[], Case], solve: Callable[[Case], T], count: int) -
     return found, f"{unsolved} more drawn in which the reference finds no solution" if unsolved else ""
 
 
-def solved(shape: NeedleShape) -> NeedleShape:
+def require_converged(shape: NeedleShape) -> NeedleShape:
     """Return the shape, unless the solution failed: then raise what a crashing check shows."""
     if not shape.converged:
         raise ArithmeticError(f"the solver failed: {shape.status}")
     return shape
+
+
+Floats = NDArray[np.float64]
+
+
+def sample_between(edges: Floats, points: int = 8) -> Floats:
+    """Return `points` places inside each interval between increasing edges."""
+    inside = (np.arange(points) + 0.5) / points
+    return (edges[:-1, None] + np.diff(edges)[:, None] * inside).ravel()
+
+
+def sample_densely(shape: NeedleShape, start: float | None = None) -> Floats:
+    """Return the nodes of a shape and places between them, from `start` (default the base) on."""
+    x = np.union1d(shape.x, sample_between(shape.x))
+    return x if start is None else x[x >= start]
+
+
+def interpolate(shape: NeedleShape, x: Floats, order: int = 0) -> Floats:
+    """Return deflection (order 0, mm) or slope (1) at depths x, by the cubics that the nodes define."""
+    values: Floats = CubicHermiteSpline(shape.x, shape.u, shape.slope)(x, order)
+    return values
+
+
+def largest_difference(shape: NeedleShape, other: NeedleShape) -> float:
+    """Return the largest difference of deflection between two shapes, mm, at and between their nodes."""
+    start = worst([shape.x[0], other.x[0]])
+    x = np.union1d(sample_densely(shape, start), sample_densely(other, start))
+    x = x[x <= np.min([shape.x[-1], other.x[-1]])]
+    return worst(np.abs(interpolate(shape, x) - interpolate(other, x)))

@@ -1,4 +1,6 @@
-"""What a check is: quantities with bounds, declared before anything is measured, and how to measure them."""
+"""A check: quantities with acceptance bounds, declared before anything is measured, and how to measure
+them.
+"""
 
 import math
 from collections.abc import Callable
@@ -40,12 +42,12 @@ class Group(Enum):
         "C_int is part of the model and no mesh size: stated, not judged.",
     )
 
-    def __init__(self, title: str, says: str) -> None:
-        self.title, self.says = title, says
+    def __init__(self, title: str, explanation: str) -> None:
+        self.title, self.explanation = title, explanation
 
 
 @dataclass(frozen=True)
-class Bound:
+class AcceptanceBound:
     """What a measured value must keep: `low` <= value <= `high`; None, None: it is stated, not judged."""
 
     low: float | None = None
@@ -72,14 +74,14 @@ def worst(values: ArrayLike) -> float:
     return float(np.max(values))
 
 
-def at_most(high: float) -> Bound:
+def at_most(high: float) -> AcceptanceBound:
     """Return the bound of an error."""
-    return Bound(high=high)
+    return AcceptanceBound(high=high)
 
 
-def about(value: float, slack: float) -> Bound:
+def within(value: float, slack: float) -> AcceptanceBound:
     """Return the bound of an observed order."""
-    return Bound(value - slack, value + slack)
+    return AcceptanceBound(value - slack, value + slack)
 
 
 @dataclass(frozen=True)
@@ -87,12 +89,12 @@ class Quantity:
     """One row of the table before it is measured."""
 
     words: str
-    bound: Bound
+    bound: AcceptanceBound
     unit: str  # "" where it has none
 
 
 @dataclass(frozen=True)
-class Curve:
+class ConvergenceCurve:
     """A refinement study: errors at decreasing mesh sizes.
 
     Attributes
@@ -123,17 +125,17 @@ class Curve:
 
 
 @dataclass(frozen=True)
-class Outcome:
+class CheckOutcome:
     """What measuring a check gave: a value for each of its quantities."""
 
     values: tuple[float, ...]
     remark: str = ""
-    curves: tuple[Curve, ...] = ()
+    curves: tuple[ConvergenceCurve, ...] = ()
 
 
 @dataclass(frozen=True)
 class Check:
-    """One thing that must hold.
+    """One check: what is measured, and within which bounds.
 
     Attributes
     ----------
@@ -149,18 +151,18 @@ class Check:
     group: Group
     title: str
     quantities: tuple[Quantity, ...]
-    measure: Callable[[np.random.Generator], Outcome]
+    measure: Callable[[np.random.Generator], CheckOutcome]
 
 
 @dataclass(frozen=True)
-class Row:
+class CheckRow:
     """One row of the table."""
 
     group: Group
     title: str
     quantity: str
     measured: float  # NaN where measuring it failed
-    bound: Bound
+    bound: AcceptanceBound
     unit: str
     verdict: Verdict
     remark: str = ""

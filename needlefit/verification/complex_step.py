@@ -14,16 +14,18 @@ from numpy.typing import NDArray
 from needlefit.mechanics import reference
 from needlefit.mechanics.control import Controls, ModelOptions
 from needlefit.mechanics.plan import TipStop, make_lattice, plan_stops
-from needlefit.verification.cases import Case
-from needlefit.verification.law import STEP, Law, Numbers
+from needlefit.verification.cases import RandomCase
+from needlefit.verification.law import STEP, Numbers, ReferenceLaw
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 _LAYERED = ("mu", "alpha", "friction")
 _SINGLE = ("rigidity", "offset", "base_y", "base_slope", "stage_slope")
-KINDS = (*_LAYERED, *_SINGLE, "boundaries", "guides")
-_REACH = 1e-4  # mm: the longer of the two real steps, unless a node or change of constraint lies so near
+PARAMETER_KINDS = (*_LAYERED, *_SINGLE, "boundaries", "guides")
+_MAX_STEP_MM = (
+    1e-4  # mm: the longer of the two real steps, unless a node or change of constraint lies so near
+)
 
 
 @dataclass(frozen=True)
@@ -45,17 +47,17 @@ class Equilibrium:
     change: Floats  # (M,) depths at which the tissue changes from one point to the next
 
 
-def parameters(case: Case) -> dict[str, Parameter]:
+def parameters(case: RandomCase) -> dict[str, Parameter]:
     """Return the parameters under the names that a `Jacobian` gives them."""
     named = {f"{kind}{i + 1}": Parameter(kind, i) for kind in _LAYERED for i in range(case.tissue.layers)}
     named |= {kind: Parameter(kind) for kind in _SINGLE}
     named |= {f"boundary{i + 1}": Parameter("boundary", i) for i in range(case.tissue.layers - 1)}
-    for i in range(len(_stands(case))):
+    for i in range(len(_guide_positions(case))):
         named |= {f"guide{i + 1}_{what}": Parameter(f"guide_{what}", i) for what in ("x", "y", "slope")}
     return named
 
 
-def derivatives(case: Case, wanted: list[Parameter], rules: ModelOptions) -> tuple[Floats, Floats]:
+def derivatives(case: RandomCase, wanted: list[Parameter], rules: ModelOptions) -> tuple[Floats, Floats]:
     """Return the derivatives of deflections and slopes (2 N, P) and of constraint points (M + 1, P)."""
     lattice = make_lattice(case.steps, rules)
     c, dc = {0: 0.0}, {0: np.zeros(len(wanted))}
@@ -79,7 +81,7 @@ def derivatives(case: Case, wanted: list[Parameter], rules: ModelOptions) -> tup
         guess = np.where(held, guess, along_the_cut(nodes, points))
         u, _ = reference.equilibrium(case.needle, case.tissue, nodes, points, guess, held, rules)
         here = Equilibrium(nodes, points, u, held, reference.change_depths(points[:, 0], rules.switch))
-        du = response(case, here, wanted, moved, imposed(case, wanted, here, stop, controls))
+        du = state_derivatives(case, here, wanted, moved, imposed_rates(case, wanted, here, stop, controls))
         x_tip, tip, dtip = stop.tip, u[-2:], du[-2:]
     return du, moved
 
@@ -90,8 +92,8 @@ def along_the_cut(nodes: Floats, points: Floats) -> Floats:
     return np.column_stack((u, np.gradient(u, nodes))).ravel()
 
 
-def imposed(
-    case: Case, wanted: list[Parameter], here: Equilibrium, stop: TipStop, controls: Controls
+def imposed_rates(
+    case: RandomCase, wanted: list[Parameter], here: Equilibrium, stop: TipStop, controls: Controls
 ) -> Floats:
     """Return the derivatives (2 N, P) of what is prescribed at the nodes."""
     base = {"base_y": (0, 1.0), "base_slope": (1, 1.0), "stage_slope": (0, stop.tip)}
@@ -101,7 +103,7 @@ def imposed(
             row, rate = base[p.kind]
             rates[row, column] = rate
         elif p.kind in ("guide_y", "guide_slope"):
-            stand = _stand(case, p)
+            stand = _guide_position(case, p)
             node = np.flatnonzero(here.nodes == stand)
             active = len(node) > 0 and any(guide.x == stand for guide in controls.guides)
             row = 2 * int(node[0]) + (p.kind == "guide_slope") if active else 0
@@ -109,12 +111,16 @@ def imposed(
     return rates
 
 
-def response(case: Case, here: Equilibrium, wanted: list[Parameter], moved: Floats, rates: Floats) -> Floats:
+def state_derivatives(
+    case: RandomCase, here: Equilibrium, wanted: list[Parameter], moved: Floats, rates: Floats
+) -> Floats:
     """Return du/dp (2 N, P), given those of the constraint points (M + 1, P) and of what is prescribed."""
-    loads = np.column_stack([load(case, here, p, moved[:, i]) for i, p in enumerate(wanted)])
-    law, EI = Law.of(case.tissue), case.needle.flexural_rigidity
+    loads = np.column_stack([residual_derivative(case, here, p, moved[:, i]) for i, p in enumerate(wanted)])
+    law, EI = ReferenceLaw.of(case.tissue), case.needle.flexural_rigidity
     stepped = (here.u + 1j * STEP * row for row in np.eye(len(here.u)))
-    forces = [EI * bending(here.nodes, u) + foundation(case, replace(here, u=u), law) for u in stepped]
+    forces = [
+        EI * bending_forces(here.nodes, u) + tissue_forces(case, replace(here, u=u), law) for u in stepped
+    ]
     K_T = np.column_stack(forces).imag / STEP
     free = ~here.held
     du = rates.copy()
@@ -122,30 +128,31 @@ def response(case: Case, here: Equilibrium, wanted: list[Parameter], moved: Floa
     return du
 
 
-def load(case: Case, here: Equilibrium, p: Parameter, moved: Floats) -> Floats:
+def residual_derivative(case: RandomCase, here: Equilibrium, p: Parameter, moved: Floats) -> Floats:
     """Return dR/dp (2 N,) at a frozen state, the constraint points moving at the rates `moved`."""
     points = here.points.astype(np.complex128)
     points[:, 1] += 1j * STEP * moved
     tissue, EI = case.tissue, complex(case.needle.flexural_rigidity)
-    law = Law.of(tissue)
+    law = ReferenceLaw.of(tissue)
     if p.kind in _LAYERED:
         values = getattr(law, p.kind).astype(np.complex128)
         values[p.number] += 1j * STEP
         law = replace(law, **{p.kind: values})
     EI += 1j * STEP if p.kind == "rigidity" else 0.0
-    nodes = here.nodes + 1j * STEP * (p.kind == "guide_x") * (here.nodes == _stand(case, p))
-    force = EI * bending(nodes, here.u) + foundation(case, replace(here, points=points), law)
+    nodes = here.nodes + 1j * STEP * (p.kind == "guide_x") * (here.nodes == _guide_position(case, p))
+    force = EI * bending_forces(nodes, here.u) + tissue_forces(case, replace(here, points=points), law)
     total: Floats = force.imag / STEP
     if p.kind in ("boundary", "guide_x"):
-        reach = _reach(case, here, p)
+        reach = _choose_step(case, here, p)
         coarse, fine = (
-            (_placed(case, here, p, h) - _placed(case, here, p, -h)) / (2 * h) for h in (reach, reach / 2)
+            (_shifted_forces(case, here, p, h) - _shifted_forces(case, here, p, -h)) / (2 * h)
+            for h in (reach, reach / 2)
         )
         total = total + (4 * fine - coarse) / 3
     return total
 
 
-def bending(nodes: Numbers, u: Numbers) -> Numbers:
+def bending_forces(nodes: Numbers, u: Numbers) -> Numbers:
     """Return the forces and moments (2 N,) that bend the nodes' cubics, over EI."""
     h = np.diff(nodes)
     (a, slope_a), (b, slope_b) = u.reshape(-1, 2)[:-1].T, u.reshape(-1, 2)[1:].T
@@ -158,7 +165,7 @@ def bending(nodes: Numbers, u: Numbers) -> Numbers:
     return total.ravel()
 
 
-def foundation(case: Case, here: Equilibrium, law: Law) -> Numbers:
+def tissue_forces(case: RandomCase, here: Equilibrium, law: ReferenceLaw) -> Numbers:
     """Return the tissue's forces and moments (2 N,); state, points' y and law may be complex."""
     boundaries = case.tissue.boundaries
     x, w = reference.quadrature(here.nodes, here.change, boundaries)
@@ -168,29 +175,29 @@ def foundation(case: Case, here: Equilibrium, law: Law) -> Numbers:
     return N.T @ (w * law.reaction(np.searchsorted(boundaries, x), e, dN @ here.u))
 
 
-def _reach(case: Case, here: Equilibrium, p: Parameter) -> float:
+def _choose_step(case: RandomCase, here: Equilibrium, p: Parameter) -> float:
     """Return how far (mm) a boundary or a guide's node may be moved without passing anything."""
     boundaries = case.tissue.boundaries
-    place = boundaries[p.number] if p.kind == "boundary" else _stand(case, p)
+    place = boundaries[p.number] if p.kind == "boundary" else _guide_position(case, p)
     gaps = np.abs(np.concatenate((here.nodes, here.change, boundaries)) - place)
-    return min(_REACH, 0.5 * float(np.min(gaps[gaps > 0])))
+    return min(_MAX_STEP_MM, 0.5 * float(np.min(gaps[gaps > 0])))
 
 
-def _placed(case: Case, here: Equilibrium, p: Parameter, step: float) -> Floats:
+def _shifted_forces(case: RandomCase, here: Equilibrium, p: Parameter, step: float) -> Floats:
     """Return the tissue's forces with a boundary or a guide's node moved along the needle."""
-    law = Law.of(case.tissue)
+    law = ReferenceLaw.of(case.tissue)
     if p.kind == "boundary":
         boundaries = case.tissue.boundaries.copy()
         boundaries[p.number] += step
-        return foundation(replace(case, tissue=replace(case.tissue, boundaries=boundaries)), here, law)
-    nodes = np.where(here.nodes == _stand(case, p), here.nodes + step, here.nodes)
-    return foundation(case, replace(here, nodes=nodes), law)
+        return tissue_forces(replace(case, tissue=replace(case.tissue, boundaries=boundaries)), here, law)
+    nodes = np.where(here.nodes == _guide_position(case, p), here.nodes + step, here.nodes)
+    return tissue_forces(case, replace(here, nodes=nodes), law)
 
 
-def _stand(case: Case, p: Parameter) -> float:
+def _guide_position(case: RandomCase, p: Parameter) -> float:
     """Return where the guide of a parameter stands, mm; NaN if it is no guide's."""
-    return _stands(case)[p.number] if p.kind.startswith("guide") else np.nan
+    return _guide_positions(case)[p.number] if p.kind.startswith("guide") else np.nan
 
 
-def _stands(case: Case) -> list[float]:
+def _guide_positions(case: RandomCase) -> list[float]:
     return sorted({guide.x for step in case.steps for guide in step.controls.guides})

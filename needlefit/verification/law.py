@@ -19,7 +19,7 @@ STEP = 1e-30
 
 
 @dataclass(frozen=True)
-class Law:
+class ReferenceLaw:
     """Layers' parameters, each (n,), real or complex."""
 
     mu: Numbers

@@ -1,4 +1,4 @@
-"""Find every check in the folder `checks`, measure it, judge it."""
+"""Find every check in the folder `checks`, measure it, and compare it with its bounds."""
 
 import importlib
 import pkgutil
@@ -8,12 +8,12 @@ from dataclasses import dataclass
 
 from needlefit.project.random_streams import random_stream
 from needlefit.verification import checks
-from needlefit.verification.check import Check, Curve, Group, Outcome, Row
+from needlefit.verification.check import Check, CheckOutcome, CheckRow, ConvergenceCurve, Group
 
 SEED = 1
 """Of the random cases, where none is asked for."""
 
-Progress = Callable[[str, int, int], None]
+ProgressCallback = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,12 @@ class Verification:
     """
 
     seed: int
-    rows: tuple[Row, ...]
-    curves: tuple[Curve, ...]
+    rows: tuple[CheckRow, ...]
+    curves: tuple[ConvergenceCurve, ...]
     traces: tuple[str, ...] = ()
 
     @property
-    def failed(self) -> tuple[Row, ...]:
+    def failed(self) -> tuple[CheckRow, ...]:
         """The rows that fail."""
         return tuple(row for row in self.rows if row.verdict == "FAILS")
 
@@ -52,10 +52,10 @@ def find_checks() -> tuple[Check, ...]:
 
 
 def verify(
-    seed: int = SEED, every: Sequence[Check] | None = None, progress: Progress = lambda *_: None
+    seed: int = SEED, every: Sequence[Check] | None = None, progress: ProgressCallback = lambda *_: None
 ) -> Verification:
     """Measure all checks, or those of `every`; a check that crashes fails, and the others go on."""
-    rows, curves, traces = list[Row](), list[Curve](), list[str]()
+    rows, curves, traces = list[CheckRow](), list[ConvergenceCurve](), list[str]()
     every = find_checks() if every is None else every
     for done, check in enumerate(every):
         progress(check.title, done, len(every))
@@ -63,17 +63,17 @@ def verify(
             outcome = check.measure(random_stream(seed, "verify", check.group.title, check.title))
         except Exception as error:
             reason = " ".join(f"{type(error).__name__}: {error}".split())
-            outcome = Outcome((float("nan"),) * len(check.quantities), f"not measured: {reason}")
+            outcome = CheckOutcome((float("nan"),) * len(check.quantities), f"not measured: {reason}")
             traces.append("".join(traceback.format_exception(error)))
-        rows += _judged(check, outcome)
+        rows += _judge_outcome(check, outcome)
         curves += outcome.curves
     return Verification(seed, tuple(rows), tuple(curves), tuple(traces))
 
 
-def _judged(check: Check, outcome: Outcome) -> Iterator[Row]:
+def _judge_outcome(check: Check, outcome: CheckOutcome) -> Iterator[CheckRow]:
     for quantity, value in zip(check.quantities, outcome.values, strict=True):
         verdict = quantity.bound.verdict(value)
-        yield Row(
+        yield CheckRow(
             check.group, check.title, quantity.words, float(value), quantity.bound, quantity.unit,
             verdict, outcome.remark,
         )  # fmt: skip

@@ -378,8 +378,8 @@ def checkpoints() -> list[Seed]:
     """The checkpoint of a run: starts that have ended, rows, and the sampler's snapshots."""
     import numpy as np
 
+    from needlefit.inference.fit import Start
     from needlefit.inference.sampling.snapshots import Block
-    from needlefit.inference.starts import Start
     from needlefit.validation.checkpoint import open_checkpoint
 
     def write(folder: Path) -> None:
@@ -401,10 +401,11 @@ def checkpoints() -> list[Seed]:
 
 def rows() -> list[Seed]:
     """Starts as a checkpoint keeps them, before their digests: somebody can make right ones of anything."""
-    from needlefit.inference.starts import Start, to_dict
+    from needlefit.inference.fit import Start, start_to_dict
 
     starts = [
-        to_dict(Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 1, "tolerance", ((0.1, 0.3),))) for n in (0, 1)
+        start_to_dict(Start(n, (0.1, 0.2), (0.11, 0.21), 3.5, 40, 1, "tolerance", ((0.1, 0.3),)))
+        for n in (0, 1)
     ]
     return [one_file("rows.json", json.dumps(starts))]
 

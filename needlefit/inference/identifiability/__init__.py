@@ -1,1 +1,1 @@
-"""What the data determine: information, profiles, and whether they agree."""
+"""What the data determine: Fisher information, profile likelihoods, and whether they agree."""

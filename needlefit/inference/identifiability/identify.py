@@ -1,9 +1,9 @@
 """Which parameters the data determine, and in which combinations only.
 
-A parameter is called determined if the shapes could tell it (its Cramer-Rao standard deviation is
-below `SD_LOG` in the logarithm, `SD_ALPHA` for alpha; where a prior is stated, below the part `NARROWED` of
-the prior's too), if the starts that ended practically as well as
-the best agree on it (their range is below `SPREAD` such deviations), and if it does not lie at a bound.
+A parameter is called determined if the shapes could determine it (its Cramer-Rao standard deviation is
+below `MAX_LOG_SD` in the logarithm, `MAX_ALPHA_SD` for alpha; where a prior is stated, below the part
+`MAX_SD_RATIO` of the prior's too), if the starts that ended practically as well as
+the best agree on it (their range is below `MAX_RANGE_SD` such deviations), and if it does not lie at a bound.
 
 The information is J^T J of the whitened residuals plus that of the stated prior or, without one, of the
 bounds, 12 / width^2 (the precision of a uniform distribution): without it, an alpha free to be 300 would
@@ -20,44 +20,44 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.select import MIN_GROUPS, group_independent
+from needlefit.inference.fit import Fit, Start
 from needlefit.inference.identifiability.information import (
     Direction,
     cramer_rao,
-    directions,
-    precision_words,
+    describe_precision,
+    principal_directions,
 )
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.problem import Problem
-from needlefit.inference.starts import Fit, Start
 from needlefit.inference.ties import NOISE_SCALE
 
 Floats = NDArray[np.float64]
 
-SD_LOG, SD_ALPHA = 0.3, 0.5
+MAX_LOG_SD, MAX_ALPHA_SD = 0.3, 0.5
 """Largest standard deviations, of a logarithm and of alpha, of a parameter called determined."""
 
-NARROWED = 0.5
-"""Largest part of its prior's standard deviation of a parameter that the shapes, not the prior, tell."""
+MAX_SD_RATIO = 0.5
+"""Largest part of its prior's standard deviation of a parameter that the shapes, not the prior, determine."""
 
-SPREAD = 4.0
+MAX_RANGE_SD = 4.0
 """Largest range among equal starts, in these standard deviations, of a parameter called determined."""
 
-EQUAL_LOG = 0.1
+LOG_POSTERIOR_TOLERANCE = 0.1
 """A start is practically as good as the best if its log posterior is within this of the best one's."""
 
-EQUAL_RELATIVE, EQUAL_MM = 0.01, 0.002
+METRIC_RELATIVE_TOLERANCE, METRIC_TOLERANCE_MM = 0.01, 0.002
 """Where the metric objective was minimised: if it is within 1 % or 0.002 mm of the best."""
 
-AT_BOUND = 1e-3
+BOUND_FRACTION = 1e-3
 """A parameter closer to a bound than this part of its range lies at it."""
 
-TOLD = 0.1
+MIN_NAMED_WEIGHT = 0.1
 """Weight from which on a direction is named in the note of a parameter."""
 
 
 @dataclass(frozen=True)
-class Verdict:
-    """What the data say of each free parameter; mappings go by its name.
+class Identifiability:
+    """What the data determine of each free parameter; mappings go by its name.
 
     Attributes
     ----------
@@ -93,34 +93,34 @@ class Verdict:
     noise_estimated: bool
 
 
-def identify(problem: Problem, fit: Fit) -> Verdict:
+def identify(problem: Problem, fit: Fit) -> Identifiability:
     """Return what the data determine at the best point of a fit."""
     theta, names = np.array(fit.theta), problem.names
-    weighed = with_noise(problem, theta)
-    residuals, slope, chi_square = told_by(weighed, theta)
-    besides = known_besides(weighed)
-    information = slope.T @ slope / max(1.0, chi_square) + besides
-    between = between_needles(weighed, slope, residuals, slope.T @ slope + besides)
+    noisy = add_estimated_noise(problem, theta)
+    residuals, slope, chi_square = linearize(noisy, theta)
+    prior_part = prior_and_noise_information(noisy)
+    information = slope.T @ slope / max(1.0, chi_square) + prior_part
+    between = between_needle_sds(noisy, slope, residuals, slope.T @ slope + prior_part)
     sds = dict(zip(names, np.maximum(cramer_rao(information), between).tolist(), strict=True))
-    found = directions(information, names)
-    ends = [s.theta for s in practically_equal(fit)] or [fit.theta]
+    found = principal_directions(information, names)
+    ends = [s.theta for s in select_within_tolerance(fit)] or [fit.theta]
     equal = np.array(ends, dtype=np.float64).reshape(len(ends), len(names))
-    bounds = dict(zip(names, _at_bounds(problem, theta), strict=True))
+    bounds = dict(zip(names, _find_bounds(problem, theta), strict=True))
     ranges = dict(zip(names, np.ptp(equal, axis=0).tolist(), strict=True))
     prior = problem.parameters.prior
-    told = {n: not bounds[n] and sds[n] < NARROWED * prior.sd(n) for n in names}
-    determined = {n: told[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
+    informed = {n: not bounds[n] and sds[n] < MAX_SD_RATIO * prior.sd(n) for n in names}
+    determined = {n: informed[n] and _is_determined(n, sds[n], ranges[n]) for n in names}
     low, high = (problem.values(end(equal, axis=0)) for end in (np.min, np.max))
-    notes = {n: _note(problem, theta, n, sds[n]) for n in names}
+    notes = {n: _explain_undetermined(problem, theta, n, sds[n]) for n in names}
     for k, n in enumerate(names):
         if bounds[n]:
             notes[n] = f"at its {bounds[n]} bound: the data say no more than this"
         elif determined[n]:
-            notes[n] = f"determined {precision_words(sds[n], in_logarithm(n))}"
+            notes[n] = f"determined {describe_precision(sds[n], is_logarithmic(n))}"
         else:
-            notes[n] += _only_as(k, found)
-        notes[n] += prior.said(n)
-    return Verdict(
+            notes[n] += _describe_combination(k, found)
+        notes[n] += prior.describe(n)
+    return Identifiability(
         sds=sds,
         determined=determined,
         at_bound=bounds,
@@ -130,11 +130,11 @@ def identify(problem: Problem, fit: Fit) -> Verdict:
         directions=found,
         notes=notes,
         chi_square=chi_square,
-        noise_estimated=weighed is not problem,
+        noise_estimated=noisy is not problem,
     )
 
 
-def between_needles(problem: Problem, slope: Floats, residuals: Floats, information: Floats) -> Floats:
+def between_needle_sds(problem: Problem, slope: Floats, residuals: Floats, information: Floats) -> Floats:
     """Return the standard deviations (P,) of theta that the scatter between needles implies.
 
     The sandwich estimate over independent groups: each one's pull J^T r on theta, about their mean (the fit
@@ -142,16 +142,16 @@ def between_needles(problem: Problem, slope: Floats, residuals: Floats, informat
     varies from needle to needle, this is larger than what the noise within needles says. 0 where there are
     too few groups for it.
     """
-    ends = np.cumsum(problem.density.told)[:-1]
+    ends = np.cumsum(problem.density.residual_counts)[:-1]
     parts = zip(np.split(slope, ends), np.split(residuals, ends), strict=True)
     ids, specimens = zip(*((i.id, i.specimen) for i in problem.insertions), strict=True)
-    pulls: dict[str, Floats] = {}
+    scores: dict[str, Floats] = {}
     for group, (j, r) in zip(group_independent(ids, specimens), parts, strict=True):
-        pulls[group] = pulls.get(group, np.zeros(j.shape[1])) + j.T @ r
-    n = len(pulls)
+        scores[group] = scores.get(group, np.zeros(j.shape[1])) + j.T @ r
+    n = len(scores)
     if n < max(MIN_GROUPS, len(problem.names) + 2) or not problem.names:
         return np.zeros(len(problem.names))
-    scatter = np.array(list(pulls.values()))  # (n, P)
+    scatter = np.array(list(scores.values()))  # (n, P)
     scatter = scatter - scatter.mean(axis=0)
     inverse = np.linalg.inv(information)
     covariance = n / (n - 1) * inverse @ (scatter.T @ scatter) @ inverse
@@ -159,29 +159,33 @@ def between_needles(problem: Problem, slope: Floats, residuals: Floats, informat
     return sd
 
 
-def practically_equal(fit: Fit) -> tuple[Start, ...]:
+def select_within_tolerance(fit: Fit) -> tuple[Start, ...]:
     """Return the starts that ended practically as well as the best."""
-    return tuple(start for start in fit.starts if as_good(start, fit))
+    return tuple(start for start in fit.starts if within_tolerance(start, fit))
 
 
-def as_good(start: Start, fit: Fit) -> bool:
+def within_tolerance(start: Start, fit: Fit) -> bool:
     """Return whether a start ended practically as well as the best one of its fit."""
-    return excess(start, fit) <= 1.0
+    return objective_excess(start, fit) <= 1.0
 
 
-def excess(start: Start, fit: Fit) -> float:
+def objective_excess(start: Start, fit: Fit) -> float:
     """Return how far a start ended above the best one, in units of what still counts as practically equal."""
-    return (start.objective - fit.objective) / equal_within(fit) if math.isfinite(fit.objective) else math.inf
+    return (
+        (start.objective - fit.objective) / objective_tolerance(fit)
+        if math.isfinite(fit.objective)
+        else math.inf
+    )
 
 
-def equal_within(fit: Fit) -> float:
+def objective_tolerance(fit: Fit) -> float:
     """Return by how much an equally good start may lie above the best: of the log posterior, or mm."""
     if fit.minimized == "posterior":
-        return EQUAL_LOG
-    return max(EQUAL_RELATIVE * abs(fit.objective), EQUAL_MM)
+        return LOG_POSTERIOR_TOLERANCE
+    return max(METRIC_RELATIVE_TOLERANCE * abs(fit.objective), METRIC_TOLERANCE_MM)
 
 
-def with_noise(problem: Problem, theta: Floats) -> Problem:
+def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
     """Return the problem with a noise: the stated one, or the rms residual at `theta` where none is."""
     stated = problem.dataset.noise if problem.noise is None else problem.noise
     if stated.stated:
@@ -203,17 +207,19 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
     return float(np.max(np.abs(high - low)))
 
 
-def told_by(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
-    """Return what the insertions tell: residuals (R,), derivatives (R, P), reduced chi-square."""
-    count = sum(problem.density.told)  # what follows normalises, or is the prior's, counted for itself
+def linearize(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
+    """Return the linearised observations: residuals (R,), derivatives (R, P), reduced chi-square."""
+    count = sum(
+        problem.density.residual_counts
+    )  # what follows normalises, or is the prior's, counted for itself
     residuals, slope = (np.nan_to_num(part[:count]) for part in problem.jacobian(theta))
-    # what a scale of the noise does to residuals says nothing of the other parameters, on average
+    # what a scale of the noise does to residuals is no information on the other parameters, on average
     slope = slope * (np.array(problem.names, dtype=object) != NOISE_SCALE)
-    rows = sum(known.rows for known in problem.density.evidence)
+    rows = sum(known.rows for known in problem.density.observations)
     return residuals, slope, float(residuals @ residuals) / max(1, rows - len(problem.names))
 
 
-def known_before(problem: Problem) -> Floats:
+def prior_information(problem: Problem) -> Floats:
     """Return the information (P, P) of the stated prior, and of bounds without one."""
     stated = problem.parameters.prior
     flat = np.array([name not in stated.names for name in problem.names])
@@ -222,28 +228,30 @@ def known_before(problem: Problem) -> Floats:
     return known
 
 
-def known_besides(problem: Problem) -> Floats:
-    """Return the same, and what the residuals' size says of the noise's scale."""
-    rows = sum(known.rows for known in problem.density.evidence)  # Fisher: 2 of each, of the logarithm
-    known: Floats = known_before(problem) + np.diag([2.0 * rows * (n == NOISE_SCALE) for n in problem.names])
+def prior_and_noise_information(problem: Problem) -> Floats:
+    """Return `prior_information`, with that of the residuals' size on the noise scale."""
+    rows = sum(known.rows for known in problem.density.observations)  # Fisher: 2 of each, of the logarithm
+    known: Floats = prior_information(problem) + np.diag(
+        [2.0 * rows * (n == NOISE_SCALE) for n in problem.names]
+    )
     return known
 
 
 def _is_determined(name: str, sd: float, spread: float) -> bool:
-    limit = SD_LOG if in_logarithm(name) else SD_ALPHA
-    return sd < limit and spread < SPREAD * limit
+    limit = MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD
+    return sd < limit and spread < MAX_RANGE_SD * limit
 
 
-def _at_bounds(problem: Problem, theta: Floats) -> list[str]:
+def _find_bounds(problem: Problem, theta: Floats) -> list[str]:
     place = (theta - problem.lower) / (problem.upper - problem.lower)
-    return ["lower" if p < AT_BOUND else "upper" if p > 1 - AT_BOUND else "" for p in place]
+    return ["lower" if p < BOUND_FRACTION else "upper" if p > 1 - BOUND_FRACTION else "" for p in place]
 
 
-def _note(problem: Problem, theta: Floats, name: str, sd: float) -> str:
+def _explain_undetermined(problem: Problem, theta: Floats, name: str, sd: float) -> str:
     """Return why a parameter is not determined."""
-    if in_logarithm(name):
-        disagree = ", but equally good starts disagree" if sd < SD_LOG else ""
-        return f"not determined (known {precision_words(sd, True)}{disagree})"
+    if is_logarithmic(name):
+        disagree = ", but equally good starts disagree" if sd < MAX_LOG_SD else ""
+        return f"not determined (known {describe_precision(sd, True)}{disagree})"
     moved = tip_range(problem, theta, name)
     low, high = problem.parameters.bounds[name]
     return (
@@ -252,9 +260,9 @@ def _note(problem: Problem, theta: Floats, name: str, sd: float) -> str:
     )
 
 
-def _only_as(k: int, found: tuple[Direction, ...]) -> str:
+def _describe_combination(k: int, found: tuple[Direction, ...]) -> str:
     """Return in which best-known combination the parameter k is known, if it is known in any."""
     for direction in found:
-        if abs(direction.weights[k]) >= TOLD and direction.sd < SD_LOG:
+        if abs(direction.weights[k]) >= MIN_NAMED_WEIGHT and direction.sd < MAX_LOG_SD:
             return f"; only a combination is: {direction.words}"
     return ""

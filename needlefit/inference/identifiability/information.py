@@ -1,4 +1,4 @@
-"""What residuals tell of parameters: Jacobian, Fisher information, and its directions in words."""
+"""Fisher information: difference Jacobians, Cramer-Rao deviations, and principal directions in words."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -7,23 +7,23 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 
 Floats = NDArray[np.float64]
 
-STEP, STEP_ALPHA = 1e-3, 5e-2
+LOG_STEP, ALPHA_STEP = 1e-3, 5e-2
 """Steps of the differences: in a logarithm, and in alpha, on which shapes hardly depend."""
 
-NEARLY_FREE = 0.5
+NEARLY_FREE_SD = 0.5
 """Standard deviation of a combination's logarithm (of alpha's sum) above which it is called nearly free."""
 
-NEGLIGIBLE = 0.05
+MIN_RELATIVE_WEIGHT = 0.05
 """Weights below this part of the largest are left out of the words."""
 
 
 @dataclass(frozen=True)
 class Direction:
-    """One principal direction of what is known about theta.
+    """One principal direction of the information on theta.
 
     Attributes
     ----------
@@ -40,7 +40,7 @@ class Direction:
     words: str
 
 
-def jacobian(residuals: Callable[[Floats], Floats], theta: Floats, steps: Floats) -> Floats:
+def difference_jacobian(residuals: Callable[[Floats], Floats], theta: Floats, steps: Floats) -> Floats:
     """Return d residuals / d theta (R, P): central differences, one-sided where one neighbour fails.
 
     A column is NaN where neither neighbour can be solved.
@@ -58,9 +58,9 @@ def jacobian(residuals: Callable[[Floats], Floats], theta: Floats, steps: Floats
     return np.stack(columns, axis=1) if columns else np.empty((len(centre), 0))
 
 
-def steps(names: Sequence[str]) -> Floats:
+def difference_steps(names: Sequence[str]) -> Floats:
     """Return the difference step (P,) of each parameter of theta."""
-    return np.array([STEP if in_logarithm(name) else STEP_ALPHA for name in names])
+    return np.array([LOG_STEP if is_logarithmic(name) else ALPHA_STEP for name in names])
 
 
 def cramer_rao(information: Floats) -> Floats:
@@ -72,58 +72,58 @@ def cramer_rao(information: Floats) -> Floats:
     return sd
 
 
-def directions(information: Floats, names: Sequence[str]) -> tuple[Direction, ...]:
+def principal_directions(information: Floats, names: Sequence[str]) -> tuple[Direction, ...]:
     """Return the principal directions of the information (P, P), best known first, in words."""
     precision, vectors = np.linalg.eigh(information)
     found = []
     for value, vector in zip(precision[::-1], vectors.T[::-1], strict=True):
         sd = 1 / math.sqrt(value) if value > 0 else math.inf
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
-        found.append(Direction(sd, tuple(vector.tolist()), _words(sd, vector, names)))
+        found.append(Direction(sd, tuple(vector.tolist()), _describe_direction(sd, vector, names)))
     return tuple(found)
 
 
-def combination(weights: Floats, names: Sequence[str]) -> str:
+def describe_combination(weights: Floats, names: Sequence[str]) -> str:
     """Return a combination in words, its largest weight scaled to 1: `mu1 * b^1.9`; with alpha, a sum."""
     scaled = weights / np.max(np.abs(weights))
-    parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= NEGLIGIBLE]
-    if all(in_logarithm(name) for name, _ in parts):
-        return " * ".join(_power(short(name), weight) for name, weight in parts)
-    terms = [_term(f"ln {short(n)}" if in_logarithm(n) else short(n), w) for n, w in parts]
+    parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= MIN_RELATIVE_WEIGHT]
+    if all(is_logarithmic(name) for name, _ in parts):
+        return " * ".join(_print_power(short_name(name), weight) for name, weight in parts)
+    terms = [_print_term(f"ln {short_name(n)}" if is_logarithmic(n) else short_name(n), w) for n, w in parts]
     return " ".join(terms).removeprefix("+ ")
 
 
-def short(name: str) -> str:
+def short_name(name: str) -> str:
     """Return a parameter's name without its unit; the bevel offset is b."""
     return {"bevel_mm": "b", "guide_distance_mm": "guide_distance"}.get(name, name.removesuffix("_pa"))
 
 
-def precision_words(sd: float, logarithm: bool) -> str:
+def describe_precision(sd: float, logarithm: bool) -> str:
     """Return in words how well something is known whose logarithm (or value) has this sd."""
     if not logarithm:
         return f"to {sd:.2g}"
-    return f"to {100 * sd:.2g} %" if sd < NEARLY_FREE else f"within a factor of {_factor(sd)} only"
+    return f"to {100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"within a factor of {_print_factor(sd)} only"
 
 
-def _words(sd: float, weights: Floats, names: Sequence[str]) -> str:
+def _describe_direction(sd: float, weights: Floats, names: Sequence[str]) -> str:
     scaled_sd = sd / float(np.max(np.abs(weights)))
     logarithm = all(
-        in_logarithm(n)
+        is_logarithmic(n)
         for n, w in zip(names, weights / np.max(np.abs(weights)), strict=True)
-        if abs(w) >= NEGLIGIBLE
+        if abs(w) >= MIN_RELATIVE_WEIGHT
     )
-    known = "is known" if scaled_sd < NEARLY_FREE else "is nearly free: known"
-    return f"{combination(weights, names)} {known} {precision_words(scaled_sd, logarithm)}"
+    known = "is known" if scaled_sd < NEARLY_FREE_SD else "is nearly free: known"
+    return f"{describe_combination(weights, names)} {known} {describe_precision(scaled_sd, logarithm)}"
 
 
-def _factor(sd: float) -> str:
+def _print_factor(sd: float) -> str:
     return f"{math.exp(sd):.2g}" if sd < math.log(1e6) else "more than 1e6"
 
 
-def _power(name: str, weight: float) -> str:
+def _print_power(name: str, weight: float) -> str:
     return name if abs(weight - 1) < 0.005 else f"{name}^{weight:.2g}"
 
 
-def _term(name: str, weight: float) -> str:
+def _print_term(name: str, weight: float) -> str:
     sign = "-" if weight < 0 else "+"
     return f"{sign} {name}" if abs(abs(weight) - 1) < 0.005 else f"{sign} {abs(weight):.2g} {name}"

@@ -1,1 +1,3 @@
-"""How likely measured centrelines are: noise, pose and layer depths, marginalised (docs/inference.md)."""
+"""The likelihood of measured centrelines: noise, pose and layer depths are marginalised
+(docs/inference.md).
+"""

@@ -1,4 +1,4 @@
-"""The density of whitened residuals when depths are uncertain: closed where curves depend linearly on them.
+"""The density of whitened residuals, marginalised over uncertain depths; closed where curves depend linearly.
 
 `white` (m, R) are the residuals at the m nodes of one insertion. All that is needed of them is their
 products G = white white^T, and how a density changes with them is -M white with an (m, m) matrix M: the
@@ -9,8 +9,7 @@ not those of depths. A solve that failed is NaN, and so is what comes of it.
 import numpy as np
 from numpy.typing import NDArray
 
-from needlefit.inference.likelihood.depths import Nodes
-from needlefit.inference.likelihood.quadrature import log_means, moments
+from needlefit.inference.likelihood.depths import Nodes, log_means, moments
 
 Floats = NDArray[np.float64]
 
@@ -23,13 +22,14 @@ def log_marginals(white: Floats, nodes: Nodes, scale: Floats) -> Floats:
         mean: Floats = shrunk + log_means(products, nodes.rule)
         return mean
     both = nodes.linear @ products @ nodes.linear.T  # (B, 1 + d, 1 + d)
+    # completing the square in the depths: their precision is stiff, their mean solve(stiff, -pull)
     stiff, pull = np.eye(nodes.axes) + both[:, 1:, 1:], both[:, 1:, 0]
     gained = np.sum(pull * np.linalg.solve(stiff, pull[..., None])[..., 0], axis=1)
     density: Floats = shrunk - 0.5 * (both[:, 0, 0] - gained) - 0.5 * _log_det(stiff)
     return density
 
 
-def mixing(white: Floats, nodes: Nodes, scale: float) -> Floats:
+def mixing_matrix(white: Floats, nodes: Nodes, scale: float) -> Floats:
     """Return M (m, m), for residuals (m, R): the density's derivatives by them are -M white."""
     products = white @ white.T / scale**2
     if nodes.rule is not None:
@@ -44,20 +44,22 @@ def mixing(white: Floats, nodes: Nodes, scale: float) -> Floats:
     return linear
 
 
-def residuals(white: Floats, nodes: Nodes, scale: float) -> tuple[Floats, float]:
+def linear_residuals(white: Floats, nodes: Nodes, scale: float) -> tuple[Floats, float]:
     """Return residuals (R + d,) and log det of the linear density: it is -(|residuals|^2 + log det) / 2.
 
     These are the residuals at the depths that fit best, and these depths' own, in standard deviations.
     """
-    first, slopes = _parts(white, nodes, scale)
+    first, slopes = _project(white, nodes, scale)
     stiff = np.eye(nodes.axes) + slopes @ slopes.T
     best = -np.linalg.solve(stiff, slopes @ first)
     return np.concatenate([first + best @ slopes, best]), float(_log_det(stiff))
 
 
-def residual_slopes(white: Floats, by: Floats, nodes: Nodes, scale: float) -> tuple[Floats, Floats]:
-    """Return the derivatives (R + d, P) and (P,) of `residuals`, given those of white, (m, R, P)."""
-    first, slopes = _parts(white, nodes, scale)
+def linear_residual_derivatives(
+    white: Floats, by: Floats, nodes: Nodes, scale: float
+) -> tuple[Floats, Floats]:
+    """Return the derivatives (R + d, P) and (P,) of `linear_residuals`, given those of white, (m, R, P)."""
+    first, slopes = _project(white, nodes, scale)
     turned = np.tensordot(nodes.linear, by / scale, axes=1)  # (1 + d, R, P)
     by_first, by_slopes = turned[0], turned[1:]
     stiff = np.eye(nodes.axes) + slopes @ slopes.T
@@ -75,7 +77,7 @@ def _log_det(stiff: Floats) -> Floats:
     return found
 
 
-def _parts(white: Floats, nodes: Nodes, scale: float) -> tuple[Floats, Floats]:
+def _project(white: Floats, nodes: Nodes, scale: float) -> tuple[Floats, Floats]:
     """Return the residuals (R,) as measured, and their slopes (d, R) by the depths."""
     turned = nodes.linear @ white / scale
     return turned[0], turned[1:]

@@ -1,7 +1,6 @@
-"""Search for the best fit: many starts, each by one algorithm or several, in a shell that keeps the books."""
+"""Search for the best fit: many starts, each by one algorithm or several in turn."""
 
-from needlefit.inference.optimize.algorithms import ALGORITHMS
+from needlefit.inference.optimize.local_search import ALGORITHMS, search
 from needlefit.inference.optimize.multistart import minimize, starting_points
-from needlefit.inference.optimize.search import search
 
 __all__ = ["ALGORITHMS", "minimize", "search", "starting_points"]

@@ -1,8 +1,14 @@
-"""Many starts spread over the box, in threads, resumable; the best of them is the fit."""
+"""Search from many starts spread over the box, in threads, resumable; the best end is the fit.
+
+The cheap way to where a search begins: down an easier goal first; starts that meet there go on as one.
+
+With uncertain depths every needle is simulated many times. Depths taken as stated make a posterior whose
+hills lie next to those of the whole one, at a fraction of the cost.
+"""
 
 import math
 import threading
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor, as_completed
 from dataclasses import replace
 
@@ -11,21 +17,70 @@ from numpy.typing import NDArray
 from scipy.stats import qmc
 
 from needlefit.errors import FitError
-from needlefit.inference.goal import Goal, Weighed, goal_of
-from needlefit.inference.ledger import FAILURES
-from needlefit.inference.optimize.algorithms import stages
-from needlefit.inference.optimize.approach import broken_off, leaders, went_on
-from needlefit.inference.optimize.search import search
-from needlefit.inference.starts import INTERRUPTED, Fit, Place, Start, Watch
+from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
+from needlefit.inference.fit import INTERRUPTED, Callbacks, Fit, Start, StartPoint
+from needlefit.inference.objective import ObjectiveFunction, SupportsPosterior, make_objective
+from needlefit.inference.optimize.local_search import search, select_algorithms
 from needlefit.project.threads import one_thread
 from needlefit.schemas.recipe import ObjectiveName, RecipeRecord
+
+SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2
+"""Differences of the easier goal, and of every parameter of theta, up to which two ends are one."""
+
+
+def group_approaches(ends: Sequence[Start]) -> dict[int, int]:
+    """Return, by the index of each start, the start that continues for it: itself, or a better one it has
+    met.
+
+    An end without a finite value has met nobody.
+    """
+    chosen: dict[int, int] = {}
+    first: list[Start] = []
+    for end in sorted(ends, key=lambda s: (s.objective, s.index)):
+        leader = next((other for other in first if _coincide(end, other)), end)
+        chosen[end.index] = leader.index
+        if leader is end:
+            first.append(end)
+    return chosen
+
+
+def continue_start(end: Start, continued: Start) -> Start:
+    """Return the whole search of the start whose approach is `end`, given what came of its leader's."""
+    alone = continued.index == end.index
+    return replace(
+        continued,
+        index=end.index,
+        theta0=end.theta0,
+        evaluations=end.evaluations + (continued.evaluations if alone else 0),
+        gradients=end.gradients + (continued.gradients if alone else 0),
+        failures=end.failures + (continued.failures if alone else 0),
+        failed=end.failed + (continued.failed if alone else ()),
+        joined=None if alone else continued.index,
+    )
+
+
+def interrupt_start(end: Start, value: float) -> Start:
+    """Return an approach as a search that was interrupted; `value` is the whole goal's at its end."""
+    objective = value if math.isfinite(value) else math.inf
+    return replace(end, objective=objective, evaluations=end.evaluations + 1, stopped=INTERRUPTED)
+
+
+def _coincide(end: Start, other: Start) -> bool:
+    if not math.isfinite(end.objective):
+        return False
+    apart = np.abs(np.subtract(end.theta, other.theta))
+    return abs(end.objective - other.objective) < SAME_OBJECTIVE and bool(np.all(apart < SAME_THETA))
+
 
 Floats = NDArray[np.float64]
 
 
 @one_thread
 def minimize(
-    problem: Weighed, recipe: RecipeRecord, rng: np.random.Generator, watch: Watch | None = None
+    problem: SupportsPosterior,
+    recipe: RecipeRecord,
+    rng: np.random.Generator,
+    callbacks: Callbacks | None = None,
 ) -> Fit:
     """Minimise what the recipe says from every one of its starts and return the best point of all.
 
@@ -39,65 +94,78 @@ def minimize(
     FitError
         If no evaluation of any start succeeded, or finished starts belong to another fit.
     """
-    watch = Watch() if watch is None else watch
-    goal = goal_of(problem, recipe.minimize)
-    stages(recipe.algorithm, goal)  # an unknown algorithm is told before anything is computed
+    callbacks = Callbacks() if callbacks is None else callbacks
+    objective_function = make_objective(problem, recipe.minimize)
+    select_algorithms(
+        recipe.algorithm, objective_function
+    )  # an unknown algorithm is an error before anything is computed
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     seeds = rng.integers(1, 2**31, size=len(design))
-    done = _resumed(watch, design)
-    places = [Place(k, tuple(design[k].tolist()), int(seeds[k])) for k in range(len(design))]
-    if goal.approach is None or not recipe.approach or len(done) == len(places):
-        for start in _in_threads(goal, recipe, [p for p in places if p.index not in done], watch):
-            _keep(start, done, watch)
+    done = _load_finished(callbacks, design)
+    start_points = [StartPoint(k, tuple(design[k].tolist()), int(seeds[k])) for k in range(len(design))]
+    if objective_function.approach is None or not recipe.approach or len(done) == len(start_points):
+        for start in _search_in_threads(
+            objective_function, recipe, [p for p in start_points if p.index not in done], callbacks
+        ):
+            _add_start(start, done, callbacks)
     else:
-        _by_approach(goal, goal.approach, recipe, places, done, watch)
-    return _best(problem, recipe.minimize, tuple(done[index] for index in sorted(done)), design)
+        _search_by_approach(
+            objective_function, objective_function.approach, recipe, start_points, done, callbacks
+        )
+    return _select_fit(problem, recipe.minimize, tuple(done[index] for index in sorted(done)), design)
 
 
-def _by_approach(
-    goal: Goal, easier: Goal, recipe: RecipeRecord, places: list[Place], done: dict[int, Start], watch: Watch
+def _search_by_approach(
+    objective_function: ObjectiveFunction,
+    easier: ObjectiveFunction,
+    recipe: RecipeRecord,
+    start_points: list[StartPoint],
+    done: dict[int, Start],
+    callbacks: Callbacks,
 ) -> None:
     """Add to `done` what came of all starts: down the easier goal, then one for all that have met there.
 
-    Approaches are not kept: a resumed search repeats them, and with them who met whom.
+    Approaches are not stored: a resumed search repeats them, and so finds the same groups.
     """
     half = recipe.model_copy(update={"evaluations": max(1, recipe.evaluations // 2)})
-    way = half if easier.jacobian is None else half.model_copy(update={"algorithm": "leastsquares"})
+    first_recipe = half if easier.jacobian is None else half.model_copy(update={"algorithm": "leastsquares"})
     ends: dict[int, Start] = {}
-    for end in _in_threads(easier, way, places, watch):
+    for end in _search_in_threads(easier, first_recipe, start_points, callbacks):
         ends[end.index] = end
-        watch.step(len(ends), len(places))
-    if watch.stop():
-        _break_off(goal, list(ends.values()), done)
+        callbacks.step(len(ends), len(start_points))
+    if callbacks.stop():
+        _add_interrupted(objective_function, list(ends.values()), done)
         return
-    leader = leaders([ends[place.index] for place in places])
+    leader = group_approaches([ends[start_point.index] for start_point in start_points])
     begin = [
         replace(p, theta=ends[p.index].theta)
-        for p in places
+        for p in start_points
         if leader[p.index] == p.index and any(k not in done for k in leader if leader[k] == p.index)
     ]
-    for led in _in_threads(goal, half, begin, watch):
-        for index in (k for k in leader if leader[k] == led.index and k not in done):
-            _keep(went_on(ends[index], led), done, watch)
+    for continued in _search_in_threads(objective_function, half, begin, callbacks):
+        for index in (k for k in leader if leader[k] == continued.index and k not in done):
+            _add_start(continue_start(ends[index], continued), done, callbacks)
 
 
-def _keep(start: Start, done: dict[int, Start], watch: Watch) -> None:
+def _add_start(start: Start, done: dict[int, Start], callbacks: Callbacks) -> None:
     if start.stopped != INTERRUPTED:
-        watch.report(start)
+        callbacks.report(start)
     if start.evaluations:
         done[start.index] = start
 
 
-def _break_off(goal: Goal, ends: list[Start], done: dict[int, Start]) -> None:
+def _add_interrupted(
+    objective_function: ObjectiveFunction, ends: list[Start], done: dict[int, Start]
+) -> None:
     """Add the best of the approaches to `done`, so that what is interrupted still leaves its best point."""
     best = min(ends, key=lambda s: (s.objective, s.index), default=None)
     if best is None or not math.isfinite(best.objective) or best.index in done:
         return
     try:
-        value = goal.value(np.array(best.theta))
-    except FAILURES:
+        value = objective_function.value(np.array(best.theta))
+    except EVALUATION_ERRORS:
         return
-    done[best.index] = broken_off(best, value)
+    done[best.index] = interrupt_start(best, value)
 
 
 def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:
@@ -112,9 +180,9 @@ def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Gen
     return spread
 
 
-def _resumed(watch: Watch, design: Floats) -> dict[int, Start]:
+def _load_finished(callbacks: Callbacks, design: Floats) -> dict[int, Start]:
     """Return the starts that need no repetition; FitError if they are another fit's."""
-    kept = {index: start for index, start in watch.finished.items() if index < len(design)}
+    kept = {index: start for index, start in callbacks.finished.items() if index < len(design)}
     for index, start in kept.items():
         if start.theta0 != tuple(design[index].tolist()):
             raise FitError(
@@ -124,21 +192,28 @@ def _resumed(watch: Watch, design: Floats) -> dict[int, Start]:
     return kept
 
 
-def _in_threads(goal: Goal, recipe: RecipeRecord, places: list[Place], watch: Watch) -> Iterator[Start]:
+def _search_in_threads(
+    objective_function: ObjectiveFunction,
+    recipe: RecipeRecord,
+    start_points: list[StartPoint],
+    callbacks: Callbacks,
+) -> Iterator[Start]:
     """Yield the search from each place as it ends, in the calling thread."""
-    if watch.jobs <= 1:
-        for place in places:
-            if watch.stop():
+    if callbacks.jobs <= 1:
+        for start_point in start_points:
+            if callbacks.stop():
                 return
-            yield search(goal, recipe, place, watch.stop)
+            yield search(objective_function, recipe, start_point, callbacks.stop)
         return
     leave = threading.Event()  # ends the other threads when one of them finds a bug
 
     def stop() -> bool:
-        return leave.is_set() or watch.stop()
+        return leave.is_set() or callbacks.stop()
 
-    with ThreadPoolExecutor(watch.jobs, thread_name_prefix="start") as pool:
-        futures = [pool.submit(search, goal, recipe, place, stop) for place in places]
+    with ThreadPoolExecutor(callbacks.jobs, thread_name_prefix="start") as pool:
+        futures = [
+            pool.submit(search, objective_function, recipe, start_point, stop) for start_point in start_points
+        ]
         try:
             for future in as_completed(futures):
                 yield future.result()
@@ -146,7 +221,9 @@ def _in_threads(goal: Goal, recipe: RecipeRecord, places: list[Place], watch: Wa
             leave.set()
 
 
-def _best(problem: Weighed, minimized: ObjectiveName, starts: tuple[Start, ...], design: Floats) -> Fit:
+def _select_fit(
+    problem: SupportsPosterior, minimized: ObjectiveName, starts: tuple[Start, ...], design: Floats
+) -> Fit:
     interrupted = len(starts) < len(design) or any(s.stopped == INTERRUPTED for s in starts)
     evaluations = sum(s.evaluations for s in starts)
     best = min(starts, key=lambda s: (s.objective, s.index), default=None)

@@ -1,1 +1,1 @@
-"""Walkers that sample a posterior until a rule is met, and can go on."""
+"""Markov chain Monte Carlo: ensembles of walkers sample a posterior until they converge, resumable."""

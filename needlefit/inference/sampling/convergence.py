@@ -1,4 +1,4 @@
-"""Whether several independent ensembles tell the same, and how many independent draws they are worth.
+"""Convergence of independent ensembles: R-hat, autocorrelation times and effective sample sizes.
 
 A chain is one ensemble: its draws are pooled over walkers step by step, and split in time. R-hat compares
 these halves; the autocorrelation time says how many steps of an ensemble count for one, so that S steps of
@@ -18,23 +18,23 @@ from scipy.stats import norm, rankdata
 
 Floats = NDArray[np.float64]
 
-R_HAT, LENGTH_IN_TAU, DRAWS = 1.01, 50, 400
+MAX_R_HAT, MIN_LENGTH_TAU, MIN_ESS = 1.01, 50, 400
 """The rule: R-hat below, at least this many autocorrelation times long, and more independent draws than this
 in the bulk and in the tails of every ensemble."""
 
-ENSEMBLES = 4
+MIN_ENSEMBLES = 4
 """Fewest ensembles whose agreement means something."""
 
-TAILS = (0.05, 0.95)
+TAIL_QUANTILES = (0.05, 0.95)
 """Quantiles whose indicators tell how well the tails are known."""
 
-WINDOW = 5.0
+WINDOW_TAU = 5.0
 """Autocorrelations are summed up to this many autocorrelation times (Sokal): beyond is noise."""
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """What the rule looks at, for Q quantities and E ensembles of S steps.
+    """Convergence diagnostics of Q quantities and E ensembles of S steps.
 
     Attributes
     ----------
@@ -44,7 +44,7 @@ class Convergence:
         NaN with fewer than two ensembles.
     tau : (E, Q) array
         Autocorrelation time in steps; infinite where all walkers stand still.
-    bulk, tail : (E, Q) arrays
+    ess_bulk, ess_tail : (E, Q) arrays
         Independent draws, of the value and of the worse of the two tails.
     steps : int
         Of each ensemble.
@@ -53,8 +53,8 @@ class Convergence:
     quantities: tuple[str, ...]
     r_hat: Floats
     tau: Floats
-    bulk: Floats
-    tail: Floats
+    ess_bulk: Floats
+    ess_tail: Floats
     steps: int
 
     @property
@@ -63,25 +63,29 @@ class Convergence:
         return tuple(self._faults())
 
     def _faults(self) -> Iterator[str]:
-        if len(self.tau) < ENSEMBLES:
-            yield f"{len(self.tau)} independent ensembles, not {ENSEMBLES}: too few to show that they agree"
-        if len(self.tau) > 1 and not np.all(self.r_hat < R_HAT):
+        if len(self.tau) < MIN_ENSEMBLES:
+            count = f"{len(self.tau)} independent ensembles, not {MIN_ENSEMBLES}"
+            yield f"{count}: too few to show that they agree"
+        if len(self.tau) > 1 and not np.all(self.r_hat < MAX_R_HAT):
             at = int(np.argmax(np.nan_to_num(self.r_hat, nan=np.inf)))
-            yield f"R-hat of {self.quantities[at]} is {self.r_hat[at]:.3g}, not below {R_HAT}"
+            yield f"R-hat of {self.quantities[at]} is {self.r_hat[at]:.3g}, not below {MAX_R_HAT}"
         longest = self.tau.max(axis=0)
-        if not self.steps > LENGTH_IN_TAU * longest.max():
+        if not self.steps > MIN_LENGTH_TAU * longest.max():
             at = int(np.argmax(longest))
-            times = f"{LENGTH_IN_TAU} autocorrelation times of {longest[at]:.3g}"
+            times = f"{MIN_LENGTH_TAU} autocorrelation times of {longest[at]:.3g}"
             yield f"{self.steps} steps are not more than {times} ({self.quantities[at]})"
-        for name, draws in (("independent draws", self.bulk), ("independent draws in a tail", self.tail)):
+        for name, draws in (
+            ("independent draws", self.ess_bulk),
+            ("independent draws in a tail", self.ess_tail),
+        ):
             fewest = draws.min(axis=0)
-            if not fewest.min() > DRAWS:
+            if not fewest.min() > MIN_ESS:
                 at = int(np.argmin(fewest))
                 has = f"an ensemble has {fewest[at]:.0f} {name} of {self.quantities[at]}"
-                yield f"{has}, not more than {DRAWS}"
+                yield f"{has}, not more than {MIN_ESS}"
 
 
-def convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Convergence:
+def assess_convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Convergence:
     """Return what the rule looks at.
 
     Parameters
@@ -94,15 +98,15 @@ def convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Co
     along = _along_directions(thetas)
     directions = [f"direction {k + 1}" for k in range(along.shape[-1])]
     columns = np.concatenate([thetas, along, log_density[..., None]], axis=3)  # (E, S, W, Q)
-    found = [_quantity(columns[..., q]) for q in range(columns.shape[3])]
+    found = [_assess_quantity(columns[..., q]) for q in range(columns.shape[3])]
     r_hats, taus, tails = zip(*found, strict=True)
     size, tau = thetas.shape[1] * thetas.shape[2], np.stack(taus, axis=1)
     return Convergence(
         quantities=(*names, *directions, "log posterior"),
         r_hat=np.array(r_hats),
         tau=tau,
-        bulk=size / tau,
-        tail=size / np.stack(tails, axis=1),
+        ess_bulk=size / tau,
+        ess_tail=size / np.stack(tails, axis=1),
         steps=int(thetas.shape[1]),
     )
 
@@ -118,14 +122,14 @@ def r_hat(chains: Floats) -> float:
     The larger of two values counts: of the draws, and of their distances from the median (which sees
     chains that differ in width alone). Vehtari et al., Bayesian Analysis 16 (2021) 667.
     """
-    return _r_hat(_scores(chains), _folded(chains))
+    return _r_hat(_normal_scores(chains), _folded_scores(chains))
 
 
 def _r_hat(scores: Floats, folded: Floats) -> float:
     """Return the larger R-hat of two kinds of scores (E, N)."""
     if len(scores) < 2 or scores.shape[1] < 4:
         return float("nan")
-    return max(_split(scores), _split(folded))
+    return max(_split_r_hat(scores), _split_r_hat(folded))
 
 
 def autocorrelation_times(series: Floats) -> Floats:
@@ -148,16 +152,18 @@ def _autocorrelation_time(series: Floats) -> float:
     if not covariance[0] > 0.0:
         return math.inf
     times = 2.0 * np.cumsum(covariance / covariance[0]) - 1.0
-    ends = np.flatnonzero(np.arange(steps) >= WINDOW * times)
-    # what anticorrelates is not called better than independent: the estimate may be noise
+    ends = np.flatnonzero(np.arange(steps) >= WINDOW_TAU * times)
+    # anticorrelated draws do not count as more than independent ones: the estimate may be noise
     return max(1.0, float(times[ends[0] if len(ends) else -1]))
 
 
-def _quantity(values: Floats) -> tuple[float, Floats, Floats]:
+def _assess_quantity(values: Floats) -> tuple[float, Floats, Floats]:
     """Return R-hat, tau (E,) and tau of the slower tail (E,) of one quantity (E, S, W)."""
-    scores, folded = _scores(values), _folded(values)
+    scores, folded = _normal_scores(values), _folded_scores(values)
     pooled = (values.shape[0], -1)  # step by step
-    tails = [autocorrelation_times((values <= q).astype(np.float64)) for q in np.quantile(values, TAILS)]
+    tails = [
+        autocorrelation_times((values <= q).astype(np.float64)) for q in np.quantile(values, TAIL_QUANTILES)
+    ]
     found = _r_hat(scores.reshape(pooled), folded.reshape(pooled))
     return found, autocorrelation_times(scores), np.maximum(*tails)
 
@@ -170,17 +176,17 @@ def _along_directions(thetas: Floats) -> Floats:
     return along
 
 
-def _scores(draws: Floats) -> Floats:
+def _normal_scores(draws: Floats) -> Floats:
     ranks = rankdata(draws, axis=None).reshape(draws.shape)
     scores: Floats = norm.ppf((ranks - 0.375) / (draws.size + 0.25))
     return scores
 
 
-def _folded(draws: Floats) -> Floats:
-    return _scores(np.abs(draws - np.median(draws)))
+def _folded_scores(draws: Floats) -> Floats:
+    return _normal_scores(np.abs(draws - np.median(draws)))
 
 
-def _split(chains: Floats) -> float:
+def _split_r_hat(chains: Floats) -> float:
     """Return R-hat of the halves of chains (E, N), as they are."""
     n = chains.shape[1] // 2
     halves = np.concatenate([chains[:, :n], chains[:, -n:]])  # (2 E, n)

@@ -14,28 +14,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
-from needlefit.inference.sampling.independent import Picture
+from needlefit.inference.sampling.proposal_density import ProposalDensity
 
 Floats = NDArray[np.float64]
-Random = np.random.RandomState
-Proposal = Callable[[Floats, Sequence[Floats], Random], tuple[Floats, Floats]]
+RandomState = np.random.RandomState
+Proposal = Callable[[Floats, Sequence[Floats], RandomState], tuple[Floats, Floats]]
 """What walkers (N, P) propose by looking at parts of the others, and the logarithm (N,) of its correction."""
 
 INDEPENDENT = "independent"
 
-SHARES = {"stretch": 1.0, "de": 0.8, "snooker": 0.2, INDEPENDENT: 1.0}
+MOVE_WEIGHTS = {"stretch": 1.0, "de": 0.8, "snooker": 0.2, INDEPENDENT: 1.0}
 """Parts of the steps that moves get without a factor, in relation: emcee's authors advise 0.8 and 0.2."""
 
-SNOOKER = 1.7
+SNOOKER_LENGTH = 1.7
 """Length of a snooker step in differences of two others; ter Braak & Vrugt, Stat. Comput. 18 (2008) 435."""
 
-PARTS = 2
+ENSEMBLE_PARTS = 2
 """Parts of an ensemble that move in turn, each looking at the other."""
 
 _MOVE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[a-z]+)\s*")
 
 
-def shares(moves: str) -> dict[str, float]:
+def parse_moves(moves: str) -> dict[str, float]:
     """Return the part of the steps that each move named in `moves` gets: `"stretch"`, `"0.9*de+0.1*snooker"`.
 
     Raises
@@ -46,28 +46,28 @@ def shares(moves: str) -> dict[str, float]:
     found: dict[str, float] = {}
     for term in moves.split("+"):
         match = _MOVE.fullmatch(term)
-        if match is None or match["name"] not in SHARES or match["name"] in found:
-            raise _unknown(moves)
+        if match is None or match["name"] not in MOVE_WEIGHTS or match["name"] in found:
+            raise _moves_error(moves)
         try:
-            factor = float(match["factor"] or SHARES[match["name"]])
+            factor = float(match["factor"] or MOVE_WEIGHTS[match["name"]])
         except ValueError:
-            raise _unknown(moves) from None
+            raise _moves_error(moves) from None
         if not 0 < factor < np.inf:
-            raise _unknown(moves)
+            raise _moves_error(moves)
         found[match["name"]] = factor
     return {name: factor / sum(found.values()) for name, factor in found.items()}
 
 
-def _unknown(moves: str) -> ConfigError:
+def _moves_error(moves: str) -> ConfigError:
     return ConfigError(
         f"cannot move by `{moves}`",
         where="recipe, key `sample.moves`",
-        expected=f"{', '.join(SHARES)}, or several: de+snooker, 0.9*de + 0.1*snooker",
+        expected=f"{', '.join(MOVE_WEIGHTS)}, or several: de+snooker, 0.9*de + 0.1*snooker",
     )
 
 
 @dataclass(frozen=True)
-class State:
+class WalkerState:
     """Where all walkers of E ensembles stand, and the random numbers to come.
 
     Attributes
@@ -84,32 +84,39 @@ class State:
 
 
 @dataclass(frozen=True)
-class Step:
+class EnsembleStep:
     """One step of all ensembles: where it led, and which walkers (E, W) took what they proposed."""
 
-    state: State
+    state: WalkerState
     accepted: NDArray[np.bool_]
 
 
-def steps(
+def run_ensembles(
     log_density: Callable[[Floats], Floats],
-    state: State,
+    state: WalkerState,
     moves: str,
-    pictures: Sequence[Picture],
+    proposal_densities: Sequence[ProposalDensity],
     count: int,
-) -> Iterator[Step]:
+) -> Iterator[EnsembleStep]:
     """Yield `count` steps from `state`; `log_density` is asked for (E * n, P) coordinates at once.
 
     These are ensemble by ensemble, n of each. The same state gives the same steps, however they are divided
-    among calls. `pictures` are what independent proposals are drawn from, one of each ensemble.
+    among calls. `proposal_densities` are what independent proposals are drawn from, one of each ensemble.
     """
     import emcee  # takes 0.7 s, which only a sampling run should pay
 
     ensembles, walkers, dimensions = state.coordinates.shape
-    books = _Books(np.zeros((ensembles, walkers), dtype=bool))
+    last_acceptance = _LastAcceptance(np.zeros((ensembles, walkers), dtype=bool))
     mixture = [
-        (_SideBySide([_proposal(name, picture) for picture in pictures], ensembles, books), share)
-        for name, share in shares(moves).items()
+        (
+            _EnsembleMove(
+                [_make_proposal(name, proposal_density) for proposal_density in proposal_densities],
+                ensembles,
+                last_acceptance,
+            ),
+            share,
+        )
+        for name, share in parse_moves(moves).items()
     ]
     sampler = emcee.EnsembleSampler(
         ensembles * walkers, dimensions, log_density, vectorize=True, moves=mixture
@@ -122,23 +129,23 @@ def steps(
     for now in sampler.sample(begin, iterations=count, store=False, skip_initial_state_check=True):
         coordinates = now.coords.reshape(state.coordinates.shape).copy()
         density = now.log_prob.reshape(state.log_density.shape).copy()
-        yield Step(State(coordinates, density, now.random_state), books.accepted)
+        yield EnsembleStep(WalkerState(coordinates, density, now.random_state), last_acceptance.accepted)
 
 
 @dataclass
-class _Books:
+class _LastAcceptance:
     """What emcee does not hand on without keeping the whole chain: who moved in the last step."""
 
     accepted: NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
-class _SideBySide:
+class _EnsembleMove:
     """A move in the form that emcee asks for, made in each ensemble by itself."""
 
     proposals: Sequence[Proposal]
     ensembles: int
-    books: _Books
+    last_acceptance: _LastAcceptance
 
     def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:  # noqa: ANN401  (emcee has no types)
         """Move all walkers once; `state` is changed in place and returned with who moved (E * W,)."""
@@ -147,9 +154,9 @@ class _SideBySide:
         accepted = np.zeros(density.shape, dtype=bool)
         every = range(self.ensembles)
         order = np.array([model.random.permutation(density.shape[1]) for _ in every])  # (E, W)
-        for part in range(PARTS):
-            own = order[:, part::PARTS]  # (E, n)
-            resting = [np.delete(order[e], np.s_[part::PARTS]) for e in every]
+        for part in range(ENSEMBLE_PARTS):
+            own = order[:, part::ENSEMBLE_PARTS]  # (E, n)
+            resting = [np.delete(order[e], np.s_[part::ENSEMBLE_PARTS]) for e in every]
             found = [
                 self.proposals[e](coordinates[e, own[e]], [coordinates[e, resting[e]]], model.random)
                 for e in every
@@ -159,28 +166,28 @@ class _SideBySide:
             new, _ = model.compute_log_prob_fn(proposed.reshape(-1, proposed.shape[2]))
             new = new.reshape(factor.shape)
             rows = np.arange(self.ensembles)[:, None]
-            took = np.log(model.random.uniform(size=factor.shape)) < factor + new - density[rows, own]
-            coordinates[rows, own] = np.where(took[..., None], proposed, coordinates[rows, own])
-            density[rows, own] = np.where(took, new, density[rows, own])
-            accepted[rows, own] = took
-        self.books.accepted = accepted
+            accepted_now = np.log(model.random.uniform(size=factor.shape)) < factor + new - density[rows, own]
+            coordinates[rows, own] = np.where(accepted_now[..., None], proposed, coordinates[rows, own])
+            density[rows, own] = np.where(accepted_now, new, density[rows, own])
+            accepted[rows, own] = accepted_now
+        self.last_acceptance.accepted = accepted
         return state, accepted.reshape(-1)
 
 
-def _proposal(name: str, picture: Picture) -> Proposal:
+def _make_proposal(name: str, proposal_density: ProposalDensity) -> Proposal:
     from emcee import moves
 
     if name == "snooker":
-        return _snooker
+        return _propose_snooker
     if name == INDEPENDENT:
-        return partial(_independent, picture)
+        return partial(_propose_independent, proposal_density)
     move = {"stretch": moves.StretchMove, "de": moves.DEMove}[name]()
-    move.setup(np.empty((0, picture.dimensions)))  # differential evolution scales with the dimension
+    move.setup(np.empty((0, proposal_density.dimensions)))  # differential evolution scales with the dimension
     proposal: Proposal = move.get_proposal
     return proposal
 
 
-def _snooker(own: Floats, others: Sequence[Floats], random: Random) -> tuple[Floats, Floats]:
+def _propose_snooker(own: Floats, others: Sequence[Floats], random: RandomState) -> tuple[Floats, Floats]:
     """Propose a step along the line through one other walker, by the projected difference of two more.
 
     emcee 3.1.6 has this move too, but not with the target as its stationary distribution: it multiplies the
@@ -193,15 +200,15 @@ def _snooker(own: Floats, others: Sequence[Floats], random: Random) -> tuple[Flo
     away = own - at[:, 0]
     distance = np.linalg.norm(away, axis=1)  # (N,)
     unit = away / distance[:, None]
-    moved = own + SNOOKER * unit * np.sum(unit * (at[:, 1] - at[:, 2]), axis=1)[:, None]
+    moved = own + SNOOKER_LENGTH * unit * np.sum(unit * (at[:, 1] - at[:, 2]), axis=1)[:, None]
     stretched = np.linalg.norm(moved - at[:, 0], axis=1) / distance
     return moved, (own.shape[1] - 1) * np.log(stretched)
 
 
-def _independent(
-    picture: Picture, own: Floats, others: Sequence[Floats], random: Random
+def _propose_independent(
+    proposal_density: ProposalDensity, own: Floats, others: Sequence[Floats], random: RandomState
 ) -> tuple[Floats, Floats]:
-    """Propose places of the picture, wherever the walkers stand."""
-    moved = picture.draw(len(own), random)
-    before, after = np.split(picture.log_density(np.concatenate([own, moved])), 2)
+    """Propose draws of the proposal density, wherever the walkers are."""
+    moved = proposal_density.draw(len(own), random)
+    before, after = np.split(proposal_density.log_density(np.concatenate([own, moved])), 2)
     return moved, before - after

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 
 PERCENTILES = (2.5, 16.0, 50.0, 84.0, 97.5)
-ENGINE: Literal["h5netcdf"] = "h5netcdf"
+NETCDF_ENGINE: Literal["h5netcdf"] = "h5netcdf"
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,8 @@ def save(posterior: Posterior, path: Path) -> None:
     """
     temporary = path.with_name(path.name + ".part")
     temporary.unlink(missing_ok=True)
-    for group, dataset in _datasets(posterior).items():
-        dataset.to_netcdf(temporary, group=group, engine=ENGINE, mode="a")
+    for group, dataset in _make_datasets(posterior).items():
+        dataset.to_netcdf(temporary, group=group, engine=NETCDF_ENGINE, mode="a")
     temporary.replace(path)
 
 
@@ -111,18 +111,18 @@ def load(path: Path) -> Posterior:
     """Read what `save` wrote; DataError if the file is not a posterior, or is damaged."""
     attributes, numbers = read_numbers(path)
     try:
-        posterior = _read(attributes, numbers)
+        posterior = _parse_posterior(attributes, numbers)
     except (DataError, KeyError, TypeError, ValueError) as error:
-        raise _unusable(path, f"is not a posterior of needlefit ({type(error).__name__})") from error
+        raise _file_error(path, f"is not a posterior of needlefit ({type(error).__name__})") from error
     digest = attributes.get("posterior/sha256")  # files from before have none
-    if not _alike(posterior):
-        raise _unusable(path, "its arrays do not fit together")
+    if not _is_consistent(posterior):
+        raise _file_error(path, "its arrays do not fit together")
     if digest is not None and digest != _digest(posterior):
-        raise _unusable(path, "its content was changed: the digest does not match")
+        raise _file_error(path, "its content was changed: the digest does not match")
     return posterior
 
 
-def _unusable(path: Path, what: str) -> DataError:
+def _file_error(path: Path, what: str) -> DataError:
     return DataError(
         what,
         where=str(path),
@@ -131,83 +131,109 @@ def _unusable(path: Path, what: str) -> DataError:
     )
 
 
-def _alike(of: Posterior) -> bool:
+def _is_consistent(posterior: Posterior) -> bool:
     """Return whether all arrays are of the same ensembles, draws, parameters and quantities."""
-    ensembles, quantities = len(of.acceptance), len(of.convergence.quantities)
-    numbers = (of.draws, of.log_posterior, of.acceptance, of.convergence.r_hat)
+    ensembles, quantities = len(posterior.acceptance), len(posterior.convergence.quantities)
+    numbers = (posterior.draws, posterior.log_posterior, posterior.acceptance, posterior.convergence.r_hat)
     return (
         ensembles > 0
-        and 0 < len(of.names) <= quantities
-        and of.log_posterior.shape == of.draws.shape[:2] == (ensembles, of.draws.shape[1])
-        and 0 < of.walkers <= of.draws.shape[1]
-        and of.acceptance.ndim == 1
-        and of.convergence.r_hat.shape == (quantities,)
+        and 0 < len(posterior.names) <= quantities
+        and posterior.log_posterior.shape
+        == posterior.draws.shape[:2]
+        == (ensembles, posterior.draws.shape[1])
+        and 0 < posterior.walkers <= posterior.draws.shape[1]
+        and posterior.acceptance.ndim == 1
+        and posterior.convergence.r_hat.shape == (quantities,)
         and all(
-            getattr(of.convergence, field).shape == (ensembles, quantities) for field in _PER_CHAIN.values()
+            getattr(posterior.convergence, field).shape == (ensembles, quantities)
+            for field in _PER_CHAIN.values()
         )
         and all(array.dtype == np.float64 for array in numbers)
-        and bool(np.isfinite(of.draws).all())
+        and bool(np.isfinite(posterior.draws).all())
     )
 
 
-def _digest(of: Posterior) -> str:
+def _digest(posterior: Posterior) -> str:
     """Return the SHA-256 of all that a posterior holds."""
-    rule = of.convergence
-    about = [of.names, of.walkers, of.moves, of.burn_in, of.failures, int(of.interrupted), of.failed]
-    found = hashlib.sha256(json.dumps([*about, rule.quantities, rule.steps, of.draws.shape]).encode("utf-8"))
-    for array in (of.draws, of.log_posterior, of.acceptance, rule.r_hat, rule.tau, rule.bulk, rule.tail):
+    rule = posterior.convergence
+    header = [
+        posterior.names,
+        posterior.walkers,
+        posterior.moves,
+        posterior.burn_in,
+        posterior.failures,
+        int(posterior.interrupted),
+        posterior.failed,
+    ]
+    found = hashlib.sha256(
+        json.dumps([*header, rule.quantities, rule.steps, posterior.draws.shape]).encode("utf-8")
+    )
+    for array in (
+        posterior.draws,
+        posterior.log_posterior,
+        posterior.acceptance,
+        rule.r_hat,
+        rule.tau,
+        rule.ess_bulk,
+        rule.ess_tail,
+    ):
         found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
     return found.hexdigest()
 
 
-def _datasets(of: Posterior) -> "dict[str, xarray.Dataset]":
+def _make_datasets(posterior: Posterior) -> "dict[str, xarray.Dataset]":
     import xarray  # late: a study without sampling does not wait for it
 
-    chains, length = of.log_posterior.shape
+    chains, length = posterior.log_posterior.shape
     frame = {"chain": np.arange(chains), "draw": np.arange(length)}
-    by = {"chain": np.arange(chains), "quantity": list(of.convergence.quantities)}
-    draws = {name: (tuple(frame), of.draws[:, :, k]) for k, name in enumerate(of.names)}
-    stats = {"lp": (tuple(frame), of.log_posterior), "acceptance_rate": (("chain",), of.acceptance)}
-    found = {name: (tuple(by), getattr(of.convergence, field)) for name, field in _PER_CHAIN.items()}
-    found["r_hat"] = (("quantity",), of.convergence.r_hat)
-    about = _attributes(of)
+    by = {"chain": np.arange(chains), "quantity": list(posterior.convergence.quantities)}
+    draws = {name: (tuple(frame), posterior.draws[:, :, k]) for k, name in enumerate(posterior.names)}
+    stats = {
+        "lp": (tuple(frame), posterior.log_posterior),
+        "acceptance_rate": (("chain",), posterior.acceptance),
+    }
+    found = {name: (tuple(by), getattr(posterior.convergence, field)) for name, field in _PER_CHAIN.items()}
+    found["r_hat"] = (("quantity",), posterior.convergence.r_hat)
+    header = _attributes(posterior)
     return {
-        "posterior": xarray.Dataset(draws, coords=frame, attrs=about),
-        "sample_stats": xarray.Dataset(stats, coords=frame, attrs=about),
-        "convergence": xarray.Dataset(found, coords=by, attrs={**about, "steps": of.convergence.steps}),
+        "posterior": xarray.Dataset(draws, coords=frame, attrs=header),
+        "sample_stats": xarray.Dataset(stats, coords=frame, attrs=header),
+        "convergence": xarray.Dataset(
+            found, coords=by, attrs={**header, "steps": posterior.convergence.steps}
+        ),
     }
 
 
-_PER_CHAIN = {"autocorrelation_time": "tau", "ess_bulk": "bulk", "ess_tail": "tail"}
+_PER_CHAIN = {"autocorrelation_time": "tau", "ess_bulk": "ess_bulk", "ess_tail": "ess_tail"}
 """Variables of the group `convergence` by what holds them."""
 
 
-def _attributes(of: Posterior) -> dict[str, str | int]:
+def _attributes(posterior: Posterior) -> dict[str, str | int]:
     return {
         "inference_library": "emcee",
-        "state": "converged" if of.converged else f"NOT CONVERGED: {'; '.join(of.faults)}",
-        "parameters": ",".join(of.names),
-        "walkers": of.walkers,
-        "moves": of.moves,
-        "burn_in": of.burn_in,
-        "failures": of.failures,
-        "failed_theta": json.dumps(of.failed),
-        "interrupted": int(of.interrupted),
-        "converged": int(of.converged),
-        "sha256": _digest(of),
+        "state": "converged" if posterior.converged else f"NOT CONVERGED: {'; '.join(posterior.faults)}",
+        "parameters": ",".join(posterior.names),
+        "walkers": posterior.walkers,
+        "moves": posterior.moves,
+        "burn_in": posterior.burn_in,
+        "failures": posterior.failures,
+        "failed_theta": json.dumps(posterior.failed),
+        "interrupted": int(posterior.interrupted),
+        "converged": int(posterior.converged),
+        "sha256": _digest(posterior),
     }
 
 
-def _read(attributes: Mapping[str, Any], numbers: Mapping[str, Floats]) -> Posterior:
+def _parse_posterior(attributes: Mapping[str, Any], numbers: Mapping[str, Floats]) -> Posterior:
     """Return the posterior of what a file holds, by `group/name`."""
-    about = {name: attributes[f"posterior/{name}"] for name in _ATTRIBUTES}
-    names = tuple(str(about["parameters"]).split(","))
+    header = {name: attributes[f"posterior/{name}"] for name in _ATTRIBUTES}
+    names = tuple(str(header["parameters"]).split(","))
     return Posterior(
         names=names,
         draws=np.stack([numbers[f"posterior/{name}"] for name in names], axis=2),
         log_posterior=numbers["sample_stats/lp"],
-        walkers=int(about["walkers"]),
-        moves=str(about["moves"]),
+        walkers=int(header["walkers"]),
+        moves=str(header["moves"]),
         acceptance=numbers["sample_stats/acceptance_rate"],
         convergence=Convergence(
             quantities=tuple(attributes["convergence/quantity"]),
@@ -215,14 +241,14 @@ def _read(attributes: Mapping[str, Any], numbers: Mapping[str, Floats]) -> Poste
             **{field: numbers[f"convergence/{name}"] for name, field in _PER_CHAIN.items()},
             steps=int(attributes["convergence/steps"]),
         ),
-        burn_in=int(about["burn_in"]),
-        failures=int(about["failures"]),
-        interrupted=bool(about["interrupted"]),
-        failed=_thetas(parse_json(str(about["failed_theta"]), "failed_theta")),
+        burn_in=int(header["burn_in"]),
+        failures=int(header["failures"]),
+        interrupted=bool(header["interrupted"]),
+        failed=_to_tuples(parse_json(str(header["failed_theta"]), "failed_theta")),
     )
 
 
-def _thetas(lists: Sequence[Sequence[Sequence[float]]]) -> tuple[tuple[tuple[float, ...], ...], ...]:
+def _to_tuples(lists: Sequence[Sequence[Sequence[float]]]) -> tuple[tuple[tuple[float, ...], ...], ...]:
     return tuple(tuple(tuple(map(float, theta)) for theta in ensemble) for ensemble in lists)
 
 

@@ -1,8 +1,8 @@
-"""Draw from the posterior with several independent ensembles until they agree, or the budget ends.
+"""Sample the posterior with several independent ensembles until they converge, or the budget ends.
 
 Walkers are laid out and moved in the coordinates of the Laplace approximation, in which the ridges of the
-posterior are round. After every block of steps the run is kept, and the rule of `convergence` asked: what
-ends a run is counted in steps, never in time. Not counted is the burn-in, the first ten autocorrelation
+posterior are round. After every block of steps the run is kept, and the rule of `assess_convergence` asked:
+what ends a run is counted in steps, never in time. Not counted is the burn-in, the first ten autocorrelation
 times of the second half of the steps, but never more than the first half; nor what the ensembles learned
 from.
 """
@@ -15,21 +15,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.ledger import KEPT
+from needlefit.inference.evaluation_recorder import MAX_FAILED_POINTS
+from needlefit.inference.fit import Callbacks
 from needlefit.inference.sampling.convergence import (
-    LENGTH_IN_TAU,
+    MIN_LENGTH_TAU,
     Convergence,
+    assess_convergence,
     autocorrelation_times,
-    convergence,
 )
-from needlefit.inference.sampling.ensembles import State, shares, steps
-from needlefit.inference.sampling.evaluator import Density, Evaluator
-from needlefit.inference.sampling.laplace import Laplace, laplace
-from needlefit.inference.sampling.learning import block_length, last_lesson, pictures
+from needlefit.inference.sampling.ensembles import WalkerState, parse_moves, run_ensembles
+from needlefit.inference.sampling.log_density import (
+    Evaluator,
+    LaplaceApproximation,
+    LogDensity,
+    approximate_by_laplace,
+)
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.inference.sampling.snapshots import Block, Failed, Snapshots
-from needlefit.inference.sampling.walkers import begin
-from needlefit.inference.starts import Watch
+from needlefit.inference.sampling.walkers import (
+    block_length,
+    initialize_walkers,
+    last_adaptation_step,
+    make_proposal_densities,
+)
 from needlefit.schemas.limits import MAX_STORED_NUMBERS
 from needlefit.schemas.recipe import SampleRecord
 
@@ -40,11 +48,11 @@ BURN_IN_TAU = 10.0
 
 
 def sample(
-    problem: Density,
+    problem: LogDensity,
     ends: Floats | Sequence[float],
     settings: SampleRecord,
     rng: np.random.Generator,
-    watch: Watch | None = None,
+    callbacks: Callbacks | None = None,
     snapshots: Snapshots | None = None,
 ) -> Posterior:
     """Draw from the posterior with `settings.ensembles` independent ensembles.
@@ -61,35 +69,35 @@ def sample(
     FitError
         If no starting point of positive density is found, or the stop came before the second step.
     """
-    _check(problem, settings)
-    watch, snapshots = watch or Watch(), snapshots or Snapshots()
+    _check_settings(problem, settings)
+    callbacks, snapshots = callbacks or Callbacks(), snapshots or Snapshots()
     points = np.atleast_2d(np.asarray(ends, dtype=np.float64))
-    evaluator = Evaluator(problem, watch.jobs)
-    about = laplace(evaluator, points[0], problem.lower, problem.upper)
-    task = _Task(problem, about, settings, watch)
+    evaluator = Evaluator(problem, callbacks.jobs)
+    approximation = approximate_by_laplace(evaluator, points[0], problem.lower, problem.upper)
+    task = _SamplingTask(problem, approximation, settings, callbacks)
     blocks = list(snapshots.blocks())
-    state = blocks[-1].last if blocks else begin(evaluator, about, points, settings, rng)
+    state = blocks[-1].last if blocks else initialize_walkers(evaluator, approximation, points, settings, rng)
     while True:
-        chain = _chain(task, blocks)
-        found = _asked(task, chain)
+        chain = _join_blocks(task, blocks)
+        found = _assess_chain(task, chain)
         length = block_length(settings, chain.steps)
         if length <= 0 or (found is not None and not found.faults):
-            return _posterior(task, chain, found, interrupted=False)
-        block = None if watch.stop() else _walk(task, state, chain, length)
+            return _make_posterior(task, chain, found, interrupted=False)
+        block = None if callbacks.stop() else _run_block(task, state, chain, length)
         if block is None or block.steps < length:
-            whole = _chain(task, [*blocks, block] if block else blocks)
-            return _posterior(task, whole, None, interrupted=True)
+            whole = _join_blocks(task, [*blocks, block] if block else blocks)
+            return _make_posterior(task, whole, None, interrupted=True)
         snapshots.keep(len(blocks), block)
         blocks.append(block)
         state = block.last
 
 
 @dataclass(frozen=True)
-class _Task:
-    problem: Density
-    about: Laplace
+class _SamplingTask:
+    problem: LogDensity
+    approximation: LaplaceApproximation
     settings: SampleRecord
-    watch: Watch
+    callbacks: Callbacks
 
 
 @dataclass(frozen=True)
@@ -108,10 +116,10 @@ class _Chain:
         return int(self.log_density.shape[1])
 
 
-def _check(problem: Density, settings: SampleRecord) -> None:
+def _check_settings(problem: LogDensity, settings: SampleRecord) -> None:
     if not problem.names:
         raise ConfigError("nothing is free: there is no posterior to sample")
-    shares(settings.moves)
+    parse_moves(settings.moves)
     stored = settings.ensembles * settings.walkers * settings.steps * len(problem.names)
     if stored > MAX_STORED_NUMBERS:
         raise ConfigError(
@@ -127,37 +135,39 @@ def _check(problem: Density, settings: SampleRecord) -> None:
         )
 
 
-def _walk(task: _Task, state: State, chain: _Chain, length: int) -> Block:
+def _run_block(task: _SamplingTask, state: WalkerState, chain: _Chain, length: int) -> Block:
     """Return the next `length` steps, fewer if a stop comes."""
-    evaluator = Evaluator(task.problem, task.watch.jobs, task.settings.ensembles)
+    evaluator = Evaluator(task.problem, task.callbacks.jobs, task.settings.ensembles)
 
     def log_density(z: Floats) -> Floats:
-        return evaluator(task.about.thetas(z))
+        return evaluator(task.approximation.thetas(z))
 
-    walked, known = [], pictures(task.settings, chain.coordinates)
-    for step in steps(log_density, state, task.settings.moves, known, length):
-        walked.append(step)
-        task.watch.step(chain.steps + len(walked), task.settings.steps)
-        if task.watch.stop():
+    steps_done, known = [], make_proposal_densities(task.settings, chain.coordinates)
+    for step in run_ensembles(log_density, state, task.settings.moves, known, length):
+        steps_done.append(step)
+        task.callbacks.step(chain.steps + len(steps_done), task.settings.steps)
+        if task.callbacks.stop():
             break
     return Block(
-        coordinates=np.stack([step.state.coordinates for step in walked], axis=1),
-        log_density=np.stack([step.state.log_density for step in walked], axis=1),
-        accepted=np.sum([step.accepted for step in walked], axis=0),
-        random=walked[-1].state.random,
+        coordinates=np.stack([step.state.coordinates for step in steps_done], axis=1),
+        log_density=np.stack([step.state.log_density for step in steps_done], axis=1),
+        accepted=np.sum([step.accepted for step in steps_done], axis=0),
+        random=steps_done[-1].state.random,
         failures=evaluator.failures,
         failed=tuple(tuple(thetas) for thetas in evaluator.failed),
     )
 
 
-def _chain(task: _Task, blocks: Sequence[Block]) -> _Chain:
+def _join_blocks(task: _SamplingTask, blocks: Sequence[Block]) -> _Chain:
     ensembles, walkers = task.settings.ensembles, task.settings.walkers
     nothing = np.empty((ensembles, 0, walkers, len(task.problem.names)))
     z = np.concatenate([nothing, *(block.coordinates for block in blocks)], axis=1)
-    failed = [[theta for block in blocks for theta in block.failed[e]][:KEPT] for e in range(ensembles)]
+    failed = [
+        [theta for block in blocks for theta in block.failed[e]][:MAX_FAILED_POINTS] for e in range(ensembles)
+    ]
     return _Chain(
         coordinates=z,
-        thetas=task.about.thetas(z),
+        thetas=task.approximation.thetas(z),
         log_density=np.concatenate([nothing[..., 0], *(block.log_density for block in blocks)], axis=1),
         accepted=sum((block.accepted for block in blocks), np.zeros((ensembles, walkers), dtype=np.int64)),
         failures=sum(block.failures for block in blocks),
@@ -165,28 +175,30 @@ def _chain(task: _Task, blocks: Sequence[Block]) -> _Chain:
     )
 
 
-def _first(task: _Task, chain: _Chain) -> tuple[int, float]:
+def _find_burn_in(task: _SamplingTask, chain: _Chain) -> tuple[int, float]:
     """Return how many steps are burn-in, and the longest autocorrelation time of the late steps."""
-    learned, half = last_lesson(task.settings, chain.steps), chain.steps // 2
-    late = chain.thetas[:, max(learned, half) :]
+    adapted, half = last_adaptation_step(task.settings, chain.steps), chain.steps // 2
+    late = chain.thetas[:, max(adapted, half) :]
     if late.shape[1] < 2:
-        return max(learned, half), math.inf
+        return max(adapted, half), math.inf
     slowest = max(float(autocorrelation_times(late[..., k]).max()) for k in range(late.shape[3]))
-    return max(learned, half if BURN_IN_TAU * slowest >= half else math.ceil(BURN_IN_TAU * slowest)), slowest
+    return max(adapted, half if BURN_IN_TAU * slowest >= half else math.ceil(BURN_IN_TAU * slowest)), slowest
 
 
-def _asked(task: _Task, chain: _Chain) -> Convergence | None:
+def _assess_chain(task: _SamplingTask, chain: _Chain) -> Convergence | None:
     """Return what the rule looks at; None while the steps are too few for it, which is quickly seen."""
-    first, slowest = _first(task, chain)
-    if not chain.steps - first > LENGTH_IN_TAU * slowest:
+    first, slowest = _find_burn_in(task, chain)
+    if not chain.steps - first > MIN_LENGTH_TAU * slowest:
         return None
-    return convergence(chain.thetas[:, first:], chain.log_density[:, first:], task.problem.names)
+    return assess_convergence(chain.thetas[:, first:], chain.log_density[:, first:], task.problem.names)
 
 
-def _posterior(task: _Task, chain: _Chain, found: Convergence | None, interrupted: bool) -> Posterior:
+def _make_posterior(
+    task: _SamplingTask, chain: _Chain, found: Convergence | None, interrupted: bool
+) -> Posterior:
     if chain.steps < 2:
         raise FitError(f"the sampler was stopped after {chain.steps} steps: nothing to keep")
-    first, names = _first(task, chain)[0], task.problem.names
+    first, names = _find_burn_in(task, chain)[0], task.problem.names
     if found is None:  # stopped just after a lesson: what there is
         first = min(first, chain.steps // 2)
     thetas, density = chain.thetas[:, first:], chain.log_density[:, first:]
@@ -202,7 +214,7 @@ def _posterior(task: _Task, chain: _Chain, found: Convergence | None, interrupte
         walkers=task.settings.walkers,
         moves=task.settings.moves,
         acceptance=np.mean(chain.accepted, axis=1) / chain.steps,
-        convergence=found or convergence(thetas, density, names),
+        convergence=found or assess_convergence(thetas, density, names),
         burn_in=first,
         failures=chain.failures,
         interrupted=interrupted,

@@ -1,4 +1,4 @@
-"""What a sampler has done so far, block by block of steps, so that a killed run goes on to the same bytes."""
+"""Snapshots of a sampler, one for each block of steps, so that a killed run resumes to the same bytes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.errors import DataError
-from needlefit.inference.sampling.ensembles import State
+from needlefit.inference.sampling.ensembles import WalkerState
 from needlefit.project.checkpoint_file import (
     CheckpointContent,
     read_checkpoint_file,
@@ -54,9 +54,9 @@ class Block:
         return int(self.log_density.shape[1])
 
     @property
-    def last(self) -> State:
+    def last(self) -> WalkerState:
         """Where the next step begins."""
-        return State(self.coordinates[:, -1], self.log_density[:, -1], self.random)
+        return WalkerState(self.coordinates[:, -1], self.log_density[:, -1], self.random)
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Snapshots:
             if self.folder is None or not self._file(number).is_file():
                 return
             try:
-                block = _read(self._file(number))
+                block = _read_block(self._file(number))
             except DataError:
                 self._end_at(number)
                 return
@@ -87,8 +87,8 @@ class Snapshots:
             kind, key, *rest = block.random
             values = {"random": [kind, *rest], "failures": block.failures, "failed": block.failed}
             arrays = {name: getattr(block, name) for name in _ARRAYS}
-            kept = CheckpointContent(values, {**arrays, "random": np.asarray(key, dtype=np.int64)})
-            write_checkpoint_file(self._file(number), _KIND, "", kept)
+            content = CheckpointContent(values, {**arrays, "random": np.asarray(key, dtype=np.int64)})
+            write_checkpoint_file(self._file(number), _KIND, "", content)
 
     def _file(self, number: int) -> Path:
         assert self.folder is not None
@@ -107,29 +107,29 @@ _KIND = "snapshot"
 _ARRAYS = ("coordinates", "log_density", "accepted")
 
 
-def _read(path: Path) -> Block:
+def _read_block(path: Path) -> Block:
     """Return the block in a file; DataError if it is damaged."""
-    kept = read_checkpoint_file(path, _KIND, "")
+    content = read_checkpoint_file(path, _KIND, "")
     try:
-        if kept is None or not _fits(kept):
+        if content is None or not _is_consistent(content):
             raise ValueError
-        kind, *rest = kept.values["random"]
+        kind, *rest = content.values["random"]
         return Block(
-            **{name: kept.arrays[name] for name in _ARRAYS},
-            random=(str(kind), kept.arrays["random"].astype(np.uint32), *rest),
-            failures=int(kept.values["failures"]),
-            failed=_thetas(kept.values["failed"]),
+            **{name: content.arrays[name] for name in _ARRAYS},
+            random=(str(kind), content.arrays["random"].astype(np.uint32), *rest),
+            failures=int(content.values["failures"]),
+            failed=_to_tuples(content.values["failed"]),
         )
     except (KeyError, TypeError, ValueError) as error:
         raise DataError(f"is no block of a sampler: {error!r}", where=str(path)) from None
 
 
-def _fits(kept: CheckpointContent) -> bool:
+def _is_consistent(content: CheckpointContent) -> bool:
     """Whether the arrays of a block have the shapes that belong together."""
-    ensembles, steps, walkers, _ = kept.arrays["coordinates"].shape
-    of = (kept.arrays["log_density"].shape, kept.arrays["accepted"].shape)
-    return of == ((ensembles, steps, walkers), (ensembles, walkers)) and steps > 0
+    ensembles, steps, walkers, _ = content.arrays["coordinates"].shape
+    shapes = (content.arrays["log_density"].shape, content.arrays["accepted"].shape)
+    return shapes == ((ensembles, steps, walkers), (ensembles, walkers)) and steps > 0
 
 
-def _thetas(lists: list[list[list[float]]]) -> Failed:
+def _to_tuples(lists: list[list[list[float]]]) -> Failed:
     return tuple(tuple(tuple(theta) for theta in ensemble) for ensemble in lists)

@@ -1,1 +1,1 @@
-"""Inference from tracked tips: one simulated insertion gives the tip at every depth it passed."""
+"""Inference from tip tracks: one simulated insertion gives the tip at every depth that it passed."""

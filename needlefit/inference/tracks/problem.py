@@ -1,4 +1,10 @@
-"""A fit to tip tracks, asked in the same words as one to shapes: the same searches and samplers do it."""
+"""A fit to tip tracks, with the methods that searches and samplers need, and its observations.
+
+One run made ready to be compared: what the tracker's frame leaves unknown is projected off.
+
+A reading is t_i = y(d_i) + shift + slope d_i + noise. Shift and slope are of the tracker, not of the needle,
+and known of no run: the limit of a flat prior of both, as of a free pose (docs/inference.md, section 3).
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,21 +15,75 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Noise
 from needlefit.datasets.tip_tracks import TipTrack
-from needlefit.errors import ConfigError
-from needlefit.inference.parameters import SCALES, Parameters, Theta
+from needlefit.errors import ConfigError, DataError
+from needlefit.inference.likelihood.observation import points_covariance, whiten
+from needlefit.inference.parameters import NOISE_SCALE_BOUNDS, Parameters, Theta
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.inference.tracks.course import Values, tips
-from needlefit.inference.tracks.evidence import TrackEvidence, track_evidence
+from needlefit.inference.tracks.simulation import Values, simulate_tips
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.recipe import ObjectiveName
 
 Floats = NDArray[np.float64]
 
-STEP = 1e-3
+
+@dataclass(frozen=True)
+class TrackObservation:
+    """One run, ready to be compared.
+
+    Attributes
+    ----------
+    track : Track
+    covariance : (n, n) array
+        Of the noise of its readings, mm^2, at scale 1.
+    whitening : (n - 2, n) array
+        Takes differences of tips to independent ones of unit variance, without what shift and slope can do.
+    log_norm : float
+    """
+
+    track: TipTrack
+    covariance: Floats
+    whitening: Floats
+    log_norm: float
+
+    @property
+    def frame(self) -> Floats:
+        """What a unit shift (mm) and a unit slope of the tracker's frame do to the readings, (n, 2)."""
+        return frame_columns(self.track.depth)
+
+    @cached_property
+    def estimator(self) -> Floats:
+        """Takes readings less deflections (n,) to the shift and slope (2,) that fit them best."""
+        weighted = np.linalg.solve(self.covariance, self.frame)  # (n, 2)
+        return np.asarray(np.linalg.solve(self.frame.T @ weighted, weighted.T), dtype=np.float64)
+
+
+def frame_columns(depth: Floats) -> Floats:
+    """Return the columns (n, 2) of a shift and of a slope along `depth` (n,)."""
+    return np.column_stack([np.ones(len(depth)), depth])
+
+
+def make_track_observation(track: TipTrack, noise: Noise) -> TrackObservation:
+    """Return the observation of one run.
+
+    Raises
+    ------
+    DataError
+        If no noise of single readings is stated: without any, a likelihood has no width.
+    """
+    if noise.point_sd <= 0:
+        raise DataError(
+            f"no noise of the readings of {track.id} is stated", where="noise", expected="point_sd_mm above 0"
+        )
+    covariance = points_covariance(track.depth, noise)
+    whitening, log_norm = whiten(covariance, frame_columns(track.depth))
+    return TrackObservation(track, covariance, whitening, log_norm)
+
+
+DIFFERENCE_STEP = 1e-3
 """Of the central differences, in theta: errors of 1e-6 from the step, 1e-4 mm at most from the solver."""
 
-SMALLER = 0.99
+SCALE_MARGIN = 0.99
 """Of the least noise scale, from which its residual counts."""
 
 
@@ -83,13 +143,13 @@ class TrackProblem:
         return self.parameters.values(theta)
 
     @cached_property
-    def evidence(self) -> tuple[TrackEvidence, ...]:
+    def observations(self) -> tuple[TrackObservation, ...]:
         """What each run is compared with; computed once."""
-        return tuple(track_evidence(track, self.noise) for track in self.tracks)
+        return tuple(make_track_observation(track, self.noise) for track in self.tracks)
 
     def tips(self, sets: Sequence[Values], jobs: int = 1) -> tuple[Floats, ...]:
         """Return the simulated tips (B, n) of every run, mm."""
-        return tips(sets, self.medium, self.needle, self.tracks, jobs)
+        return simulate_tips(sets, self.medium, self.needle, self.tracks, jobs)
 
     def log_posterior(self, theta: Theta) -> float:
         """Return the log of the unnormalised posterior density; -inf outside, NaN where a solve fails."""
@@ -117,10 +177,10 @@ class TrackProblem:
     def jacobian(self, theta: Theta) -> tuple[Floats, Floats]:
         """Return the residuals (R,) and their derivatives (R, P), by central differences of one batch."""
         at = np.asarray(theta, dtype=np.float64)
-        moves = STEP * np.eye(len(at))
+        moves = DIFFERENCE_STEP * np.eye(len(at))
         found = self._residuals([self.values(one) for one in (at, *(at + moves), *(at - moves))])
         plus, minus = np.split(found[1:], 2)
-        return found[0], (plus - minus).T / (2 * STEP)
+        return found[0], (plus - minus).T / (2 * DIFFERENCE_STEP)
 
     def approach(self, minimized: ObjectiveName) -> None:
         """Return None: nothing is easier than this posterior, in which no depth errs."""
@@ -128,26 +188,30 @@ class TrackProblem:
     def _log_densities(self, sets: Sequence[Values], jobs: int) -> Floats:
         prior = np.array([self.parameters.prior.log_density(values) for values in sets])
         scales = np.array([_scale(values) for values in sets])
-        norm = sum(known.log_norm for known in self.evidence) - self._rows * np.log(scales)
+        norm = sum(observation.log_norm for observation in self.observations) - self._rows * np.log(scales)
         off = np.sum(self._white(sets, jobs) ** 2, axis=1) / scales**2
         density: Floats = prior + norm - 0.5 * off
         return density
 
     @property
     def _rows(self) -> int:
-        return sum(len(known.whitening) for known in self.evidence)
+        return sum(len(observation.whitening) for observation in self.observations)
 
     def _white(self, sets: Sequence[Values], jobs: int = 1) -> Floats:
         """Return the whitened differences (B, R) of all runs, at noise scale 1."""
-        pairs = zip(self.evidence, self.tips(sets, jobs), strict=True)
-        return np.concatenate([(tip - known.track.tip) @ known.whitening.T for known, tip in pairs], axis=1)
+        pairs = zip(self.observations, self.tips(sets, jobs), strict=True)
+        return np.concatenate(
+            [(tip - observation.track.tip) @ observation.whitening.T for observation, tip in pairs], axis=1
+        )
 
     def _residuals(self, sets: Sequence[Values]) -> Floats:
         scales = np.array([[_scale(values)] for values in sets])
         parts = [self._white(sets) / scales]
         if NOISE_SCALE in self.names:
             # 1 keeps it from 0, where its derivative would be infinite, and differences step over the bound
-            parts.append(np.sqrt(1.0 + 2 * self._rows * np.log(scales / (SMALLER * SCALES[0]))))
+            parts.append(
+                np.sqrt(1.0 + 2 * self._rows * np.log(scales / (SCALE_MARGIN * NOISE_SCALE_BOUNDS[0])))
+            )
         parts.append(np.array([self.parameters.prior.residuals(values) for values in sets]))
         return np.concatenate(parts, axis=1)
 

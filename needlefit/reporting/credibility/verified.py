@@ -13,7 +13,7 @@ from needlefit.reporting.tables import Row, records
 from needlefit.reporting.verification import bound_said, measured_said
 from needlefit.validation.credibility_evidence import EVIDENCE_FIGURES, CredibilityEvidence
 from needlefit.validation.results import Results
-from needlefit.verification.check import Bound, Group
+from needlefit.verification.check import AcceptanceBound, Group
 
 _FILE = "verification.csv"
 _CODE = (
@@ -122,7 +122,7 @@ def _measured(rows: list[Row]) -> str:
 
 def _beside(row: Row, measured: str, several: str = "") -> str:
     unit = f" {row['unit']}" if row["unit"] else ""
-    bound = bound_said(Bound(row["bound_low"], row["bound_high"]))
+    bound = bound_said(AcceptanceBound(row["bound_low"], row["bound_high"]))
     return f"{row['quantity']}{several}: {measured}{unit} (bound {bound})"
 
 

@@ -10,7 +10,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.profiles import log_ticks
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
 from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, method_name
@@ -81,7 +81,7 @@ def _alone(axes: Axes, frame: pd.DataFrame, name: str) -> None:
     values = _of(frame, "draw")[[name]]
     at = coordinates(values)[:, 0]
     heights, edges = np.histogram(at, bins=min(24, max(8, len(at) // 16)), density=True)
-    back = np.exp(edges) if in_logarithm(name) else edges
+    back = np.exp(edges) if is_logarithmic(name) else edges
     axes.stairs(heights, back, fill=True, color=_BLUE, alpha=0.35, lw=0)
     bounds = coordinates(frame[frame["shown"].str.endswith("bound")][[name]])[:, 0]
     if np.isfinite(bounds).all():
@@ -123,7 +123,7 @@ def _of(frame: pd.DataFrame, shown: str) -> pd.DataFrame:
 
 
 def _scale(axes: Axes, name: str, axis: str) -> None:
-    if in_logarithm(name):
+    if is_logarithmic(name):
         axes.set(**{f"{axis}scale": "log"})
 
 
@@ -133,7 +133,7 @@ def _limits(frame: pd.DataFrame, name: str) -> tuple[float, float]:
     at = coordinates(seen)[:, 0]
     room = _ROOM * max(float(np.ptp(at)), 1e-3)
     ends = float(at.min()) - room, float(at.max()) + room
-    return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if in_logarithm(name) else ends
+    return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if is_logarithmic(name) else ends
 
 
 def _dress(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple[bool, bool]) -> None:
@@ -144,7 +144,7 @@ def _dress(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple
             continue
         low, high = _limits(frame, name)
         (axes.set_xlim if axis is axes.xaxis else axes.set_ylim)(low, high)
-        if in_logarithm(name):
+        if is_logarithmic(name):
             axis.set_minor_locator(NullLocator())
             ticks = log_ticks(low, high)
             if any(len(number(tick)) > _SHORT for tick in ticks):

@@ -12,7 +12,7 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
 from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, PAPER
 from needlefit.reporting.numbers import number, symbol, typeset
@@ -77,13 +77,13 @@ def _across(count: int) -> int:
 
 def _panel(axes: Axes, row: Row, points: pd.DataFrame) -> None:
     name = str(row["parameter"])
-    forward = np.log if in_logarithm(name) else np.asarray
-    back = np.exp if in_logarithm(name) else np.asarray
+    forward = np.log if is_logarithmic(name) else np.asarray
+    back = np.exp if is_logarithmic(name) else np.asarray
     at = forward(points["value"].to_numpy(dtype=np.float64))
     deviance = points["deviance"].to_numpy(dtype=np.float64)
     best = float(at[int(np.argmin(deviance))])
     threshold = float(points["threshold"].iloc[0])
-    if in_logarithm(name):
+    if is_logarithmic(name):
         axes.set_xscale("log")
     if len(at) < 2:  # nothing but the optimum could be computed
         axes.set_title(_title(row), loc="left", color=INK)
@@ -122,7 +122,7 @@ def _dress(axes: Axes, row: Row, ends: Floats) -> None:
     name = str(row["parameter"])
     axes.set_ylim(0, TOP)
     axes.set_xlim(float(ends[0]), float(ends[1]))
-    if in_logarithm(name):
+    if is_logarithmic(name):
         ticks = log_ticks(float(ends[0]), float(ends[1]))
         axes.xaxis.set_minor_locator(NullLocator())
         axes.set_xticks(ticks, [_print(tick) for tick in ticks])

@@ -7,7 +7,7 @@ import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, POPULATION_NAMES
 from needlefit.reporting.numbers import symbol
@@ -118,4 +118,4 @@ def _paint_intervals(axes: Axes, rows: pd.DataFrame) -> None:
 
 def _axis(name: str) -> str:
     called = symbol(name).split(" (")[0]
-    return f"ln {called}" if in_logarithm(name) else called
+    return f"ln {called}" if is_logarithmic(name) else called

@@ -11,7 +11,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
 from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, METHOD_NAMES
 from needlefit.reporting.numbers import number, symbol, typeset
@@ -134,7 +134,7 @@ def _ended(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
 
 def _share(parameter: str, value: float, low: float, high: float) -> float:
     """Return where a value lies between the bounds, 0 to 1; moduli and lengths in logarithms."""
-    if in_logarithm(parameter):
+    if is_logarithmic(parameter):
         value, low, high = math.log(value), math.log(low), math.log(high)
     return (value - low) / (high - low)
 

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from needlefit.inference.weighing.pareto import RELIABLE
+from needlefit.inference.importance.pareto import MAX_PARETO_K
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
@@ -102,7 +102,8 @@ def layouts(answer: AnalysisResult) -> list[Display]:
         "“Δ log density”: summed over held-out needles, less the reference’s, ± its standard error over "
         f"{_plural(held_out(answer))}, the draws’ in it. “Draws’ error” is what the draws of both evidences "
         "leave open of a candidate’s own sum; “Pareto k” is the largest of their weights’, and up to "
-        f"{RELIABLE} that error can be trusted. TE and IPE are those of each candidate’s best curve along "
+        f"{MAX_PARETO_K} that error can be trusted. TE and IPE are those of each candidate’s best curve "
+        f"along "
         f"the planned path; noise floor: TE {te}, IPE {ipe} mm. “Noise factor” multiplies the stated errors "
         "of points and pose: what a candidate misses.",
     )

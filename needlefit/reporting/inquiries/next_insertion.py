@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.identifiability.information import precision_words, short
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.identifiability.information import describe_precision, short_name
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
@@ -56,7 +56,7 @@ def _parameters_said(answer: AnalysisResult, best: Row) -> str:
 
 
 def _known(name: str, sd: float) -> str:
-    return precision_words(sd, name == LEAST_KNOWN or in_logarithm(name))
+    return describe_precision(sd, name == LEAST_KNOWN or is_logarithmic(name))
 
 
 def _tip_said(answer: AnalysisResult, name: str) -> str:
@@ -143,7 +143,7 @@ def _left(answer: AnalysisResult) -> Display:
     rows = []
     for same in zip(*each, strict=True):
         name = str(same[0]["parameter"])
-        called = str(same[0]["combination"]) if name == LEAST_KNOWN else short(name)
+        called = str(same[0]["combination"]) if name == LEAST_KNOWN else short_name(name)
         after = (_known(name, row["sd_after"]) for row in same)
         rows.append((in_symbols(called), _known(name, same[0]["sd_now"]), *after))
     heads = ("Known now", "After the best", "After a repeat")[: 1 + len(found)]

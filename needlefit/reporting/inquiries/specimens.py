@@ -3,7 +3,7 @@
 import math
 from pathlib import Path
 
-from needlefit.inference.parameters import in_logarithm
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.reporting import document
 from needlefit.reporting.display import Column, Display, text
 from needlefit.reporting.document import Block
@@ -221,7 +221,7 @@ def _record(answer: AnalysisResult) -> SpecimensRecord:
 
 def _in_log(name: str) -> bool:
     """Return whether a row is of a logarithm: every combination is."""
-    return name == BEST_DETERMINED or in_logarithm(name)
+    return name == BEST_DETERMINED or is_logarithmic(name)
 
 
 def _name(row: Row) -> str:

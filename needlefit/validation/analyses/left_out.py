@@ -11,7 +11,7 @@ from functools import partial
 import numpy as np
 import pandas as pd
 
-from needlefit.inference.baselines import curve_for, fit_baseline
+from needlefit.inference.baselines import fit_baseline, make_baseline_curve
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.toml_lines import add_file_context
@@ -95,7 +95,7 @@ def _run_task(job: Job, fold: Fold, where: tuple[str, str], settings: Settings) 
     curve = fit_baseline(BASELINE, job.dataset.pose, job.dataset.drop_proximal, fold.tune)
     methods = {
         "fitted": model_predictor(learned.fit.values, job.medium, job.dataset),
-        BASELINE: curve_predictor(lambda insertion: curve_for(curve, insertion)),
+        BASELINE: curve_predictor(lambda insertion: make_baseline_curve(curve, insertion)),
     }
     errors = [
         {**head, **row}

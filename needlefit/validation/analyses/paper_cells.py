@@ -13,8 +13,8 @@ import pandas as pd
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.noise import NoiseFloor
+from needlefit.inference.fit import Callbacks, Fit
 from needlefit.inference.optimize import minimize
-from needlefit.inference.starts import Fit, Watch
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
@@ -89,8 +89,8 @@ def run_search(job: Job, search: str, settings: Settings) -> Fit:
     """Return the fit of one search of a job's only fold, as `needlefit validate` and `tune` find it."""
     fold = job.folds[0]
     rng = random_stream(job.recipe.seed, job.name, fold.name, search, "starts")
-    watch = Watch(stop=settings.stop, jobs=settings.jobs)
-    return minimize(job.problem(fold, search), job.recipe_of(search), rng, watch)
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
+    return minimize(job.problem(fold, search), job.recipe_of(search), rng, callbacks)
 
 
 def score_methods(job: Job, methods: Mapping[str, Predictor], floors: Mapping[str, NoiseFloor]) -> list[Row]:

@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from needlefit.errors import FitError
-from needlefit.inference.draws import Draws, from_posterior
-from needlefit.inference.identifiability.identify import practically_equal, with_noise
+from needlefit.inference.draws import Draws, thin_posterior
+from needlefit.inference.fit import Callbacks, Fit
+from needlefit.inference.identifiability.identify import add_estimated_noise, select_within_tolerance
+from needlefit.inference.importance.fit_posterior import escalate_effort, resample_draws, sample_about_fit
+from needlefit.inference.importance.pareto import MAX_PARETO_K
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.starts import Fit, Watch
-from needlefit.inference.weighing.about_fit import drawn_from, of_fit, surely
-from needlefit.inference.weighing.pareto import RELIABLE
 from needlefit.project.random_streams import random_stream
 from needlefit.validation.job import Job, Settings
 
@@ -64,29 +64,29 @@ def fit_posterior(job: Job, problem: Problem, key: tuple[str, ...], settings: Se
             fit, Draws(np.empty((POSTERIOR_DRAWS, len(fit.theta))), "importance"), float("nan")
         )
     rng = random_stream(job.recipe.seed, job.name, *key, "weighed")
-    found = surely(lambda effort: of_fit(problem, fit, rng, settings.jobs, effort))
-    if found.k <= RELIABLE:
-        return PosteriorFit(fit, drawn_from(found, POSTERIOR_DRAWS, rng), found.k)
+    found = escalate_effort(lambda effort: sample_about_fit(problem, fit, rng, settings.jobs, effort))
+    if found.k <= MAX_PARETO_K:
+        return PosteriorFit(fit, resample_draws(found, POSTERIOR_DRAWS, rng), found.k)
     return PosteriorFit(fit, _sample_posterior(job, problem, fit, key, settings), found.k, sampled=True)
 
 
 def find_fit(job: Job, problem: Problem, key: tuple[str, ...], settings: Settings) -> Fit:
     """Return the fit alone, by the recipe of the job; arguments and errors as of `fit_posterior`."""
-    watch = Watch(stop=settings.stop, jobs=settings.jobs)
-    return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), watch)
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
+    return minimize(problem, job.recipe, random_stream(job.recipe.seed, job.name, *key, "starts"), callbacks)
 
 
 def _sample_posterior(
     job: Job, problem: Problem, fit: Fit, key: tuple[str, ...], settings: Settings
 ) -> Draws:
-    known = with_noise(problem, np.array(fit.theta))
-    ends = [fit.theta, *(start.theta for start in practically_equal(fit) if start.theta != fit.theta)]
+    known = add_estimated_noise(problem, np.array(fit.theta))
+    ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
     rng = random_stream(job.recipe.seed, job.name, *key, "posterior")
-    watch = Watch(stop=settings.stop, jobs=settings.jobs)
+    callbacks = Callbacks(stop=settings.stop, jobs=settings.jobs)
     try:
-        posterior = sample(known, np.array(ends), job.recipe.sample, rng, watch)
+        posterior = sample(known, np.array(ends), job.recipe.sample, rng, callbacks)
     except FitError:
         if settings.stop():  # before there was anything to return
             return Draws(np.empty((0, len(fit.theta))), "posterior")
         raise
-    return from_posterior(posterior, problem.parameters, POSTERIOR_DRAWS)
+    return thin_posterior(posterior, problem.parameters, POSTERIOR_DRAWS)

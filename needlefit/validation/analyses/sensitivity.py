@@ -16,9 +16,9 @@ import numpy as np
 import pandas as pd
 
 from needlefit.datasets.noise import NoiseFloor
-from needlefit.inference.goal import goal_of
-from needlefit.inference.optimize.search import search
-from needlefit.inference.starts import Fit, Place, Start
+from needlefit.inference.fit import Fit, Start, StartPoint
+from needlefit.inference.objective import make_objective
+from needlefit.inference.optimize.local_search import search
 from needlefit.mechanics.needle import Needle
 from needlefit.schemas.analyses import SensitivityRecord, VariationRecord
 from needlefit.validation.analyses.paper_cells import (
@@ -81,8 +81,8 @@ def refit(job: Job, before: Fit, starts: int, settings: Settings) -> Fit:
     """Return the best fit from a few random starts and from where the fit before had ended."""
     problem = job.problem(job.folds[0])
     found = run_search(with_starts(job, starts), "fitted", settings)
-    goal = goal_of(problem, job.recipe.minimize)
-    near = search(goal, job.recipe, Place(starts, before.theta), settings.stop)
+    goal = make_objective(problem, job.recipe.minimize)
+    near = search(goal, job.recipe, StartPoint(starts, before.theta), settings.stop)
     if not near.objective < found.objective:
         return found
     return _with_start(near, found, problem.values(np.array(near.theta)))

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from needlefit.datasets.insertion import Dataset, Insertion, Noise
 from needlefit.errors import ConfigError, FitError
 from needlefit.geometry.frames import Frame
+from needlefit.inference.importance.fit_posterior import sample_about_fit
+from needlefit.inference.importance.sampler import Effort
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
-from needlefit.inference.specimens import KERNELS, Specimen, specimen
-from needlefit.inference.weighing.about_fit import of_fit
-from needlefit.inference.weighing.importance import Effort
+from needlefit.inference.specimen_spread import KERNELS_PER_SPECIMEN, Specimen, make_specimen
 from needlefit.mechanics.needle import Needle
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import SyntheticDataRecord, SyntheticInsertionRecord
@@ -113,7 +113,7 @@ def _assemble_dataset(name: str, record: SyntheticDataRecord, insertions: tuple[
 
 Floats = NDArray[np.float64]
 
-SPECIMEN_STARTS, SPECIMEN_EFFORT = 2, Effort(draws=120, enough=150.0)
+SPECIMEN_STARTS, SPECIMEN_EFFORT = 2, Effort(draws=120, min_ess=150.0)
 """Of each made-up specimen: its search, and the weighing of its posterior."""
 
 NEEDLE_POINTS = 30
@@ -162,6 +162,6 @@ def _thin_points(insertion: Insertion) -> Insertion:
 def infer_specimen(job: Job, problem: Problem, rng: np.random.Generator) -> Specimen:
     """Return the posterior of a made-up specimen; nothing of it is known before."""
     recipe = job.recipe.model_copy(update={"starts": SPECIMEN_STARTS, "minimize": "posterior"})
-    found = of_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
-    chosen = rng.choice(len(found.thetas), size=KERNELS, p=np.exp(found.log_weights))
-    return specimen(found.thetas[chosen])
+    found = sample_about_fit(problem, minimize(problem, recipe, rng), rng, 1, SPECIMEN_EFFORT)
+    chosen = rng.choice(len(found.thetas), size=KERNELS_PER_SPECIMEN, p=np.exp(found.log_weights))
+    return make_specimen(found.thetas[chosen])

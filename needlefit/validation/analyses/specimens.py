@@ -16,15 +16,15 @@ from numpy.typing import NDArray
 from scipy.stats import halfnorm
 
 from needlefit.errors import ConfigError
-from needlefit.inference.identifiability.information import combination
+from needlefit.inference.identifiability.information import describe_combination
 from needlefit.inference.problem import Problem
-from needlefit.inference.specimens import (
+from needlefit.inference.specimen_spread import (
     Population,
     Specimen,
-    best_told,
-    marginal,
-    shortest,
-    specimen,
+    best_determined,
+    highest_density_interval,
+    make_specimen,
+    marginal_density,
 )
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import RecoveryRecord, SpecimensRecord
@@ -173,7 +173,7 @@ def _measure_population(job: Job, record: SpecimensRecord, what: str, settings: 
         learned = fit_posterior(job, replace(everything, insertions=members), (what, name), settings)
         if settings.stop():
             return {}
-        kernels = specimen(learned.draws.thetas)
+        kernels = make_specimen(learned.draws.thetas)
         found.append(_SpecimenPosterior(name, len(members), kernels, learned.k, not learned.draws.faults))
     rng = random_stream(job.recipe.seed, job.name, "population", what)
     population = _infer_population(everything, [one.known for one in found], record, rng)
@@ -209,9 +209,9 @@ def _infer_population(
     found = population.posterior(rng)
     weights, names = np.exp(found.log_weights), problem.names
     means, taus = np.split(found.thetas, 2, axis=1)
-    stiff = best_told(known)
+    stiff = best_determined(known)
     every = [(name, "", axis) for name, axis in zip(names, np.eye(len(names)), strict=True)]
-    every += [(BEST_DETERMINED, combination(stiff, names), stiff)] if len(names) > 1 else []
+    every += [(BEST_DETERMINED, describe_combination(stiff, names), stiff)] if len(names) > 1 else []
     rows: list[Row] = []
     densities: list[Row] = []
     trust = {"pareto_k": found.k, "certified": found.certified}
@@ -241,13 +241,13 @@ def _central_intervals(values: Floats, weights: Floats) -> list[float]:
 
 def _shortest_intervals(values: Floats, weights: Floats) -> list[float]:
     """Return the median, and the ends of the shortest intervals, of weighted draws (N,) from 0 on."""
-    ends = [end for level in LEVELS for end in shortest(values, weights, level, 0.0)]
+    ends = [end for level in LEVELS for end in highest_density_interval(values, weights, level, 0.0)]
     return [_central_intervals(values, weights)[0], *ends]
 
 
 def _density_rows(name: str, spread: Floats, weights: Floats, prior_sd: float) -> list[Row]:
     """Return the density of a spread, and of its prior where it is a parameter's own."""
-    grid, density = marginal(spread, weights, 0.0)
+    grid, density = marginal_density(spread, weights, 0.0)
     prior = np.full(len(grid), np.nan) if name == BEST_DETERMINED else halfnorm.pdf(grid, scale=prior_sd)
     columns = {"spread": grid, "density": density, "prior": prior}
     return [

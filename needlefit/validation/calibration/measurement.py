@@ -8,10 +8,9 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.geometry.curves import arc_length
-from needlefit.inference.likelihood.covariance import points_covariance
-from needlefit.inference.likelihood.depths import moved
-from needlefit.inference.likelihood.pose import modes, pose_sds
-from needlefit.inference.predict import predict
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.depths import shift_depths
+from needlefit.inference.likelihood.observation import points_covariance, pose_modes, pose_sds
 from needlefit.mechanics.shape import compute_positions
 from needlefit.schemas.medium import MediumRecord
 
@@ -40,14 +39,14 @@ def simulate_measurement(
     s = along * (insertion.depth / along[-1])
     deep = insertion.depth_sd * rng.standard_normal()
     wrong = insertion.boundary_sd * rng.standard_normal(len(insertion.boundaries))
-    true, at = moved(insertion, s, deep + wrong, deep)
+    true, at = shift_depths(insertion, s, deep + wrong, deep)
     shape = predict(values, medium, dataset.needle, true)
     if not shape.converged:
         return None
     points = compute_positions(shape, at)
     cov = points_covariance(s, dataset.noise, insertion.sd)
     if dataset.pose == "known":
-        spread = modes(points) * pose_sds(insertion, dataset.noise)
+        spread = pose_modes(points) * pose_sds(insertion, dataset.noise)
         cov = cov + spread @ spread.T
     y = points[:, 1] + scale * np.linalg.cholesky(cov) @ rng.standard_normal(len(s))
     along_x = np.diff(s) ** 2 - np.diff(y) ** 2

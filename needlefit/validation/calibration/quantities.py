@@ -6,8 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.identifiability.identify import told_by
-from needlefit.inference.predict import predict_each
+from needlefit.inference.forward_model import make_batch
+from needlefit.inference.identifiability.identify import linearize
 from needlefit.inference.problem import Problem
 from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.lanes import simulate_batches
@@ -50,7 +50,7 @@ class RankedQuantities:
         prior = self.problem.parameters.prior
         likelihood = log_posterior - [prior.log_density(values) for values in sets]
         medium, needle = self.problem.medium, self.problem.dataset.needle
-        (shapes,) = simulate_batches([predict_each(sets, medium, needle, self.tip)], 1)
+        (shapes,) = simulate_batches([make_batch(sets, medium, needle, self.tip)], 1)
         tips = compute_batch_positions(shapes, np.array([self.tip.depth]))[:, 0, 1]
         return np.column_stack([thetas, combined, tips, likelihood])
 
@@ -59,7 +59,7 @@ def best_determined_direction(problem: Problem, theta: Floats) -> Floats:
     """Return the combination (P,), of length 1, that the insertions tell best at theta."""
     if len(theta) == 0:
         return np.zeros(0)
-    _, slope, _ = told_by(problem, theta)
+    _, slope, _ = linearize(problem, theta)
     vector: Floats = np.linalg.svd(slope, full_matrices=False)[2][0]
     upright: Floats = vector * np.sign(vector[np.argmax(np.abs(vector))])
     return upright

@@ -9,13 +9,13 @@ from numpy.typing import NDArray
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import FitError
-from needlefit.inference.draws import from_posterior, of_prior
+from needlefit.inference.draws import draw_from_prior, thin_posterior
+from needlefit.inference.importance.fit_posterior import find_modes, sample_about_modes
+from needlefit.inference.importance.sampler import WeightedDraws, resample
 from needlefit.inference.optimize import minimize
 from needlefit.inference.problem import Problem
 from needlefit.inference.sampling.sample import sample
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.inference.weighing.about_fit import modes, weighed
-from needlefit.inference.weighing.importance import Weighted, resampled
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.recipe import RecipeRecord
 from needlefit.validation.calibration.measurement import simulate_measurement
@@ -107,7 +107,7 @@ class InferredPosterior:
     mode: Floats
     draw_source: DrawSource
     trusted: bool
-    weights: Weighted | None = None
+    weights: WeightedDraws | None = None
 
 
 @dataclass(frozen=True)
@@ -134,13 +134,13 @@ def infer_posterior(
 ) -> InferredPosterior:
     """Return the posterior of a problem; nothing of it is known before."""
     recipe = options.recipe.model_copy(update={"starts": INFERENCE_STARTS, "minimize": "posterior"})
-    ends = modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
+    ends = find_modes(minimize(problem, recipe, rng), problem.upper - problem.lower)
     if options.sampler == "always":
         return _sample_posterior(problem, options, ends, rng)
-    found = weighed(problem, ends, rng)
+    found = sample_about_modes(problem, ends, rng)
     if options.sampler == "otherwise" and not found.certified:
         return _sample_posterior(problem, options, ends, rng, found)
-    chosen = resampled(found, options.draws, rng)
+    chosen = resample(found, options.draws, rng)
     thetas, density = found.thetas[chosen], found.log_density[chosen]
     return InferredPosterior(thetas, density, ends[0], "importance", found.certified, found)
 
@@ -150,10 +150,10 @@ def _sample_posterior(
     options: InferenceOptions,
     ends: Floats,
     rng: np.random.Generator,
-    weights: Weighted | None = None,
+    weights: WeightedDraws | None = None,
 ) -> InferredPosterior:
     posterior = sample(problem, ends, options.recipe.sample, rng)
-    thetas = from_posterior(posterior, problem.parameters, options.draws).thetas
+    thetas = thin_posterior(posterior, problem.parameters, options.draws).thetas
     density = problem.log_posteriors(thetas)
     return InferredPosterior(thetas, density, ends[0], "sampler", posterior.converged, weights)
 
@@ -164,7 +164,7 @@ def draw_prior_only(
     """Return the prior where it has a solution, as if it were the posterior."""
     thetas = np.empty((0, len(problem.names)))
     while len(thetas) < options.draws:
-        drawn = of_prior(problem.parameters, options.draws, rng)
+        drawn = draw_from_prior(problem.parameters, options.draws, rng)
         thetas = np.concatenate([thetas, drawn[np.isfinite(problem.log_posteriors(drawn))]])
     thetas = thetas[: options.draws]
     density = problem.log_posteriors(thetas)
@@ -230,7 +230,7 @@ def replicate(number: int, experiment: Experiment) -> dict[str, Any]:
         "draw_source": found.draw_source,
         "trusted": found.trusted,
         "pareto_k": None if found.weights is None else found.weights.k,
-        "ess": None if found.weights is None else found.weights.independent,
+        "ess": None if found.weights is None else found.weights.effective_sample_size,
         "evaluations": None if found.weights is None else len(found.weights.thetas),
         **{f"rank_{name}": int(rank) for name, rank in zip(quantities.names, placed, strict=True)},
     }
@@ -247,7 +247,7 @@ def simulate_experiment(job: Job, rng: np.random.Generator) -> SimulatedExperime
     (fold,) = job.folds
     everything = job.problem(fold)
     for redrawn in range(MAX_PRIOR_DRAWS):
-        theta = of_prior(job.parameters, 1, rng)[0]
+        theta = draw_from_prior(job.parameters, 1, rng)[0]
         values = everything.values(theta)
         design = simulate_design(job, fold, values)
         if design is None:

@@ -12,20 +12,18 @@ import pandas as pd
 from needlefit.datasets.tip_track_table import read_tracks
 from needlefit.datasets.tip_tracks import TipTrack, TrackDataset, select_runs
 from needlefit.errors import ConfigError, FitError
-from needlefit.inference.draws import from_posterior
-from needlefit.inference.identifiability.agreement import is_small
-from needlefit.inference.identifiability.identify import practically_equal
+from needlefit.inference.draws import thin_posterior
+from needlefit.inference.fit import Callbacks
+from needlefit.inference.identifiability.assessment import is_determined_by_data
+from needlefit.inference.identifiability.identify import select_within_tolerance
 from needlefit.inference.optimize import minimize
-from needlefit.inference.parameters import Parameters, in_logarithm, with_noise_scale
+from needlefit.inference.parameters import Parameters, is_logarithmic, with_noise_scale
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior
 from needlefit.inference.sampling.sample import sample
-from needlefit.inference.starts import Watch
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.inference.tracks.course import tips
-from needlefit.inference.tracks.curves import CURVES, fit_curve
-from needlefit.inference.tracks.evidence import track_evidence
-from needlefit.inference.tracks.foresight import Drawn
-from needlefit.inference.tracks.problem import TrackProblem
+from needlefit.inference.tracks.prediction import TRACK_CURVES, TrackDraws, fit_curve
+from needlefit.inference.tracks.problem import TrackProblem, make_track_observation
+from needlefit.inference.tracks.simulation import simulate_tips
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.random_streams import random_stream
@@ -158,12 +156,12 @@ def summarize_parameters(fit: str, problem: TrackProblem, posterior: Posterior) 
     percentiles, flat = posterior.percentiles(), posterior.draws.reshape(-1, len(posterior.names))
     widths = dict(zip(problem.names, problem.upper - problem.lower, strict=True))
     for k, name in enumerate(posterior.names):
-        drawn = np.log(flat[:, k]) if in_logarithm(name) else flat[:, k]
+        drawn = np.log(flat[:, k]) if is_logarithmic(name) else flat[:, k]
         sd, stated = float(np.std(drawn)), problem.parameters.prior.sd(name)
         before = stated if math.isfinite(stated) else float(widths[name]) / math.sqrt(12)
         heads = (f"p{at:g}".replace(".", "_") for at in PERCENTILES)
         row: Row = {"fit": fit, "parameter": name, **dict(zip(heads, percentiles[name], strict=True))}
-        yield row | {"sd_ratio": sd / before, "determined": is_small(name, sd, before)}
+        yield row | {"sd_ratio": sd / before, "determined": is_determined_by_data(name, sd, before)}
 
 
 PREDICTION_DRAWS = 400
@@ -257,14 +255,14 @@ def _sample_posterior(
         settings.progress(f"{name}: posterior of {task.name}", done, total)
 
     seed = task.recipe.seed
-    watch = Watch(stop=settings.stop, step=step, jobs=settings.jobs)
-    fit = minimize(task.problem, task.recipe, random_stream(seed, name, task.name, "starts"), watch)
+    callbacks = Callbacks(stop=settings.stop, step=step, jobs=settings.jobs)
+    fit = minimize(task.problem, task.recipe, random_stream(seed, name, task.name, "starts"), callbacks)
     if fit.interrupted:
         return None
-    ends = [fit.theta, *(start.theta for start in practically_equal(fit) if start.theta != fit.theta)]
+    ends = [fit.theta, *(start.theta for start in select_within_tolerance(fit) if start.theta != fit.theta)]
     rng, kept = random_stream(seed, name, task.name, "posterior"), checkpoint.snapshots(task.name)
     try:
-        return sample(task.problem, np.array(ends), task.recipe.sample, rng, watch, kept)
+        return sample(task.problem, np.array(ends), task.recipe.sample, rng, callbacks, kept)
     except FitError:
         if settings.stop():
             return None
@@ -276,29 +274,31 @@ def _predict_runs(
 ) -> None:
     """Add to the tables what every method makes of the runs of one fit."""
     problem = task.problem
-    held = tuple(track_evidence(track, problem.noise) for track in task.held)
+    held = tuple(make_track_observation(track, problem.noise) for track in task.held)
     for method in METHODS:
         rng = random_stream(task.recipe.seed, name, task.name, method)
-        if method in CURVES:
-            drawn = fit_curve(method, problem.evidence, task.held, PREDICTION_DRAWS, rng)
+        if method in TRACK_CURVES:
+            drawn = fit_curve(method, problem.observations, task.held, PREDICTION_DRAWS, rng)
         else:
             drawn = _draw_model_tips(task, posterior, jobs)
         head: Row = {"fit": task.name, "method": method}
-        tables.runs += [{**head, "role": "tune", **row} for row in tabulate_tuned(problem.evidence, drawn)]
-        for row, readings in predict_runs(problem.evidence, held, drawn, placed_by, rng):
+        tables.runs += [
+            {**head, "role": "tune", **row} for row in tabulate_tuned(problem.observations, drawn)
+        ]
+        for row, readings in predict_runs(problem.observations, held, drawn, placed_by, rng):
             tables.runs.append({**head, "role": "validate", **row})
             tables.readings += [{**head, **one} for one in readings]
 
 
-def _draw_model_tips(task: TrackTask, posterior: Posterior, jobs: int) -> Drawn:
+def _draw_model_tips(task: TrackTask, posterior: Posterior, jobs: int) -> TrackDraws:
     """Return the model's draws; those of which a solve fails are left out."""
     problem, tuned = task.problem, len(task.problem.tracks)
     sets = [
         problem.values(theta)
-        for theta in from_posterior(posterior, problem.parameters, PREDICTION_DRAWS).thetas
+        for theta in thin_posterior(posterior, problem.parameters, PREDICTION_DRAWS).thetas
     ]
-    found = tips(sets, problem.medium, problem.needle, (*problem.tracks, *task.held), jobs)
+    found = simulate_tips(sets, problem.medium, problem.needle, (*problem.tracks, *task.held), jobs)
     good = np.all([np.isfinite(one).all(axis=1) for one in found], axis=0)
     scale = np.array([values.get(NOISE_SCALE, 1.0) for values in sets])[good]
     kept = tuple(one[good] for one in found)
-    return Drawn(kept[:tuned], kept[tuned:], scale)
+    return TrackDraws(kept[:tuned], kept[tuned:], scale)

@@ -6,15 +6,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needlefit.datasets.tip_tracks import TipTrack
-from needlefit.inference.predictive import LEVELS, Mixture, crps, interval, quantile, worst_level
-from needlefit.inference.tracks.evidence import TrackEvidence, frame
-from needlefit.inference.tracks.foresight import Drawn, ahead, slopes
+from needlefit.inference.predictive_distribution import (
+    INTERVAL_PROBABILITIES,
+    PredictiveMixture,
+    crps,
+    interval,
+    quantile,
+    simulate_shape_pit,
+)
+from needlefit.inference.tracks.prediction import TrackDraws, estimate_slopes, predict_readings
+from needlefit.inference.tracks.problem import TrackObservation, frame_columns
 from needlefit.validation.score import Row
 
 Floats = NDArray[np.float64]
 
 
-def tabulate_tuned(tuned: Sequence[TrackEvidence], drawn: Drawn) -> Iterator[Row]:
+def tabulate_tuned(tuned: Sequence[TrackObservation], drawn: TrackDraws) -> Iterator[Row]:
     """Yield what a method leaves of the runs that it was fitted to."""
     for known, deflection in zip(tuned, drawn.tuned, strict=True):
         yield {
@@ -24,18 +31,18 @@ def tabulate_tuned(tuned: Sequence[TrackEvidence], drawn: Drawn) -> Iterator[Row
 
 
 def predict_runs(
-    tuned: Sequence[TrackEvidence],
-    held: Sequence[TrackEvidence],
-    drawn: Drawn,
+    tuned: Sequence[TrackObservation],
+    held: Sequence[TrackObservation],
+    drawn: TrackDraws,
     placed_by: float,
     rng: np.random.Generator,
 ) -> Iterator[tuple[Row, list[Row]]]:
     """Yield for every run held out its scores, and its readings beside what was predicted of them."""
-    slope = slopes(drawn, tuned)
-    for known, deflection in zip(held, drawn.held, strict=True):
+    slope = estimate_slopes(drawn, tuned)
+    for known, deflection in zip(held, drawn.held_out, strict=True):
         placed = count_registration_readings(known.track, placed_by)
-        draws = ahead(known, deflection, drawn.scale, slope, placed, rng)
-        mixture = Mixture(draws, np.zeros(draws.shape[1]))
+        draws = predict_readings(known, deflection, drawn.scale, slope, placed, rng)
+        mixture = PredictiveMixture(draws, np.zeros(draws.shape[1]))
         row = _describe_track(known.track, draws.shape[1]) | _aligned_error(known.track, deflection, placed)
         row |= _score_prediction(mixture, known.track.tip[placed:], rng)
         yield row, list(_reading_rows(known.track, mixture, placed))
@@ -53,17 +60,17 @@ def _describe_track(track: TipTrack, readings: int) -> Row:
 def _aligned_error(track: TipTrack, deflection: Floats, placed: int) -> Row:
     """Return what is left between the scored readings and the draws, shift and slope taken from all alike."""
     off = (track.tip - deflection)[:, placed:]  # (B, m)
-    taken = np.linalg.qr(frame(track.depth[placed:]))[0]
+    taken = np.linalg.qr(frame_columns(track.depth[placed:]))[0]
     left = np.median(off - off @ taken @ taken.T, axis=0)
     return {"aligned_rms_mm": float(np.sqrt(np.mean(left**2)))}
 
 
-def _score_prediction(mixture: Mixture, measured: Floats, rng: np.random.Generator) -> Row:
+def _score_prediction(mixture: PredictiveMixture, measured: Floats, rng: np.random.Generator) -> Row:
     off = quantile(mixture, 0.5) - measured
-    level = worst_level(mixture, np.zeros((len(measured), len(measured))), measured, rng)
+    level = simulate_shape_pit(mixture, np.zeros((len(measured), len(measured))), measured, rng)
     row: Row = {"rms_mm": float(np.sqrt(np.mean(off**2))), "end_error_mm": float(off[-1])}
     row |= {"crps_mm": float(crps(mixture, measured).mean()), "track_pit": level}
-    for wanted in LEVELS:
+    for wanted in INTERVAL_PROBABILITIES:
         name = f"{100 * wanted:.0f}"
         low, high = interval(mixture, wanted)
         within = (low <= measured) & (measured <= high)
@@ -72,9 +79,9 @@ def _score_prediction(mixture: Mixture, measured: Floats, rng: np.random.Generat
     return row
 
 
-def _reading_rows(track: TipTrack, mixture: Mixture, placed: int) -> Iterator[Row]:
+def _reading_rows(track: TipTrack, mixture: PredictiveMixture, placed: int) -> Iterator[Row]:
     predicted = {"median_mm": quantile(mixture, 0.5)}
-    for level in LEVELS:
+    for level in INTERVAL_PROBABILITIES:
         low, high = interval(mixture, level)
         predicted |= {f"low_{100 * level:.0f}_mm": low, f"high_{100 * level:.0f}_mm": high}
     first = track.tip[0]

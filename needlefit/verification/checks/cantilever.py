@@ -15,9 +15,14 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics.control import Controls, Guide, TrackedTip
 from needlefit.mechanics.simulate import equilibrium
-from needlefit.verification.cases import NEEDLE, layers, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
-from needlefit.verification.samples import dense, read
+from needlefit.verification.cases import (
+    PAPER_NEEDLE,
+    interpolate,
+    make_tissue,
+    require_converged,
+    sample_densely,
+)
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
 Floats = NDArray[np.float64]
 
@@ -26,34 +31,36 @@ LOAD = 1e-3  # N / mm
 _FAR = 1e9  # mm, of the constraint points; the reaction varies by 1e-9 of itself while the needle bends
 
 
-def cantilever(s: Floats, a: float) -> Floats:
+def cantilever_deflection(s: Floats, a: float) -> Floats:
     """Return the deflection (mm) at distances `s` from the base under the load beyond `a`."""
-    L, EI = NEEDLE.length, NEEDLE.flexural_rigidity
+    L, EI = PAPER_NEEDLE.length, PAPER_NEEDLE.flexural_rigidity
     before = s**2 * (6 * (L**2 - a**2) - 4 * s * (L - a))
     beyond = s**2 * (6 * L**2 - 4 * s * L + s**2) - a**3 * (4 * s - a)
     return LOAD / (24 * EI) * np.where(s < a, before, beyond)
 
 
-def prop(s: Floats, p: float) -> Floats:
+def prop_deflection(s: Floats, p: float) -> Floats:
     """Return the deflection (mm) at distances `s` under a unit force at `p`."""
     near, far = np.minimum(s, p), np.maximum(s, p)
-    moved: Floats = near**2 * (3 * far - near) / (6 * NEEDLE.flexural_rigidity)
+    moved: Floats = near**2 * (3 * far - near) / (6 * PAPER_NEEDLE.flexural_rigidity)
     return moved
 
 
-def error(propped_at: float | None, controls: Controls) -> float:
+def measure_error(propped_at: float | None, controls: Controls) -> float:
     """Return the largest error of the deflection along the needle over the largest deflection."""
-    tissue = layers(mu=[LOAD / _FAR / 3], alpha=[1.0], thickness=[1e3 * _FAR], law="linear")
+    tissue = make_tissue(mu=[LOAD / _FAR / 3], alpha=[1.0], thickness=[1e3 * _FAR], law="linear")
     depths = np.arange(DEPTH + 0.5)
     points = np.column_stack((depths, np.full(len(depths), _FAR)))
-    shape = solved(equilibrium(NEEDLE, tissue, points, controls))
-    x = dense(shape)
-    s, a = x - x[0], NEEDLE.length - DEPTH
-    exact = cantilever(s, a)
+    shape = require_converged(equilibrium(PAPER_NEEDLE, tissue, points, controls))
+    x = sample_densely(shape)
+    s, a = x - x[0], PAPER_NEEDLE.length - DEPTH
+    exact = cantilever_deflection(s, a)
     if propped_at is not None:
         at = np.array([propped_at])
-        exact = exact - prop(s, propped_at) * (cantilever(at, a) / prop(at, propped_at))
-    return worst(np.abs(read(shape, x) - exact)) / worst(np.abs(exact))
+        exact = exact - prop_deflection(s, propped_at) * (
+            cantilever_deflection(at, a) / prop_deflection(at, propped_at)
+        )
+    return worst(np.abs(interpolate(shape, x) - exact)) / worst(np.abs(exact))
 
 
 _GUIDE = -25.0  # mm: the place of the prop before the tissue
@@ -66,9 +73,10 @@ _LOADED = (
 
 
 def _check(title: str, propped_at: float | None, controls: Controls) -> Check:
+    remark = _LOADED if propped_at is None else ""
     return Check(
         Group.CLOSED_FORMS, title, (Quantity(_WORDS, at_most(1e-7), ""),),
-        lambda rng: Outcome((error(propped_at, controls),), _LOADED if propped_at is None else ""),
+        lambda rng: CheckOutcome((measure_error(propped_at, controls),), remark),
     )  # fmt: skip
 
 
@@ -76,12 +84,12 @@ CHECKS = (
     _check("Cantilever under a uniform load on its outer 90 mm", None, Controls()),
     _check(
         "Propped cantilever, same load, free guide 25 mm before the tissue",
-        NEEDLE.length - DEPTH + _GUIDE,
+        PAPER_NEEDLE.length - DEPTH + _GUIDE,
         Controls(guides=(Guide(_GUIDE, slope=None),)),
     ),
     _check(
         "Propped cantilever, same load, the tip tracked at 0",
-        NEEDLE.length,
+        PAPER_NEEDLE.length,
         Controls(tip=TrackedTip(0.0)),
     ),
 )

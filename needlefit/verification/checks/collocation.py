@@ -1,18 +1,174 @@
-"""Single equilibria out of finished insertions, solved again by collocation."""
+"""Compare single equilibria of finished insertions with a collocation: no elements, no weak form.
+
+One equilibrium solved as a boundary value problem, by scipy's collocation: no elements, no weak form.
+
+Between the places where the nearest constraint point or the layer changes, and before the entry, the
+deflection is smooth and obeys EI u'''' = -k e g. Each such piece is mapped to [0, 1]; all of them together
+are one large system of first order whose boundary conditions are what holds the needle and the continuity
+of u to u''' from piece to piece.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.integrate import solve_bvp
 
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.simulate import equilibrium, simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.verification.cases import NEEDLE, layers, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
-from needlefit.verification.collocation import collocate
-from needlefit.verification.samples import read
+from needlefit.verification.cases import PAPER_NEEDLE, interpolate, make_tissue, require_converged
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
+from needlefit.verification.law import ReferenceLaw
 
-FINE = ModelOptions(element=0.25, tolerance=1e-9)
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_UNIT = 10.0  # mm: derivatives of order n are kept in mm per (10 mm)^n, to be alike in size
+_TOLERANCE = 1e-6  # of scipy's residual; the deflection is then off by some 1e-8 mm
+_AT = np.linspace(0.0, 1.0, 9)
+
+
+@dataclass(frozen=True)
+class SmoothPieces:
+    """Where the needle is cut up: P pieces between P + 1 edges.
+
+    Attributes
+    ----------
+    edges : (P + 1,) array
+        From base to tip, mm.
+    inserted : (P,) array
+        Whether the piece lies in the tissue.
+    layer : (P,) array
+    cut : (P,) array
+        y of the nearest constraint point, mm.
+    """
+
+    edges: Floats
+    inserted: NDArray[np.bool_]
+    layer: Ints
+    cut: Floats
+
+
+def collocate(
+    needle: Needle, tissue: Tissue, constraints: Floats, controls: Controls
+) -> tuple[Floats, Floats]:
+    """Return depths x (K,) in the tissue and the deflections (K,) there, both mm.
+
+    Parameters
+    ----------
+    constraints : (M + 1, 2) array
+        Depth and y of the constraint points, mm, the last under the tip.
+
+    Raises
+    ------
+    ArithmeticError
+        If the collocation does not converge.
+    """
+    pieces = divide_needle(needle, tissue, constraints, controls)
+    count = len(pieces.cut)
+    at_start, at_end, values = make_boundary_conditions(pieces, controls)
+    length = np.diff(pieces.edges)
+    stretch = np.repeat(length / _UNIT, 4)[:, None]  # (4 P, 1)
+    law = ReferenceLaw.of(tissue)
+    inserted, layer, cut = pieces.inserted, pieces.layer[:, None], pieces.cut[:, None]
+    factor = np.where(inserted, _UNIT**4 / needle.flexural_rigidity, 0.0)[:, None]
+
+    def parts(v: Floats) -> tuple[Floats, Floats]:
+        w = v.reshape(count, 4, -1)
+        return np.where(inserted[:, None], w[:, 0] - cut, 0.0), w[:, 1] / _UNIT
+
+    def derivative(x: Floats, v: Floats) -> Floats:
+        e, slope = parts(v)
+        w = v.reshape(count, 4, -1)
+        fourth = -factor * law.reaction(layer, e, slope)
+        rates: Floats = stretch * np.concatenate((w[:, 1:], fourth[:, None]), axis=1).reshape(v.shape)
+        return rates
+
+    def jacobian(x: Floats, v: Floats) -> Floats:
+        J = np.zeros((4 * count, 4 * count, v.shape[1]))
+        rows = 4 * np.arange(count)
+        for n in range(3):
+            J[rows + n, rows + n + 1] = stretch[rows]
+        by_e, by_slope = law.slopes(layer, *parts(v))
+        J[rows + 3, rows] = -stretch[rows] * factor * by_e
+        J[rows + 3, rows + 1] = -stretch[rows] * factor * by_slope / _UNIT
+        return J
+
+    guess = np.zeros((count, 4, 4))
+    guess[:, 0] = np.where(inserted, pieces.cut, 0.0)[:, None]
+    found = solve_bvp(
+        derivative,
+        lambda a, b: at_start @ a + at_end @ b - values,
+        np.linspace(0.0, 1.0, 4),
+        guess.reshape(4 * count, -1),
+        fun_jac=jacobian,
+        bc_jac=lambda a, b: (at_start, at_end),
+        tol=_TOLERANCE,
+        bc_tol=1e-12,
+        max_nodes=400,
+    )
+    if not found.success:
+        raise ArithmeticError(f"the collocation did not converge: {found.message}")
+    x = pieces.edges[:-1, None] + length[:, None] * _AT  # (P, 9)
+    u = found.sol(_AT).reshape(count, 4, -1)[:, 0]
+    return x[inserted].ravel(), u[inserted].ravel()
+
+
+def divide_needle(needle: Needle, tissue: Tissue, constraints: Floats, controls: Controls) -> SmoothPieces:
+    """Return the pieces on which everything is smooth."""
+    depths, y = constraints.T
+    tip = depths[-1]
+    halfway = 0.5 * (depths[1:] + depths[:-1])
+    stations = [guide.x for guide in (*controls.before, *controls.within)]
+    edges = np.unique(np.concatenate(([tip - needle.length, 0.0, tip], stations, halfway, tissue.boundaries)))
+    edges = edges[edges <= tip]
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    nearest = np.abs(middle[:, None] - depths).argmin(axis=1)
+    return SmoothPieces(edges, middle > 0, np.searchsorted(tissue.boundaries, middle), y[nearest])
+
+
+def make_boundary_conditions(pieces: SmoothPieces, controls: Controls) -> tuple[Floats, Floats, Floats]:
+    """Return A, B (4 P, 4 P) and d (4 P,) of the boundary conditions A v(0) + B v(1) = d."""
+    count = len(pieces.cut)
+    A, B, d = np.zeros((4 * count, 4 * count)), np.zeros((4 * count, 4 * count)), np.zeros(4 * count)
+    row = 0
+
+    def demand(value: float, at_start: dict[int, float], at_end: dict[int, float]) -> None:
+        nonlocal row
+        for column, factor in at_start.items():
+            A[row, column] = factor
+        for column, factor in at_end.items():
+            B[row, column] = factor
+        d[row] = value
+        row += 1
+
+    tip, end = controls.tip, 4 * (count - 1)
+    demand(controls.base_y + controls.stage_slope * pieces.edges[-1], {0: 1.0}, {})
+    demand(controls.base_slope * _UNIT, {1: 1.0}, {})
+    held = {guide.x: guide for guide in controls.guides}
+    for i, edge in enumerate(pieces.edges[1:-1]):
+        left, right = 4 * i, 4 * (i + 1)
+        guide = held.get(float(edge))
+        continuous = range(4) if guide is None else range(3) if guide.slope is None else range(2)
+        for n in continuous:
+            demand(0.0, {right + n: 1.0}, {left + n: -1.0})
+        if guide is not None:
+            demand(guide.y, {right: 1.0}, {})
+            if guide.slope is not None:
+                demand(guide.slope * _UNIT, {right + 1: 1.0}, {})
+    if tip is None:
+        demand(0.0, {}, {end + 2: 1.0})
+        demand(0.0, {}, {end + 3: 1.0})
+    else:
+        demand(tip.y, {}, {end: 1.0})
+        slope = tip.slope
+        demand(0.0 if slope is None else slope * _UNIT, {}, {end + (2 if slope is None else 1): 1.0})
+    return A, B, d
+
+
+FINE_OPTIONS = ModelOptions(element=0.25, tolerance=1e-9)
 
 _QUANTITIES = (
     Quantity("difference of the deflection, h = 0.25 mm", at_most(1e-6), "mm"),
@@ -21,55 +177,62 @@ _QUANTITIES = (
 
 
 @dataclass(frozen=True)
-class Insertion:
+class CollocationCase:
     """What is inserted how."""
 
     tissue: Tissue
     steps: tuple[Step, ...]
 
 
-def difference(insertion: Insertion) -> tuple[float, float]:
+def compare_with_collocation(case: CollocationCase) -> tuple[float, float]:
     """Return how far the collocation of its last equilibrium is from ours on the fine and default mesh."""
-    tissue, steps = insertion.tissue, insertion.steps
-    constraints = solved(simulate_steps(NEEDLE, tissue, steps)).constraints
+    tissue, steps = case.tissue, case.steps
+    constraints = require_converged(simulate_steps(PAPER_NEEDLE, tissue, steps)).constraints
     controls = steps[-1].controls
-    x, u = collocate(NEEDLE, tissue, constraints, controls)
-    shapes = (equilibrium(NEEDLE, tissue, constraints, controls, rules) for rules in (FINE, ModelOptions()))
-    fine, default = (worst(np.abs(read(solved(shape), x) - u)) for shape in shapes)
+    x, u = collocate(PAPER_NEEDLE, tissue, constraints, controls)
+    shapes = (
+        equilibrium(PAPER_NEEDLE, tissue, constraints, controls, rules)
+        for rules in (FINE_OPTIONS, ModelOptions())
+    )
+    fine, default = (worst(np.abs(interpolate(require_converged(shape), x) - u)) for shape in shapes)
     return fine, default
 
 
 def _check(title: str, tissue: Tissue, *steps: Step) -> Check:
-    insertion = Insertion(tissue, steps)
-    return Check(Group.COLLOCATION, title, _QUANTITIES, lambda rng: Outcome(difference(insertion)))
+    case = CollocationCase(tissue, steps)
+    return Check(
+        Group.COLLOCATION, title, _QUANTITIES, lambda rng: CheckOutcome(compare_with_collocation(case))
+    )
 
 
 _FREE = Bevel(0.085)
 CHECKS = (
     _check(
         "Four layers of the paper’s values, 35.3 mm deep",
-        layers(mu=[0.2, 33.0, 0.2, 33.0], alpha=[1.0, -1.0, 1.0, -1.0], boundaries=[12.2, 18.7, 29.4]),
+        make_tissue(mu=[0.2, 33.0, 0.2, 33.0], alpha=[1.0, -1.0, 1.0, -1.0], boundaries=[12.2, 18.7, 29.4]),
         Step(35.3, _FREE),
     ),
     _check(
         "Thin tissue (t = 5 mm), α = −10, base moved aside",
-        layers(mu=[0.2, 2.0], alpha=[-10.0, -10.0], boundaries=[9.6], thickness=[5.0, 5.0]),
+        make_tissue(mu=[0.2, 2.0], alpha=[-10.0, -10.0], boundaries=[9.6], thickness=[5.0, 5.0]),
         Step(25.0, Bevel(0.25), Controls(base_y=2.0)),
     ),
     _check(
         "Thin tissue (t = 5 mm), α = 10, bevel turned over, free guide",
-        layers(mu=[0.3, 1.0], alpha=[10.0, 10.0], boundaries=[11.5], thickness=[5.0, 5.0]),
+        make_tissue(mu=[0.3, 1.0], alpha=[10.0, 10.0], boundaries=[11.5], thickness=[5.0, 5.0]),
         Step(14.5, Bevel(0.3)),
         Step(30.0, Bevel(0.3, -1), Controls(base_y=1.0, guides=(Guide(-15.0, 0.5, None),))),
     ),
     _check(
         "Neo-Hookean law, t = 5 mm, base moved aside",
-        layers(mu=[0.4, 4.0], alpha=[-7.0, 9.0], boundaries=[10.4], thickness=[5.0, 5.0], law="neo_hookean"),
+        make_tissue(
+            mu=[0.4, 4.0], alpha=[-7.0, 9.0], boundaries=[10.4], thickness=[5.0, 5.0], law="neo_hookean"
+        ),
         Step(26.7, Bevel(0.2), Controls(base_y=2.0)),
     ),
     _check(
         "Friction, base tilted after 15 mm",
-        layers(
+        make_tissue(
             mu=[0.5, 5.0], alpha=[3.0, -4.0], boundaries=[13.3], thickness=[10.0, 10.0], friction=[2.0, 2.0]
         ),
         Step(15.0, Bevel(0.2)),

@@ -1,4 +1,6 @@
-"""The compiled model against the readable reference: dense matrices, no series, no elimination of its own."""
+"""Compare the compiled model with the readable reference: dense matrices, no series, no elimination of its
+own.
+"""
 
 from collections.abc import Iterable
 
@@ -10,19 +12,19 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.verification.cases import (
-    NEEDLE,
-    Case,
+    PAPER_NEEDLE,
     Draw,
-    layers,
-    random_case,
-    random_schedule,
-    solvable,
-    solved,
+    RandomCase,
+    draw_case,
+    draw_schedule,
+    make_tissue,
+    require_converged,
+    solve_cases,
 )
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
-SOFTEST = 1e-3  # MPa
-SETS = 8
+SOFTEST_MPA = 1e-3  # MPa
+SETS_PER_LAW = 8
 """Of each law."""
 
 
@@ -32,67 +34,67 @@ _QUANTITIES = (
 )
 
 
-def reference_shape(case: Case) -> tuple[Case, NeedleShape]:
+def solve_reference(case: RandomCase) -> tuple[RandomCase, NeedleShape]:
     """Return the case with the reference's answer."""
     return case, reference.simulate_steps(case.needle, case.tissue, case.steps)
 
 
-def compare(fast: NeedleShape, slow: NeedleShape) -> tuple[float, float]:
+def compare_shapes(fast: NeedleShape, slow: NeedleShape) -> tuple[float, float]:
     """Return the largest differences of deflection or constraint point (mm) and of slope."""
     points, u = worst(np.abs(fast.constraints - slow.constraints)), worst(np.abs(fast.u - slow.u))
     return worst([points, u]), worst(np.abs(fast.slope - slow.slope))
 
 
-def worst_of(pairs: Iterable[tuple[NeedleShape, NeedleShape]]) -> tuple[float, float]:
+def compare_all(pairs: Iterable[tuple[NeedleShape, NeedleShape]]) -> tuple[float, float]:
     """Return the largest differences of all pairs."""
-    lengths, slopes = zip(*(compare(*pair) for pair in pairs), strict=True)
+    lengths, slopes = zip(*(compare_shapes(*pair) for pair in pairs), strict=True)
     return worst(lengths), worst(slopes)
 
 
 def _check(title: str, draw: Draw, count: int, deepest: float) -> Check:
-    def measure(rng: np.random.Generator) -> Outcome:
-        cases, said = solvable(lambda: draw(rng, deepest, SOFTEST), reference_shape, count)
-        return Outcome(worst_of((case.shape(ModelOptions()), slow) for case, slow in cases), said)
+    def measure(rng: np.random.Generator) -> CheckOutcome:
+        cases, remark = solve_cases(lambda: draw(rng, deepest, SOFTEST_MPA), solve_reference, count)
+        return CheckOutcome(compare_all((case.shape(ModelOptions()), slow) for case, slow in cases), remark)
 
     return Check(Group.REFERENCE, f"{count} random {title}", _QUANTITIES, measure)
 
 
-def _in_lanes(rng: np.random.Generator) -> Outcome:
+def _in_lanes(rng: np.random.Generator) -> CheckOutcome:
     """Many parameter sets of one insertion at once; every one against the reference by itself."""
     depth = float(rng.uniform(20, 40))
     steps = (Step(depth, Bevel(0.1), Controls(0.3)),)
     batches = [
         Batch(
-            NEEDLE,
-            layers([1.0] * 3, [1.0] * 3, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law),
+            PAPER_NEEDLE,
+            make_tissue([1.0] * 3, [1.0] * 3, [0.31 * depth, 0.64 * depth], [20.0, 40.0, 30.0], law=law),
             steps,
-            mu=10 ** rng.uniform(-2, 2, (SETS, 3)),
-            alpha=rng.uniform(-10, 10, (SETS, 3)),
-            offset=rng.uniform(0.01, 0.15, SETS),
-            rigidity=10 ** rng.uniform(3.5, 4.5, SETS),
+            mu=10 ** rng.uniform(-2, 2, (SETS_PER_LAW, 3)),
+            alpha=rng.uniform(-10, 10, (SETS_PER_LAW, 3)),
+            offset=rng.uniform(0.01, 0.15, SETS_PER_LAW),
+            rigidity=10 ** rng.uniform(3.5, 4.5, SETS_PER_LAW),
         )
         for law in laws.list_laws()
     ]
     found = zip(batches, simulate_batches(batches), strict=True)
     pairs = [
-        (solved(shapes[i]), reference.simulate_steps(*batch.pick(i)))
+        (require_converged(shapes[i]), reference.simulate_steps(*batch.pick(i)))
         for batch, shapes in found
-        for i in range(SETS)
+        for i in range(SETS_PER_LAW)
     ]
-    return Outcome(worst_of(pairs))
+    return CheckOutcome(compare_all(pairs))
 
 
 CHECKS = (
-    _check("insertions, constant inputs, μ = 0.001 to 100 MPa", random_case, 12, 40.0),
+    _check("insertions, constant inputs, μ = 0.001 to 100 MPa", draw_case, 12, 40.0),
     _check(
         "schedules, μ = 0.001 to 100 MPa: guides, tracked tip, retraction, friction",
-        random_schedule,
+        draw_schedule,
         10,
         25.0,
     ),
     Check(
         Group.REFERENCE,
-        f"{SETS} parameter sets of every law at once, μ = 0.01 to 100 MPa",
+        f"{SETS_PER_LAW} parameter sets of every law at once, μ = 0.01 to 100 MPa",
         _QUANTITIES,
         _in_lanes,
     ),

@@ -8,22 +8,22 @@ import numpy as np
 
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.simulate import simulate
-from needlefit.verification.cases import NEEDLE, layers, solved
-from needlefit.verification.check import Bound, Check, Group, Outcome, Quantity
+from needlefit.verification.cases import PAPER_NEEDLE, make_tissue, require_converged
+from needlefit.verification.check import AcceptanceBound, Check, CheckOutcome, Group, Quantity
 
 DEPTH, OFFSET = 50.0, 0.085
-_TISSUE = layers(mu=[0.2, 33.0, 0.2, 33.0], alpha=[1.0, -1.0, 1.0, -1.0], boundaries=[20.0, 28.0, 45.0])
+_TISSUE = make_tissue(mu=[0.2, 33.0, 0.2, 33.0], alpha=[1.0, -1.0, 1.0, -1.0], boundaries=[20.0, 28.0, 45.0])
 
 
 def tip(spacing: float, offset: float) -> float:
     """Return the tip's deflection, mm."""
-    return solved(
-        simulate(NEEDLE, _TISSUE, Bevel(offset), DEPTH, rules=ModelOptions(spacing, spacing))
+    return require_converged(
+        simulate(PAPER_NEEDLE, _TISSUE, Bevel(offset), DEPTH, rules=ModelOptions(spacing, spacing))
     ).deflection
 
 
-def _measure(rng: np.random.Generator) -> Outcome:
-    return Outcome((tip(1.0, OFFSET), tip(0.5, OFFSET), tip(0.5, OFFSET / 2)))
+def _measure(rng: np.random.Generator) -> CheckOutcome:
+    return CheckOutcome((tip(1.0, OFFSET), tip(0.5, OFFSET), tip(0.5, OFFSET / 2)))
 
 
 CHECKS = (
@@ -31,7 +31,7 @@ CHECKS = (
         Group.STATED,
         "The tip in four layers of the paper’s values, 50 mm deep",
         tuple(
-            Quantity(f"deflection, {words}", Bound(), "mm")
+            Quantity(f"deflection, {words}", AcceptanceBound(), "mm")
             for words in (
                 f"C_int = 1 mm, b = {OFFSET:g} mm",
                 f"C_int = 0.5 mm, b = {OFFSET:g} mm",

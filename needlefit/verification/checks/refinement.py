@@ -16,43 +16,47 @@ from needlefit.mechanics.validity import MAX_SLOPE
 from needlefit.project.load import load
 from needlefit.project.locate import shipped_folder
 from needlefit.schemas.scene import SceneRecord
-from needlefit.verification.cases import random_case, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
+from needlefit.verification.cases import draw_case, require_converged
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
-FINER = 8
+REFINEMENT_FACTOR = 8
 RANDOM = 40
 
 
-def error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> float:
+def measure_error(needle: Needle, tissue: Tissue, steps: Sequence[Step], rules: ModelOptions) -> float:
     """Return how far the tip moves when elements become eight times shorter, mm."""
-    fine = ModelOptions(rules.spacing, rules.element / FINER)
-    tips = [solved(simulate_steps(needle, tissue, steps, each)).deflection for each in (rules, fine)]
+    fine = ModelOptions(rules.spacing, rules.element / REFINEMENT_FACTOR)
+    tips = [
+        require_converged(simulate_steps(needle, tissue, steps, each)).deflection for each in (rules, fine)
+    ]
     return abs(tips[1] - tips[0])
 
 
-def _scenes(rng: np.random.Generator) -> Outcome:
+def _scenes(rng: np.random.Generator) -> CheckOutcome:
     errors = {}
     for path in sorted((shipped_folder() / "configs" / "scenes").glob("*.toml")):
         scene = Scene.from_record(load(path, SceneRecord))
-        errors[path.stem] = error(scene.needle, scene.tissue, scene.steps, scene.rules)
+        errors[path.stem] = measure_error(scene.needle, scene.tissue, scene.steps, scene.rules)
     largest = list(errors)[int(np.argmax(list(errors.values())))]
-    return Outcome((worst(list(errors.values())),), f"{len(errors)} scenes; the largest is that of {largest}")
+    return CheckOutcome(
+        (worst(list(errors.values())),), f"{len(errors)} scenes; the largest is that of {largest}"
+    )
 
 
-def _random(rng: np.random.Generator) -> Outcome:
+def _random(rng: np.random.Generator) -> CheckOutcome:
     """Draw insertions that the model is meant for: it assumes small slopes."""
     errors = list[float]()
     steep = 0
     while len(errors) < RANDOM:
         if steep > RANDOM:
             raise ArithmeticError(f"most insertions are steeper than {MAX_SLOPE:g}")
-        case = random_case(rng)
+        case = draw_case(rng)
         if worst(np.abs(case.shape(ModelOptions()).slope)) > MAX_SLOPE:
             steep += 1
             continue
-        errors.append(error(case.needle, case.tissue, case.steps, ModelOptions()))
-    said = f"{steep} more drawn whose slopes exceed {MAX_SLOPE:g}"
-    return Outcome((worst(errors), float(np.median(errors))), said)
+        errors.append(measure_error(case.needle, case.tissue, case.steps, ModelOptions()))
+    remark = f"{steep} more drawn whose slopes exceed {MAX_SLOPE:g}"
+    return CheckOutcome((worst(errors), float(np.median(errors))), remark)
 
 
 _LARGEST = Quantity("change of the tip, h = 1 to 0.125 mm", at_most(1e-3), "mm")

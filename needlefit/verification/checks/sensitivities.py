@@ -7,38 +7,48 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics.control import ModelOptions
 from needlefit.mechanics.linearize import linearize_steps
-from needlefit.verification.cases import EXACT, Case, Draw, random_case, random_schedule, solvable, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
-from needlefit.verification.complex_step import KINDS, derivatives, parameters
+from needlefit.verification.cases import (
+    EXACT_OPTIONS,
+    Draw,
+    RandomCase,
+    draw_case,
+    draw_schedule,
+    require_converged,
+    solve_cases,
+)
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
+from needlefit.verification.complex_step import PARAMETER_KINDS, derivatives, parameters
 
 Floats = NDArray[np.float64]
 
 RANDOM = 10
-RULES: ModelOptions = EXACT
-SMALLEST = 1e-3
+SENSITIVITY_OPTIONS: ModelOptions = EXACT_OPTIONS
+MIN_COLUMN = 1e-3
 """mm per unit (per logarithm of mu and EI): a column below is measured against this, for the state itself is
 known to no better than 1e-10 mm. Of slopes: a hundredth, per mm."""
-PAPER, ALL = 0.2, 1e-3
+PAPER_SOFTEST_MPA, SOFTEST_MPA = 0.2, 1e-3
 """MPa: the softest tissue of the paper, and far below it."""
 
 
 @dataclass(frozen=True)
-class Stepped:
+class ReferenceDerivatives:
     """The reference's derivatives: of deflections and slopes (2 N, P), of constraint points (M + 1, P)."""
 
-    case: Case
+    case: RandomCase
     names: tuple[str, ...]
     du: Floats
     dc: Floats
 
 
-def stepped(case: Case) -> Stepped:
+def differentiate_reference(case: RandomCase) -> ReferenceDerivatives:
     """Return the derivatives with respect to every parameter that there is."""
     named = parameters(case)
-    return Stepped(case, tuple(named), *derivatives(case, list(named.values()), RULES))
+    return ReferenceDerivatives(
+        case, tuple(named), *derivatives(case, list(named.values()), SENSITIVITY_OPTIONS)
+    )
 
 
-def errors(other: Stepped) -> dict[str, float]:
+def measure_errors(other: ReferenceDerivatives) -> dict[str, float]:
     """Return the largest error of each column over its largest entry: of lengths, and of slopes.
 
     Raises
@@ -49,12 +59,14 @@ def errors(other: Stepped) -> dict[str, float]:
         If the Jacobian lacks a column.
     """
     case = other.case
-    shape, jacobian = linearize_steps(case.needle, case.tissue, case.steps, RULES, wrt=KINDS)
-    solved(shape)
+    shape, jacobian = linearize_steps(
+        case.needle, case.tissue, case.steps, SENSITIVITY_OPTIONS, wrt=PARAMETER_KINDS
+    )
+    require_converged(shape)
     columns = [jacobian.names.index(name) for name in other.names]
     unit = np.array([_unit(case, name) for name in other.names])
-    lengths = np.vstack((jacobian.u, jacobian.constraints)), np.vstack((other.du[0::2], other.dc)), SMALLEST
-    slopes = jacobian.slope, other.du[1::2], 0.01 * SMALLEST
+    lengths = np.vstack((jacobian.u, jacobian.constraints)), np.vstack((other.du[0::2], other.dc)), MIN_COLUMN
+    slopes = jacobian.slope, other.du[1::2], 0.01 * MIN_COLUMN
     shares = [
         np.abs(ours[:, columns] - true).max(axis=0)
         * unit
@@ -64,7 +76,7 @@ def errors(other: Stepped) -> dict[str, float]:
     return dict(zip(other.names, map(float, np.maximum(*shares)), strict=True))
 
 
-def _unit(case: Case, name: str) -> float:
+def _unit(case: RandomCase, name: str) -> float:
     """Return mu or EI for their columns, which become those of the logarithm, and 1 for the others."""
     if name == "rigidity":
         return case.needle.flexural_rigidity
@@ -78,7 +90,7 @@ def _kind(name: str) -> int:
     return 1 if name.startswith("boundary") or name.endswith("_x") else 0
 
 
-def _layered(draw: Draw, rng: np.random.Generator, softest: float) -> Case:
+def _draw_layered(draw: Draw, rng: np.random.Generator, softest: float) -> RandomCase:
     """Return a case of two layers at least: one alone has no boundary to differentiate by."""
     while True:
         case = draw(rng, 25.0, softest)
@@ -87,22 +99,26 @@ def _layered(draw: Draw, rng: np.random.Generator, softest: float) -> Case:
 
 
 def _check(title: str, draw: Draw, softest: float, bound: float) -> Check:
-    def measure(rng: np.random.Generator) -> Outcome:
-        found, said = solvable(lambda: _layered(draw, rng, softest), stepped, RANDOM)
-        columns = [(_kind(name), error) for each in found for name, error in errors(each).items()]
+    def measure(rng: np.random.Generator) -> CheckOutcome:
+        found, remark = solve_cases(
+            lambda: _draw_layered(draw, rng, softest), differentiate_reference, RANDOM
+        )
+        columns = [(_kind(name), error) for each in found for name, error in measure_errors(each).items()]
         values = tuple(worst([e for kind, e in columns if kind == wanted]) for wanted in range(3))
-        return Outcome(values, "; ".join(filter(None, (f"{len(columns)} columns", said, _why(softest)))))
+        return CheckOutcome(
+            values, "; ".join(filter(None, (f"{len(columns)} columns", remark, _explain_bound(softest))))
+        )
 
     words = ("other columns", "columns of places (boundaries, guides)", "columns of α")
     quantities = tuple(Quantity(f"error of the {each}", at_most(bound), "") for each in words)
-    reach = "μ = 0.2" if softest == PAPER else "μ = 0.001"
+    reach = "μ = 0.2" if softest == PAPER_SOFTEST_MPA else "μ = 0.001"
     return Check(
         Group.SENSITIVITIES, f"{RANDOM} random {title.format(f'{reach} to 100 MPa')}", quantities, measure
     )
 
 
-def _why(softest: float) -> str:
-    if softest == PAPER:
+def _explain_bound(softest: float) -> str:
+    if softest == PAPER_SOFTEST_MPA:
         return ""
     return "the state is known to its rounding, some 10⁻¹⁰ mm, which soft tissue passes on enlarged"
 
@@ -110,8 +126,8 @@ def _why(softest: float) -> str:
 _INSERTIONS = "insertions, constant inputs, {}"
 _SCHEDULES = "schedules, {}: guides, tracked tip, retraction, friction"
 CHECKS = (
-    _check(_INSERTIONS, random_case, PAPER, 1e-7),
-    _check(_SCHEDULES, random_schedule, PAPER, 1e-7),
-    _check(_INSERTIONS, random_case, ALL, 1e-5),
-    _check(_SCHEDULES, random_schedule, ALL, 1e-5),
+    _check(_INSERTIONS, draw_case, PAPER_SOFTEST_MPA, 1e-7),
+    _check(_SCHEDULES, draw_schedule, PAPER_SOFTEST_MPA, 1e-7),
+    _check(_INSERTIONS, draw_case, SOFTEST_MPA, 1e-5),
+    _check(_SCHEDULES, draw_schedule, SOFTEST_MPA, 1e-5),
 )

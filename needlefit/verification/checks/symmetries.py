@@ -10,14 +10,21 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.plan import make_lattice
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.tissue import Tissue
-from needlefit.verification.cases import EXACT, Case, Draw, random_case, random_schedule, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, at_most, worst
-from needlefit.verification.samples import distance
+from needlefit.verification.cases import (
+    EXACT_OPTIONS,
+    Draw,
+    RandomCase,
+    draw_case,
+    draw_schedule,
+    largest_difference,
+    require_converged,
+)
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, worst
 
 RANDOM = 10
 
 
-def mirrored(case: Case) -> float:
+def mirrored(case: RandomCase) -> float:
     """The other side of the bevel and the base on the other side give the mirrored needle."""
 
     def mirror(step: Step) -> Step:
@@ -28,14 +35,14 @@ def mirrored(case: Case) -> float:
     return worst(np.abs(one.u + other.u))
 
 
-def doubled(case: Case) -> float:
+def doubled(case: RandomCase) -> float:
     """Forces have no unit of their own: EI and all mu twice as large leave the shape as it is."""
     needle = Needle(case.needle.length, 2 * case.needle.flexural_rigidity)
     tissue = replace(case.tissue, mu=2 * case.tissue.mu)
-    return distance(case.shape(), Case(needle, tissue, case.steps).shape())
+    return largest_difference(case.shape(), RandomCase(needle, tissue, case.steps).shape())
 
 
-def cut_in_two(case: Case) -> float:
+def cut_in_two(case: RandomCase) -> float:
     """A layer cut into two equal ones is the same layer, but for the quadrature, which is split there."""
     tissue = case.tissue
     edges = np.array([0.0, *tissue.boundaries, case.steps[-1].depth])
@@ -47,42 +54,44 @@ def cut_in_two(case: Case) -> float:
     )
     boundaries = np.insert(tissue.boundaries, widest, cut)
     halves = Tissue(mu, alpha, boundaries, thickness, friction, tissue.law)
-    return distance(case.shape(), replace(case, tissue=halves).shape())
+    return largest_difference(case.shape(), replace(case, tissue=halves).shape())
 
 
-def in_pieces(case: Case) -> float:
+def in_pieces(case: RandomCase) -> float:
     """Halts on the way, on constraint points or between them, change nothing."""
     whole = case.steps[0]
     halts = [replace(whole, depth=whole.depth * part) for part in (0.123, 0.25, 0.251, 0.5, 0.875)]
     return _against(case, (*halts, whole))
 
 
-def there_and_back(case: Case) -> float:
+def there_and_back(case: RandomCase) -> float:
     """A little further and back, and back and again, ends where it began."""
     whole = case.steps[0]
     way = (whole.depth, whole.depth + 0.3, whole.depth, whole.depth - 3.7, whole.depth)
     return _against(case, tuple(replace(whole, depth=depth) for depth in way))
 
 
-def one_by_one(case: Case) -> float:
+def one_by_one(case: RandomCase) -> float:
     """A session led step by step finds what the whole schedule finds, bit by bit."""
     first = case.steps[0]
-    lattice = make_lattice(case.steps, EXACT)
-    session = Session(case.needle, case.tissue, first.bevel, lattice.first_cell, first.controls, EXACT)
-    shapes = [solved(session.go(step)) for step in case.steps]
+    lattice = make_lattice(case.steps, EXACT_OPTIONS)
+    session = Session(
+        case.needle, case.tissue, first.bevel, lattice.first_cell, first.controls, EXACT_OPTIONS
+    )
+    shapes = [require_converged(session.go(step)) for step in case.steps]
     return worst(np.abs(shapes[-1].u - case.shape().u))
 
 
-def _against(case: Case, steps: tuple[Step, ...]) -> float:
-    lattice = make_lattice(case.steps, EXACT)
-    return distance(case.shape(), replace(case, steps=steps).shape(lattice=lattice))
+def _against(case: RandomCase, steps: tuple[Step, ...]) -> float:
+    lattice = make_lattice(case.steps, EXACT_OPTIONS)
+    return largest_difference(case.shape(), replace(case, steps=steps).shape(lattice=lattice))
 
 
-def _check(title: str, measure: Callable[[Case], float], bound: float, draw: Draw = random_case) -> Check:
+def _check(title: str, measure: Callable[[RandomCase], float], bound: float, draw: Draw = draw_case) -> Check:
     words = f"difference of the deflection, {RANDOM} random cases"
 
-    def largest(rng: np.random.Generator) -> Outcome:
-        return Outcome((worst([measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM)]),))
+    def largest(rng: np.random.Generator) -> CheckOutcome:
+        return CheckOutcome((worst([measure(draw(rng, 50.0, 1e-3)) for _ in range(RANDOM)]),))
 
     return Check(Group.SYMMETRIES, title, (Quantity(words, at_most(bound), "mm"),), largest)
 
@@ -93,5 +102,5 @@ CHECKS = (
     _check("A layer cut into two equal ones", cut_in_two, 1e-4),
     _check("Sub-steps on the way", in_pieces, 1e-7),
     _check("0.3 mm further and back; 3.7 mm back and again", there_and_back, 1e-7),
-    _check("A Session gives the bits of follow, schedules of all inputs", one_by_one, 0.0, random_schedule),
+    _check("A Session gives the bits of follow, schedules of all inputs", one_by_one, 0.0, draw_schedule),
 )

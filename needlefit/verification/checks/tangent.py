@@ -16,9 +16,14 @@ from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.kernel.scalar import NewtonOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
-from needlefit.verification.cases import NEEDLE, layers, solved
-from needlefit.verification.check import Check, Group, Outcome, Quantity, about, at_most, worst
-from needlefit.verification.stop import ONE_STEP, Stop, settle, stop_at
+from needlefit.verification.cases import PAPER_NEEDLE, make_tissue, require_converged
+from needlefit.verification.check import Check, CheckOutcome, Group, Quantity, at_most, within, worst
+from needlefit.verification.clamped_needle import (
+    SINGLE_NEWTON_STEP,
+    ClampedNeedle,
+    make_clamped_needle,
+    solve_newton,
+)
 
 Floats = NDArray[np.float64]
 Numbers = NDArray[Any]  # real or complex
@@ -26,13 +31,13 @@ Numbers = NDArray[Any]  # real or complex
 _STARTS = (0.2, 0.1, 0.05, 0.025)  # share of the disturbance, whose largest deflection is 1 mm
 
 
-def residual(stop: Stop, tissue: Tissue, constraints: Floats) -> Callable[[Numbers], Numbers]:
+def residual(clamped: ClampedNeedle, tissue: Tissue, constraints: Floats) -> Callable[[Numbers], Numbers]:
     """Return R(u) of the reference's equations, (2 N,), but for the clamped base's; u may be complex."""
     x_c, y_c = constraints.T
-    K_b = reference.bending_stiffness(stop.x, NEEDLE.flexural_rigidity)
+    K_b = reference.bending_stiffness(clamped.x, PAPER_NEEDLE.flexural_rigidity)
     change = reference.change_depths(x_c, ModelOptions().switch)
-    x, w = reference.quadrature(stop.x, change, tissue.boundaries)
-    N, dN = reference.shape_functions(stop.x, x)
+    x, w = reference.quadrature(clamped.x, change, tissue.boundaries)
+    N, dN = reference.shape_functions(clamped.x, x)
     layer = np.searchsorted(tissue.boundaries, x)
     nearest = np.searchsorted(change, x)
     t, gamma = tissue.thickness[layer], tissue.friction[layer]
@@ -49,32 +54,35 @@ def residual(stop: Stop, tissue: Tissue, constraints: Floats) -> Callable[[Numbe
 
 def measure(friction: float) -> tuple[float, float]:
     """Return the relative defect of a Newton step, and the order at which steps converge."""
-    tissue = layers(
+    tissue = make_tissue(
         mu=[0.5, 3.0], alpha=[6.0, -5.0], boundaries=[13.37], thickness=[5.0, 5.0], friction=[friction] * 2
     )
-    constraints = solved(simulate(NEEDLE, tissue, Bevel(0.2), 25.0)).constraints
-    stop = stop_at(NEEDLE, tissue, constraints, ModelOptions())
-    s = (stop.x - stop.x[0]) / NEEDLE.length
+    constraints = require_converged(simulate(PAPER_NEEDLE, tissue, Bevel(0.2), 25.0)).constraints
+    clamped = make_clamped_needle(PAPER_NEEDLE, tissue, constraints, ModelOptions())
+    s = (clamped.x - clamped.x[0]) / PAPER_NEEDLE.length
     sway = np.column_stack((s**2 * np.cos(9 * s), (2 * s * np.cos(9 * s) - 9 * s**2 * np.sin(9 * s)) / 150))
-    found = settle(stop, np.zeros_like(sway), NewtonOptions(1e-12, 60))
+    found = solve_newton(clamped, np.zeros_like(sway), NewtonOptions(1e-12, 60))
     start = found + _STARTS[0] * sway
-    step = settle(stop, start, ONE_STEP) - start
-    R = residual(stop, tissue, constraints)
+    step = solve_newton(clamped, start, SINGLE_NEWTON_STEP) - start
+    R = residual(clamped, tissue, constraints)
     force = R(start.ravel())
     along = R(start.ravel() + 1e-30j * step.ravel()).imag / 1e-30
     defect = np.linalg.norm(along + force) / np.linalg.norm(force)
-    errors = [worst(np.abs(settle(stop, found + a * sway, ONE_STEP)[:, 0] - found[:, 0])) for a in _STARTS]
+    errors = [
+        worst(np.abs(solve_newton(clamped, found + a * sway, SINGLE_NEWTON_STEP)[:, 0] - found[:, 0]))
+        for a in _STARTS
+    ]
     return float(defect), float(np.polyfit(np.log(_STARTS), np.log(errors), 1)[0])
 
 
 _QUANTITIES = (
     Quantity("defect of R′(u) d = −R(u) over |R|", at_most(1e-8), ""),
-    Quantity("order of Newton’s convergence", about(2.0, 0.15), ""),
+    Quantity("order of Newton’s convergence", within(2.0, 0.15), ""),
 )
 
 
 def _check(title: str, friction: float) -> Check:
-    return Check(Group.TANGENT, title, _QUANTITIES, lambda rng: Outcome(measure(friction)))
+    return Check(Group.TANGENT, title, _QUANTITIES, lambda rng: CheckOutcome(measure(friction)))
 
 
 CHECKS = (

@@ -7,8 +7,8 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.noise import estimate_noise_floor
 from needlefit.datasets.read import read
 from needlefit.geometry.frames import Placement, move_frame
-from needlefit.inference.as_scene import as_scene
-from needlefit.inference.comparison import target
+from needlefit.inference.compared_points import select_points
+from needlefit.inference.forward_model import make_scene_record
 from needlefit.inference.parameters import Parameters
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions
@@ -104,7 +104,7 @@ def find_placement(dataset: Dataset, insertion: Insertion, shape: NeedleShape) -
     if dataset.pose == "free":
         if not shape.converged:
             return None
-        s = target(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
+        s = select_points(dataset.pose, dataset.drop_proximal, insertion, NEEDLE_POINTS).s
         points = compute_positions(shape, s)
         frame = move_frame(frame, points, align_with_measured(insertion, s, points))
     return Placement(frame, insertion.patient).to_record()
@@ -160,7 +160,7 @@ def make_viewed_scene(
     """Return what is shown of an insertion; `name` is that of its dataset or run."""
     dataset, insertion = shown.dataset, shown.insertion
     title = f"{insertion.id} · {dataset.title}"
-    record = as_scene(shown.values, shown.medium, dataset, insertion, title)
+    record = make_scene_record(shown.values, shown.medium, dataset, insertion, title)
     scene = Scene.from_record(record, f"{name}/{insertion.id}")
     shape = simulate_steps(scene.needle, scene.tissue, scene.steps, scene.rules)
     floor = estimate_noise_floor(dataset, insertion, random_stream(shown.seed, "noise floor", insertion.id))

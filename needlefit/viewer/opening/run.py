@@ -11,7 +11,7 @@ import pandas as pd
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.read import read
 from needlefit.errors import DataError
-from needlefit.inference.as_scene import layers_met
+from needlefit.inference.forward_model import find_layers
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.locate import find_file
 from needlefit.project.view_targets import ViewTarget
@@ -75,7 +75,7 @@ def _open(view_target: ViewTarget) -> ViewedScene:
 def _select_band_draws(draws: pd.DataFrame, insertion: Insertion) -> ParameterDraws:
     """Return some of the draws, evenly spread over all, for the layers that an insertion meets."""
     chosen = draws.iloc[np.linspace(0, len(draws) - 1, min(MAX_BAND_DRAWS, len(draws))).astype(np.int64)]
-    return select_layer_draws(chosen, [layer for _, layer in layers_met(insertion)])
+    return select_layer_draws(chosen, [layer for _, layer in find_layers(insertion)])
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,7 @@ from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.geometry.compare import COMPARISON_POINTS, CurveErrors, compare_curves
 from needlefit.geometry.curves import arc_length
 from needlefit.geometry.frames import align_rigid
-from needlefit.inference.comparison import Target, curve_of, scored, target
+from needlefit.inference.compared_points import ComparedPoints, align_points, make_curve, select_points
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 
 Floats = NDArray[np.float64]
@@ -49,7 +49,7 @@ class MeasuredOverlay:
     id: str
     points: Floats
     s: Floats
-    target: Target
+    target: ComparedPoints
     depth: float
     side: int
     floor: float | None
@@ -95,7 +95,7 @@ def make_measured_overlay(
     shape : NeedleShape
         The needle on which a shape of unknown pose is laid.
     """
-    aim = target(dataset.pose, dataset.drop_proximal, insertion)
+    aim = select_points(dataset.pose, dataset.drop_proximal, insertion)
     points, s = insertion.planar, arc_length(insertion.planar)
     s = s * (insertion.depth / s[-1])
     if dataset.pose == "free":
@@ -118,8 +118,8 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveEr
     beyond = shape.depth - measured.depth
     whole = abs(beyond) <= DEPTH_TOLERANCE_MM
     if whole:
-        curve = curve_of(shape)
-        errors = compare_curves(*scored(measured.target, lambda s: curve(s + beyond)))
+        curve = make_curve(shape)
+        errors = compare_curves(*align_points(measured.target, lambda s: curve(s + beyond)))
     elif measured.target.pose == "known":
         errors = _compare_common_length(measured, shape, upto)
     else:

@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from needlefit.inference.draws import Draws, of_prior
+from needlefit.inference.draws import Draws, draw_from_prior
 from needlefit.inference.parameters import Parameters
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.analyses import AdaptationRecord
@@ -295,7 +295,7 @@ def _from_prior(parameters: Parameters, job: Job) -> _MediumKnowledge:
     peak = dict(zip(prior.names, prior.mean, strict=True))
     middle = 0.5 * (parameters.lower + parameters.upper)
     theta = [peak.get(name, at) for name, at in zip(parameters.free, middle, strict=True)]
-    drawn = of_prior(parameters, POSTERIOR_DRAWS, random_stream(job.recipe.seed, job.name, "expected"))
+    drawn = draw_from_prior(parameters, POSTERIOR_DRAWS, random_stream(job.recipe.seed, job.name, "expected"))
     return _MediumKnowledge(parameters.values(np.array(theta)), Draws(drawn, "importance"))
 
 

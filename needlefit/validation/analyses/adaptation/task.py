@@ -10,7 +10,7 @@ import numpy as np
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import ConfigError
 from needlefit.inference.parameters import Parameters
-from needlefit.inference.transfer import inflated
+from needlefit.inference.transferred_prior import widen_posterior
 from needlefit.project.random_streams import random_stream
 from needlefit.project.toml_lines import renamed_keys
 from needlefit.schemas.analyses import AdaptationRecord, BetweenMediaRecord, KnownMediumRecord
@@ -66,7 +66,7 @@ class AdaptationTask:
         """The new medium's parameters, the inflated old posterior in place of what the medium states."""
         spread = {name: _between_sd(name, self.record.between_media) for name in self.new.parameters.free}
         fit, thetas = self.old_posterior.fit.values, self.old_posterior.draws.thetas
-        prior = inflated(self.old.parameters, fit, thetas, self.new.parameters, spread)
+        prior = widen_posterior(self.old.parameters, fit, thetas, self.new.parameters, spread)
         return replace(self.new.parameters, prior=prior)
 
 

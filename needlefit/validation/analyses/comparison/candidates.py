@@ -6,15 +6,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.baselines import curve_for
-from needlefit.inference.curve_density import CurveDensity
-from needlefit.inference.identifiability.settle import settle
+from needlefit.inference.baselines import CurveDensity, make_baseline_curve
+from needlefit.inference.identifiability.gauss_newton import minimize_squares
+from needlefit.inference.importance.fit_posterior import (
+    ZERO_DENSITY,
+    PredictiveDensity,
+    compute_predictive_density,
+    escalate_effort,
+    find_modes,
+    sample_about_modes,
+    select_distinct,
+)
+from needlefit.inference.importance.sampler import WeightedDraws, sample_by_importance
 from needlefit.inference.parameters import Parameters, with_noise_scale
-from needlefit.inference.sampling.laplace import laplace
+from needlefit.inference.sampling.log_density import approximate_by_laplace
 from needlefit.inference.ties import NOISE_SCALE, dimension
-from needlefit.inference.weighing.about_fit import distinct, modes, surely, weighed
-from needlefit.inference.weighing.further import NOTHING, Further, further
-from needlefit.inference.weighing.importance import Weighted, importance
 from needlefit.mechanics import laws
 from needlefit.project.random_streams import random_stream
 from needlefit.schemas.medium import MediumRecord, ParameterRecord
@@ -46,13 +52,13 @@ class ModelCandidate:
 
     values: Mapping[str, float]
     predictor: Predictor
-    known: Weighted
-    after: Callable[[Insertion], Weighted | None]
+    known: WeightedDraws
+    after: Callable[[Insertion], WeightedDraws | None]
 
-    def predict_density(self, insertion: Insertion) -> Further:
+    def predict_density(self, insertion: Insertion) -> PredictiveDensity:
         """Return how probable it makes all points of an insertion together."""
         both = self.after(insertion)
-        return NOTHING if both is None else further(both, self.known)
+        return ZERO_DENSITY if both is None else compute_predictive_density(both, self.known)
 
 
 def fit_candidate(name: str, job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
@@ -91,37 +97,39 @@ def _fit_law(job: Job, fold: Fold, settings: Settings) -> ModelCandidate | None:
     if settings.stop():
         return None
     width = problem.upper - problem.lower
-    ends = modes(fit, width)
+    ends = find_modes(fit, width)
 
-    def after(insertion: Insertion) -> Weighted | None:
+    def after(insertion: Insertion) -> WeightedDraws | None:
         met = with_planned_layers(insertion, fit.values, job.medium, needle)
         if met is None:
             return None
         both = replace(problem, insertions=(*problem.insertions, met))
-        settled = [settle(both, end) for end in ends]
-        peaks = distinct((one.theta for one in settled if np.isfinite(one.value)), width)
+        settled = [minimize_squares(both, end) for end in ends]
+        peaks = select_distinct((one.theta for one in settled if np.isfinite(one.value)), width)
         if not len(peaks):
             return None
         rng = random_stream(seed, job.name, fold.name, "weighed", insertion.id)
-        return surely(lambda effort: weighed(both, peaks, rng, settings.jobs, effort))
+        return escalate_effort(lambda effort: sample_about_modes(both, peaks, rng, settings.jobs, effort))
 
     rng = random_stream(seed, job.name, fold.name, "weighed")
-    known = surely(lambda effort: weighed(problem, ends, rng, settings.jobs, effort))
+    known = escalate_effort(lambda effort: sample_about_modes(problem, ends, rng, settings.jobs, effort))
     return ModelCandidate(fit.values, model_predictor(fit.values, job.medium, job.dataset), known, after)
 
 
 def _fit_curve(name: str, job: Job, fold: Fold) -> ModelCandidate:
     density = CurveDensity(name, job.dataset, fold.tune, job.recipe.likelihood, MAX_NOISE_FACTOR)
 
-    def after(*insertions: Insertion) -> Weighted:
+    def after(*insertions: Insertion) -> WeightedDraws:
         both = replace(density, insertions=(*fold.tune, *insertions))
-        about = [laplace(both, both.peak, both.lower, both.upper)]
+        about = [approximate_by_laplace(both, both.peak, both.lower, both.upper)]
         keys = (one.id for one in insertions)
         rng = random_stream(job.recipe.seed, job.name, fold.name, "weighed", *keys)
-        return surely(lambda effort: importance(both, about, (both.lower, both.upper), rng, effort))
+        return escalate_effort(
+            lambda effort: sample_by_importance(both, about, (both.lower, both.upper), rng, effort)
+        )
 
     best = density.curve(density.peak)
     coefficients = {f"c{k}": value for k, value in enumerate(best.coefficients)}
     values = {**coefficients, NOISE_SCALE: float(np.exp(density.peak[-1]))}
-    predictor = curve_predictor(lambda insertion: curve_for(best, insertion))
+    predictor = curve_predictor(lambda insertion: make_baseline_curve(best, insertion))
     return ModelCandidate(values, predictor, after(), after)

@@ -11,8 +11,8 @@ import pandas as pd
 from needlefit.datasets.insertion import Dataset, Insertion
 from needlefit.datasets.select import group_independent
 from needlefit.errors import ConfigError
+from needlefit.inference.importance.pareto import MAX_PARETO_K
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.inference.weighing.pareto import RELIABLE
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
 from needlefit.project.toml_lines import locate_key, renamed_keys
@@ -141,11 +141,15 @@ def _find_faults(frames: Frames) -> tuple[str, ...]:
     scores = frames["scores"]
     failed = int((~scores["converged"].astype(bool)).sum())
     nowhere = int((~np.isfinite(scores["log_density"].astype(float))).sum())
-    doubtful = int((scores["pareto_k"].astype(float) > RELIABLE).sum())
+    doubtful = int((scores["pareto_k"].astype(float) > MAX_PARETO_K).sum())
     return (
         *((f"{failed} simulations of held-out insertions did not converge",) if failed else ()),
         *((f"{nowhere} held-out insertions have no density",) if nowhere else ()),
-        *((f"{doubtful} log densities are not certified: Pareto k above {RELIABLE}",) if doubtful else ()),
+        *(
+            (f"{doubtful} log densities are not certified: Pareto k above {MAX_PARETO_K}",)
+            if doubtful
+            else ()
+        ),
     )
 
 
@@ -300,6 +304,6 @@ def _score_insertion(job: Job, found: ModelCandidate, insertion: Insertion) -> R
         "log_density_se": predicted.se,
         "shared_se": predicted.shared_se,
         "pareto_k": predicted.k,
-        "ess": predicted.independent,
+        "ess": predicted.effective_sample_size,
         **{key: scored[key] for key in _SCORED},
     }

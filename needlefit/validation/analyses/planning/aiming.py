@@ -19,8 +19,8 @@ from scipy.optimize import least_squares
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-from needlefit.inference.likelihood.depths import in_order
-from needlefit.inference.predict import predict
+from needlefit.inference.forward_model import predict
+from needlefit.inference.likelihood.depths import enforce_order
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.schemas.planning import EntryPlaneRecord, ObstacleRecord, PlanRecord
 from needlefit.validation.job import Job
@@ -117,7 +117,7 @@ class TargetSite:
     def path(self, insertion: Insertion, trial: ExecutionDraw) -> Floats | None:
         """Return the needle (STATIONS, 2) of a trial in the plane, through given layers; None without one."""
         count = len(insertion.boundaries)
-        boundaries = in_order(insertion.boundaries + self.like.boundary_sd * trial.wrong[:count])
+        boundaries = enforce_order(insertion.boundaries + self.like.boundary_sd * trial.wrong[:count])
         executed = replace(insertion, depth=insertion.depth + trial.deep, boundaries=boundaries)
         shape = self.shape(executed, trial.values)
         if not shape.converged:

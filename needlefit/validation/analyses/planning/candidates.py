@@ -12,10 +12,10 @@ from needlefit.datasets.insertion import Insertion
 from needlefit.datasets.layers import select_layers
 from needlefit.errors import ConfigError
 from needlefit.geometry.frames import Frame, make_entry_frame, normalize
-from needlefit.inference.predict import predict, predict_each
+from needlefit.inference.forward_model import make_batch, predict
+from needlefit.inference.importance.fit_posterior import sample_about_fit
+from needlefit.inference.importance.sampler import Effort
 from needlefit.inference.problem import Problem
-from needlefit.inference.weighing.about_fit import of_fit
-from needlefit.inference.weighing.importance import Effort
 from needlefit.mechanics.batch import compute_batch_positions
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
@@ -146,7 +146,7 @@ def _find_layers(
 
 Mask = NDArray[np.bool_]
 
-PLANNING_EFFORT = Effort(draws=500, enough=1000.0)
+PLANNING_EFFORT = Effort(draws=500, min_ess=1000.0)
 """More draws than a prediction needs: what data tell is seen by how few of them are left."""
 
 DROPPED_WEIGHT = 1e-3
@@ -209,7 +209,7 @@ def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
         thetas = learned.draws.thetas
         return WeightedPosterior(problem, learned, thetas, np.full(len(thetas), 1 / len(thetas)))
     rng = random_stream(job.recipe.seed, job.name, "now", "more")
-    found = of_fit(problem, learned.fit, rng, settings.jobs, PLANNING_EFFORT)
+    found = sample_about_fit(problem, learned.fit, rng, settings.jobs, PLANNING_EFFORT)
     weights = np.exp(found.log_weights)
     order = np.argsort(weights, kind="stable")
     heavy = np.sort(order[np.cumsum(weights[order]) > DROPPED_WEIGHT])
@@ -218,7 +218,7 @@ def weigh_posterior(job: Job, settings: Settings) -> WeightedPosterior | None:
 
 def predict_tips(known: WeightedPosterior, insertion: Insertion) -> Floats:
     """Return the deflection (B,) of an insertion's tip by every draw, mm; NaN where a solve fails."""
-    batch = predict_each(known.sets, known.problem.medium, known.problem.dataset.needle, insertion)
+    batch = make_batch(known.sets, known.problem.medium, known.problem.dataset.needle, insertion)
     (shapes,) = simulate_batches([batch], 1)
     found: Floats = compute_batch_positions(shapes, np.array([insertion.depth]))[:, 0, 1]
     return np.where(shapes.converged, found, np.nan)

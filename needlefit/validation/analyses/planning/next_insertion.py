@@ -17,10 +17,15 @@ from scipy.stats import spearmanr
 
 from needlefit.datasets.insertion import Insertion
 from needlefit.errors import FitError
-from needlefit.inference.identifiability.freed import fixed_alphas, freed
-from needlefit.inference.identifiability.gain import Foreseen, Gain, linear, nested
-from needlefit.inference.identifiability.identify import told_by
-from needlefit.inference.identifiability.information import combination
+from needlefit.inference.identifiability.design_gain import (
+    ExpectedGain,
+    PredictedData,
+    linearized_gain,
+    nested_gain,
+)
+from needlefit.inference.identifiability.identify import linearize
+from needlefit.inference.identifiability.information import describe_combination
+from needlefit.inference.identifiability.parameter_profiles import find_fixed_alphas, free_alpha
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
 from needlefit.project.random_streams import random_stream
@@ -223,8 +228,8 @@ def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: Pr
         "tip_mm": float(insertion.planar[-1, 1]),
     }
     found = {"nats": gain.nats, "nats_se": gain.nats_se, "linear_nats": _estimate_linear_gain(after, problem)}
-    worth = {"ess": gain.worth, "draws": len(after.known.thetas), "failed_solves": failed}
-    note = {"note": ROUGH_NOTE if gain.worth < MIN_ESS else ""}
+    worth = {"ess": gain.effective_sample_size, "draws": len(after.known.thetas), "failed_solves": failed}
+    note = {"note": ROUGH_NOTE if gain.effective_sample_size < MIN_ESS else ""}
     return {
         "candidates": [{**where, **shape, **found, **worth, **note}],
         **_quantity_rows(after, gain, where, names),
@@ -234,17 +239,17 @@ def _run_task(now: GetKnowledge, where: Row, names: tuple[str, ...], predict: Pr
 
 def _estimate_gain(
     now: _CurrentKnowledge, problem: Problem, where: Row
-) -> tuple[_CurrentKnowledge, Gain, int]:
+) -> tuple[_CurrentKnowledge, ExpectedGain, int]:
     """Return what is known by the draws that can be solved, what the insertion tells, and how many cannot."""
-    (evidence,) = problem.density.evidence
+    (evidence,) = problem.density.observations
     sets = now.known.sets
-    (white,) = problem.density.whites(sets, 1)
+    (white,) = problem.density.whitened_residuals(sets, 1)
     solved = np.asarray(np.isfinite(white).all(axis=(1, 2)), dtype=np.bool_)
     scales = np.array([values.get(NOISE_SCALE, problem.density.scale) for values in sets])
     kept = now.only(solved)
     rng = random_stream(now.job.recipe.seed, now.job.name, *map(str, where.values()))
-    foreseen = Foreseen(np.log(kept.known.weights), scales[solved], white[solved], evidence.nodes)
-    return kept, nested(foreseen, kept.outer_draws, kept.quantities, rng), int(np.sum(~solved))
+    foreseen = PredictedData(np.log(kept.known.weights), scales[solved], white[solved], evidence.nodes)
+    return kept, nested_gain(foreseen, kept.outer_draws, kept.quantities, rng), int(np.sum(~solved))
 
 
 def _estimate_linear_gain(now: _CurrentKnowledge, problem: Problem) -> float:
@@ -253,15 +258,19 @@ def _estimate_linear_gain(now: _CurrentKnowledge, problem: Problem) -> float:
     for theta in now.known.thetas[now.outer_draws[:LINEAR_DRAWS]]:
         simulated = with_predicted_shape(now.job, problem.insertions[0], problem.values(theta))
         if simulated is not None:
-            gains.append(linear(covariance, told_by(replace(problem, insertions=(simulated,)), theta)[1]))
+            gains.append(
+                linearized_gain(covariance, linearize(replace(problem, insertions=(simulated,)), theta)[1])
+            )
     return float(np.mean(gains)) if gains else float("nan")
 
 
-def _quantity_rows(now: _CurrentKnowledge, gain: Gain, where: Row, names: tuple[str, ...]) -> FrameRows:
+def _quantity_rows(
+    now: _CurrentKnowledge, gain: ExpectedGain, where: Row, names: tuple[str, ...]
+) -> FrameRows:
     weights, quantities, free = now.known.weights, now.quantities, now.known.problem.names
     before = np.sqrt(weights @ (quantities - weights @ quantities) ** 2)
     every = list(zip(before.tolist(), gain.sds.tolist(), gain.quantity_nats.tolist(), strict=True))
-    words = ["" for _ in free] + [combination(now.ridge, free)]
+    words = ["" for _ in free] + [describe_combination(now.ridge, free)]
     head = ("parameter", "combination", "sd_now", "sd_after", "nats")
     known = zip([*free, LEAST_KNOWN], words, every, strict=False)
     parameter_rows = [
@@ -278,10 +287,10 @@ def _quantity_rows(now: _CurrentKnowledge, gain: Gain, where: Row, names: tuple[
 def _alpha_rows(problem: Problem, values: Mapping[str, float], where: Row) -> list[Row]:
     """Return what an insertion would leave of the alphas that are fixed, if all else were known."""
     rows = []
-    for name in fixed_alphas(problem):
-        free = freed(problem, name)
+    for name in find_fixed_alphas(problem):
+        free = free_alpha(problem, name)
         at = free.names.index(name)
-        slope = told_by(free, free.parameters.theta(values))[1][:, at]
+        slope = linearize(free, free.parameters.theta(values))[1][:, at]
         before = 12.0 / float(free.upper[at] - free.lower[at]) ** 2
         after = before + float(slope @ slope)
         rows.append({**where, "parameter": name, "sd_before": before**-0.5, "sd_after": after**-0.5})

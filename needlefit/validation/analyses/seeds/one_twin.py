@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from needlefit.datasets.insertion import Insertion
-from needlefit.inference.comparison import Curve, curve_of
+from needlefit.inference.compared_points import Curve, make_curve
 from needlefit.mechanics.control import Bevel, ModelOptions
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
@@ -80,7 +80,7 @@ def true_predictor(seed: int) -> Predictor:
             gamma = np.array([twin.specimen.friction])
             tissue = Tissue(mu, alpha, insertion.boundaries, friction=gamma)
         bevel = Bevel(bevel_offset(twin.specimen, twin.planned), insertion.side)
-        return curve_of(simulate(draw_needle(seed), tissue, bevel, insertion.depth, rules=ModelOptions()))
+        return make_curve(simulate(draw_needle(seed), tissue, bevel, insertion.depth, rules=ModelOptions()))
 
     return curve_predictor(curve)
 

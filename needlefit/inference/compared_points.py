@@ -1,0 +1,116 @@
+"""Which points of a simulated and a measured needle are compared.
+
+Pose known: both curves lie in C and are sampled at equal fractions of their own inserted arc length.
+
+Pose free (shapes known only up to a rigid motion): both are sampled at the same arc lengths from the
+tip, over [0, min(measured length, D) - drop], entry side first. The simulated points are then laid on
+the measured ones by the rigid motion that fits them best, so the errors are those `aligned`. Both are
+shown in the axes of the measured entry side: x along the least-squares line through the first fifth of
+the scored points, from the first of them. Errors do not depend on that choice; the deflection does, by
+which EDP divides: it is the tip's distance from the continuation of that line.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Insertion, find_free_reach
+from needlefit.geometry.compare import COMPARISON_POINTS
+from needlefit.geometry.curves import arc_length, interpolate_at_arc, resample_curve
+from needlefit.geometry.frames import align_rigid
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+
+Floats = NDArray[np.float64]
+Curve = Callable[[Floats], Floats]
+Pose = Literal["known", "free"]
+
+ENTRY_SIDE_FRACTION = 0.2
+"""Part of the scored points, from the entry side, whose line is x in a free comparison."""
+
+
+@dataclass(frozen=True)
+class SimulatedCurve:
+    """The curve of a simulated needle: beam coordinates (K,) -> points (K, 2) in C."""
+
+    shape: NeedleShape
+
+    def __call__(self, s: Floats) -> Floats:
+        """Return the points at `s` (K,)."""
+        return compute_positions(self.shape, s)
+
+
+def make_curve(shape: NeedleShape) -> SimulatedCurve:
+    """Return the curve of a simulated needle."""
+    return SimulatedCurve(shape)
+
+
+@dataclass(frozen=True)
+class ComparedPoints:
+    """The measured side of one comparison.
+
+    Attributes
+    ----------
+    s : (K,) array
+        Where on the beam the simulated points are taken, mm from the entry.
+    measured : (K, 2) array
+        Measured points, entry side first, tip last, mm.
+    pose : "known" or "free"
+    """
+
+    s: Floats
+    measured: Floats
+    pose: Pose
+
+
+def select_points(
+    pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS
+) -> ComparedPoints:
+    """Return what a curve is compared with; see `compare_points`."""
+    if pose == "known":
+        fractions = np.linspace(0.0, 1.0, stations)
+        return ComparedPoints(insertion.depth * fractions, resample_curve(insertion.planar, fractions), pose)
+    to_tip = np.linspace(find_free_reach(drop, insertion), 0.0, stations)
+    length = float(arc_length(insertion.planar)[-1])
+    measured = rotate_to_entry_axes(interpolate_at_arc(insertion.planar, length - to_tip))
+    return ComparedPoints(insertion.depth - to_tip, measured, pose)
+
+
+def align_points(target: ComparedPoints, curve: Curve) -> tuple[Floats, Floats]:
+    """Return the simulated and the measured points (K, 2), aligned where the pose is free."""
+    simulated = curve(target.s)
+    if target.pose == "free":
+        simulated = align_rigid(simulated, target.measured)
+    return simulated, target.measured
+
+
+def compare_points(
+    pose: Pose, drop: float, insertion: Insertion, curve: Curve, stations: int = COMPARISON_POINTS
+) -> tuple[Floats, Floats]:
+    """Return the simulated and the measured points (K, 2) that are compared, entry side first, tip last.
+
+    Parameters
+    ----------
+    pose : "known" or "free"
+    drop : float
+        Proximal length left out where the pose is free, mm.
+    insertion : Insertion
+    curve : callable
+        Beam coordinates (K,), 0 at the entry and `insertion.depth` at the tip -> points (K, 2) in C, mm.
+    stations : int
+        K.
+    """
+    return align_points(select_points(pose, drop, insertion, stations), curve)
+
+
+def rotate_to_entry_axes(points: Floats) -> Floats:
+    """Return points (K, 2) from the first of them, x along the line through their entry side."""
+    first = points[: max(2, round(ENTRY_SIDE_FRACTION * len(points)))]
+    centred = first - first.mean(axis=0)
+    direction = np.linalg.svd(centred, full_matrices=False)[2][0]
+    direction = direction if direction @ (first[-1] - first[0]) >= 0 else -direction
+    to_axes = np.array([[direction[0], -direction[1]], [direction[1], direction[0]]])
+    turned: Floats = (points - points[0]) @ to_axes
+    return turned

@@ -1,0 +1,183 @@
+"""Results of a search (starts and fit), and the callbacks that resume, report and stop it."""
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from types import MappingProxyType
+from typing import Any
+
+from needlefit.errors import FitError
+from needlefit.project.progress import never_stop
+from needlefit.schemas.recipe import ObjectiveName
+
+INTERRUPTED = "interrupted"
+
+CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
+"""Why a search ended that has nothing left to gain."""
+
+
+@dataclass(frozen=True)
+class StartPoint:
+    """Where one search begins: its number, theta, and the seed of what it draws."""
+
+    index: int
+    theta: tuple[float, ...]
+    seed: int = 1
+
+
+@dataclass(frozen=True)
+class Start:
+    """One local search.
+
+    Attributes
+    ----------
+    index : int
+        Which of the recipe's starts, from 0.
+    theta0, theta : tuple of float
+        Where it began, and the best point that it evaluated.
+    objective : float
+        At `theta`: the negative log posterior, or mm of the metric objective; infinite if no evaluation
+        succeeded.
+    evaluations, failures : int
+        What was evaluated, and what of it failed.
+    stopped : str
+        Why it ended: "tolerance" at a minimum, and nothing else is a success: "stalled" (a further step would
+        gain), "flat" (a parameter has no effect), "bound" (a minimum of the box alone), "budget", "roundoff",
+        "interrupted", "no finite value", ...
+    failed : tuple of theta
+        The first evaluations that failed, to be simulated again; not all where there are many.
+    gradients : int
+        Evaluations with derivatives among all; one costs about two without.
+    joined : int or None
+        The start that it met on the way, whose end is its own.
+    """
+
+    index: int
+    theta0: tuple[float, ...]
+    theta: tuple[float, ...]
+    objective: float
+    evaluations: int
+    failures: int
+    stopped: str
+    failed: tuple[tuple[float, ...], ...] = ()
+    gradients: int = 0
+    joined: int | None = None
+
+    @property
+    def succeeded(self) -> bool:
+        """Whether it ended at a minimum, as far as can be determined."""
+        return self.stopped == "tolerance" and math.isfinite(self.objective)
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The best of all starts.
+
+    Attributes
+    ----------
+    theta : tuple of float
+    values : mapping
+        Every parameter at `theta` (Pa, mm).
+    objective : float
+        The negative log posterior, or mm of the metric objective, at `theta`.
+    starts : tuple of Start
+        In the order of their index; one that was interrupted says so.
+    evaluations, failures : int
+        Over all starts.
+    interrupted : bool
+        Whether the search was stopped before all starts had ended.
+    minimized : "posterior" or "metric"
+    gradients : int
+        Over all starts.
+    """
+
+    theta: tuple[float, ...]
+    values: Mapping[str, float]
+    objective: float
+    starts: tuple[Start, ...]
+    evaluations: int
+    failures: int
+    interrupted: bool
+    minimized: ObjectiveName = "posterior"
+    gradients: int = 0
+
+    @property
+    def fault(self) -> str:
+        """Why the best point may be no minimum; empty if a start ended at one."""
+        if not self.starts or any(start.stopped in CONVERGED_REASONS for start in self.starts):
+            return ""
+        reasons = ", ".join(sorted({start.stopped for start in self.starts}))
+        return f"no start of the search ended at a minimum ({reasons})"
+
+
+def _ignore_start(start: Start) -> None:
+    return None
+
+
+def _ignore_step(done: int, total: int) -> None:
+    return None
+
+
+@dataclass(frozen=True)
+class Callbacks:
+    """Callbacks to resume, follow and stop a long computation.
+
+    Attributes
+    ----------
+    finished : mapping
+        Starts already computed, by index; they are not repeated.
+    report : callable
+        Called with each start that ends, in the calling thread; an interrupted one is not reported,
+        so a resumed search repeats it.
+    stop : callable
+        Asked before every evaluation or step, from any thread.
+    step : callable
+        Called with the steps a sampler has done and all it will do, or the starts whose approach has ended,
+        and all.
+    jobs : int
+        Threads; the result does not depend on their number.
+    """
+
+    finished: Mapping[int, Start] = field(default_factory=lambda: MappingProxyType({}))
+    report: Callable[[Start], None] = _ignore_start
+    stop: Callable[[], bool] = never_stop
+    step: Callable[[int, int], None] = _ignore_step
+    jobs: int = 1
+
+
+def start_to_dict(start: Start) -> dict[str, Any]:
+    """Return a start as plain JSON values; every float survives exactly, infinity as None."""
+    return {
+        "index": start.index,
+        "theta0": list(start.theta0),
+        "theta": list(start.theta),
+        "objective": start.objective if math.isfinite(start.objective) else None,
+        "evaluations": start.evaluations,
+        "gradients": start.gradients,
+        "failures": start.failures,
+        "stopped": start.stopped,
+        "failed": [list(theta) for theta in start.failed],
+        "joined": start.joined,
+    }
+
+
+def start_from_dict(table: Mapping[str, Any]) -> Start:
+    """Return the start that `start_to_dict` wrote; FitError if a checkpoint was damaged."""
+    try:
+        objective = table["objective"]
+        return Start(
+            index=int(table["index"]),
+            theta0=tuple(float(x) for x in table["theta0"]),
+            theta=tuple(float(x) for x in table["theta"]),
+            objective=math.inf if objective is None else float(objective),
+            evaluations=int(table["evaluations"]),
+            gradients=int(table["gradients"]),
+            failures=int(table["failures"]),
+            stopped=str(table["stopped"]),
+            failed=tuple(tuple(float(x) for x in theta) for theta in table["failed"]),
+            joined=None if table["joined"] is None else int(table["joined"]),
+        )
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
+        raise FitError(
+            f"the checkpoint holds a damaged start: {error!r}", fix="run again without --resume"
+        ) from None

@@ -1,0 +1,257 @@
+"""The forward model: parameter values and an insertion's conditions to a simulated needle and its
+derivatives.
+
+Derivatives by theta are the mechanics' own, chained through logarithms and ties.
+"""
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.datasets.insertion import Dataset, Insertion
+from needlefit.inference.parameters import Parameters, make_tissue
+from needlefit.mechanics.batch import Batch
+from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.linearize import MAX_TOLERANCE_MM, differentiate_positions, linearize_steps
+from needlefit.mechanics.needle import Needle
+from needlefit.mechanics.shape import NeedleShape, compute_positions
+from needlefit.mechanics.simulate import simulate_steps
+from needlefit.mechanics.tissue import Tissue
+from needlefit.schemas.medium import MediumRecord
+from needlefit.schemas.scene import (
+    BevelRecord,
+    ControlsRecord,
+    LayerRecord,
+    NeedleRecord,
+    RulesRecord,
+    SceneRecord,
+    StepRecord,
+)
+
+Floats = NDArray[np.float64]
+
+MAX_ELEMENT_MM = 1.0
+"""Mesh size aimed at, mm; the mesh size used divides the constraint spacing."""
+
+
+def predict(
+    values: Mapping[str, float],
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+    boundaries: Floats | None = None,
+    sequence: Sequence[int] | None = None,
+) -> NeedleShape:
+    """Return the shape that the model gives one insertion.
+
+    Parameters
+    ----------
+    values : mapping
+        Every parameter of the medium, ties resolved (Pa, mm).
+    medium : MediumRecord
+        Law, thickness and constraint spacing.
+    needle : Needle
+    insertion : Insertion
+        Its depth, bevel side and guide; nothing of its measured shape but the boundaries is used.
+    boundaries, sequence : (n - 1,) array and n layer numbers, optional
+        The layers met instead of the measured ones, e.g. along the planned path.
+
+    Raises
+    ------
+    ModelError
+        If the needle does not reach the depth; a solve that fails is a value, `converged`.
+    """
+    return simulate_steps(*make_simulation_inputs(values, medium, needle, insertion, boundaries, sequence))
+
+
+def make_simulation_inputs(
+    values: Mapping[str, float],
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+    boundaries: Floats | None = None,
+    sequence: Sequence[int] | None = None,
+) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
+    """Return what `predict` simulates, as `simulate_steps` and `linearize_along` take it.
+
+    Both solve to `MAX_TOLERANCE_MM`, so that values and derivatives are of one state: searches compare them.
+    """
+    layers = insertion.sequence if sequence is None else sequence
+    depths = insertion.boundaries if boundaries is None else boundaries
+    return (
+        needle,
+        make_tissue(values, layers, depths, medium),
+        _make_steps(values, insertion),
+        replace(make_options(medium), tolerance=MAX_TOLERANCE_MM),
+    )
+
+
+def make_batch(
+    sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
+) -> Batch:
+    """Return one insertion with many parameter sets, for `lanes.simulate_batches`; else as `predict`."""
+    first = sets[0]
+    guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
+    return Batch(
+        needle,
+        make_tissue(first, insertion.sequence, insertion.boundaries, medium),
+        _make_steps(first, insertion),
+        make_options(medium),
+        mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence] for values in sets]),
+        alpha=np.array([[values[f"alpha{layer}"] for layer in insertion.sequence] for values in sets]),
+        offset=np.array([values["bevel_mm"] for values in sets]),
+        guide_x=-guide if np.ptp(guide) > 0 else None,  # the lanes prefer one place for all
+    )
+
+
+def _make_steps(values: Mapping[str, float], insertion: Insertion) -> tuple[Step, ...]:
+    """Return the insertion, and behind it the base's move, if there was one."""
+    bevel = Bevel(values["bevel_mm"], insertion.side)
+    controls = _make_controls(values.get("guide_distance_mm", insertion.guide_distance))
+    inserted = Step(insertion.depth, bevel, controls)
+    if not insertion.base_shift:
+        return (inserted,)
+    return inserted, replace(inserted, controls=replace(controls, base_y=insertion.base_shift))
+
+
+def _make_controls(guide_distance: float | None) -> Controls:
+    """Return the controls of a needle clamped by a guide on the insertion axis, or held by its base alone."""
+    return Controls() if guide_distance is None else Controls(guides=(Guide(-guide_distance),))
+
+
+def make_options(medium: MediumRecord) -> ModelOptions:
+    """Return the rules of a medium, and the longest mesh size up to 1 mm in its constraint spacing."""
+    spacing = medium.constraint_spacing_mm
+    return ModelOptions(
+        spacing,
+        spacing / math.ceil(spacing / MAX_ELEMENT_MM - 1e-9),
+        switch=medium.constraint_switch,
+        tangent=medium.tangent_part,
+        first_cell=medium.first_cell_mm,
+    )
+
+
+def predict_with_derivatives(
+    values: Mapping[str, float],
+    parameters: Parameters,
+    medium: MediumRecord,
+    needle: Needle,
+    insertion: Insertion,
+    s: Floats,
+) -> tuple[Floats, Floats]:
+    """Return the simulated points (K, 2) in C, mm, and their derivatives (K, 2, P) by theta.
+
+    Parameters
+    ----------
+    values : mapping
+        Every parameter of the medium, ties resolved (Pa, mm).
+    s : (K,) array
+        Beam coordinates of the points, mm.
+
+    Returns
+    -------
+    (K, 2) and (K, 2, P) arrays
+        NaN where the solve fails.
+
+    Raises
+    ------
+    ModelError
+        If the needle does not reach the depth.
+    """
+    by_parameter = _chain_rule(values, parameters, insertion)
+    shape, jacobian = linearize_steps(
+        *make_simulation_inputs(values, medium, needle, insertion), wrt=_select_kinds(parameters)
+    )
+    if not shape.converged:
+        return np.full((len(s), 2), np.nan), np.full((len(s), 2, len(parameters.free)), np.nan)
+    rows = [by_parameter[name] for name in jacobian.names]
+    by_theta = np.array(rows).reshape(len(rows), len(parameters.free))  # also where nothing is free
+    return compute_positions(shape, s), differentiate_positions(shape, jacobian, s) @ by_theta
+
+
+def _select_kinds(parameters: Parameters) -> tuple[str, ...]:
+    """Return the kinds of the mechanics' parameters that theta moves."""
+    moving = {name for name in parameters.names if name not in parameters.fixed}
+    starts = (("mu", "mu"), ("alpha", "alpha"), ("bevel", "offset"), ("guide", "guides"))
+    return tuple(kind for start, kind in starts if any(name.startswith(start) for name in moving))
+
+
+def _chain_rule(
+    values: Mapping[str, float], parameters: Parameters, insertion: Insertion
+) -> dict[str, Floats]:
+    """Return the derivatives (P,) by theta of what the mechanics differentiate by, by its name there."""
+    slopes, nothing = parameters.slopes(values), np.zeros(len(parameters.free))
+    found = {"offset": slopes["bevel_mm"], "guide1_y": nothing, "guide1_slope": nothing}
+    found["guide1_x"] = -slopes.get("guide_distance_mm", nothing)
+    for interval, layer in enumerate(insertion.sequence, start=1):
+        found[f"mu{interval}"] = 1e-6 * slopes[f"mu{layer}_pa"]
+        found[f"alpha{interval}"] = slopes[f"alpha{layer}"]
+    return found
+
+
+def make_scene_record(
+    values: Mapping[str, float], medium: MediumRecord, dataset: Dataset, insertion: Insertion, title: str = ""
+) -> SceneRecord:
+    """Return the scene whose needle is that of `predict.conditions`, in C: the world is the needle's own.
+
+    Parameters
+    ----------
+    values : mapping
+        Every parameter of the medium, ties resolved (Pa, mm).
+    """
+    guide = values.get("guide_distance_mm", insertion.guide_distance)
+    moved = insertion.base_shift
+    return SceneRecord(
+        schema_=1,
+        title=title,
+        depth_mm=None if moved else insertion.depth,
+        law=medium.law,
+        needle=_make_needle_record(dataset),
+        layers=tuple(
+            LayerRecord(
+                name=f"layer {layer}",
+                top_mm=top,
+                mu_pa=values[f"mu{layer}_pa"],
+                alpha=values[f"alpha{layer}"],
+                thickness_mm=medium.thickness_mm,
+            )
+            for top, layer in find_layers(insertion)
+        ),
+        bevel=BevelRecord(offset_mm=values["bevel_mm"], side=1 if insertion.side > 0 else -1),
+        rules=RulesRecord(
+            constraint_spacing_mm=medium.constraint_spacing_mm,
+            constraint_switch=medium.constraint_switch,
+            tangent_part=medium.tangent_part,
+            first_cell_mm=medium.first_cell_mm,
+        ),
+        controls=ControlsRecord(guide_distance_mm=guide),
+        steps=_make_step_records(insertion) if moved else (),
+    )
+
+
+def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
+    """Return depth (mm) and number of each layer that an insertion meets; those of no thickness left out."""
+    tops = [0.0, *insertion.boundaries.tolist()]
+    ends = [*tops[1:], float("inf")]
+    met = zip(tops, ends, insertion.sequence, strict=True)
+    return tuple((top, layer) for top, end, layer in met if end > top)
+
+
+def _make_step_records(insertion: Insertion) -> tuple[StepRecord, StepRecord]:
+    """Return the insertion, and the move of its base behind it."""
+    inserted = StepRecord(depth_mm=insertion.depth)
+    return inserted, StepRecord(depth_mm=insertion.depth, base_y_mm=insertion.base_shift)
+
+
+def _make_needle_record(dataset: Dataset) -> NeedleRecord:
+    """Return the dataset's needle by its rigidity, whatever that was stated by."""
+    needle = dataset.needle
+    return NeedleRecord(
+        name=f"needle of {dataset.name}",
+        length_mm=needle.length,
+        outer_diameter_mm=dataset.outer_diameter,
+        flexural_rigidity_nmm2=needle.flexural_rigidity,
+    )

@@ -1,0 +1,227 @@
+"""Expected information of insertions before they are made: nested Monte Carlo gain, and Fisher information.
+
+The gain of an insertion is the mutual information of parameters and data: the fall of entropy from what is
+known now to what will be known, averaged over all data that may come (D. V. Lindley, Ann. Math. Stat. 27
+(1956) 986). Nested Monte Carlo has it without linearising (K. J. Ryan, J. Comput. Graph. Stat. 12 (2003)
+585): some draws of the posterior each give the data that they predict, and all draws, of weights w_b that
+sum to 1, are reweighted by them,
+
+    gain = mean_o [ log p(y_o | theta_o) - log sum_b w_b p(y_o | theta_b) ],      y_o ~ p(y | theta_o).
+
+The new weights are the posterior after y_o, so deviations and gains of single quantities come with it. As
+theta_o is among the b, what B draws can show is about log B at most.
+
+Linearised at a draw the gain is 0.5 log det( I + Sigma J^T J ), with Sigma the covariance of all draws and J
+the whitened Jacobian. That is exact where data depend linearly on Gaussian parameters, and too large where
+what is known is a bent ridge, which one covariance makes too thick.
+
+Fisher information of a design, at several places.
+
+The information is that of the model's own shapes, so no measured one decides. It changes along the ridge on
+which parameters lie, and the truth is not known: besides the place asked for, it is taken at some more,
+drawn from what the design would leave of the parameters there.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import logsumexp
+
+from needlefit.inference.identifiability.identify import (
+    linearize,
+    prior_and_noise_information,
+    prior_information,
+)
+from needlefit.inference.identifiability.information import Direction, cramer_rao, principal_directions
+from needlefit.inference.likelihood.depths import Nodes
+from needlefit.inference.likelihood.marginal import log_marginals
+from needlefit.inference.problem import Problem
+
+Floats = NDArray[np.float64]
+
+MIN_RELATIVE_VARIANCE = 1e-12
+"""Part of a variance below which none falls, so that it stays positive in spite of rounding."""
+
+
+@dataclass(frozen=True)
+class ExpectedGain:
+    """The expected information gain of data; quantities are functions of the parameters, or these themselves.
+
+    Attributes
+    ----------
+    nats : float
+        About all parameters together.
+    nats_se : float
+        Its standard error, of the outer draws.
+    sds : (Q,) array
+        Expected standard deviation of each quantity afterwards: the root of the mean variance.
+    quantity_nats : (Q,) array
+        About each quantity: the mean fall of the logarithm of its standard deviation, which for a Gaussian
+        quantity is the fall of its entropy.
+    effective_sample_size : float
+        Median over the data of the effective number of draws of the posterior afterwards.
+    """
+
+    nats: float
+    nats_se: float
+    sds: Floats
+    quantity_nats: Floats
+    effective_sample_size: float
+
+
+@dataclass(frozen=True)
+class PredictedData:
+    """Draws of what is known now, and what one insertion would show if they were true.
+
+    Attributes
+    ----------
+    log_weights : (B,) array
+        The weights sum to 1.
+    scales : (B,) array
+        What each draw multiplies the deviations of noise and pose by.
+    white : (B, m, R) array
+        Whitened deflections at the m nodes of the insertion, from any origin.
+    nodes : Nodes
+    """
+
+    log_weights: Floats
+    scales: Floats
+    white: Floats
+    nodes: Nodes
+
+    def log_likelihoods(self, outer_draws: NDArray[np.intp], rng: np.random.Generator) -> Floats:
+        """Return the log likelihood (O, B) of every draw, given data predicted by draws `outer_draws`
+        (O,).
+        """
+        found = []
+        for draw in outer_draws:
+            turned = np.tensordot(self.nodes.linear, self.white[draw], axes=1)  # (1 + d, R)
+            depths = rng.standard_normal(self.nodes.axes) @ turned[1:]
+            data = turned[0] + depths + self.scales[draw] * rng.standard_normal(turned.shape[1])
+            found.append(log_marginals(self.white - data, self.nodes, self.scales))
+        return np.array(found)
+
+
+def nested_gain(
+    predicted: PredictedData, outer_draws: NDArray[np.intp], quantities: Floats, rng: np.random.Generator
+) -> ExpectedGain:
+    """Return the gain about quantities (B, Q), over data predicted by draws `outer_draws` (O,).
+
+    `outer_draws` stand for the posterior: they are drawn by its weights.
+    """
+    likelihoods = predicted.log_likelihoods(outer_draws, rng)  # (O, B)
+    joint = likelihoods + predicted.log_weights
+    evidence = logsumexp(joint, axis=1)
+    gains = likelihoods[np.arange(len(outer_draws)), outer_draws] - evidence
+    after = np.exp(joint - evidence[:, None])  # (O, B)
+    variances = _variances(after, quantities)  # (O, Q)
+    before = _variances(np.exp(predicted.log_weights)[None], quantities)
+    return ExpectedGain(
+        nats=float(gains.mean()),
+        nats_se=float(gains.std(ddof=1) / np.sqrt(len(outer_draws))),
+        sds=np.sqrt(variances.mean(axis=0)),
+        quantity_nats=-0.5 * np.log(variances / before).mean(axis=0),
+        effective_sample_size=float(np.median(1 / np.sum(after**2, axis=1))),
+    )
+
+
+def _variances(weights: Floats, quantities: Floats) -> Floats:
+    """Return the variances (O, Q) of quantities (B, Q) under weights (O, B)."""
+    centred = quantities - quantities.mean(axis=0)
+    spread = weights @ centred**2 - (weights @ centred) ** 2
+    kept: Floats = np.maximum(spread, MIN_RELATIVE_VARIANCE * centred.var(axis=0))
+    return kept
+
+
+def linearized_gain(covariance: Floats, slopes: Floats) -> float:
+    """Return 0.5 log det( I + Sigma J^T J ) of a covariance (P, P) and whitened slopes J (R, P)."""
+    root = np.linalg.cholesky(covariance + MIN_RELATIVE_VARIANCE * np.diag(np.diag(covariance)))
+    whole = np.eye(len(covariance)) + root.T @ slopes.T @ slopes @ root
+    return 0.5 * float(np.linalg.slogdet(whole)[1])
+
+
+DesignFunction = Callable[[Mapping[str, float]], Problem | None]
+"""Values (Pa, mm) -> the problem of insertions as these would shape them; None where one has no solution."""
+
+OTHER_POINTS = 8
+"""Places besides the one asked for."""
+
+MAX_POINT_SD = 1.0
+"""Standard deviation of the places along directions that the design leaves open: of logarithms, of alpha."""
+
+
+@dataclass(frozen=True)
+class ExpectedPrecision:
+    """Deviations that a design leads one to expect; coordinates are those of theta.
+
+    Attributes
+    ----------
+    names : tuple of str
+        P of them.
+    sds : (D, P) array
+        Cramer-Rao, bounds and stated prior included, at each place; the one asked for comes first.
+    prior_sds : (P,) array
+        What bounds and stated prior say alone.
+    directions : tuple of Direction
+        At the place asked for, best known first.
+    direction_sds : (D, P) array
+        Of the principal directions at each place, best known first.
+    direction_prior_sds : (P,) array
+        Of the prior along `principal_directions`.
+    """
+
+    names: tuple[str, ...]
+    sds: Floats
+    prior_sds: Floats
+    directions: tuple[Direction, ...]
+    direction_sds: Floats
+    direction_prior_sds: Floats
+
+
+def expect_precision(
+    design: DesignFunction, values: Mapping[str, float], rng: np.random.Generator
+) -> ExpectedPrecision | None:
+    """Return the precision expected of a design at `values` and at places near; None where it has no solution
+    there.
+    """
+    problem = design(values)
+    if problem is None:
+        return None
+    centre = np.clip(problem.parameters.theta(values), problem.lower, problem.upper)
+    before = prior_information(problem)
+    first = fisher_information(problem, centre)
+    others = [(design(at), at) for at in _draw_points(problem, centre, first, rng)]
+    every = [first, *(fisher_information(p, p.parameters.theta(at)) for p, at in others if p is not None)]
+    every = [one for one in every if np.all(np.isfinite(one))]
+    found = principal_directions(first, problem.names)
+    axes = np.array([d.weights for d in found]).reshape(-1, len(centre))
+    spread = np.linalg.inv(before) if len(before) else before
+    return ExpectedPrecision(
+        names=problem.names,
+        sds=np.array([cramer_rao(one) for one in every]),
+        prior_sds=np.sqrt(np.diag(spread)),
+        directions=found,
+        direction_sds=np.array([1 / np.sqrt(np.linalg.eigvalsh(one)[::-1]) for one in every]),
+        direction_prior_sds=np.sqrt(np.einsum("dp,pq,dq->d", axes, spread, axes)),
+    )
+
+
+def fisher_information(problem: Problem, theta: Floats) -> Floats:
+    """Return the Fisher information (P, P) of insertions, with that of bounds or a stated prior."""
+    _, slope, _ = linearize(problem, theta)
+    found: Floats = slope.T @ slope + prior_and_noise_information(problem)
+    return found
+
+
+def _draw_points(
+    problem: Problem, centre: Floats, first: Floats, rng: np.random.Generator
+) -> list[dict[str, float]]:
+    """Return `OTHER_POINTS` places within the bounds, along the directions by what is expected to be known
+    there.
+    """
+    precision, axes = np.linalg.eigh(first)
+    sds = np.minimum(1 / np.sqrt(precision), MAX_POINT_SD)
+    drawn = centre + rng.standard_normal((OTHER_POINTS, len(centre))) * sds @ axes.T
+    return [problem.values(theta) for theta in np.clip(drawn, problem.lower, problem.upper)]

@@ -1,0 +1,124 @@
+"""Gauss-Newton search for the nearest minimum of a sum of squares, within bounds, one parameter held if
+wanted.
+
+Each step is a small linear least-squares problem with bounds (the box, and a radius about the last point), so
+parameters may come to rest at their bounds.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import lsq_linear
+
+from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS
+from needlefit.inference.objective import SupportsBounds
+from needlefit.schemas.recipe import ObjectiveName
+
+Floats = NDArray[np.float64]
+
+MIN_GAIN = 1e-3
+"""A minimum is reached where a further step would lessen the sum of squares by less than this."""
+
+FIRST_RADIUS = 2.0
+"""Longest first step along any parameter: of a logarithm, or of alpha."""
+
+MAX_EVALUATIONS = 40
+"""Evaluations after which a descent gives up."""
+
+
+class SumOfSquares(SupportsBounds, Protocol):
+    """A sum of squares; `Problem` is one: its log posterior is constant - |residuals|^2 / 2."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the parameters, P of them."""
+
+    def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Return residuals (R,) and their derivatives (R, P); not finite where they cannot be computed."""
+
+    def approach(self, minimized: ObjectiveName) -> "SumOfSquares | None":
+        """Return a cheaper sum of squares with its minima close by; None if there is none."""
+
+
+@dataclass(frozen=True)
+class LocalMinimum:
+    """Where a descent ended.
+
+    Attributes
+    ----------
+    theta : (P,) array
+    value : float
+        Sum of squares; infinite where it cannot be computed.
+    slope : (P,) array
+        Its derivatives.
+    information : (P, P) array
+        J^T J.
+    evaluations : int
+    converged : bool
+        Whether this is a minimum, as far as steps from it tell.
+    """
+
+    theta: Floats
+    value: float
+    slope: Floats
+    information: Floats
+    evaluations: int = 1
+    converged: bool = False
+
+
+def minimize_squares(
+    target: SumOfSquares, theta: Floats, held: int | None = None, max_evaluations: int = MAX_EVALUATIONS
+) -> LocalMinimum:
+    """Return the minimum nearest to `theta` (P,), with parameter `held` as it is there."""
+    moving = np.arange(len(theta)) != held
+    lower, upper = target.lower[moving], target.upper[moving]
+    at = _evaluate(target, np.clip(theta, target.lower, target.upper))
+    radius, evaluations, converged = FIRST_RADIUS, 1, not moving.any()
+    while math.isfinite(at.value) and evaluations < max_evaluations and not converged:
+        step_bounds = (
+            np.maximum(lower - at.theta[moving], -radius),
+            np.minimum(upper - at.theta[moving], radius),
+        )
+        step = _step(at, moving, step_bounds)
+        gain = -float(at.slope[moving] @ step + step @ at.information[np.ix_(moving, moving)] @ step)
+        converged = gain < MIN_GAIN
+        if converged:
+            break
+        ahead = at.theta.copy()
+        ahead[moving] += step
+        trial = _evaluate(target, np.clip(ahead, target.lower, target.upper))
+        evaluations += 1
+        gain_ratio = (at.value - trial.value) / gain
+        if gain_ratio > 0.75:
+            radius *= 2
+        elif not gain_ratio > 0.25:
+            radius = 0.25 * float(np.max(np.abs(step)))
+        at = trial if gain_ratio > 0 else at
+    return LocalMinimum(at.theta, at.value, at.slope, at.information, evaluations, converged)
+
+
+def _step(at: LocalMinimum, moving: NDArray[np.bool_], step_bounds: tuple[Floats, Floats]) -> Floats:
+    """Return the step (Q,) within `step_bounds` that would be best if residuals were linear."""
+    information = at.information[np.ix_(moving, moving)]
+    precision, axes = np.linalg.eigh(information)
+    root = np.sqrt(np.maximum(precision, 1e-12 * max(float(precision[-1]), 1e-300)))
+    rows, wanted = (
+        root[:, None] * axes.T,
+        -0.5 * (axes.T @ at.slope[moving]) / root,
+    )
+    step: Floats = lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
+    return step
+
+
+def _evaluate(target: SumOfSquares, theta: Floats) -> LocalMinimum:
+    try:
+        residuals, slopes = target.jacobian(theta)
+    except EVALUATION_ERRORS:
+        residuals, slopes = np.array([math.nan]), np.zeros((1, len(theta)))
+    if not (np.all(np.isfinite(residuals)) and np.all(np.isfinite(slopes))):
+        nothing = np.zeros(len(theta))
+        return LocalMinimum(theta, math.inf, nothing, np.outer(nothing, nothing))
+    return LocalMinimum(theta, float(residuals @ residuals), 2 * residuals @ slopes, slopes.T @ slopes)

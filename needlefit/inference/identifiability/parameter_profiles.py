@@ -1,0 +1,182 @@
+"""Compute the profiles of all free parameters of a fit, and of alphas that it held fixed."""
+
+from collections.abc import Callable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.inference.fit import Fit
+from needlefit.inference.identifiability.gauss_newton import LocalMinimum, minimize_squares
+from needlefit.inference.identifiability.identify import add_estimated_noise, linearize, tip_range
+from needlefit.inference.identifiability.profile import LikelihoodProfile, compute_profile
+from needlefit.inference.parameters import Parameters
+from needlefit.inference.problem import Problem
+
+FREED_ALPHA_BOUNDS = (-3.0, 5.0)
+"""Where a fixed alpha is looked for once it is free: tissues and gels lie well within."""
+
+
+def find_fixed_alphas(problem: Problem) -> dict[str, tuple[str, ...]]:
+    """Return the fixed alphas that some insertion meets; with each, those of the same material.
+
+    Layers are of one material if their mu are the same parameter and their alphas are fixed at one value.
+    """
+    if problem.medium.law != "ogden":
+        return {}  # other laws have none
+    met = sorted({layer for insertion in problem.insertions for layer in insertion.sequence})
+    groups: dict[tuple[tuple[float, str], float], list[str]] = {}
+    for layer in range(1, problem.medium.layers + 1):
+        alpha, mu, parameters = f"alpha{layer}", f"mu{layer}_pa", problem.parameters
+        if alpha in parameters.fixed:
+            groups.setdefault((parameters.ties.get(mu, (1.0, mu)), parameters.fixed[alpha]), []).append(alpha)
+    return {
+        first: tuple(same)
+        for first, *same in groups.values()
+        if any(f"alpha{layer}" in (first, *same) for layer in met)
+    }
+
+
+def free_alpha(problem: Problem, name: str) -> Problem:
+    """Return the problem with one alpha of `find_fixed_alphas` free, those of its material going with it."""
+    return problem.with_parameters(
+        _free_parameter(problem.parameters, name, find_fixed_alphas(problem)[name])
+    )
+
+
+def _free_parameter(parameters: Parameters, name: str, same: tuple[str, ...]) -> Parameters:
+    at, (low, high) = parameters.fixed[name], FREED_ALPHA_BOUNDS
+    bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
+    return replace(
+        parameters,
+        bounds={**parameters.bounds, **bounds},
+        fixed={other: value for other, value in parameters.fixed.items() if other not in (name, *same)},
+        ties={**parameters.ties, **dict.fromkeys(same, (1.0, name))},
+    )
+
+
+Floats = NDArray[np.float64]
+
+MAX_OTHER_STARTS = 2
+"""Most ends of other starts from which profiles are tried again, beside the middle of the bounds."""
+
+MIN_SEPARATION = 0.05
+"""Ends closer than this part of the bounds, in every parameter, are one place."""
+
+
+@dataclass(frozen=True)
+class ParameterProfile:
+    """The profile of one parameter, and the tip's range where it is an alpha.
+
+    Attributes
+    ----------
+    profile : Profile
+    bounds : tuple of two floats
+        In the parameter's coordinate of theta.
+    fixed_at : float or None
+        Its value in the fit, where it was fixed there and freed for this.
+    same : tuple of str
+        Other parameters that went with it.
+    tip_range_mm : float or None
+        How far the tip moves most while alpha goes through its bounds, the others held, mm.
+    """
+
+    profile: LikelihoodProfile
+    bounds: tuple[float, float]
+    fixed_at: float | None = None
+    same: tuple[str, ...] = ()
+    tip_range_mm: float | None = None
+
+    @property
+    def name(self) -> str:
+        """Of the parameter."""
+        return self.profile.name
+
+
+@dataclass(frozen=True)
+class FitProfiles:
+    """All profiles of one fit.
+
+    Attributes
+    ----------
+    parameters : tuple of Examined
+        Free ones in the order of theta, then fixed alphas.
+    scale : float
+        What deviances were divided by: the reduced chi-square where it is above 1.
+    evaluations : int
+        Jacobians computed, those that led to the optimum included.
+    gain : float
+        How much higher than at the fit the log posterior is at the best point met on the way.
+    """
+
+    parameters: tuple[ParameterProfile, ...]
+    scale: float
+    evaluations: int
+    gain: float = 0.0
+
+
+def profile_parameters(
+    problem: Problem, fit: Fit, jobs: int = 1, stop: Callable[[], bool] = lambda: False
+) -> FitProfiles:
+    """Return the profiles about a fit; the same for any number of threads.
+
+    Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
+    """
+    noisy = add_estimated_noise(problem, np.array(fit.theta))
+    ends = _select_separate(
+        noisy, [fit.theta, *(s.theta for s in sorted(fit.starts, key=lambda s: s.objective))]
+    )
+    minima = [minimize_squares(noisy, end) for end in ends]
+    optimum = min(minima, key=lambda one: one.value)
+    elsewhere = [*ends[1:], 0.5 * (noisy.lower + noisy.upper)]
+    scale = max(1.0, linearize(noisy, optimum.theta)[2])
+
+    def free(k: int) -> ParameterProfile | None:
+        return None if stop() else _profile_free(noisy, k, optimum, elsewhere, scale)
+
+    def alpha(name: str) -> ParameterProfile | None:
+        return None if stop() else _profile_fixed(noisy, name, optimum, scale)
+
+    with ThreadPoolExecutor(max(1, jobs), thread_name_prefix="profile") as pool:
+        tasks = [pool.submit(free, k) for k in range(len(noisy.names))]
+        tasks += [pool.submit(alpha, name) for name in find_fixed_alphas(noisy)]
+        found = tuple(one for task in tasks if (one := task.result()) is not None)
+    spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
+    at_fit = noisy.residuals(np.array(fit.theta))
+    gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
+    return FitProfiles(found, scale, spent, gain)
+
+
+def _profile_free(
+    problem: Problem, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats], scale: float
+) -> ParameterProfile:
+    found = compute_profile(problem, k, optimum, elsewhere, scale)
+    return ParameterProfile(found, (float(problem.lower[k]), float(problem.upper[k])))
+
+
+def _profile_fixed(problem: Problem, name: str, optimum: LocalMinimum, scale: float) -> ParameterProfile:
+    """Return the profile of an alpha that the fit held fixed."""
+    freed = free_alpha(problem, name)
+    theta = freed.parameters.theta(problem.values(optimum.theta))
+    k = freed.names.index(name)
+    found = compute_profile(freed, k, minimize_squares(freed, theta), (), scale)
+    return ParameterProfile(
+        found,
+        (float(freed.lower[k]), float(freed.upper[k])),
+        fixed_at=problem.parameters.fixed[name],
+        same=find_fixed_alphas(problem)[name],
+        tip_range_mm=tip_range(freed, theta, name),
+    )
+
+
+def _select_separate(problem: Problem, thetas: Sequence[Sequence[float]]) -> list[Floats]:
+    """Return the first of these, then at most `MAX_OTHER_STARTS` that lie apart from it and from each
+    other.
+    """
+    width = problem.upper - problem.lower
+    kept: list[Floats] = []
+    for theta in map(np.array, thetas):
+        if all(np.any(np.abs(theta - other) > MIN_SEPARATION * width) for other in kept):
+            kept.append(theta)
+    return kept[: 1 + MAX_OTHER_STARTS] or [np.array(thetas[0])]

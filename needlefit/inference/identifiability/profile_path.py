@@ -1,0 +1,245 @@
+"""Trace a profile from the optimum outward; each point starts from the extrapolation of the previous one."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from needlefit.inference.identifiability.gauss_newton import (
+    MIN_GAIN,
+    LocalMinimum,
+    SumOfSquares,
+    minimize_squares,
+)
+
+Floats = NDArray[np.float64]
+
+STOP_DEVIANCE = 1.5 * float(chi2.ppf(0.95, 1))
+"""Deviance at which a side ends: far enough above the threshold to see where it is passed."""
+
+TARGET_ROOT_RISE, MAX_ROOT_RISE = 0.6, 1.2
+"""Wanted and longest step, of the root of the deviance."""
+
+MAX_STEP_GROWTH, MAX_STEP_FRACTION = 3.0, 0.34
+"""A step is at most this times the one before, and this part of the parameter's range."""
+
+MIN_STEP_FRACTION = 1e-4
+"""And at least this part of the range."""
+
+MAX_SIDE_POINTS = 24
+"""Most points of one side."""
+
+MAX_ROOT_JUMP = 1.0
+"""Of the root of the deviance beyond the expected one: the point is tried from elsewhere too."""
+
+MIN_IMPROVEMENT = 5 * MIN_GAIN
+"""A value is lower than another one if it is so by more than this."""
+
+MAX_RESTARTS = 3
+"""How often a profile begins again because it has met a better optimum."""
+
+
+@dataclass
+class ProfilePath:
+    """The points of one profile found so far.
+
+    Attributes
+    ----------
+    points : list of Settled
+        The optimum, and the best for each value of the held parameter that was tried.
+    at_bound : list of two bools
+        Whether the lower and the upper side end at the bound.
+    evaluations, retries : int
+    """
+
+    points: list[LocalMinimum] = field(default_factory=list)
+    at_bound: list[bool] = field(default_factory=lambda: [False, False])
+    evaluations: int = 0
+    retries: int = 0
+
+
+@dataclass(frozen=True)
+class _PathSettings:
+    """What does not change along a profile."""
+
+    target: SumOfSquares
+    k: int
+    elsewhere: Sequence[Floats]
+    scale: float
+    cheaper: SumOfSquares | None
+
+    @property
+    def range(self) -> float:
+        return float(self.target.upper[self.k] - self.target.lower[self.k])
+
+
+def trace_profile(
+    target: SumOfSquares, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats] = (), scale: float = 1.0
+) -> ProfilePath:
+    """Return the track of parameter `k` to both sides of the optimum, or of a better one met on the way."""
+    settings, spent, retries = _PathSettings(target, k, elsewhere, scale, target.approach("posterior")), 0, 0
+    for _ in range(MAX_RESTARTS):
+        path = ProfilePath([optimum], evaluations=spent, retries=retries)
+        for side in (-1, 1):
+            _trace_side(settings, path, optimum, side)
+        better = select_best(path.points)
+        if better.value > optimum.value - MIN_IMPROVEMENT:
+            break
+        optimum = minimize_squares(target, better.theta)
+        spent, retries = path.evaluations + optimum.evaluations, path.retries
+    return path
+
+
+def select_best(points: Sequence[LocalMinimum]) -> LocalMinimum:
+    """Return the point with the smallest sum of squares."""
+    return min(points, key=lambda point: point.value)
+
+
+def _trace_side(settings: _PathSettings, path: ProfilePath, optimum: LocalMinimum, side: int) -> None:
+    """Add the points of one side; where another branch is lower at its end, go on along that."""
+    found, step = [optimum], _first_step(settings, optimum)
+    for _ in range(MAX_RESTARTS):
+        step = _step_outward(settings, path, found, (side, step))
+        if not _join_lower_branch(settings, path, found):
+            break
+    path.at_bound[side > 0] = found[-1].theta[settings.k] == _get_bound(settings, side)
+    path.points += found[1:]
+
+
+def _step_outward(
+    settings: _PathSettings, path: ProfilePath, found: list[LocalMinimum], last_step: tuple[int, float]
+) -> float:
+    """Add points to `found` until the deviance is high, or a bound is reached; return the next step."""
+    k, optimum, bound = settings.k, found[0], _get_bound(settings, last_step[0])
+    side, step = last_step
+    while len(found) <= MAX_SIDE_POINTS:
+        last = found[-1]
+        if last.theta[k] == bound or _deviance_root(settings, optimum, last) ** 2 > STOP_DEVIANCE:
+            break
+        place = last.theta[k] + side * step
+        place = bound if abs(bound - last.theta[k]) < 1.2 * step else float(place)
+        point = _compute_point(settings, path, found, place)
+        rise, step = (
+            _deviance_root(settings, optimum, point) - _deviance_root(settings, optimum, last),
+            abs(place - float(last.theta[k])),
+        )
+        if rise > MAX_ROOT_RISE and step > MIN_STEP_FRACTION * settings.range:
+            if np.isfinite(point.value):
+                path.points.append(point)  # it is a point of the profile all the same
+            step *= float(np.clip(TARGET_ROOT_RISE / rise, 0.1, 0.6))
+        elif np.isfinite(point.value):
+            found.append(point)
+            step = _next_step(settings, optimum, point, (side, step))
+        else:
+            break
+    return step
+
+
+def _get_bound(settings: _PathSettings, side: int) -> float:
+    return float(settings.target.upper[settings.k] if side > 0 else settings.target.lower[settings.k])
+
+
+def _first_step(settings: _PathSettings, optimum: LocalMinimum) -> float:
+    others = np.arange(len(optimum.theta)) != settings.k
+    cross = optimum.information[others, settings.k]
+    rest = np.linalg.lstsq(optimum.information[np.ix_(others, others)], cross, rcond=1e-12)[0]
+    remaining = max(float(optimum.information[settings.k, settings.k] - cross @ rest), 0.0)
+    slope = np.sqrt(remaining / settings.scale)
+    return float(min(TARGET_ROOT_RISE / max(slope, 1e-9), MAX_STEP_FRACTION * settings.range))
+
+
+def _next_step(
+    settings: _PathSettings, optimum: LocalMinimum, point: LocalMinimum, last: tuple[int, float]
+) -> float:
+    """Return the step at which the root of the deviance should have risen as wanted."""
+    side, step = last
+    root = max(_deviance_root(settings, optimum, point), 1e-3)
+    slope = side * float(point.slope[settings.k]) / settings.scale / (2 * root)
+    wanted = TARGET_ROOT_RISE / slope if slope > 0 else step if slope < 0 else np.inf
+    return float(
+        np.clip(
+            wanted,
+            MIN_STEP_FRACTION * settings.range,
+            min(MAX_STEP_GROWTH * step, MAX_STEP_FRACTION * settings.range),
+        )
+    )
+
+
+def _compute_point(
+    settings: _PathSettings, path: ProfilePath, found: Sequence[LocalMinimum], place: float
+) -> LocalMinimum:
+    """Return the best with the parameter held at `place`; from elsewhere too if that fails or jumps."""
+    optimum, last = found[0], found[-1]
+    point = _minimize_held(settings, path, _extrapolate(settings, last, place), place)
+    before, after = _deviance_root(settings, optimum, last), _deviance_root(settings, optimum, point)
+    lead = abs(place - float(last.theta[settings.k])) * abs(float(last.slope[settings.k])) / settings.scale
+    expected = before + lead / (2 * max(before, 0.5)) + TARGET_ROOT_RISE
+    if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
+        return point
+    path.retries += 1
+    tries = [
+        _minimize_held(settings, path, start, place)
+        for start in (last.theta, optimum.theta, *settings.elsewhere)
+    ]
+    return select_best([point, *tries])
+
+
+def _join_lower_branch(settings: _PathSettings, path: ProfilePath, found: list[LocalMinimum]) -> bool:
+    """At the last point of a side look elsewhere for a lower branch, and follow it back while it is lower.
+
+    Returns whether there is one.
+    """
+    if len(found) < 2 or not settings.elsewhere:
+        return False
+    last = len(found) - 1
+    place = float(found[last].theta[settings.k])
+    path.retries += 1
+    lower = _minimize_from_elsewhere(settings, path, place)
+    n = last
+    while n > 0 and lower.value < found[n].value - MIN_IMPROVEMENT * settings.scale:
+        found[n] = lower
+        n -= 1
+        place = float(found[n].theta[settings.k])
+        lower = _minimize_held(settings, path, _extrapolate(settings, lower, place), place)
+    return n < last
+
+
+def _minimize_from_elsewhere(settings: _PathSettings, path: ProfilePath, place: float) -> LocalMinimum:
+    """Return the best minimum from elsewhere; a cheaper problem is minimised first if there is one."""
+    if settings.cheaper is None:
+        return select_best([_minimize_held(settings, path, start, place) for start in settings.elsewhere])
+    cheapest = select_best(
+        [
+            minimize_squares(settings.cheaper, _set_held(settings, start, place), settings.k)
+            for start in settings.elsewhere
+        ]
+    )
+    return _minimize_held(settings, path, cheapest.theta, place)
+
+
+def _minimize_held(settings: _PathSettings, path: ProfilePath, start: Floats, place: float) -> LocalMinimum:
+    point = minimize_squares(settings.target, _set_held(settings, start, place), held=settings.k)
+    path.evaluations += point.evaluations
+    return point
+
+
+def _set_held(settings: _PathSettings, start: Floats, place: float) -> Floats:
+    theta = start.copy()
+    theta[settings.k] = place
+    return theta
+
+
+def _extrapolate(settings: _PathSettings, last: LocalMinimum, place: float) -> Floats:
+    """Return where the others go, to first order, as the held parameter goes to `place`."""
+    others = np.arange(len(last.theta)) != settings.k
+    inner, cross = last.information[np.ix_(others, others)], last.information[others, settings.k]
+    turn = -np.linalg.lstsq(inner, cross, rcond=1e-10)[0]
+    theta = last.theta.copy()
+    theta[others] += turn * (place - last.theta[settings.k])
+    return np.clip(theta, settings.target.lower, settings.target.upper)
+
+
+def _deviance_root(settings: _PathSettings, optimum: LocalMinimum, point: LocalMinimum) -> float:
+    return float(np.sqrt(max(point.value - optimum.value, 0.0) / settings.scale))

@@ -1,0 +1,1 @@
+"""Importance sampling: a posterior as weighted draws about the modes of a fit."""

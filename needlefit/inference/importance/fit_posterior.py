@@ -1,0 +1,150 @@
+"""The posterior about a fit by importance sampling, and the predictive density of further data.
+
+How probable further data y are, after data D: the evidence of both over that of the first.
+
+    log p(y | D) = log Z(D, y) - log Z(D),      Z = integral of likelihood and prior over theta
+
+The mean of p(y | theta) over draws of the posterior of D is the same, but where y has many exact points it is
+decided by the one draw that comes nearest: too low at most times, and its own scatter does not tell. The two
+integrals are by importance, each about its own peaks (C. P. Robert, D. Wraith, AIP Conf. Proc. 1193 (2009)
+251), so that draws are where the integrand is.
+"""
+
+import math
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.inference.draws import Draws
+from needlefit.inference.fit import Fit
+from needlefit.inference.identifiability.gauss_newton import minimize_squares
+from needlefit.inference.identifiability.identify import add_estimated_noise
+from needlefit.inference.importance.pareto import MAX_PARETO_K
+from needlefit.inference.importance.sampler import Effort, WeightedDraws, resample, sample_by_importance
+from needlefit.inference.problem import Problem
+from needlefit.inference.sampling.log_density import Evaluator, approximate_by_laplace
+
+Floats = NDArray[np.float64]
+
+MAX_LOG_DENSITY_GAP = 10.0
+"""A start that ended with a log density this much below the best one's found no mode."""
+
+MIN_MODE_DISTANCE = 1e-3
+"""Ends nearer to each other than this part of the bounds are one mode."""
+
+EFFORT = Effort()
+LARGER_EFFORT = Effort(draws=1000, components=30)
+"""Where the first effort did not do: far less than sampling takes."""
+
+
+def find_modes(fit: Fit, width: Floats) -> Floats:
+    """Return the modes (M, P) that a fit found, the best first; `width` (P,) is that of the bounds."""
+    starts = sorted(fit.starts, key=lambda start: (start.objective, start.index))
+    plausible = [start for start in starts if start.objective <= fit.objective + MAX_LOG_DENSITY_GAP]
+    return select_distinct((np.array(start.theta) for start in plausible), width)
+
+
+def select_distinct(ends: Iterable[Floats], width: Floats) -> Floats:
+    """Return those of some ends (P,) that differ from all before them: (M, P)."""
+    found: list[Floats] = []
+    for end in ends:
+        if all(np.max(np.abs(end - other) / width) > MIN_MODE_DISTANCE for other in found):
+            found.append(end)
+    return np.array(found)
+
+
+def escalate_effort(sample: Callable[[Effort], WeightedDraws]) -> WeightedDraws:
+    """Sample with the first effort, and with the larger one where the first weights cannot be trusted."""
+    found = sample(EFFORT)
+    return found if found.k <= MAX_PARETO_K else sample(LARGER_EFFORT)
+
+
+def sample_about_modes(
+    problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
+) -> WeightedDraws:
+    """Return weighted draws of a posterior, known about its modes (M, P)."""
+    evaluator = Evaluator(problem, jobs)
+    approximations = [approximate_by_laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
+    return sample_by_importance(evaluator, approximations, (problem.lower, problem.upper), rng, effort)
+
+
+def sample_about_fit(
+    problem: Problem, fit: Fit, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
+) -> WeightedDraws:
+    """Return weighted draws of the posterior about a fit with at least one free parameter.
+
+    Where the dataset states no noise, the fit's residuals stand for it; a fit of the metric objective is
+    first led to the posterior's peak.
+    """
+    theta = np.array(fit.theta)
+    known = add_estimated_noise(problem, theta)
+    if fit.minimized == "posterior":
+        ends = find_modes(fit, problem.upper - problem.lower)
+    else:
+        ends = minimize_squares(known, theta).theta[None]
+    return sample_about_modes(known, ends, rng, jobs, effort)
+
+
+def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:
+    """Return `count` draws without weights; those that are not certified say so in their `faults`."""
+    warning = (
+        f"draws by importance are not certified: Pareto k is {found.k:.2f} ({MAX_PARETO_K} at most), and "
+        f"they "
+        f"are worth {found.effective_sample_size:.0f} independent ones ({found.min_ess:.0f} at least)"
+    )
+    thetas = found.thetas[resample(found, count, rng)]
+    return Draws(thetas, "importance", () if found.certified else (warning,), found.k)
+
+
+def draw_by_importance(
+    problem: Problem, fit: Fit, count: int, rng: np.random.Generator, jobs: int = 1
+) -> Draws:
+    """Return `count` draws of the posterior about a fit, without weights; else as `sample_about_fit`."""
+    if not len(fit.theta):
+        return Draws(np.empty((count, 0)), "importance")
+    return resample_draws(sample_about_fit(problem, fit, rng, jobs), count, rng)
+
+
+@dataclass(frozen=True)
+class PredictiveDensity:
+    """How probable further data are.
+
+    Attributes
+    ----------
+    log_density : float
+        log p(y | D).
+    se : float
+        Its Monte Carlo error.
+    shared_se : float
+        The part of it that comes from Z(D), and is the same error for all that is asked after D.
+    k : float
+        Pareto's: the larger of the two integrals'.
+    effective_sample_size : float
+        Effective number of independent draws: the fewer of the two integrals'.
+    """
+
+    log_density: float
+    se: float
+    shared_se: float
+    k: float
+    effective_sample_size: float
+
+
+ZERO_DENSITY = PredictiveDensity(-math.inf, math.inf, math.inf, math.nan, 0.0)
+"""Of data that cannot be predicted."""
+
+
+def compute_predictive_density(both: WeightedDraws, first: WeightedDraws) -> PredictiveDensity:
+    """Return how probable further data are, given weighted draws of both and of the first alone.
+
+    The two densities must be normalised alike: what the further data add is their likelihood, in full.
+    """
+    return PredictiveDensity(
+        both.log_evidence - first.log_evidence,
+        math.hypot(both.log_evidence_se, first.log_evidence_se),
+        first.log_evidence_se,
+        max(both.k, first.k),
+        min(both.effective_sample_size, first.effective_sample_size),
+    )

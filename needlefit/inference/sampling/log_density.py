@@ -1,0 +1,176 @@
+"""The density that is sampled: its guarded evaluation, and its Laplace approximation.
+
+The Gaussian that touches a density at its peak: in its coordinates ridges are round.
+
+Curvatures are differences of the log density over steps that it answers itself: in each parameter the longest
+of a ladder over which it falls by no more than `MAX_LOG_DENSITY_DROP`. What it does not tell, the bounds do.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from itertools import combinations
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from needlefit.inference.evaluation_recorder import EVALUATION_ERRORS, MAX_FAILED_POINTS
+from needlefit.inference.objective import SupportsValues
+
+Floats = NDArray[np.float64]
+
+
+class LogDensity(SupportsValues, Protocol):
+    """A log density that can be sampled; `Problem` is one."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the coordinates of theta."""
+
+    def log_posteriors(self, thetas: Floats, jobs: int) -> Floats:
+        """Return the log densities (W,) of `thetas` (W, P), not normalised.
+
+        -inf where the density is 0, NaN where it cannot be computed. `jobs` threads may be used; the
+        densities do not depend on it.
+        """
+
+
+@dataclass
+class Evaluator:
+    """The density of many thetas at once; whatever is no number or fails is counted and has density 0.
+
+    Attributes
+    ----------
+    problem : Density
+    jobs : int
+        Threads.
+    ensembles : int
+        What is asked for belongs to as many ensembles, an equal part to each, one after the other.
+    failures : int
+        Evaluations that were no number, or raised.
+    failed : list of lists of theta
+        By ensemble the first of these.
+    """
+
+    problem: LogDensity
+    jobs: int
+    ensembles: int = 1
+    failures: int = 0
+    failed: list[list[tuple[float, ...]]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        self.failed = [[] for _ in range(self.ensembles)]
+
+    def __call__(self, thetas: Floats) -> Floats:
+        """Return the log densities (W,) of `thetas` (W, P)."""
+        inside = np.all((thetas >= self.problem.lower) & (thetas <= self.problem.upper), axis=1)
+        density = np.full(len(thetas), -math.inf)
+        if np.any(inside):
+            found = self._guarded(thetas[inside])
+            failed_rows = np.isnan(found) | (found == math.inf)
+            density[inside] = np.where(failed_rows, -math.inf, found)
+            self._record_failures(thetas, np.flatnonzero(inside)[failed_rows])
+        return density
+
+    def _record_failures(self, thetas: Floats, failed_rows: NDArray[np.intp]) -> None:
+        self.failures += len(failed_rows)
+        for row in failed_rows.tolist():
+            failed = self.failed[row * self.ensembles // len(thetas)]
+            if len(failed) < MAX_FAILED_POINTS:
+                failed.append(tuple(thetas[row].tolist()))
+
+    def _guarded(self, thetas: Floats) -> Floats:
+        """Return the densities, NaN for a theta that raises: it is looked for one by one."""
+        try:
+            return self.problem.log_posteriors(thetas, self.jobs)
+        except EVALUATION_ERRORS:
+            if len(thetas) == 1:
+                return np.array([math.nan])
+            return np.concatenate([self._guarded(theta[None]) for theta in thetas])
+
+
+LogDensityFunction = Callable[[Floats], Floats]
+"""Log densities (W,) of thetas (W, P), -inf where there is none."""
+
+MAX_LOG_DENSITY_DROP = 0.5
+"""Of the log density over one step: a standard deviation's worth, if all other parameters are held."""
+
+STEP_FRACTIONS = 0.25 * 0.5 ** np.arange(0, 16)
+"""Steps that are tried, as parts of the range."""
+
+UNIFORM_PRECISION = 12.0
+"""Precision of a uniform distribution, by its width squared."""
+
+BOUND_MARGIN = 1e-3
+"""A point at a bound is taken this part of the range inside: differences need both sides."""
+
+
+@dataclass(frozen=True)
+class LaplaceApproximation:
+    """theta = centre + axes @ z, with z standard normal as far as the density is Gaussian.
+
+    Attributes
+    ----------
+    centre : (P,) array
+    axes : (P, P) array
+        Columns: principal directions times their standard deviations, sloppiest first.
+    """
+
+    centre: Floats
+    axes: Floats
+
+    def thetas(self, z: Floats) -> Floats:
+        """Return the thetas (..., P) of whitened coordinates (..., P)."""
+        found: Floats = self.centre + z @ self.axes.T
+        return found
+
+    def whitened(self, thetas: Floats) -> Floats:
+        """Return the whitened coordinates (..., P) of thetas (..., P)."""
+        found: Floats = (thetas - self.centre) @ np.linalg.inv(self.axes).T
+        return found
+
+
+def approximate_by_laplace(
+    log_density: LogDensityFunction, centre: Floats, lower: Floats, upper: Floats
+) -> LaplaceApproximation:
+    """Return the approximation about `centre` (P,), no wider in any direction than the bounds (P,) imply."""
+    width = upper - lower
+    inner = np.clip((centre - lower) / width, BOUND_MARGIN, 1 - BOUND_MARGIN)  # in the unit cube
+
+    def at(points: Floats) -> Floats:
+        return log_density(lower + points * width)
+
+    with np.errstate(invalid="ignore"):  # -inf less -inf: nothing is told there
+        steps = _choose_steps(at, inner)
+        information = _difference_information(at, inner, steps) / np.outer(steps, steps)
+    precisions, directions = np.linalg.eigh(information)
+    sds = 1.0 / np.sqrt(np.maximum(precisions, 0.0) + UNIFORM_PRECISION)
+    return LaplaceApproximation(lower + inner * width, width[:, None] * directions * sds)
+
+
+def _choose_steps(at: LogDensityFunction, centre: Floats) -> Floats:
+    """Return the step (P,) of each parameter."""
+    steps = np.minimum(STEP_FRACTIONS[:, None], np.minimum(centre, 1 - centre))  # (L, P), within the cube
+    moves = steps[:, :, None] * np.eye(len(centre))  # (L, P, P)
+    ends = np.concatenate([[centre], *(centre + sign * moves.reshape(-1, len(centre)) for sign in (1, -1))])
+    found = at(ends)
+    falls = (found[0] - np.min(found[1:].reshape(2, *steps.shape), axis=0)) <= MAX_LOG_DENSITY_DROP  # (L, P)
+    chosen = np.where(falls.any(axis=0), np.argmax(falls, axis=0), len(STEP_FRACTIONS) - 1)
+    picked: Floats = steps[chosen, np.arange(len(centre))]
+    return picked
+
+
+def _difference_information(at: LogDensityFunction, centre: Floats, steps: Floats) -> Floats:
+    """Return the negative second differences (P, P) over one step of each parameter."""
+    moves, dimensions = np.diag(steps), len(steps)
+    pairs = list(combinations(range(dimensions), 2))
+    signs = ((1, 1), (-1, -1), (1, -1), (-1, 1))
+    corners = [a * moves[i] + b * moves[j] for i, j in pairs for a, b in signs]
+    found = at(centre + np.array([np.zeros(dimensions), *moves, *-moves, *corners]))
+    plus, minus, four = np.split(found[1:], [dimensions, 2 * dimensions])
+    information = np.diag(2 * found[0] - plus - minus)
+    for (i, j), (pp, mm, pm, mp) in zip(pairs, four.reshape(-1, 4), strict=True):
+        information[i, j] = information[j, i] = (pm + mp - pp - mm) / 4
+    known: Floats = np.where(np.isfinite(information), information, 0.0)
+    return known

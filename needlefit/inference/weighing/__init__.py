@@ -1,1 +1,0 @@
-"""A posterior known by weighted draws, where nothing was sampled."""
