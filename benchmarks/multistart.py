@@ -66,14 +66,14 @@ def one(number: int, seeds: int, most: int, larger: int, recipe: RecipeRecord) -
     fits = [minimize(task, recipe, random_stream(seed, "multi-start", str(number))) for seed in range(seeds)]
     many = recipe.model_copy(update={"starts": larger * recipe.starts})
     other = recipe.model_copy(update={"algorithm": "slsqp", "approach": False})
-    rivals = {
+    other_fits = {
         "larger": minimize(task, many, random_stream(seeds, "larger", str(number))).objective,
         "slsqp": minimize(task, other, random_stream(seeds, "other", str(number))).objective,
         "truth": search(
             make_posterior_objective(task), recipe, StartPoint(0, tuple(truth.tolist()))
         ).objective,
     }
-    best = min(*rivals.values(), *(fit.objective for fit in fits))
+    best = min(*other_fits.values(), *(fit.objective for fit in fits))
     return {
         "problem": number,
         "medium": task.medium.title,
@@ -81,7 +81,7 @@ def one(number: int, seeds: int, most: int, larger: int, recipe: RecipeRecord) -
         "above": [fit.objective - best for fit in fits],
         "starts_above": [start.objective - best for fit in fits for start in fit.starts],
         "evaluations": [fit.evaluations for fit in fits],
-        "rivals_above": {name: value - best for name, value in rivals.items()},
+        "others_above": {name: value - best for name, value in other_fits.items()},
     }
 
 
@@ -142,7 +142,7 @@ def report(rows: list[dict[str, object]], recipe: RecipeRecord) -> None:
         missed = {seed: round(float(a), 2) for seed, a in enumerate(above) if a > EQUAL}
         if missed:
             where = f"problem {row['problem']} ({row['medium']}, {row['insertions']} insertions)"
-            print(f"  missed: {where}: above the best by {missed}; rivals {row['rivals_above']}")
+            print(f"  missed: {where}: above the best by {missed}; rivals {row['others_above']}")
 
 
 if __name__ == "__main__":

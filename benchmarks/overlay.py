@@ -116,15 +116,15 @@ def late(work: Callable[[], object], seconds: float = 5.0) -> list[float]:
         while not done.is_set():
             work()
 
-    beside = threading.Thread(target=again)
-    beside.start()
+    overlays = threading.Thread(target=again)
+    overlays.start()
     due, found = time.perf_counter(), []
     for _ in range(round(seconds * RATE)):
         due += 1 / RATE
         time.sleep(max(0.0, due - time.perf_counter()))
         found.append(1e3 * (time.perf_counter() - due))
     done.set()
-    beside.join()
+    overlays.join()
     return np.percentile(found, (50, 95)).tolist()
 
 

@@ -155,7 +155,7 @@ def coverage(found: Centerline, case: Case) -> dict[str, float]:
     }
 
 
-def rivals(volume: Volume, needle: Component, case: Case) -> list[dict[str, float | str]]:
+def measure_baselines(volume: Volume, needle: Component, case: Case) -> list[dict[str, float | str]]:
     """Return the errors of the voxel skeleton and of the principal axis of the same voxels."""
     low = needle.voxels.min(axis=0)
     mask = np.zeros(needle.voxels.max(axis=0) - low + 1, dtype=bool)
@@ -184,7 +184,7 @@ def one(task: tuple[int, str]) -> list[dict[str, float | str]]:
     except DataError as error:
         return [{"way": "needlefit", "kind": kind, "seed": seed, "failure": str(error)}]
     ours = row("needlefit", found.points, found.tip, case) | coverage(found, case) | {"seconds": seconds}
-    return [{"kind": kind, "seed": seed} | r for r in [ours, *rivals(volume, needle, case)]]
+    return [{"kind": kind, "seed": seed} | r for r in [ours, *measure_baselines(volume, needle, case)]]
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:

@@ -1,14 +1,14 @@
 """How long a posterior takes by the rule of convergence, by which moves, and where the time goes.
 
     OPENBLAS_NUM_THREADS=1 python benchmarks/sampling.py [--json] [--targets study1 study2] [--moves stretch]
-        [--seeds 1 2] [--depths fixed] [--jobs 2] [--rival]
+        [--seeds 1 2] [--depths fixed] [--jobs 2] [--pool]
 
 Each target, a study or a fit, is fitted first, which is not counted. Seconds are those of `sample`, and its
 shares those of the processor time of all threads: of the kernel, of the likelihood around it, of the rule
 (R-hat, autocorrelation), and of emcee with the moves and all else. `--depths fixed` takes depths of layers as
 given, which costs a ninth for four layers: for comparing moves.
 
-`--rival` says besides what the same evaluations of the likelihood would cost in a pool of two processes, with
+`--pool` says besides what the same evaluations of the likelihood would cost in a pool of two processes, with
 the needle simulated by NumPy and `solveh_banded` (`full_needle`): extrapolated from one evaluation in each
 process, to whole millimetres of depth, and without what follows the simulation.
 """
@@ -123,7 +123,7 @@ def measure(
     }
 
 
-def rival(problem: Problem, theta, evaluations: int) -> dict[str, object]:
+def measure_pool(problem: Problem, theta, evaluations: int) -> dict[str, object]:
     """Return what these evaluations would take in processes that simulate with `solveh_banded`, hours."""
     values = [problem.values(theta)]
     medium, needle = problem.medium, problem.dataset.needle
@@ -169,7 +169,7 @@ def main() -> None:
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
     parser.add_argument("--depths", choices=["fixed", "linear", "quadrature"], default="linear")
     parser.add_argument("--jobs", type=int, default=2)
-    parser.add_argument("--rival", action="store_true")
+    parser.add_argument("--pool", action="store_true")
     options = parser.parse_args()
 
     def show(row: dict[str, object]) -> None:
@@ -188,8 +188,11 @@ def main() -> None:
                 settings = job.recipe.sample.model_copy(update={"moves": moves})
                 row = measure(job, problem, fit.theta, settings, seed, options.jobs)
                 show(row)
-        if options.rival:
-            show({"target": target, "rival": "solveh_banded"} | rival(problem, fit.theta, row["evaluations"]))
+        if options.pool:
+            show(
+                {"target": target, "method": "solveh_banded"}
+                | measure_pool(problem, fit.theta, row["evaluations"])
+            )
 
 
 if __name__ == "__main__":

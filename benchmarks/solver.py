@@ -57,7 +57,7 @@ GOALS = {
 
 
 @dataclass
-class Way:
+class Method:
     """A way to run the model.
 
     Attributes
@@ -119,7 +119,7 @@ class Way:
         }
 
 
-def rival(tolerance: float, solve: Callable[..., Floats], every: int, compared: int) -> Way:
+def measure_baseline(tolerance: float, solve: Callable[..., Floats], every: int, compared: int) -> Method:
     """Return the full needle of NumPy and SciPy."""
     sets = batch(COMPARED, tolerance)
     needles = [FullNeedle(*_arguments(sets, i), tolerance) for i in range(compared)]
@@ -127,7 +127,7 @@ def rival(tolerance: float, solve: Callable[..., Floats], every: int, compared: 
     passes = float(np.mean([needle.passes for needle in needles])) / STEPS
     first = needles[0]
     call = functools.partial(first.insertion, lambda *a: solve(first, *a))
-    return Way(STEPS, call, every=every, passes=passes, tips=tips)
+    return Method(STEPS, call, every=every, passes=passes, tips=tips)
 
 
 def _arguments(sets: Batch, i: int) -> tuple[object, Tissue, Step]:
@@ -135,17 +135,19 @@ def _arguments(sets: Batch, i: int) -> tuple[object, Tissue, Step]:
     return needle, tissue, steps[0]
 
 
-def scalar(tolerance: float) -> Way:
+def scalar(tolerance: float) -> Method:
     """Return the compiled scalar kernel, set after set."""
     sets = batch(32, tolerance)
     inputs = [sets.one(i) for i in range(len(sets))]
     shapes = [simulate_steps(*one) for one in inputs]
     tips = np.array([shape.deflection for shape in shapes[:COMPARED]])
     passes = float(np.mean([shape.iterations for shape in shapes])) / STEPS
-    return Way(STEPS * len(sets), lambda: [simulate_steps(*one) for one in inputs], passes=passes, tips=tips)
+    return Method(
+        STEPS * len(sets), lambda: [simulate_steps(*one) for one in inputs], passes=passes, tips=tips
+    )
 
 
-def pool(tolerance: float, workers: ProcessPoolExecutor) -> Way:
+def pool(tolerance: float, workers: ProcessPoolExecutor) -> Method:
     """Return the scalar kernel in processes that are sent arrays of parameters and send tips back."""
     sets = batch(256, tolerance)
     parts = [(sets.mu[i : i + 32], sets.alpha[i : i + 32], sets.offset[i : i + 32], tolerance)
@@ -154,7 +156,7 @@ def pool(tolerance: float, workers: ProcessPoolExecutor) -> Way:
     def call() -> Floats:
         return np.concatenate(list(workers.map(_insert, parts)))
 
-    return Way(STEPS * len(sets), call, False, elsewhere=True, tips=call()[:COMPARED])
+    return Method(STEPS * len(sets), call, False, elsewhere=True, tips=call()[:COMPARED])
 
 
 def _insert(sets: tuple[Floats, Floats, Floats, float]) -> Floats:
@@ -169,7 +171,7 @@ def _insert(sets: tuple[Floats, Floats, Floats, float]) -> Floats:
     ])  # fmt: skip
 
 
-def session(tolerance: float, step: float) -> Way:
+def session(tolerance: float, step: float) -> Method:
     """Return a session that inserts in steps of so many mm."""
     count = round(DEPTH / step)
     rules = ModelOptions(tolerance=tolerance)
@@ -185,10 +187,10 @@ def session(tolerance: float, step: float) -> Way:
         _, tissue, end = _arguments(sets, i)
         at_end = insert(tissue, end.bevel)
         tips.append(at_end.step(DEPTH - at_end.depth).deflection)
-    return Way(count, insert, tips=np.array(tips))
+    return Method(count, insert, tips=np.array(tips))
 
 
-def base_moves(tolerance: float) -> Way:
+def base_moves(tolerance: float) -> Method:
     """Return a session whose base moves back and forth while the tip stands at the whole depth."""
     session = Session(NEEDLE, TISSUE, BEVEL, rules=ModelOptions(tolerance=tolerance))
     for _ in range(STEPS):
@@ -199,32 +201,34 @@ def base_moves(tolerance: float) -> Way:
         for y, slope in moves + np.random.default_rng().uniform(0, 1e-6):
             session.step(base=(y, slope))
 
-    return Way(len(moves), call)
+    return Method(len(moves), call)
 
 
-def lanes(sets: Sequence[Batch], threads: int) -> Way:
+def lanes(sets: Sequence[Batch], threads: int) -> Method:
     """Return the lanes."""
     steps = [step.depth for some in sets for step in some.steps for _ in range(len(some))]
     found = simulate_batches(sets, threads)
     passes = sum(float(shapes.iterations.sum()) for shapes in found) / sum(steps)
     tips = found[0].u[:COMPARED, -1] if len(sets) == 1 else np.empty(0)
-    return Way(sum(steps), lambda: simulate_batches(sets, threads), threads == 1, passes=passes, tips=tips)
+    return Method(sum(steps), lambda: simulate_batches(sets, threads), threads == 1, passes=passes, tips=tips)
 
 
-def with_jax(tolerance: float, count: int) -> Way:
+def with_jax(tolerance: float, count: int) -> Method:
     """Return the model in JAX, on as many threads as it likes."""
     from jax_lanes import compile_batch
 
     call, steps = compile_batch(batch(count, tolerance))
     tips, passes = call()
-    return Way(steps * count, call, False, every=3, passes=float(passes.mean()) / steps, tips=tips[:COMPARED])
+    return Method(
+        steps * count, call, False, every=3, passes=float(passes.mean()) / steps, tips=tips[:COMPARED]
+    )
 
 
-def ways(tolerance: float, workers: ProcessPoolExecutor) -> dict[str, Way]:
+def ways(tolerance: float, workers: ProcessPoolExecutor) -> dict[str, Method]:
     """Return all ways to run the model, warm."""
     found = {
-        "dense NumPy, element by element": rival(tolerance, FullNeedle.dense, 5, 1),
-        "solveh_banded, full needle": rival(tolerance, FullNeedle.banded, 1, COMPARED),
+        "dense NumPy, element by element": measure_baseline(tolerance, FullNeedle.dense, 5, 1),
+        "solveh_banded, full needle": measure_baseline(tolerance, FullNeedle.banded, 1, COMPARED),
         "scalar kernel": scalar(tolerance),
         f"scalar kernel, {POOL} processes": pool(tolerance, workers),
         "Session, steps of 1 mm": session(tolerance, 1.0),

@@ -24,7 +24,7 @@ extensions = [
     "mathml",
     "docstrings",
     "names",
-    "rooms",
+    "api_pages",
     "commands",
     "shipped",
 ]

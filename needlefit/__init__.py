@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from needlefit.mechanics.shape import NeedleShape
     from needlefit.mechanics.simulate import simulate, simulate_steps
     from needlefit.mechanics.tissue import Tissue
-    from needlefit.reporting.write import write
+    from needlefit.reporting.run_folder import write
     from needlefit.validation.run import run
 
 __version__ = "0.1.0"
@@ -78,7 +78,7 @@ _HOMES = {
     "read_dataset": "datasets.read:read",
     "run": "validation.run",
     "simulate": "mechanics.simulate",
-    "write": "reporting.write",
+    "write": "reporting.run_folder",
 }
 
 _FORMER_NAMES = {"follow": "simulate_steps", "follow_batches": "simulate_batches", "Rules": "ModelOptions"}

@@ -7,7 +7,7 @@ from pathlib import Path
 import pandas as pd
 from reporting_results import study, told
 
-from needlefit.reporting.files import write_csv, write_json
+from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.validation.packing import RESULTS_FILE
 from needlefit.validation.results import Results
 from needlefit.validation.stored import store_results

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from needlefit.inference.importance.sampler import Effort
-from needlefit.reporting.inquiries.next_insertion import said
-from needlefit.reporting.inquiries.write import write_answer
+from needlefit.reporting.analyses.next_insertion import summarize
+from needlefit.reporting.analyses.result_folder import write_analysis
 from needlefit.schemas.planning import CandidateEntryRecord, NextInsertionRecord
 from needlefit.validation.analyses.planning import candidates, next_insertion
 from needlefit.validation.analyses.planning.candidates import find_template, frame_of, predict_candidate
@@ -79,6 +79,6 @@ def test_deep_insertions_into_one_layer_tell_more_and_alpha_nothing(tmp_path, mo
     assert tips["sd_after_mm"][80] < tips["sd_after_mm"][10] < tips["sd_now_mm"][10]
     alphas = answer.frames["alphas"]
     assert np.all(alphas["sd_after"] > 0.99 * alphas["sd_before"])
-    assert "80 mm deep" in said(answer)[0]
-    written = {path.name for path in write_answer(answer, tmp_path / "out").iterdir()}
+    assert "80 mm deep" in summarize(answer)[0]
+    written = {path.name for path in write_analysis(answer, tmp_path / "out").iterdir()}
     assert {"gains.csv", "gains.pdf", "report.pdf", "report.html"} <= written

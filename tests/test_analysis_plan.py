@@ -6,8 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from needlefit.reporting.inquiries.plan import layouts, said
-from needlefit.reporting.inquiries.write import write_answer
+from needlefit.reporting.analyses.plan import lay_out_tables, summarize
+from needlefit.reporting.analyses.result_folder import write_analysis
 from needlefit.schemas.planning import ObstacleRecord, PlanRecord
 from needlefit.validation.analyses.planning import candidates, plan
 from needlefit.validation.analyses.planning.aiming import (
@@ -104,8 +104,8 @@ def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
     assert len(misses) == 20
     beyond = answer.frames["exceedances"].set_index(["plan", "limit_mm"])["share"]
     assert beyond["expected", 1.0] == pytest.approx((misses > 1.0).mean())
-    assert "45" in said(answer)[0]
-    written = {path.name for path in write_answer(answer, tmp_path / "out").iterdir()}
+    assert "45" in summarize(answer)[0]
+    written = {path.name for path in write_analysis(answer, tmp_path / "out").iterdir()}
     assert {"plane.pdf", "plane.csv", "within.pdf", "within.csv", "report.pdf"} <= written
 
 
@@ -127,7 +127,7 @@ def test_a_plan_that_does_not_reach_says_so_and_what_stands_at_a_bound(monkeypat
     answer = plan.run("aside", PlanRecord.model_validate(record), Settings())
     (fault,) = (one for one in answer.faults if "no plan" in one)
     assert "no plan within these bounds comes within 1 mm" in fault
-    assert said(answer)[0].startswith("No plan within these bounds reaches x = 29, y = 4 mm")
-    assert "at a bound of the study: offset, angle" in said(answer)[0]
-    (table, _) = layouts(answer)
+    assert summarize(answer)[0].startswith("No plan within these bounds reaches x = 29, y = 4 mm")
+    assert "at a bound of the study: offset, angle" in summarize(answer)[0]
+    (table, _) = lay_out_tables(answer)
     assert "0.1*" in table.rows[0] and "* At a bound of the study file." in table.notes

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from needlefit.errors import ConfigError
-from needlefit.reporting.inquiries.specimens import draw_all, said
-from needlefit.reporting.inquiries.write import write_answer
+from needlefit.reporting.analyses.result_folder import write_analysis
+from needlefit.reporting.analyses.specimens import draw_figures, summarize
 from needlefit.schemas.analyses import SpecimensRecord
 from needlefit.validation.analyses.runner import AnalysisResult
 from needlefit.validation.analyses.specimens import run
@@ -35,10 +35,10 @@ def test_two_specimens_tell_no_spread(two, tmp_path):
     assert told["low_95"]["spread", "bevel_mm"] == 0.0
     new, mean = (told["high_95"][w, "mu1_pa"] - told["low_95"][w, "mu1_pa"] for w in ("new", "mean"))
     assert new > mean  # a further specimen differs besides
-    assert "tells no spread" in said(answer)[0]
-    assert "leaves the bounds within which the medium is fitted" in said(answer)[1]
+    assert "tells no spread" in summarize(answer)[0]
+    assert "leaves the bounds within which the medium is fitted" in summarize(answer)[1]
     assert {"densities.csv", "specimens.pdf"} <= {
-        p.name for p in write_answer(answer, tmp_path / "o").iterdir()
+        p.name for p in write_analysis(answer, tmp_path / "o").iterdir()
     }
 
 
@@ -50,7 +50,7 @@ def test_posteriors_that_a_bound_ends_are_named(two):
     for away, told in ((0.19, [f"μ₁ of {every['specimen'].iloc[0]}"]), (0.21, [])):
         every["mean"] = every["parameter"].map({"mu1_pa": top - 1, "bevel_mm": np.log(0.1)})
         every.loc[first, "mean"] = top - away
-        lines = said(replace(two, frames={**two.frames, "specimens": every}))[2:]
+        lines = summarize(replace(two, frames={**two.frames, "specimens": every}))[2:]
         assert [line.split(": ")[1].split(".")[0] for line in lines] == told
 
 
@@ -65,8 +65,8 @@ def test_intervals_are_held_against_the_population_that_was_made_up(tmp_path):
     spreads = coverage[(coverage["quantity"] == "spread") & (coverage["level"] == 0.95)]
     held = found[(found["quantity"] == "spread") & (found["low_95"] == 0.0)]
     assert spreads["covered"].sum() == len(held)
-    assert draw_all(answer, tmp_path)["recovered"].is_file()
-    assert "reached 0" in said(answer)[1]
+    assert draw_figures(answer, tmp_path)["recovered"].is_file()
+    assert "reached 0" in summarize(answer)[1]
 
 
 def test_a_population_of_one_and_a_mean_left_out_are_refused():

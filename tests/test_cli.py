@@ -9,8 +9,7 @@ from pathlib import Path
 import pytest
 
 from needlefit.cli import main
-from needlefit.cli.exit_codes import report_error
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation, report_error
 from needlefit.errors import ConfigError, DataError, FitError, ModelError
 
 COMMANDS = (
@@ -185,7 +184,7 @@ def test_module_is_the_command(tmp_path: Path):
 
 
 def test_completion_offers_names():
-    from needlefit.cli.completion import complete_scenes, complete_studies
+    from needlefit.cli.options import complete_scenes, complete_studies
 
     assert complete_scenes("phantom2") == ["phantom2", "phantom2_by_layers"]
     assert "all" in complete_studies("a")

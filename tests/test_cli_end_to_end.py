@@ -109,7 +109,9 @@ def test_a_report_is_made_again_from_what_was_stored(project, once, monkeypatch,
 
 def test_tune_stands_beside_the_paper_s_set(project, monkeypatch, capsys):
     monkeypatch.chdir(project)
-    monkeypatch.setattr("needlefit.reporting.write._draw", lambda results, folder: {})  # takes longest
+    monkeypatch.setattr(
+        "needlefit.reporting.run_folder._draw_figures", lambda results, folder: {}
+    )  # takes longest
     assert here("tune", "small") == 0
     assert (project / "reports/small-tune/run.json").is_file()
     out = capsys.readouterr().out

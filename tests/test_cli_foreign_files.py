@@ -178,10 +178,10 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def stubs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("needlefit.validation.run.run", Stub.run)
     monkeypatch.setattr(
-        "needlefit.reporting.write._draw", lambda *_: {}
+        "needlefit.reporting.run_folder._draw_figures", lambda *_: {}
     )  # seconds, and other tests' business
     for name in ("compile_pdf", "compile_html"):
-        monkeypatch.setattr(f"needlefit.reporting.write.{name}", lambda _: b"a page")
+        monkeypatch.setattr(f"needlefit.reporting.run_folder.{name}", lambda _: b"a page")
     monkeypatch.setattr(verification, "find_checks", lambda: GOOD)
     monkeypatch.setattr("needlefit.cli.view._server", lambda: steer)
     monkeypatch.setattr(
@@ -322,6 +322,6 @@ def test_the_folder_is_removed_while_the_results_are_written(project, stubs, mon
         shutil.rmtree(project / "out")
         return b"a page"
 
-    monkeypatch.setattr("needlefit.reporting.write.compile_pdf", remove)
+    monkeypatch.setattr("needlefit.reporting.run_folder.compile_pdf", remove)
     assert run(*CASES["tune"].words) == 3
     assert "unexpected" not in capsys.readouterr().err

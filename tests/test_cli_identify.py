@@ -70,7 +70,7 @@ def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
     (folder.parents[1] / "one.toml").write_text(text)
     assert run("identify", "./one.toml", "--fit", "--json", "-q") == 0
     said = json.loads(capsys.readouterr().out)
-    assert {"design", "fit", "said", "directions"} <= set(said) and said["place"] == "the fitted values"
+    assert {"design", "fit", "sentences", "directions"} <= set(said) and said["place"] == "the fitted values"
     by_stage = pd.read_csv(folder.parent / "identify-one" / "identify.csv").groupby("stage")["parameter"]
     assert by_stage.size()["design"] == by_stage.size()["fit"]
     for name in ("profiles", "profiles_design"):

@@ -11,8 +11,7 @@ import time
 import pandas as pd
 
 from needlefit.cli import screen
-from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation, catch_interrupts
 from needlefit.cli.progress import report_lines, show_progress
 
 

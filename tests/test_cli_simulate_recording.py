@@ -57,7 +57,7 @@ def test_a_tip_that_stands_elsewhere_than_recorded_is_told(log, capsys):
 
 
 def test_files_of_a_recording_and_of_a_scene(log, tmp_path, capsys, monkeypatch):
-    for name, value in (("MOST", 4), ("STAYS", 2), ("DOTS", 15)):
+    for name, value in (("MAX_FRAMES", 4), ("FINAL_FRAMES", 2), ("DOTS_PER_INCH", 15)):
         monkeypatch.setattr(animation, name, value)
     files = {"csv": "a.csv", "slicer": "a.mrk.json", "plot": "a.svg", "animation": "a.gif"}
     options = [word for option, file in files.items() for word in (f"--{option}", tmp_path / file)]

@@ -8,8 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from needlefit.cli.exit_codes import report_error
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation, report_error
 
 NEEDLEFIT = f"{sys.executable} -m needlefit"
 FULL = Path("/dev/full")

@@ -47,7 +47,7 @@ def stub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     def install(results) -> Stub:
         made = Stub(results)
         monkeypatch.setattr("needlefit.validation.run.run", made.run)
-        monkeypatch.setattr("needlefit.reporting.write.write", made.write)
+        monkeypatch.setattr("needlefit.reporting.run_folder.write", made.write)
         return made
 
     return install

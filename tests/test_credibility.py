@@ -20,12 +20,11 @@ from test_cli import run
 
 from needlefit.errors import DataError
 from needlefit.project.ownership import STAMP, write_stamp
-from needlefit.reporting.credibility.case import case
-from needlefit.reporting.credibility.entries import entries
-from needlefit.reporting.credibility.factors import FACTORS
-from needlefit.reporting.credibility.page import DISCLAIMER, page
-from needlefit.reporting.credibility.verified import code_verification
-from needlefit.reporting.files import write_csv, write_json
+from needlefit.reporting.credibility.case import load_case
+from needlefit.reporting.credibility.document import DISCLAIMER, compose_bundle
+from needlefit.reporting.credibility.factors import FACTORS, collect_entries
+from needlefit.reporting.credibility.verification_findings import find_code_verification
+from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.validation.credibility_evidence import gather_evidence
 from needlefit.validation.csv_tables import find_damaged_files
@@ -34,12 +33,14 @@ from needlefit.validation.csv_tables import find_damaged_files
 def told(folder, *named, about=None):
     """Return every factor's findings and gaps, by its key."""
     given = (
-        {} if about is None else {"about": CredibilityStatementsRecord.model_validate({"schema": 1, **about})}
+        {}
+        if about is None
+        else {"statements": CredibilityStatementsRecord.model_validate({"schema": 1, **about})}
     )
-    found = case(folder, named, **given)
+    found = load_case(folder, named, **given)
     return {
-        one.factor.key: (" ".join(f.words for f in one.told.findings), list(one.gaps))
-        for one in entries(found)
+        one.factor.key: (" ".join(f.words for f in one.content.findings), list(one.gaps))
+        for one in collect_entries(found)
     }
 
 
@@ -69,9 +70,9 @@ def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them()
         "relevance_of_quantities",
         "relevance_of_validation",
     ]
-    assert {one.key for one in FACTORS if one.by_people} == {*CredibilityStatementsRecord.model_fields} - {
-        "schema_"
-    }
+    assert {one.key for one in FACTORS if one.needs_statement} == {
+        *CredibilityStatementsRecord.model_fields
+    } - {"schema_"}
 
 
 def test_without_evidence_every_gap_is_a_box_that_says_what_would_fill_it(bare):
@@ -144,12 +145,12 @@ def test_what_is_of_another_thing_is_named(tmp_path, changed, why):
 
 def test_evidence_of_another_thing_is_listed_but_not_counted(alone, tmp_path):
     leave_calibration(tmp_path, **other("dataset", sha256="cd" * 32))
-    found = case(alone)
-    every = entries(found)
+    found = load_case(alone)
+    every = collect_entries(found)
     (uncertainties,) = (one for one in every if one.factor.key == "uncertainties")
-    assert not any("500 truths" in one.words for one in uncertainties.told.findings)
+    assert not any("500 truths" in one.words for one in uncertainties.content.findings)
     assert "needlefit calibrate" in " ".join(uncertainties.gaps)
-    said = json.dumps(page(found, every).blocks, default=str, ensure_ascii=False)
+    said = json.dumps(compose_bundle(found, every).blocks, default=str, ensure_ascii=False)
     assert "calibrate-study1" in said and "cdcdcdcdcdcd… there, abababababab… here" in said
 
 
@@ -176,23 +177,23 @@ def test_verification_of_another_mesh_tells_of_the_code_but_not_of_the_discretis
 
 def test_a_figure_beside_the_numbers_is_shown_and_its_bytes_are_recorded(alone, tmp_path):
     folder = leave_verification(tmp_path)
-    assert code_verification(case(alone)).pictures == ()
+    assert find_code_verification(load_case(alone)).pictures == ()
     (folder / "convergence.pdf").write_bytes(b"figure")
-    (picture,) = code_verification(case(alone)).pictures
-    assert picture.path == folder / "convergence.pdf" and not picture.of_data
-    assert "convergence.pdf" in case(alone).evidence[0].digests
+    (picture,) = find_code_verification(load_case(alone)).pictures
+    assert picture.path == folder / "convergence.pdf" and not picture.shows_run_data
+    assert "convergence.pdf" in load_case(alone).evidence[0].digests
 
 
 def test_what_is_named_stands_for_what_lies_beside_and_is_refused_if_it_is_no_evidence(alone, tmp_path):
     leave_verification(tmp_path, measured=1e-8)
     named = leave_verification(tmp_path / "elsewhere", measured=2e-8)
     for given, measured in (((named,), "2.00 × 10⁻⁸"), ((), "1.00 × 10⁻⁸")):
-        assert measured in code_verification(case(alone, given)).findings[0].words
+        assert measured in find_code_verification(load_case(alone, given)).findings[0].words
     foreign = leave_calibration(tmp_path / "elsewhere", of="study2")
-    (evidence,) = case(alone, [foreign]).evidence[:1]
+    (evidence,) = load_case(alone, [foreign]).evidence[:1]
     assert evidence.objections == ("is of study2, not of study1",)
     with pytest.raises(DataError, match="holds no evidence"):
-        case(alone, [alone])
+        load_case(alone, [alone])
 
 
 def test_evidence_with_a_table_missing_or_of_another_layout_is_not_counted(tmp_path):
@@ -221,8 +222,8 @@ def test_what_is_found_alike_of_several_runs_is_said_once(tmp_path):
     leave_calibration(tmp_path, of="study5")
     (tmp_path / "all").mkdir()
     write_json(tmp_path / "all/run.json", {one.name: one.run for one in runs})
-    found = case(tmp_path / "all")
-    blocks = page(found, entries(found)).blocks
+    found = load_case(tmp_path / "all")
+    blocks = compose_bundle(found, collect_entries(found)).blocks
     items = [item for block in blocks if block["kind"] == "list" for item in block["items"]]
     said = [item for item in items if "Computed with" in item]
     assert len(said) == 1 and said[0].startswith("study1, study5: Computed with emcee 3.1")
@@ -289,19 +290,19 @@ def test_damaged_files_of_the_run_and_beside_it_are_named_and_a_damaged_run_file
     write_csv(pd.read_csv(verification / "verification.csv").head(2), verification / "verification.csv")
     (alone / "errors.csv").write_bytes(bytes(range(256)))
     (leave_calibration(tmp_path) / "run.json").write_text("[]")
-    found = case(alone)
+    found = load_case(alone)
     assert [one.split()[0] for one in found.damaged] == [
         f"{alone.name}/errors.csv",
         "calibrate-study1/run.json",
     ]
     assert [one.counted for one in found.evidence] == [False]
     assert "verification.csv" in found.evidence[0].objections[0]
-    gaps = next(one for one in entries(found) if one.factor.key == "use_error").gaps
+    gaps = next(one for one in collect_entries(found) if one.factor.key == "use_error").gaps
     assert sum(name in gap for gap in gaps for name in ("errors.csv", "calibrate-study1/run.json")) == 2
     for text in ("[]", '{"name": "stu'):
         (alone / "run.json").write_text(text)
         with pytest.raises(DataError) as caught:
-            case(alone)
+            load_case(alone)
         assert "run.json" in caught.value.where
 
 
@@ -318,4 +319,4 @@ def test_a_damaged_posterior_without_a_digest_is_named(name, alone):
     (alone / STAMP).unlink(missing_ok=True)
     (alone / name).write_bytes(b"\x89HDF\r\n\x1a\n" + bytes(2000))
     assert [*find_damaged_files(alone)] == [name]
-    assert case(alone).damaged[0].startswith(f"{alone.name}/{name}")
+    assert load_case(alone).damaged[0].startswith(f"{alone.name}/{name}")

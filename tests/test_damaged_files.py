@@ -213,7 +213,9 @@ def test_a_name_that_no_file_can_have_is_not_found(name):
 
 
 def test_report_names_a_damaged_run_file_that_it_does_not_use(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("needlefit.reporting.write._draw", lambda results, folder: {})  # takes longest
+    monkeypatch.setattr(
+        "needlefit.reporting.run_folder._draw_figures", lambda results, folder: {}
+    )  # takes longest
     store_results(study(1), tmp_path)
     (tmp_path / "run.json").write_text("[]")
     assert run("report", str(tmp_path), "--out", str(tmp_path / "again")) == 0

@@ -21,12 +21,11 @@ from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions, map_beam_points
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting.figures import animation, look
-from needlefit.reporting.figures import moment as moment_figure
-from needlefit.reporting.figures.acting import round_up, told
-from needlefit.reporting.figures.animation import sampled
-from needlefit.reporting.figures.moment import draw_moment, paint
-from needlefit.reporting.figures.sheet import Beside, lay_out
-from needlefit.reporting.shape_table import shape_table, write_shape
+from needlefit.reporting.figures import moments as moment_figure
+from needlefit.reporting.figures.animation import sample_moments
+from needlefit.reporting.figures.forces import describe_moment, round_up
+from needlefit.reporting.figures.moments import SceneOverlays, draw_moment, lay_out_moments, paint_moment
+from needlefit.reporting.shape_table import tabulate_shape, write_shape
 from needlefit.viewer.export import EXPORT_TYPES, export
 from needlefit.viewer.interaction.inputs import Change
 from needlefit.viewer.interaction.steering import SteeredNeedle
@@ -57,7 +56,7 @@ TURNED = Entry(30.0, -7.0, 0.5)
 def test_the_table_has_a_row_for_every_node_and_millimetre() -> None:
     one = scene(TURNED)
     moment = end(one)
-    table = shape_table(one, moment)
+    table = tabulate_shape(one, moment)
     s = table["s_mm"].to_numpy()
     assert (s[0], s[-1]) == (15.25 - 150, 15.25) and (np.diff(s) > 1e-6).all()
     assert np.isin(moment.shape.x, s).all() and np.diff(s).max() <= 1.0
@@ -78,7 +77,7 @@ def test_the_table_is_read_back(tmp_path) -> None:
     assert list(found.columns) == [
         "s_mm", "x_mm", "y_mm", "slope", "world_x_mm", "world_y_mm", "load_n_per_mm", "layer",
     ]  # fmt: skip
-    np.testing.assert_allclose(found["y_mm"], shape_table(scene(), end(scene()))["y_mm"], atol=1e-7)
+    np.testing.assert_allclose(found["y_mm"], tabulate_shape(scene(), end(scene()))["y_mm"], atol=1e-7)
     with pytest.raises(ConfigError, match="no such folder"):
         write_shape(scene(), end(scene()), tmp_path / "none" / "shape.csv")
 
@@ -91,10 +90,12 @@ def test_a_picture_shows_all_of_the_needle_in_true_millimetres(entry: Entry) -> 
     one = scene(entry)
     moment = end(one)
     measured = compute_positions(moment.shape, np.linspace(0.0, 15.0, 9)) + UP
-    sheet = lay_out("Held", one, [moment], Beside(measured, measured - UP / 4, measured + UP / 4))
-    paint(sheet, moment)
-    assert sheet.axes.get_aspect() == 1
-    drawn = np.concatenate([line.get_xydata() for line in sheet.axes.lines])
+    moment_figure = lay_out_moments(
+        "Held", one, [moment], SceneOverlays(measured, measured - UP / 4, measured + UP / 4)
+    )
+    paint_moment(moment_figure, moment)
+    assert moment_figure.axes.get_aspect() == 1
+    drawn = np.concatenate([line.get_xydata() for line in moment_figure.axes.lines])
     ends = entry.to_world(compute_positions(moment.shape, moment.shape.x[[0, -1]]))
     guides = entry.to_world([[guide.x, guide.y] for guide in HELD.guides])
     for point in (
@@ -104,45 +105,45 @@ def test_a_picture_shows_all_of_the_needle_in_true_millimetres(entry: Entry) -> 
         *entry.to_world(map_beam_points(moment.shape, moment.shape.constraints)),
     ):
         assert np.abs(drawn - point).max(axis=1).min() < 1e-9
-        assert sheet.axes.get_xlim()[0] < point[0] < sheet.axes.get_xlim()[1]
-        assert sheet.axes.get_ylim()[0] < point[1] < sheet.axes.get_ylim()[1]
+        assert moment_figure.axes.get_xlim()[0] < point[0] < moment_figure.axes.get_xlim()[1]
+        assert moment_figure.axes.get_ylim()[0] < point[1] < moment_figure.axes.get_ylim()[1]
 
 
 def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
     one = scene()
     moment = end(one)
-    sheet = lay_out("Held", one, [moment], Beside())
-    paint(sheet, moment)
+    moment_figure = lay_out_moments("Held", one, [moment], SceneOverlays())
+    paint_moment(moment_figure, moment)
     found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
-    outlines = [patch.get_xy() for patch in sheet.axes.patches]
+    outlines = [patch.get_xy() for patch in moment_figure.axes.patches]
     needle = compute_positions(moment.shape, found.s)
     (load,) = (outline for outline in outlines if len(outline) == 2 * len(found.s) + 1)  # closed
     pulled = load[len(found.s) : -1][::-1] - needle
-    np.testing.assert_allclose(pulled[:, 1] * sheet.per_mm, found.load, atol=1e-9)
-    (legend,) = sheet.figure.legends
+    np.testing.assert_allclose(pulled[:, 1] * moment_figure.per_mm, found.load, atol=1e-9)
+    (legend,) = moment_figure.figure.legends
     said = [text.get_text() for text in legend.get_texts()]
-    assert f"lateral load, {sheet.per_mm:g} N/mm to the mm" in said
-    arrow = np.array(sheet.axes.texts[-1].xy) - sheet.axes.texts[-1].xyann
-    assert arrow[1] == pytest.approx(found.tip_force * sheet.arrow)
+    assert f"lateral load, {moment_figure.per_mm:g} N/mm to the mm" in said
+    arrow = np.array(moment_figure.axes.texts[-1].xy) - moment_figure.axes.texts[-1].xyann
+    assert arrow[1] == pytest.approx(found.tip_force * moment_figure.arrow)
 
 
 def test_the_inserted_part_alone_is_shown_where_nothing_but_the_bevel_steers() -> None:
     plain = scene(controls=Controls())
     for whole, start in ((None, -4.0), (False, -4.0), (True, -140.0)):
-        sheet = lay_out("Free", plain, [end(plain)], Beside(), whole)
-        assert sheet.axes.get_xlim()[0] == pytest.approx(start, abs=8.0)
+        moment_figure = lay_out_moments("Free", plain, [end(plain)], SceneOverlays(), whole)
+        assert moment_figure.axes.get_xlim()[0] == pytest.approx(start, abs=8.0)
 
 
 def test_what_is_written_above_is_what_acts() -> None:
     moment = end(scene())
     found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
-    lines, tip = told(Entry(), moment, found, 90)
+    lines, tip = describe_moment(Entry(), moment, found, 90)
     assert lines[0].startswith("15.25 mm deep  ·  bevel right  ·  base +1 mm")
     forces = [found.base.force, *(hold.force for hold in found.guides)]
     base, guide, ring = (f"{force:+.3f} N" for force in forces)
     said = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
     assert lines[1] == said.replace("-", "−")
-    assert len(told(Entry(), moment, found, 30)[0]) > 4
+    assert len(describe_moment(Entry(), moment, found, 30)[0]) > 4
     assert tip[1] == (f"tip force {found.tip_force:+.3f} N".replace("-", "−"))
 
 
@@ -155,26 +156,28 @@ def test_scales_are_round(value: float, rounded: float) -> None:
 
 def test_a_picture_has_the_same_bytes_each_time(tmp_path) -> None:
     for name in ("a.svg", "b.svg"):
-        draw_moment("Held", scene(), end(scene()), tmp_path / name, Beside(synthetic=True))
+        draw_moment("Held", scene(), end(scene()), tmp_path / name, SceneOverlays(synthetic=True))
     assert (tmp_path / "a.svg").read_bytes() == (tmp_path / "b.svg").read_bytes()
 
 
 def test_a_picture_before_first_contact_has_no_load(tmp_path) -> None:
     one = replace(scene(), steps=(Step(0.0, Bevel(0.1)),))
-    sheet = lay_out("Before", one, [end(one)], Beside())
-    paint(sheet, end(one))
-    assert sheet.per_mm == 0 and sheet.axes.get_xlim()[0] < -100
+    moment_figure = lay_out_moments("Before", one, [end(one)], SceneOverlays())
+    paint_moment(moment_figure, end(one))
+    assert moment_figure.per_mm == 0 and moment_figure.axes.get_xlim()[0] < -100
 
 
 def test_pictures_have_the_colours_of_the_page() -> None:
-    sheet = (files("needlefit.viewer") / "page" / "style.css").read_text()
+    moment_figure = (files("needlefit.viewer") / "page" / "style.css").read_text()
     for name, colour in look.COLOURS.items():
-        assert re.search(rf"--{name}: (#\w+);", sheet).group(1) == colour  # the first: by light
+        assert re.search(rf"--{name}: (#\w+);", moment_figure).group(1) == colour  # the first: by light
 
 
 @pytest.mark.parametrize(("entry", "axis"), [(Entry(), "y (mm)"), (TURNED, "y in the world (mm)")])
 def test_axes_say_whose_they_are(entry: Entry, axis: str) -> None:
-    assert lay_out("Held", scene(entry), [end(scene(entry))], Beside()).axes.get_ylabel() == axis
+    assert (
+        lay_out_moments("Held", scene(entry), [end(scene(entry))], SceneOverlays()).axes.get_ylabel() == axis
+    )
 
 
 # ---- on the way ----
@@ -182,7 +185,7 @@ def test_axes_say_whose_they_are(entry: Entry, axis: str) -> None:
 
 def small(monkeypatch) -> None:
     """Make animations of ten frames at the most, the last two alike."""
-    for name, value in (("MOST", 10), ("STAYS", 2), ("DOTS", 15)):
+    for name, value in (("MAX_FRAMES", 10), ("FINAL_FRAMES", 2), ("DOTS_PER_INCH", 15)):
         monkeypatch.setattr(animation, name, value)
 
 
@@ -198,7 +201,7 @@ def test_strides_end_where_the_steps_do() -> None:
 
 def test_each_frame_shows_the_last_moment_before_it() -> None:
     moments = [(0.0, "a"), (0.1, "b"), (0.15, "c"), (0.35, "d")]
-    assert sampled(moments, [0.0, 0.1, 0.2, 0.3, 0.4]) == ["a", "b", "c", "c", "d"]
+    assert sample_moments(moments, [0.0, 0.1, 0.2, 0.3, 0.4]) == ["a", "b", "c", "c", "d"]
 
 
 @pytest.mark.parametrize(("seconds", "speed", "lasts"), [(0.3, 1, 0.5), (1200.0, 2000, 0.8), (40.0, 50, 1.0)])
@@ -207,16 +210,20 @@ def test_an_animation_keeps_time_or_says_that_it_does_not(
 ) -> None:
     """And the end stays for a while; frames that are alike are kept as one that is shown longer."""
     titles = []
-    monkeypatch.setattr(animation, "lay_out", lambda *all_: titles.append(all_[0]) or lay_out(*all_))
     monkeypatch.setattr(
-        animation, "paint", lambda sheet, moment: drawn.append(moment) or paint(sheet, moment)
+        animation, "lay_out_moments", lambda *all_: titles.append(all_[0]) or lay_out_moments(*all_)
+    )
+    monkeypatch.setattr(
+        animation,
+        "paint_moment",
+        lambda moment_figure, moment: drawn.append(moment) or paint_moment(moment_figure, moment),
     )
     small(monkeypatch)
     drawn = []
     moments = [(seconds * gone / 24.75, moment) for gone, moment in iterate_states(scene(), 12.0)]
     animation.animate("Held", scene(), moments, seconds, tmp_path / "a.gif")
     assert titles == ["Held" if speed == 1 else f"Held ({speed} times as fast)"]
-    assert len(drawn) - 1 <= animation.MOST and drawn[-1] is moments[-1][1]  # the first for the layout
+    assert len(drawn) - 1 <= animation.MAX_FRAMES and drawn[-1] is moments[-1][1]  # the first for the layout
     with Image.open(tmp_path / "a.gif") as film:
         times = [film.seek(n) or film.info["duration"] for n in range(film.n_frames)]
     assert len(times) <= len(moments)
@@ -271,8 +278,10 @@ def test_a_picture_of_a_measured_insertion_shows_it_and_says_that_it_is_syntheti
         RecordedStep(1, 0.5, (change,), steering.now.shape.deflection)
     )
     shown = []
-    monkeypatch.setattr(moment_figure, "lay_out", lambda *all_: shown.append(all_) or lay_out(*all_))
+    monkeypatch.setattr(
+        moment_figure, "lay_out_moments", lambda *all_: shown.append(all_) or lay_out_moments(*all_)
+    )
     export(tmp_path / "log.csv", "picture.svg")
-    ((_, _, _, beside, _),) = shown
-    assert beside.synthetic
-    np.testing.assert_array_equal(beside.measured, subject.measured.points)
+    ((_, _, _, overlays, _),) = shown
+    assert overlays.synthetic
+    np.testing.assert_array_equal(overlays.measured, subject.measured.points)

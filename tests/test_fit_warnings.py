@@ -15,7 +15,7 @@ from needlefit.datasets.write import write_dataset
 from needlefit.inference.parameters import Parameters
 from needlefit.project.load import load
 from needlefit.project.result_warnings import read_warnings, warnings_entry
-from needlefit.reporting.story import cautions
+from needlefit.reporting.study_report import warning_blocks
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.validation.fit_warnings import analysis_bound_warnings, baseline_warnings, bound_warnings
 from needlefit.validation.folds import make_folds, warn_shared_specimens
@@ -112,7 +112,7 @@ def test_the_closest_curve_is_named_and_the_report_shows_it():
     results = scored("validate", errors)
     (one,) = baseline_warnings(results)
     assert "arc" in one.what and "0.040 mm against 0.256 mm" in one.what
-    told = cautions([replace(results, run={**results.run, **warnings_entry([one])})])
+    told = warning_blocks([replace(results, run={**results.run, **warnings_entry([one])})])
     assert sum(one.what in str(block) for block in told) == 1
     assert read_warnings(warnings_entry([one])) == (one,)
 

@@ -8,7 +8,7 @@ import pytest
 from needlefit.project.load import load
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES, find_file
 from needlefit.project.run_file import read_run
-from needlefit.reporting.reference import rounded
+from needlefit.reporting.reference import round_frame
 from needlefit.schemas.study import SelectionRecord, StudyRecord
 from needlefit.validation.run import Settings, run
 
@@ -37,7 +37,7 @@ def test_every_study_of_the_paper_has_its_evidence():
         for file in folder.glob("*.csv"):
             evidence = pd.read_csv(file)
             assert set(evidence["origin"]) == {"synthetic"}
-            assert rounded(evidence).equals(evidence), f"{file} is not rounded"
+            assert round_frame(evidence).equals(evidence), f"{file} is not rounded"
 
 
 def test_the_reduced_study_has_the_errors_of_the_evidence(rerun):

@@ -8,9 +8,8 @@ import pytest
 from reporting_results import stereo, study, told, with_draws
 
 from needlefit.reporting import figures
-from needlefit.reporting.figures.insertions import curves
-from needlefit.reporting.figures.residuals import about_fit
-from needlefit.reporting.figures.waterfall import counted
+from needlefit.reporting.figures.insertions import collect_curves, subtract_fit
+from needlefit.reporting.figures.waterfall import describe_counts
 
 
 def test_residuals_are_heights_above_the_fit_at_the_same_depth():
@@ -19,7 +18,7 @@ def test_residuals_are_heights_above_the_fit_at_the_same_depth():
     at = np.array([-1.0, 1.0, 7.0, 12.0])
     method = pd.DataFrame({"curve": "hand_tuned", "x_mm": at, "y_mm": 0.1 * at + 0.5})
     band = pd.DataFrame({"curve": "95 %", "x_mm": at, "low_mm": 0.1 * at - 1, "high_mm": 0.1 * at + 2})
-    off = about_fit(pd.concat([fit, method, band]).assign(fold="all", insertion="one"))
+    off = subtract_fit(pd.concat([fit, method, band]).assign(fold="all", insertion="one"))
     assert set(off["curve"]) == {"hand_tuned", "95 %"}
     assert off["y_mm"].dropna().tolist() == pytest.approx([0.5] * 4)
     assert off["low_mm"].dropna().tolist() == pytest.approx([-1.0] * 4)
@@ -27,9 +26,9 @@ def test_residuals_are_heights_above_the_fit_at_the_same_depth():
 
 
 def test_starts_are_counted_as_each_search_had_them():
-    assert counted(study(5).starts) == "8 starts in each of 2 searches"
-    assert counted(stereo().starts) == "8 starts in each of 3 folds"
-    assert counted(stereo().starts.query("fold == 1")) == "8 starts"
+    assert describe_counts(study(5).starts) == "8 starts in each of 2 searches"
+    assert describe_counts(stereo().starts) == "8 starts in each of 3 folds"
+    assert describe_counts(stereo().starts.query("fold == 1")) == "8 starts"
 
 
 def test_bands_stay_beside_the_needle_they_were_foretold_for():
@@ -38,7 +37,9 @@ def test_bands_stay_beside_the_needle_they_were_foretold_for():
     tilted = results.bands.copy()
     for name in ("measured_mm", "low_95_mm", "high_95_mm", "low_50_mm", "high_50_mm"):
         tilted[name] += 0.01 * tilted["x_mm"]
-    drawn, again = (curves(one, "validate", ("fitted",)) for one in (results, replace(results, bands=tilted)))
+    drawn, again = (
+        collect_curves(one, "validate", ("fitted",)) for one in (results, replace(results, bands=tilted))
+    )
     assert (drawn["curve"] == "95 %").any()
     for name in ("low_mm", "high_mm"):
         assert again[name].dropna().tolist() == pytest.approx(drawn[name].dropna().tolist())
@@ -48,6 +49,6 @@ def test_needles_are_drawn_to_scale(monkeypatch, tmp_path):
     painted = []
     monkeypatch.setattr("needlefit.reporting.figures.style.draw", lambda path, paint: painted.append(paint()))
     for results in (study(5), stereo()):
-        figures.overlays(results, tmp_path / "overlays.pdf")
+        figures.draw_overlays(results, tmp_path / "overlays.pdf")
     shown = [axes for figure in painted for axes in figure.axes if axes.get_visible()]
     assert shown and {axes.get_aspect() for axes in shown} == {1.0}

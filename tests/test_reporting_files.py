@@ -14,16 +14,16 @@ import pytest
 from reporting_results import stereo, study
 
 from needlefit.errors import ConfigError
-from needlefit.reporting import write
-from needlefit.reporting.figures.style import stretch
-from needlefit.reporting.story import story
-from needlefit.reporting.together import write_all
+from needlefit.reporting import run_folder
+from needlefit.reporting.combined_report import write_combined
+from needlefit.reporting.figures.style import choose_vertical_scale
+from needlefit.reporting.study_report import compose_report
 from needlefit.validation.results import COLUMNS
 
 EARLIER = '{"versions": {"needlefit": "0.1.0"}}'
 """`run.json` of a result without a stamp."""
 
-FIGURES = ("boxplot", "overlays", "residuals", "rivals", "waterfall")
+FIGURES = ("boxplot", "overlays", "residuals", "baselines", "waterfall")
 EXPECTED = {
     *(f"{name}.csv" for name in ("design", "directions", "errors", "failures", "shapes", "starts")),
     *(f"{name}.{kind}" for name in ("validation", "tuning", "parameters") for kind in ("csv", "tex")),
@@ -43,7 +43,7 @@ EXPECTED = {
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory) -> Path:
     folder = tmp_path_factory.mktemp("reports") / "study1"
-    write.write(study(1), folder)
+    run_folder.write(study(1), folder)
     return folder
 
 
@@ -64,7 +64,7 @@ def test_a_result_folder_holds_every_file(folder):
 def test_another_process_writes_the_same_bytes(folder, tmp_path):
     code = (
         "from pathlib import Path; from reporting_results import study; "
-        "from needlefit.reporting.write import write; write(study(1), Path('again'))"
+        "from needlefit.reporting.run_folder import write; write(study(1), Path('again'))"
     )
     here = Path(__file__).parent
     environment = os.environ | {"PYTHONHASHSEED": "7", "TZ": "Asia/Tokyo", "SOURCE_DATE_EPOCH": "86400"}
@@ -100,23 +100,23 @@ def test_failures_are_counted_by_reason_where_there_are_any():
         "1200 of 9600 evaluations failed; failures.csv holds the parameters of the first 40: "
         "30 over-compressed, 10 not converged."
     )
-    assert said in [block.get("text") for block in story(study(1), {}).blocks]
+    assert said in [block.get("text") for block in compose_report(study(1), {}).blocks]
 
 
 def test_the_report_warns_before_any_number():
-    document = story(study(1), {})
+    document = compose_report(study(1), {})
     assert document.synthetic
     assert "consistency, not evidence" in document.blocks[0]["text"]
     assert all(b["synthetic"] for b in document.blocks if b["kind"] in ("table", "figure"))
-    assert "INTERRUPTED" in story(study(2), {}).blocks[1]["text"]
-    assert "NOT CONVERGED" in story(study(3), {}).blocks[1]["text"]
-    measured = story(stereo(), {})
+    assert "INTERRUPTED" in compose_report(study(2), {}).blocks[1]["text"]
+    assert "NOT CONVERGED" in compose_report(study(3), {}).blocks[1]["text"]
+    measured = compose_report(stereo(), {})
     assert not measured.synthetic
     assert measured.blocks[0]["kind"] == "list"
 
 
 def test_all_studies_together(tmp_path):
-    files = write_all([study(1), study(5)], [], tmp_path / "all")
+    files = write_combined([study(1), study(5)], [], tmp_path / "all")
     assert {"validation.csv", "tuning.csv", "parameters.csv", "boxplot.pdf", "report.pdf"} <= {
         path.name for path in files
     }
@@ -132,22 +132,22 @@ def test_a_failure_leaves_the_earlier_result_and_nothing_half_done(tmp_path, mon
     def fail(_: object) -> bytes:
         raise OSError("disk full")
 
-    monkeypatch.setattr(write, "compile_pdf", fail)
-    monkeypatch.setattr(write, "_draw", lambda *_: {})
+    monkeypatch.setattr(run_folder, "compile_pdf", fail)
+    monkeypatch.setattr(run_folder, "_draw_figures", lambda *_: {})
     with pytest.raises(OSError, match="disk full"):
-        write.write(study(1), target)
+        run_folder.write(study(1), target)
     assert [p.name for p in tmp_path.iterdir()] == ["study1"]
     assert [p.name for p in target.iterdir()] == ["run.json"]
 
 
 def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
-    monkeypatch.setattr(write, "compile_pdf", lambda _: b"%PDF")
-    monkeypatch.setattr(write, "_draw", lambda *_: {})
+    monkeypatch.setattr(run_folder, "compile_pdf", lambda _: b"%PDF")
+    monkeypatch.setattr(run_folder, "_draw_figures", lambda *_: {})
     target = tmp_path / "study1"
     target.mkdir()
     (target / "run.json").write_text(EARLIER)
     (target / "corner.csv").write_text("")
-    files = write.write(study(1), target, {"extra.txt": lambda path: path.write_text("more")})
+    files = run_folder.write(study(1), target, {"extra.txt": lambda path: path.write_text("more")})
     assert not (target / "corner.csv").exists()
     assert target / "extra.txt" in files
     assert [p.name for p in tmp_path.iterdir()] == ["study1"]
@@ -156,14 +156,14 @@ def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
 def test_a_folder_of_something_else_is_never_replaced(tmp_path):
     (tmp_path / "thesis.docx").write_text("years of work")
     with pytest.raises(ConfigError, match=r"thesis\.docx"):
-        write.write(study(1), tmp_path)
+        run_folder.write(study(1), tmp_path)
     assert (tmp_path / "thesis.docx").read_text() == "years of work"
 
 
 def test_a_run_that_was_stopped_before_its_first_start_can_be_written(tmp_path):
     names = ("errors", "shapes", "parameters", "directions", "starts")
     nothing = {name: pd.DataFrame(columns=list(COLUMNS[name])) for name in names}
-    files = write.write(dataclasses.replace(study(1), **nothing), tmp_path / "stopped")
+    files = run_folder.write(dataclasses.replace(study(1), **nothing), tmp_path / "stopped")
     assert "report.pdf" in {path.name for path in files}
     assert "validation.csv" not in {path.name for path in files}
 
@@ -172,12 +172,12 @@ def test_a_fit_has_no_validation_table_but_a_report(tmp_path):
     whole = study(1)
     parts = {name: getattr(whole, name) for name in ("errors", "shapes", "design")}
     tuned = dataclasses.replace(whole, **{k: v[v["role"] == "tune"] for k, v in parts.items()})
-    names = {path.name for path in write.write(tuned, tmp_path / "fit")}
+    names = {path.name for path in run_folder.write(tuned, tmp_path / "fit")}
     assert {"tuning.csv", "overlays.pdf", "waterfall.pdf", "report.pdf"} <= names
     assert not {"validation.csv", "boxplot.pdf"} & names
 
 
 def test_stretch_is_the_largest_that_fits():
-    assert stretch(60, 4) == 5  # 0.62 * 60 mm is 9.3 times 4 mm
-    assert stretch(60, 0.3) == 100
-    assert stretch(60, 60) == 1
+    assert choose_vertical_scale(60, 4) == 5  # 0.62 * 60 mm is 9.3 times 4 mm
+    assert choose_vertical_scale(60, 0.3) == 100
+    assert choose_vertical_scale(60, 60) == 1

@@ -5,9 +5,9 @@ import pytest
 from reporting_results import study
 
 from needlefit.reporting import document, figures
-from needlefit.reporting.display import Column, Display, text
-from needlefit.reporting.page import compile_html
-from needlefit.reporting.story import story
+from needlefit.reporting.document import compile_html
+from needlefit.reporting.study_report import compose_report
+from needlefit.reporting.table_layout import TableColumn, TableLayout, text_column
 
 
 class Outline(HTMLParser):
@@ -40,8 +40,8 @@ class Outline(HTMLParser):
 @pytest.fixture(scope="module")
 def page(tmp_path_factory):
     one = study(5)
-    drawn = {"waterfall": figures.waterfall(one, tmp_path_factory.mktemp("page") / "waterfall.pdf")}
-    return compile_html(story(one, drawn)), one
+    drawn = {"waterfall": figures.draw_waterfall(one, tmp_path_factory.mktemp("page") / "waterfall.pdf")}
+    return compile_html(compose_report(one, drawn)), one
 
 
 def test_the_page_needs_no_network(page):
@@ -64,19 +64,21 @@ def test_every_figure_and_table_can_be_reached_and_is_described(page):
 def test_the_page_says_what_the_pdf_says(page):
     content, one = page
     words = " ".join("".join(Outline(content).words).split())
-    for block in story(one, {}).blocks:
+    for block in compose_report(one, {}).blocks:
         if block["kind"] == "text" and "^" not in block["text"]:
             assert " ".join(block["text"].split()) in words
     assert "SYNTHETIC DATA" in words
 
 
 def test_equal_reports_give_equal_bytes(page):
-    one = story(study(5), {})
+    one = compose_report(study(5), {})
     assert compile_html(one) == compile_html(one)
 
 
 def test_what_a_user_wrote_is_text_and_no_markup():
-    display = Display("t", "<b>bold</b>", (text("<i>"), Column("x")), (("mu * b^-1.9", "<script>"),))
+    display = TableLayout(
+        "t", "<b>bold</b>", (text_column("<i>"), TableColumn("x")), (("mu * b^-1.9", "<script>"),)
+    )
     blocks = (document.heading("a & b"), document.table(display, False))
     content = compile_html(document.Document("<u>", "", False, blocks))
     outline = Outline(content)
@@ -93,7 +95,7 @@ def test_prose_has_no_backticks():
 
 
 def test_a_table_without_rows_is_left_out():
-    display = Display("t", "nothing", (text("a"),), ())
+    display = TableLayout("t", "nothing", (text_column("a"),), ())
     assert not Outline(
         compile_html(document.Document("t", "", False, (document.table(display, False),)))
     ).all("table")

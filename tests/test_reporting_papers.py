@@ -6,8 +6,13 @@ import re
 import pytest
 from reporting_results import stereo, study
 
-from needlefit.reporting.macros import macros
-from needlefit.reporting.methods import latex_methods, methods, plain_methods, references
+from needlefit.reporting.latex import format_macros
+from needlefit.reporting.methods_paragraph import (
+    compose_methods,
+    format_methods_latex,
+    format_methods_text,
+    format_references,
+)
 
 RECIPE = {
     "minimize": "posterior", "algorithm": "leastsquares", "starts": 16, "metric": True,
@@ -29,30 +34,32 @@ def run_of(**changed):
 
 
 def test_the_paragraph_tells_what_this_run_did():
-    said = plain_methods(run_of())
+    said = format_methods_text(run_of())
     assert "μ₁ and b were estimated from 2 insertions; α₁ were held fixed" not in said
     assert "μ₁ and b were estimated from 2 insertions; α₁ was held fixed." in said
     assert "16 starts" in said and "elements of 0.5 mm" in said and "needlefit 9.8.7" in said
     assert "3 insertions held out" in said and "R-hat" not in said
     other = RECIPE | {"minimize": "metric", "algorithm": "bobyqa+neldermead", "starts": 5}
-    changed = plain_methods(run_of(recipe=other))
+    changed = format_methods_text(run_of(recipe=other))
     assert "BOBYQA and then NELDERMEAD from 5 starts" in changed and "posterior" not in changed
 
 
 def test_every_citation_has_its_entry_and_no_other_stands_there():
     one = run_of()
-    cited = {key for keys in re.findall(r"\\cite\{([^}]*)\}", latex_methods(one)) for key in keys.split(",")}
-    entries = set(re.findall(r"^@\w+\{([^,]+),", references(one), re.M))
+    cited = {
+        key for keys in re.findall(r"\\cite\{([^}]*)\}", format_methods_latex(one)) for key in keys.split(",")
+    }
+    entries = set(re.findall(r"^@\w+\{([^,]+),", format_references(one), re.M))
     assert cited == entries and {"wang-bevel-tip", "nlopt"} <= cited and "emcee" not in cited
 
 
 def test_results_without_a_run_have_no_methods():
-    assert methods(dataclasses.replace(study(1), run={})) == ()
+    assert compose_methods(dataclasses.replace(study(1), run={})) == ()
 
 
 @pytest.mark.parametrize("results", [study(5), stereo()], ids=["study5", "stereo"])
 def test_a_macro_holds_what_the_table_prints(results):
-    text = macros([results])
+    text = format_macros([results])
     defined = dict(re.findall(r"csname nf@(\S+)\\endcsname\{(.*)\}$", text, re.M))
     assert len(defined) == text.count(r"\expandafter")  # no key twice
     bevel = next(words for key, words in defined.items() if key.endswith("-bevel"))
@@ -66,6 +73,6 @@ def test_a_macro_holds_what_the_table_prints(results):
 
 
 def test_a_length_is_printed_to_a_hundredth_and_missing_cells_are_dashes():
-    text = macros([study(5)])
+    text = format_macros([study(5)])
     assert re.search(r"-te\\endcsname\{\d+\.\d\d\}", text)
     assert "nan" not in text and "None" not in text

@@ -14,21 +14,22 @@ from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from reporting_results import stereo, study, told, with_draws
 
-from needlefit.reporting import ridge, write
+from needlefit.reporting import posterior, run_folder
 from needlefit.reporting.figures import style
-from needlefit.reporting.figures.foretold import counted
+from needlefit.reporting.figures.predictive_check import tabulate_predictive_check
 from needlefit.validation.analyses.runner import AnalysisResult
 
 WHAT = {
     "boxplot": ("y", slice(None)),
     "corner": ("xy", slice(None)),
-    "foretold": ("xy", slice(0, None, 2)),
+    "predicted": ("xy", slice(0, None, 2)),
     "overlays": ("xy", slice(None)),
     "residuals": ("xy", slice(None)),
-    "rivals": ("x", slice(None)),
+    "baselines": ("x", slice(None)),
     "waterfall": ("xy", slice(0, 1)),
 }
-"""Which axes of which panels hold data; the others hold places: of groups, rivals, intervals, parameters."""
+"""Which axes of which panels hold data; the others hold places: of groups, baselines, intervals,
+parameters."""
 
 
 @pytest.fixture
@@ -65,10 +66,11 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("results", [told(with_draws(study(5))), stereo()], ids=["study5", "stereo"])
 def test_what_is_drawn_stands_in_the_table_beside(results, painted, tmp_path):
-    write._draw(results, tmp_path)
+    run_folder._draw_figures(results, tmp_path)
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
     assert (
-        pictures == set(painted) and {"boxplot", "overlays", "residuals", "rivals", "waterfall"} <= pictures
+        pictures == set(painted)
+        and {"boxplot", "overlays", "residuals", "baselines", "waterfall"} <= pictures
     )
     for name, figure in painted.items():
         table = pd.read_csv(tmp_path / f"{name}.csv")
@@ -85,37 +87,39 @@ def test_the_ridge_is_the_longest_axis_of_the_draws():
     """Across it mu1 * b^2 is known to 2 % (as made), along it mu1 within a factor of 5."""
     made = with_draws(study(5), 4000)
     names = ["mu1_pa", "bevel_mm"]
-    assert ridge.free(made) == names
-    shortest, longest = ridge.axes_of(made.draws[names])
+    assert posterior.list_free_parameters(made) == names
+    shortest, longest = posterior.principal_axes(made.draws[names])
     assert shortest.words == "mu1^0.5 * b is known to 1 %"
     assert longest.weights[1] / longest.weights[0] == pytest.approx(-0.5, abs=0.01)
-    first, last = ridge.ridge_ends(made.draws[names])
+    first, last = posterior.find_ridge_ends(made.draws[names])
     slope = np.log(last["bevel_mm"] / first["bevel_mm"]) / np.log(last["mu1_pa"] / first["mu1_pa"])
     assert slope == pytest.approx(-0.5, abs=0.01)
-    said = ridge.draws_said(made)
-    assert "4000 draws weighed about the modes of the fit, Pareto k 0.31." in said
+    said = posterior.describe_draws(made)
+    assert "4000 importance draws about the modes of the fit, Pareto k 0.31." in said
     assert "across it μ₁^0.5 · b is known to 1 %" in said
 
 
 def test_levels_are_counted_toward_the_bevel_and_by_needles():
     """Seven needles; of the levels 0.1, 0.4, 0.7, 0.97 in turn, four lie in the middle half, all in 95 %."""
     made = told(study(1))
-    rows = counted([made])
+    rows = tabulate_predictive_check([made])
     assert set(rows["needles"]) == {7}
-    cover = rows[(rows["shown"] == "coverage") & (rows["of"] == "shape")].set_index("level")["share"]
+    cover = rows[(rows["element"] == "coverage") & (rows["quantity"] == "shape")].set_index("probability")[
+        "share"
+    ]
     assert cover.to_dict() == pytest.approx({0.5: 4 / 7, 0.95: 1.0})
-    steps = rows[(rows["shown"] == "ECDF") & (rows["of"] == "tip")]
-    assert steps["level"].tolist() == pytest.approx([0, 0.1, 0.1, 0.4, 0.4, 0.7, 0.7, 0.97, 1])
+    steps = rows[(rows["element"] == "ECDF") & (rows["quantity"] == "tip")]
+    assert steps["probability"].tolist() == pytest.approx([0, 0.1, 0.1, 0.4, 0.4, 0.7, 0.7, 0.97, 1])
     mirrored = {"deflection_mm": -made.errors["deflection_mm"]}
-    turned = counted([replace(made, errors=made.errors.assign(**mirrored))])
-    other = turned[(turned["shown"] == "ECDF") & (turned["of"] == "tip")]["level"]
+    turned = tabulate_predictive_check([replace(made, errors=made.errors.assign(**mirrored))])
+    other = turned[(turned["element"] == "ECDF") & (turned["quantity"] == "tip")]["probability"]
     assert other.tolist() == pytest.approx([0, 0.03, 0.3, 0.3, 0.6, 0.6, 0.9, 0.9, 1])
 
 
 def test_no_figure_is_drawn_but_from_a_table():
     """`style.draw` lays no table beside: it is for pictures of scans and scenes."""
     using = {name for name, tree in sources() if "draw" in imported(tree, style.__name__)}
-    assert using == {"figures/across.py", "figures/along.py", "figures/moment.py", "figures/scene.py"}
+    assert using == {"figures/moments.py", "figures/scan_sections.py", "figures/scene.py"}
 
 
 def test_what_paints_a_figure_of_an_answer_sees_nothing_but_its_table():

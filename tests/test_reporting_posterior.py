@@ -9,13 +9,13 @@ from reporting_results import study
 from needlefit.inference.sampling.convergence import Convergence
 from needlefit.inference.sampling.posterior import Posterior
 from needlefit.reporting.posterior import (
-    outside_said,
-    percentiles_table,
-    posterior_layout,
-    unconverged_said,
+    describe_outside_fits,
+    describe_unconverged,
+    lay_out_posterior,
+    tabulate_percentiles,
 )
-from needlefit.reporting.story import story
-from needlefit.reporting.tables import records
+from needlefit.reporting.study_report import compose_report
+from needlefit.reporting.tables import to_records
 from needlefit.validation.results import Results
 
 
@@ -48,40 +48,44 @@ def fitted(results: Results) -> float:
 
 def test_a_fit_within_its_posterior_stands_beside_it():
     inside = sampled(0.05, 0.15)
-    row = records(percentiles_table(inside))[0]
+    row = to_records(tabulate_percentiles(inside))[0]
     assert row["p50"] == pytest.approx(0.1)
     assert row["fit_value_used"] == fitted(inside)
     assert row["fit_in_central_95"] is True
-    assert outside_said(inside) == ""
-    assert not posterior_layout(inside).notes
+    assert describe_outside_fits(inside) == ""
+    assert not lay_out_posterior(inside).notes
 
 
 def test_a_fit_outside_the_central_95_percent_is_said_to_be():
     outside = sampled(fitted(study(5)) - 0.001, 0.15)  # a draw is lower, but not 2.5 % of them
-    assert records(percentiles_table(outside))[0]["fit_in_central_95"] is False
-    assert outside_said(outside).startswith("The fit lies outside the central 95 % of the posterior in b:")
-    assert outside_said(outside).endswith("no error bars of the fitted values.")  # it was made by the metric
+    assert to_records(tabulate_percentiles(outside))[0]["fit_in_central_95"] is False
+    assert describe_outside_fits(outside).startswith(
+        "The fit lies outside the central 95 % of the posterior in b:"
+    )
+    assert describe_outside_fits(outside).endswith(
+        "no error bars of the fitted values."
+    )  # it was made by the metric
     peak = dataclasses.replace(outside, starts=outside.starts.assign(minimized="posterior"))
-    assert outside_said(peak).endswith("what is known, not the peak.")
-    assert "‡" in "".join(posterior_layout(outside).rows[0])
-    blocks = story(outside, {}).blocks
-    assert outside_said(outside) in [block.get("text") for block in blocks]
+    assert describe_outside_fits(peak).endswith("what is known, not the peak.")
+    assert "‡" in "".join(lay_out_posterior(outside).rows[0])
+    blocks = compose_report(outside, {}).blocks
+    assert describe_outside_fits(outside) in [block.get("text") for block in blocks]
     assert "posterior" in [block.get("name") for block in blocks]
 
 
 def test_a_posterior_that_has_not_converged_says_so_wherever_it_stands():
     loose = sampled(0.05, 0.15, r_hat=1.2)
-    said = unconverged_said(loose)
+    said = describe_unconverged(loose)
     assert said.startswith("NOT CONVERGED: R-hat of bevel_mm is 1.2, not below 1.01.")
-    layout = posterior_layout(loose)
+    layout = lay_out_posterior(loose)
     assert "NOT CONVERGED" in layout.caption and "NOT CONVERGED" in layout.rows[0]
-    assert records(percentiles_table(loose))[0]["converged"] is False
-    assert said in [block.get("text") for block in story(loose, {}).blocks]
+    assert to_records(tabulate_percentiles(loose))[0]["converged"] is False
+    assert said in [block.get("text") for block in compose_report(loose, {}).blocks]
     fine = sampled(0.05, 0.15)
-    assert unconverged_said(fine) == "" and "NOT CONVERGED" not in posterior_layout(fine).caption
+    assert describe_unconverged(fine) == "" and "NOT CONVERGED" not in lay_out_posterior(fine).caption
 
 
 def test_without_a_posterior_nothing_is_said_of_one():
-    assert percentiles_table(study(5)).empty
-    assert outside_said(study(5)) == ""
-    assert "posterior" not in [block.get("name") for block in story(study(5), {}).blocks]
+    assert tabulate_percentiles(study(5)).empty
+    assert describe_outside_fits(study(5)) == ""
+    assert "posterior" not in [block.get("name") for block in compose_report(study(5), {}).blocks]

@@ -7,13 +7,13 @@ import pandas as pd
 import pytest
 
 from needlefit.inference.identifiability.profile import DEVIANCE_95
-from needlefit.reporting.figures.profiles import draw_profiles, log_ticks
+from needlefit.reporting.figures.profiles import choose_log_ticks, draw_profiles
 
 
 @pytest.mark.parametrize("factor", [1.01, 1.1, 2.0, 4.9, 5.1, 30.0, 1e3, 1e6])
 def test_every_range_has_two_to_five_round_ticks(factor):
     for low in (0.0123, 0.97, 3.3e5):
-        ticks = log_ticks(low, factor * low)
+        ticks = choose_log_ticks(low, factor * low)
         assert 2 <= len(ticks) <= 5 and low <= min(ticks) and max(ticks) <= factor * low
 
 

@@ -15,18 +15,18 @@ from needlefit.datasets.formats.slicer import read_lists
 from needlefit.geometry.curves import arc_length
 from needlefit.imaging.registration.register import register
 from needlefit.project.random_streams import random_stream
-from needlefit.reporting.figures.along import spans
-from needlefit.reporting.figures.labels import LETTER, SPACE, spread
-from needlefit.reporting.figures.pictures import outline
-from needlefit.reporting.quality import facts, write_quality
-from needlefit.reporting.reconstructions import (
-    crossing_table,
-    marker_table,
-    reconstruction_table,
-    reconstructions_layout,
+from needlefit.reporting.figures.scan_sections import choose_spans
+from needlefit.reporting.figures.scan_views import outline_surface
+from needlefit.reporting.figures.style import LETTER_WIDTH_MM, MIN_LABEL_GAP_MM, spread_labels
+from needlefit.reporting.quality import list_facts, write_quality
+from needlefit.reporting.reconstruction_folder import (
+    lay_out_reconstructions,
+    tabulate_crossings,
+    tabulate_markers,
+    tabulate_reconstructions,
     write_tables,
 )
-from needlefit.reporting.slicer_scan import write_scan
+from needlefit.reporting.slicer import write_scan
 
 ENTRY, TIP = np.array([11.0, 11.0, 12.0]), np.array([11.0, 14.0, 40.0])  # LPS of the rendered needle
 LONG = tuple(f"remark {n}: the surface and the scan disagree by more than they should" for n in range(40))
@@ -37,7 +37,7 @@ def pages(path):
 
 
 def said(reconstruction):
-    return {name: words for group in facts(reconstruction) for name, words in group if name}
+    return {name: words for group in list_facts(reconstruction) for name, words in group if name}
 
 
 # the page
@@ -83,22 +83,24 @@ def test_pictures_share_their_room_and_keep_the_needle_amid():
     one = cases.small()
     along = one.views[:2]
     needle = one.frame.to_local(one.patient.to_world(one.needle_axis.points))
-    (low, high), (_, _) = first, second = spans(along, needle, 20.0)
+    (low, high), (_, _) = first, second = choose_spans(along, needle, 20.0)
     assert sum(top - bottom for bottom, top in (first, second)) == pytest.approx(20.0)
     assert (low + high) / 2 == pytest.approx(needle[:, 1].min() / 2 + needle[:, 1].max() / 2)
 
 
 def test_names_stand_over_their_places_until_they_would_touch():
     far = [0.0, 20.0, 40.0]
-    assert spread(far, ["entry", "1 → 2", "tip"], 1.7) == pytest.approx(far)
-    entry, layer, tip = spread([0.0, 49.6, 50.0], ["entry", "3 → 4", "tip"], 1.7)
+    assert spread_labels(far, ["entry", "1 → 2", "tip"], 1.7) == pytest.approx(far)
+    entry, layer, tip = spread_labels([0.0, 49.6, 50.0], ["entry", "3 → 4", "tip"], 1.7)
     assert entry == 0.0 and (layer + tip) / 2 == pytest.approx(49.8)
-    assert (tip - layer) * 1.7 == pytest.approx(4 * LETTER + SPACE)  # half of five letters and half of three
+    assert (tip - layer) * 1.7 == pytest.approx(
+        4 * LETTER_WIDTH_MM + MIN_LABEL_GAP_MM
+    )  # half of five letters and half of three
 
 
 def test_a_layer_is_outlined_where_the_picture_cuts_it():
     one = cases.small()
-    dots = outline(one.views[0], one, one.layers.surfaces[0], (-5.0, 5.0))
+    dots = outline_surface(one.views[0], one, one.layers.surfaces[0], (-5.0, 5.0))
     assert len(dots) > 10
     assert_allclose(dots[:, 0], 14.0, atol=0.15)
 
@@ -177,17 +179,17 @@ def test_tables_hold_every_scan_pair_and_crossing(tmp_path):
 
 
 def test_a_batch_of_nothing_still_has_its_columns():
-    assert "depth_mm" in reconstruction_table([])
-    assert "left_out_mm" in marker_table([])
-    assert "depth_sd_mm" in crossing_table([])
+    assert "depth_mm" in tabulate_reconstructions([])
+    assert "left_out_mm" in tabulate_markers([])
+    assert "depth_sd_mm" in tabulate_crossings([])
 
 
 def test_the_screen_shows_what_there_is():
-    full = reconstructions_layout([cases.small()])
+    full = lay_out_reconstructions([cases.small()])
     row = dict(zip((column.label for column in full.columns), full.rows[0], strict=True))
     assert row["Markers"] == "5/6" and row["Layers at (mm)"] == "14.00 ± 0.12"
     assert "synthetic" in full.caption
-    bare = reconstructions_layout([cases.small(markers=False, layers=False)])
+    bare = lay_out_reconstructions([cases.small(markers=False, layers=False)])
     assert not {"Markers", "FRE", "Layers at (mm)"} & {column.label for column in bare.columns}
 
 

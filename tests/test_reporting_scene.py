@@ -19,9 +19,9 @@ from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.tissue import Tissue
 from needlefit.reporting import figures
 from needlefit.reporting.figures import steps as painted
-from needlefit.reporting.figures.steps import changes, paint_steps
-from needlefit.reporting.figures.style import LOOK
-from needlefit.reporting.figures.tissue import layer_labels
+from needlefit.reporting.figures.steps import describe_changes, paint_steps
+from needlefit.reporting.figures.style import RC_PARAMS
+from needlefit.reporting.figures.world import label_layers
 
 
 def scene(*more: Step, entry: Entry = Entry()) -> Scene:
@@ -91,7 +91,7 @@ def test_labels_of_layers_stay_in_the_panel_and_off_what_is_written_above_it(sid
     tissue = Tissue(np.array([0.1, 0.2, 0.3]), np.ones(3), np.array([20.0, 40.0]))
     steps = tuple(Step(3.2 * n, Bevel(0.05, side)) for n in range(1, painted.MAX_PANELS + 6))
     many = Scene(needle, tissue, steps, entry=Entry(5.0, -7.0, angle))
-    with matplotlib.style.context(["default", LOOK]):
+    with matplotlib.style.context(["default", RC_PARAMS]):
         figure = paint_steps("Many steps", many, simulate_scene(many))
         FigureCanvasAgg(figure)
         figure.draw_without_rendering()
@@ -107,15 +107,15 @@ def test_labels_of_layers_stay_in_the_panel_and_off_what_is_written_above_it(sid
 
 def test_a_panel_says_what_its_step_changed():
     first, second, third = scene(MOVED, PULLED).steps
-    assert changes(None, first) == ["bevel left"]
-    assert changes(first, second) == ["bevel right", "base +2 mm", "guide +1 mm"]
-    assert changes(second, third) == ["guide let go"]
+    assert describe_changes(None, first) == ["bevel left"]
+    assert describe_changes(first, second) == ["bevel right", "base +2 mm", "guide +1 mm"]
+    assert describe_changes(second, third) == ["guide let go"]
     named = dataclasses.replace(third, controls=Controls(2.0, guides=(Guide(-10.0, 1.5, name="ring"),)))
-    assert changes(third, named, " in C") == ["ring +1.5 mm in C"]
-    assert changes(named, third) == ["ring let go"]
+    assert describe_changes(third, named, " in C") == ["ring +1.5 mm in C"]
+    assert describe_changes(named, third) == ["ring let go"]
     tracked = dataclasses.replace(third, bevel=Bevel(0.1, -1), controls=Controls(2.0, tip=TrackedTip(-0.5)))
-    assert changes(third, tracked) == ["bevel right, b 0.1 mm", "tip tracked at −0.5 mm"]
-    assert changes(tracked, dataclasses.replace(tracked, controls=Controls(2.0))) == ["tip let go"]
+    assert describe_changes(third, tracked) == ["bevel right, b 0.1 mm", "tip tracked at −0.5 mm"]
+    assert describe_changes(tracked, dataclasses.replace(tracked, controls=Controls(2.0))) == ["tip let go"]
 
 
 def test_a_head_says_that_places_count_in_c_where_that_is_not_the_world():
@@ -128,12 +128,12 @@ def test_a_head_says_that_places_count_in_c_where_that_is_not_the_world():
 
 def test_the_layers_of_a_picture_are_all_called_in_the_same_way():
     one = dataclasses.replace(scene(), layer_names=("fat", "muscle"))
-    assert layer_labels(one, {0: 1.0, 1: 1.0}) == {0: "fat\n2 × 10⁵ Pa", 1: "muscle\n3.3 × 10⁷ Pa"}
-    assert layer_labels(one, {0: 0.5, 1: 0.5}) == {0: "fat", 1: "muscle"}
-    assert layer_labels(one, {0: 1.0, 1: 0.2}) == {0: "1\n2 × 10⁵ Pa", 1: "2"}
+    assert label_layers(one, {0: 1.0, 1: 1.0}) == {0: "fat\n2 × 10⁵ Pa", 1: "muscle\n3.3 × 10⁷ Pa"}
+    assert label_layers(one, {0: 0.5, 1: 0.5}) == {0: "fat", 1: "muscle"}
+    assert label_layers(one, {0: 1.0, 1: 0.2}) == {0: "1\n2 × 10⁵ Pa", 1: "2"}
     long = dataclasses.replace(one, layer_names=("", "the muscle below the second fascia"))
-    assert layer_labels(long, {0: 1.0, 1: 1.0})[1].startswith("layer 2")
-    assert layer_labels(one, {1: 1.0}) == {1: "muscle\n3.3 × 10⁷ Pa"}
+    assert label_layers(long, {0: 1.0, 1: 1.0})[1].startswith("layer 2")
+    assert label_layers(one, {1: 1.0}) == {1: "muscle\n3.3 × 10⁷ Pa"}
 
 
 @pytest.mark.parametrize("more", [(), (MOVED, PULLED)], ids=["one step", "three steps"])

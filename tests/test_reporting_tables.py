@@ -9,19 +9,31 @@ import pandas as pd
 import pytest
 from reporting_results import stereo, study
 
-from needlefit.reporting.contest import losses_said, rivals_said
-from needlefit.reporting.details import (
-    contradictions_layout,
-    insertions_layout,
-    parameters_layout,
-    rivals_layout,
+from needlefit.reporting.detail_tables import (
+    lay_out_baselines,
+    lay_out_contradictions,
+    lay_out_insertions,
+    lay_out_parameters,
 )
-from needlefit.reporting.latex import escape, latex
-from needlefit.reporting.layouts import design_layout, tuning_layout, validation_layout
-from needlefit.reporting.numbers import fixed, in_symbols, number, percent, symbol, typeset
-from needlefit.reporting.parameters import NOT_DETERMINED, parameters_table, undetermined
-from needlefit.reporting.sentences import in_short, run_said, undetermined_said
-from needlefit.reporting.tables import records, tuning_table, validation_table
+from needlefit.reporting.latex import escape_latex, format_latex
+from needlefit.reporting.number_format import (
+    format_mm,
+    format_number,
+    format_percent,
+    format_symbol,
+    insert_symbols,
+    typeset,
+)
+from needlefit.reporting.parameter_table import NOT_DETERMINED, find_undetermined, tabulate_parameters
+from needlefit.reporting.score_tables import lay_out_design, lay_out_tuning, lay_out_validation
+from needlefit.reporting.sentences import (
+    describe_run,
+    describe_undetermined,
+    list_better_methods,
+    summarize_baselines,
+    summarize_errors,
+)
+from needlefit.reporting.tables import tabulate_tuning, tabulate_validation, to_records
 from needlefit.validation import paper
 from needlefit.validation.results import Results
 from needlefit.validation.summary import aggregate, compare_methods
@@ -51,7 +63,7 @@ def two_needles(errors_mm=(1.0, 3.0), deflections_mm=(2.0, 1.0), converged=(True
 
 
 def only(frame: pd.DataFrame) -> dict:
-    (row,) = records(frame)
+    (row,) = to_records(frame)
     return row
 
 
@@ -77,7 +89,7 @@ def test_an_insertion_without_an_answer_is_counted_and_in_no_mean():
 
 
 def test_a_deflection_under_the_floor_is_flagged_and_the_rest_is_given_without_it():
-    row = only(validation_table(two_needles((1.0, 3.0), (2.0, 0.05))))
+    row = only(tabulate_validation(two_needles((1.0, 3.0), (2.0, 0.05))))
     assert (row["edp_flagged"], row["edp_unflagged_percent"]) == (1, 50.0)
     assert row["edp_percent"] == pytest.approx((50 + 6000) / 2)
 
@@ -92,19 +104,19 @@ def test_rivals_are_compared_on_the_same_insertions():
     method = one.errors.assign(method="constant_curvature", ipe_mean_mm=[0.5, 2.0])
     alone = one.errors.iloc[:1].assign(method="straight", ipe_mean_mm=9.0)
     both = dataclasses.replace(one, errors=pd.concat([one.errors, method, alone]))
-    table = {row["method"]: row for row in records(compare_methods(both))}
+    table = {row["method"]: row for row in to_records(compare_methods(both))}
     assert table["constant_curvature"]["difference_mm"] == pytest.approx((-0.5 - 1.0) / 2)
     assert table["constant_curvature"]["difference_se_mm"] == pytest.approx(0.25)
     assert table["constant_curvature"]["better"] == 0
     assert (table["straight"]["insertions"], table["straight"]["difference_mm"]) == (1, 8.0)
     assert table["straight"]["difference_se_mm"] is None
-    assert "constant curvature (−0.750 ± 0.250 mm" in rivals_said(both)
+    assert "constant curvature (−0.750 ± 0.250 mm" in summarize_baselines(both)
 
 
 def test_the_report_says_when_no_curve_wins():
     one = two_needles()
     worse = one.errors.assign(method="straight", ipe_mean_mm=[4.0, 4.0])
-    assert "No empirical curve does better" in rivals_said(
+    assert "No empirical curve does better" in summarize_baselines(
         dataclasses.replace(one, errors=pd.concat([one.errors, worse]))
     )
 
@@ -115,14 +127,16 @@ def test_a_set_of_the_paper_that_does_better_is_said_with_its_difference():
     worse = one.errors.assign(method="hand_tuned", ipe_mean_mm=[1.5, 4.0])
     both = dataclasses.replace(one, errors=pd.concat([one.errors, retuned, worse]))
     gap = "(−0.750 ± 0.250 mm mean IPE, the fit better on 0 of 2)"
-    assert f"do better here than the fitted ones: hand-tuned set, b re-tuned {gap}." in rivals_said(both)
-    assert losses_said(both).endswith(f"same points: hand-tuned set, b re-tuned {gap}.")
-    assert losses_said(one) == ""
+    assert f"do better here than the fitted ones: hand-tuned set, b re-tuned {gap}." in summarize_baselines(
+        both
+    )
+    assert list_better_methods(both).endswith(f"same points: hand-tuned set, b re-tuned {gap}.")
+    assert list_better_methods(one) == ""
 
 
 def test_the_validation_table_begins_with_the_papers_columns():
     published = paper.read_published_table("validation")
-    table = validation_table(*(study(n) for n in range(1, 6)))
+    table = tabulate_validation(*(study(n) for n in range(1, 6)))
     assert list(table.columns[: len(published.columns)]) == list(published.columns)
     keys = ["study", "validate_medium", "validate_layers"]
     assert table[keys].to_numpy().tolist() == published[keys].to_numpy().tolist()
@@ -131,7 +145,7 @@ def test_the_validation_table_begins_with_the_papers_columns():
 
 
 def test_rows_are_json_and_missing_cells_are_null():
-    rows = records(validation_table(stereo()))
+    rows = to_records(tabulate_validation(stereo()))
     assert json.loads(json.dumps(rows, allow_nan=False)) == rows
     assert rows[0]["paper_te_mm"] is None
     assert rows[0]["hand_tuned_te_mm"] is None
@@ -140,7 +154,7 @@ def test_rows_are_json_and_missing_cells_are_null():
 
 
 def test_held_out_groups_carry_planned_pooled_and_floor_columns():
-    row = records(validation_table(study(1)))[0]
+    row = to_records(tabulate_validation(study(1)))[0]
     assert row["floor_te_mm"] == pytest.approx(0.22)
     assert row["planned_te_mm"] != row["te_mm"]
     assert row["pooled_ipe_mean_mm"] == pytest.approx(row["ipe_mean_mm"])
@@ -149,10 +163,10 @@ def test_held_out_groups_carry_planned_pooled_and_floor_columns():
 
 def test_errors_stand_as_multiples_of_their_floor():
     """Floors are 0.21 mm of IPE and 0.22 mm of TE; both needles are missed by 2 mm on average."""
-    row = only(validation_table(two_needles()))
+    row = only(tabulate_validation(two_needles()))
     assert row["ipe_mean_over_floor"] == pytest.approx(2 / 0.21)
     assert row["te_over_floor"] == row["pooled_te_over_floor"] == pytest.approx(2 / 0.22)
-    table = validation_layout([two_needles()])
+    table = lay_out_validation([two_needles()])
     columns = [f"{column.label} {column.unit}" for column in table.columns]
     ratios = {
         row[4]: (row[columns.index("IPE ÷ floor")], row[columns.index("TE ÷ floor")]) for row in table.rows
@@ -166,57 +180,57 @@ def test_a_needle_that_ends_at_a_boundary_is_counted_both_ways():
     one = two_needles((1.0, 3.0))
     errors = one.errors.assign(layers=[4, 3], layers_other=[4, 4])
     both = dataclasses.replace(one, errors=errors)
-    rows = records(validation_table(both, both=True))
+    rows = to_records(tabulate_validation(both, with_alternate=True))
     assert [(r["validate_layers"], r["insertions"], r["te_mm"], r["alternate_count"]) for r in rows] == [
         (4, 1, 1.0, False),
         (3, 1, 3.0, False),
         (4, 2, 2.0, True),
     ]
     assert [r["layer_count_rule"] for r in rows] == ["listed", "listed", "alternative"]
-    assert len(validation_table(both)) == 2
-    table = validation_layout([both])
+    assert len(tabulate_validation(both)) == 2
+    table = lay_out_validation([both])
     assert "4‡" in {row[2] for row in table.rows}
     assert any(note.startswith("Each cell") and "counted the other way" in note for note in table.notes)
 
 
 def test_parameters_say_what_makes_them_comparable_and_that_they_have_no_floor():
-    rows = records(parameters_table(study(1)))
+    rows = to_records(tabulate_parameters(study(1)))
     assert all("on a synthetic twin, the paper's tuned by hand" in row["comparable"] for row in rows)
-    assert {row["comparable"] for row in records(parameters_table(stereo()))} == {
+    assert {row["comparable"] for row in to_records(tabulate_parameters(stereo()))} == {
         "The paper has no such value."
     }
-    notes = " ".join(parameters_layout([study(1)]).notes)
+    notes = " ".join(lay_out_parameters([study(1)]).notes)
     assert "of a parameter there is none" in notes
     assert "a parameter has no noise floor" in notes
 
 
 def test_what_makes_rows_comparable_or_not_is_said():
-    twin = records(validation_table(study(1)))[0]["comparable"]
+    twin = to_records(tabulate_validation(study(1)))[0]["comparable"]
     assert "synthetic twin" in twin
     assert "by hand" in twin
-    short = records(tuning_table(study(5)))
+    short = to_records(tabulate_tuning(study(5)))
     assert "3 insertions here, 12 there" in next(r for r in short if r["grouping"] == "media")["comparable"]
     aligned = dataclasses.replace(study(1), errors=study(1).errors.assign(comparison="aligned"))
-    assert records(validation_table(aligned))[0]["comparable"].startswith("Not comparable")
-    measured = records(validation_table(study(1, "measured")))[0]["comparable"]
+    assert to_records(tabulate_validation(aligned))[0]["comparable"].startswith("Not comparable")
+    measured = to_records(tabulate_validation(study(1, "measured")))[0]["comparable"]
     assert "the needles are not the paper's" in measured
 
 
 def test_tuning_rows_stand_beside_the_papers_by_layers_and_by_media():
-    rows = {row["grouping"]: row for row in records(tuning_table(study(1)))}
+    rows = {row["grouping"]: row for row in to_records(tabulate_tuning(study(1)))}
     assert (rows["layers"]["paper_te_mm"], rows["layers"]["paper_insertions"]) == (0.44, 9)
     assert (rows["media"]["paper_te_mm"], rows["media"]["paper_insertions"]) == (0.37, 16)
     assert rows["media"]["layers"] is None
 
 
 def test_a_parameter_that_the_data_leave_open_is_no_number():
-    table = parameters_table(study(1), study(2))
+    table = tabulate_parameters(study(1), study(2))
     open_ones = table[~table["determined"] & (table["status"] != "fixed")]
     assert set(open_ones["fitted"]) == {NOT_DETERMINED}
-    assert undetermined(study(1)) == ["alpha1", "alpha2", "alpha3", "alpha4"]
-    printed = {(row[0], row[1]): row for row in parameters_layout([study(1)]).rows}
+    assert find_undetermined(study(1)) == ["alpha1", "alpha2", "alpha3", "alpha4"]
+    printed = {(row[0], row[1]): row for row in lay_out_parameters([study(1)]).rows}
     assert NOT_DETERMINED in printed[("", "α₁")]
-    assert "do not determine α₁, α₂, α₃, α₄:" in undetermined_said(study(1))
+    assert "do not determine α₁, α₂, α₃, α₄:" in describe_undetermined(study(1))
     assert table[table["determined"]]["fitted"].str.match(r"^[\d.e-]+$").all()
 
 
@@ -224,18 +238,18 @@ def test_what_the_data_leave_open_is_no_number_in_the_second_fit_either():
     one = study(1)
     second = one.parameters.query("method == 'fitted'").assign(method="fitted_metric", determined=False)
     both = dataclasses.replace(one, parameters=pd.concat([one.parameters, second]))
-    table = parameters_table(both).set_index("parameter")
+    table = tabulate_parameters(both).set_index("parameter")
     assert table["fitted_metric"].equals(table["fitted"])
     assert table.loc["alpha1", ["fitted_metric", "fitted_metric_value_used"]].tolist() == [NOT_DETERMINED, 1]
-    assert "By errors" in {column.label for column in parameters_layout([both]).columns}
-    assert "By errors" not in {column.label for column in parameters_layout([one]).columns}
+    assert "By errors" in {column.label for column in lay_out_parameters([both]).columns}
+    assert "By errors" not in {column.label for column in lay_out_parameters([one]).columns}
 
 
 def test_a_fixed_parameter_is_given_and_said_to_be_fixed():
-    row = records(parameters_table(study(5)))[1]
+    row = to_records(tabulate_parameters(study(5)))[1]
     assert (row["parameter"], row["status"], row["fitted"]) == ("alpha1", "fixed", "1")
-    assert undetermined(study(5)) == ["mu1_pa"]
-    assert "Held fixed, not fitted: α₁." in undetermined_said(study(5))
+    assert find_undetermined(study(5)) == ["mu1_pa"]
+    assert "Held fixed, not fitted: α₁." in describe_undetermined(study(5))
 
 
 def test_the_run_is_told_in_lines():
@@ -246,7 +260,7 @@ def test_the_run_is_told_in_lines():
         "interrupted": False,
         "searches": {"x": 1},
     }
-    assert run_said(run) == [
+    assert describe_run(run) == [
         ("dataset", f"name twin; sha256 {digest[:16]}…"),
         ("interrupted", "no"),
         ("seed", "1"),
@@ -254,14 +268,14 @@ def test_the_run_is_told_in_lines():
 
 
 def test_folds_are_told_apart_only_where_there_are_several():
-    assert "Fold" not in [c.label for c in parameters_layout([study(1)]).columns]
-    assert "Fold" in [c.label for c in parameters_layout([stereo()]).columns]
+    assert "Fold" not in [c.label for c in lay_out_parameters([study(1)]).columns]
+    assert "Fold" in [c.label for c in lay_out_parameters([stereo()]).columns]
 
 
 @pytest.mark.parametrize("results", [study(1), study(5), stereo()], ids=["study1", "study5", "stereo"])
 def test_every_table_says_where_its_rows_come_from(results):
-    tables = [validation_layout([results]), tuning_layout([results], "layers"), design_layout([results])]
-    tables += [rivals_layout([results], "validate"), insertions_layout(results, "validate")]
+    tables = [lay_out_validation([results]), lay_out_tuning([results], "layers"), lay_out_design([results])]
+    tables += [lay_out_baselines([results], "validate"), lay_out_insertions(results, "validate")]
     for table in tables:
         assert table.columns[-1].label == "Origin"
         assert {row[-1] for row in table.rows} <= {results.origin, "paper, measured"}
@@ -269,22 +283,22 @@ def test_every_table_says_where_its_rows_come_from(results):
 
 
 def test_the_paper_stands_below_us_in_the_same_column():
-    table = validation_layout([study(1)])
+    table = lay_out_validation([study(1)])
     names = [row[4] for row in table.rows[:5]]
     assert names == ["needlefit", "planned boundaries", "pooled", "noise floor", "paper"]
     assert table.rows[4][5:10] == ("0.17", "0.19 ± 0.13", "0.54", "0.14", "5.56")
-    assert "†" in next(row for row in validation_layout([study(5)]).rows if row[4] == "needlefit")[9]
-    assert any("did not converge" in note for note in validation_layout([study(3)]).notes)
+    assert "†" in next(row for row in lay_out_validation([study(5)]).rows if row[4] == "needlefit")[9]
+    assert any("did not converge" in note for note in lay_out_validation([study(3)]).notes)
 
 
 def test_the_short_answer_names_floor_and_paper():
-    assert "noise floor 0.21 and 0.22 mm; the paper 0.19 and 0.14 mm" in in_short(study(1))[0]
-    assert "paper" not in in_short(stereo())[0]
+    assert "noise floor 0.21 and 0.22 mm; the paper 0.19 and 0.14 mm" in summarize_errors(study(1))[0]
+    assert "paper" not in summarize_errors(stereo())[0]
 
 
 def test_without_a_row_of_the_paper_the_short_answer_compares_every_curve():
-    said = in_short(stereo())[-1]
-    for row in records(compare_methods(stereo())):
+    said = summarize_errors(stereo())[-1]
+    for row in to_records(compare_methods(stereo())):
         if row["method"] != "fitted":
             gap = f"{row['difference_mm']:+.3f} ± {row['difference_se_mm']:.3f} mm".replace("-", "−")
             assert gap in said
@@ -295,14 +309,14 @@ def test_what_is_not_determined_is_no_range_and_the_note_does_not_say_it_again()
     one = study(1)
     note = "not determined (known to 90 %); tied to no other"
     loose = dataclasses.replace(one, parameters=one.parameters.assign(note=note))
-    table = parameters_layout([loose])
+    table = lay_out_parameters([loose])
     heads = [column.label for column in table.columns]
     assert "Origin" not in heads
     for row in (dict(zip(heads, row, strict=True)) for row in table.rows):
         if row["Fitted"] == NOT_DETERMINED:
-            assert row["As good"] == ""
+            assert row["Range within tolerance"] == ""
         assert row["Note"].startswith("known to 90 %; tied")
-    assert any(row[heads.index("As good")] for row in table.rows)
+    assert any(row[heads.index("Range within tolerance")] for row in table.rows)
 
 
 @pytest.mark.parametrize(
@@ -314,7 +328,7 @@ def test_what_is_not_determined_is_no_range_and_the_note_does_not_say_it_again()
     ],
 )
 def test_numbers_have_three_digits_and_read_back(value, words):
-    assert number(value) == words
+    assert format_number(value) == words
     if words:
         assert float(words) == pytest.approx(value, rel=5e-3)
 
@@ -323,23 +337,29 @@ def test_numbers_in_print():
     assert typeset("2.13e5") == "2.13 × 10⁵"
     assert typeset("1e-4") == "10⁻⁴"
     assert typeset("-3") == "−3"
-    assert [percent(v) for v in (4.77, 10.3, 254.2, 9.996, None)] == ["4.77", "10.3", "254", "10.0", "–"]
-    assert fixed(math.nan) == "–"
-    assert [symbol(n) for n in ("mu1_pa", "alpha12", "bevel_mm", "odd")] == [
+    assert [format_percent(v) for v in (4.77, 10.3, 254.2, 9.996, None)] == [
+        "4.77",
+        "10.3",
+        "254",
+        "10.0",
+        "–",
+    ]
+    assert format_mm(math.nan) == "–"
+    assert [format_symbol(n) for n in ("mu1_pa", "alpha12", "bevel_mm", "odd")] == [
         "μ₁ (Pa)",
         "α₁₂",
         "b (mm)",
         "odd",
     ]
-    assert in_symbols("mu1 and bevel_mm only as mu1_pa * bevel_mm^1.9") == "μ₁ and b only as μ₁ · b^1.9"
+    assert insert_symbols("mu1 and bevel_mm only as mu1_pa * bevel_mm^1.9") == "μ₁ and b only as μ₁ · b^1.9"
     assert (
-        in_symbols("alpha2 (fixed at -1), -3 to 5, b^-2 and 2e-3")
+        insert_symbols("alpha2 (fixed at -1), -3 to 5, b^-2 and 2e-3")
         == "α₂ (fixed at −1), −3 to 5, b^-2 and 2 × 10⁻³"
     )
 
 
 def test_latex_is_booktabs_with_every_sign_escaped():
-    page = latex(validation_layout([study(1)]), synthetic=True)
+    page = format_latex(lay_out_validation([study(1)]), synthetic=True)
     body = page.split(r"\midrule")[1].split(r"\bottomrule")[0]
     rows = [line for line in body.splitlines() if line.endswith(r"\\")]
     assert all(line.replace(r"\&", "").count("&") == 12 for line in rows)
@@ -347,12 +367,12 @@ def test_latex_is_booktabs_with_every_sign_escaped():
     assert r"\caption{SYNTHETIC DATA. " in page
     assert r"$\pm$" in page
     assert page.isascii()
-    assert "SYNTHETIC" not in latex(validation_layout([stereo()]), synthetic=False)
+    assert "SYNTHETIC" not in format_latex(lay_out_validation([stereo()]), synthetic=False)
 
 
 def test_latex_escapes():
-    assert escape("50 % of a_b & {c}") == r"50 \% of a\_b \& \{c\}"
-    assert escape("2 × 10⁻⁵ Pa, μ₁") == r"2 $\times$ 10$^{-5}$ Pa, $\mu$$_{1}$"
-    assert escape("μ₁^0.28 / b^-2") == r"$\mu$$_{1}$$^{0.28}$ / b$^{-2}$"
-    assert escape("a\\b") == r"a\textbackslash{}b"
-    assert latex(contradictions_layout(paper.find_contradictions()), synthetic=False).isascii()
+    assert escape_latex("50 % of a_b & {c}") == r"50 \% of a\_b \& \{c\}"
+    assert escape_latex("2 × 10⁻⁵ Pa, μ₁") == r"2 $\times$ 10$^{-5}$ Pa, $\mu$$_{1}$"
+    assert escape_latex("μ₁^0.28 / b^-2") == r"$\mu$$_{1}$$^{0.28}$ / b$^{-2}$"
+    assert escape_latex("a\\b") == r"a\textbackslash{}b"
+    assert format_latex(lay_out_contradictions(paper.find_contradictions()), synthetic=False).isascii()

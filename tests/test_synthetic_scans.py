@@ -12,7 +12,7 @@ from scipy.ndimage import map_coordinates
 from typer.testing import CliRunner
 
 from needlefit.cli.application import build as application
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import ConfigError
 from needlefit.imaging.registration.pairing import find_symmetries
 from needlefit.imaging.registration.register import predict_mean_target_error, register, to_world

@@ -9,7 +9,7 @@ import pytest
 from test_cli import run as run_cli
 
 from needlefit.errors import ConfigError, DataError
-from needlefit.reporting.reference import rounded
+from needlefit.reporting.reference import round_frame
 from needlefit.validation.analyses.kinds import ANALYSIS_KINDS, load_analysis, run
 from needlefit.validation.analyses.runner import run_tasks
 from needlefit.validation.checkpoint import open_checkpoint
@@ -72,7 +72,7 @@ def test_evidence_is_rounded_to_a_micrometre_and_three_digits():
             "note": ["a", "b", "c"],
         }
     )
-    got = rounded(frame)
+    got = round_frame(frame)
     assert got["te_mm"].tolist() == [0.123, 0.0, np.inf]
     assert str(got["te_mm"][1]) == "0.0"
     assert got["mu1_pa"].tolist()[:2] == [123000.0, 0.0] and np.isnan(got["mu1_pa"][2])

@@ -1,4 +1,4 @@
-"""Which model foretells best: densities with known values, who wins, and a base that moves."""
+"""Which model predicts best: densities with known values, who wins, and a base that moves."""
 
 import math
 from dataclasses import replace
@@ -20,7 +20,7 @@ from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.shape import compute_positions
 from needlefit.mechanics.simulate import simulate_steps
 from needlefit.mechanics.tissue import Tissue
-from needlefit.reporting.inquiries.comparison import said
+from needlefit.reporting.analyses.comparison import summarize
 from needlefit.schemas.analyses import ComparisonRecord
 from needlefit.schemas.recipe import LikelihoodRecord
 from needlefit.schemas.study import FitRecord
@@ -180,9 +180,9 @@ def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
 
 
 def test_needles_that_are_no_repeats_are_not_called_so(compared):
-    assert "over 4 needles" in said(compared)[0]
+    assert "over 4 needles" in summarize(compared)[0]
     frames = {**compared.frames, "differences": compared.frames["differences"].assign(group="one hole")}
-    assert "groups of repeats" in said(replace(compared, frames=frames))[0]
+    assert "groups of repeats" in summarize(replace(compared, frames=frames))[0]
 
 
 def test_a_control_that_the_comparison_misses_is_a_fault(compared):

@@ -6,7 +6,7 @@ import pytest
 from test_cli import run
 
 from needlefit.errors import DataError
-from needlefit.reporting.differences import differences_layout, said
+from needlefit.reporting.differences import lay_out_differences, summarize_differences
 from needlefit.reporting.rebuild import rebuild
 from needlefit.validation.run_differences import compare_runs
 
@@ -41,7 +41,7 @@ def first(tmp_path):
 
 def test_equal_runs_do_not_differ(first, tmp_path):
     found = compare_runs(first, write(tmp_path / "b"))
-    assert found == [] and said(found) == "The runs do not differ."
+    assert found == [] and summarize_differences(found) == "The runs do not differ."
 
 
 def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_path):
@@ -49,7 +49,7 @@ def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_pa
     assert [(one.what, one.where, one.before, one.after, one.matters) for one in found] == [
         ("input", "recipe.seed", 1, 2, None)
     ]
-    assert said(found) == "The inputs differ in 1 key, and no result does."
+    assert summarize_differences(found) == "The inputs differ in 1 key, and no result does."
 
 
 @pytest.mark.parametrize(("part", "matters"), [(0.3, False), (0.7, True)])
@@ -85,7 +85,7 @@ def test_errors_are_compared_insertion_by_insertion(gap, matters, slight, first,
     (one,) = compare_runs(first, write(tmp_path / "b", errors=changed.iloc[::-1]))
     assert (one.what, one.matters, one.slight) == ("error", matters, slight)
     assert one.after - one.before == pytest.approx(np.mean(gap))
-    assert len(differences_layout([one]).rows) == (0 if slight else 1)
+    assert len(lay_out_differences([one]).rows) == (0 if slight else 1)
 
 
 def test_insertions_of_one_run_only_are_told(first, tmp_path):

@@ -4,7 +4,7 @@ import pytest
 
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.reporting.tables import records
+from needlefit.reporting.tables import to_records
 from needlefit.schemas.study import StudyRecord
 from needlefit.validation.job import Settings, prepare
 from needlefit.validation.summary import tabulate_design
@@ -19,7 +19,9 @@ from needlefit.validation.summary import tabulate_design
     ],
 )
 def test_a_needle_that_ends_at_a_boundary_is_counted_both_ways(study, counts):
-    rows = records(tabulate_design(prepare(study, load(find_file("study", study), StudyRecord), Settings())))
+    rows = to_records(
+        tabulate_design(prepare(study, load(find_file("study", study), StudyRecord), Settings()))
+    )
     role = counts[0][0]
     found = [r for r in rows if r["role"] == role and r["layers"] in {c[1] for c in counts}]
     keys = ("role", "layers", "insertions", "insertions_other")

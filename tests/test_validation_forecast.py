@@ -19,8 +19,8 @@ from needlefit.mechanics.needle import Needle
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.reporting.files import write_json
-from needlefit.reporting.forecast import forecast_layout, forecast_table, tip
+from needlefit.reporting.forecast import lay_out_forecast, summarize_tip, tabulate_forecast
+from needlefit.reporting.table_files import write_json
 from needlefit.schemas.recipe import LikelihoodRecord, SampleRecord
 from needlefit.schemas.study import FitRecord
 from needlefit.validation.forecast import draw_parameters, forecast, require_same_configuration
@@ -60,7 +60,7 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
     shape = needlefit.simulate_steps(SCENE.needle, tissue, (step,), SCENE.rules)
     expected = compute_positions(shape, found.s)
     assert found.needle.means[0] == pytest.approx(expected[:, 1], abs=1e-6)
-    table = forecast_table(found)
+    table = tabulate_forecast(found)
     assert table["needle_95_low_mm"].iloc[-1] == pytest.approx(expected[-1, 1], abs=1e-6)
     half = table["measured_95_high_mm"].iloc[-1] - table["measured_median_mm"].iloc[-1]
     assert half == pytest.approx(1.959964 * found.measured.sd[-1], rel=1e-3)
@@ -70,7 +70,7 @@ def test_one_draw_is_the_scene_with_its_parameters(job):
 def test_bands_are_quantiles_of_draws(job):
     found = planned(sure(job), [theta(job, bevel_mm=b) for b in np.linspace(0.06, 0.10, 101)])
     tips = np.sort(found.needle.means[:, -1])
-    low, high = forecast_table(found).iloc[-1][["needle_50_low_mm", "needle_50_high_mm"]]
+    low, high = tabulate_forecast(found).iloc[-1][["needle_50_low_mm", "needle_50_high_mm"]]
     assert tips[24] <= low <= tips[26] and tips[74] <= high <= tips[76]
 
 
@@ -120,9 +120,9 @@ def test_draws_of_a_posterior_are_spread_over_it(job):
 def test_a_forecast_from_a_posterior_that_has_not_converged_says_so(job):
     draws = Draws(np.array([theta(job)] * 3), "posterior", ("R-hat of mu1_pa is 1.2",))
     found = forecast(SCENE, draws, job)
-    layout = forecast_layout(found, "gel", False)
+    layout = lay_out_forecast(found, "gel", False)
     assert "NOT CONVERGED" in layout.caption and "R-hat of mu1_pa is 1.2" in " ".join(layout.notes)
-    assert tip(found)["not_converged"] == ["R-hat of mu1_pa is 1.2"]
+    assert summarize_tip(found)["not_converged"] == ["R-hat of mu1_pa is 1.2"]
 
 
 def test_a_posterior_of_other_data_is_refused(job, tmp_path):

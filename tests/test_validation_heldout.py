@@ -10,7 +10,7 @@ from needlefit.inference.likelihood.observation import pose_sds
 from needlefit.inference.optimize import minimize
 from needlefit.project.load import load
 from needlefit.project.locate import find_file
-from needlefit.reporting.foretold import foretold_layout
+from needlefit.reporting.score_tables import lay_out_coverage
 from needlefit.schemas.study import StudyRecord
 from needlefit.validation.held_out_predictions import (
     BAND_COLUMNS,
@@ -124,7 +124,7 @@ def test_the_table_counts_what_fell_where(job, few_draws):
     rows = list(tabulate_held_out(job, of(job, *job.folds[0].validate[:2]), few_draws))
     rows[0] |= {"tip_in_50": True, "tip_in_95": True}
     rows[1] |= {"tip_in_50": False, "tip_in_95": True}
-    table = foretold_layout(replace(study(2), predictive=pd.DataFrame(rows)))
+    table = lay_out_coverage(replace(study(2), predictive=pd.DataFrame(rows)))
     assert table.rows[0][2:4] == ("1 of 2 (9–91 %)", "2 of 2 (34–100 %)")
     assert "draws of the posterior about the fit" in table.caption
 

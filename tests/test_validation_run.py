@@ -18,8 +18,8 @@ from needlefit.mechanics.shape import sample_inserted_points
 from needlefit.mechanics.simulate import simulate
 from needlefit.mechanics.tissue import Tissue
 from needlefit.project.load import load
-from needlefit.reporting.sentences import failures_said
-from needlefit.reporting.write import write
+from needlefit.reporting.run_folder import write
+from needlefit.reporting.sentences import describe_failures
 from needlefit.schemas.medium import MediumRecord
 from needlefit.schemas.study import FitRecord, StudyRecord
 from needlefit.validation.folds import make_folds
@@ -175,7 +175,7 @@ def test_where_nothing_fails_the_table_of_failures_is_a_header(clean: Results) -
     assert list(results.failures.columns) == [*COLUMNS["failures"], *results.parameters["parameter"]]
     assert results.failures.empty
     assert results.run["recorded_failures"] == {}
-    assert failures_said(results) == ""
+    assert describe_failures(results) == ""
 
 
 def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(
@@ -185,7 +185,7 @@ def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(
     rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { bounds = [0.02, 3e3] }")
     results = run("violent", study(), Settings())
     with monkeypatch.context() as without_figures:
-        without_figures.setattr("needlefit.reporting.write._draw", lambda results, folder: {})
+        without_figures.setattr("needlefit.reporting.run_folder._draw_figures", lambda results, folder: {})
         write(results, project / "violent")
     rows = pd.read_csv(project / "violent" / "failures.csv")
     assert set(rows["fit"]) == {"fitted"} and set(rows["origin"]) == {"synthetic"}
@@ -196,7 +196,7 @@ def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(
         assert predict(row, medium, dataset.needle, by_id[row["insertion"]]).status == row["reason"]
     counted = results.run["failed_solves"]
     assert sum(results.run["recorded_failures"].values()) == len(rows) == counted
-    assert failures_said(results).startswith(
+    assert describe_failures(results).startswith(
         f"{counted} of {results.starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"
     )
     kept, done = project / "violent.partial", []

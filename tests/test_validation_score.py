@@ -17,8 +17,8 @@ from needlefit.datasets.read import read
 from needlefit.geometry.surfaces import make_sheet
 from needlefit.inference.forward_model import predict
 from needlefit.mechanics.shape import NeedleShape, sample_inserted_points
-from needlefit.reporting.numbers import number
-from needlefit.reporting.parameters import parameters_table
+from needlefit.reporting.number_format import format_number
+from needlefit.reporting.parameter_table import tabulate_parameters
 from needlefit.validation.folds import make_folds
 from needlefit.validation.run import Settings, run
 from needlefit.validation.score import Scorer, curve_predictor, model_predictor
@@ -172,7 +172,7 @@ def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(project: P
     both = {"fitted", "fitted_metric"} if metric else {"fitted"}
     assert set(results.starts["fit"]) == set(results.parameters["method"]) == both
     assert set(results.errors["method"]) & {"fitted", "fitted_metric"} == both
-    printed = parameters_table(results).set_index("parameter")
+    printed = tabulate_parameters(results).set_index("parameter")
     if not metric:
         assert set(printed["fitted_metric"]) == {""}
         return
@@ -181,7 +181,7 @@ def test_a_second_fit_stands_in_every_table_if_the_recipe_asks_for_it(project: P
     second = results.parameters.query("method == 'fitted_metric'").set_index("parameter")["value"]
     assert second["mu2_pa"] == 2e7 and abs(second["bevel_mm"] / fitted(results)["bevel_mm"] - 1) < 0.01
     assert printed["fitted_metric_value_used"].to_dict() == second.to_dict()
-    assert printed.loc["bevel_mm", "fitted_metric"] == number(second["bevel_mm"])
+    assert printed.loc["bevel_mm", "fitted_metric"] == format_number(second["bevel_mm"])
 
 
 @pytest.mark.slow

@@ -8,7 +8,7 @@ import pytest
 
 from needlefit.datasets.read import read
 from needlefit.project.locate import find_file
-from needlefit.reporting.inquiries.pages import PAGES
+from needlefit.reporting.analyses.result_folder import ANALYSIS_PAGES
 from needlefit.synthetic.build import build_unscanned
 from needlefit.synthetic.design import select_planned_insertions
 from needlefit.validation.analyses.kinds import load_analysis, run
@@ -149,10 +149,10 @@ def test_the_studies_on_two_twins_are_told(tmp_path, monkeypatch):
     truth = table[(table["method"] == "truth") & (table["role"] == "validate")]
     assert truth["te_mm"].max() < 0.5 and truth["seed"].nunique() == 2  # registration alone
     assert answer.run["seeds"] == [1, 2] and answer.run["twins"] == "not scanned"
-    page = PAGES["seeds"]
-    assert "holds on 2 of 2 twins" in page.said(answer)[0]
+    page = ANALYSIS_PAGES["seeds"]
+    assert "holds on 2 of 2 twins" in page.summarize(answer)[0]
     assert {"generalising.pdf", "comparisons.pdf", "cells.pdf"} == {
         p.name for p in page.draw(answer, tmp_path).values()
     }
-    lost = {table.name: table for table in page.layouts(answer)}["lost"]
+    lost = {table.name: table for table in page.lay_out(answer)}["losses"]
     assert len(lost.rows) == (answer.frames["comparisons"]["verdict"] == "loses").sum()

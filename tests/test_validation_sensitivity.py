@@ -9,7 +9,7 @@ import pytest
 from needlefit.errors import ConfigError
 from needlefit.inference.forward_model import make_options, predict
 from needlefit.project.locate import find_file
-from needlefit.reporting.inquiries.pages import PAGES
+from needlefit.reporting.analyses.result_folder import ANALYSIS_PAGES
 from needlefit.schemas.analyses import VariationRecord
 from needlefit.validation.analyses.kinds import load_analysis, run
 from needlefit.validation.analyses.paper_cells import prepare_jobs
@@ -102,9 +102,9 @@ def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
     ratios = answer.frames["parameter_changes"].set_index(["aspect", "parameter"])["ratio"]
     assert ratios["rigidity", "mu1_pa"] == pytest.approx(1.1, rel=0.01)
     assert pd.isna(ratios["constraint spacing", "bevel_mm"])
-    page = PAGES["sensitivity"]
-    assert "the same under all 2 variations" in page.said(answer)[0]
+    page = ANALYSIS_PAGES["sensitivity"]
+    assert "the same under all 2 variations" in page.summarize(answer)[0]
     assert page.draw(answer, tmp_path)["studies"].is_file()
-    again, kept, *_ = page.layouts(answer)
+    again, kept, *_ = page.lay_out(answer)
     assert len(again.rows) == 3 and len(kept.rows) == 2
     assert answer.run["variations"]["constraint spacing: 2 mm"]["constraint_spacing_mm"] == 2.0

@@ -10,9 +10,9 @@ from test_reporting_posterior import sampled
 
 from needlefit.errors import DataError
 from needlefit.inference.sampling.posterior import save
-from needlefit.reporting.files import write_json
+from needlefit.reporting.combined_report import write_combined
 from needlefit.reporting.rebuild import rebuild
-from needlefit.reporting.together import write_all
+from needlefit.reporting.table_files import write_json
 from needlefit.validation.packing import RESULTS_FILE
 from needlefit.validation.results import COLUMNS
 from needlefit.validation.stored import restore_results, store_results
@@ -84,7 +84,7 @@ def test_several_runs_reported_together_are_made_again_from_those_beside(tmp_pat
         (tmp_path / one.name).mkdir()
         store_results(one, tmp_path / one.name)
         write_json(tmp_path / one.name / "run.json", one.run)
-    write_all(every, [], tmp_path / "all")
+    write_combined(every, [], tmp_path / "all")
     rebuild(tmp_path / "all", tmp_path / "again")
     first, second = tmp_path / "all", tmp_path / "again"
     for path in first.iterdir():

@@ -5,7 +5,7 @@ import pytest
 
 from needlefit.schemas.scene import SceneRecord
 from needlefit.viewer.interaction.inputs import Change
-from needlefit.viewer.serving.message_encoding import state_message
+from needlefit.viewer.serving.messages import state_message
 from needlefit.viewer.serving.trials import InteractiveTrial
 from needlefit.viewer.viewed_scene import ViewedScene
 

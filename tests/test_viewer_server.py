@@ -11,13 +11,13 @@ import pytest
 
 from needlefit.viewer.opening import open_target
 from needlefit.viewer.recording import read_recording, replay
-from needlefit.viewer.serving.access_control import (
+from needlefit.viewer.serving.connections import (
     MAX_BURST_MESSAGES,
     MAX_MESSAGE_BYTES,
+    MAX_WINDOWS,
     AccessControl,
     RateLimit,
 )
-from needlefit.viewer.serving.connections import MAX_WINDOWS
 from needlefit.viewer.serving.messages import read_message as read_message
 from needlefit.viewer.serving.server import serve
 from needlefit.viewer.serving.trials import MAX_TRIALS, TrialRegistry
@@ -346,7 +346,7 @@ async def test_strangers_are_kept_out(tmp_path) -> None:
 @visit
 async def test_too_large_and_too_fast_is_cut_off_and_the_needle_is_not_lost(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(
-        "needlefit.viewer.serving.access_control.FASTEST", 0.0
+        "needlefit.viewer.serving.connections.MAX_MESSAGES_PER_S", 0.0
     )  # however slowly this machine sends
     async with house(tmp_path) as server:
         page = await server.page()

@@ -4,8 +4,8 @@ A name that begins with a room (`mechanics.simulate`) must exist: if nothing is 
 Any other may be a parameter, a file or a key, and stays code where its module holds nothing of that name.
 """
 
+from api_pages import PACKAGES
 from docutils import nodes
-from rooms import ROOMS
 from sphinx import addnodes
 from sphinx.application import Sphinx
 from sphinx.environment import BuildEnvironment
@@ -31,7 +31,7 @@ class Name(SphinxRole):
         parts = self.text.split(".")
         if parts[-1] in ENDINGS or not all(part.isidentifier() for part in parts):
             return [code], []
-        firm = len(parts) > 1 and parts[0] in ROOMS
+        firm = len(parts) > 1 and parts[0] in PACKAGES
         reference = addnodes.pending_xref(
             "",
             code,

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 
 from needlefit.cli import exit_codes, standard_streams
 from needlefit.cli.application import build
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation
 from needlefit.project.threads import limit_to_one_thread
 
 

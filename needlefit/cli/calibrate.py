@@ -6,10 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.completion import complete_targets
 from needlefit.cli.execution import Execution, count_cores, print_remark
-from needlefit.cli.exit_codes import catch_interrupts
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation, catch_interrupts
+from needlefit.cli.options import complete_targets
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_run_warnings
 from needlefit.cli.tune import add_target_context, load_fit
@@ -136,25 +135,25 @@ def _suffix(control: "Control | None", sample: bool) -> str:
 
 def _end(invocation: Invocation, found: "dict[str, Calibration]", json: bool) -> None:
     """Show the results; end with an exit code if one is not what it should be."""
-    from needlefit.reporting.calibration import as_json
-    from needlefit.reporting.calibration_said import PROVES, layout, said
+    from needlefit.reporting.calibration import calibration_to_json
+    from needlefit.reporting.calibration_summary import SCOPE_NOTE, lay_out_calibration, summarize_calibration
 
     if json:
-        every = [as_json(one) for one in found.values()]
+        every = [calibration_to_json(one) for one in found.values()]
         screen.show_json(every if len(every) > 1 else every[0])
     else:
         for folder, one in found.items():
-            for sentence in said(one):
+            for sentence in summarize_calibration(one):
                 screen.print_line(sentence)
             screen.print_line()
-            screen.show_display(layout(one))
+            screen.show_display(lay_out_calibration(one))
             screen.print_line(f"written: {folder}/")
-        screen.print_line(PROVES)
+        screen.print_line(SCOPE_NOTE)
     for one in found.values():
         print_run_warnings(invocation, one.run)
     wrong = [folder for folder, one in found.items() if one.conclusive and not one.passes]
     for folder in wrong:
-        screen.print_note(f"needlefit: {folder}: {said(found[folder])[0]}")
+        screen.print_note(f"needlefit: {folder}: {summarize_calibration(found[folder])[0]}")
     if wrong:
         raise typer.Exit(exit_codes.VERIFICATION_FAILED)
     few = any(not one.conclusive and not one.failing for one in found.values())

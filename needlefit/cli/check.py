@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_datasets
+from needlefit.cli.options import complete_datasets
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows

@@ -6,11 +6,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_runs
+from needlefit.cli.options import complete_runs
 
 if TYPE_CHECKING:
-    from needlefit.reporting.credibility.case import Case
-    from needlefit.reporting.credibility.entries import Entry
+    from needlefit.reporting.credibility.case import CredibilityCase
+    from needlefit.reporting.credibility.factors import FactorEntry
 
 
 def credibility(
@@ -49,36 +49,35 @@ def credibility(
     from needlefit.project.load import load
     from needlefit.project.locate import find_run
     from needlefit.project.ownership import require_replaceable
-    from needlefit.reporting.credibility.case import NOBODY, case
-    from needlefit.reporting.credibility.entries import entries
-    from needlefit.reporting.credibility.write import as_json, write_bundle
+    from needlefit.reporting.credibility.bundle import bundle_to_json, write_bundle
+    from needlefit.reporting.credibility.case import NO_STATEMENTS, load_case
+    from needlefit.reporting.credibility.factors import collect_entries
     from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 
     folder = find_run(run)
-    stated = NOBODY if statements is None else load(statements, CredibilityStatementsRecord)
+    stated = NO_STATEMENTS if statements is None else load(statements, CredibilityStatementsRecord)
     with convert_stored_errors(folder):
-        found = case(folder, evidence or (), stated, "" if statements is None else statements.name)
+        found = load_case(folder, evidence or (), stated, "" if statements is None else statements.name)
         target = out / f"credibility-{found.name}"
         require_replaceable(target)
-        every = entries(found)
+        every = collect_entries(found)
         write_bundle(found, every, folder.resolve(), target)
     for fault in found.damaged:
         screen.print_note(f"needlefit: damaged, and not used: {fault}")
     if json:
-        screen.show_json(as_json(found, every))
+        screen.show_json(bundle_to_json(found, every))
         return
     _show(found, every)
     screen.print_line(f"written: {target}/")
 
 
-def _show(found: "Case", every: "list[Entry]") -> None:
-    from needlefit.reporting.credibility.origins import evidence_layout
-    from needlefit.reporting.credibility.page import DISCLAIMER, overview
+def _show(found: "CredibilityCase", every: "list[FactorEntry]") -> None:
+    from needlefit.reporting.credibility.document import DISCLAIMER, lay_out_evidence, lay_out_overview
 
-    screen.show_display(overview(every))
+    screen.show_display(lay_out_overview(every))
     if found.evidence:
-        screen.show_display(evidence_layout(found.evidence))
-    open_keys = [one.factor.key for one in every if one.factor.by_people and one.factor.fix in one.gaps]
+        screen.show_display(lay_out_evidence(found.evidence))
+    open_keys = [one.factor.key for one in every if one.factor.needs_statement and one.factor.fix in one.gaps]
     if open_keys:
         screen.print_line(
             "Not for a program to say: a TOML file with `schema = 1` and texts for any of these keys, given "

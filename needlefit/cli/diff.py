@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_runs
+from needlefit.cli.options import complete_runs
 
 _Run = Annotated[
     str,
@@ -19,13 +19,17 @@ def diff(run_a: _Run, run_b: _Run, json: options.Json = False, verbose: options.
     And whether it matters: beside each change stands how large it is in its own uncertainty.
     """
     from needlefit.project.locate import find_run
-    from needlefit.reporting.differences import as_json, differences_layout, said
+    from needlefit.reporting.differences import (
+        differences_to_json,
+        lay_out_differences,
+        summarize_differences,
+    )
     from needlefit.validation.run_differences import compare_runs
 
     found = compare_runs(find_run(run_a), find_run(run_b))
     if json:
-        screen.show_json(as_json(found))
+        screen.show_json(differences_to_json(found))
         return
-    screen.print_line(said(found))
+    screen.print_line(summarize_differences(found))
     if found:
-        screen.show_display(differences_layout(found))
+        screen.show_display(lay_out_differences(found))

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from needlefit.cli import exit_codes, screen
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation
 from needlefit.cli.progress import show_progress
 from needlefit.errors import ConfigError
 
@@ -108,11 +108,11 @@ class Execution:
 
     def write(self, results: "Results") -> Path:
         """Write the results; return their folder."""
-        from needlefit.reporting.posterior import posterior_files
-        from needlefit.reporting.write import write
+        from needlefit.reporting.posterior import make_posterior_writers
+        from needlefit.reporting.run_folder import write
 
         folder = self.folder(results.name)
-        write(results, folder, posterior_files(results))
+        write(results, folder, make_posterior_writers(results))
         return folder
 
     def remove_checkpoint(self, name: str) -> None:

@@ -1,16 +1,37 @@
 """How a command ends: its exit code, its error message, and what Ctrl-C does."""
 
 import os
+import shlex
 import signal
 import sys
 import threading
 import traceback
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import dataclass
 from types import FrameType
 
-from needlefit.cli.invocation import Invocation
 from needlefit.errors import ConfigError, FitError, NeedlefitError, printable
+
+
+@dataclass
+class Invocation:
+    """One call of the program; the options -q, -v and --strict write `quiet`, `verbose` and `strict`.
+
+    `warned` is whether a warning was printed: with `strict` the exit code then is that of no convergence.
+    """
+
+    words: tuple[str, ...]
+    quiet: bool = False
+    verbose: bool = False
+    strict: bool = False
+    warned: bool = False
+
+    def resuming(self) -> str:
+        """Return the command line that goes on where this one stopped."""
+        words = self.words if "--resume" in self.words else (*self.words, "--resume")
+        return shlex.join(("needlefit", *words))
+
 
 UNEXPECTED, NOT_CONVERGED, VERIFICATION_FAILED, INTERRUPTED = 1, 5, 6, 130
 

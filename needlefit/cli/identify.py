@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_targets
 from needlefit.cli.execution import Execution, count_cores
 from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.options import complete_targets
 from needlefit.cli.screen import print_warnings
 from needlefit.cli.tune import add_target_context, load_fit
 
@@ -45,7 +45,11 @@ def identify(
     middle of the bounds, or with --fit at the fitted values. Fisher information, directions, profile
     likelihoods and contraction against the prior go to OUT/identify-<target>/.
     """
-    from needlefit.reporting.identification import as_json, warnings_of_both, write_identification
+    from needlefit.reporting.identification import (
+        identification_to_json,
+        merge_warnings,
+        write_identification,
+    )
     from needlefit.validation.design_identification import identify_design
     from needlefit.validation.run import Settings
 
@@ -66,25 +70,29 @@ def identify(
         write_identification(found, fitted, execution.folder(name))
         execution.remove_checkpoint(name)
     if json:
-        screen.show_json(as_json(found, fitted))
+        screen.show_json(identification_to_json(found, fitted))
     else:
         _show(found, fitted)
         screen.print_line(f"written: {execution.folder(name)}/")
-    print_warnings(execution.invocation, warnings_of_both(found, fitted))
+    print_warnings(execution.invocation, merge_warnings(found, fitted))
 
 
 def _show(found: "Identification", fitted: "Results | None") -> None:
-    from needlefit.reporting.identification_layout import directions_expected_layout, identification_layout
-    from needlefit.reporting.identification_said import design_said, verdict_said
+    from needlefit.reporting.identification_tables import (
+        describe_design,
+        describe_verdicts,
+        lay_out_expected_directions,
+        lay_out_identification,
+    )
 
-    for sentence in design_said(found):
+    for sentence in describe_design(found):
         screen.print_line(sentence)
     screen.print_line()
-    screen.show_display(identification_layout(found.identification, expected=True))
-    screen.show_display(directions_expected_layout(found.expectation))
+    screen.show_display(lay_out_identification(found.identification, expected=True))
+    screen.show_display(lay_out_expected_directions(found.expectation))
     if fitted is not None:
-        screen.show_display(identification_layout(fitted.identification))
-        for sentence in verdict_said(fitted.identification):
+        screen.show_display(lay_out_identification(fitted.identification))
+        for sentence in describe_verdicts(fitted.identification):
             screen.print_line(sentence)
 
 

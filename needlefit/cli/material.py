@@ -37,8 +37,13 @@ def material(
     from needlefit.datasets.compression import read_compression
     from needlefit.inference.material import MaterialFoundation, fit_material
     from needlefit.project.ownership import require_replaceable
-    from needlefit.reporting.material import Report, as_json, layout, write_material
-    from needlefit.reporting.material_said import summary
+    from needlefit.reporting.material import (
+        MaterialReport,
+        lay_out_material,
+        material_to_json,
+        write_material,
+    )
+    from needlefit.reporting.material_tables import summarize_material
     from needlefit.schemas.names import require_file_name
 
     require_file_name(file.stem, str(file))
@@ -46,13 +51,13 @@ def material(
     require_replaceable(out / name)
     stated = None if foundation is None else MaterialFoundation(*foundation)
     test = read_compression(file, stress)
-    report = Report(name, test, fit_material(test), stated)
+    report = MaterialReport(name, test, fit_material(test), stated)
     write_material(report, out / name)
     if json:
-        screen.show_json(as_json(report))
+        screen.show_json(material_to_json(report))
         return
-    screen.show_display(layout(report))
-    for sentence in (*test.warnings, *summary(report.material, stated)):
+    screen.show_display(lay_out_material(report))
+    for sentence in (*test.warnings, *summarize_material(report.material, stated)):
         screen.print_line(f"{sentence[:1].upper()}{sentence[1:].removesuffix('.')}.")
     if report.material.alpha_identified:
         screen.print_line(f'For layer 1 of a fit: priors = {{ 1 = "{out / name}/prior.toml" }}')

@@ -1,10 +1,11 @@
 """Options that several commands share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from needlefit.project.locate import STUDY_GROUPS, list_names, list_runs
 from needlefit.schemas.limits import MAX_SEED
 
 
@@ -39,3 +40,97 @@ Strict = Annotated[
     bool,
     typer.Option("--strict", callback=_set_strict, help="Exit code 5 after a warning; results are written."),
 ]
+
+
+def complete_scenes(incomplete: str) -> list[str]:
+    """Return the scenes whose names begin so."""
+    return _with_prefix(list_names("scene"), incomplete)
+
+
+def complete_studies(incomplete: str) -> list[str]:
+    """Return the studies whose names begin so, and the names of several."""
+    return _with_prefix([*list_names("study"), *STUDY_GROUPS], incomplete)
+
+
+def complete_targets(incomplete: str) -> list[str]:
+    """Return the studies and fits whose names begin so."""
+    return _with_prefix([*list_names("study"), *list_names("fit")], incomplete)
+
+
+def complete_runs(incomplete: str) -> list[str]:
+    """Return the runs in reports/ whose names begin so."""
+    return [name for name in list_runs() if name.startswith(incomplete)]
+
+
+def complete_datasets(incomplete: str) -> list[str]:
+    """Return the datasets whose names begin so."""
+    return _with_prefix(list_names("dataset"), incomplete)
+
+
+def complete_scans(incomplete: str) -> list[str]:
+    """Return the tables of scans whose names begin so."""
+    return _with_prefix(list_names("scans"), incomplete)
+
+
+def complete_reconstructions(incomplete: str) -> list[str]:
+    """Return the recipes of reconstruction whose names begin so."""
+    return _with_prefix(list_names("reconstruction"), incomplete)
+
+
+def complete_view_targets(incomplete: str) -> list[str]:
+    """Return the scenes, runs and datasets whose names begin so."""
+    return _with_prefix([*list_names("scene"), *list_runs(), *list_names("dataset")], incomplete)
+
+
+def _with_prefix(known: list[str], incomplete: str) -> list[str]:
+    return [name for name in known if name.startswith(incomplete)]
+
+
+if TYPE_CHECKING:
+    from needlefit.schemas.scene import SceneRecord
+
+
+Depth = Annotated[
+    float | None,
+    typer.Option(metavar="MM", help="Inserted arc length, of a scene without steps; else the scene's."),
+]
+Set = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="Change a key of the scene, e.g. bevel.offset_mm=0.1; layers, guides and steps are numbered "
+        "from 1: layers.1.mu_pa=3e5 is the first one. May be given again.",
+    ),
+]
+
+
+def scene_record(name: str, depth: float | None, assignments: list[str]) -> tuple[str, "SceneRecord"]:
+    """Return where the scene stands and what it says, with what the options change."""
+    pairs = [_pair(text) for text in assignments]
+    from needlefit.project.load import check, load, read_toml
+    from needlefit.project.locate import file_label, find_file
+    from needlefit.project.overrides import override
+    from needlefit.schemas.scene import SceneRecord
+
+    path = find_file("scene", name)
+    record = load(path, SceneRecord)
+    if depth is not None:
+        if record.steps:
+            raise typer.BadParameter(
+                "the scene has steps, each with its own depth: "
+                f"--set steps.{len(record.steps)}.depth_mm={depth:g}",
+                param_hint="--depth",
+            )
+        pairs.append(("depth_mm", repr(depth)))
+    if not pairs:
+        return file_label(path), record
+    where = f"{file_label(path)}, changed by {', '.join(f'{key}={value}' for key, value in pairs)}"
+    return where, check(override(read_toml(path), pairs, SceneRecord, file_label(path)), SceneRecord, where)
+
+
+def _pair(text: str) -> tuple[str, str]:
+    key, equals, value = text.partition("=")
+    if not (key.strip() and equals and value.strip()):
+        raise typer.BadParameter(f"`{text}` is not KEY=VALUE, e.g. bevel.offset_mm=0.1", param_hint="--set")
+    return key.strip(), value.strip()

@@ -6,11 +6,10 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.completion import complete_scenes, complete_targets
 from needlefit.cli.execution import count_cores
 from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.options import Depth, Set, complete_scenes, complete_targets, scene_record
 from needlefit.cli.progress import show_progress
-from needlefit.cli.scene_options import Depth, Set, scene_record
 from needlefit.cli.screen import print_warnings
 from needlefit.project.result_warnings import WARNINGS_KEY, to_rows, warnings_entry
 
@@ -51,8 +50,8 @@ def predict(
     """Predict a planned insertion with what a TARGET's data tell.
 
     The scene says needle, depth, places of the layers, bevel side and controls; moduli and bevel offset come
-    from draws of the TARGET's posterior: where one was sampled from that, else weighed about a fit made now.
-    Prints tip and bands, and writes shape and picture to OUT/predict-TARGET-SCENE/.
+    from draws of the TARGET's posterior: where one was sampled from that, else importance-weighted about a
+    fit made now. Prints tip and bands, and writes shape and picture to OUT/predict-TARGET-SCENE/.
     """
     invocation = context.find_root().obj
     with catch_interrupts() as stop:  # from here on, so that Ctrl-C never cuts an import in two
@@ -60,7 +59,12 @@ def predict(
         from needlefit.mechanics.scene import Scene
         from needlefit.project.ownership import require_replaceable
         from needlefit.project.unit_warnings import scene_warnings
-        from needlefit.reporting.forecast import forecast_layout, tip, unconverged, write_forecast
+        from needlefit.reporting.forecast import (
+            describe_convergence,
+            lay_out_forecast,
+            summarize_tip,
+            write_forecast,
+        )
         from needlefit.schemas.names import require_file_name
         from needlefit.validation.forecast import draw_parameters, forecast, outside_warnings
         from needlefit.validation.job import Settings, prepare
@@ -94,15 +98,15 @@ def predict(
             {
                 "target": name,
                 "scene": scene,
-                **tip(found),
+                **summarize_tip(found),
                 WARNINGS_KEY: to_rows(warned),
                 "written": str(folder),
             }
         )
     else:
-        screen.show_display(forecast_layout(found, title, synthetic))
+        screen.show_display(lay_out_forecast(found, title, synthetic))
         screen.print_line(f"written: {folder}/")
     print_warnings(invocation, warned)
     if found.faults:
-        screen.print_note(f"needlefit: {name}: the posterior has {unconverged(found)}")
+        screen.print_note(f"needlefit: {name}: the posterior has {describe_convergence(found)}")
         raise typer.Exit(exit_codes.NOT_CONVERGED)

@@ -8,10 +8,10 @@ import typer
 from typer.core import TyperCommand
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.completion import complete_reconstructions
-from needlefit.cli.completion import complete_scans as complete_scans
 from needlefit.cli.execution import count_cores, print_remark
 from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.options import complete_reconstructions
+from needlefit.cli.options import complete_scans as complete_scans
 from needlefit.cli.progress import show_progress
 from needlefit.cli.screen import print_warnings
 from needlefit.errors import DataError
@@ -110,7 +110,7 @@ def reconstruct(
         from needlefit.project.locate import find_file
         from needlefit.project.outputs import require_no_inputs_within
         from needlefit.project.ownership import require_own_checkpoint, require_replaceable
-        from needlefit.reporting.reconstructed import write_reconstructed
+        from needlefit.reporting.reconstruction_folder import write_reconstruction
         from needlefit.schemas.names import require_file_name
         from needlefit.schemas.reconstruction import ReconstructionRecord
 
@@ -137,7 +137,7 @@ def reconstruct(
             ones = [one for one in found if not isinstance(one, ReconstructionFailure)]
             if ones:
                 about = DatasetDescription(out.resolve().name, title)
-                kept, faulty = write_reconstructed(out, ones, record, about, report)
+                kept, faulty = write_reconstruction(out, ones, record, about, report)
                 ones, failed = list(kept), [*failed, *faulty]
     warnings = warnings_in(out) if ones else []
     _show(out, ones, failed, warnings if json else None)
@@ -182,17 +182,17 @@ def _show(
     as_json: "list[ResultWarning] | None",
 ) -> None:
     """Print what was found; with the warnings of the dataset, as JSON."""
-    from needlefit.reporting.reconstructions import reconstruction_table, reconstructions_layout
+    from needlefit.reporting.reconstruction_folder import lay_out_reconstructions, tabulate_reconstructions
 
     if as_json is not None:
-        rows = reconstruction_table(ones).to_dict(orient="records") if ones else []
+        rows = tabulate_reconstructions(ones).to_dict(orient="records") if ones else []
         errors = [
             {"id": one.scan.id, "scan": str(one.scan.volume), "error": str(one.error)} for one in failed
         ]
         about = {"dataset": str(out) if ones else None, WARNINGS_KEY: to_rows(as_json)}
         screen.show_json({**about, "scans": rows, "failed": errors})
     elif ones:
-        screen.show_display(reconstructions_layout(ones))
+        screen.show_display(lay_out_reconstructions(ones))
         screen.print_line(f"written: {out}/")
     for one in failed:
         screen.print_note(f"needlefit: {_describe_failure(one)}")

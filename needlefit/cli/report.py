@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_runs
+from needlefit.cli.options import complete_runs
 
 
 def report(

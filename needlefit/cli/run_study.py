@@ -53,10 +53,10 @@ class StudyOutcomes:
 
     def as_json(self) -> object:
         """Return the answers as plain values: of a single sort as they are, else by study."""
-        from needlefit.reporting.tables import records, validation_table
+        from needlefit.reporting.tables import tabulate_validation, to_records
 
         warned = {one.name: to_rows(read_warnings(one.run)) for one in self.scored}
-        rows = [(one.name, row) for one in self.scored for row in records(validation_table(one))]
+        rows = [(one.name, row) for one in self.scored for row in to_records(tabulate_validation(one))]
         table = [{**row, WARNINGS_KEY: warned[name]} for name, row in rows]
         others: dict[str, object] = {one.name: analysis_json(one) for one in self.analyses}
         others |= {one.name: tracks_json(one) for one in self.tracks}
@@ -127,12 +127,12 @@ def _run_fit(execution: Execution, name: str, record: StudyRecord | FitRecord, j
 
 def run_analysis(execution: Execution, name: str, record: "AnalysisRecord", json: bool) -> "AnalysisResult":
     """Run, write and print one analysis."""
-    from needlefit.reporting.inquiries.write import write_answer
+    from needlefit.reporting.analyses.result_folder import write_analysis
 
     answer = execution.run_analysis(name, record)
     if answer.interrupted:
         raise execution.interrupted()
-    folder = write_answer(answer, execution.folder(name))
+    folder = write_analysis(answer, execution.folder(name))
     if not json:
         _show_analysis(answer)
         screen.print_line(f"written: {folder}/")
@@ -144,28 +144,28 @@ def run_analysis(execution: Execution, name: str, record: "AnalysisRecord", json
 
 def analysis_json(answer: "AnalysisResult") -> dict[str, object]:
     """Return the frames of an answer as plain values."""
-    from needlefit.reporting.tables import records
+    from needlefit.reporting.tables import to_records
 
     warnings = to_rows(read_warnings(answer.run))
-    return {**{name: records(frame) for name, frame in answer.frames.items()}, WARNINGS_KEY: warnings}
+    return {**{name: to_records(frame) for name, frame in answer.frames.items()}, WARNINGS_KEY: warnings}
 
 
 def _show_analysis(answer: "AnalysisResult") -> None:
-    from needlefit.reporting.inquiries.pages import PAGES
+    from needlefit.reporting.analyses.result_folder import ANALYSIS_PAGES
 
-    page = PAGES[answer.kind]
+    page = ANALYSIS_PAGES[answer.kind]
     screen.print_line(f"{answer.name}: {answer.title}")
     kind = "SYNTHETIC" if answer.synthetic else "measured"
     screen.print_line(f"  {kind} data: {answer.dataset_title}")
-    for table in page.layouts(answer):
+    for table in page.lay_out(answer):
         screen.show_display(table)
-    for sentence in page.said(answer):
+    for sentence in page.summarize(answer):
         screen.print_line(sentence)
 
 
 def run_tracks(execution: Execution, name: str, record: "TrackStudyRecord", json: bool) -> "TrackResults":
     """Run, write and print one study of tip tracks; predictions use its posterior."""
-    from needlefit.reporting.tracks.write import write_tracks
+    from needlefit.reporting.track_report import write_tracks
 
     results = replace(execution, sample=True).run_tracks(name, record)
     if results.interrupted:
@@ -179,28 +179,29 @@ def run_tracks(execution: Execution, name: str, record: "TrackStudyRecord", json
 
 def tracks_json(results: "TrackResults") -> object:
     """Return how methods compare, run by run, as plain values."""
-    from needlefit.reporting.tables import records
+    from needlefit.reporting.tables import to_records
     from needlefit.validation.tracks.results import compare_methods_by_run
 
     warnings = to_rows(read_warnings(results.run))
-    return [{**row, WARNINGS_KEY: warnings} for row in records(compare_methods_by_run(results))]
+    return [{**row, WARNINGS_KEY: warnings} for row in to_records(compare_methods_by_run(results))]
 
 
 def _show_tracks(results: "TrackResults", folder: Path) -> None:
-    from needlefit.reporting.tracks.layouts import (
-        coverage_layout,
-        depths_layout,
-        parameters_layout,
-        scores_layout,
+    from needlefit.reporting.track_report import (
+        lay_out_coverage,
+        lay_out_depths,
+        lay_out_parameters,
+        lay_out_scores,
+        list_cautions,
+        summarize_tracks,
     )
-    from needlefit.reporting.tracks.said import cautions, in_short
 
     screen.print_line(f"{results.name}: {results.title}")
     kind = "SYNTHETIC" if results.origin == "synthetic" else "measured"
-    for sentence in (f"{kind} data: {results.dataset_title}", *cautions(results)):
+    for sentence in (f"{kind} data: {results.dataset_title}", *list_cautions(results)):
         screen.print_line(f"  {sentence}")
-    for layout in (parameters_layout, scores_layout, depths_layout, coverage_layout):
+    for layout in (lay_out_parameters, lay_out_scores, lay_out_depths, lay_out_coverage):
         screen.show_display(layout(results))
-    for sentence in in_short(results):
+    for sentence in summarize_tracks(results):
         screen.print_line(sentence)
     screen.print_line(f"written: {folder}/")

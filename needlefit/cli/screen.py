@@ -8,14 +8,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from needlefit.cli import screen
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation
 from needlefit.errors import without_controls
 from needlefit.project.json_values import to_json_values
 from needlefit.project.result_warnings import ResultWarning, read_warnings
 
 if TYPE_CHECKING:
-    from needlefit.reporting.display import Display
+    from needlefit.reporting.table_layout import TableLayout
 
 
 def print_line(text: str = "") -> None:
@@ -63,7 +62,7 @@ def show_frame(frame: Any, title: str) -> None:  # noqa: ANN401  a pandas.DataFr
     _show(columns, [[text for text, _ in row] for row in rows])
 
 
-def show_display(table: "Display") -> None:
+def show_display(table: "TableLayout") -> None:
     """Print a table that is ready to be set: its caption, its cells, its notes."""
     columns = [(f"{column.label} {column.unit}", column.align == "right") for column in table.columns]
     print_line(table.caption)
@@ -117,7 +116,7 @@ def print_warnings(invocation: Invocation, warnings: Iterable[ResultWarning]) ->
     """Print warnings to stderr; with `--strict` the command then ends with exit code 5."""
     for one in warnings:
         invocation.warned = True
-        screen.print_note(f"needlefit: warning: {one}")
+        print_note(f"needlefit: warning: {one}")
 
 
 def print_run_warnings(invocation: Invocation, run: Mapping[str, Any], dataset: str = "") -> None:

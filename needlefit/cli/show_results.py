@@ -28,31 +28,30 @@ def show_validation(results: "Results") -> None:
 
     A fit scores nothing but its own insertions: of it only its name and the data are printed.
     """
-    from needlefit.reporting.contest import rivals_said
-    from needlefit.reporting.foretold import foretold_layout
-    from needlefit.reporting.layouts import validation_layout
-    from needlefit.reporting.names import method_name
+    from needlefit.reporting.labels import method_name
+    from needlefit.reporting.score_tables import lay_out_coverage, lay_out_validation
+    from needlefit.reporting.sentences import summarize_baselines
     from needlefit.validation.summary import compare_methods
 
     show_head(results)
     if (results.errors["role"] == "tune").all():
         return
-    screen.show_display(validation_layout([results]))
+    screen.show_display(lay_out_validation([results]))
     methods = compare_methods(results)
     table = methods.assign(method=[method_name(str(method), results) for method in methods["method"]])
     table = table[list(_COMPARISON_HEADINGS)].round(3).rename(columns=_COMPARISON_HEADINGS)
     screen.show_frame(
         table, "Methods on the same held-out insertions and points; ΔIPE is the method's IPE minus the fit's."
     )
-    screen.print_line(rivals_said(results))
+    screen.print_line(summarize_baselines(results))
     if len(results.predictive):
-        screen.show_display(foretold_layout(results))
+        screen.show_display(lay_out_coverage(results))
 
 
 def show_head(results: "Results") -> None:
     """Print what this is, what the data are, and what failed, in words that a reader cannot miss."""
-    from needlefit.reporting.posterior import unconverged_said
-    from needlefit.reporting.sentences import failures_said, validity_said
+    from needlefit.reporting.posterior import describe_unconverged
+    from needlefit.reporting.sentences import describe_failures, describe_validity
 
     screen.print_line(f"{results.name}: {results.title}" if results.title else results.name)
     if results.origin == "synthetic":
@@ -63,7 +62,7 @@ def show_head(results: "Results") -> None:
         screen.print_line(f"  measured data: {results.dataset_title}")
     if results.interrupted:
         screen.print_line("  INTERRUPTED: the best found so far")
-    for sentences in (failures_said(results), validity_said(results), unconverged_said(results)):
+    for sentences in (describe_failures(results), describe_validity(results), describe_unconverged(results)):
         if sentences:
             screen.print_line(f"  {sentences}")
 
@@ -90,10 +89,10 @@ _METRIC_HEADINGS = {
 
 def show_tuning(results: "Results") -> None:
     """Print the parameters and errors of the fit and its methods, the waterfall, and what stays open."""
-    from needlefit.reporting.parameters import parameters_table
+    from needlefit.reporting.parameter_table import tabulate_parameters
 
     show_head(results)
-    table = parameters_table(results)
+    table = tabulate_parameters(results)
     rows = table.to_dict("records")
     table["known"] = [_format_sd(row["sd"], row["sd_of"]) for row in rows]
     table["within_tolerance"] = [_format_range(row["spread_low"], row["spread_high"]) for row in rows]
@@ -110,11 +109,15 @@ def show_tuning(results: "Results") -> None:
     screen.print_line()
     _show_errors(results)
     if results.posteriors:
-        from needlefit.reporting.posterior import outside_said, percentiles_table, unconverged_said
+        from needlefit.reporting.posterior import (
+            describe_outside_fits,
+            describe_unconverged,
+            tabulate_percentiles,
+        )
 
-        state = " NOT CONVERGED: they are not final." if unconverged_said(results) else ""
-        screen.show_frame(percentiles_table(results), f"Posterior: percentiles in Pa and mm.{state}")
-        screen.print_line(outside_said(results))
+        state = " NOT CONVERGED: they are not final." if describe_unconverged(results) else ""
+        screen.show_frame(tabulate_percentiles(results), f"Posterior: percentiles in Pa and mm.{state}")
+        screen.print_line(describe_outside_fits(results))
     if results.origin == "synthetic" and "hand_tuned" in set(results.errors["method"]):
         screen.print_line(
             "The paper's set was not tuned on this data; the fair method is the one with b re-tuned."
@@ -123,9 +126,9 @@ def show_tuning(results: "Results") -> None:
 
 def _show_verdict(results: "Results") -> None:
     """Print what profiles, information and contraction say of each parameter."""
-    from needlefit.reporting.identification_said import verdict_said
+    from needlefit.reporting.identification_tables import describe_verdicts
 
-    sentences = verdict_said(results.identification)
+    sentences = describe_verdicts(results.identification)
     if sentences:
         screen.print_line("Profile likelihoods, 95 %, drawn in profiles.pdf:")
     for sentence in sentences:
@@ -147,15 +150,15 @@ def _format_range(low: float, high: float) -> str:
 
 def tuning_json(results: "Results") -> dict[str, Any]:
     """Return the fit for machines: rows under the column names of the files."""
-    from needlefit.reporting.parameters import parameters_table
-    from needlefit.reporting.posterior import percentiles_table
+    from needlefit.reporting.parameter_table import tabulate_parameters
+    from needlefit.reporting.posterior import tabulate_percentiles
 
     about = {"name": results.name, "origin": results.origin, "dataset": results.dataset_title}
-    frames = {"parameters": parameters_table(results)}
+    frames = {"parameters": tabulate_parameters(results)}
     frames |= {name: getattr(results, name) for name in ("errors", "starts", "failures", "directions")}
     frames |= {"identification": results.identification, "profiles": results.profiles}
     if results.posteriors:
-        frames["posterior"] = percentiles_table(results)
+        frames["posterior"] = tabulate_percentiles(results)
     rows = {name: frame.to_dict("records") for name, frame in frames.items()}
     warnings = to_rows(read_warnings(results.run))
     return {**about, "interrupted": results.interrupted, WARNINGS_KEY: warnings, **rows}
@@ -193,7 +196,7 @@ def _has_values(column: "pd.Series[Any]") -> bool:
 
 
 def _show_errors(results: "Results") -> None:
-    from needlefit.reporting.names import method_name
+    from needlefit.reporting.labels import method_name
 
     errors = results.errors.query("role == 'tune' and boundaries == 'measured'")
     means = errors.groupby("method", sort=False)[list(_METRIC_HEADINGS)].mean().reset_index()

@@ -7,12 +7,16 @@ from typing import Annotated
 import typer
 
 from needlefit.cli import exit_codes, options, screen
-from needlefit.cli.completion import complete_scenes
-from needlefit.cli.invocation import Invocation
-from needlefit.cli.scene_options import Depth, Set, scene_record
+from needlefit.cli.exit_codes import Invocation
+from needlefit.cli.options import Depth, Set, complete_scenes, scene_record
 from needlefit.cli.screen import print_warnings
-from needlefit.cli.show_simulation import show_summary, summarize_simulation
-from needlefit.cli.simulation_outcome import SimulationOutcome, replay_recording, simulate_scene
+from needlefit.cli.simulation_outcome import (
+    SimulationOutcome,
+    replay_recording,
+    show_summary,
+    simulate_scene,
+    summarize_simulation,
+)
 from needlefit.project.locate import find_file
 from needlefit.project.outputs import require_output_files
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, to_rows

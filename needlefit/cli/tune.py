@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_targets
 from needlefit.cli.execution import Execution, require_converged
 from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.options import complete_targets
 from needlefit.cli.screen import print_run_warnings
 from needlefit.cli.show_results import show_tuning, tuning_json
 from needlefit.errors import ConfigError

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_studies
 from needlefit.cli.execution import Execution, require_no_faults
 from needlefit.cli.exit_codes import catch_interrupts
+from needlefit.cli.options import complete_studies
 
 if TYPE_CHECKING:
     from needlefit.cli.run_study import StudyOutcomes
@@ -77,12 +77,12 @@ def _combined_report_names(study: str) -> list[str]:
 
 
 def _write_combined_report(execution: Execution, study: str, done: "StudyOutcomes", json: bool) -> None:
-    from needlefit.reporting.layouts import tuning_layout
-    from needlefit.reporting.together import write_all
+    from needlefit.reporting.combined_report import write_combined
+    from needlefit.reporting.score_tables import lay_out_tuning
 
     folder = execution.folder(study)
-    write_all(done.scored, done.tuned, folder, done.analyses)
+    write_combined(done.scored, done.tuned, folder, done.analyses)
     if not json:
         for by in ("layers", "media"):
-            screen.show_display(tuning_layout(done.tuned, by))
+            screen.show_display(lay_out_tuning(done.tuned, by))
         screen.print_line(f"written: {folder}/")

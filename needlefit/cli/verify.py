@@ -30,7 +30,12 @@ def verify(
     and PDF to OUT/verification/. Exit code 6 where a row fails.
     """
     from needlefit.project.ownership import require_replaceable
-    from needlefit.reporting.verification import refinements, summary, table, write_verification
+    from needlefit.reporting.verification import (
+        summarize_verification,
+        tabulate_refinements,
+        tabulate_verification,
+        write_verification,
+    )
     from needlefit.verification.run import verify as measure
 
     folder = out / FOLDER
@@ -46,7 +51,12 @@ def verify(
     write_verification(found, folder, {"seconds": round(time.perf_counter() - started, 2)})
     if json:
         screen.show_json(
-            {"seed": seed, "summary": summary(found), "rows": table(found), "refinements": refinements(found)}
+            {
+                "seed": seed,
+                "summary": summarize_verification(found),
+                "rows": tabulate_verification(found),
+                "refinements": tabulate_refinements(found),
+            }
         )
     else:
         _show(found, folder)
@@ -59,9 +69,9 @@ def verify(
 
 
 def _show(found: "Verification", folder: Path) -> None:
-    from needlefit.reporting.verification import layouts, summary
+    from needlefit.reporting.verification import lay_out_verification, summarize_verification
 
-    for part in layouts(found):
+    for part in lay_out_verification(found):
         screen.show_display(part)
-    screen.print_line(summary(found))
+    screen.print_line(summarize_verification(found))
     screen.print_line(f"written: {folder}/")

@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from needlefit.cli import options, screen
-from needlefit.cli.completion import complete_view_targets
-from needlefit.cli.invocation import Invocation
+from needlefit.cli.exit_codes import Invocation
+from needlefit.cli.options import complete_view_targets
 from needlefit.cli.screen import print_warnings
 from needlefit.project.outputs import require_writable
 
 if TYPE_CHECKING:
-    from needlefit.viewer.serving.access_control import AccessControl
+    from needlefit.viewer.serving.connections import AccessControl
     from needlefit.viewer.serving.trials import TrialRegistry
 
 

@@ -1,1 +1,1 @@
-"""Results -> tables, figures and documents (`write`): the only room that draws."""
+"""Results -> tables, figures and documents (`write`): the only package that draws."""

@@ -1,29 +1,41 @@
-"""What makes our row and the paper's comparable, or not, in one plain sentence."""
+"""Explain whether our row and the paper's are comparable, and count layers by the alternative rule.
 
+The two readings of a needle that ends at a boundary: one layer more, or one less.
+
+The paper counts such needles in one way where it lists them and in another where it divides them among its
+studies. A study states which reading decides what tunes and what validates; with the same fit and the same
+predictions the other one only makes other groups, whose cells stand beside the first.
+"""
+
+from dataclasses import replace
+
+from needlefit.datasets.select import get_other_rule
 from needlefit.validation.results import Results
 
-SYNTHETIC = (
+SYNTHETIC_NOTE = (
     "Synthetic data: agreement with the paper on the twin is consistency, not evidence for the model, "
     "because the twin was built from the paper's own parameters and design."
 )
 
 
-def comparable_validation(results: Results, insertions: int, paper_insertions: int | None) -> str:
+def compare_validation_row(results: Results, insertions: int, paper_insertions: int | None) -> str:
     """Return the sentence for a held-out group; `paper_insertions` is None where the paper has no row."""
     if paper_insertions is None:
         return "The paper has no such row."
-    return _sentence(results, insertions, paper_insertions, "measured boundaries, mean over insertions")
+    return _describe_comparability(
+        results, insertions, paper_insertions, "measured boundaries, mean over insertions"
+    )
 
 
-def comparable_tuning(results: Results, insertions: int, paper_insertions: int | None) -> str:
+def compare_tuning_row(results: Results, insertions: int, paper_insertions: int | None) -> str:
     """Return the sentence for an in-sample group."""
     if paper_insertions is None:
         return "In-sample; the paper has no such row."
-    way = "in-sample, measured boundaries, mean over insertions"
-    return _sentence(results, insertions, paper_insertions, way)
+    conditions = "in-sample, measured boundaries, mean over insertions"
+    return _describe_comparability(results, insertions, paper_insertions, conditions)
 
 
-def comparable_parameters(results: Results, printed: bool) -> str:
+def compare_parameter_row(results: Results, printed: bool) -> str:
     """Return the sentence for a row of the parameter table; `printed` where the paper has a value."""
     if not printed:
         return "The paper has no such value."
@@ -34,7 +46,7 @@ def comparable_parameters(results: Results, printed: bool) -> str:
     )
 
 
-def _sentence(results: Results, insertions: int, paper_insertions: int, way: str) -> str:
+def _describe_comparability(results: Results, insertions: int, paper_insertions: int, conditions: str) -> str:
     if (results.errors["comparison"] == "aligned").any():
         return "Not comparable: our errors are after rigid alignment, the paper's in the world frame."
     data = (
@@ -43,13 +55,37 @@ def _sentence(results: Results, insertions: int, paper_insertions: int, way: str
         else "the needles are not the paper's"
     )
     count = (
-        "" if insertions == paper_insertions else f", {_counted(insertions)} here, {paper_insertions} there"
+        ""
+        if insertions == paper_insertions
+        else f", {_count_insertions(insertions)} here, {paper_insertions} there"
     )
     verdict = (
         "Same metrics and design, other data" if not count else "Same metrics, other data and insertions"
     )
-    return f"{verdict}: {way}; {data}{count}; ours are tuned automatically, the paper's by hand."
+    return f"{verdict}: {conditions}; {data}{count}; ours are tuned automatically, the paper's by hand."
 
 
-def _counted(insertions: int) -> str:
+def _count_insertions(insertions: int) -> str:
     return "1 insertion" if insertions == 1 else f"{insertions} insertions"
+
+
+Group = tuple[str, int]
+
+
+def use_alternate_count(results: Results) -> Results:
+    """Return the same results with the insertions grouped by the other reading."""
+    record = results.record.model_copy(
+        update={"layer_count_rule": get_other_rule(results.record.layer_count_rule)}
+    )
+    errors = results.errors.assign(
+        layers=results.errors["layers_other"], layers_other=results.errors["layers"]
+    )
+    return replace(results, record=record, errors=errors)
+
+
+def find_regrouped(results: Results, role: str) -> set[Group]:
+    """Return medium and layers of the groups of a role that the two readings fill differently."""
+    rows = results.errors[results.errors["role"] == role]
+    doubtful = rows[rows["layers"] != rows["layers_other"]]
+    counts = (doubtful["layers"], doubtful["layers_other"])
+    return {(str(m), int(n)) for layers in counts for m, n in zip(doubtful["medium"], layers, strict=True)}

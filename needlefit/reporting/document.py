@@ -1,8 +1,10 @@
-"""Blocks of text, tables and figures -> one PDF, by typst; no date, no path, the same bytes every time."""
+"""Blocks of text, tables and figures -> one PDF (typst) and one HTML page; the same bytes every time."""
 
+import base64
 import json
+import re
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from importlib.resources import files
@@ -11,10 +13,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any
 
+import jinja2
 import typst
+from markupsafe import Markup, escape
 
 from needlefit.project.result_warnings import read_warnings
-from needlefit.reporting.display import Display
+from needlefit.reporting.table_layout import TableLayout
 
 Block = dict[str, Any]
 
@@ -29,7 +33,8 @@ class Document:
     synthetic : bool
         Whether every page is headed SYNTHETIC DATA.
     blocks : tuple
-        Made by `heading`, `subheading`, `text`, `note`, `bullets`, `warning`, `empty`, `table` and `figure`.
+        Made by `heading`, `subheading`, `text`, `note`, `bullets`, `warning`, `gap_box`, `table` and
+        `figure`.
     """
 
     title: str
@@ -50,40 +55,40 @@ def subheading(words: str) -> Block:
 
 def text(words: str) -> Block:
     """Return a paragraph."""
-    return {"kind": "text", "text": _prose(words)}
+    return {"kind": "text", "text": _prose_block(words)}
 
 
 def note(words: str) -> Block:
     """Return a paragraph that stands back."""
-    return {"kind": "note", "text": _prose(words)}
+    return {"kind": "note", "text": _prose_block(words)}
 
 
 def bullets(items: Sequence[str]) -> Block:
     """Return a list."""
-    return {"kind": "list", "items": [_prose(words) for words in items]}
+    return {"kind": "list", "items": [_prose_block(words) for words in items]}
 
 
 def warning(words: str) -> Block:
     """Return a paragraph that cannot be overlooked."""
-    return {"kind": "warning", "text": _prose(words)}
+    return {"kind": "warning", "text": _prose_block(words)}
 
 
-def warnings_in(run: Mapping[str, Any], name: str) -> list[Block]:
+def run_warning_blocks(run: Mapping[str, Any], name: str) -> list[Block]:
     """Return a block for each warning that the run called `name` keeps."""
     return [warning(f"WARNING: {name}: {one}.") for one in read_warnings(run)]
 
 
-def empty(words: str) -> Block:
+def gap_box(words: str) -> Block:
     """Return an empty box, and in words what is missing in it."""
-    return {"kind": "empty", "text": _prose(words)}
+    return {"kind": "empty", "text": _prose_block(words)}
 
 
-def _prose(words: str) -> str:
+def _prose_block(words: str) -> str:
     """Return words without the backticks by which a terminal and Markdown tell names: a page prints them."""
     return words.replace("`", "")
 
 
-def table(display: Display, synthetic: bool) -> Block:
+def table(display: TableLayout, synthetic: bool) -> Block:
     """Return a table."""
     return {"kind": "table", "synthetic": synthetic, **asdict(display)}
 
@@ -97,10 +102,12 @@ def compile_pdf(document: Document) -> bytes:
     """Return the PDF of a report."""
     pictures = [block["path"] for block in document.blocks if "path" in block]
     numbered = {f"figure-{number}.pdf": path for number, path in enumerate(pictures, start=1)}
-    return set_page("report.typ", _payload(document), numbered)
+    return compile_template("report.typ", _payload(document), numbered)
 
 
-def set_page(template: str, payload: Block, pictures: Mapping[str, Path] = MappingProxyType({})) -> bytes:
+def compile_template(
+    template: str, payload: Block, pictures: Mapping[str, Path] = MappingProxyType({})
+) -> bytes:
     """Return the PDF that a template makes of its data and of pictures, which it knows by these names.
 
     Only fonts of typst's own are used.
@@ -117,7 +124,7 @@ def set_page(template: str, payload: Block, pictures: Mapping[str, Path] = Mappi
     return pdf
 
 
-def by_name(pictures: Sequence[Path]) -> dict[str, Path]:
+def key_by_file_name(pictures: Sequence[Path]) -> dict[str, Path]:
     """Return pictures as a template knows them that calls them by the names of their files."""
     return {picture.name: picture for picture in pictures}
 
@@ -132,12 +139,95 @@ def _payload(document: Document) -> Block:
         if block["kind"] != "table" or block["rows"]
     ]
     head = {"title": document.title, "subtitle": document.subtitle, "synthetic": document.synthetic}
-    return head | {"version": version_text(), "blocks": blocks}
+    return head | {"version": find_version(), "blocks": blocks}
 
 
-def version_text() -> str:
+def find_version() -> str:
     """Return needlefit's version; empty where it is run from a source tree that is not installed."""
     try:
         return version("needlefit")
     except PackageNotFoundError:
         return ""
+
+
+SVG_SCALE = 1.7
+"""px of the page per pt of a figure: its letters are made for paper, and stand beside larger ones here."""
+
+_EXPONENT_PATTERN = re.compile(r"\^(-?\d+(?:\.\d+)?)")
+_INNER_SVG_PATTERN = re.compile(rb'xlink:href="(data:image/svg\+xml;base64,[^"]+)"')
+_SVG_WIDTH_PATTERN = re.compile(rb'<svg [^>]*width="([0-9.]+)pt"')
+_SVG_PATH_PATTERN = re.compile(rb' d="[^"]*"')
+_SVG_DIGITS_PATTERN = re.compile(rb"(\.\d\d)\d+")
+_SVG_INDENT_PATTERN = re.compile(rb"\n\s+")
+_FIGURE_TEMPLATE = '#set page(width: auto, height: auto, margin: 0pt)\n#image("figure.pdf")\n'
+
+
+def compile_html(document: Document) -> bytes:
+    """Return the page of a report; equal documents give equal bytes."""
+    blocks = list(_number_blocks(document))
+    template = (files("needlefit.reporting") / "templates" / "report.html").read_text(encoding="utf-8")
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters["powers"] = _raise_exponents
+    page = environment.from_string(template).render(
+        title=document.title,
+        subtitle=document.subtitle,
+        synthetic=document.synthetic,
+        version=find_version(),
+        blocks=blocks,
+        sections=[block for block in blocks if block["kind"] == "heading"],
+        mark=_mark_up,
+    )
+    return page.encode("utf-8")
+
+
+def _number_blocks(document: Document) -> Iterator[Block]:
+    """Yield the blocks with a place to link to, figures with their picture; empty tables are left out."""
+    counts = {"heading": 0, "figure": 0, "table": 0}
+    for block in document.blocks:
+        kind = block["kind"]
+        if kind == "table" and not block["rows"]:
+            continue
+        if kind not in counts:
+            yield block
+            continue
+        counts[kind] += 1
+        numbered = {key: value for key, value in block.items() if key != "path"}
+        numbered |= {"number": counts[kind], "id": f"{kind}-{counts[kind]}"}
+        yield numbered | (_encode_figure(block["path"].read_bytes()) if kind == "figure" else {})
+
+
+def _encode_figure(pdf: bytes) -> Block:
+    """Return a figure as the address of an SVG that holds it, and how wide it is shown, px."""
+    with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
+        sheet = Path(name) / "sheet.typ"
+        sheet.write_text(_FIGURE_TEMPLATE, encoding="utf-8")
+        (Path(name) / "figure.pdf").write_bytes(pdf)
+        svg = typst.compile(str(sheet), root=name, format="svg", ignore_system_fonts=True)
+    assert isinstance(svg, bytes)
+    inside, width = _INNER_SVG_PATTERN.search(svg), _SVG_WIDTH_PATTERN.search(svg)
+    assert inside is not None and width is not None, "typst sets a PDF as an SVG within its own"
+    return {"picture": _shrink_svg(inside[1]), "width": round(SVG_SCALE * float(width[1]))}
+
+
+def _shrink_svg(address: bytes) -> str:
+    """Return the address of an SVG with its paths to 0.01 pt: a third of it is further digits."""
+    kind, _, data = address.partition(b",")
+    drawing = _SVG_PATH_PATTERN.sub(
+        lambda path: _SVG_DIGITS_PATTERN.sub(rb"\1", path[0]), base64.b64decode(data)
+    )
+    small = base64.b64encode(_SVG_INDENT_PATTERN.sub(b"\n", drawing))
+    return f"{kind.decode('ascii')},{small.decode('ascii')}"
+
+
+def _raise_exponents(words: str) -> Markup:
+    """Return text with powers raised: mu * b^1.9."""
+    raised = _EXPONENT_PATTERN.sub(
+        lambda found: f"<sup>{found[1].replace('-', '−')}</sup>", str(escape(words))
+    )
+    return Markup(raised)  # noqa: S704 - escaped first; the pattern adds only the tags
+
+
+def _mark_up(block: Block) -> Markup:
+    return Markup('<span class="mark">Synthetic data. </span>') if block["synthetic"] else Markup()

@@ -1,4 +1,4 @@
-"""A predicted insertion: its table, its files, its picture."""
+"""Write a predicted insertion: its table, its files, its figure."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pandas as pd
+from matplotlib.figure import Figure
 
 from needlefit.inference.predictive_distribution import (
     INTERVAL_PROBABILITIES,
@@ -17,24 +18,74 @@ from needlefit.project.atomic_write import replace_folder
 from needlefit.project.input_files import convert_stored_errors
 from needlefit.project.json_values import to_json_values
 from needlefit.project.run_file import require_schema
-from needlefit.reporting.display import Column, Display, text
-from needlefit.reporting.figures.forecast import draw_forecast
-from needlefit.reporting.files import write_json
-from needlefit.reporting.numbers import fixed
+from needlefit.reporting.figures.style import (
+    TEXT_WIDTH_IN,
+    choose_vertical_scale,
+    fit_height,
+    is_synthetic,
+    label_origin,
+    plot,
+)
+from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS
+from needlefit.reporting.number_format import format_mm
+from needlefit.reporting.table_files import write_json
+from needlefit.reporting.table_layout import TableColumn, TableLayout, text_column
 from needlefit.schemas.result_files import PredictionTable
 from needlefit.validation.forecast import Forecast
 from needlefit.validation.packing import RESULTS_FILE, pack, pack_frame, unpack_frame
 
-KIND = "forecast"
+_MARGIN_FRACTION = 0.2  # share of the bands' height left free above and below
+_FIGURE_HEIGHT_IN = 2.6  # inches
+
+
+def draw_forecast(table: pd.DataFrame, title: str, depth: float, path: Path) -> None:
+    """Draw median, 50 and 95 % bands of the needle, and the 95 % band of its measurement, mm."""
+    plot(path, table, lambda frame: _paint_forecast(frame, title, depth))
+
+
+def _paint_forecast(table: pd.DataFrame, title: str, depth: float) -> Figure:
+    x, colour = table["x_mm"], METHOD_COLOURS["fitted"]
+    low, high = table["measured_95_low_mm"].min(), table["measured_95_high_mm"].max()
+    room = _MARGIN_FRACTION * (high - low) + 0.05
+    figure = Figure(figsize=(TEXT_WIDTH_IN, _FIGURE_HEIGHT_IN))
+    axes = figure.add_subplot()
+    factor = choose_vertical_scale(1.1 * depth, high - low + 2 * room)
+    axes.set_aspect(factor)
+    axes.set(xlim=(-0.02 * depth, 1.12 * depth), ylim=(low - room, high + room))
+    axes.axhline(0.0, color=GREY, lw=0.5, ls=(0, (4, 3)))
+    for name in ("measured_95_low_mm", "measured_95_high_mm"):
+        axes.plot(x, table[name], color=INK, lw=0.6, ls=(0, (1, 1.5)))
+    for level, alpha in ((95, 0.2), (50, 0.35)):
+        ends = table[f"needle_{level}_low_mm"], table[f"needle_{level}_high_mm"]
+        axes.fill_between(x, *ends, color=colour, alpha=alpha, lw=0)
+    axes.plot(x, table["needle_median_mm"], color=colour, lw=1.4)
+    last = table.iloc[-1]
+    for name, summary, ink in (
+        ("measured_95_high_mm", "95 % of measurements", INK),
+        ("needle_median_mm", f"tip {last['needle_median_mm']:+z.2f} mm", colour),
+    ):
+        axes.annotate(
+            summary.replace("-", "−"), (last["x_mm"], last[name]), xytext=(4, 0), textcoords="offset points",
+            va="center", color=ink, fontsize=6.5,
+        )  # fmt: skip
+    axes.set_title(f"{title}: median, 50 and 95 % of needles", loc="left")
+    axes.set_xlabel("x along the entry (mm)")
+    axes.set_ylabel("y (mm)" + ("" if factor == 1 else f",\ndrawn {factor}× as large as x"))
+    label_origin(figure, is_synthetic(table))
+    fit_height(figure)
+    return figure
+
+
+FORECAST_KIND = "forecast"
 """Of what a run stores."""
 
-_BANDS = {"needle": "where the needle is", "measured": "where it would be measured"}
+_BAND_NAMES = {"needle": "where the needle is", "measured": "where it would be measured"}
 
 
-def forecast_table(forecast: Forecast) -> pd.DataFrame:
+def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
     """Return one row per station: s and x, then median and ends of the bands of y, all mm."""
     columns = {"s_mm": forecast.s, "x_mm": forecast.x}
-    for name in _BANDS:
+    for name in _BAND_NAMES:
         mixture: PredictiveMixture = getattr(forecast, name)
         columns[f"{name}_median_mm"] = quantile(mixture, 0.5)
         for level in INTERVAL_PROBABILITIES:
@@ -44,53 +95,53 @@ def forecast_table(forecast: Forecast) -> pd.DataFrame:
     return pd.DataFrame(columns)
 
 
-def tip(forecast: Forecast) -> dict[str, Any]:
+def summarize_tip(forecast: Forecast) -> dict[str, Any]:
     """Return the last station's row, and what the forecast rests on, for machines."""
-    row = {name: float(value) for name, value in forecast_table(forecast).iloc[-1].items()}
+    row = {name: float(value) for name, value in tabulate_forecast(forecast).iloc[-1].items()}
     draws = len(forecast.needle.means)
-    about = {"draw_source": forecast.source, "draws": draws, "failed_solves": forecast.failed}
-    about["outside_validity"] = forecast.outside
-    return {"tip": row, **about, "not_converged": list(forecast.faults)}
+    source = {"draw_source": forecast.source, "draws": draws, "failed_solves": forecast.failed}
+    source["outside_validity"] = forecast.outside
+    return {"tip": row, **source, "not_converged": list(forecast.faults)}
 
 
-def unconverged(forecast: Forecast) -> str:
+def describe_convergence(forecast: Forecast) -> str:
     """Return why the posterior behind a forecast has not converged, or nothing."""
     return f"NOT CONVERGED: {'; '.join(forecast.faults)}" if forecast.faults else ""
 
 
-def forecast_layout(forecast: Forecast, title: str, synthetic: bool) -> Display:
+def lay_out_forecast(forecast: Forecast, title: str, synthetic: bool) -> TableLayout:
     """Return the tip's table for the screen."""
-    row = forecast_table(forecast).iloc[-1]
-    columns = [text("Tip's y"), Column("Median", "mm")]
-    columns += [Column(f"{100 * level:.0f} %", "mm") for level in INTERVAL_PROBABILITIES]
+    row = tabulate_forecast(forecast).iloc[-1]
+    columns = [text_column("Tip's y"), TableColumn("Median", "mm")]
+    columns += [TableColumn(f"{100 * level:.0f} %", "mm") for level in INTERVAL_PROBABILITIES]
     cells = []
-    for name, said in _BANDS.items():
+    for name, summary in _BAND_NAMES.items():
         ends = [
             (row[f"{name}_{100 * p:.0f}_low_mm"], row[f"{name}_{100 * p:.0f}_high_mm"])
             for p in INTERVAL_PROBABILITIES
         ]
-        shown = [f"{fixed(low)} to {fixed(high)}" for low, high in ends]
-        cells.append((said, fixed(row[f"{name}_median_mm"]), *shown))
+        shown = [f"{format_mm(low)} to {format_mm(high)}" for low, high in ends]
+        cells.append((summary, format_mm(row[f"{name}_median_mm"]), *shown))
     source = {
         "posterior": "draws of the sampled posterior",
-        "importance": "draws of the posterior, weighed about the fit",
+        "importance": "importance-weighted draws about the fit",
     }[forecast.source]
-    left = f", {forecast.failed} draws without a solution left out" if forecast.failed else ""
+    failures = f", {forecast.failed} draws without a solution left out" if forecast.failed else ""
     notes = (
-        f"From {len(forecast.needle.means)} {source}{left}. What the model misses is not in it.",
+        f"From {len(forecast.needle.means)} {source}{failures}. What the model misses is not in it.",
         *(("The fitted data are synthetic.",) if synthetic else ()),
         *(
-            (f"The posterior has {unconverged(forecast)}: the bands are not final.",)
+            (f"The posterior has {describe_convergence(forecast)}: the bands are not final.",)
             if forecast.faults
             else ()
         ),
     )
-    caption = f"{_marked(title, forecast)}, {forecast.s[-1]:g} mm deep, across the entry axis"
-    return Display("forecast", caption, tuple(columns), tuple(cells), notes=notes)
+    caption = f"{_mark_title(title, forecast)}, {forecast.s[-1]:g} mm deep, across the entry axis"
+    return TableLayout("forecast", caption, tuple(columns), tuple(cells), notes=notes)
 
 
 @dataclass(frozen=True)
-class Foretold:
+class StoredForecast:
     """All that the files of a prediction hold: title, its table with the marks of every row, `run.json`."""
 
     title: str
@@ -106,26 +157,28 @@ def write_forecast(
     Whole or not at all.
     """
     marks = {"origin": "synthetic" if synthetic else "measured", "converged": not forecast.faults}
-    table = forecast_table(forecast).assign(**marks)
-    write_foretold(Foretold(_marked(title, forecast), table, run | tip(forecast)), folder)
+    table = tabulate_forecast(forecast).assign(**marks)
+    write_stored_forecast(
+        StoredForecast(_mark_title(title, forecast), table, run | summarize_tip(forecast)), folder
+    )
 
 
-def write_foretold(foretold: Foretold, folder: Path) -> None:
+def write_stored_forecast(stored: StoredForecast, folder: Path) -> None:
     """Write the files of a prediction; else as `write_forecast`."""
-    table = foretold.table
+    table = stored.table
     with replace_folder(folder) as new:
-        draw_forecast(table, foretold.title, float(table["s_mm"].max()), new / "forecast.pdf")
-        packs = {"title": foretold.title, "table": pack_frame(table), "run": to_json_values(foretold.run)}
-        pack({"kind": KIND, **packs}, new)
-        write_json(new / "run.json", foretold.run)
+        draw_forecast(table, stored.title, float(table["s_mm"].max()), new / "forecast.pdf")
+        packs = {"title": stored.title, "table": pack_frame(table), "run": to_json_values(stored.run)}
+        pack({"kind": FORECAST_KIND, **packs}, new)
+        write_json(new / "run.json", stored.run)
 
 
-def restored(table: Mapping[str, Any], folder: Path) -> Foretold:
+def restore_forecast(table: Mapping[str, Any], folder: Path) -> StoredForecast:
     """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
     require_schema(table, PredictionTable, str(folder / RESULTS_FILE))
     with convert_stored_errors(folder / RESULTS_FILE):
-        return Foretold(table["title"], unpack_frame(table["table"]), table["run"])
+        return StoredForecast(table["title"], unpack_frame(table["table"]), table["run"])
 
 
-def _marked(title: str, forecast: Forecast) -> str:
+def _mark_title(title: str, forecast: Forecast) -> str:
     return f"{title} (NOT CONVERGED)" if forecast.faults else title

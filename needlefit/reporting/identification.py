@@ -1,4 +1,4 @@
-"""The identifiability verdict: as a table, in sentences, as files."""
+"""Write the identifiability verdict: files, and JSON."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,22 +13,26 @@ from needlefit.project.json_values import to_json_values
 from needlefit.project.result_warnings import WARNINGS_KEY, ResultWarning, read_warnings, to_rows
 from needlefit.project.run_file import require_schema
 from needlefit.reporting.figures.profiles import draw_profiles
-from needlefit.reporting.files import write_csv, write_json
-from needlefit.reporting.identification_layout import directions_table, identification_table
-from needlefit.reporting.identification_said import design_said, verdict_said
-from needlefit.reporting.tables import records
+from needlefit.reporting.identification_tables import (
+    describe_design,
+    describe_verdicts,
+    tabulate_directions,
+    tabulate_identification,
+)
+from needlefit.reporting.table_files import write_csv, write_json
+from needlefit.reporting.tables import to_records
 from needlefit.schemas.result_files import IdentificationTable
 from needlefit.validation.design_identification import Identification
 from needlefit.validation.packing import RESULTS_FILE, pack, pack_frame, unpack_frame
 from needlefit.validation.results import Results
 
-KIND = "identification"
+IDENTIFICATION_KIND = "identification"
 """Of what a run stores."""
 
 
 @dataclass(frozen=True)
-class Stage:
-    """What is told at one stage, before the fit or after: a row per parameter, and the profiles' points."""
+class IdentificationStage:
+    """Verdict at one stage, before the fit or after: a row per parameter, and the profiles' points."""
 
     rows: pd.DataFrame
     profiles: pd.DataFrame
@@ -36,11 +40,11 @@ class Stage:
 
 
 @dataclass(frozen=True)
-class Written:
+class StoredIdentification:
     """All that the files of a verdict hold: by stage ("design", "fit"), and the design's directions."""
 
     origin: str
-    stages: Mapping[str, Stage]
+    stages: Mapping[str, IdentificationStage]
     directions: pd.DataFrame
 
 
@@ -56,79 +60,81 @@ def write_identification(found: Identification, fitted: Results | None, folder: 
     ConfigError
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
-    stages = {"design": Stage(found.identification, found.profiles, found.run)}
+    stages = {"design": IdentificationStage(found.identification, found.profiles, found.run)}
     if fitted is not None:
-        stages["fit"] = Stage(fitted.identification, fitted.profiles, fitted.run)
-    directions = directions_table(found.expectation, found.origin)
-    return write_stages(Written(found.origin, stages, directions), folder)
+        stages["fit"] = IdentificationStage(fitted.identification, fitted.profiles, fitted.run)
+    directions = tabulate_directions(found.expectation, found.origin)
+    return write_stored_identification(StoredIdentification(found.origin, stages, directions), folder)
 
 
-def write_stages(written: Written, folder: Path) -> list[Path]:
+def write_stored_identification(stored: StoredIdentification, folder: Path) -> list[Path]:
     """Write the files of a verdict; else as `write_identification`."""
-    origin, last = written.origin, list(written.stages)[-1]
+    origin, last = stored.origin, list(stored.stages)[-1]
     with replace_folder(folder) as new:
         tables = [
-            identification_table(stage.rows, origin).assign(stage=name)
-            for name, stage in written.stages.items()
+            tabulate_identification(stage.rows, origin).assign(stage=name)
+            for name, stage in stored.stages.items()
         ]
-        write_csv(_stacked(tables), new / "identify.csv")
-        write_csv(written.directions, new / "directions.csv")
-        for name, stage in written.stages.items():
+        write_csv(_stack_frames(tables), new / "identify.csv")
+        write_csv(stored.directions, new / "directions.csv")
+        for name, stage in stored.stages.items():
             file = "profiles" if name == last else f"profiles_{name}"
             draw_profiles(stage.rows, stage.profiles, origin, new / f"{file}.pdf")
-        _store(written, new)
-        write_json(new / "run.json", {name: stage.run for name, stage in written.stages.items()})
+        _store_identification(stored, new)
+        write_json(new / "run.json", {name: stage.run for name, stage in stored.stages.items()})
     return sorted(folder.iterdir())
 
 
-def restored(table: Mapping[str, Any], folder: Path) -> Written:
+def restore_identification(table: Mapping[str, Any], folder: Path) -> StoredIdentification:
     """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
     require_schema(table, IdentificationTable, str(folder / RESULTS_FILE))
     with convert_stored_errors(folder / RESULTS_FILE):
         stages = {
-            name: Stage(unpack_frame(stage["rows"]), unpack_frame(stage["profiles"]), stage["run"])
+            name: IdentificationStage(
+                unpack_frame(stage["rows"]), unpack_frame(stage["profiles"]), stage["run"]
+            )
             for name, stage in table["stages"].items()
         }
-        return Written(table["origin"], stages, unpack_frame(table["directions"]))
+        return StoredIdentification(table["origin"], stages, unpack_frame(table["directions"]))
 
 
-def _store(written: Written, folder: Path) -> None:
+def _store_identification(stored: StoredIdentification, folder: Path) -> None:
     stages = {
         name: {
             "rows": pack_frame(stage.rows),
             "profiles": pack_frame(stage.profiles),
             "run": to_json_values(stage.run),
         }
-        for name, stage in written.stages.items()
+        for name, stage in stored.stages.items()
     }
-    table = {"kind": KIND, "origin": written.origin, "stages": stages}
-    pack({**table, "directions": pack_frame(written.directions)}, folder)
+    table = {"kind": IDENTIFICATION_KIND, "origin": stored.origin, "stages": stages}
+    pack({**table, "directions": pack_frame(stored.directions)}, folder)
 
 
-def warnings_of_both(found: Identification, fitted: Results | None) -> tuple[ResultWarning, ...]:
+def merge_warnings(found: Identification, fitted: Results | None) -> tuple[ResultWarning, ...]:
     """Return the warnings of the design, and of the fit if there is one, each once."""
     runs = [found.run, *([] if fitted is None else [fitted.run])]
     return tuple(dict.fromkeys(one for run in runs for one in read_warnings(run)))
 
 
-def as_json(found: Identification, fitted: Results | None) -> dict[str, Any]:
+def identification_to_json(found: Identification, fitted: Results | None) -> dict[str, Any]:
     """Return the verdict for machines."""
     about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title, "place": found.place}
-    said = {"design": design_said(found)}
-    rows = {"design": records(identification_table(found.identification, found.origin))}
+    sentences = {"design": describe_design(found)}
+    rows = {"design": to_records(tabulate_identification(found.identification, found.origin))}
     if fitted is not None:
-        said["fit"] = verdict_said(fitted.identification)
-        rows["fit"] = records(identification_table(fitted.identification, found.origin))
+        sentences["fit"] = describe_verdicts(fitted.identification)
+        rows["fit"] = to_records(tabulate_identification(fitted.identification, found.origin))
     return {
         **about,
-        WARNINGS_KEY: to_rows(warnings_of_both(found, fitted)),
-        "said": said,
+        WARNINGS_KEY: to_rows(merge_warnings(found, fitted)),
+        "sentences": sentences,
         **rows,
-        "directions": records(directions_table(found.expectation, found.origin)),
+        "directions": to_records(tabulate_directions(found.expectation, found.origin)),
     }
 
 
-def _stacked(tables: list[pd.DataFrame]) -> pd.DataFrame:
+def _stack_frames(tables: list[pd.DataFrame]) -> pd.DataFrame:
     """Return the tables one under the other, the stage first."""
     whole_table = pd.concat([table.dropna(axis=1, how="all") for table in tables], ignore_index=True)
     columns = dict.fromkeys(["stage", *(name for table in tables for name in table.columns)])

@@ -1,4 +1,10 @@
-"""Posteriors of a run: their files, and the table of percentiles."""
+"""Posteriors of a run: files, table of percentiles, and the ridge on which the draws lie.
+
+The ridge on which a posterior lies: where parameters can move together and the needles stay what they are.
+
+It is the longest principal axis of the draws, in logarithms of moduli and lengths; across it lies what the
+data do tell.
+"""
 
 from collections.abc import Callable, Mapping
 from functools import partial
@@ -6,17 +12,20 @@ from pathlib import Path
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from needlefit.inference.identifiability.information import Direction, principal_directions
+from needlefit.inference.parameters import is_logarithmic
 from needlefit.inference.sampling.posterior import PERCENTILES, Posterior, save
-from needlefit.reporting.display import Column, Display, text, without_empty
-from needlefit.reporting.numbers import fixed, number, symbol, typeset
-from needlefit.reporting.parameters import NOT_DETERMINED
-from needlefit.reporting.tables import Row, records
+from needlefit.reporting.number_format import format_mm, format_number, format_symbol, insert_symbols, typeset
+from needlefit.reporting.parameter_table import NOT_DETERMINED
+from needlefit.reporting.table_layout import TableColumn, TableLayout, drop_empty_columns, text_column
+from needlefit.reporting.tables import Row, to_records
 from needlefit.validation.results import Results
 from needlefit.validation.stored import posterior_file_names
 
 
-def percentiles_table(results: Results) -> pd.DataFrame:
+def tabulate_percentiles(results: Results) -> pd.DataFrame:
     """Return one row per fold and free parameter: percentiles (Pa, mm), the fit's own value, R-hat.
 
     `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
@@ -26,114 +35,128 @@ def percentiles_table(results: Results) -> pd.DataFrame:
     where the rule, which asks more than the parameters, is not met: the percentiles are then not final.
     `determined` is false where the fit's value is no estimate, and the percentiles tell of the bounds too.
     """
-    fits = {(str(r["fold"]), r["parameter"]): r for r in _fitted(results)}
-    rows = [row for fold, posterior in results.posteriors.items() for row in _rows(fold, posterior, fits)]
-    heads = ("fold", "parameter", *map(_head, PERCENTILES), "fit_value_used", "determined")
+    fits = {(str(r["fold"]), r["parameter"]): r for r in _fitted_rows(results)}
+    rows = [
+        row
+        for fold, posterior in results.posteriors.items()
+        for row in _percentile_rows(fold, posterior, fits)
+    ]
+    heads = ("fold", "parameter", *map(_percentile_column, PERCENTILES), "fit_value_used", "determined")
     heads += ("fit_in_central_95",)
     heads += ("r_hat", "ess_bulk", "ess_tail", "acceptance", "converged", "origin")
     return pd.DataFrame([{**row, "origin": results.origin} for row in rows], columns=heads)
 
 
-def unconverged_said(results: Results) -> str:
+def describe_unconverged(results: Results) -> str:
     """Return in what the rule of convergence is not met, by fold where there are several, or nothing."""
     several = len(results.posteriors) > 1
-    said = [
+    summary = [
         (f"{fold}: " if several else "") + "; ".join(posterior.faults)
         for fold, posterior in results.posteriors.items()
         if posterior.faults
     ]
-    if not said:
+    if not summary:
         return ""
     return (
-        f"NOT CONVERGED: {'. '.join(said)}. Percentiles and bands drawn from this posterior are not final; "
+        f"NOT CONVERGED: {'. '.join(summary)}. Percentiles and bands drawn from this posterior are not "
+        f"final; "
         "raise the recipe’s sample.steps."
     )
 
 
-def outside_said(results: Results) -> str:
+def describe_outside_fits(results: Results) -> str:
     """Return which fitted values lie outside the central 95 % of their posterior, or nothing."""
-    rows = [row for row in records(percentiles_table(results)) if row["fit_in_central_95"] is False]
+    rows = [row for row in to_records(tabulate_percentiles(results)) if row["fit_in_central_95"] is False]
     if not rows:
         return ""
     several = len(results.posteriors) > 1
-    names = [symbol(row["parameter"]).split(" (")[0] for row in rows]
+    names = [format_symbol(row["parameter"]).split(" (")[0] for row in rows]
     where = [f"{name} in {row['fold']}" if several else name for name, row in zip(names, rows, strict=True)]
     by_metric = (results.starts.query("fit == 'fitted'")["minimized"] == "metric").any()
-    why = _BY_METRIC if by_metric else _BY_PEAK
+    why = _METRIC_FIT_NOTE if by_metric else _MODE_NOTE
     return f"The fit lies outside the central 95 % of the posterior in {', '.join(where)}: {why}"
 
 
-_BY_METRIC = (
+_METRIC_FIT_NOTE = (
     "the fit minimises the recipe’s error metrics (IPE, TE, EDP), the posterior weighs points by the stated "
     "noise, so the percentiles are no error bars of the fitted values."
 )
-_BY_PEAK = (
+_MODE_NOTE = (
     "the fit is the peak of the density, and where that leans on a bound, or has a narrow hill beside a "
     "broad one, most of the posterior lies elsewhere. The percentiles say what is known, not the peak."
 )
 
 
-def posterior_layout(results: Results) -> Display:
+def lay_out_posterior(results: Results) -> TableLayout:
     """Return the percentiles with the fit's own value beside them."""
-    table = records(percentiles_table(results))
+    table = to_records(tabulate_percentiles(results))
     rows = tuple(
         (
-            *(str(row["fold"]) if len(results.posteriors) > 1 else "", symbol(row["parameter"])),
-            *(typeset(number(row[_head(p)])) for p in PERCENTILES),
+            *(str(row["fold"]) if len(results.posteriors) > 1 else "", format_symbol(row["parameter"])),
+            *(typeset(format_number(row[_percentile_column(p)])) for p in PERCENTILES),
             _fit_cell(row),
-            *(fixed(row["r_hat"], 3), "" if row["converged"] else "NOT CONVERGED"),
+            *(format_mm(row["r_hat"], 3), "" if row["converged"] else "NOT CONVERGED"),
         )
         for row in table
     )
-    percentiles = (Column(f"{p:g} %") for p in PERCENTILES)
-    columns = (text("Fold"), text("Parameter"), *percentiles, Column("Fit"), Column("R-hat"), text("State"))
+    percentiles = (TableColumn(f"{p:g} %") for p in PERCENTILES)
+    columns = (
+        text_column("Fold"),
+        text_column("Parameter"),
+        *percentiles,
+        TableColumn("Fit"),
+        TableColumn("R-hat"),
+        text_column("State"),
+    )
     marked = any("‡" in _fit_cell(row) for row in table)
     notes = ("‡ outside the central 95 % of the draws.",) if marked else ()
     caption = "Posterior: percentiles of the draws, and the value that the fit ended with."
-    caption += " NOT CONVERGED: they are not final." if unconverged_said(results) else ""
-    return without_empty(Display("posterior", caption, columns, rows, (), (), notes))
+    caption += " NOT CONVERGED: they are not final." if describe_unconverged(results) else ""
+    return drop_empty_columns(TableLayout("posterior", caption, columns, rows, (), (), notes))
 
 
 def _fit_cell(row: Row) -> str:
     if row["determined"] is False:
         return NOT_DETERMINED
-    return typeset(number(row["fit_value_used"])) + (" ‡" if row["fit_in_central_95"] is False else "")
+    return typeset(format_number(row["fit_value_used"])) + (" ‡" if row["fit_in_central_95"] is False else "")
 
 
-def posterior_files(results: Results) -> Mapping[str, Callable[[Path], object]]:
+def make_posterior_writers(results: Results) -> Mapping[str, Callable[[Path], object]]:
     """Return what `write` is to write besides: `posterior.csv`, and each fold's draws as netCDF."""
     if not results.posteriors:
         return {}
     posteriors = results.posteriors.values()
     names = posterior_file_names(len(posteriors))
     draws = {name: partial(save, posterior) for name, posterior in zip(names, posteriors, strict=True)}
-    table = percentiles_table(results)
+    table = tabulate_percentiles(results)
     return {**draws, "posterior.csv": partial(table.to_csv, index=False, float_format="%.8g")}
 
 
-def _fitted(results: Results) -> list[Row]:
-    return [row for row in records(results.parameters) if row["method"] == "fitted"]
+def _fitted_rows(results: Results) -> list[Row]:
+    return [row for row in to_records(results.parameters) if row["method"] == "fitted"]
 
 
-def _rows(fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], Row]) -> list[dict[str, object]]:
-    about = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
+def _percentile_rows(
+    fold: str, posterior: Posterior, fits: Mapping[tuple[str, str], Row]
+) -> list[dict[str, object]]:
+    sampler = {"acceptance": float(np.mean(posterior.acceptance)), "converged": posterior.converged}
     found = posterior.convergence
     return [
         {
             "fold": fold,
             "parameter": name,
-            **dict(zip(map(_head, PERCENTILES), values, strict=True)),
-            **_beside(fits.get((str(fold), name)), values),
+            **dict(zip(map(_percentile_column, PERCENTILES), values, strict=True)),
+            **_compare_with_fit(fits.get((str(fold), name)), values),
             "r_hat": float(found.r_hat[number]),
             "ess_bulk": float(found.ess_bulk[:, number].min()),
             "ess_tail": float(found.ess_tail[:, number].min()),
-            **about,
+            **sampler,
         }
         for number, (name, values) in enumerate(posterior.percentiles().items())
     ]
 
 
-def _beside(fitted: Row | None, percentiles: tuple[float, ...]) -> dict[str, object]:
+def _compare_with_fit(fitted: Row | None, percentiles: tuple[float, ...]) -> dict[str, object]:
     """Return the fit's value, whether the data determine it, and whether the percentiles hold it."""
     if fitted is None or fitted["value"] is None:
         return {"fit_value_used": None, "determined": None, "fit_in_central_95": None}
@@ -142,5 +165,91 @@ def _beside(fitted: Row | None, percentiles: tuple[float, ...]) -> dict[str, obj
     return {"fit_value_used": fitted["value"], "determined": determined, "fit_in_central_95": inside}
 
 
-def _head(percentile: float) -> str:
+def _percentile_column(percentile: float) -> str:
     return f"p{percentile:g}"
+
+
+Floats = NDArray[np.float64]
+
+RIDGE_MIN_AXIS_RATIO = 3.0
+"""The longest axis of the draws is a ridge where it is so many times as long as the shortest."""
+
+RIDGE_REACH_SD = 2.0
+"""Standard deviations to which the ridge is drawn on both sides."""
+
+
+def describe_draws(results: Results) -> str:
+    """Return whose draws stand for the posterior, whether they can be trusted, and along what they lie."""
+    fold = results.draws["fold"].iloc[0]
+    draws = results.draws[results.draws["fold"] == fold]
+    source, k, certified = (draws[name].iloc[0] for name in ("draw_source", "pareto_k", "certified"))
+    summary = f"{len(draws)} draws of the sampled posterior"
+    if source == "importance":
+        summary = f"{len(draws)} importance draws about the modes of the fit, Pareto k {k:.2f}".replace(
+            "-", "−"
+        )
+    doubt = "" if certified else ", which is NOT CERTIFIED: sample it (--sample)"
+    where = (
+        f" Shown is the first of {results.draws['fold'].nunique()} folds, {fold}."
+        if _has_several_folds(results)
+        else ""
+    )
+    ridge = _describe_ridge(draws[list_free_parameters(results)])
+    return f"{summary[:1].upper()}{summary[1:]}{doubt}.{where} {ridge}"
+
+
+def _describe_ridge(draws: pd.DataFrame) -> str:
+    """Return what is known across the ridge and what is not along it."""
+    axes = principal_axes(draws)
+    if not is_ridge(axes):
+        return "No pair lies on a ridge."
+    known, loose = insert_symbols(axes[0].words), insert_symbols(axes[-1].words)
+    return f"Dashed, the ridge: along it {loose}; across it {known}."
+
+
+def _has_several_folds(results: Results) -> bool:
+    return bool(results.draws["fold"].nunique() > 1)
+
+
+def list_free_parameters(results: Results) -> list[str]:
+    """Return the parameters that were estimated."""
+    known = results.parameters
+    rows = known[(known["method"] == "fitted") & (known["status"] == "free")]
+    return list(dict.fromkeys(rows["parameter"]))
+
+
+def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
+    """Return the principal axes of draws (Pa, mm), the shortest, which is known best, first."""
+    names = [str(name) for name in draws.columns]
+    spread = np.atleast_2d(np.cov(to_log_coordinates(draws), rowvar=False))
+    information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
+    return principal_directions(information, names)
+
+
+def is_ridge(axes: tuple[Direction, ...]) -> bool:
+    """Return whether draws with these axes lie along the longest."""
+    return len(axes) > 1 and axes[-1].sd > RIDGE_MIN_AXIS_RATIO * axes[0].sd
+
+
+def to_log_coordinates(values: pd.DataFrame) -> Floats:
+    """Return values as theta has them (N, P): logarithms of moduli and lengths."""
+    columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
+    return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
+
+
+def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
+    """Return both ends of the ridge, Pa and mm; none where the draws have no longest axis."""
+    axes = principal_axes(draws)
+    if not is_ridge(axes):
+        return []
+    middle, step = (
+        to_log_coordinates(draws).mean(axis=0),
+        RIDGE_REACH_SD * axes[-1].sd * np.array(axes[-1].weights),
+    )
+    return [
+        {
+            str(name): float(np.exp(at) if is_logarithmic(str(name)) else at)
+            for name, at in zip(draws.columns, end, strict=True)
+        }
+        for end in (middle - step, middle + step)
+    ]

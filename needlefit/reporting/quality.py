@@ -8,25 +8,30 @@ import numpy as np
 from needlefit.imaging.reconstruction import Reconstruction
 from needlefit.project.atomic_write import replace_file
 from needlefit.reporting import document
-from needlefit.reporting.figures.across import across
-from needlefit.reporting.figures.along import along
-from needlefit.reporting.names import medium_name
-from needlefit.reporting.numbers import fixed
+from needlefit.reporting.figures.scan_sections import draw_needle_section, draw_tip_section
+from needlefit.reporting.labels import medium_name
+from needlefit.reporting.number_format import format_mm
 
 Fact = tuple[str, str]
 
 MAX_LISTED_WARNINGS = 10
 """Warnings on a page; the table of the batch has all."""
 
-_ALONG = (
+_ALONG_CAPTION = (
     "Above, the scan in slabs that follow the needle (crosses: centres of markers nearby); below, "
     "brightness, deflection, cross-sections off the axis. Lines: entry, layers, tip. Bands: 95 %, "
     "of the axis, not of single sections."
 )
-_ACROSS = "The scan across the needle near its tip, and the markers' distances from their known places."
-_POSES = {"stage": "the stage", "shaft": "the straight shaft outside"}
-_PLANES = {"stated": "the stated bevel", "bevel": "the bevel in the scan", "shape": "the needle's shape"}
-_MARKERS = {"volume": "found in the scan", "fiducials": "placed by hand"}
+_ACROSS_CAPTION = (
+    "The scan across the needle near its tip, and the markers' distances from their known places."
+)
+_POSE_SOURCES = {"stage": "the stage", "shaft": "the straight shaft outside"}
+_PLANE_SOURCES = {
+    "stated": "the stated bevel",
+    "bevel": "the bevel in the scan",
+    "shape": "the needle's shape",
+}
+_MARKER_SOURCES = {"volume": "found in the scan", "fiducials": "placed by hand"}
 
 
 def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
@@ -39,35 +44,43 @@ def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
     """
     with tempfile.TemporaryDirectory(prefix="needlefit-") as name:
         pictures = [
-            along(reconstruction, Path(name, "along.pdf")),
-            across(reconstruction, Path(name, "across.pdf")),
+            draw_needle_section(reconstruction, Path(name, "along.pdf")),
+            draw_tip_section(reconstruction, Path(name, "across.pdf")),
         ]
-        page = document.set_page("quality.typ", _payload(reconstruction), document.by_name(pictures))
+        page = document.compile_template(
+            "quality.typ", _payload(reconstruction), document.key_by_file_name(pictures)
+        )
     with replace_file(path) as new:
         new.write_bytes(page)
     return path
 
 
-def facts(reconstruction: Reconstruction) -> list[list[Fact]]:
+def list_facts(reconstruction: Reconstruction) -> list[list[Fact]]:
     """Return what the page says in words and numbers, in groups that belong together."""
-    groups = [_scan(reconstruction), _registered(reconstruction), _placed(reconstruction)]
-    return [group for group in [*groups, _needle(reconstruction), _layers(reconstruction)] if group]
+    groups = [
+        _scan_facts(reconstruction),
+        _registration_facts(reconstruction),
+        _placement_facts(reconstruction),
+    ]
+    return [
+        group for group in [*groups, _needle_facts(reconstruction), _layer_facts(reconstruction)] if group
+    ]
 
 
 def _payload(reconstruction: Reconstruction) -> document.Block:
     scan = reconstruction.scan
-    said = [medium_name(scan.medium), scan.specimen, scan.volume.name]
+    summary = [medium_name(scan.medium), scan.specimen, scan.volume.name]
     return {
         "title": f"Reconstruction of {scan.id}",
-        "subtitle": " · ".join(word for word in said if word),
+        "subtitle": " · ".join(word for word in summary if word),
         "synthetic": scan.origin == "synthetic",
         "mark": "SYNTHETIC DATA",
-        "version": document.version_text(),
-        "groups": facts(reconstruction),
+        "version": document.find_version(),
+        "groups": list_facts(reconstruction),
         "warnings": _list_warnings(reconstruction.warnings),
-        "caption": _ALONG,
-        "along": _ALONG,
-        "across": _ACROSS,
+        "caption": _ALONG_CAPTION,
+        "along": _ALONG_CAPTION,
+        "across": _ACROSS_CAPTION,
     }
 
 
@@ -78,14 +91,14 @@ def _list_warnings(warnings: tuple[str, ...]) -> list[str]:
     return [*shown, f"and {left} more, in reconstruction.csv"] if left > 0 else shown
 
 
-def _scan(reconstruction: Reconstruction) -> list[Fact]:
+def _scan_facts(reconstruction: Reconstruction) -> list[Fact]:
     spacing = reconstruction.spacing
     same = np.ptp(spacing) < 5e-4
     edges = f"{spacing[0]:.3g}" if same else " × ".join(f"{edge:.3g}" for edge in spacing)
     return [("voxels", f"{edges} mm" + (", cubes" if same else ""))]
 
 
-def _registered(reconstruction: Reconstruction) -> list[Fact]:
+def _registration_facts(reconstruction: Reconstruction) -> list[Fact]:
     markers, registration = reconstruction.markers, reconstruction.registration
     if markers is None or registration is None:
         return [("world", "the patient frame (LPS) of the scan; no markers")]
@@ -93,49 +106,55 @@ def _registered(reconstruction: Reconstruction) -> list[Fact]:
     more = f"; {found - paired} more belong to none" if found > paired else ""
     entry, tip = reconstruction.target_error
     return [
-        ("markers", f"{paired} of {registration.known} {_MARKERS[markers.source]}{more}"),
-        ("registration", f"FRE {fixed(registration.fre)} mm; {fixed(registration.expected_fre)} expected"),
-        ("error it leaves", f"{fixed(entry)} mm at the entry, {fixed(tip)} at the tip, predicted"),
+        ("markers", f"{paired} of {registration.known} {_MARKER_SOURCES[markers.source]}{more}"),
+        (
+            "registration",
+            f"FRE {format_mm(registration.fre)} mm; {format_mm(registration.expected_fre)} expected",
+        ),
+        ("error it leaves", f"{format_mm(entry)} mm at the entry, {format_mm(tip)} at the tip, predicted"),
     ]
 
 
-def _placed(reconstruction: Reconstruction) -> list[Fact]:
+def _placement_facts(reconstruction: Reconstruction) -> list[Fact]:
     pose, off = reconstruction.pose, reconstruction.local[:, 2]
     return [
-        ("entry pose", f"from {_POSES[pose.source]}"),
+        ("entry pose", f"from {_POSE_SOURCES[pose.source]}"),
         (
             "",
-            f"± {fixed(pose.along_sd)} mm along, ± {fixed(pose.shift_sd)} mm and "
-            f"± {fixed(np.degrees(pose.angle_sd))}° across",
+            f"± {format_mm(pose.along_sd)} mm along, ± {format_mm(pose.shift_sd)} mm and "
+            f"± {format_mm(np.degrees(pose.angle_sd))}° across",
         ),
-        ("bending plane", f"from {_PLANES[reconstruction.plane]}"),
-        ("out of plane", f"{fixed(_rms(off))} mm (rms), {fixed(float(np.abs(off).max()))} mm at most"),
+        ("bending plane", f"from {_PLANE_SOURCES[reconstruction.plane]}"),
+        (
+            "out of plane",
+            f"{format_mm(_rms(off))} mm (rms), {format_mm(float(np.abs(off).max()))} mm at most",
+        ),
     ]
 
 
-def _needle(reconstruction: Reconstruction) -> list[Fact]:
+def _needle_facts(reconstruction: Reconstruction) -> list[Fact]:
     along_sd, across_sd = reconstruction.needle_axis.tip_sd
     return [
-        ("inserted length", _with_sd(reconstruction.depth, reconstruction.depth_sd)),
-        ("tip's deflection", f"{fixed(float(reconstruction.local[-1, 1]))} mm"),
-        ("tip", f"± {fixed(along_sd)} mm along, ± {fixed(across_sd)} mm across"),
+        ("inserted length", _format_with_sd(reconstruction.depth, reconstruction.depth_sd)),
+        ("tip's deflection", f"{format_mm(float(reconstruction.local[-1, 1]))} mm"),
+        ("tip", f"± {format_mm(along_sd)} mm along, ± {format_mm(across_sd)} mm across"),
         ("centreline", f"± {_rms(reconstruction.sd):.3f} mm across (rms)"),
     ]
 
 
-def _layers(reconstruction: Reconstruction) -> list[Fact]:
+def _layer_facts(reconstruction: Reconstruction) -> list[Fact]:
     layers = reconstruction.layers
     return [
         (
             "layers" if n == 0 else "",
-            f"{layers.sequence[n]} → {layers.sequence[n + 1]} at {_with_sd(float(depth), float(sd))}",
+            f"{layers.sequence[n]} → {layers.sequence[n + 1]} at {_format_with_sd(float(depth), float(sd))}",
         )
         for n, (depth, sd) in enumerate(zip(layers.boundaries, layers.sd, strict=True))
     ] or [("layers", "no boundary crossed")]
 
 
-def _with_sd(value: float, sd: float) -> str:
-    return f"{fixed(value)} ± {fixed(sd)} mm"
+def _format_with_sd(value: float, sd: float) -> str:
+    return f"{format_mm(value)} ± {format_mm(sd)} mm"
 
 
 def _rms(values: np.ndarray) -> float:

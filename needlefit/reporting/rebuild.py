@@ -1,4 +1,4 @@
-"""A run's folder from what it stored, without computing anything again."""
+"""Write a run's folder again from what it stored, without computing anything."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -10,12 +10,12 @@ from needlefit.project.input_files import convert_stored_errors, is_file
 from needlefit.project.locate import PAPER_FITS, PAPER_STUDIES
 from needlefit.project.run_file import holds_several_runs, read_run
 from needlefit.reporting import forecast, identification
+from needlefit.reporting.analyses.result_folder import write_analysis
 from needlefit.reporting.calibration import write_calibration
-from needlefit.reporting.inquiries.write import write_answer
-from needlefit.reporting.posterior import posterior_files
-from needlefit.reporting.together import write_all
-from needlefit.reporting.tracks.write import write_tracks
-from needlefit.reporting.write import write
+from needlefit.reporting.combined_report import write_combined
+from needlefit.reporting.posterior import make_posterior_writers
+from needlefit.reporting.run_folder import write
+from needlefit.reporting.track_report import write_tracks
 from needlefit.schemas.study import StudyRecord
 from needlefit.validation.analyses.kinds import is_analysis_result, restore_result
 from needlefit.validation.analyses.runner import AnalysisResult
@@ -39,54 +39,56 @@ def rebuild(run: Path, folder: Path) -> Path:
         If `folder` holds something that is no result.
     """
     with convert_stored_errors(run):
-        return _again(run, folder)
+        return _rebuild(run, folder)
 
 
-def _again(run: Path, folder: Path) -> Path:
-    if _is_group(run):
-        every = restored(run)
+def _rebuild(run: Path, folder: Path) -> Path:
+    if _is_combined(run):
+        every = restore_run(run)
         results = [one for one in every if isinstance(one, Results)]
         studies = [one for one in results if isinstance(one.record, StudyRecord)]
         fits = [one for one in results if not isinstance(one.record, StudyRecord)]
-        write_all(studies, fits, folder, [one for one in every if isinstance(one, AnalysisResult)])
+        write_combined(studies, fits, folder, [one for one in every if isinstance(one, AnalysisResult)])
         return folder
-    _refuse(run)
+    _refuse_quick_runs(run)
     if is_analysis_result(run):
-        return write_answer(restore_result(run), folder)
+        return write_analysis(restore_result(run), folder)
     table = unpack(run)
     kind = table.get("kind")
-    if not isinstance(kind, str) or kind not in _KINDS:
+    if not isinstance(kind, str) or kind not in _REBUILDERS:
         raise damage_error(run / RESULTS_FILE, "it is of no kind of run that this version knows")
-    _KINDS[kind](table, run, folder)
+    _REBUILDERS[kind](table, run, folder)
     return folder
 
 
-def _results(_: Table, run: Path, folder: Path) -> None:
+def _write_again(_: Table, run: Path, folder: Path) -> None:
     results = restore_results(run)
-    write(results, folder, posterior_files(results))
+    write(results, folder, make_posterior_writers(results))
 
 
-_KINDS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyType(
+_REBUILDERS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyType(
     {
-        "study": _results,
-        "fit": _results,
+        "study": _write_again,
+        "fit": _write_again,
         calibration.CALIBRATION_KIND: lambda table, run, folder: write_calibration(
             calibration.restore_calibration(table, run), folder
         ),
         tracks.TRACKS_KIND: lambda table, run, folder: write_tracks(
             tracks.restore_tracks(table, run), folder
         ),
-        identification.KIND: lambda table, run, folder: identification.write_stages(
-            identification.restored(table, run), folder
+        identification.IDENTIFICATION_KIND: lambda table, run, folder: (
+            identification.write_stored_identification(
+                identification.restore_identification(table, run), folder
+            )
         ),
-        forecast.KIND: lambda table, run, folder: forecast.write_foretold(
-            forecast.restored(table, run), folder
+        forecast.FORECAST_KIND: lambda table, run, folder: forecast.write_stored_forecast(
+            forecast.restore_forecast(table, run), folder
         ),
     }
 )
 """How each kind of run is written again, from the table that it stored."""
 
-_IN_A_MOMENT = {
+_QUICK_COMMANDS = {
     "verification.csv": "needlefit verify",
     "material.json": "needlefit material FILE",
     "credibility.csv": "needlefit credibility RUN",
@@ -94,9 +96,9 @@ _IN_A_MOMENT = {
 """What only such a run writes, and how it is run: as fast as anything could be read again."""
 
 
-def _refuse(run: Path) -> None:
+def _refuse_quick_runs(run: Path) -> None:
     """Raise DataError for a run that stores nothing because it is computed again in a moment."""
-    for file, command in _IN_A_MOMENT.items():
+    for file, command in _QUICK_COMMANDS.items():
         if is_file(run / file):
             raise DataError(
                 "stores no results: it is computed again as fast as they could be read",
@@ -106,7 +108,7 @@ def _refuse(run: Path) -> None:
             )
 
 
-def restored(run: Path) -> list[Results | AnalysisResult]:
+def restore_run(run: Path) -> list[Results | AnalysisResult]:
     """Return what a run stored: one, or each of several that were reported together.
 
     Raises
@@ -114,20 +116,20 @@ def restored(run: Path) -> list[Results | AnalysisResult]:
     DataError
         As `rebuild`.
     """
-    if _is_group(run):
-        return [_part(run, name, computed) for name, computed in _parts(run).items()]
-    return [_restored(run)]
+    if _is_combined(run):
+        return [_restore_part(run, name, computed) for name, computed in _read_parts(run).items()]
+    return [_restore(run)]
 
 
-def _is_group(run: Path) -> bool:
-    return not is_file(run / RESULTS_FILE) and bool(_parts(run))
+def _is_combined(run: Path) -> bool:
+    return not is_file(run / RESULTS_FILE) and bool(_read_parts(run))
 
 
-def _restored(run: Path) -> Results | AnalysisResult:
+def _restore(run: Path) -> Results | AnalysisResult:
     return restore_result(run) if is_analysis_result(run) else restore_results(run)
 
 
-def _parts(run: Path) -> dict[str, object]:
+def _read_parts(run: Path) -> dict[str, object]:
     """Return what was computed, by the name of its run, in the order of a report of several."""
     table = read_run(run)
     if not holds_several_runs(table):
@@ -136,7 +138,7 @@ def _parts(run: Path) -> dict[str, object]:
     return {name: table[name] for name in dict.fromkeys([*first, *table])}
 
 
-def _part(run: Path, name: str, computed: object) -> Results | AnalysisResult:
+def _restore_part(run: Path, name: str, computed: object) -> Results | AnalysisResult:
     folder = run.parent / name
     if read_run(folder) != computed:
         raise DataError(
@@ -144,4 +146,4 @@ def _part(run: Path, name: str, computed: object) -> Results | AnalysisResult:
             where=str(folder),
             fix=f"run `needlefit validate {run.name}` again, or report the single runs",
         )
-    return _restored(folder)
+    return _restore(folder)

@@ -12,24 +12,24 @@ from pathlib import Path
 import pandas as pd
 
 from needlefit.project.atomic_write import replace_folder
-from needlefit.reporting.files import write_csv, write_json
-from needlefit.reporting.parameters import parameters_table
-from needlefit.reporting.tables import tuning_table, validation_table
+from needlefit.reporting.parameter_table import tabulate_parameters
+from needlefit.reporting.table_files import write_csv, write_json
+from needlefit.reporting.tables import tabulate_tuning, tabulate_validation
 from needlefit.validation.analyses.runner import AnalysisResult
 from needlefit.validation.results import Results
 from needlefit.validation.tracks.results import TrackResults, compare_methods_by_run, tabulate_coverage
 from needlefit.validation.validity import VALIDITY_KEY
 
-DECIMALS = 3
+LENGTH_DECIMALS = 3
 """Of a length in mm."""
 
-DIGITS = 3
+SIGNIFICANT_DIGITS = 3
 """Significant ones of everything else."""
 
-MOST = 500
+MAX_ROWS = 500
 """Rows of a table that is kept: longer ones are what shorter ones were made of, and no one reviews them."""
 
-_COUNTED = (
+_COUNT_KEYS = (
     "searches",
     "evaluations",
     "failed_solves",
@@ -48,19 +48,19 @@ def write_reference(one: Results | AnalysisResult | TrackResults, folder: Path) 
         If `folder` holds anything that needlefit did not write, or that was changed since.
     """
     with replace_folder(folder) as new:
-        for name, frame in _frames(one).items():
-            if 0 < len(frame) <= MOST:
-                write_csv(rounded(frame).assign(origin=one.origin), new / f"{name}.csv")
-        write_json(new / "run.json", {key: one.run[key] for key in one.run if key not in _COUNTED})
+        for name, frame in _collect_frames(one).items():
+            if 0 < len(frame) <= MAX_ROWS:
+                write_csv(round_frame(frame).assign(origin=one.origin), new / f"{name}.csv")
+        write_json(new / "run.json", {key: one.run[key] for key in one.run if key not in _COUNT_KEYS})
     return folder
 
 
-def rounded(frame: pd.DataFrame) -> pd.DataFrame:
+def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
     """Return a frame with every length to 0.001 mm and every other number to three significant digits."""
-    return frame.assign(**{str(name): _rounded(frame[name], str(name)) for name in frame})
+    return frame.assign(**{str(name): _round_column(frame[name], str(name)) for name in frame})
 
 
-def _frames(one: Results | AnalysisResult | TrackResults) -> Mapping[str, pd.DataFrame]:
+def _collect_frames(one: Results | AnalysisResult | TrackResults) -> Mapping[str, pd.DataFrame]:
     if isinstance(one, AnalysisResult):
         return one.frames
     if isinstance(one, TrackResults):
@@ -69,19 +69,23 @@ def _frames(one: Results | AnalysisResult | TrackResults) -> Mapping[str, pd.Dat
             "coverage": tabulate_coverage(one),
             "parameters": one.parameters,
         }
-    tables = {"validation": validation_table(one), "tuning": tuning_table(one)}
-    return tables | {"parameters": parameters_table(one), "errors": one.errors, "predictive": one.predictive}
+    tables = {"validation": tabulate_validation(one), "tuning": tabulate_tuning(one)}
+    return tables | {
+        "parameters": tabulate_parameters(one),
+        "errors": one.errors,
+        "predictive": one.predictive,
+    }
 
 
-def _rounded(column: pd.Series, name: str) -> pd.Series:
+def _round_column(column: pd.Series, name: str) -> pd.Series:
     if not pd.api.types.is_float_dtype(column):
         return column
     if name.endswith("_mm"):
-        return column.round(DECIMALS) + 0.0  # no −0
-    return column.map(_significant)
+        return column.round(LENGTH_DECIMALS) + 0.0  # no −0
+    return column.map(_round_significant)
 
 
-def _significant(value: float) -> float:
+def _round_significant(value: float) -> float:
     if not math.isfinite(value) or value == 0:
         return value
-    return round(value, DIGITS - 1 - math.floor(math.log10(abs(value))))
+    return round(value, SIGNIFICANT_DIGITS - 1 - math.floor(math.log10(abs(value))))

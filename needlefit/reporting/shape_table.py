@@ -12,13 +12,13 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions
 from needlefit.project.outputs import require_folder
-from needlefit.reporting.files import write_csv
+from needlefit.reporting.table_files import write_csv
 
-_WORLD = ("world_x_mm", "world_y_mm", "world_z_mm")
-_SAME = 1e-6  # mm: a node so near a whole millimetre stands for it
+_WORLD_COLUMNS = ("world_x_mm", "world_y_mm", "world_z_mm")
+_MIN_STATION_DISTANCE_MM = 1e-6  # mm: a node so near a whole millimetre stands for it
 
 
-def shape_table(scene: Scene, moment: NeedleState, placement: Placement | None = None) -> pd.DataFrame:
+def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | None = None) -> pd.DataFrame:
     """Return a row for every node and every whole millimetre of the needle, base first.
 
     `placement` is where a measured needle lies.
@@ -48,7 +48,7 @@ def shape_table(scene: Scene, moment: NeedleState, placement: Placement | None =
             "x_mm": place[:, 0],
             "y_mm": place[:, 1],
             "slope": CubicHermiteSpline(shape.x, shape.u, shape.slope)(s, 1),
-            **dict(zip(_WORLD, world.T, strict=False)),
+            **dict(zip(_WORLD_COLUMNS, world.T, strict=False)),
             "load_n_per_mm": compute_lateral_load(shape, tissue, s, scene.rules),
             "layer": layer,
         }
@@ -64,11 +64,11 @@ def write_shape(scene: Scene, moment: NeedleState, path: Path, placement: Placem
         If the folder of `path` does not exist.
     """
     require_folder(path)
-    write_csv(shape_table(scene, moment, placement), path)
+    write_csv(tabulate_shape(scene, moment, placement), path)
 
 
 def _stations(nodes: np.ndarray) -> np.ndarray:
     """Return the nodes and, between them, every whole millimetre."""
     whole = np.arange(np.ceil(nodes[0]), nodes[-1])
-    near = np.abs(whole[:, None] - nodes).min(axis=1) < _SAME
+    near = np.abs(whole[:, None] - nodes).min(axis=1) < _MIN_STATION_DISTANCE_MM
     return np.union1d(nodes, whole[~near])

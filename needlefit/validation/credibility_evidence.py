@@ -72,7 +72,7 @@ class CredibilityEvidence:
 
     kind: EvidenceKind
     folder: Path
-    of: str
+    target: str
     run: Mapping[str, Any]
     tables: Mapping[str, pd.DataFrame]
     objections: tuple[str, ...]
@@ -257,8 +257,10 @@ def _examine_folder(
     altered = [
         f"{name} was changed since it was written" for name in changed_files(folder) if name in digests
     ]
-    for of, objections in _find_objections(kind, table, runs, named):
-        yield CredibilityEvidence(kind, folder, of, table, tables, (*lacking, *altered, *objections), digests)
+    for target, objections in _find_objections(kind, table, runs, named):
+        yield CredibilityEvidence(
+            kind, folder, target, table, tables, (*lacking, *altered, *objections), digests
+        )
 
 
 def _find_objections(
@@ -270,8 +272,8 @@ def _find_objections(
         yield "", tuple(dict.fromkeys(every))
         return
     targets = _find_targets(kind, table)
-    of = [name for name in targets if name in runs]
-    for name in of:
+    target = [name for name in targets if name in runs]
+    for name in target:
         here = runs[name]
         yield (
             name,
@@ -280,7 +282,7 @@ def _find_objections(
                 *_compare_nearest_part(kind, table, here),
             ),
         )
-    if named and not of:
+    if named and not target:
         yield ", ".join(targets), (f"is of {', '.join(targets)}, not of {', '.join(runs)}",)
 
 

@@ -15,7 +15,7 @@ from needlefit.viewer.interaction.steering import SteeredNeedle
 from needlefit.viewer.recording import Recording, begin_replay, read_recording, replay
 
 if TYPE_CHECKING:
-    from needlefit.reporting.figures.sheet import Beside
+    from needlefit.reporting.figures.moments import SceneOverlays
 
 
 @dataclass(frozen=True)
@@ -126,7 +126,7 @@ def write_curve(outcome: RecordingOutcome, path: Path) -> None:
 
 def write_picture(outcome: RecordingOutcome, path: Path) -> None:
     """Draw the needle and what is known beside it, .svg, .png or .pdf."""
-    from needlefit.reporting.figures.moment import draw_moment
+    from needlefit.reporting.figures.moments import draw_moment
 
     draw_moment(outcome.title, outcome.scene, outcome.state, path, _find_overlays(outcome, banded=True))
 
@@ -148,9 +148,9 @@ _WRITERS: dict[str, Callable[[RecordingOutcome, Path], None]] = {
 }
 
 
-def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "Beside":
+def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "SceneOverlays":
     """Return what was shown beside the needle, if it is still there."""
-    from needlefit.reporting.figures.sheet import Beside
+    from needlefit.reporting.figures.moments import SceneOverlays
     from needlefit.viewer.opening import open_recording
     from needlefit.viewer.overlay.band import compute_band
 
@@ -167,6 +167,6 @@ def _find_overlays(outcome: RecordingOutcome, banded: bool) -> "Beside":
             steering.first_cell,
         )
     if found is None:
-        return Beside(points, synthetic=viewed_scene.synthetic)
+        return SceneOverlays(points, synthetic=viewed_scene.synthetic)
     low, high = (np.column_stack((found.x, edge)) for edge in (found.low, found.high))
-    return Beside(points, low, high, viewed_scene.synthetic)
+    return SceneOverlays(points, low, high, viewed_scene.synthetic)

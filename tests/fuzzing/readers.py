@@ -83,7 +83,7 @@ def _scene(path: Path) -> object:
 
 def _study(path: Path) -> object:
     study = _late("validation.studies.load_study")(path)
-    _late("validation.studies.lacking_data")(path)
+    _late("validation.studies.find_missing_data")(path)
     return study
 
 
@@ -116,7 +116,7 @@ def _mesh(path: Path) -> object:
 
 
 def _results(folder: Path) -> object:
-    return _late("reporting.rebuild.restored")(folder)
+    return _late("reporting.rebuild.restore_run")(folder)
 
 
 def _content(path: Path) -> object:
@@ -156,11 +156,11 @@ def _run(folder: Path) -> object:
 
 
 def _difference(folder: Path) -> object:
-    found = _late("validation.differences.differences")(folder / "a", folder / "b")
+    found = _late("validation.run_differences.compare_runs")(folder / "a", folder / "b")
     differences = import_module("needlefit.reporting.differences")
     if found:
-        differences.differences_layout(found)
-    return differences.said(found), differences.as_json(found)
+        differences.lay_out_differences(found)
+    return differences.summarize_differences(found), differences.differences_to_json(found)
 
 
 def _manifest(folder: Path) -> object:

@@ -1,1 +1,1 @@
-"""One document of what speaks for a model's credibility, ordered as ASME V&V 40-2018, gaps left empty."""
+"""Credibility evidence of a run in one document, ordered as ASME V&V 40-2018; gaps are shown empty."""

@@ -1,4 +1,4 @@
-"""The case: a run's results, the evidence beside them, and what people state."""
+"""Credibility case: a run's results, the evidence beside them, statements of people; and findings."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -6,9 +6,9 @@ from pathlib import Path
 
 from needlefit.errors import DataError
 from needlefit.project.run_file import read_run
-from needlefit.reporting.contest import scored_role
-from needlefit.reporting.credibility.told import Finding, Picture
-from needlefit.reporting.rebuild import restored
+from needlefit.reporting.rebuild import restore_run
+from needlefit.reporting.sentences import find_scored_role
+from needlefit.reporting.table_layout import TableLayout
 from needlefit.schemas.credibility_statements import CredibilityStatementsRecord
 from needlefit.schemas.study import StudyRecord
 from needlefit.validation.credibility_evidence import (
@@ -21,11 +21,63 @@ from needlefit.validation.csv_tables import find_damaged_files
 from needlefit.validation.packing import RESULTS_FILE, unpack
 from needlefit.validation.results import Results
 
-NOBODY = CredibilityStatementsRecord.model_validate({"schema": 1})
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing found.
+
+    Attributes
+    ----------
+    words : str
+        With numbers and units.
+    place : str
+        The file it stands in, and its folder.
+    command : str
+        What makes that file; empty for what people state.
+    target : str
+        The study or fit that it is about; empty for what is about all of them.
+    """
+
+    words: str
+    place: str
+    command: str
+    target: str = ""
 
 
 @dataclass(frozen=True)
-class Case:
+class EvidenceFigure:
+    """A figure that another command drew, what stands under it, and whether it shows the run's data."""
+
+    path: Path
+    caption: str
+    shows_run_data: bool = True
+
+
+@dataclass(frozen=True)
+class FactorFindings:
+    """Findings on a factor, and `gaps`: what they leave open. Without findings all of it is a gap."""
+
+    findings: tuple[Finding, ...] = ()
+    gaps: tuple[str, ...] = ()
+    tables: tuple[TableLayout, ...] = ()
+    pictures: tuple[EvidenceFigure, ...] = ()
+
+
+def join_findings(*parts: FactorFindings) -> FactorFindings:
+    """Return all of several parts."""
+    return FactorFindings(
+        tuple(finding for part in parts for finding in part.findings),
+        tuple(dict.fromkeys(summary for part in parts for summary in part.gaps)),
+        tuple(table for part in parts for table in part.tables),
+        tuple(picture for part in parts for picture in part.pictures),
+    )
+
+
+NO_STATEMENTS = CredibilityStatementsRecord.model_validate({"schema": 1})
+
+
+@dataclass(frozen=True)
+class CredibilityCase:
     """All that a bundle is made of.
 
     Attributes
@@ -34,11 +86,11 @@ class Case:
         The run's.
     results : tuple of Results
         One, or those that were reported together.
-    evidence : tuple of Evidence
+    evidence : tuple of CredibilityEvidence
         Counted or not.
-    about : AboutRecord
+    statements : CredibilityStatementsRecord
         What people state.
-    stated_in : str
+    statements_file : str
         The name of the file in which they do.
     damaged : tuple of str
         Files of the run, and `run.json` of folders beside it, that are damaged: each with what is wrong.
@@ -47,8 +99,8 @@ class Case:
     folder: Path
     results: tuple[Results, ...]
     evidence: tuple[CredibilityEvidence, ...]
-    about: CredibilityStatementsRecord = NOBODY
-    stated_in: str = ""
+    statements: CredibilityStatementsRecord = NO_STATEMENTS
+    statements_file: str = ""
     damaged: tuple[str, ...] = ()
 
     @property
@@ -59,7 +111,7 @@ class Case:
     @property
     def held_out(self) -> list[Results]:
         """The results with insertions that did not tune."""
-        return [one for one in self.results if scored_role(one) == "validate"]
+        return [one for one in self.results if find_scored_role(one) == "validate"]
 
     @property
     def synthetic(self) -> bool:
@@ -70,14 +122,17 @@ class Case:
         """Return the evidence of one kind that is of the same thing as the run."""
         return [one for one in self.evidence if one.kind == kind and one.counted]
 
-    def of(self, results: Results) -> str:
+    def gap_prefix(self, results: Results) -> str:
         """Return what a gap of one of several runs begins with."""
         return f"{results.name}: " if len(self.results) > 1 else ""
 
 
-def case(
-    run: Path, named: Sequence[Path] = (), about: CredibilityStatementsRecord = NOBODY, stated_in: str = ""
-) -> Case:
+def load_case(
+    run: Path,
+    named: Sequence[Path] = (),
+    statements: CredibilityStatementsRecord = NO_STATEMENTS,
+    statements_file: str = "",
+) -> CredibilityCase:
     """Return the case of a run's folder.
 
     Raises
@@ -89,25 +144,30 @@ def case(
     read_run(run)
     alone = (run / RESULTS_FILE).is_file()
     if alone and unpack(run).get("kind") not in ("study", "fit"):
-        raise _no_results(run)
-    results = tuple(one for one in restored(run) if isinstance(one, Results))
+        raise _no_results_error(run)
+    results = tuple(one for one in restore_run(run) if isinstance(one, Results))
     if not results:
-        raise _no_results(run)
-    runs = {target(one): one.run for one in results}
+        raise _no_results_error(run)
+    runs = {find_target(one): one.run for one in results}
     found = tuple(gather_evidence(run, runs, named))
-    return Case(
-        run.resolve(), results, found, about, stated_in, (*_damaged(run, results), *find_unreadable(run))
+    return CredibilityCase(
+        run.resolve(),
+        results,
+        found,
+        statements,
+        statements_file,
+        (*_list_damaged(run, results), *find_unreadable(run)),
     )
 
 
-def _damaged(run: Path, results: tuple[Results, ...]) -> Iterator[str]:
+def _list_damaged(run: Path, results: tuple[Results, ...]) -> Iterator[str]:
     """Yield what is wrong with files of a run, and of the runs that it reports together."""
     folder = run.resolve()
     for one in (folder, *(folder.parent / part.name for part in results if len(results) > 1)):
         yield from (f"{one.name}/{name} {what}" for name, what in find_damaged_files(one).items())
 
 
-def _no_results(run: Path) -> DataError:
+def _no_results_error(run: Path) -> DataError:
     return DataError(
         "holds no results of a study or fit",
         where=str(run),
@@ -116,22 +176,24 @@ def _no_results(run: Path) -> DataError:
     )
 
 
-def target(results: Results) -> str:
+def find_target(results: Results) -> str:
     """Return the study or fit that results are of, as other commands call it."""
     return results.name.removesuffix("-tune")
 
 
-def found_in(results: Results, file: str, words: str) -> Finding:
+def make_finding(results: Results, file: str, words: str) -> Finding:
     """Return what was found in a file of a run."""
     verb = "validate" if isinstance(results.record, StudyRecord) else "tune"
-    return Finding(words, f"{results.name}/{file}", f"needlefit {verb} {target(results)}", target(results))
+    return Finding(
+        words, f"{results.name}/{file}", f"needlefit {verb} {find_target(results)}", find_target(results)
+    )
 
 
-def drawn(folder: Path, file: str, caption: str) -> tuple[Picture, ...]:
+def find_figure(folder: Path, file: str, caption: str) -> tuple[EvidenceFigure, ...]:
     """Return a figure that lies in a folder, if it does."""
-    return (Picture(folder / file, caption),) if (folder / file).is_file() else ()
+    return (EvidenceFigure(folder / file, caption),) if (folder / file).is_file() else ()
 
 
-def left_by(evidence: CredibilityEvidence, file: str, words: str) -> Finding:
+def make_evidence_finding(evidence: CredibilityEvidence, file: str, words: str) -> Finding:
     """Return what was found in a file of evidence."""
-    return Finding(words, f"{evidence.place}/{file}", evidence.command, evidence.of)
+    return Finding(words, f"{evidence.place}/{file}", evidence.command, evidence.target)

@@ -7,9 +7,9 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import INK, WAY_COLOURS, WAY_NAMES
-from needlefit.reporting.tables import Row, records
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid, is_synthetic, label_origin, plot
+from needlefit.reporting.labels import APPROACH_COLOURS, APPROACH_NAMES, INK
+from needlefit.reporting.tables import Row, to_records
 from needlefit.validation.analyses.runner import AnalysisResult
 
 _PANELS = (
@@ -20,20 +20,22 @@ _PANELS = (
 )
 
 
-def draw_curves(answer: AnalysisResult, path: Path) -> Path:
+def draw_curves(result: AnalysisResult, path: Path) -> Path:
     """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
-    return plot(path, answer.frames["adaptation"].assign(origin=answer.origin), _paint)
+    return plot(path, result.frames["adaptation"].assign(origin=result.origin), _paint_curves)
 
 
-def _paint(frame: pd.DataFrame) -> Figure:
-    figure = Figure(figsize=(WIDTH, 4.4))
+def _paint_curves(frame: pd.DataFrame) -> Figure:
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 4.4))
     panels = figure.subplots(2, 2, sharex=True).ravel()
-    rows = records(frame)
+    rows = to_records(frame)
     for axes, (stem, words) in zip(panels, _PANELS, strict=True):
-        for approach in WAY_NAMES:
-            _line(axes, [row for row in rows if row["approach"] == approach], stem, WAY_COLOURS[approach])
+        for approach in APPROACH_NAMES:
+            _paint_line(
+                axes, [row for row in rows if row["approach"] == approach], stem, APPROACH_COLOURS[approach]
+            )
         axes.set_ylabel(words)
-        light_grid(axes, "y")
+        draw_grid(axes, "y")
         if stem == "tip_in_95":
             axes.axhline(0.95, color=INK, lw=0.9, ls=(0, (2, 1.5)))
             axes.set_ylim(-0.05, 1.05)
@@ -45,16 +47,16 @@ def _paint(frame: pd.DataFrame) -> Figure:
         at = {"xytext": (-1, 2), "textcoords": "offset points", "fontsize": 6.5}
         axes.annotate("noise floor", (axes.get_xlim()[1], floor), ha="right", color=INK, **at)
     for axes in panels[:3]:
-        _ticks(axes)
+        _set_ticks(axes)
     for axes in panels[2:]:
         axes.set_xlabel("insertions into the new medium")
         axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    _names(panels[0], rows)
+    _label_lines(panels[0], rows)
     label_origin(figure, is_synthetic(frame))
     return figure
 
 
-def _line(axes: Axes, rows: list[Row], stem: str, colour: str) -> None:
+def _paint_line(axes: Axes, rows: list[Row], stem: str, colour: str) -> None:
     n = [row["n"] for row in rows]
     mean = [row[stem if stem.endswith("95") else f"{stem}_mm"] for row in rows]
     if f"{stem}_min_mm" in rows[0]:
@@ -63,7 +65,7 @@ def _line(axes: Axes, rows: list[Row], stem: str, colour: str) -> None:
     axes.plot(n, mean, "o-", ms=3.5, lw=1.2, color=colour, mec="white", mew=0.4, zorder=3)
 
 
-def _ticks(axes: Axes) -> None:
+def _set_ticks(axes: Axes) -> None:
     """Write plain numbers, as many as a decade needs to be read."""
     low, high = axes.get_ylim()
     steps = (1, 2, 5) if high > 20 * low else (1, 2, 3, 5, 7)
@@ -72,8 +74,8 @@ def _ticks(axes: Axes) -> None:
     axes.set_yticks([], minor=True)
 
 
-def _names(axes: Axes, rows: list[Row]) -> None:
+def _label_lines(axes: Axes, rows: list[Row]) -> None:
     """Name every line over its last point."""
-    for approach, name in WAY_NAMES.items():
-        axes.plot([], [], "o-", ms=3.5, lw=1.2, color=WAY_COLOURS[approach], label=name)
+    for approach, name in APPROACH_NAMES.items():
+        axes.plot([], [], "o-", ms=3.5, lw=1.2, color=APPROACH_COLOURS[approach], label=name)
     axes.figure.legend(loc="outside upper left", ncols=3, handletextpad=0.4, columnspacing=1.4)

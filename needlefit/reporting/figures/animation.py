@@ -1,4 +1,4 @@
-"""Moments of an insertion one after the other, at their own pace: an animation."""
+"""Animation of an insertion at its own pace."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -12,34 +12,33 @@ from needlefit.errors import ConfigError
 from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.session import NeedleState
 from needlefit.project.outputs import require_folder
-from needlefit.reporting.figures.acting import round_up
-from needlefit.reporting.figures.moment import paint
-from needlefit.reporting.figures.sheet import Beside, Sheet, lay_out
-from needlefit.reporting.figures.style import LOOK, snug
+from needlefit.reporting.figures.forces import round_up
+from needlefit.reporting.figures.moments import MomentFigure, SceneOverlays, lay_out_moments, paint_moment
+from needlefit.reporting.figures.style import RC_PARAMS, fit_height
 
-RATE = 10
+FRAMES_PER_S = 10
 """Frames a second."""
 
-MOST = 150
+MAX_FRAMES = 150
 """Frames of an animation; one that would take more goes faster, and says so."""
 
-STAYS = 10
+FINAL_FRAMES = 10
 """Frames for which the end stays, before a GIF begins anew."""
 
-DOTS = 110
+DOTS_PER_INCH = 110
 """To the inch."""
 
-_ALONE = Beside()
-Timed = tuple[float, NeedleState]
+_NO_OVERLAYS = SceneOverlays()
+TimedMoment = tuple[float, NeedleState]
 
 
 def animate(
     title: str,
     scene: Scene,
-    moments: Iterable[Timed],
+    moments: Iterable[TimedMoment],
     duration: float,
     path: Path,
-    beside: Beside = _ALONE,
+    overlays: SceneOverlays = _NO_OVERLAYS,
 ) -> None:
     """Write moments as an animation, .gif or .mp4: each is seen from its time to the next one's.
 
@@ -60,34 +59,36 @@ def animate(
     ConfigError
         If the ending of `path` is another one, its folder does not exist, or there is no encoder for it.
     """
-    writer = _writer(path)
-    speed = _speed(duration)
-    shown = sampled(moments, _times(duration, speed))
-    with matplotlib.style.context(["default", LOOK]):
-        said = title if speed == 1 else f"{title} ({speed:g} times as fast)"
-        sheet = lay_out(said, scene, shown, beside)
-        _settle(sheet, shown[0])
-        _film(sheet, shown, writer, path)
+    writer = _choose_writer(path)
+    speed = _choose_speed(duration)
+    shown = sample_moments(moments, _frame_times(duration, speed))
+    with matplotlib.style.context(["default", RC_PARAMS]):
+        summary = title if speed == 1 else f"{title} ({speed:g} times as fast)"
+        moment_figure = lay_out_moments(summary, scene, shown, overlays)
+        _find_layout(moment_figure, shown[0])
+        _write_frames(moment_figure, shown, writer, path)
 
 
-def _settle(sheet: Sheet, moment: NeedleState) -> None:
+def _find_layout(moment_figure: MomentFigure, moment: NeedleState) -> None:
     """Find the layout of a sheet."""
-    FigureCanvasAgg(sheet.figure)
-    paint(sheet, moment)
-    snug(sheet.figure)
+    FigureCanvasAgg(moment_figure.figure)
+    paint_moment(moment_figure, moment)
+    fit_height(moment_figure.figure)
 
 
-def _film(sheet: Sheet, shown: Iterable[NeedleState], writer: AbstractMovieWriter, path: Path) -> None:
+def _write_frames(
+    moment_figure: MomentFigure, shown: Iterable[NeedleState], writer: AbstractMovieWriter, path: Path
+) -> None:
     """Write a frame for each moment; nothing moves but what moves, and no frame is laid out again."""
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
-        sheet.figure.set_layout_engine(None)
-        with writer.saving(sheet.figure, str(path), DOTS):
+        moment_figure.figure.set_layout_engine(None)
+        with writer.saving(moment_figure.figure, str(path), DOTS_PER_INCH):
             for moment in shown:
-                paint(sheet, moment)
+                paint_moment(moment_figure, moment)
                 writer.grab_frame()
 
 
-def sampled(moments: Iterable[Timed], times: Sequence[float]) -> list[NeedleState]:
+def sample_moments(moments: Iterable[TimedMoment], times: Sequence[float]) -> list[NeedleState]:
     """Return what is seen at each of `times`, increasing: the last moment that is not later."""
     found: list[NeedleState] = []
     seen: NeedleState | None = None
@@ -99,23 +100,26 @@ def sampled(moments: Iterable[Timed], times: Sequence[float]) -> list[NeedleStat
     return found + [seen] * (len(times) - len(found))
 
 
-def _speed(duration: float) -> float:
+def _choose_speed(duration: float) -> float:
     """Return how many times as fast as it was a recording is shown."""
-    needed = duration * RATE / (MOST - STAYS)
+    needed = duration * FRAMES_PER_S / (MAX_FRAMES - FINAL_FRAMES)
     return round_up(needed) if needed > 1 else 1.0
 
 
-def _times(duration: float, speed: float) -> list[float]:
+def _frame_times(duration: float, speed: float) -> list[float]:
     """Return the times of the frames, s; the last ones are not before the end."""
-    return [n * speed / RATE for n in range(math.ceil(duration * RATE / speed - 1e-9) + STAYS)]
+    return [
+        n * speed / FRAMES_PER_S
+        for n in range(math.ceil(duration * FRAMES_PER_S / speed - 1e-9) + FINAL_FRAMES)
+    ]
 
 
-def _writer(path: Path) -> AbstractMovieWriter:
+def _choose_writer(path: Path) -> AbstractMovieWriter:
     """Return the encoder for a file of this ending."""
     require_folder(path)
     suffix = path.suffix.lower()
     if suffix == ".gif":
-        return PillowWriter(fps=RATE)
+        return PillowWriter(fps=FRAMES_PER_S)
     if suffix != ".mp4":
         raise ConfigError(
             f"cannot write a `{suffix}` file" if suffix else "the file name has no ending",
@@ -130,4 +134,4 @@ def _writer(path: Path) -> AbstractMovieWriter:
             expected="the program ffmpeg on the PATH",
             fix=f"install it (Debian: `apt install ffmpeg`), or write to {path.stem}.gif",
         )
-    return FFMpegWriter(fps=RATE)
+    return FFMpegWriter(fps=FRAMES_PER_S)

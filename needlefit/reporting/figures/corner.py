@@ -1,4 +1,4 @@
-"""The posterior from all sides: every parameter, and every pair of them, with the ridge that they lie on."""
+"""Posterior draws: every parameter and every pair of parameters, with the ridge that they lie on."""
 
 from pathlib import Path
 
@@ -11,53 +11,53 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from numpy.typing import NDArray
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures.profiles import log_ticks
-from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
-from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, method_name
-from needlefit.reporting.numbers import number, symbol, typeset
-from needlefit.reporting.ridge import coordinates, free, ridge_ends
+from needlefit.reporting.figures.profiles import choose_log_ticks
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, is_synthetic, label_origin, plot
+from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, method_name
+from needlefit.reporting.number_format import format_number, format_symbol, typeset
+from needlefit.reporting.posterior import find_ridge_ends, list_free_parameters, to_log_coordinates
 from needlefit.validation.results import Results
 
 Floats = NDArray[np.float64]
 
-_ROOM = 0.12  # of the range of what is shown, left free at each side
-_PANEL = 1.3  # inches at most
-_SHORT = 4  # signs of a number of which more than two stand along a panel
-_LEAST = 4.9  # inches: room for the words beside the first panel
-_BLUE, _RIDGE = METHOD_COLOURS["fitted"], "#D55E00"
+_MARGIN_FRACTION = 0.12  # of the range of what is shown, left free at each side
+_MAX_PANEL_IN = 1.3  # inches at most
+_MAX_TICK_LETTERS = 4  # signs of a number of which more than two stand along a panel
+_MIN_WIDTH_IN = 4.9  # inches: room for the words beside the first panel
+_DRAW_COLOUR, _RIDGE_COLOUR = METHOD_COLOURS["fitted"], "#D55E00"
 _MARKS = {"fitted": ("D", 4.2, INK), "hand_tuned": ("s", 4.0, METHOD_COLOURS["hand_tuned"])}
 
 
-def corner(results: Results, path: Path) -> Path:
+def draw_corner(results: Results, path: Path) -> Path:
     """Draw the stored draws of the first fold, the fit, the paper's set, the bounds and the ridge."""
     names = {"fitted": "the fit", "hand_tuned": method_name("hand_tuned", results)}
-    return plot(path, shown(results), lambda frame: _paint(frame, names))
+    return plot(path, tabulate_marks(results), lambda frame: _paint(frame, names))
 
 
-def shown(results: Results) -> pd.DataFrame:
+def tabulate_marks(results: Results) -> pd.DataFrame:
     """Return what is drawn, Pa and mm: a row per draw, fit, paper's set, bound and end of the ridge."""
     fold = results.draws["fold"].iloc[0]
-    names = free(results)
-    draws = results.draws.loc[results.draws["fold"] == fold, names].assign(shown="draw")
+    names = list_free_parameters(results)
+    draws = results.draws.loc[results.draws["fold"] == fold, names].assign(mark="draw")
     known = results.parameters[results.parameters["fold"] == fold]
     values = known.pivot_table(index="method", columns="parameter", values="value", sort=False)
     sets = [method for method in _MARKS if method in values.index]
     bounds = known[known["method"] == "fitted"].set_index("parameter")[["bound_low", "bound_high"]].T
     marks = [
-        values.loc[sets].reindex(columns=names).assign(shown=sets),
-        bounds.reindex(columns=names).assign(shown=["lower bound", "upper bound"]),
-        pd.DataFrame(ridge_ends(draws[names])).assign(shown="ridge"),
+        values.loc[sets].reindex(columns=names).assign(mark=sets),
+        bounds.reindex(columns=names).assign(mark=["lower bound", "upper bound"]),
+        pd.DataFrame(find_ridge_ends(draws[names])).assign(mark="ridge"),
     ]
     frame = pd.concat([draws, *(part for part in marks if len(part))], ignore_index=True)
-    drawn: pd.DataFrame = frame[["shown", *names]]
+    drawn: pd.DataFrame = frame[["mark", *names]]
     return drawn.assign(origin=results.origin)
 
 
-def _paint(frame: pd.DataFrame, said: dict[str, str]) -> Figure:
-    names = [str(name) for name in frame.columns if name not in ("shown", "origin")]
+def _paint(frame: pd.DataFrame, summary: dict[str, str]) -> Figure:
+    names = [str(name) for name in frame.columns if name not in ("mark", "origin")]
     count = len(names)
-    side = min(_PANEL, WIDTH / count) * count
-    figure = Figure(figsize=(max(side, _LEAST), max(side, 2.2) + 0.3))
+    side = min(_MAX_PANEL_IN, TEXT_WIDTH_IN / count) * count
+    figure = Figure(figsize=(max(side, _MIN_WIDTH_IN), max(side, 2.2) + 0.3))
     grid = figure.subplots(count, count, squeeze=False, sharex="col")
     for row, below in enumerate(names):
         for column, left in enumerate(names):
@@ -66,110 +66,110 @@ def _paint(frame: pd.DataFrame, said: dict[str, str]) -> Figure:
                 axes.set_axis_off()
                 continue
             if column == row:
-                _alone(axes, frame, left)
+                _paint_marginal(axes, frame, left)
             else:
-                _pair(axes, frame, left, below)
-            _dress(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
-    _explain(figure, frame, said)
+                _paint_pair(axes, frame, left, below)
+            _format_axes(axes, (left, below), frame, outer=(row == count - 1, column == 0 and row > 0))
+    _draw_legend(figure, frame, summary)
     label_origin(figure, is_synthetic(frame))
     return figure
 
 
-def _alone(axes: Axes, frame: pd.DataFrame, name: str) -> None:
+def _paint_marginal(axes: Axes, frame: pd.DataFrame, name: str) -> None:
     """Draw how the draws of one parameter fall, beside the flat prior between its bounds."""
-    _scale(axes, name, "x")
-    values = _of(frame, "draw")[[name]]
-    at = coordinates(values)[:, 0]
+    _set_scale(axes, name, "x")
+    values = _select_mark(frame, "draw")[[name]]
+    at = to_log_coordinates(values)[:, 0]
     heights, edges = np.histogram(at, bins=min(24, max(8, len(at) // 16)), density=True)
     back = np.exp(edges) if is_logarithmic(name) else edges
-    axes.stairs(heights, back, fill=True, color=_BLUE, alpha=0.35, lw=0)
-    bounds = coordinates(frame[frame["shown"].str.endswith("bound")][[name]])[:, 0]
+    axes.stairs(heights, back, fill=True, color=_DRAW_COLOUR, alpha=0.35, lw=0)
+    bounds = to_log_coordinates(frame[frame["mark"].str.endswith("bound")][[name]])[:, 0]
     if np.isfinite(bounds).all():
         axes.axhline(1 / float(np.ptp(bounds)), color=GREY, lw=0.8, ls=(0, (1, 1.5)))
     for mark, (_, _, colour) in _MARKS.items():
-        for value in _of(frame, mark)[name]:
+        for value in _select_mark(frame, mark)[name]:
             axes.axvline(value, color=colour, lw=0.9)
     axes.set_ylim(bottom=0)
     axes.set_yticks([])
     axes.spines["left"].set_visible(False)
 
 
-def _pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
-    _scale(axes, left, "x")
-    _scale(axes, below, "y")
-    draws, ridge = _of(frame, "draw"), _of(frame, "ridge")
-    _dots(axes, draws[left].to_numpy(dtype=np.float64), draws[below].to_numpy(dtype=np.float64))
-    axes.plot(ridge[left], ridge[below], color=_RIDGE, lw=1.2, ls=(0, (4, 1.5)), zorder=3)
+def _paint_pair(axes: Axes, frame: pd.DataFrame, left: str, below: str) -> None:
+    _set_scale(axes, left, "x")
+    _set_scale(axes, below, "y")
+    draws, ridge = _select_mark(frame, "draw"), _select_mark(frame, "ridge")
+    _paint_dots(axes, draws[left].to_numpy(dtype=np.float64), draws[below].to_numpy(dtype=np.float64))
+    axes.plot(ridge[left], ridge[below], color=_RIDGE_COLOUR, lw=1.2, ls=(0, (4, 1.5)), zorder=3)
     for mark, (marker, size, colour) in _MARKS.items():
-        some = _of(frame, mark)
+        some = _select_mark(frame, mark)
         axes.plot(some[left], some[below], marker, ms=size, mfc=colour, mec="white", mew=0.5, zorder=4)
     for bound in ("lower bound", "upper bound"):
-        for value in _of(frame, bound)[left]:
+        for value in _select_mark(frame, bound)[left]:
             axes.axvline(value, color=GREY, lw=0.8, ls=(0, (1, 1.5)))
-        for value in _of(frame, bound)[below]:
+        for value in _select_mark(frame, bound)[below]:
             axes.axhline(value, color=GREY, lw=0.8, ls=(0, (1, 1.5)))
 
 
-def _dots(axes: Axes, x: Floats, y: Floats) -> None:
+def _paint_dots(axes: Axes, x: Floats, y: Floats) -> None:
     """Draw dots as one path of lines without length and with round ends: a tenth of the bytes of marks."""
     twice = (np.repeat(one, 3) for one in (x, y))
     across, up = (np.where(np.arange(len(one)) % 3 == 2, np.nan, one) for one in twice)
-    (line,) = axes.plot(across, up, color=_BLUE, alpha=0.45, lw=1.7, solid_capstyle="round")
+    (line,) = axes.plot(across, up, color=_DRAW_COLOUR, alpha=0.45, lw=1.7, solid_capstyle="round")
     line.get_path().should_simplify = False  # or what has no length would be left out
 
 
-def _of(frame: pd.DataFrame, shown: str) -> pd.DataFrame:
-    return frame[frame["shown"] == shown]
+def _select_mark(frame: pd.DataFrame, mark: str) -> pd.DataFrame:
+    return frame[frame["mark"] == mark]
 
 
-def _scale(axes: Axes, name: str, axis: str) -> None:
+def _set_scale(axes: Axes, name: str, axis: str) -> None:
     if is_logarithmic(name):
         axes.set(**{f"{axis}scale": "log"})
 
 
-def _limits(frame: pd.DataFrame, name: str) -> tuple[float, float]:
+def _find_limits(frame: pd.DataFrame, name: str) -> tuple[float, float]:
     """Return the range of draws, fit and the paper's set, with room; bounds may lie outside."""
-    seen = frame[frame["shown"].isin(["draw", *_MARKS])][[name]].dropna()
-    at = coordinates(seen)[:, 0]
-    room = _ROOM * max(float(np.ptp(at)), 1e-3)
+    seen = frame[frame["mark"].isin(["draw", *_MARKS])][[name]].dropna()
+    at = to_log_coordinates(seen)[:, 0]
+    room = _MARGIN_FRACTION * max(float(np.ptp(at)), 1e-3)
     ends = float(at.min()) - room, float(at.max()) + room
     return (float(np.exp(ends[0])), float(np.exp(ends[1]))) if is_logarithmic(name) else ends
 
 
-def _dress(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple[bool, bool]) -> None:
+def _format_axes(axes: Axes, names: tuple[str, str], frame: pd.DataFrame, outer: tuple[bool, bool]) -> None:
     """Give axes limits, round places, and names where they are the last of their column or row."""
     alone = names[0] == names[1]
     for axis, name, last in zip((axes.xaxis, axes.yaxis), names, outer, strict=True):
         if axis is axes.yaxis and alone:
             continue
-        low, high = _limits(frame, name)
+        low, high = _find_limits(frame, name)
         (axes.set_xlim if axis is axes.xaxis else axes.set_ylim)(low, high)
         if is_logarithmic(name):
             axis.set_minor_locator(NullLocator())
-            ticks = log_ticks(low, high)
-            if any(len(number(tick)) > _SHORT for tick in ticks):
+            ticks = choose_log_ticks(low, high)
+            if any(len(format_number(tick)) > _MAX_TICK_LETTERS for tick in ticks):
                 ticks = [ticks[0], ticks[-1]]
-            axis.set_ticks(ticks, [typeset(number(tick)) for tick in ticks])
+            axis.set_ticks(ticks, [typeset(format_number(tick)) for tick in ticks])
         else:
             axis.set_major_locator(MaxNLocator(3))
         axis.set_tick_params(labelbottom=last, labelleft=last, labelsize=6)
         if last:
-            axis.set_label_text(symbol(name))
+            axis.set_label_text(format_symbol(name))
     if alone:
-        bounds = frame[frame["shown"].str.endswith("bound")][names[0]]
-        between = " to ".join(typeset(number(float(end))) for end in bounds)
-        axes.set_title(f"{symbol(names[0])}\n", loc="left", pad=1)
+        bounds = frame[frame["mark"].str.endswith("bound")][names[0]]
+        between = " to ".join(typeset(format_number(float(end))) for end in bounds)
+        axes.set_title(f"{format_symbol(names[0])}\n", loc="left", pad=1)
         axes.text(0, 1.03, between, transform=axes.transAxes, fontsize=6, color=GREY, va="bottom")
 
 
-def _explain(figure: Figure, frame: pd.DataFrame, said: dict[str, str]) -> None:
-    handles = [Line2D([], [], marker="o", ms=3, mew=0, lw=0, color=_BLUE, alpha=0.6, label="draws")]
+def _draw_legend(figure: Figure, frame: pd.DataFrame, summary: dict[str, str]) -> None:
+    handles = [Line2D([], [], marker="o", ms=3, mew=0, lw=0, color=_DRAW_COLOUR, alpha=0.6, label="draws")]
     for mark, (marker, size, colour) in _MARKS.items():
-        if len(_of(frame, mark)):
+        if len(_select_mark(frame, mark)):
             handles.append(
-                Line2D([], [], marker=marker, ms=size, mfc=colour, mec="white", lw=0, label=said[mark])
+                Line2D([], [], marker=marker, ms=size, mfc=colour, mec="white", lw=0, label=summary[mark])
             )
-    if len(_of(frame, "ridge")):
-        handles.append(Line2D([], [], color=_RIDGE, lw=1.2, ls=(0, (4, 1.5)), label="ridge"))
+    if len(_select_mark(frame, "ridge")):
+        handles.append(Line2D([], [], color=_RIDGE_COLOUR, lw=1.2, ls=(0, (4, 1.5)), label="ridge"))
     handles.append(Line2D([], [], color=GREY, lw=0.8, ls=(0, (1, 1.5)), label="bounds, flat prior"))
     figure.legend(handles=handles, loc="upper right", handlelength=1.5, bbox_to_anchor=(1, 0.97))

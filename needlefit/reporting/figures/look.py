@@ -1,4 +1,4 @@
-"""How a needle looks, and what belongs to it: in pictures of scenes as on the page of `needlefit view`."""
+"""Colours and line styles of a needle, the same in figures of scenes as on the page of `needlefit view`."""
 
 from typing import Any
 

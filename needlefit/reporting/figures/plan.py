@@ -1,4 +1,4 @@
-"""A plan in its plane, and by how much its needles and those of its rivals miss."""
+"""Plan in its plane, and the misses of its needles and of the alternative plans."""
 
 from pathlib import Path
 
@@ -8,43 +8,49 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patches import Circle
 
-from needlefit.reporting.figures.labels import apart
-from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import GREY, INK, PLAN_COLOURS, PLAN_NAMES, SYNTHETIC
-from needlefit.reporting.tables import Row, records
+from needlefit.reporting.figures.style import (
+    TEXT_WIDTH_IN,
+    draw_grid,
+    is_synthetic,
+    label_origin,
+    plot,
+    separate_positions,
+)
+from needlefit.reporting.labels import GREY, INK, PLAN_COLOURS, PLAN_NAMES, SYNTHETIC_COLOUR
+from needlefit.reporting.tables import Row, to_records
 from needlefit.schemas.planning import PlanRecord
 from needlefit.validation.analyses.planning.plan import EXPECTED
 from needlefit.validation.analyses.runner import AnalysisResult
 
-_SHADES = ("#f7f4ee", "#e2d9c6", "#efeadd", "#d3c7ae", "#e9e2d2")
-_PARTS = ("part", "plan", "trial", "x_mm", "y_mm", "name", "radius_mm")
-_LAYERS = ("interval", "layer", "from_mm", "to_mm")
+_LAYER_COLOURS = ("#f7f4ee", "#e2d9c6", "#efeadd", "#d3c7ae", "#e9e2d2")
+_PLANE_COLUMNS = ("part", "plan", "trial", "x_mm", "y_mm", "name", "radius_mm")
+_LAYER_COLUMNS = ("interval", "layer", "from_mm", "to_mm")
 
 
-def draw_plane(answer: AnalysisResult, path: Path) -> Path:
+def draw_plane(result: AnalysisResult, path: Path) -> Path:
     """Draw layers, needles and what they shall reach and pass by; beside it where the plan's needles end."""
-    return plot(path, _plane(answer), _paint_plane)
+    return plot(path, _tabulate_plane(result), _paint_plane)
 
 
-def draw_misses(answer: AnalysisResult, path: Path) -> Path:
+def draw_misses(result: AnalysisResult, path: Path) -> Path:
     """Draw the share of needles that miss by at most so much, plan by plan."""
-    return plot(path, _within(answer), _paint_misses)
+    return plot(path, _tabulate_misses(result), _paint_misses)
 
 
-def _plane(answer: AnalysisResult) -> pd.DataFrame:
+def _tabulate_plane(result: AnalysisResult) -> pd.DataFrame:
     """Return needles, tips of the plan, layers, and the circles about target and obstacles."""
-    record, frames = answer.record, answer.frames
+    record, frames = result.record, result.frames
     assert isinstance(record, PlanRecord)
     tips = frames["misses"][frames["misses"]["plan"] == EXPECTED].drop(columns="miss_mm")
     parts = [frames["needles"].assign(part="needle"), tips.assign(part="tip")]
-    parts += [frames["layers"].assign(part="layer"), pd.DataFrame(_circles(record))]
-    columns = [*_PARTS, *_LAYERS]
+    parts += [frames["layers"].assign(part="layer"), pd.DataFrame(_circle_rows(record))]
+    columns = [*_PLANE_COLUMNS, *_LAYER_COLUMNS]
     every = pd.concat([part.reindex(columns=columns) for part in parts if len(part)], ignore_index=True)
     whole = dict.fromkeys(("trial", "interval", "layer"), "Int64")
-    return every.astype(whole).assign(origin=answer.origin)
+    return every.astype(whole).assign(origin=result.origin)
 
 
-def _circles(record: PlanRecord) -> list[Row]:
+def _circle_rows(record: PlanRecord) -> list[Row]:
     """Return a row for each tolerance about the target, and for each obstacle."""
     about = [("tolerance", "", record.target_mm, limit) for limit in record.tolerances_mm]
     about += [("obstacle", one.name, one.centre_mm, one.radius_mm) for one in record.obstacles]
@@ -54,47 +60,49 @@ def _circles(record: PlanRecord) -> list[Row]:
     ]
 
 
-def _within(answer: AnalysisResult) -> pd.DataFrame:
+def _tabulate_misses(result: AnalysisResult) -> pd.DataFrame:
     """Return the steps of each plan's share of needles, and the tolerances."""
-    record = answer.record
+    record = result.record
     assert isinstance(record, PlanRecord)
     parts = []
-    for name, rows in answer.frames["misses"].groupby("plan", sort=False):
+    for name, rows in result.frames["misses"].groupby("plan", sort=False):
         miss = np.sort(rows["miss_mm"].to_numpy(dtype=np.float64))
         share = np.arange(1, len(miss) + 1) / len(miss)
         parts.append(pd.DataFrame({"part": "needles", "plan": name, "miss_mm": miss, "share": share}))
     parts.append(pd.DataFrame({"part": "tolerance", "miss_mm": record.tolerances_mm}))
-    return pd.concat(parts, ignore_index=True).assign(origin=answer.origin)
+    return pd.concat(parts, ignore_index=True).assign(origin=result.origin)
 
 
 def _paint_plane(plane: pd.DataFrame) -> Figure:
-    needles, tolerances, obstacles = (_part(plane, name) for name in ("needle", "tolerance", "obstacle"))
-    target = records(tolerances.nlargest(1, "radius_mm"))[0]
+    needles, tolerances, obstacles = (
+        _select_part(plane, name) for name in ("needle", "tolerance", "obstacle")
+    )
+    target = to_records(tolerances.nlargest(1, "radius_mm"))[0]
     rims = [target["y_mm"], *(obstacles["y_mm"] - obstacles["radius_mm"])]
     rims += [*(obstacles["y_mm"] + obstacles["radius_mm"])]
     low, high = min(needles["y_mm"].min(), *rims) - 4, max(needles["y_mm"].max(), *rims) + 4
     right = max(float(needles["x_mm"].max()), target["x_mm"]) + 6
-    figure = Figure(figsize=(WIDTH, 0.8 + 0.68 * WIDTH * (high - low) / (right + 30)))
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.8 + 0.68 * TEXT_WIDTH_IN * (high - low) / (right + 30)))
     axes, near = figure.subplots(1, 2, width_ratios=(3.2, 1))
-    _paint_layers(axes, _part(plane, "layer"), right)
+    _paint_layers(axes, _select_part(plane, "layer"), right)
     _paint_needles(axes, needles)
-    axes.add_patch(_circle(target, fill=False, ec=INK, lw=0.7, zorder=4))
-    for row in records(obstacles):
-        axes.add_patch(_circle(row, fc=SYNTHETIC, ec="none", alpha=0.35))
-        above = {"ha": "center", "va": "bottom", "color": SYNTHETIC}
+    axes.add_patch(_make_circle(target, fill=False, ec=INK, lw=0.7, zorder=4))
+    for row in to_records(obstacles):
+        axes.add_patch(_make_circle(row, fc=SYNTHETIC_COLOUR, ec="none", alpha=0.35))
+        above = {"ha": "center", "va": "bottom", "color": SYNTHETIC_COLOUR}
         axes.text(row["x_mm"], row["y_mm"] + row["radius_mm"] + 0.5, row["name"], fontsize=6.5, **above)
     axes.set(xlim=(-30, right), ylim=(low, high), xlabel="x (mm)", ylabel="y (mm)", aspect="equal")
     axes.set_xticks([tick for tick in axes.get_xticks() if 0 <= tick <= right])
-    _paint_target(near, _part(plane, "tip"), tolerances)
+    _paint_target(near, _select_part(plane, "tip"), tolerances)
     label_origin(figure, is_synthetic(plane))
     return figure
 
 
-def _part(table: pd.DataFrame, name: str) -> pd.DataFrame:
+def _select_part(table: pd.DataFrame, name: str) -> pd.DataFrame:
     return table[table["part"] == name]
 
 
-def _circle(row: Row, **style: object) -> Circle:
+def _make_circle(row: Row, **style: object) -> Circle:
     return Circle((row["x_mm"], row["y_mm"]), row["radius_mm"], **style)
 
 
@@ -107,7 +115,7 @@ def _paint_needles(axes: Axes, needles: pd.DataFrame) -> None:
     for (plan, _), rows in drawn.groupby(["plan", "trial"]):
         axes.plot(rows["x_mm"], rows["y_mm"], color=PLAN_COLOURS[str(plan)], lw=0.35, alpha=0.3)
     first = planned.groupby("plan", sort=False)["y_mm"].first().sort_values()
-    at = apart(first.to_numpy(dtype=np.float64), 1.9 * np.arange(len(first), dtype=np.float64))
+    at = separate_positions(first.to_numpy(dtype=np.float64), 1.9 * np.arange(len(first), dtype=np.float64))
     for (plan, entry), place in zip(first.items(), at.tolist(), strict=True):
         colour = PLAN_COLOURS[str(plan)]
         axes.plot([-1.5, 0], [place, entry], color=colour, lw=0.5)
@@ -117,10 +125,10 @@ def _paint_needles(axes: Axes, needles: pd.DataFrame) -> None:
 def _paint_target(axes: Axes, tips: pd.DataFrame, tolerances: pd.DataFrame) -> None:
     """Draw where the plan's needles end, with the tolerances about the target."""
     axes.plot(tips["x_mm"], tips["y_mm"], ".", color=PLAN_COLOURS[EXPECTED], ms=2.2, alpha=0.5, mew=0)
-    for row in records(tolerances):
-        axes.add_patch(_circle(row, fill=False, ec=INK, lw=0.6))
-        top, said = row["y_mm"] + row["radius_mm"], f"{row['radius_mm']:g} mm"
-        axes.text(row["x_mm"], top, said, fontsize=6, ha="center", va="bottom", color=INK)
+    for row in to_records(tolerances):
+        axes.add_patch(_make_circle(row, fill=False, ec=INK, lw=0.6))
+        top, summary = row["y_mm"] + row["radius_mm"], f"{row['radius_mm']:g} mm"
+        axes.text(row["x_mm"], top, summary, fontsize=6, ha="center", va="bottom", color=INK)
     x, y = (float(tolerances[axis].iloc[0]) for axis in ("x_mm", "y_mm"))
     axes.plot(x, y, "+", color=INK, ms=6, mew=0.8)
     half = 1.2 * float(tolerances["radius_mm"].max())
@@ -136,7 +144,7 @@ def _paint_layers(axes: Axes, layers: pd.DataFrame, right: float) -> None:
         y, starts, ends = (rows[name].to_numpy(dtype=np.float64) for name in ("y_mm", "from_mm", "to_mm"))
         starts, ends = np.minimum(starts, right), np.minimum(ends, right)
         for run in np.split(np.arange(len(y)), np.flatnonzero(np.diff(y) > 1.5 * step) + 1):
-            shade = _SHADES[(layer - 1) % len(_SHADES)]
+            shade = _LAYER_COLOURS[(layer - 1) % len(_LAYER_COLOURS)]
             axes.fill_betweenx(y[run], starts[run], ends[run], color=shade, lw=0, zorder=0)
         middle = 0.5 * float(np.median(starts) + np.median(ends))
         low = axes.get_xaxis_transform()
@@ -144,10 +152,10 @@ def _paint_layers(axes: Axes, layers: pd.DataFrame, right: float) -> None:
 
 
 def _paint_misses(within: pd.DataFrame) -> Figure:
-    figure = Figure(figsize=(WIDTH, 2.5))
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 2.5))
     axes = figure.add_subplot()
     axes.set_xscale("log")
-    misses = _part(within, "needles")
+    misses = _select_part(within, "needles")
     for place, (name, rows) in enumerate(misses.groupby("plan", sort=False)):
         colour, ours = PLAN_COLOURS[str(name)], name == EXPECTED
         axes.step(rows["miss_mm"], rows["share"], where="post", color=colour, lw=1.6 if ours else 1.1)
@@ -155,7 +163,7 @@ def _paint_misses(within: pd.DataFrame) -> Figure:
         beside, side = (0.95, "right") if ours else (1.06, "left")
         at = beside * float(rows["miss_mm"].quantile(level))
         axes.text(at, level, PLAN_NAMES[str(name)], color=colour, fontsize=6.5, ha=side, va="center")
-    for limit in _part(within, "tolerance")["miss_mm"]:
+    for limit in _select_part(within, "tolerance")["miss_mm"]:
         axes.axvline(limit, color=INK, lw=0.5, ls=(0, (2, 2)), zorder=0)
     low, high = misses["miss_mm"].quantile([0.005, 1.0])
     axes.set(xlim=(0.8 * low, 1.3 * high), ylim=(0, 1.01), xlabel="miss of the tip (mm)")
@@ -164,6 +172,6 @@ def _paint_misses(within: pd.DataFrame) -> Figure:
     axes.set_xticks([tick for tick in ticks if low <= tick <= high], minor=False)
     axes.xaxis.set_major_formatter("{x:g}")
     axes.minorticks_off()
-    light_grid(axes, "y")
+    draw_grid(axes, "y")
     label_origin(figure, is_synthetic(within))
     return figure

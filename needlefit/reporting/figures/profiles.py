@@ -13,23 +13,27 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicHermiteSpline
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, plot
-from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, PAPER
-from needlefit.reporting.numbers import number, symbol, typeset
-from needlefit.reporting.tables import Row, records
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, is_synthetic, label_origin, plot
+from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, PAPER_COLOUR
+from needlefit.reporting.number_format import format_number, format_symbol, typeset
+from needlefit.reporting.tables import Row, to_records
 
 Floats = NDArray[np.float64]
 
-ACROSS = 4
+MAX_PANEL_COLUMNS = 4
 """Most panels in a row."""
 
-MOST_TICKS = 4
+MAX_TICKS = 4
 """Most numbers along a logarithmic axis."""
 
-TOP = 6.5
+MAX_DEVIANCE = 6.5
 """Deviance at which the panels end."""
 
-BLUE, ORANGE, WARNING = METHOD_COLOURS["fitted"], METHOD_COLOURS["hand_tuned"], PAPER
+PROFILE_COLOUR, PARABOLA_COLOUR, WARNING_COLOUR = (
+    METHOD_COLOURS["fitted"],
+    METHOD_COLOURS["hand_tuned"],
+    PAPER_COLOUR,
+)
 
 
 def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, origin: str, path: Path) -> Path:
@@ -38,21 +42,21 @@ def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, origin: 
     The table has the computed points, between which the curve is the cubic of their slopes, and with each
     of them what is known of its parameter.
     """
-    about = identification[[*_KEYS, *(name for name in _TOLD if name not in _KEYS)]]
-    frame = profiles.merge(about, on=list(_KEYS), how="left", sort=False).assign(origin=origin)
+    about = identification[[*_PANEL_KEYS, *(name for name in _VERDICT_COLUMNS if name not in _PANEL_KEYS)]]
+    frame = profiles.merge(about, on=list(_PANEL_KEYS), how="left", sort=False).assign(origin=origin)
     return plot(path, frame, _paint)
 
 
-_KEYS = ("fold", "parameter")
-_TOLD = ("status", "fisher_sd", "interval_low", "interval_high", "end_low", "end_high", "rise")
+_PANEL_KEYS = ("fold", "parameter")
+_VERDICT_COLUMNS = ("status", "fisher_sd", "interval_low", "interval_high", "end_low", "end_high", "rise")
 """Columns of the identification that the figure shows."""
 
 
 def _paint(profiles: pd.DataFrame) -> Figure:
-    rows = records(profiles.drop_duplicates(list(_KEYS))[[*_KEYS, *_TOLD]])
-    across = _across(len(rows))
+    rows = to_records(profiles.drop_duplicates(list(_PANEL_KEYS))[[*_PANEL_KEYS, *_VERDICT_COLUMNS]])
+    across = _count_columns(len(rows))
     down = math.ceil(len(rows) / across)
-    figure = Figure(figsize=(WIDTH, 0.3 + 1.5 * down))
+    figure = Figure(figsize=(TEXT_WIDTH_IN, 0.3 + 1.5 * down))
     panels = figure.subplots(down, across, squeeze=False, sharey=True)
     for n, axes in enumerate(panels.flat):
         if n >= len(rows):
@@ -60,22 +64,22 @@ def _paint(profiles: pd.DataFrame) -> Figure:
             continue
         row = rows[n]
         points = profiles[(profiles["fold"] == row["fold"]) & (profiles["parameter"] == row["parameter"])]
-        _panel(axes, row, points)
+        _paint_panel(axes, row, points)
         if n % across == 0:
             axes.set_ylabel("deviance")
-    _name_lines(figure, panels[0, across - 1], float(profiles["threshold"].iloc[0]))
+    _draw_legend(figure, panels[0, across - 1], float(profiles["threshold"].iloc[0]))
     label_origin(figure, is_synthetic(profiles))
     return figure
 
 
-def _across(count: int) -> int:
+def _count_columns(count: int) -> int:
     """Return how many panels stand in a row, so that the last row is as full as can be."""
-    if count <= ACROSS:
+    if count <= MAX_PANEL_COLUMNS:
         return max(1, count)
-    return min(range(ACROSS, ACROSS - 2, -1), key=lambda wide: (-count % wide, -wide))
+    return min(range(MAX_PANEL_COLUMNS, MAX_PANEL_COLUMNS - 2, -1), key=lambda wide: (-count % wide, -wide))
 
 
-def _panel(axes: Axes, row: Row, points: pd.DataFrame) -> None:
+def _paint_panel(axes: Axes, row: Row, points: pd.DataFrame) -> None:
     name = str(row["parameter"])
     forward = np.log if is_logarithmic(name) else np.asarray
     back = np.exp if is_logarithmic(name) else np.asarray
@@ -86,28 +90,30 @@ def _panel(axes: Axes, row: Row, points: pd.DataFrame) -> None:
     if is_logarithmic(name):
         axes.set_xscale("log")
     if len(at) < 2:  # nothing but the optimum could be computed
-        axes.set_title(_title(row), loc="left", color=INK)
+        axes.set_title(_panel_title(row), loc="left", color=INK)
         return
     fine = np.linspace(at[0], at[-1], 400)
     curve = CubicHermiteSpline(at, deviance, points["slope"])(fine)
-    _interval(axes, row, (back(fine), curve), threshold)
-    _parabola(axes, back, (at, best, row["fisher_sd"]))
-    axes.plot(back(fine), curve, color=BLUE, lw=1.3, zorder=3)
-    axes.plot(back(at), deviance, "o", ms=2.6, color=BLUE, mew=0, zorder=4)
+    _paint_interval(axes, row, (back(fine), curve), threshold)
+    _paint_parabola(axes, back, (at, best, row["fisher_sd"]))
+    axes.plot(back(fine), curve, color=PROFILE_COLOUR, lw=1.3, zorder=3)
+    axes.plot(back(at), deviance, "o", ms=2.6, color=PROFILE_COLOUR, mew=0, zorder=4)
     axes.axhline(threshold, color=GREY, lw=0.6, ls=(0, (3, 2)))
-    _dress(axes, row, back(at[[0, -1]]))
+    _format_axes(axes, row, back(at[[0, -1]]))
 
 
-def _interval(axes: Axes, row: Row, curve: tuple[Floats, Floats], threshold: float) -> None:
+def _paint_interval(axes: Axes, row: Row, curve: tuple[Floats, Floats], threshold: float) -> None:
     """Shade what is within the threshold; write the ends of the interval under it."""
     where, deviance = curve
-    axes.fill_between(where, 0, TOP, where=list(deviance <= threshold), color=BLUE, alpha=0.1, lw=0)
+    axes.fill_between(
+        where, 0, MAX_DEVIANCE, where=list(deviance <= threshold), color=PROFILE_COLOUR, alpha=0.1, lw=0
+    )
     for side in ("low", "high"):
         if row[f"end_{side}"] == "closed":
-            axes.plot([row[f"interval_{side}"]] * 2, [0, threshold], color=BLUE, lw=0.6)
+            axes.plot([row[f"interval_{side}"]] * 2, [0, threshold], color=PROFILE_COLOUR, lw=0.6)
 
 
-def _parabola(
+def _paint_parabola(
     axes: Axes, back: Callable[[Floats], Floats], known: tuple[Floats, float, float | None]
 ) -> None:
     """Draw what the information at the optimum would have the deviance be."""
@@ -115,45 +121,57 @@ def _parabola(
     if sd is None:
         return
     fine = np.linspace(at[0], at[-1], 400)
-    axes.plot(back(fine), ((fine - best) / sd) ** 2, color=ORANGE, lw=0.9, ls=(0, (4, 1.5)), zorder=2)
+    axes.plot(
+        back(fine), ((fine - best) / sd) ** 2, color=PARABOLA_COLOUR, lw=0.9, ls=(0, (4, 1.5)), zorder=2
+    )
 
 
-def _dress(axes: Axes, row: Row, ends: Floats) -> None:
+def _format_axes(axes: Axes, row: Row, ends: Floats) -> None:
     name = str(row["parameter"])
-    axes.set_ylim(0, TOP)
+    axes.set_ylim(0, MAX_DEVIANCE)
     axes.set_xlim(float(ends[0]), float(ends[1]))
     if is_logarithmic(name):
-        ticks = log_ticks(float(ends[0]), float(ends[1]))
+        ticks = choose_log_ticks(float(ends[0]), float(ends[1]))
         axes.xaxis.set_minor_locator(NullLocator())
-        axes.set_xticks(ticks, [_print(tick) for tick in ticks])
+        axes.set_xticks(ticks, [_format_tick(tick) for tick in ticks])
     else:
         axes.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-    axes.set_title(_title(row), loc="left", color=INK, pad=13)
-    axes.text(0, 1.035, _state(row), transform=axes.transAxes, va="bottom", fontsize=6.5, color=_shade(row))
+    axes.set_title(_panel_title(row), loc="left", color=INK, pad=13)
+    axes.text(
+        0,
+        1.035,
+        _describe_state(row),
+        transform=axes.transAxes,
+        va="bottom",
+        fontsize=6.5,
+        color=_choose_colour(row),
+    )
 
 
-def _title(row: Row) -> str:
-    return symbol(str(row["parameter"])) + (", freed" if row["status"] == "fixed" else "")
+def _panel_title(row: Row) -> str:
+    return format_symbol(str(row["parameter"])) + (", freed" if row["status"] == "fixed" else "")
 
 
-def _state(row: Row) -> str:
+def _describe_state(row: Row) -> str:
     low, high = row["end_low"] == "closed", row["end_high"] == "closed"
     if low and high:
-        return f"{_print(row['interval_low'])} to {_print(row['interval_high'])}"
+        return f"{_format_tick(row['interval_low'])} to {_format_tick(row['interval_high'])}"
     if "lost" in (row["end_low"], row["end_high"]):
         return "could not be followed to its end"
     if not low and not high:
         return "flat: not identifiable" if (row["rise"] or 0) < 1 else "open: not identifiable"
-    end = f"above {_print(row['interval_low'])}" if low else f"below {_print(row['interval_high'])}"
+    end = (
+        f"above {_format_tick(row['interval_low'])}" if low else f"below {_format_tick(row['interval_high'])}"
+    )
     return f"{end}, open"
 
 
-def _shade(row: Row) -> str:
+def _choose_colour(row: Row) -> str:
     """Return the colour of what is said: that of a warning where the interval is open."""
-    return INK if row["end_low"] == row["end_high"] == "closed" else WARNING
+    return INK if row["end_low"] == row["end_high"] == "closed" else WARNING_COLOUR
 
 
-def log_ticks(low: float, high: float) -> list[float]:
+def choose_log_ticks(low: float, high: float) -> list[float]:
     """Return two to four round places on a logarithmic axis: powers of ten if there are enough of them."""
     if high < 5 * low:
         places = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
@@ -165,17 +183,20 @@ def log_ticks(low: float, high: float) -> list[float]:
         ticks = [tick for tick in ticks if low <= tick <= high]
         if len(ticks) >= 2:
             break
-    return ticks[:: math.ceil(len(ticks) / MOST_TICKS)]
+    return ticks[:: math.ceil(len(ticks) / MAX_TICKS)]
 
 
-def _name_lines(figure: Figure, last: Axes, threshold: float) -> None:
+def _draw_legend(figure: Figure, last: Axes, threshold: float) -> None:
     """Name the curves above the panels, and the threshold beside the last panel of the first row."""
     figure.suptitle(" ", fontsize=7.5)  # keeps the line free
-    for x, words, colour in ((0.01, "profile", BLUE), (0.075, "information at the optimum", ORANGE)):
+    for x, words, colour in (
+        (0.01, "profile", PROFILE_COLOUR),
+        (0.075, "information at the optimum", PARABOLA_COLOUR),
+    ):
         figure.text(x, 0.985, words, va="top", fontsize=7, color=colour)
     across = last.get_yaxis_transform()
     last.text(1.02, threshold, "95 %", transform=across, va="center", fontsize=6.5, color=GREY)
 
 
-def _print(value: float) -> str:
-    return typeset(number(value))
+def _format_tick(value: float) -> str:
+    return typeset(format_number(value))

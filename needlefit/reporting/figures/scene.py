@@ -13,13 +13,12 @@ from needlefit.mechanics.scene import Scene
 from needlefit.mechanics.shape import NeedleShape, compute_positions, map_beam_points
 from needlefit.reporting.figures import look
 from needlefit.reporting.figures.steps import paint_steps
-from needlefit.reporting.figures.style import WIDTH, draw, snug, stretch
-from needlefit.reporting.figures.tissue import layer_labels, shades
-from needlefit.reporting.figures.world import write_failure
-from needlefit.reporting.names import GREY, INK
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, choose_vertical_scale, draw, fit_height
+from needlefit.reporting.figures.world import label_layers, shade_layers, write_failure
+from needlefit.reporting.labels import GREY, INK
 
-_TALLEST = 5.5  # inches: a needle that bends further is drawn narrower
-_OUTSIDE = 0.22  # share of the depth drawn before the entry
+_MAX_HEIGHT_IN = 5.5  # inches: a needle that bends further is drawn narrower
+_MARGIN_BEFORE_ENTRY = 0.22  # share of the depth drawn before the entry
 
 
 def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Path) -> None:
@@ -46,17 +45,17 @@ def draw_scene(title: str, scene: Scene, shapes: Sequence[NeedleShape], path: Pa
 
 
 def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
-    start = max(float(shape.x[0]), -_OUTSIDE * scene.depth)
+    start = max(float(shape.x[0]), -_MARGIN_BEFORE_ENTRY * scene.depth)
     needle = compute_positions(shape, np.linspace(start, shape.depth, 400))  # (400, 2)
     if not shape.converged:
         needle = np.zeros((1, 2))  # there is none to show
     bend = float(np.abs(needle[:, 1]).max()) if shape.converged else 0.1 * scene.depth
     bend = bend or 1.0
     y = (min(needle[:, 1].min(), 0.0) - 0.35 * bend, max(needle[:, 1].max(), 0.0) + 0.35 * bend)
-    x = (-_OUTSIDE * scene.depth, 1.04 * scene.depth)
-    factor = stretch(0.8 * (x[1] - x[0]), y[1] - y[0])
+    x = (-_MARGIN_BEFORE_ENTRY * scene.depth, 1.04 * scene.depth)
+    factor = choose_vertical_scale(0.8 * (x[1] - x[0]), y[1] - y[0])
     height = factor * (y[1] - y[0]) / (x[1] - x[0])
-    width = min(WIDTH - 0.6, _TALLEST / height)
+    width = min(TEXT_WIDTH_IN - 0.6, _MAX_HEIGHT_IN / height)
     figure = Figure(figsize=(width + 0.6, 0.95 + width * height))
     axes = figure.add_subplot()
     axes.set(xlim=x, ylim=y)
@@ -70,7 +69,7 @@ def _paint(title: str, scene: Scene, shape: NeedleShape) -> Figure:
     axes.set_title(title, loc="left", pad=6 if beside or not shape.converged else 18)
     axes.set_xlabel("x along the entry (mm)")
     axes.set_ylabel("deflection y (mm)" + ("" if factor == 1 else f",\ndrawn {factor}× as large as x"))
-    snug(figure)
+    fit_height(figure)
     return figure
 
 
@@ -82,9 +81,9 @@ def _draw_layers(axes: Axes, scene: Scene, width: float) -> None:
     edges = np.minimum([0.0, *scene.tissue.boundaries, np.inf], end)
     shown = {i: (top, bottom) for i, (top, bottom) in enumerate(pairwise(edges)) if bottom > top}
     scale = width / (end - start)
-    labels = layer_labels(scene, {i: (bottom - top) * scale for i, (top, bottom) in shown.items()})
+    labels = label_layers(scene, {i: (bottom - top) * scale for i, (top, bottom) in shown.items()})
     for i, (top, bottom) in shown.items():
-        axes.axvspan(top, bottom, color=shades(scene.tissue)[i], lw=0, zorder=0)
+        axes.axvspan(top, bottom, color=shade_layers(scene.tissue)[i], lw=0, zorder=0)
         axes.text(
             (top + bottom) / 2, free, labels[i], ha="center", fontsize=6.5,
             va="bottom" if free < 0.5 else "top", linespacing=1.3, transform=axes.get_xaxis_transform(),

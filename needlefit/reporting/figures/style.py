@@ -1,27 +1,29 @@
-"""How every figure looks, and how it is saved so that the same results give the same bytes."""
+"""Style of every figure, saved so that equal results give equal bytes; layout in mm; label positions."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import matplotlib.style  # no pyplot: figures are made and saved without a global state or a display
+import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from numpy.typing import NDArray
 
 from needlefit.errors import ConfigError
 from needlefit.project.outputs import require_folder
-from needlefit.reporting.files import write_csv
-from needlefit.reporting.names import GREY, INK, SYNTHETIC
+from needlefit.reporting.labels import GREY, INK, SYNTHETIC_COLOUR
+from needlefit.reporting.table_files import write_csv
 
-WIDTH = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
-_STRETCHES = (1, 2, 5, 10, 20, 50, 100)
+TEXT_WIDTH_IN = 6.7  # inches: the text width of the report, so that figures stand in it at their own size
+_VERTICAL_SCALES = (1, 2, 5, 10, 20, 50, 100)
 _METADATA: dict[str, dict[str, None]] = {
     ".pdf": {"CreationDate": None},
     ".svg": {"Date": None},
     ".png": {"Software": None},
 }
-LOOK = {
+RC_PARAMS = {
     "font.family": "DejaVu Sans",  # ships with matplotlib
     "font.size": 7.5,
     "axes.titlesize": 7.5,
@@ -66,7 +68,7 @@ def plot(path: Path, frame: pd.DataFrame, paint: Callable[[pd.DataFrame], Figure
 
 
 def draw(path: Path, paint: Callable[[], Figure]) -> Path:
-    """Paint a figure in the house style, whatever the user's own, and save it by its suffix.
+    """Paint a figure in the package's style, whatever the user's own, and save it by its suffix.
 
     Raises
     ------
@@ -82,23 +84,23 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
             fix=f"write to {path.stem or 'figure'}.pdf",
         )
     require_folder(path)
-    with matplotlib.style.context(["default", LOOK]):
+    with matplotlib.style.context(["default", RC_PARAMS]):
         figure = paint()
         FigureCanvasAgg(figure)
         figure.savefig(path, format=suffix[1:], metadata=_METADATA[suffix])
     return path
 
 
-def snug(figure: Figure) -> None:
+def fit_height(figure: Figure) -> None:
     """Make a figure as high as what is drawn in it: axes of a given aspect need not fill it."""
     figure.draw_without_rendering()
     margin = 0.04  # inches, as the layout leaves at the sides
     figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
 
 
-def stretch(width: float, height: float) -> int:
+def choose_vertical_scale(width: float, height: float) -> int:
     """Return the largest of 1, 2, 5, ... that keeps a drawing of `width` by `height` mm wider than high."""
-    fitting = [factor for factor in _STRETCHES if factor * height <= 0.62 * width]
+    fitting = [factor for factor in _VERTICAL_SCALES if factor * height <= 0.62 * width]
     return fitting[-1] if fitting else 1
 
 
@@ -110,10 +112,66 @@ def is_synthetic(frame: pd.DataFrame) -> bool:
 def label_origin(figure: Figure, synthetic: bool) -> None:
     """Write SYNTHETIC DATA across the top of a figure whose data are."""
     if synthetic:
-        figure.suptitle("SYNTHETIC DATA", x=0.995, ha="right", fontsize=7.5, weight="bold", color=SYNTHETIC)
+        figure.suptitle(
+            "SYNTHETIC DATA", x=0.995, ha="right", fontsize=7.5, weight="bold", color=SYNTHETIC_COLOUR
+        )
 
 
-def light_grid(axes: Axes, axis: str) -> None:
+def draw_grid(axes: Axes, axis: str) -> None:
     """Draw faint lines behind the data, along one axis only."""
     axes.set_axisbelow(True)
     axes.grid(axis="y" if axis == "y" else "x", color=GREY, alpha=0.25, linewidth=0.4)
+
+
+_MM_PER_INCH = 25.4
+
+
+def make_figure_mm(width: float, height: float) -> Figure:
+    """Return an empty figure, mm."""
+    figure = Figure(figsize=(width / _MM_PER_INCH, height / _MM_PER_INCH))
+    figure.set_layout_engine("none")
+    return figure
+
+
+def add_panel_mm(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
+    """Return axes at (left, bottom, width, height), mm."""
+    width, height = figure.get_size_inches() * _MM_PER_INCH
+    left, bottom, wide, high = place
+    return figure.add_axes((left / width, bottom / height, wide / width, high / height))
+
+
+Floats = NDArray[np.float64]
+
+LETTER_WIDTH_MM, MIN_LABEL_GAP_MM = 1.3, 1.5
+"""Width of a letter of 7 points and least space between two names, mm on paper."""
+
+
+def spread_labels(places: Sequence[float], names: Sequence[str], scale: float) -> Floats:
+    """Return where names stand so that none touches the next: over their places, or as near as may be.
+
+    Parameters
+    ----------
+    places : sequence of float
+        What the names are of, increasing, in the panel's units.
+    names : sequence of str
+    scale : float
+        mm on paper per unit.
+    """
+    widths = LETTER_WIDTH_MM * np.array([len(name) for name in names])
+    gaps = (widths[1:] + widths[:-1]) / 2 + MIN_LABEL_GAP_MM
+    offsets = np.concatenate([[0.0], np.cumsum(gaps)])
+    return separate_positions(np.asarray(places) * scale, offsets) / scale
+
+
+def separate_positions(places: Sequence[float] | Floats, offsets: Floats) -> Floats:
+    """Return the places nearest to increasing `places` (N,) at least as far apart as `offsets` (N,)."""
+    # with the least distances taken off, names may coincide but not change places: means of runs that did
+    runs: list[tuple[float, int]] = []
+    for wish in np.asarray(places) - offsets:
+        mean, count = float(wish), 1
+        while runs and runs[-1][0] > mean:
+            before, more = runs.pop()
+            mean, count = (mean * count + before * more) / (count + more), count + more
+        runs.append((mean, count))
+    at: Floats = np.repeat([mean for mean, _ in runs], [count for _, count in runs]) + offsets
+    return at

@@ -12,23 +12,23 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
 from needlefit.inference.parameters import is_logarithmic
-from needlefit.reporting.figures.style import WIDTH, is_synthetic, label_origin, light_grid, plot
-from needlefit.reporting.names import GREY, INK, METHOD_COLOURS, METHOD_NAMES
-from needlefit.reporting.numbers import number, symbol, typeset
-from needlefit.reporting.tables import Row, records
+from needlefit.reporting.figures.style import TEXT_WIDTH_IN, draw_grid, is_synthetic, label_origin, plot
+from needlefit.reporting.labels import GREY, INK, METHOD_COLOURS, METHOD_NAMES
+from needlefit.reporting.number_format import format_number, format_symbol, typeset
+from needlefit.reporting.tables import Row, to_records
 from needlefit.validation.results import Results
 
 
-def waterfall(results: Results, path: Path) -> Path:
+def draw_waterfall(results: Results, path: Path) -> Path:
     """Draw how far all starts ended above the best, and where in its bounds each left each parameter.
 
     A parameter whose dots spread along its axis although their ends are practically the best one is not
     determined by the data.
     """
-    return plot(path, ends(results), _paint)
+    return plot(path, tabulate_starts(results), _paint)
 
 
-def ends(results: Results) -> pd.DataFrame:
+def tabulate_starts(results: Results) -> pd.DataFrame:
     """Return one row per start and free parameter of its search: rank, excess, and where it ended.
 
     Ranks are within a search, best first; starts without a result have none. Only of the fit itself are the
@@ -43,35 +43,35 @@ def ends(results: Results) -> pd.DataFrame:
         .rank(method="first")
     )
     rows = []
-    for start in records(starts):
+    for start in to_records(starts):
         row = {key: start[key] for key in (*keys[:3], "rank", *keys[3:5])}
         row["failed"] = start["objective"] is None
-        free = _free(results) if start["fit"] == "fitted" else []
-        rows += [row | _end(start, one) for one in free] or [row]
-    columns = ["fold", "fit", "start", "rank", "excess", "within_tolerance", "failed", *_END]
+        free = _free_rows(results) if start["fit"] == "fitted" else []
+        rows += [row | _end_values(start, one) for one in free] or [row]
+    columns = ["fold", "fit", "start", "rank", "excess", "within_tolerance", "failed", *_END_COLUMNS]
     return pd.DataFrame(rows, columns=columns).assign(origin=results.origin)
 
 
-_END = ("parameter", "value", "bound_low", "bound_high", "between_bounds")
+_END_COLUMNS = ("parameter", "value", "bound_low", "bound_high", "between_bounds")
 
 
-def _end(start: Row, free: Row) -> Row:
+def _end_values(start: Row, free: Row) -> Row:
     values = (start[free["parameter"]], free["bound_low"], free["bound_high"])
-    share = None if values[0] is None else _share(free["parameter"], *values)
-    return dict(zip(_END, (free["parameter"], *values, share), strict=True))
+    share = None if values[0] is None else _fraction_of_bounds(free["parameter"], *values)
+    return dict(zip(_END_COLUMNS, (free["parameter"], *values, share), strict=True))
 
 
 def _paint(marks: pd.DataFrame) -> Figure:
     parameters = list(dict.fromkeys(marks["parameter"].dropna()))
-    figure = Figure(figsize=(WIDTH, max(2.2, 0.9 + 0.26 * len(parameters))))
+    figure = Figure(figsize=(TEXT_WIDTH_IN, max(2.2, 0.9 + 0.26 * len(parameters))))
     left, right = figure.subplots(1, 2, width_ratios=(1, 1.25))
-    _ranked(left, marks.drop_duplicates(["fold", "fit", "start"]))
-    _ended(right, marks, parameters)
+    _paint_ranked(left, marks.drop_duplicates(["fold", "fit", "start"]))
+    _paint_ends(right, marks, parameters)
     label_origin(figure, is_synthetic(marks))
     return figure
 
 
-def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
+def _paint_ranked(axes: Axes, starts: pd.DataFrame) -> None:
     """Draw the excess of each search's starts, best first; failed starts stand nowhere but in the count."""
     for (fit, _), group in starts.groupby(["fit", "fold"], sort=False):
         ranked = group[group["rank"].notna()].sort_values("rank")
@@ -84,17 +84,17 @@ def _ranked(axes: Axes, starts: pd.DataFrame) -> None:
         for f in fits
     ]
     axes.legend(handles=handles, loc="best", handlelength=1.5)
-    axes.set_title(counted(starts) + (f",\n{failed} without a result" if failed else ""), loc="left")
+    axes.set_title(describe_counts(starts) + (f",\n{failed} without a result" if failed else ""), loc="left")
     axes.set_xlabel("start, best first")
     axes.axhline(1, color=GREY, lw=0.6, ls=(0, (2, 1.5)))
     axes.set_ylabel("above the best,\nin what counts as equal")
     axes.set_yscale("symlog", linthresh=1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)
-    light_grid(axes, "y")
+    draw_grid(axes, "y")
 
 
-def counted(starts: pd.DataFrame) -> str:
+def describe_counts(starts: pd.DataFrame) -> str:
     """Return how many starts each search had, and how many searches there were."""
     sizes = starts.groupby(["fit", "fold"], sort=False).size()
     each = f"{sizes.min()}" if sizes.min() == sizes.max() else f"{sizes.min()} to {sizes.max()}"
@@ -104,24 +104,29 @@ def counted(starts: pd.DataFrame) -> str:
     return f"{each} starts" + (f" in each of {' × '.join(where)}" if where else "")
 
 
-_FAR: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}
-_NEAR: dict[str, Any] = {"ms": 4, "mfc": METHOD_COLOURS["fitted"], "mec": "white", "mew": 0.4}
+_OUTSIDE_TOLERANCE_STYLE: dict[str, Any] = {"ms": 3.4, "mfc": "none", "mec": GREY, "mew": 0.6}
+_WITHIN_TOLERANCE_STYLE: dict[str, Any] = {
+    "ms": 4,
+    "mfc": METHOD_COLOURS["fitted"],
+    "mec": "white",
+    "mew": 0.4,
+}
 
 
-def _ended(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
+def _paint_ends(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
     """Draw the end of every start of the fit within the bounds: full colour where practically the best."""
     for y, name in enumerate(parameters):
         here = marks[(marks["parameter"] == name) & ~marks["failed"].astype(bool)]
         near = here["within_tolerance"].to_numpy(dtype=np.bool_)
         axes.hlines(y, 0, 1, color=GREY, lw=0.5, alpha=0.6)
-        for some, look in ((~near, _FAR), (near, _NEAR)):
+        for some, look in ((~near, _OUTSIDE_TOLERANCE_STYLE), (near, _WITHIN_TOLERANCE_STYLE)):
             at = here.loc[some, "between_bounds"]
             axes.plot(at, np.full(len(at), y), "o", **look)
         bounds = marks[marks["parameter"] == name].iloc[0]
         for x, side, bound in ((0, "left", "bound_low"), (1, "right", "bound_high")):
-            said = typeset(number(float(bounds[bound])))
-            axes.text(x, y - 0.17, said, ha=side, va="bottom", fontsize=5.5, color=GREY)
-    axes.set_yticks(range(len(parameters)), [symbol(name) for name in parameters])
+            summary = typeset(format_number(float(bounds[bound])))
+            axes.text(x, y - 0.17, summary, ha=side, va="bottom", fontsize=5.5, color=GREY)
+    axes.set_yticks(range(len(parameters)), [format_symbol(name) for name in parameters])
     axes.set_ylim(len(parameters) - 0.45, -0.65)
     axes.set_xlim(-0.03, 1.03)
     axes.set_xticks([])
@@ -132,14 +137,14 @@ def _ended(axes: Axes, marks: pd.DataFrame, parameters: list[str]) -> None:
     axes.set_xlabel("filled: practically as good as the best", color=METHOD_COLOURS["fitted"])
 
 
-def _share(parameter: str, value: float, low: float, high: float) -> float:
+def _fraction_of_bounds(parameter: str, value: float, low: float, high: float) -> float:
     """Return where a value lies between the bounds, 0 to 1; moduli and lengths in logarithms."""
     if is_logarithmic(parameter):
         value, low, high = math.log(value), math.log(low), math.log(high)
     return (value - low) / (high - low)
 
 
-def _free(results: Results) -> list[Row]:
-    rows = [r for r in records(results.parameters) if r["method"] == "fitted" and r["status"] == "free"]
+def _free_rows(results: Results) -> list[Row]:
+    rows = [r for r in to_records(results.parameters) if r["method"] == "fitted" and r["status"] == "free"]
     first = {row["parameter"]: row for row in reversed(rows)}
     return [first[name] for name in dict.fromkeys(row["parameter"] for row in rows)]

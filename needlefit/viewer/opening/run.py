@@ -117,7 +117,7 @@ def _describe_band(draws: pd.DataFrame) -> str:
     if draws.empty:
         return "No band: the run stored no draws of its parameters, as it was interrupted."
     first = draws.iloc[0]
-    how = {"posterior": "of its sampled posterior", "importance": "weighed about its fit"}[
+    how = {"posterior": "of its sampled posterior", "importance": "importance-weighted about its fit"}[
         first["draw_source"]
     ]
     doubt = "" if first["certified"] else "; they have not converged, so its width is not to be trusted"

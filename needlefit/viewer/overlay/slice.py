@@ -59,11 +59,13 @@ def read_slice(one: InsertionScan) -> ScanSlice:
     DataError
         If the scan cannot be read.
     """
-    from needlefit.reporting.figures.pictures import png  # the page is there before a slice is asked for
+    from needlefit.reporting.figures.scan_views import (
+        encode_png,  # the page is there before a slice is asked for
+    )
 
     insertion = one.insertion
     shaft = insertion.frame.to_world(np.array([[-ENTRY_MARGIN_MM, 0.0, 0.0]]))
     needle = insertion.patient.to_local(np.concatenate([shaft, insertion.centerline]))
     volume = read_volume(one.volume.path, one.volume.series)
     view = render_bending_plane(volume, insertion.patient, insertion.frame, needle, SLICE_HALF_WIDTH_MM)
-    return ScanSlice(png(view), view.extent)
+    return ScanSlice(encode_png(view), view.extent)

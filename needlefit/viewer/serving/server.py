@@ -13,8 +13,13 @@ from aiohttp.typedefs import Handler, Middleware
 from needlefit.errors import ConfigError, NeedlefitError
 from needlefit.viewer.export import EXPORT_TYPES, export
 from needlefit.viewer.overlay.slice import read_slice
-from needlefit.viewer.serving.access_control import HEADERS, LOOPBACK, MAX_MESSAGE_BYTES, AccessControl
-from needlefit.viewer.serving.connections import Connections
+from needlefit.viewer.serving.connections import (
+    HEADERS,
+    LOOPBACK,
+    MAX_MESSAGE_BYTES,
+    AccessControl,
+    Connections,
+)
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 
 

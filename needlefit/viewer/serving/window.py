@@ -15,8 +15,13 @@ from needlefit.viewer.recording import (
     keep_for_returns,
     read_recording,
 )
-from needlefit.viewer.serving.message_encoding import scene_message, state_message
-from needlefit.viewer.serving.messages import MAX_REPLAY_SPEED, MAX_SPEED_MM_S, Message
+from needlefit.viewer.serving.messages import (
+    MAX_REPLAY_SPEED,
+    MAX_SPEED_MM_S,
+    Message,
+    scene_message,
+    state_message,
+)
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 
 MAX_FRAME_S = 0.1
@@ -78,8 +83,8 @@ class Play:
                 return False
             if changes := find_changes(step, trial.steering.now.step, trial.steering.names):
                 trial.act(changes, self._gesture)
-            way = step.depth - trial.steering.now.step.depth
-            self._stroke = Stroke(self.speed if way >= 0 else -self.speed, self._gesture, step.depth)
+            distance = step.depth - trial.steering.now.step.depth
+            self._stroke = Stroke(self.speed if distance >= 0 else -self.speed, self._gesture, step.depth)
         elif not self._stroke.advance(trial, dt):
             self._stroke = None
         return True

@@ -1,0 +1,1 @@
+"""Reports of the kinds of analyses: one file a kind, entered in `result_folder.ANALYSIS_PAGES`."""

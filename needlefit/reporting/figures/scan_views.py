@@ -1,0 +1,143 @@
+"""Views of a scan in the axes of the constraint frame, with the reconstruction drawn over them."""
+
+from io import BytesIO
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.image import imsave
+from matplotlib.ticker import MultipleLocator
+from numpy.typing import NDArray
+
+from needlefit.geometry.crossings import find_surface_hits
+from needlefit.geometry.curves import interpolate_at_arc
+from needlefit.geometry.surfaces import Surface
+from needlefit.imaging.needle.segmentation import MAX_AIR_HU
+from needlefit.imaging.reconstruction import Reconstruction, ScanView
+from needlefit.imaging.views import TIP_SECTION_OFFSET_MM
+from needlefit.reporting.labels import METHOD_COLOURS
+
+Floats = NDArray[np.float64]
+
+NEEDLE_COLOUR, ENTRY_COLOUR, LAYER_COLOUR, TIP_COLOUR, MARKER_COLOUR = (
+    METHOD_COLOURS["fitted"],
+    "#E69F00",
+    "#56B4E9",
+    "#C8102E",
+    "#009E73",
+)
+
+_MAX_SHEET_DISTANCE_MM = 3.0  # mm: a marker's centre may lie so far from the slab that it is drawn over
+_OUTLINE_STEP_MM = 0.6  # mm between the dots of a layer's outline
+_MIN_WINDOW_HU = 250.0  # HU
+_OUTSIDE_COLOUR = "#e6ecf2"  # of the volume: no grey of the scan
+
+
+def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
+    """Draw one picture, with needle, layers and markers nearby; `span` is what it shows upwards, mm."""
+    brightness, shade = _choose_window(reconstruction.views)
+    axes.set_facecolor(_OUTSIDE_COLOUR)
+    axes.imshow(
+        np.interp(view.values, brightness, shade), cmap="gray", vmin=0, vmax=1, extent=view.extent,
+        origin="lower", interpolation="nearest", aspect="equal",
+    )  # fmt: skip
+    axes.set(xlim=view.extent[:2], ylim=span)
+    axes.yaxis.set_major_locator(MultipleLocator(5))
+    right, up = ("xyz".index(axis) for axis in view.axes)
+    if view.axes[0] == "x":
+        _draw_layers(axes, view, reconstruction, span)
+    _draw_needle(axes, reconstruction, (right, up))
+    _draw_markers(axes, view, reconstruction)
+    for spine in axes.spines.values():
+        spine.set_visible(False)
+
+
+def encode_png(view: ScanView) -> bytes:
+    """Return a picture of the scan by itself: PNG, the top row first, clear outside the volume."""
+    grey = np.interp(view.values, *_choose_window((view,)))  # (H, W)
+    outside = ~np.isfinite(view.values)
+    image = np.dstack([np.where(outside, 0.0, grey)] * 3 + [np.where(outside, 0.0, 1.0)])
+    file = BytesIO()
+    imsave(file, image, origin="lower", format="png")
+    return file.getvalue()
+
+
+def join_needle(reconstruction: Reconstruction) -> Floats:
+    """Return the needle from base to tip in C: (N, 3), mm."""
+    placed = reconstruction.patient.to_world(reconstruction.needle_axis.points)
+    return reconstruction.frame.to_local(placed)
+
+
+def _choose_window(views: tuple[ScanView, ...]) -> tuple[Floats, Floats]:
+    """Return brightnesses, HU, increasing, and how light each is drawn, 0 to 1.
+
+    Tissue and its layers take most of the greys; air and metal share the rest, so that their edges stay where
+    they are. Metal and its bloom are bright whatever the tissue is: the brighter tenth does not count.
+    """
+    shown = np.concatenate([view.values[np.isfinite(view.values)] for view in views])
+    tissue = shown[shown > MAX_AIR_HU]
+    if tissue.size == 0:
+        return np.array([-1000.0, 3000.0]), np.array([0.0, 1.0])
+    low, middle, high = np.quantile(tissue, (0.03, 0.5, 0.9))
+    room = max(_MIN_WINDOW_HU, 1.5 * (high - low)) / 2
+    low, high = min(low, middle - room), max(high, middle + room)
+    return np.array([-1000.0, low, high, max(3000.0, high + 1.0)]), np.array([0.0, 0.25, 0.75, 1.0])
+
+
+def _draw_needle(axes: Axes, reconstruction: Reconstruction, shown: tuple[int, int]) -> None:
+    right, up = shown
+    whole, inserted = join_needle(reconstruction), reconstruction.local
+    outside = whole[whole[:, 0] <= 0]
+    axes.plot(outside[:, right], outside[:, up], color=NEEDLE_COLOUR, lw=0.6, ls=(0, (4, 2)))
+    axes.plot(inserted[:, right], inserted[:, up], color=NEEDLE_COLOUR, lw=0.6)
+    axes.plot(*inserted[0, [right, up]], "o", color=ENTRY_COLOUR, ms=2.6, mec="white", mew=0.3, zorder=5)
+    axes.plot(*inserted[-1, [right, up]], "o", color=TIP_COLOUR, ms=2.6, mec="white", mew=0.3, zorder=5)
+    crossed = reconstruction.frame.to_local(reconstruction.layers.points)
+    axes.plot(
+        crossed[:, right], crossed[:, up], "o", color=LAYER_COLOUR, ms=2.4, mec="white", mew=0.3, zorder=5
+    )
+
+
+def _draw_markers(axes: Axes, view: ScanView, reconstruction: Reconstruction) -> None:
+    if reconstruction.markers is None:
+        return
+    right, up = ("xyz".index(axis) for axis in view.axes)
+    through = 3 - right - up
+    centers = reconstruction.frame.to_local(reconstruction.patient.to_world(reconstruction.markers.centers))
+    needle = join_needle(reconstruction)
+    if view.axes[0] == "x":
+        middle = np.interp(centers[:, 0], needle[:, 0], needle[:, through])
+    else:
+        middle = np.full(len(centers), needle[-1, 0] - TIP_SECTION_OFFSET_MM)
+    near = np.abs(centers[:, through] - middle) <= _MAX_SHEET_DISTANCE_MM
+    # the centre alone: the slab cuts a ball off its middle, where a ring of its size would not be its outline
+    axes.plot(centers[near, right], centers[near, up], "+", color=MARKER_COLOUR, mew=1.0, ms=6)
+
+
+def _draw_layers(
+    axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]
+) -> None:
+    """Dot the outlines of the layers' surfaces where the picture cuts them."""
+    for surface in reconstruction.layers.surfaces:
+        dots = outline_surface(view, reconstruction, surface, span)
+        axes.plot(*dots.T, ".", color=LAYER_COLOUR, ms=1.9, mew=0, zorder=3)
+
+
+def outline_surface(
+    view: ScanView, reconstruction: Reconstruction, surface: Surface, span: tuple[float, float]
+) -> Floats:
+    """Return where the sheet that a picture along the needle shows cuts a surface: points (K, 2), mm.
+
+    The sheet follows the needle along its third axis; so it is swept by the needle's course shifted
+    sideways, and cuts the surface where those curves do.
+    """
+    up = "xyz".index(view.axes[1])
+    needle = join_needle(reconstruction)
+    x = np.arange(max(0.0, view.extent[0]), view.extent[1], 2.0)
+    course = np.column_stack([x, *(np.interp(x, needle[:, 0], side) for side in needle.T[1:])])
+    cuts = []
+    for level in np.arange(*span, _OUTLINE_STEP_MM):
+        course[:, up] = level
+        path = reconstruction.frame.to_world(course)
+        hits = interpolate_at_arc(path, find_surface_hits(path, surface)).reshape(-1, 3)
+        cuts.append(reconstruction.frame.to_local(hits)[:, [0, up]])
+    return np.concatenate(cuts) if cuts else np.empty((0, 2))

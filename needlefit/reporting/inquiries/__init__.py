@@ -1,1 +1,0 @@
-"""What is told of each kind of inquiry: one file a kind, entered in `pages`."""

@@ -1,1 +1,0 @@
-"""A study of tip tracks as print has it."""
