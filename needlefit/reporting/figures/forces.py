@@ -27,7 +27,7 @@ _ARROW = {
 }
 
 
-def compute_loads(scene: Scene, moment: NeedleState) -> Loads:
+def compute_state_loads(scene: Scene, moment: NeedleState) -> Loads:
     """Return what acts on the needle."""
     return compute_loads(moment.shape, moment.tissue, scene.needle, moment.step.controls, scene.rules)
 

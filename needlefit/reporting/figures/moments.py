@@ -19,7 +19,7 @@ from needlefit.mechanics.session import NeedleState
 from needlefit.mechanics.shape import compute_positions, map_beam_points
 from needlefit.reporting.figures import look
 from needlefit.reporting.figures.forces import (
-    compute_loads,
+    compute_state_loads,
     describe_moment,
     draw_load,
     draw_tip_force,
@@ -127,7 +127,7 @@ def lay_out_moments(
     """
     if whole is None:
         whole = any(moment.step.controls != Controls() for moment in moments)
-    found = [compute_loads(scene, moment) for moment in moments]
+    found = [compute_state_loads(scene, moment) for moment in moments]
     pairs = list(zip(moments, found, strict=True))
     points = _collect_points(scene, moments, overlays, whole)
     span = float(np.ptp(points, axis=0).max())
@@ -268,7 +268,7 @@ def paint_moment(moment_figure: MomentFigure, moment: NeedleState) -> None:
         old.remove()
     draw_layers(axes, scene, moment_figure.inches)
     _draw_overlays(axes, scene.entry, moment_figure.overlays)
-    found = compute_loads(scene, moment)
+    found = compute_state_loads(scene, moment)
     draw_load(axes, outline_load(scene.entry, moment, found, moment_figure.per_mm))
     path = map_beam_points(moment.shape, moment.shape.tip_path)
     axes.plot(*scene.entry.to_world(path).T, zorder=2.5, **look.PATH)
