@@ -240,7 +240,7 @@ insertions = { insertions = ["a"] }
 medium = "./gel.toml"
 insertions = { insertions = ["b"] }
 held_out = ["b"]
-[between]
+[between_media]
 ln_mu_sd = 0.66
 ln_bevel_sd = 0.60
 source = "s"

@@ -96,7 +96,7 @@ def _medium(path: Path) -> object:
 
 def _dataset(path: Path) -> object:
     """Check a dataset; one without faults must be readable."""
-    found = _late("datasets.check.check")(path)
+    found = _late("datasets.read.check")(path)
     if found:
         raise _late("datasets.faults.as_error")(found, path)
     tracks = _late("datasets.tracks.read.holds_tracks")(path)
@@ -245,9 +245,9 @@ READERS: dict[str, Reader] = {
     "compression": Reader(partial(_call, "datasets.compression.read_compression"), seeds.compression),
     "markers": Reader(partial(_call, "imaging.markers.read_markers"), seeds.markers),
     "scans": Reader(partial(_call, "imaging.scan_table.read_scans"), seeds.scans, 80),
-    "markups": Reader(partial(_call, "datasets.conversion.read_source"), seeds.markups),
-    "source": Reader(partial(_call, "datasets.conversion.read_source"), seeds.sources),
-    "mat": Reader(partial(_call, "datasets.conversion.read_source"), seeds.matlab, NATIVE),
+    "markups": Reader(partial(_call, "datasets.template.read_source"), seeds.markups),
+    "source": Reader(partial(_call, "datasets.template.read_source"), seeds.sources),
+    "mat": Reader(partial(_call, "datasets.template.read_source"), seeds.matlab, NATIVE),
     "volume": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.volumes, NATIVE, packed=True),
     "labels": Reader(partial(_call, "imaging.label_surfaces.read_labels"), seeds.labels, NATIVE, packed=True),
     "dicom": Reader(partial(_call, "imaging.volume_files.read_volume"), seeds.dicom, SLOWEST),
