@@ -1,7 +1,7 @@
-"""How the site is built: the pages of this folder, and a reference read out of the code.
+"""How the site is built: the pages of this folder, and a reference generated from the code.
 
-Nothing is fetched from a network: mathematics is MathML, fonts are the reader's own, and what belongs to
-other packages is named, not linked.
+Nothing is fetched from a network: mathematics is MathML, fonts are those of the reader's system, and names of
+other packages are not linked.
 """
 
 import os
@@ -35,7 +35,9 @@ html_title = "needlefit"
 html_static_path = ["_static"]
 html_css_files = ["quiet.css"]
 html_copy_source = False
-toc_object_entries = False  # a room's contents are its modules; every function besides would be too many
+toc_object_entries = (
+    False  # the contents of a package are its modules; listing every function would be too long
+)
 html_show_sphinx = False
 html_math_renderer = "mathml"
 pygments_style = "friendly"

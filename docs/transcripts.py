@@ -1,10 +1,10 @@
-"""Run the commands that the pages show, and hold what they print against what the pages say.
+"""Run the commands shown on the pages, and compare their output with the pages.
 
-    python docs/transcripts.py [PAGE ...]            ends with 1 where something else is printed
-    python docs/transcripts.py [PAGE ...] --write    writes what is printed now into the pages
+    python docs/transcripts.py [PAGE ...]            ends with exit code 1 if the output differs
+    python docs/transcripts.py [PAGE ...] --write    writes the present output into the pages
 
-The `console` blocks of a page are one session in an empty folder. `$ ` begins a command, `> ` goes on with
-it, and below it stands what it prints; `...` stands for lines left out. A number may differ by one in its
+The `console` blocks of a page are one session in an empty folder. `$ ` begins a command, `> ` continues
+it, and its output follows; `...` marks lines left out. A number may differ by one in its
 last digit, as it does from machine to machine.
 """
 
@@ -30,32 +30,32 @@ Run = Callable[[str], list[str]]
 
 
 def main() -> int:
-    """Run what was asked for; return how many pages say something else than their commands."""
+    """Check the pages named on the command line; return 0 if the output of all their commands agrees."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("pages", nargs="*", type=Path, default=PAGES)
-    parser.add_argument("--write", action="store_true", help="write what is printed now into the pages")
-    asked = parser.parse_args()
+    parser.add_argument("--write", action="store_true", help="write the present output into the pages")
+    options = parser.parse_args()
     with ThreadPoolExecutor(os.cpu_count()) as pool:
-        agreeing = list(pool.map(partial(check, write=asked.write), asked.pages))
+        agreeing = list(pool.map(partial(check, write=options.write), options.pages))
     return 0 if all(agreeing) else 1
 
 
 def check(page: Path, *, write: bool = False) -> bool:
-    """Whether the commands of a page print what stands there; shows where they do not."""
-    said = page.read_text(encoding="utf-8")
+    """Whether the commands of a page print what it shows; prints the differences."""
+    text = page.read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
-        now = BLOCK.sub(lambda block: renewed(block[0], partial(run, folder)), said)
+        now = BLOCK.sub(lambda block: renewed(block[0], partial(run, folder)), text)
     if write:
         page.write_text(now, encoding="utf-8")
-    lines = (text.splitlines(keepends=True) for text in (said, now))
+    lines = (version.splitlines(keepends=True) for version in (text, now))
     difference = "".join(difflib.unified_diff(*lines, f"{page.name}, as it is", f"{page.name}, as run"))
-    verdict = "its commands print something else" if difference else "as its commands print"
+    verdict = "the output of its commands differs" if difference else "agrees with its commands"
     print(f"{difference}{page.name}: {verdict}", flush=True)
     return not difference
 
 
 def renewed(block: str, run: Run) -> str:
-    """Return a block with what its commands print now, wherever that is something else."""
+    """Return a block with the present output of its commands, wherever it differs."""
     text = ""
     for command, typed, shown in commands(block):
         printed = run(command)
@@ -86,7 +86,7 @@ def run(folder: str, command: str) -> list[str]:
 
 
 def agrees(shown: list[str], printed: list[str]) -> bool:
-    """Whether lines say what was printed, but for what they leave out."""
+    """Whether lines agree with the output, except for lines left out."""
     if not shown:
         return not printed
     if shown[0] == LEFT_OUT:

@@ -1,6 +1,6 @@
 """What docstrings hold in single backquotes: code, and a link where it names something of needlefit.
 
-A name that begins with a room (`mechanics.simulate`) must exist: if nothing is called so, the build fails.
+A name that begins with a package (`mechanics.simulate`) must exist, or the build fails.
 Any other may be a parameter, a file or a key, and stays code where its module holds nothing of that name.
 """
 

@@ -41,12 +41,12 @@ def _write(app: Sphinx) -> None:
 
 def _page() -> Iterator[str]:
     yield OPENING.format(kinds=", ".join(_record(kind) for kind in ANALYSIS_KINDS))
-    yield from ("| name | kind | what it asks |", "|---|---|---|")
-    for name, said in _files("studies"):
-        yield f"| `{name}` | {_cell(said, 'kind')} | {_cell(said, 'question', 'title')} |"
+    yield from ("| name | kind | question |", "|---|---|---|")
+    for name, record in _files("studies"):
+        yield f"| `{name}` | {_cell(record, 'kind')} | {_cell(record, 'question', 'title')} |"
     for title, folder in FOLDERS.items():
         yield from ("", f"## {title}", "", "| name | what it is |", "|---|---|")
-        yield from (f"| `{name}` | {_cell(said, 'title')} |" for name, said in _files(folder))
+        yield from (f"| `{name}` | {_cell(record, 'title')} |" for name, record in _files(folder))
 
 
 def _record(kind: str) -> str:
@@ -56,11 +56,11 @@ def _record(kind: str) -> str:
 
 
 def _files(folder: str) -> Iterator[tuple[str, dict[str, object]]]:
-    """Yield the name of every TOML file of a folder, and what it says."""
+    """Yield the name of every TOML file of a folder, and its content."""
     for path in sorted((shipped_folder() / folder).glob("*.toml")):
         yield path.stem, tomllib.loads(path.read_text(encoding="utf-8"))
 
 
-def _cell(said: dict[str, object], *keys: str) -> str:
-    found = next((str(said[key]) for key in keys if said.get(key)), "")
+def _cell(record: dict[str, object], *keys: str) -> str:
+    found = next((str(record[key]) for key in keys if record.get(key)), "")
     return found.replace("|", r"\|").replace("_", r"\_")
