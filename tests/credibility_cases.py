@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
-from reporting_results import study, told
+from reporting_results import study, with_predictions
 
 from needlefit.reporting.table_files import write_csv, write_json
 from needlefit.validation.packing import RESULTS_FILE
@@ -33,7 +33,7 @@ GROUPS = ("Closed forms", "Manufactured solutions", "Discretisation error", "New
 
 def results(number: int = 1, **changed: object) -> Results:
     """A study with predictions, that says what it was computed with."""
-    made = told(study(number))
+    made = with_predictions(study(number))
     return replace(made, interrupted=False, run={**copy.deepcopy(WORK), "name": made.name, **changed})
 
 

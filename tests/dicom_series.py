@@ -22,7 +22,7 @@ def a_slice(k, plane=None, **entries):
     data = Dataset()
     data.file_meta = FileMetaDataset()
     data.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-    said = {
+    elements = {
         "SOPClassUID": CTImageStorage,
         "SOPInstanceUID": generate_uid(entropy_srcs=[str(k), str(entries)]),
         "SeriesInstanceUID": SERIES,
@@ -45,10 +45,10 @@ def a_slice(k, plane=None, **entries):
         "RescaleSlope": 1,
         "RescaleIntercept": 0,
     } | entries
-    for name, value in said.items():
+    for name, value in elements.items():
         if value is not None:
             setattr(data, name, value)
-    data.file_meta.MediaStorageSOPClassUID = said["SOPClassUID"]
+    data.file_meta.MediaStorageSOPClassUID = elements["SOPClassUID"]
     data.file_meta.MediaStorageSOPInstanceUID = data.SOPInstanceUID
     data.PixelData = plane.tobytes()
     data["PixelData"].VR = "OW"

@@ -82,12 +82,12 @@ def save_mesh(path, mesh, space=""):
     """Write a mesh; `space` as 3D Slicer notes it in the header of an STL, a comment of a PLY or OBJ."""
     data = mesh.export(file_type=path.suffix[1:])
     data = data if isinstance(data, bytes) else data.encode()
-    said = f"3D Slicer output. SPACE={space}".encode()
+    header = f"3D Slicer output. SPACE={space}".encode()
     if space and path.suffix == ".stl":
-        data = said.ljust(80) + data[80:]
+        data = header.ljust(80) + data[80:]
     elif space and path.suffix == ".ply":
         data = data.replace(b"\nelement", b"\ncomment SPACE=" + space.encode() + b"\nelement", 1)
     elif space:
-        data = b"# " + said + b"\n" + data
+        data = b"# " + header + b"\n" + data
     path.write_bytes(data)
     return path

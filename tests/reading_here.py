@@ -1,6 +1,7 @@
 """Reading files in the process of the test, for tests of what is read, not of the process that reads it.
 
-A child process for each file costs a quarter of a second. A test that needs one asks for the fixture `caged`.
+A child process for each file costs a quarter of a second. A test that needs one uses the fixture
+`child_process_reader`.
 """
 
 import json
@@ -12,14 +13,14 @@ from needlefit.project import sandbox as cage
 
 
 @pytest.fixture
-def caged():
+def child_process_reader():
     """Ask for the child process, its limits among them."""
 
 
 @pytest.fixture
 def read_here(request, monkeypatch):
     """Let requests be answered by what the child process runs, without its limits and without the process."""
-    if "caged" in request.fixturenames:
+    if "child_process_reader" in request.fixturenames:
         return
 
     def answer(asked, file, shared, allowed):

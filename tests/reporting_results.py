@@ -311,7 +311,7 @@ def test_made_up_results_have_the_columns_of_real_ones():
             assert set(columns) <= set(getattr(results, name).columns)
 
 
-def told(results: Results, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Results:
+def with_predictions(results: Results, levels: tuple[float, ...] = (0.1, 0.4, 0.7, 0.97)) -> Results:
     """Results with predictions of their held-out needles: levels in turn, bands about the measured shape."""
     rows, bands = [], []
     held = results.errors.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")

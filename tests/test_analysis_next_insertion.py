@@ -64,12 +64,12 @@ def test_layers_are_those_listed_or_those_of_the_surfaces_on_the_planned_path():
         ({"name": "a", "layers": [1], "angles_deg": [0, 10]}, "angles need surfaces"),
     ],
 )
-def test_an_entry_says_its_layers_whole(entry, fault):
+def test_an_entry_lists_all_of_its_layers(entry, fault):
     with pytest.raises(ValueError, match=fault):
         CandidateEntryRecord.model_validate(entry)
 
 
-def test_deep_insertions_into_one_layer_tell_more_and_alpha_nothing(tmp_path, monkeypatch):
+def test_deep_insertions_into_one_layer_determine_mu_better_and_alpha_not_at_all(tmp_path, monkeypatch):
     monkeypatch.setattr(next_insertion, "OUTER_DRAWS", 40)
     monkeypatch.setattr(candidates, "PLANNING_EFFORT", Effort(draws=100, min_ess=150.0))
     answer = next_insertion.run("deeper", NextInsertionRecord.model_validate(CHICKEN), Settings())

@@ -110,12 +110,12 @@ def test_the_answer_is_tried_on_fresh_draws_and_written(tmp_path, monkeypatch):
 
 
 def test_a_target_out_of_reach_is_refused():
-    for target, said_so in (([500, 400], "depth_mm ends at 60 mm"), ([-3, 0], "before the entrance")):
-        with pytest.raises(ValueError, match=said_so):
+    for target, message in (([500, 400], "depth_mm ends at 60 mm"), ([-3, 0], "before the entrance")):
+        with pytest.raises(ValueError, match=message):
             PlanRecord.model_validate({**CHICKEN, "target_mm": target})
 
 
-def test_a_plan_that_does_not_reach_says_so_and_what_stands_at_a_bound(monkeypatch):
+def test_a_plan_out_of_reach_is_reported_with_its_parameters_at_bounds(monkeypatch):
     """Straight ahead and 30 mm deep at most, a place 4 mm to the side is out of reach."""
     monkeypatch.setattr(plan, "SEARCH_DRAWS", 2)
     monkeypatch.setattr(plan, "TEST_DRAWS", 6)

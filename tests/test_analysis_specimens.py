@@ -29,11 +29,11 @@ def two() -> AnalysisResult:
     return run("two", SpecimensRecord.model_validate(CHICKEN), Settings())
 
 
-def test_two_specimens_tell_no_spread(two, tmp_path):
+def test_two_specimens_do_not_determine_a_spread(two, tmp_path):
     answer = two
-    told = answer.frames["population"].set_index(["quantity", "parameter"])
-    assert told["low_95"]["spread", "bevel_mm"] == 0.0
-    new, mean = (told["high_95"][w, "mu1_pa"] - told["low_95"][w, "mu1_pa"] for w in ("new", "mean"))
+    table = answer.frames["population"].set_index(["quantity", "parameter"])
+    assert table["low_95"]["spread", "bevel_mm"] == 0.0
+    new, mean = (table["high_95"][w, "mu1_pa"] - table["low_95"][w, "mu1_pa"] for w in ("new", "mean"))
     assert new > mean  # a further specimen differs besides
     assert "tells no spread" in summarize(answer)[0]
     assert "leaves the bounds within which the medium is fitted" in summarize(answer)[1]
@@ -42,19 +42,19 @@ def test_two_specimens_tell_no_spread(two, tmp_path):
     }
 
 
-def test_posteriors_that_a_bound_ends_are_named(two):
+def test_posteriors_truncated_by_a_bound_are_named(two):
     every = two.frames["specimens"].copy()
     top = np.log(two.run["parts"][0]["medium"]["parameters"]["mu1_pa"]["bounds"][1])
     first = (every["parameter"] == "mu1_pa") & (every["specimen"] == every["specimen"].iloc[0])
     every["sd"] = 0.1
-    for away, told in ((0.19, [f"μ₁ of {every['specimen'].iloc[0]}"]), (0.21, [])):
+    for away, expected in ((0.19, [f"μ₁ of {every['specimen'].iloc[0]}"]), (0.21, [])):
         every["mean"] = every["parameter"].map({"mu1_pa": top - 1, "bevel_mm": np.log(0.1)})
         every.loc[first, "mean"] = top - away
         lines = summarize(replace(two, frames={**two.frames, "specimens": every}))[2:]
-        assert [line.split(": ")[1].split(".")[0] for line in lines] == told
+        assert [line.split(": ")[1].split(".")[0] for line in lines] == expected
 
 
-def test_intervals_are_held_against_the_population_that_was_made_up(tmp_path):
+def test_intervals_cover_the_synthetic_population(tmp_path):
     changed = {**CHICKEN, "tune": {"insertions": ["chicken-03"]}, "recovery": RECOVERY}
     answer = run("made", SpecimensRecord.model_validate(changed), Settings())
     found = answer.frames["recovered"]
@@ -78,7 +78,7 @@ def test_a_population_of_one_and_a_mean_left_out_are_refused():
         run("short", SpecimensRecord.model_validate(short), Settings())
 
 
-def test_a_population_is_refused_that_cannot_be():
+def test_impossible_populations_are_refused():
     for changed, fault in (
         ({"spreads": [-0.1]}, "greater than or equal to 0"),
         ({"specimens": 2}, "equal to 3"),

@@ -82,7 +82,7 @@ def test_usage_errors_exit_2(words, capsys):
 
 
 @pytest.mark.parametrize(("kind", "code"), [(ConfigError, 3), (DataError, 3), (ModelError, 4), (FitError, 4)])
-def test_an_error_says_what_where_expected_and_mend(kind, code, capsys):
+def test_an_error_has_what_where_expected_and_fix(kind, code, capsys):
     error = kind("the depth is negative", where="a.toml", expected="a depth above 0", fix="change it")
     assert report_error(error, Invocation(())) == code
     assert capsys.readouterr().err == (
@@ -101,15 +101,15 @@ def test_an_unexpected_error_is_one_line_and_a_hint(capsys):
 @pytest.mark.parametrize(
     "words", [("init", "x"), ("new", "dataset", "./x"), ("simulate", "phantom1", "--plot", "x.png")]
 )
-def test_where_nothing_can_be_written_the_path_is_named(words, monkeypatch, capsys):
+def test_an_unwritable_path_is_named(words, monkeypatch, capsys):
     monkeypatch.chdir("/proc")
     assert run(*words) == 3
     captured = capsys.readouterr()
     assert captured.out == "" and "unexpected" not in captured.err
-    assert all(said in captured.err for said in ("x", "cannot be", "fix: "))
+    assert all(part in captured.err for part in ("x", "cannot be", "fix: "))
 
 
-def test_what_the_system_refuses_is_no_unexpected_error(capsys):
+def test_an_error_of_the_system_is_not_unexpected(capsys):
     error = PermissionError(13, "Permission denied", "/locked/run.json")
     assert report_error(error, Invocation(())) == 3
     err = capsys.readouterr().err
@@ -134,7 +134,7 @@ def test_ctrl_c_exits_130(capsys):
     assert report_error(KeyboardInterrupt(), Invocation(())) == 130
 
 
-def test_a_reader_that_leaves_is_no_error():
+def test_a_closed_pipe_is_no_error():
     code = "import needlefit.cli; needlefit.cli.main(['paper'])"
     running = subprocess.Popen(
         [sys.executable, "-c", code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True

@@ -32,7 +32,7 @@ def calibrated(*words):
 
 
 @pytest.mark.slow
-def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(reports):
+def test_an_interrupted_run_resumes_to_the_same_bytes(reports):
     whole = calibrated("--jobs", "1")
     assert whole.returncode == 5, whole.stderr  # too few
     assert "2 replicates are too few to tell" in whole.stdout
@@ -57,15 +57,15 @@ def test_a_run_that_was_stopped_goes_on_to_the_same_bytes(reports):
 
 
 @pytest.mark.slow
-def test_a_control_that_is_noticed_ends_well_and_one_that_is_not_does_not(reports, capsys):
+def test_a_detected_control_exits_0_and_an_undetected_one_does_not(reports, capsys):
     """The prior as posterior: 15 truths are far likelier than its draws, too few tell nothing."""
     assert run("calibrate", "study2", "--control", "prior", "--replicates", "15", "-q", "--json") == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["not_calibrated"] == ["log_likelihood"] and said["draw_source"] == {"prior": 15}
+    output = json.loads(capsys.readouterr().out)
+    assert output["not_calibrated"] == ["log_likelihood"] and output["draw_source"] == {"prior": 15}
     assert run("calibrate", "study2", "--control", "prior", "--replicates", "1", "-q") == 5  # too few
     assert "1 replicate is too few to tell whether it is noticed" in capsys.readouterr().out
     assert json.loads((reports / "calibrate-study2-prior" / "run.json").read_text())["passes"] is False
 
 
-def test_a_control_that_there_is_not_is_a_usage_error(reports, capsys):
+def test_an_unknown_control_is_a_usage_error(reports, capsys):
     assert run("calibrate", "study2", "--control", "nothing") == 2

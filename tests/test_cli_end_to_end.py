@@ -65,7 +65,7 @@ def once(project: Path) -> dict[str, bytes]:
     return contents(project / "reports/small")
 
 
-def test_a_result_folder_says_how_it_was_made(project, once):
+def test_a_result_folder_records_how_it_was_made(project, once):
     run = json.loads(once["run.json"])
     assert {"validation.csv", "parameters.csv", "validation.tex", "report.pdf"} <= once.keys()
     assert str(project) not in json.dumps(run)
@@ -93,7 +93,7 @@ def test_ctrl_c_resume_and_other_jobs_change_no_byte(project, once):
     assert contents(project / "again/small") == once
 
 
-def test_a_report_is_made_again_from_what_was_stored(project, once, monkeypatch, capsys):
+def test_a_report_is_rebuilt_from_stored_results(project, once, monkeypatch, capsys):
     monkeypatch.chdir(project)
     again = project / "reports/small-again"
     shutil.copytree(project / "reports/small", again)
@@ -107,7 +107,7 @@ def test_a_report_is_made_again_from_what_was_stored(project, once, monkeypatch,
     assert contents(again) == once
 
 
-def test_tune_stands_beside_the_paper_s_set(project, monkeypatch, capsys):
+def test_tune_prints_the_paper_s_parameters_beside_the_fit(project, monkeypatch, capsys):
     monkeypatch.chdir(project)
     monkeypatch.setattr(
         "needlefit.reporting.run_folder._draw_figures", lambda results, folder: {}

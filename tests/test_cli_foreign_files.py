@@ -197,7 +197,7 @@ def leave_run(folder: Path, command: str) -> None:
 
 @pytest.mark.parametrize(("command", "place"), REFUSED)
 @pytest.mark.parametrize("whose", ["the user's", "a result"])
-def test_what_holds_foreign_files_is_refused_before_the_work(command, place, whose, project, stubs, capsys):
+def test_folders_with_foreign_files_are_refused_before_the_run(command, place, whose, project, stubs, capsys):
     """The folder is the user's own, or one that needlefit wrote and the user added to."""
     folder = project / place
     if "./out/run" in CASES[command].words:
@@ -212,9 +212,9 @@ def test_what_holds_foreign_files_is_refused_before_the_work(command, place, who
     before = everything(project)
     assert run(*CASES[command].words) == 3
     assert everything(project) == before
-    said = capsys.readouterr().err
-    assert any(name in said for name in FOREIGN) or "exists already" in said
-    assert str(folder) in said or place in said
+    printed = capsys.readouterr().err
+    assert any(name in printed for name in FOREIGN) or "exists already" in printed
+    assert str(folder) in printed or place in printed
 
 
 def beside(project: Path) -> dict[str, bytes]:
@@ -249,7 +249,7 @@ def carry_out(command: str, project: Path) -> None:
 
 
 @pytest.mark.parametrize("command", [name for name, case in CASES.items() if case.quick])
-def test_what_lies_beside_stays(command, project, stubs):
+def test_other_files_in_the_folder_stay(command, project, stubs):
     carry_out(command, project)
 
 
@@ -258,12 +258,12 @@ def test_what_lies_beside_stays(command, project, stubs):
     "command",
     [name for name in CASES if name not in ("twin build", "verify") and not name.startswith("view")],
 )
-def test_what_lies_beside_stays_where_all_is_computed(command, project):
+def test_other_files_in_the_folder_stay_in_complete_runs(command, project):
     carry_out(command, project)
 
 
 @pytest.mark.parametrize("place", ["out/mine-tune", "out/mine-tune.partial"])
-def test_a_file_that_is_put_there_while_it_runs_stays(place, project, stubs, monkeypatch, capsys):
+def test_a_file_added_during_the_run_stays(place, project, stubs, monkeypatch, capsys):
     def run_and_plant(name, record, settings):
         results = Stub.run(name, record, settings)
         plant(project / place)
@@ -290,8 +290,8 @@ def test_a_second_run_into_the_same_folder_is_refused(project, stubs, capsys):
         assert first.stdout.readline() == b"holds\n"
         for more in ((), ("--resume",)):
             assert run(*CASES["tune"].words, *more) == 3
-            said = capsys.readouterr().err
-            assert f"process {first.pid}" in said and "mine-tune.partial" in said
+            printed = capsys.readouterr().err
+            assert f"process {first.pid}" in printed and "mine-tune.partial" in printed
         assert not (project / "out/mine-tune").exists()
         first.stdin.close()
     assert run(*CASES["tune"].words) == 0
@@ -309,12 +309,12 @@ def test_the_folder_is_removed_while_it_is_written(when, project, stubs, monkeyp
 
     monkeypatch.setattr("needlefit.validation.run.run", run_and_remove)
     code = run(*CASES["tune"].words)
-    said = capsys.readouterr().err
+    printed = capsys.readouterr().err
     if when.startswith("before a row"):
-        assert code == 3 and "mine-tune.partial" in said
+        assert code == 3 and "mine-tune.partial" in printed
     else:
         assert code == 0 and find_foreign(project / "out/mine-tune") == []
-    assert "Traceback" not in said and "unexpected" not in said
+    assert "Traceback" not in printed and "unexpected" not in printed
 
 
 def test_the_folder_is_removed_while_the_results_are_written(project, stubs, monkeypatch, capsys):

@@ -40,7 +40,7 @@ def designed(tmp_path_factory):
         return Path.cwd() / "reports" / "identify-study2", printed.getvalue()
 
 
-def test_the_design_alone_says_what_one_short_insertion_can_tell(designed):
+def test_the_design_part_ranks_the_parameters_of_one_short_insertion(designed):
     folder, out = designed
     assert "Design alone: 1 insertion, 24 mm deep" in out and "hand-tuned set study2" in out
     assert "alpha1: not at all: the tip moves less than 0.001 mm over its whole range at t = 40 mm" in out
@@ -62,15 +62,17 @@ def test_the_same_bytes_for_any_number_of_threads(designed, folder):
     assert one == two
 
 
-def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
+def test_a_fit_adds_its_stage_beside_the_design(folder, capsys):
     text = (
         'schema = 1\ndataset = "twin"\nmedium = "phantom2"\nrecipe = "quick"\n'
         '[tune]\nmedium = "phantom2"\nlayers = [1]\n'
     )
     (folder.parents[1] / "one.toml").write_text(text)
     assert run("identify", "./one.toml", "--fit", "--json", "-q") == 0
-    said = json.loads(capsys.readouterr().out)
-    assert {"design", "fit", "sentences", "directions"} <= set(said) and said["place"] == "the fitted values"
+    output = json.loads(capsys.readouterr().out)
+    assert {"design", "fit", "sentences", "directions"} <= set(output) and output[
+        "place"
+    ] == "the fitted values"
     by_stage = pd.read_csv(folder.parent / "identify-one" / "identify.csv").groupby("stage")["parameter"]
     assert by_stage.size()["design"] == by_stage.size()["fit"]
     for name in ("profiles", "profiles_design"):
@@ -79,7 +81,7 @@ def test_with_a_fit_both_stages_stand_beside_each_other(folder, capsys):
     assert_made_again(folder.parent / "identify-one")
 
 
-def test_the_design_part_looks_at_no_measured_shape(monkeypatch, designed, folder):
+def test_the_design_part_uses_no_measured_shape(monkeypatch, designed, folder):
     """Bent by 5 mm, the measured centreline changes nothing that the design says."""
     plain = job.read
 

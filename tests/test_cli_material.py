@@ -28,7 +28,7 @@ def gel(tmp_path, monkeypatch):
     return gel_file(tmp_path / "gel.csv")
 
 
-def test_it_prints_and_writes_what_the_specimens_say(gel, tmp_path, capsys):
+def test_estimates_of_the_specimens_are_printed_and_written(gel, tmp_path, capsys):
     assert run("material", "gel.csv") == 0
     out = capsys.readouterr().out
     assert "identified" in out and "A further specimen: alpha = -4." in out and "kPa within" in out
@@ -60,7 +60,7 @@ def test_the_same_file_gives_the_same_bytes(gel, tmp_path, capsys):
     assert sums[0] == sums[1]
 
 
-def test_what_identifies_nothing_writes_no_prior_and_says_the_flat_range(tmp_path, monkeypatch, capsys):
+def test_an_unidentified_parameter_writes_no_prior_and_prints_the_flat_range(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     gel_file(tmp_path / "shallow.csv", alphas=(3.0,), low=0.997)
     assert run("material", "shallow.csv") == 0

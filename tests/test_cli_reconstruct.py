@@ -93,7 +93,7 @@ def test_a_scan_becomes_a_checked_dataset(done):
     assert (on_scan > np.minimum(low, high) - 1).all() and (on_scan < np.maximum(low, high) + 1).all()
 
 
-def test_everything_that_a_person_needs_is_beside_it(done):
+def test_the_result_folder_has_tables_meshes_and_quality_pages(done):
     found = set(files(done))
     assert {
         *("reconstruction.csv", "markers.csv", "crossings.csv", "reconstruction.json"),
@@ -118,19 +118,19 @@ def test_the_same_scan_gives_the_same_bytes_and_replaces_itself(done, tmp_path):
     assert "# mine" in (again / "dataset.toml").read_text()
 
 
-def test_layers_take_all_words_up_to_the_next_option_and_dicom_holds_the_same(tmp_path, capsys):
+def test_layers_take_all_words_up_to_the_next_option_and_dicom_is_read_alike(tmp_path, capsys):
     series = tmp_path / "series"
     write_volume(read_volume(VOLUME), series)
     out = tmp_path / "out"
     words = ("reconstruct", series, "--markers", MARKERS, "--layers", *LAYERS, "--out", out, "-q", "--json")
     assert run(*words) == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["failed"] == [] and said["scans"][0]["layers"] == "1 2"
-    assert said["scans"][0]["entry_pose_from"] == "shaft"
-    assert said["scans"][0]["depth_mm"] == pytest.approx(25.0, abs=0.4)
+    output = json.loads(capsys.readouterr().out)
+    assert output["failed"] == [] and output["scans"][0]["layers"] == "1 2"
+    assert output["scans"][0]["entry_pose_from"] == "shaft"
+    assert output["scans"][0]["depth_mm"] == pytest.approx(25.0, abs=0.4)
 
 
-def test_a_scan_without_markers_is_its_own_world(tmp_path, capsys):
+def test_a_scan_without_markers_defines_its_own_world_frame(tmp_path, capsys):
     assert run("reconstruct", VOLUME, "--out", tmp_path / "out", "-q") == 0
     (insertion,) = read_dataset(tmp_path / "out").insertions
     assert np.array_equal(insertion.patient.rotation, np.eye(3))
@@ -139,30 +139,30 @@ def test_a_scan_without_markers_is_its_own_world(tmp_path, capsys):
 
 @pytest.fixture(scope="module")
 def resumed(tmp_path_factory):
-    """A command but for its last word, and its results: of two scans, one of which was torn at first."""
+    """A command but for its last word, and its results: of two scans, one of which was truncated at first."""
     folder = tmp_path_factory.mktemp("resumed")
-    torn, out = folder / "torn.nrrd", folder / "out"
-    torn.write_bytes(VOLUME.read_bytes()[:40_000])
+    truncated, out = folder / "truncated.nrrd", folder / "out"
+    truncated.write_bytes(VOLUME.read_bytes()[:40_000])
     shutil.copy(VOLUME, folder / "whole.nrrd")
-    words = ("reconstruct", torn, folder / "whole.nrrd", "--jobs", "1", "-q", "--out")
+    words = ("reconstruct", truncated, folder / "whole.nrrd", "--jobs", "1", "-q", "--out")
     with redirect_stderr(StringIO()) as errors:
         assert run(*words, out) == 3
     assert "1 of 2 scans failed" in errors.getvalue() and "fix" in errors.getvalue()
     assert f"kept in {folder / 'out.partial'}; to go on: " in errors.getvalue()
     assert [one.id for one in read_dataset(out).insertions] == ["whole"]
-    shutil.copy(VOLUME, torn)
+    shutil.copy(VOLUME, truncated)
     assert run(*words, out, "--resume") == 0
     return words, out
 
 
-def test_one_failure_loses_nothing_and_resume_mends_it(resumed):
+def test_one_failure_loses_nothing_and_resume_completes_it(resumed):
     _, out = resumed
-    assert [one.id for one in read_dataset(out).insertions] == ["torn", "whole"]
+    assert [one.id for one in read_dataset(out).insertions] == ["truncated", "whole"]
     assert not out.with_name("out.partial").exists()
 
 
 @pytest.mark.slow
-def test_what_was_resumed_is_as_at_once(resumed):
+def test_resumed_results_equal_those_of_one_run(resumed):
     words, out = resumed
     again = out.with_name("again") / "out"
     assert run(*words, again) == 0
@@ -173,26 +173,26 @@ def test_what_was_resumed_is_as_at_once(resumed):
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
+def test_damaged_checkpoints_are_set_aside_and_no_pickle_is_opened(tmp_path, capsys, monkeypatch):
     class Bomb:
         def __reduce__(self):
             return (Path.touch, (tmp_path / "was_run",))
 
-    (tmp_path / "torn.nrrd").write_bytes(VOLUME.read_bytes()[:40_000])
+    (tmp_path / "truncated.nrrd").write_bytes(VOLUME.read_bytes()[:40_000])
     shutil.copy(VOLUME, tmp_path / "whole.nrrd")
-    scans = (tmp_path / "torn.nrrd", tmp_path / "whole.nrrd")
+    scans = (tmp_path / "truncated.nrrd", tmp_path / "whole.nrrd")
     words = ("reconstruct", *scans, "--out", tmp_path / "out", "-q", "--jobs", "1")
     assert run(*words) == 3
     keep = tmp_path / "out.partial"
-    for name in ("torn.checkpoint", "whole.checkpoint"):
+    for name in ("truncated.checkpoint", "whole.checkpoint"):
         (keep / name).write_bytes(pickle.dumps(Bomb()))
     capsys.readouterr()
-    assert run(*words, "--resume") == 3  # torn.nrrd still is
-    said = capsys.readouterr().err
+    assert run(*words, "--resume") == 3  # truncated.nrrd still is
+    printed = capsys.readouterr().err
     assert (
-        said.count("was damaged") == 2
-        and "torn.checkpoint.damaged-1" in said
-        and "whole.checkpoint.damaged-1" in said
+        printed.count("was damaged") == 2
+        and "truncated.checkpoint.damaged-1" in printed
+        and "whole.checkpoint.damaged-1" in printed
     )
     assert not (tmp_path / "was_run").exists()
     assert {path.name for path in keep.iterdir()} == {
@@ -200,7 +200,7 @@ def test_what_is_kept_and_damaged_is_set_aside_and_no_pickle_is_opened(tmp_path,
             "lock",
             "needlefit.json",
             "whole.checkpoint",
-            "torn.checkpoint.damaged-1",
+            "truncated.checkpoint.damaged-1",
             "whole.checkpoint.damaged-1",
         ),
     }
@@ -360,17 +360,17 @@ def short_needle(folder):
     ],
 )
 @pytest.mark.usefixtures("searched_once")
-def test_what_is_wrong_is_said_with_what_mends_it_and_nothing_is_written(spoil, words, tmp_path, capsys):
+def test_faulty_input_is_reported_with_a_fix_and_nothing_is_written(spoil, words, tmp_path, capsys):
     arguments = spoil(tmp_path)
     before = files(tmp_path)
     capsys.readouterr()
     assert run("reconstruct", *arguments, "--out", tmp_path / "out", "-q") == 3
-    told = capsys.readouterr().err
+    printed = capsys.readouterr().err
 
-    assert re.search(words, told), told
-    assert "fix:" in told and "unexpected" not in told
-    assert not re.search(r"needlefit: (\w+): \S*/\1[.:]", told), (
-        told
+    assert re.search(words, printed), printed
+    assert "fix:" in printed and "unexpected" not in printed
+    assert not re.search(r"needlefit: (\w+): \S*/\1[.:]", printed), (
+        printed
     )  # the id, and again the file of its name
     assert not (tmp_path / "out").exists()
     assert files(tmp_path) == before
@@ -396,15 +396,15 @@ def table(folder, **changes):
     ],
 )
 @pytest.mark.usefixtures("searched_once")
-def test_what_was_stated_wrongly_is_refused(changes, words, tmp_path, capsys):
+def test_contradicting_statements_are_refused(changes, words, tmp_path, capsys):
     assert run("reconstruct", table(tmp_path, **changes), "--out", tmp_path / "out", "-q") == 3
-    told = capsys.readouterr().err
-    assert re.search(words, told) and "fix:" in told, told
+    printed = capsys.readouterr().err
+    assert re.search(words, printed) and "fix:" in printed, printed
     assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.usefixtures("searched_once")
-def test_a_stage_that_is_off_by_little_is_told(tmp_path):
+def test_a_small_offset_of_the_stage_is_reported(tmp_path):
     assert run("reconstruct", table(tmp_path, entry_y_mm="4.0"), "--out", tmp_path / "out", "-q") == 0
     assert "outside the tissue stands" in (tmp_path / "out" / "reconstruction.csv").read_text()
 
@@ -437,16 +437,16 @@ def test_voxels_need_not_be_cubes(tmp_path):
     ],
 )
 def test_layers_are_all_words_up_to_the_next_option(words, taken):
-    said = repeat_option(words)
-    layers = [word for before, word in pairwise(said) if before == "--layers"]
-    layers += [word.removeprefix("--layers=") for word in said if word.startswith("--layers=")]
+    repeated = repeat_option(words)
+    layers = [word for before, word in pairwise(repeated) if before == "--layers"]
+    layers += [word.removeprefix("--layers=") for word in repeated if word.startswith("--layers=")]
     assert sorted(layers) == taken
     rest = [word for word in words if word not in taken and not word.startswith("--layers")]
-    assert [word for word in said if word not in taken and not word.startswith("--layers")] == rest
+    assert [word for word in repeated if word not in taken and not word.startswith("--layers")] == rest
 
 
 @pytest.mark.parametrize(
-    ("words", "told"),
+    ("words", "expected"),
     [
         ([VOLUME, "--layers"], "names no file"),
         ([VOLUME, "--layers", "--quiet"], "names no file"),
@@ -455,24 +455,24 @@ def test_layers_are_all_words_up_to_the_next_option(words, taken):
         (["--markers", MARKERS], "Missing argument"),
     ],
 )
-def test_layers_and_scans_are_told_apart(words, told, tmp_path, capsys):
+def test_layers_and_scans_are_distinguished(words, expected, tmp_path, capsys):
     assert run("reconstruct", *words, "--out", tmp_path / "out") == 2
-    said = " ".join(capsys.readouterr().err.split())
-    assert told in said
+    printed = " ".join(capsys.readouterr().err.split())
+    assert expected in printed
     assert run("reconstruct", "--out", tmp_path / "out", *words) == 2
     assert not (tmp_path / "out").exists()
 
 
-def test_a_frame_that_is_none_is_refused(tmp_path, capsys):
+def test_an_invalid_frame_is_refused(tmp_path, capsys):
     assert run("reconstruct", VOLUME, "--layers-in", "scn", "--out", tmp_path / "out") == 2
     assert "'world', 'scan'" in capsys.readouterr().err
 
 
-def test_no_library_speaks_beside_what_is_wrong(tmp_path, capfd):
+def test_libraries_print_nothing_beside_the_error(tmp_path, capfd):
     for path in (truncated(tmp_path)[0], no_decoder(tmp_path)[0]):
         run("reconstruct", path, "--out", tmp_path / "out", "-q")
-    told = capfd.readouterr().err
-    assert told.count("fix:") == 2 and "WARNING" not in told and ".cxx" not in told
+    printed = capfd.readouterr().err
+    assert printed.count("fix:") == 2 and "WARNING" not in printed and ".cxx" not in printed
 
 
 @pytest.mark.parametrize(
@@ -488,7 +488,7 @@ def test_no_library_speaks_beside_what_is_wrong(tmp_path, capfd):
     ids=str,
 )
 @pytest.mark.parametrize("table", [SAMPLE / "scans.csv", "sample_scan"], ids=["path", "name"])
-def test_a_table_of_scans_stands_alone(table, beside, tmp_path, capsys):
+def test_a_table_of_scans_excludes_other_scan_options(table, beside, tmp_path, capsys):
     assert run("reconstruct", table, *beside, "--out", tmp_path / "out") == 2
     assert "stands alone" in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []

@@ -23,13 +23,13 @@ def test_a_pipe_gets_one_line_a_minute():
     assert stream.getvalue() == "needlefit: study3: starts: 2 of 16\nneedlefit: study3: starts: 5 of 16\n"
 
 
-def test_quiet_says_nothing(capsys):
+def test_quiet_prints_nothing(capsys):
     with show_progress(quiet=True) as report:
         report("study3", 1, 2)
     assert capsys.readouterr() == ("", "")
 
 
-def test_ctrl_c_once_raises_a_flag_and_gives_the_signal_back(capfd):
+def test_ctrl_c_once_sets_a_flag_and_restores_the_handler(capfd):
     before = signal.getsignal(signal.SIGINT)
     with catch_interrupts() as stop:
         assert not stop()
@@ -39,7 +39,7 @@ def test_ctrl_c_once_raises_a_flag_and_gives_the_signal_back(capfd):
     assert "stopping after this step" in capfd.readouterr().err
 
 
-def test_ctrl_c_twice_leaves_at_once():
+def test_ctrl_c_twice_ends_at_once():
     code = (
         "import time\n"
         "from needlefit.cli.exit_codes import catch_interrupts\n"

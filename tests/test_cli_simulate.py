@@ -19,7 +19,7 @@ def answer(capsys, *words):
     return json.loads(capsys.readouterr().out)
 
 
-def test_json_says_what_it_promises(capsys):
+def test_json_has_the_documented_keys(capsys):
     found = answer(capsys, "phantom1")
     assert found["converged"] is True
     assert found["boundaries_mm"] == [20, 28, 45]
@@ -78,7 +78,7 @@ def test_an_unknown_key_lists_the_nearest(capsys):
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    ("setting", "expected"),
     [
         ("layers.2.mu_pa=-1", "layers.2.mu_pa"),
         ("layers.2.mu_pa=soft", "layers.2.mu_pa"),
@@ -89,26 +89,26 @@ def test_an_unknown_key_lists_the_nearest(capsys):
         ("rules.element_mm=0.3", "does not divide the constraint spacing"),
     ],
 )
-def test_a_wrong_value_names_its_key(setting, told, capsys):
+def test_a_wrong_value_names_its_key(setting, expected, capsys):
     assert run("simulate", "phantom1", "--set", setting) == 3
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
 
 
 def test_a_shipped_scene_goes_by_its_name_in_messages(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     assert run("simulate", "figure1", "--set", "bevel.side=0") == 3
-    told = capsys.readouterr().err
-    assert told.startswith("needlefit: scene figure1 (shipped), changed by bevel.side=0: key `bevel.side`")
+    printed = capsys.readouterr().err
+    assert printed.startswith("needlefit: scene figure1 (shipped), changed by bevel.side=0: key `bevel.side`")
 
 
-def test_a_needle_too_short_says_how_deep_it_goes(capsys):
+def test_a_needle_too_short_is_reported_with_its_largest_depth(capsys):
     assert run("simulate", "phantom1", "--depth", "150") == 3
     assert "a depth below 150 mm" in capsys.readouterr().err
     assert run("simulate", "phantom1", "--depth", "120", "--set", "controls.guide_distance_mm=40") == 3
     assert "a depth below 110 mm" in capsys.readouterr().err
 
 
-def test_what_is_no_assignment_is_a_usage_error(capsys):
+def test_an_invalid_assignment_is_a_usage_error(capsys):
     assert run("simulate", "phantom1", "--set", "bevel.offset_mm") == 2
     assert "KEY=VALUE" in capsys.readouterr().err
 
@@ -125,7 +125,7 @@ def test_without_convergence_the_answer_is_marked_and_the_exit_code_5(capsys):
     assert "NO" in capsys.readouterr().out
 
 
-def test_what_was_not_found_is_a_dash_in_print(capsys):
+def test_values_not_computed_are_printed_as_dashes(capsys):
     assert run("simulate", "phantom2", "--set", "bevel.offset_mm=60") == 5
     out = capsys.readouterr().out
     assert "nan" not in out
@@ -141,7 +141,7 @@ def test_what_was_not_found_is_a_dash_in_print(capsys):
         ("bevel.offset_mm=2.1", "bevel.offset_mm"),
     ],
 )
-def test_values_that_are_hard_to_believe_give_a_warning(setting, key, capsys):
+def test_implausible_values_give_a_warning(setting, key, capsys):
     run("simulate", "phantom2", "--set", setting, "--json")
     found = json.loads(capsys.readouterr().out)["warnings"]
     (one,) = [row for row in found if row["kind"] == "units"]
@@ -159,12 +159,12 @@ def test_strict_turns_a_warning_into_an_exit_code_and_nothing_else(capsys):
     assert run("simulate", "phantom2", "--strict") == 0
 
 
-def test_a_step_s_offset_is_asked_about_and_counts_per_mm(capsys):
+def test_a_steep_offset_of_a_step_gives_a_warning_per_mm(capsys):
     run("simulate", "figure1", "--set", "steps.2.offset_mm=1.5", "--set", "rules.constraint_spacing_mm=0.5")
     assert "`steps.2.offset_mm` is 1.5 per 0.5 mm of depth" in capsys.readouterr().err
 
 
-def test_the_mesh_follows_the_constraint_spacing_where_the_file_does_not_say(capsys):
+def test_the_mesh_follows_the_constraint_spacing_by_default(capsys):
     half = answer(capsys, "phantom2", "--set", "rules.constraint_spacing_mm=0.5")
     same = answer(
         capsys, "phantom2", "--set", "rules.constraint_spacing_mm=0.5", "--set", "rules.element_mm=0.5"
@@ -172,7 +172,7 @@ def test_the_mesh_follows_the_constraint_spacing_where_the_file_does_not_say(cap
     assert half == same
 
 
-def test_what_was_not_found_is_null(capsys):
+def test_values_not_computed_are_null(capsys):
     assert run("simulate", "phantom2", "--set", "bevel.offset_mm=60", "--json") == 5
     found = json.loads(capsys.readouterr().out, parse_constant=pytest.fail)  # NaN is no JSON
     assert (found["converged"], found["status"]) == (False, "over-compressed")
@@ -223,10 +223,12 @@ def test_a_step_outside_the_model_marks_the_whole_insertion(capsys):
         ("rules.constraint_spacing_mm=1e9", "rules.constraint_spacing_mm"),
     ],
 )
-def test_sizes_beyond_all_use_are_refused_at_once(setting, key, capsys):
+def test_absurd_sizes_are_refused_at_once(setting, key, capsys):
     assert run("simulate", "phantom2", "--set", setting) == 3
-    said = capsys.readouterr().err
-    assert f"`{key}`" in said and "expected" in said and f"{float(setting.partition('=')[2])}" in said
+    printed = capsys.readouterr().err
+    assert (
+        f"`{key}`" in printed and "expected" in printed and f"{float(setting.partition('=')[2])}" in printed
+    )
 
 
 @pytest.mark.parametrize(
@@ -270,7 +272,7 @@ def test_a_path_is_a_scene_too(tmp_path, monkeypatch, capsys):
     assert answer(capsys, "./mine.toml")["depth_mm"] == 20
 
 
-def test_a_scene_of_one_step_says_the_same_of_it(capsys):
+def test_a_scene_of_one_step_prints_the_same(capsys):
     found = answer(capsys, "phantom1")
     (step,) = found["steps"]
     assert {key: found[key] for key in step} == step
@@ -327,7 +329,7 @@ def test_guides_and_steps_are_set_by_name_and_number(capsys):
 
 
 @pytest.mark.parametrize(
-    ("setting", "told"),
+    ("setting", "expected"),
     [
         ("guides.1.x_mm=5", "key `guides.1`: guide stands at x = 5.0 mm"),
         ("steps.2.guides.template.x_mm=5", "key `steps.2.guides.template`: guide stands at x = 5.0 mm"),
@@ -357,6 +359,6 @@ def test_guides_and_steps_are_set_by_name_and_number(capsys):
         ("guides.1.name=2", "guides.1.name"),
     ],
 )
-def test_a_wrong_step_or_guide_names_its_key(setting, told, capsys):
+def test_a_wrong_step_or_guide_names_its_key(setting, expected, capsys):
     assert run("simulate", "figure1", "--set", setting) == 3
-    assert told in capsys.readouterr().err
+    assert expected in capsys.readouterr().err

@@ -24,22 +24,22 @@ def answer(capsys, *words):
 
 def test_a_recording_ends_where_it_ended_bit_for_bit(log, capsys):
     path, found = log
-    said = answer(capsys, "--recording", path)
-    assert said["deflection_mm"] == found[-1][-1]
-    assert said["replayed"] == {"steps": len(WANDERING), "tip_offset_mm": 0.0}
-    assert (said["depth_mm"], said["converged"], len(said["steps"])) == (5.0, True, 1)
-    assert said["boundaries_mm"] == [20, 28, 45]
+    output = answer(capsys, "--recording", path)
+    assert output["deflection_mm"] == found[-1][-1]
+    assert output["replayed"] == {"steps": len(WANDERING), "tip_offset_mm": 0.0}
+    assert (output["depth_mm"], output["converged"], len(output["steps"])) == (5.0, True, 1)
+    assert output["boundaries_mm"] == [20, 28, 45]
 
 
 @pytest.mark.parametrize(("step", "depth"), [(0, 0.0), (1, 12.34567), (5, 25.1), (8, 30.0), (15, 5.0)])
 def test_a_recording_can_be_stopped_after_a_step(log, step, depth, capsys):
     path, found = log
-    said = answer(capsys, "--recording", path, "--step", step)
-    assert said["depth_mm"] == depth
-    assert said["deflection_mm"] == found[step][-1]
+    output = answer(capsys, "--recording", path, "--step", step)
+    assert output["depth_mm"] == depth
+    assert output["deflection_mm"] == found[step][-1]
 
 
-def test_a_recording_is_told_as_a_scene_is(log, capsys):
+def test_a_recording_is_printed_as_a_scene_is(log, capsys):
     assert run("simulate", "--recording", str(log[0]), "--step", "8") == 0
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("Study 2")
@@ -47,7 +47,7 @@ def test_a_recording_is_told_as_a_scene_is(log, capsys):
     assert lines[-1] == "  replayed    8 steps, the tip as recorded, bit for bit"
 
 
-def test_a_tip_that_stands_elsewhere_than_recorded_is_told(log, capsys):
+def test_a_tip_that_differs_from_the_recording_is_reported(log, capsys):
     path, found = log
     tip = repr(float(found[1][-1]))
     path.write_text(path.read_text().replace(tip, repr(float(found[1][-1]) + 1e-3), 1))
@@ -63,9 +63,9 @@ def test_files_of_a_recording_and_of_a_scene(log, tmp_path, capsys, monkeypatch)
     options = [word for option, file in files.items() for word in (f"--{option}", tmp_path / file)]
     for source in (["--recording", log[0], "--step", 8], ["study2", "--depth", 20]):
         assert run("simulate", *map(str, [*source, *options])) == 0
-        told = capsys.readouterr()
-        tip = float(next(line for line in told.out.splitlines() if "deflection" in line).split()[1])
-        assert all(f": {tmp_path / file}" in told.err for file in files.values())
+        captured = capsys.readouterr()
+        tip = float(next(line for line in captured.out.splitlines() if "deflection" in line).split()[1])
+        assert all(f": {tmp_path / file}" in captured.err for file in files.values())
         table = pd.read_csv(tmp_path / "a.csv")
         assert table["y_mm"].iloc[-1] == pytest.approx(tip, abs=5.1e-4)
         (curve,) = json.loads((tmp_path / "a.mrk.json").read_text())["markups"]
@@ -76,7 +76,7 @@ def test_files_of_a_recording_and_of_a_scene(log, tmp_path, capsys, monkeypatch)
             (tmp_path / file).unlink()
 
 
-def test_a_needle_that_was_not_found_is_not_written(tmp_path, capsys):
+def test_an_unconverged_needle_is_not_written(tmp_path, capsys):
     file = tmp_path / "a.csv"
     assert run("simulate", "study2", "--set", "bevel.offset_mm=60", "--csv", str(file)) == 5
     assert not file.exists() and "written" not in capsys.readouterr().err
@@ -94,7 +94,7 @@ def test_a_needle_that_was_not_found_is_not_written(tmp_path, capsys):
         ([], "give a SCENE"),
     ],
 )
-def test_what_does_not_go_together_is_a_usage_error(log, words, fault, capsys):
+def test_contradicting_options_are_a_usage_error(log, words, fault, capsys):
     assert run("simulate", *(str(log[0]) if word == "LOG" else word for word in words)) == 2
     assert fault in " ".join(capsys.readouterr().err.replace("│", " ").split())
 
@@ -107,18 +107,18 @@ def test_what_does_not_go_together_is_a_usage_error(log, words, fault, capsys):
         ("5,1.2500,", "9,1.2500,", "step 9", "step 5: none left out"),
     ],
 )
-def test_a_fault_of_a_recording_is_told_with_its_line(log, old, new, fault, expected, capsys):
+def test_a_fault_of_a_recording_is_reported_with_its_line(log, old, new, fault, expected, capsys):
     path = log[0]
     lines = path.read_text().splitlines(keepends=True)
     number = next(n for n, line in enumerate(lines) if old in line and not line.startswith("#"))
     lines[number] = lines[number].replace(old, new)
     path.write_text("".join(lines))
     assert run("simulate", "--recording", str(path)) == 3
-    told = capsys.readouterr().err
-    assert f"{path}, line {number + 1}: {fault}" in told and f"expected: {expected}" in told
+    printed = capsys.readouterr().err
+    assert f"{path}, line {number + 1}: {fault}" in printed and f"expected: {expected}" in printed
 
 
-def test_what_is_no_recording_is_told_so(tmp_path, capsys):
+def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("x,y\n1,2\n")
     assert run("simulate", "--recording", str(tmp_path / "a.csv")) == 3
     assert "is no recording" in capsys.readouterr().err

@@ -24,7 +24,7 @@ def shell(line: str, **environment: str) -> subprocess.CompletedProcess[bytes]:
 
 
 @pytest.mark.parametrize(("words", "lines"), [("paper --json | head -1", 1), ("--help | true", 0)])
-def test_a_reader_that_has_had_enough_is_no_failure(words, lines):
+def test_a_pipe_closed_early_is_no_failure(words, lines):
     done = shell(f"needlefit {words}")
     assert (done.returncode, done.stderr, done.stdout.count(b"\n")) == (0, b"", lines)
 
@@ -42,13 +42,13 @@ def test_without_stderr_a_fault_still_has_its_exit_code(lost):
 
 @pytest.mark.skipif(not FULL.exists(), reason="this system has no /dev/full")
 @pytest.mark.parametrize("words", ["paper", "--help"])
-def test_output_that_a_full_disk_did_not_take_is_an_error(words):
+def test_output_on_a_full_disk_is_an_error(words):
     done = shell(f"needlefit {words} > {FULL}")
     assert done.returncode == 3
     assert b"No space left" in done.stderr and b"Traceback" not in done.stderr
 
 
-def test_characters_that_a_terminal_has_not_are_replaced(tmp_path):
+def test_characters_unknown_to_the_terminal_are_replaced(tmp_path):
     done = shell("needlefit paper", PYTHONIOENCODING="ascii")
     assert (done.returncode, done.stderr) == (0, b"") and done.stdout.isascii()
     assert b"?" in done.stdout
@@ -57,7 +57,7 @@ def test_characters_that_a_terminal_has_not_are_replaced(tmp_path):
     assert done.returncode == 3 and b"unexpected" not in done.stderr
 
 
-def test_json_for_a_terminal_of_few_characters_loses_none():
+def test_json_for_an_ascii_terminal_loses_no_character():
     done = shell("needlefit paper --json", LC_ALL="C", PYTHONUTF8="0", PYTHONCOERCECLOCALE="0")
     assert done.stdout.isascii() and not json.dumps(json.loads(done.stdout), ensure_ascii=False).isascii()
 
@@ -71,6 +71,6 @@ def test_json_for_a_terminal_of_few_characters_loses_none():
         (BrokenPipeError(32, "Broken pipe"), 3),  # of a worker: a reader of stdout that has gone raises none
     ],
 )
-def test_what_python_raises_has_a_message_and_a_code(error, code, capsys):
+def test_exceptions_of_python_have_a_message_and_an_exit_code(error, code, capsys):
     assert report_error(error, Invocation(())) == code
     assert "unexpected" not in capsys.readouterr().err

@@ -97,8 +97,8 @@ def test_validate_reference_writes_evidence(stub):
 def test_a_curve_that_beats_the_model_is_named(stub, capsys):
     stub(stereo())
     assert run("validate", "mine") == 0
-    said = " ".join(capsys.readouterr().out.split())
-    assert "does better here than the fitted model, on the same held-out points: straight line (" in said
+    printed = " ".join(capsys.readouterr().out.split())
+    assert "does better here than the fitted model, on the same held-out points: straight line (" in printed
 
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
@@ -108,7 +108,7 @@ def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
     assert "did not converge" in capsys.readouterr().err
 
 
-def test_validate_interrupted_keeps_its_checkpoint_and_says_how_to_go_on(stub, capsys):
+def test_validate_interrupted_keeps_its_checkpoint_and_prints_how_to_resume(stub, capsys):
     made = stub(dataclasses.replace(study(1), interrupted=True))
     assert run("validate", "mine", "--seed", "7") == 130
     assert made.written == []
@@ -151,7 +151,7 @@ def test_tune_interrupted_writes_the_best_so_far_marked(stub, capsys):
     assert Path("reports/gel.partial").is_dir()
 
 
-def test_a_wrong_study_is_told_before_anything_runs(stub, capsys):
+def test_a_wrong_study_is_refused_before_anything_runs(stub, capsys):
     made = stub(study(1))
     Path("studies/mine.toml").write_text(STUDY + "validat = 1\n")
     assert run("validate", "mine") == 3
@@ -168,7 +168,7 @@ def test_tune_interrupted_before_anything_is_found_leaves_an_earlier_result(stub
     assert "needlefit tune gel --resume" in capsys.readouterr().err
 
 
-def test_a_folder_of_somebody_else_is_refused_before_anything_runs(stub, capsys):
+def test_a_foreign_folder_is_refused_before_anything_runs(stub, capsys):
     made = stub(study(1))
     Path("reports/mine").mkdir(parents=True)
     Path("reports/mine/thesis.tex").write_text("years of work")

@@ -67,7 +67,7 @@ def project(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     return tmp_path
 
 
-def test_runs_are_foretold_scored_and_said(project, capsys):
+def test_runs_are_predicted_scored_and_printed(project, capsys):
     assert run("validate", "mine", "--jobs", "1", "-q") == 5  # forty steps are no posterior, and it says so
     out = capsys.readouterr().out
     assert "SYNTHETIC data" in out and "NOT CONVERGED" in out and "the fit is" in out
@@ -82,8 +82,8 @@ def test_runs_are_foretold_scored_and_said(project, capsys):
     shape = held.groupby("method")["aligned_rms_mm"].mean()
     assert shape["fitted"] < 0.5 * shape["straight"]  # the truth is the model's own, and the guide moved
     assert not readings.loc[~readings["scored"], "median_mm"].notna().any()
-    told = json.loads((folder / "run.json").read_text())
-    assert str(project) not in json.dumps(told) and told["fits"]["gel"]["tune"][0] == "rest0"
+    record = json.loads((folder / "run.json").read_text())
+    assert str(project) not in json.dumps(record) and record["fits"]["gel"]["tune"][0] == "rest0"
     deep = pd.read_csv(folder / "depths.csv").query("method == 'fitted'")
     assert list(deep["from_mm"]) == [20.0, 40.0, 60.0] and deep["readings"].sum() == 2 * np.sum(DEPTH > 15)
     names = {path.name for path in folder.iterdir()}
@@ -98,7 +98,7 @@ def test_runs_are_foretold_scored_and_said(project, capsys):
     assert_made_again(folder)
 
 
-def test_a_run_cannot_tune_and_validate(project, capsys):
+def test_a_run_that_both_tunes_and_validates_is_refused(project, capsys):
     (project / "studies/mine.toml").write_text(STUDY.replace("validate = { guided = true }", "validate = {}"))
     assert run("validate", "mine", "-q") == 3
     assert "rest0, rest1, rest2, rest3 would both tune and validate" in capsys.readouterr().err
@@ -110,17 +110,17 @@ def test_a_guide_out_of_the_needle_s_reach_is_refused(project, capsys):
     assert "a needle of 200 mm is too short" in capsys.readouterr().err
 
 
-def test_other_commands_say_which_one_runs_it(project, capsys):
+def test_other_commands_name_the_one_that_runs_it(project, capsys):
     assert run("tune", "mine", "-q") == 3
     assert "use: needlefit validate mine" in capsys.readouterr().err
     assert run("check", "mine") == 0
 
 
-def test_a_study_that_leaves_nothing_to_foretell_is_refused_before_anything_runs(project, capsys):
+def test_a_study_with_nothing_to_predict_is_refused_before_anything_runs(project, capsys):
     (project / "studies/mine.toml").write_text(
         STUDY.replace("registration_depth_mm = 15", "registration_depth_mm = 200")
     )
     assert run("validate", "mine", "-q") == 3
-    said = capsys.readouterr().err
-    assert "nothing is left to be predicted" in said and "registration_depth_mm" in said
+    printed = capsys.readouterr().err
+    assert "nothing is left to be predicted" in printed and "registration_depth_mm" in printed
     assert not (project / "reports/mine.partial").exists()

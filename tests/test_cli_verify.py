@@ -147,7 +147,7 @@ def test_the_same_measurements_give_the_same_bytes(table, tmp_path, capsys):
     assert first == second
 
 
-def test_nothing_of_a_users_is_replaced(table, tmp_path, capsys):
+def test_files_of_the_user_are_not_replaced(table, tmp_path, capsys):
     table(*GOOD)
     (tmp_path / "verification").mkdir()
     (tmp_path / "verification" / "notes.txt").write_text("mine")
@@ -156,12 +156,12 @@ def test_nothing_of_a_users_is_replaced(table, tmp_path, capsys):
     assert "is not replaced" in capsys.readouterr().err
 
 
-def test_the_report_says_it_in_words(table, tmp_path, capsys):
+def test_the_report_states_failed_rows_and_the_command(table, tmp_path, capsys):
     table(*GOOD, BAD)
     assert run("verify", "--out", str(tmp_path)) == 6
     pdf = tmp_path / "verification" / "report.pdf"
     try:
-        said = subprocess.run(["pdftotext", str(pdf), "-"], capture_output=True, text=True, check=True).stdout
+        text = subprocess.run(["pdftotext", str(pdf), "-"], capture_output=True, text=True, check=True).stdout
     except FileNotFoundError:
         pytest.skip("no pdftotext")
-    assert "1 of 3 rows FAIL" in said and "A mirror" in said and "needlefit verify --seed 1" in said
+    assert "1 of 3 rows FAIL" in text and "A mirror" in text and "needlefit verify --seed 1" in text

@@ -13,7 +13,7 @@ from needlefit.viewer.opening import open_recording
 from needlefit.viewer.recording import read_recording
 
 
-def test_it_serves_its_page_and_ends_when_told(tmp_path):
+def test_view_serves_its_page_and_ends_on_a_signal(tmp_path):
     command = [sys.executable, "-m", "needlefit", "view", "study2", "--no-browser", "--out", str(tmp_path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
         address = process.stdout.readline()
@@ -29,7 +29,7 @@ def test_it_serves_its_page_and_ends_when_told(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("words", "code", "said"),
+    ("words", "code", "expected"),
     [
         (("no_such_thing",), 3, "no_such_thing"),
         (("twin/phantom2-99",), 3, "phantom2-09"),
@@ -38,13 +38,13 @@ def test_it_serves_its_page_and_ends_when_told(tmp_path):
         (("study2", "--port", "70000"), 2, "--port"),
     ],
 )
-def test_what_cannot_be_shown_is_refused_before_anything_is_served(words, code, said, capsys, tmp_path):
+def test_invalid_input_is_refused_before_anything_is_served(words, code, expected, capsys, tmp_path):
     assert run("view", *words, "--no-browser", "--out", str(tmp_path)) == code
-    assert said in capsys.readouterr().err
+    assert expected in capsys.readouterr().err
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_port_that_is_taken_is_told(capsys):
+def test_a_port_in_use_is_reported(capsys):
     import socket
 
     with socket.create_server(("127.0.0.1", 0)) as taken:
@@ -53,7 +53,7 @@ def test_a_port_that_is_taken_is_told(capsys):
     assert f"port {port} cannot be used" in capsys.readouterr().err
 
 
-def test_a_missing_extra_is_named_with_the_line_that_installs_it(capsys, monkeypatch):
+def test_a_missing_extra_is_named_with_its_install_command(capsys, monkeypatch):
     monkeypatch.setitem(sys.modules, "aiohttp", None)
     for name in [name for name in sys.modules if name.startswith("needlefit.viewer.serving")]:
         monkeypatch.delitem(sys.modules, name)
@@ -61,7 +61,7 @@ def test_a_missing_extra_is_named_with_the_line_that_installs_it(capsys, monkeyp
     assert "pip install 'needlefit[view]'" in capsys.readouterr().err
 
 
-def test_a_recording_opens_with_what_lay_beside_it(tmp_path):
+def test_a_recording_opens_with_the_files_beside_it(tmp_path):
     path = tmp_path / "log.csv"
     recorded(path)
     shown = open_recording(read_recording(path))

@@ -30,7 +30,7 @@ from needlefit.validation.credibility_evidence import gather_evidence
 from needlefit.validation.csv_tables import find_damaged_files
 
 
-def told(folder, *named, about=None):
+def read_findings(folder, *named, about=None):
     """Return every factor's findings and gaps, by its key."""
     given = (
         {}
@@ -52,7 +52,7 @@ def left(tmp_path_factory):
 @pytest.fixture(scope="module")
 def bare(left):
     """What is told of a run with nothing beside it."""
-    return told(left)
+    return read_findings(left)
 
 
 @pytest.fixture
@@ -61,7 +61,7 @@ def alone(left, tmp_path):
     return copytree(left, tmp_path / left.name)
 
 
-def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them():
+def test_the_factors_are_those_of_the_standard_and_of_the_question_of_interest():
     assert [sum(one.part.startswith(part) for one in FACTORS) for part in ("Question", "Verif", "Valid")] == [
         *(4, 5),
         *(3 + 8 + 5,),
@@ -75,7 +75,7 @@ def test_the_factors_are_those_of_the_standard_and_of_the_question_before_them()
     } - {"schema_"}
 
 
-def test_without_evidence_every_gap_is_a_box_that_says_what_would_fill_it(bare):
+def test_without_evidence_every_gap_names_the_missing_evidence(bare):
     for key in ("question_of_interest", "context_of_use", "relevance_of_quantities"):
         words, gaps = bare[key]
         assert words == "" and len(gaps) == 1 and key in gaps[0] and "--statements" in gaps[0]
@@ -90,11 +90,11 @@ def test_without_evidence_every_gap_is_a_box_that_says_what_would_fill_it(bare):
     assert bare["samples_uncertainty"][0] == ""
 
 
-def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(alone, tmp_path):
+def test_evidence_of_the_same_model_is_reported_with_numbers_and_fills_its_gap(alone, tmp_path):
     leave_verification(tmp_path)
     leave_calibration(tmp_path)
     leave_sensitivity(tmp_path)
-    found = told(alone)
+    found = read_findings(alone)
     assert "Closed forms: 1 of 1 rows within their bounds" in found["code_verification"][0]
     assert "4.00 × 10⁻⁸ mm (bound ≤ 10⁻⁷)" in found["code_verification"][0]
     assert found["code_verification"][1] == []
@@ -107,10 +107,10 @@ def test_evidence_of_the_same_thing_is_told_with_its_numbers_and_fills_its_gap(a
     assert "nothing found of advance, constraint spacing" in " ".join(found["form"][1])
 
 
-def test_what_fails_is_said(alone, tmp_path):
+def test_failed_checks_are_reported(alone, tmp_path):
     leave_verification(tmp_path, measured=3e-6)
     leave_calibration(tmp_path, not_calibrated=["mu1_pa"])
-    found = told(alone)
+    found = read_findings(alone)
     assert (
         "0 of 1 rows within their bounds; 1 FAIL (Case 0: error of the tip)" in found["code_verification"][0]
     )
@@ -137,24 +137,24 @@ def other(part, **changed):
         ({"recipe": None}, "recipe: not stated there"),
     ],
 )
-def test_what_is_of_another_thing_is_named(tmp_path, changed, why):
+def test_evidence_of_another_model_is_named(tmp_path, changed, why):
     leave_calibration(tmp_path, **changed)
     (evidence,) = beside(tmp_path)
     assert not evidence.counted and why in "; ".join(evidence.objections)
 
 
-def test_evidence_of_another_thing_is_listed_but_not_counted(alone, tmp_path):
+def test_evidence_of_another_model_is_listed_but_not_counted(alone, tmp_path):
     leave_calibration(tmp_path, **other("dataset", sha256="cd" * 32))
     found = load_case(alone)
     every = collect_entries(found)
     (uncertainties,) = (one for one in every if one.factor.key == "uncertainties")
     assert not any("500 truths" in one.words for one in uncertainties.content.findings)
     assert "needlefit calibrate" in " ".join(uncertainties.gaps)
-    said = json.dumps(compose_bundle(found, every).blocks, default=str, ensure_ascii=False)
-    assert "calibrate-study1" in said and "cdcdcdcdcdcd… there, abababababab… here" in said
+    blocks = json.dumps(compose_bundle(found, every).blocks, default=str, ensure_ascii=False)
+    assert "calibrate-study1" in blocks and "cdcdcdcdcdcd… there, abababababab… here" in blocks
 
 
-def test_another_seed_or_title_is_the_same_thing(tmp_path):
+def test_another_seed_or_title_is_the_same_model(tmp_path):
     leave_calibration(tmp_path, **other("recipe", seed=7, title="Mine"))
     assert [one.counted for one in beside(tmp_path)] == [True]
 
@@ -167,10 +167,10 @@ def test_a_sensitivity_study_counts_for_the_runs_whose_fit_it_varied(tmp_path):
     assert [one.counted for name in ("one", "two") for one in beside(tmp_path / name)] == [True, False]
 
 
-def test_verification_of_another_mesh_tells_of_the_code_but_not_of_the_discretisation(tmp_path):
+def test_verification_of_another_mesh_covers_the_code_but_not_the_discretisation(tmp_path):
     alone = leave(results(rules={**WORK["rules"], "element_mm": 0.5}), tmp_path)
     leave_verification(tmp_path)
-    found = told(alone)
+    found = read_findings(alone)
     assert found["code_verification"][0] and not found["discretisation"][0]
     assert "elements of 1 mm; this run’s are 0.5 mm" in " ".join(found["discretisation"][1])
 
@@ -184,7 +184,7 @@ def test_a_figure_beside_the_numbers_is_shown_and_its_bytes_are_recorded(alone, 
     assert "convergence.pdf" in load_case(alone).evidence[0].digests
 
 
-def test_what_is_named_stands_for_what_lies_beside_and_is_refused_if_it_is_no_evidence(alone, tmp_path):
+def test_named_folders_replace_those_found_and_are_refused_if_no_evidence(alone, tmp_path):
     leave_verification(tmp_path, measured=1e-8)
     named = leave_verification(tmp_path / "elsewhere", measured=2e-8)
     for given, measured in (((named,), "2.00 × 10⁻⁸"), ((), "1.00 × 10⁻⁸")):
@@ -200,22 +200,22 @@ def test_evidence_with_a_table_missing_or_of_another_layout_is_not_counted(tmp_p
     folder = leave_sensitivity(tmp_path)
     pd.read_csv(folder / "cells.csv").drop(columns="change").to_csv(folder / "cells.csv", index=False)
     (leave_verification(tmp_path) / "verification.csv").unlink()
-    said = {one.kind: one.objections for one in beside(tmp_path)}
-    assert said == {
+    objections = {one.kind: one.objections for one in beside(tmp_path)}
+    assert objections == {
         "sensitivity": ("cells.csv lacks change",),
         "verification": ("verification.csv is missing",),
     }
 
 
-def test_measured_shapes_are_not_called_synthetic_and_what_they_cannot_tell_is_open(tmp_path):
-    found = told(leave(replace(stereo(), run={"name": "stereo_insertions"}), tmp_path))
+def test_measured_shapes_are_not_called_synthetic_and_leave_gaps(tmp_path):
+    found = read_findings(leave(replace(stereo(), run={"name": "stereo_insertions"}), tmp_path))
     assert not any("nothing physical" in gap for _, gaps in found.values() for gap in gaps)
     assert "rigid alignment" in found["outputs_alike"][0]
     assert "The model’s uncertainty is not in it" in " ".join(found["rigour"][1])
     assert "Nothing found" in found["quality_assurance"][0] or found["quality_assurance"][1]
 
 
-def test_what_is_found_alike_of_several_runs_is_said_once(tmp_path):
+def test_equal_findings_of_several_runs_are_listed_once(tmp_path):
     runs = [results(1), results(5)]
     for one in runs:
         leave(one, tmp_path)
@@ -225,27 +225,25 @@ def test_what_is_found_alike_of_several_runs_is_said_once(tmp_path):
     found = load_case(tmp_path / "all")
     blocks = compose_bundle(found, collect_entries(found)).blocks
     items = [item for block in blocks if block["kind"] == "list" for item in block["items"]]
-    said = [item for item in items if "Computed with" in item]
-    assert len(said) == 1 and said[0].startswith("study1, study5: Computed with emcee 3.1")
+    computed = [item for item in items if "Computed with" in item]
+    assert len(computed) == 1 and computed[0].startswith("study1, study5: Computed with emcee 3.1")
     assert any(item.startswith("study5: 500 truths") for item in items)
     gaps = [block["text"] for block in blocks if block["kind"] == "empty"]
     assert any("uncertainties are right, of study1: nothing found" in gap for gap in gaps)
 
 
-def test_what_people_state_fills_their_boxes(alone):
-    found = told(alone, about={"question_of_interest": "Where does the tip end?"})
+def test_statements_of_the_user_fill_their_factors(alone):
+    found = read_findings(alone, about={"question_of_interest": "Where does the tip end?"})
     assert found["question_of_interest"] == ("Where does the tip end?", [])
     assert found["context_of_use"][1]
 
 
-def test_a_range_validated_is_no_statement_of_its_relevance(bare):
+def test_a_validated_range_is_no_statement_of_relevance(bare):
     words, gaps = bare["relevance_of_validation"]
     assert "Beyond that, nothing was" in words and "relevance_of_validation" in gaps[0]
 
 
-def test_the_command_writes_the_same_bytes_claims_nothing_and_prints_json(
-    alone, tmp_path, capsys, monkeypatch
-):
+def test_credibility_writes_the_same_bytes_and_prints_json(alone, tmp_path, capsys, monkeypatch):
     leave_verification(tmp_path)
     monkeypatch.chdir(tmp_path)
     (tmp_path / "about.toml").write_text('schema = 1\ncontext_of_use = "Planning of a phantom study."\n')
@@ -276,7 +274,7 @@ def test_the_command_writes_the_same_bytes_claims_nothing_and_prints_json(
     }
 
 
-def test_what_is_no_run_of_a_study_is_refused(tmp_path, capsys):
+def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
     folder = leave_verification(tmp_path)
     assert run("credibility", str(folder)) == 3
     assert run("credibility", str(tmp_path / "nothing")) == 3

@@ -48,7 +48,7 @@ def fault(folder: Path) -> DataError:
     return caught.value
 
 
-def test_one_digit_that_was_changed_is_found(tmp_path):
+def test_one_changed_digit_is_found(tmp_path):
     path = store_results(study(1), tmp_path)
     lines = gzip.decompress(path.read_bytes())
     at = lines.rindex(b"1", 0, len(lines) // 2)
@@ -189,7 +189,7 @@ def test_a_posterior_that_was_changed_is_refused(damage, tmp_path):
     assert str(path) in caught.value.where
 
 
-def test_what_stored_values_cannot_be_used_for_is_an_error_with_its_cause():
+def test_unusable_stored_values_are_an_error_with_its_cause():
     with pytest.raises(DataError) as caught, convert_stored_errors("run"):
         raise ZeroDivisionError
     assert isinstance(caught.value.__cause__, ZeroDivisionError) and caught.value.where == "run"

@@ -64,7 +64,7 @@ def test_no_shipped_dataset_gives_a_warning(name, monkeypatch):
     assert warnings == [] and (name != "twin" or faults == [])
 
 
-def test_needles_that_bend_away_from_their_bevel_are_named(tmp_path):
+def test_insertions_deflected_away_from_their_bevel_are_named(tmp_path):
     assert kinds(gel(tmp_path / "right")) == []
     _, (one,) = check_all(gel(tmp_path / "one", (1, -1, -1)))
     assert one.kind == "bevel_side" and one.what.startswith("b ") and one.where.endswith("insertions.csv:3")
@@ -85,7 +85,7 @@ def test_the_bevel_sides_of_a_medium_that_bends_weakly_are_judged_together():
     assert one.where == "chicken-09" and "chicken-09, chicken-03" in one.what and "`bevel_side`" in one.fix
 
 
-def test_one_reversed_insertion_does_not_speak_for_its_medium():
+def test_one_reversed_insertion_gives_no_warning_for_its_medium():
     weak = [BendResult(str(n), f"t:{n}", "unknown", "gel", 0.5) for n in range(8)]
     wrong = BendResult("wrong", "t:9", "away", "gel", -40.0)
     assert list(find_pooled_side_warnings([*weak, wrong], "bevel_side")) == []
@@ -102,7 +102,7 @@ def test_insertions_that_cannot_be_judged_do_not_count_together(tmp_path):
 @pytest.mark.parametrize(
     "change", [{"base_shift": 2.0}, {"pose_shift_sd": 0.5}, {"pose_angle_sd": 0.02}], ids=str
 )
-def test_a_bend_that_may_come_from_elsewhere_gives_no_warning(tmp_path, change):
+def test_a_deflection_with_another_possible_cause_gives_no_warning(tmp_path, change):
     rows = [row("a", "gel", layers=1, bevel=UP, side=-1, **change)]
     tables = record(media={"gel": {}}, noise=NOISE)
     assert kinds(write_dataset(tmp_path, tables, rows, {"a": CURVE}, {})) == []
@@ -115,7 +115,7 @@ def test_a_copy_of_a_centreline_is_named(tmp_path):
     assert (one.kind, one.where) == ("copy", f"{tmp_path}/insertions.csv:4") and "c " in one.what
 
 
-def test_a_free_shape_and_a_straight_needle_say_nothing_of_their_side(tmp_path):
+def test_free_shapes_and_straight_needles_give_no_bevel_warning(tmp_path):
     free = record(media={"gel": {}}, noise=NOISE, frame={"pose": "free"})
     rows = [row("a", "gel", layers=1, entry=None, direction=None, pose_source="none", side=-1)]
     assert kinds(write_dataset(tmp_path / "free", free, rows, {"a": CURVE}, {})) == []
@@ -261,7 +261,7 @@ def test_a_deviation_of_a_row_that_cannot_be_right_is_named_with_line_and_column
         *[("bevel_side", "Bevel side", 1), ("specimen", "speciment", 1), ("bevel_side", "weather", 0)],
     ],
 )
-def test_a_mistyped_column_of_the_insertions_is_named_with_the_one_that_was_meant(tmp_path, old, new, count):
+def test_a_mistyped_column_of_the_insertions_is_named_with_the_nearest(tmp_path, old, new, count):
     table = gel(tmp_path).parent / "insertions.csv"
     table.write_text(table.read_text().replace(old, new, 1))
     faults, warnings = check_all(tmp_path)
@@ -360,7 +360,7 @@ def test_the_user_s_own_column_is_named(tmp_path):
     )
 
 
-def test_what_a_template_leaves_open_is_a_warning_and_can_be_fitted(tmp_path):
+def test_open_values_of_a_template_are_warnings_and_can_be_fitted(tmp_path):
     points = tmp_path / "points.csv"
     points.write_text("x_mm,y_mm,z_mm\n" + "".join(f"{x},{4e-4 * x * x},0\n" for x in range(0, 51, 5)))
     for source in (None, points):
@@ -372,7 +372,7 @@ def test_what_a_template_leaves_open_is_a_warning_and_can_be_fitted(tmp_path):
         assert read(file).noise.stated
 
 
-def test_what_is_left_open_is_found_in_any_case_and_in_the_table(tmp_path):
+def test_open_values_are_found_in_any_case_and_in_the_table(tmp_path):
     file = gel(tmp_path, title="To fill in: what was inserted")
     table = tmp_path / "insertions.csv"
     head, *rows = table.read_text().splitlines()
@@ -450,8 +450,8 @@ def test_check_prints_warnings_and_strict_ends_with_5(tmp_path, capsys):
     out, err = capsys.readouterr()
     assert "no faults" in out and err.count("needlefit: warning") == 1
     assert run("check", f"{tmp_path}/", "--strict", "--json") == 5
-    told = json.loads(capsys.readouterr().out)
-    assert told["ok"] is True and [one["kind"] for one in told["warnings"]] == ["bevel_side"]
+    output = json.loads(capsys.readouterr().out)
+    assert output["ok"] is True and [one["kind"] for one in output["warnings"]] == ["bevel_side"]
     without_checksums(block(tmp_path / "block"))
     assert (
         SURFACES and run("check", f"{tmp_path}/block/", "--strict") == 5

@@ -74,7 +74,7 @@ def block(folder, **changes):
     return write_dataset(folder, record(**changes), rows, dict.fromkeys("abc", CURVE), SURFACES)
 
 
-def test_what_is_written_is_read(tmp_path):
+def test_a_written_dataset_is_read_back(tmp_path):
     dataset = read(block(tmp_path))
     assert check(tmp_path) == []
     a, b, _ = dataset.insertions
@@ -112,7 +112,7 @@ def test_the_plane_is_the_bevels_or_the_shapes(tmp_path):
     assert b.deflection == c.deflection == pytest.approx(1.0)  # both toward the bevel
 
 
-def test_what_leaves_the_plane_is_kept_beside_it(tmp_path):
+def test_out_of_plane_deflection_is_kept(tmp_path):
     twisted = CURVE + np.column_stack([0 * X, 0 * X, 0.3 * np.sin(X / 8)])
     bevel = np.array([0, 1.0, 0])
     file = write_dataset(tmp_path, record(), [row("a", bevel=bevel)], {"a": twisted}, SURFACES)
@@ -145,7 +145,7 @@ def test_writing_needs_every_centreline_and_surface(tmp_path):
         write_dataset(tmp_path, record(), [row("a"), row("b")], {"a": CURVE})
 
 
-def test_what_spreadsheets_add_is_read_alike(tmp_path):
+def test_additions_of_spreadsheets_are_ignored(tmp_path):
     """A byte order mark, CRLF, blank lines, spaces and quotes change nothing but the checksum."""
     file = block(tmp_path)
     before = read(file)
@@ -187,7 +187,7 @@ def test_selection(tmp_path):
         ),
     ],
 )
-def test_a_selection_that_cannot_be_met_says_so(tmp_path, keys, words):
+def test_an_empty_selection_is_refused(tmp_path, keys, words):
     dataset = read(block(tmp_path))
     with pytest.raises(ConfigError, match=words):
         select_insertions(dataset, SelectionRecord(**keys))

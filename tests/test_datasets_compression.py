@@ -31,7 +31,7 @@ def test_units_and_either_sign_give_stresses_in_mpa_negative_in_compression(tmp_
 
 
 @pytest.mark.parametrize(("size", "value"), [("area_mm2", 50 * math.pi), ("diameter_mm", 10 * math.sqrt(2))])
-def test_force_and_way_need_the_specimens_sizes_once(tmp_path, size, value):
+def test_force_and_displacement_need_the_specimen_s_size_once(tmp_path, size, value):
     once = [""] * (len(STRETCH) - 1)
     path = table(
         tmp_path,
@@ -47,7 +47,7 @@ def test_force_and_way_need_the_specimens_sizes_once(tmp_path, size, value):
     assert test.specimens[0].stress == pytest.approx(ONE.stress, rel=1e-9)
 
 
-def test_the_option_says_what_a_mere_stress_is(tmp_path):
+def test_the_option_states_the_measure_of_stress(tmp_path):
     path = table(tmp_path, stretch=STRETCH, stress_kpa=KPA)
     assert read_compression(path, "true").measure == "true"
     with pytest.raises(DataError, match="does not say which stress") as error:
@@ -55,7 +55,7 @@ def test_the_option_says_what_a_mere_stress_is(tmp_path):
     assert "--stress" in error.value.fix
 
 
-def test_an_unloading_is_left_out_and_its_loss_said(tmp_path):
+def test_an_unloading_is_left_out_and_its_loss_reported(tmp_path):
     back = [0.5 * y for y in KPA[::-1]]
     path = table(tmp_path, stretch=[*STRETCH, *STRETCH[::-1]], nominal_stress_kpa=[*KPA, *back])
     test = read_compression(path)
@@ -63,7 +63,7 @@ def test_an_unloading_is_left_out_and_its_loss_said(tmp_path):
     assert "gel.csv:61" in test.warnings[1] and "50 % of the work" in test.warnings[1]
 
 
-def test_a_table_from_deep_to_shallow_is_read_and_said(tmp_path):
+def test_a_reversed_table_is_read_with_a_warning(tmp_path):
     test = read_compression(table(tmp_path, stretch=STRETCH[::-1], nominal_stress_kpa=KPA[::-1]))
     assert test.specimens[0].stress == pytest.approx(ONE.stress)
     assert "smallest stretch up" in test.warnings[1]
@@ -79,8 +79,10 @@ def test_a_long_record_is_averaged_over_neighbours(tmp_path):
     assert "averaged to 200 points" in test.warnings[1]
 
 
-def test_a_preload_is_said(tmp_path):
-    assert not [said for said in read_compression(_loaded(tmp_path, 0.0)).warnings if "at stretch 1" in said]
+def test_a_preload_gives_a_warning(tmp_path):
+    assert not [
+        warning for warning in read_compression(_loaded(tmp_path, 0.0)).warnings if "at stretch 1" in warning
+    ]
     warnings = read_compression(_loaded(tmp_path, 0.1)).warnings
     assert "bears 9 % of its largest stress at stretch 1" in warnings[1]  # 0.1 / 1.1
 
@@ -100,14 +102,14 @@ def _loaded(tmp_path, part):
     return table(tmp_path, stretch=STRETCH, nominal_stress_kpa=[y + part * KPA[-1] for y in KPA])
 
 
-def test_noise_in_the_stretch_is_no_turn(tmp_path):
+def test_noise_in_the_stretch_is_no_unloading(tmp_path):
     shaken = np.array(STRETCH) + 0.002 * np.random.default_rng(1).normal(size=60)
     test = read_compression(table(tmp_path, stretch=np.minimum(shaken, 1), nominal_stress_kpa=KPA))
     assert len(test.specimens[0].stretch) == 60 and np.all(np.diff(test.specimens[0].stretch) <= 0)
 
 
 @pytest.mark.parametrize(
-    ("columns", "said"),
+    ("columns", "expected"),
     [
         ({"stretch": [100 * x for x in STRETCH], "nominal_stress_kpa": KPA}, "looks like percent"),
         ({"stretch": [1 - x for x in STRETCH], "nominal_stress_kpa": KPA}, "looks like strain"),
@@ -141,10 +143,10 @@ def test_noise_in_the_stretch_is_no_turn(tmp_path):
         ),
     ],
 )
-def test_what_is_wrong_is_said_with_its_mend(tmp_path, columns, said):
+def test_faulty_tables_are_refused_with_a_fix(tmp_path, columns, expected):
     with pytest.raises(DataError) as error:
         read_compression(table(tmp_path, **columns))
-    assert said in str(error.value)
+    assert expected in str(error.value)
     assert error.value.fix or "fix:" in str(error.value)
 
 
@@ -153,6 +155,6 @@ def test_the_option_may_not_contradict_the_column(tmp_path):
         read_compression(table(tmp_path, stretch=STRETCH, nominal_stress_kpa=KPA), "true")
 
 
-def test_a_missing_file_is_said(tmp_path):
+def test_a_missing_file_is_reported(tmp_path):
     with pytest.raises(DataError, match="no such file"):
         read_compression(tmp_path / "gel.csv")

@@ -82,7 +82,7 @@ def place(fault, folder):
         ("id", "../a", "id is '../a'"),
     ],
 )
-def test_a_wrong_cell_of_a_row(folder, column, value, words):
+def test_faults_of_a_cell_of_a_row(folder, column, value, words):
     several = isinstance(column, tuple)
     for name, text in zip(column, value, strict=True) if several else [(column, value)]:
         cell(folder / "insertions.csv", 2, name, text)
@@ -303,7 +303,7 @@ def test_a_file_that_only_the_checksums_list(tmp_path):
     assert "[checksums]" in the_fault(tmp_path).fix
 
 
-def test_another_encoding_says_utf8(folder):
+def test_another_encoding_is_refused_and_utf8_expected(folder):
     path = folder / "insertions.csv"
     path.write_bytes(path.read_text().replace("one", "gr\xfcn").encode("latin-1"))
     assert "UTF-8" in the_fault(folder).fix
@@ -343,7 +343,7 @@ def test_a_wrong_deviation_of_a_point(folder, value, words):
     assert place(fault, folder) == "centerlines/b.csv:42" and words in fault.what
 
 
-def test_deviations_that_are_empty_all_through_are_none(folder):
+def test_an_empty_column_of_deviations_gives_none(folder):
     add_columns(folder / "centerlines" / "b.csv", sd_mm="")
     assert read(folder).insertions[1].sd is None
 

@@ -135,9 +135,9 @@ def test_faults_of_a_json_file(file):
     "position", [[1, float("nan"), 3], [1, 2, float("inf")], [1, 2], [1, 2, 3, 4], ["1", 2, 3], [1, 2, True],
                  "1 2 3", [1, 2, 10**400], {"x": 1}, 7]
 )  # fmt: skip
-def test_a_position_that_is_none_is_named(file, position):
-    said = refused(save(file, markup(points=[(0, 0, 0), point(2, position)])))
-    assert "list 1 `F`, point 2 (F-2): the position is" in said
+def test_an_invalid_position_is_named(file, position):
+    message = refused(save(file, markup(points=[(0, 0, 0), point(2, position)])))
+    assert "list 1 `F`, point 2 (F-2): the position is" in message
 
 
 def test_a_missing_file_or_another_ending(tmp_path):
@@ -321,7 +321,7 @@ def test_a_centreline_may_be_an_fcsv_and_its_faults_name_lines(tmp_path):
     assert fault.where == f"{folder / 'a.fcsv'}:11" and "repeats the point" in fault.what
 
 
-def test_the_scan_stands_where_the_dataset_says(tmp_path):
+def test_the_scan_is_placed_by_the_dataset(tmp_path):
     """A quarter turn about z and a shift: what lies at (x, y, z) in the scan is at (-y + 1, x + 2, z + 3)."""
     motion = [[0, -1, 0, 1], [1, 0, 0, 2], [0, 0, 1, 3]]
     file, folder = dataset(tmp_path / "d", "{id}.mrk.json", lps_to_world=motion)
@@ -356,7 +356,7 @@ def test_a_motion_with_scale_reflection_or_shear_is_refused(tmp_path, motion):
         read(file)
 
 
-def test_a_list_that_is_no_open_curve_is_no_centreline(file):
+def test_only_open_curves_are_centrelines(file):
     for kind in ("ClosedCurve", "Line", "Angle"):
         assert f"is a {kind}, which is no centreline" in refused(save(file, markup(kind)), read_points)
     save(file, markup("Curve", name="a"), markup("Curve", name="b"))
@@ -369,11 +369,11 @@ def test_a_list_that_is_no_open_curve_is_no_centreline(file):
 def test_a_dataset_begins_with_curves_of_slicer(tmp_path):
     unset = point(99, "", positionStatus="undefined")
     lists = [markup("Curve", points=[*CURVE.tolist(), unset], name=f"needle {n}") for n in (1, 2)]
-    path, told = save(tmp_path / "n.mrk.json", *lists), []
-    found = read(write_template(tmp_path / "mine", path, told.append))
+    path, notes = save(tmp_path / "n.mrk.json", *lists), []
+    found = read(write_template(tmp_path / "mine", path, notes.append))
     assert [i.id for i in found.insertions] == ["needle_1", "needle_2"]
     np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-4)
-    assert [line.removeprefix(f"{path}: ") for line in told] == [
+    assert [line.removeprefix(f"{path}: ") for line in notes] == [
         "2 points without a position ignored",
         "ids name files, so that 'needle 1' is needle_1, 'needle 2' is needle_2",
     ]

@@ -55,7 +55,7 @@ def test_numbers_and_lines_survive_whatever_blank_lines_stand_between(tmp_path, 
 
 @given(st.data())
 @anything
-def test_check_answers_whatever_a_cell_holds(tmp_path, data):
+def test_check_reads_or_refuses_any_cell(tmp_path, data):
     folder = tmp_path / "block"
     if not folder.exists():
         without_checksums(block(folder))
@@ -79,7 +79,7 @@ def test_check_answers_whatever_a_cell_holds(tmp_path, data):
 
 
 @pytest.mark.parametrize("read", [mat.read_curves, input_files.read_text])
-def test_a_file_that_cannot_be_had_is_told_alike_by_every_reader(tmp_path, read):
+def test_every_reader_reports_an_unreadable_file_alike(tmp_path, read):
     with pytest.raises(DataError, match="there is no such file"):
         read(tmp_path / "gone")
     with pytest.raises(DataError, match="is a folder"):
@@ -96,7 +96,7 @@ SECRET = [
 
 @pytest.mark.parametrize("name", ["insertions.csv", "centerlines/b.csv"])
 @pytest.mark.parametrize("content", SECRET)
-def test_a_table_that_is_another_file_is_not_printed(tmp_path, name, content):
+def test_the_content_of_a_foreign_file_is_not_printed(tmp_path, name, content):
     folder = tmp_path / "block"
     without_checksums(block(folder))
     (tmp_path / "secret").write_text(content)

@@ -87,7 +87,7 @@ def test_an_insertion_in_two_folders_is_a_fault(long):
     assert "hole2_50 is in more than one folder" in fault.what
 
 
-def test_a_mapped_column_must_exist_and_say_one_thing(long):
+def test_a_mapped_column_must_exist_and_be_constant(long):
     long.write_text(LONG.replace('specimen = "hole"', 'specimen = "piece"'))
     assert {fault.what for fault in check(long)} == {"column `piece` is missing"}
     long.write_text(LONG.replace('specimen = "hole"', 'specimen = "w"'))
@@ -99,7 +99,7 @@ def test_a_mapped_column_must_exist_and_say_one_thing(long):
     assert {fault.what for fault in check(long)} >= {"id is 'hole1_50}'"}
 
 
-def test_data_that_is_not_there_says_how_to_get_it(long, monkeypatch):
+def test_missing_data_is_reported_with_its_acquisition(long, monkeypatch):
     monkeypatch.setenv("NEEDLEFIT_TEST_DATA", str(long.parent / "elsewhere"))
     with pytest.raises(DataError, match=r"no folder matches[\s\S]*ask the tests"):
         read(long)
@@ -172,7 +172,7 @@ def test_matlab_structs_cells_and_version_7_3(tmp_path):
     np.testing.assert_array_equal(curves["run_shape"].values, 3 * CURVE)
 
 
-def test_the_template_passes_check_and_says_that_it_is_made_up(tmp_path):
+def test_the_template_passes_check_and_is_marked_synthetic(tmp_path):
     file = write_template(tmp_path / "mine")
     assert check(tmp_path / "mine") == []
     dataset = read(file)
@@ -232,12 +232,12 @@ def test_a_failed_template_leaves_nothing_and_names_the_source(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["runs.csv", "runs.mat"]
 
 
-def test_a_template_says_what_it_reads_and_ignores(tmp_path):
-    told = []
+def test_a_template_lists_what_it_reads_and_ignores(tmp_path):
+    notes = []
     source = long_table(tmp_path / "runs.csv", "run,x_mm,y_mm,z_mm", {"1": CURVE})
-    dataset = read(write_template(tmp_path / "mine", source, told.append))
+    dataset = read(write_template(tmp_path / "mine", source, notes.append))
     assert [insertion.id for insertion in dataset.insertions] == ["runs"]
-    assert told == [
+    assert notes == [
         f"{source}: column `run` ignored",
         f"{source}: no column `id`: all 101 rows are one curve",
     ]
@@ -265,7 +265,7 @@ def test_a_curve_of_few_points_is_no_template(tmp_path):
 
 @pytest.mark.parametrize("name", ["=1+1", "+a", "-a", "@a", "a\u202eb", "\uff1da", "a\x07", " =a"])
 @pytest.mark.parametrize("ending", [".csv", ".mrk.json", ".fcsv"])
-def test_names_of_curves_that_do_something_are_refused(name, ending, tmp_path):
+def test_unsafe_names_of_curves_are_refused(name, ending, tmp_path):
     source = tmp_path / f"runs{ending}"
     if ending == ".csv":
         long_table(source, "id,x_mm,y_mm,z_mm", {name: CURVE})
@@ -290,7 +290,7 @@ def test_ids_that_are_changed_are_reported(tmp_path):
     assert len(remarks) == 1 and "a_b" in remarks[0]
 
 
-def test_ids_that_would_name_one_file_are_told(tmp_path):
+def test_ids_of_the_same_file_name_are_reported(tmp_path):
     source = long_table(tmp_path / "runs.csv", "id,x_mm,y_mm,z_mm", {"a b": CURVE, "a_b": CURVE})
     with pytest.raises(DataError, match="'a_b' becomes a_b, as another"):
         write_template(tmp_path / "mine", source)
@@ -308,7 +308,7 @@ def test_the_public_stereo_shapes():
         assert 2 < insertion.deflection < 20
 
 
-def test_the_public_stereo_shapes_say_how_to_get_them(monkeypatch):
+def test_missing_public_stereo_shapes_name_their_source(monkeypatch):
     monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
     [fault] = check(SHIPPED / "stereo_shapes")
     assert "not set" in fault.what and "dlezcan1" not in fault.what and "shapes_planar.csv" in fault.fix

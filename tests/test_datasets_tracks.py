@@ -44,7 +44,7 @@ def test_runs_count_depth_and_guide_from_first_contact(tmp_path, runs):
     assert check(tmp_path) == [] and dataset.noise.point_sd == 0.02
 
 
-def test_a_run_with_an_invalid_reading_is_left_out_and_said(tmp_path, runs):
+def test_a_run_with_an_invalid_reading_is_left_out_and_reported(tmp_path, runs):
     folder = written(tmp_path, runs)
     edit(folder, 20, ok="0")
     dataset = read_tracks(folder)
@@ -55,7 +55,7 @@ def test_a_run_with_an_invalid_reading_is_left_out_and_said(tmp_path, runs):
 
 
 @pytest.mark.parametrize(
-    ("line", "cells", "told"),
+    ("line", "cells", "expected"),
     [
         (4, {"at_mm": "2.0"}, r"steps.csv:4: run rest goes from 5.7 back to 2 mm"),
         (4, {"x_mm": "left"}, r"steps.csv:4: tip_mm|steps.csv:4: x_mm is 'left'"),
@@ -63,14 +63,14 @@ def test_a_run_with_an_invalid_reading_is_left_out_and_said(tmp_path, runs):
         (2, {"phantom": "wax"}, r"run rest went into 'wax', which is not described"),
     ],
 )
-def test_faults_name_line_and_cell(tmp_path, runs, line, cells, told):
+def test_faults_name_line_and_cell(tmp_path, runs, line, cells, expected):
     folder = written(tmp_path, runs)
     edit(folder, line, **cells)
-    with pytest.raises(DataError, match=told):
+    with pytest.raises(DataError, match=expected):
         read_tracks(folder)
 
 
-def test_missing_columns_unknown_names_and_few_readings_are_told(tmp_path, runs):
+def test_missing_columns_unknown_names_and_few_readings_are_refused(tmp_path, runs):
     folder = written(tmp_path / "a", runs, TOML.replace('"stage_mm"', '"stage"'))
     with pytest.raises(DataError, match="column `stage` is missing"):
         read_tracks(folder)
@@ -96,7 +96,7 @@ def test_tracks_are_no_shapes(tmp_path, runs):
         read(written(tmp_path, runs))
 
 
-def test_selections_that_find_nothing_are_told(tmp_path, runs):
+def test_empty_selections_are_refused(tmp_path, runs):
     dataset = read_tracks(written(tmp_path, runs))
     assert [one.id for one in select_runs(dataset, TrackSelectionRecord(guided=True))] == ["moved"]
     with pytest.raises(ConfigError, match="run lost is not in dataset mine"):
@@ -114,7 +114,7 @@ def test_the_public_tip_tracks():
         assert 90 < one.depth[-1] < 105 and np.abs(one.guide).max() < 13 and one.heading is not None
 
 
-def test_the_public_tip_tracks_say_how_to_get_them(monkeypatch):
+def test_missing_public_tip_tracks_name_their_source(monkeypatch):
     monkeypatch.delenv("NEEDLEFIT_REAL_DATA", raising=False)
     [fault] = check(shipped_folder() / "data" / "guided_tips")
     assert "not set" in fault.what and "steps.csv" in fault.fix

@@ -59,7 +59,7 @@ def known():
     return found
 
 
-def test_a_transcript_is_held_against_its_commands(tmp_path, transcripts, capsys):
+def test_a_transcript_is_compared_with_its_commands(tmp_path, transcripts, capsys):
     page = tmp_path / "page.md"
     page.write_text("```console\n$ echo 1.234\n1.235\n$ cat <<'END'\n> a\n> b\n> END\n...\nb\n```\n", "utf-8")
     assert transcripts.check(page)

@@ -121,8 +121,8 @@ def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
     pulled = load[len(found.s) : -1][::-1] - needle
     np.testing.assert_allclose(pulled[:, 1] * moment_figure.per_mm, found.load, atol=1e-9)
     (legend,) = moment_figure.figure.legends
-    said = [text.get_text() for text in legend.get_texts()]
-    assert f"lateral load, {moment_figure.per_mm:g} N/mm to the mm" in said
+    labels = [text.get_text() for text in legend.get_texts()]
+    assert f"lateral load, {moment_figure.per_mm:g} N/mm to the mm" in labels
     arrow = np.array(moment_figure.axes.texts[-1].xy) - moment_figure.axes.texts[-1].xyann
     assert arrow[1] == pytest.approx(found.tip_force * moment_figure.arrow)
 
@@ -134,15 +134,15 @@ def test_the_inserted_part_alone_is_shown_where_nothing_but_the_bevel_steers() -
         assert moment_figure.axes.get_xlim()[0] == pytest.approx(start, abs=8.0)
 
 
-def test_what_is_written_above_is_what_acts() -> None:
+def test_the_text_above_lists_the_acting_loads() -> None:
     moment = end(scene())
     found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
     lines, tip = describe_moment(Entry(), moment, found, 90)
     assert lines[0].startswith("15.25 mm deep  ·  bevel right  ·  base +1 mm")
     forces = [found.base.force, *(hold.force for hold in found.guides)]
     base, guide, ring = (f"{force:+.3f} N" for force in forces)
-    said = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
-    assert lines[1] == said.replace("-", "−")
+    expected = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
+    assert lines[1] == expected.replace("-", "−")
     assert len(describe_moment(Entry(), moment, found, 30)[0]) > 4
     assert tip[1] == (f"tip force {found.tip_force:+.3f} N".replace("-", "−"))
 
@@ -174,7 +174,7 @@ def test_pictures_have_the_colours_of_the_page() -> None:
 
 
 @pytest.mark.parametrize(("entry", "axis"), [(Entry(), "y (mm)"), (TURNED, "y in the world (mm)")])
-def test_axes_say_whose_they_are(entry: Entry, axis: str) -> None:
+def test_axes_are_labelled_with_their_frame(entry: Entry, axis: str) -> None:
     assert (
         lay_out_moments("Held", scene(entry), [end(scene(entry))], SceneOverlays()).axes.get_ylabel() == axis
     )
@@ -195,8 +195,8 @@ def test_strides_end_where_the_steps_do() -> None:
     assert gone[0] == 0 and gone[-1] == pytest.approx(20 + 4.75) and max(np.diff(gone)) <= 0.5 + 1e-12
     np.testing.assert_allclose(moments[-1].shape.u, simulate_scene(one)[-1].u, atol=1e-7)
     assert [moment.step.depth for moment in moments if moment.step in one.steps] == [20.0, 15.25]
-    torn = replace(one, steps=(*one.steps, Step(20.0, Bevel(60.0), Controls(tip=TrackedTip(500.0)))))
-    assert list(iterate_states(torn))[-1][1].step.depth <= 20.0
+    diverging = replace(one, steps=(*one.steps, Step(20.0, Bevel(60.0), Controls(tip=TrackedTip(500.0)))))
+    assert list(iterate_states(diverging))[-1][1].step.depth <= 20.0
 
 
 def test_each_frame_shows_the_last_moment_before_it() -> None:
@@ -205,9 +205,7 @@ def test_each_frame_shows_the_last_moment_before_it() -> None:
 
 
 @pytest.mark.parametrize(("seconds", "speed", "lasts"), [(0.3, 1, 0.5), (1200.0, 2000, 0.8), (40.0, 50, 1.0)])
-def test_an_animation_keeps_time_or_says_that_it_does_not(
-    seconds, speed, lasts, tmp_path, monkeypatch
-) -> None:
+def test_an_animation_keeps_time_or_is_marked(seconds, speed, lasts, tmp_path, monkeypatch) -> None:
     """And the end stays for a while; frames that are alike are kept as one that is shown longer."""
     titles = []
     monkeypatch.setattr(
@@ -266,9 +264,7 @@ def test_every_export_of_a_recording_is_of_its_last_moment(tmp_path, monkeypatch
     assert again == written["picture.svg"]
 
 
-def test_a_picture_of_a_measured_insertion_shows_it_and_says_that_it_is_synthetic(
-    tmp_path, monkeypatch
-) -> None:
+def test_a_picture_of_a_measured_insertion_shows_it_and_is_marked_synthetic(tmp_path, monkeypatch) -> None:
     subject = open_target("twin/phantom2-01")
     steering = SteeredNeedle(Scene.from_record(subject.record), subject.first_cell)
     change = Change("depth_mm", None, 20.0)

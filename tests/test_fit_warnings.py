@@ -112,12 +112,12 @@ def test_the_closest_curve_is_named_and_the_report_shows_it():
     results = scored("validate", errors)
     (one,) = baseline_warnings(results)
     assert "arc" in one.what and "0.040 mm against 0.256 mm" in one.what
-    told = warning_blocks([replace(results, run={**results.run, **warnings_entry([one])})])
-    assert sum(one.what in str(block) for block in told) == 1
+    blocks = warning_blocks([replace(results, run={**results.run, **warnings_entry([one])})])
+    assert sum(one.what in str(block) for block in blocks) == 1
     assert read_warnings(warnings_entry([one])) == (one,)
 
 
-def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
+def test_specimens_on_both_sides_are_named_unless_the_study_leaves_specimens_out(tmp_path):
     rows = [
         row(name, "gel", layers=1, specimen=piece) for name, piece in (("a", "x"), ("b", "x"), ("c", "y"))
     ]
@@ -135,8 +135,8 @@ def test_specimens_on_both_sides_are_named_unless_the_study_says_so(tmp_path):
         ]
 
     first = {"tune": {"insertions": ["a"]}}
-    (told,) = shared(**first, validate=[{"insertions": ["b", "c"]}])
-    assert "(x)" in told
+    (warning,) = shared(**first, validate=[{"insertions": ["b", "c"]}])
+    assert "(x)" in warning
     assert shared(**first, validate=[{"insertions": ["c"]}]) == []
     (copied,) = shared(**first, validate=[{"insertions": ["c", "d"]}])
     assert "d, " in copied and "(x)" not in copied
@@ -189,9 +189,9 @@ def test_a_fit_to_flipped_bevels_warns_of_cause_and_effect(flipped):
 def test_tune_prints_its_warnings_and_writes_the_result_all_the_same(flipped, capsys):
     assert run("tune", "./fit.toml", "-q", "--strict") == 5
     err = capsys.readouterr().err
-    told = json.loads((flipped / "reports/fit/run.json").read_text())["warnings"]
-    assert {one["kind"] for one in told} >= CAUSE_AND_EFFECT
-    assert err.count("needlefit: warning: ") == len(told) and "data/insertions.csv:2" in err
+    warnings = json.loads((flipped / "reports/fit/run.json").read_text())["warnings"]
+    assert {one["kind"] for one in warnings} >= CAUSE_AND_EFFECT
+    assert err.count("needlefit: warning: ") == len(warnings) and "data/insertions.csv:2" in err
 
 
 @pytest.mark.parametrize(

@@ -39,7 +39,7 @@ def test_damaged_input_is_read_or_refused_thousands_of_times(workers, reader):
     assert wrong(workers, reader, range(1000, 1000 + FURTHER * READERS[reader].mutants)) == {}
 
 
-def test_the_rule_finds_what_breaks_it(tmp_path):
+def test_the_rule_detects_violations(tmp_path):
     """A reader that crashes, hangs, grows, raises or prints escape sequences is found out."""
     found = {}
     for name in BROKEN:

@@ -30,7 +30,7 @@ def line(start, end, points=23):
 
 @given(seeds, st.integers(2, 60))
 @settings(max_examples=200)
-def test_a_line_crosses_a_plane_where_the_formula_says(seed, points):
+def test_crossings_of_a_plane_match_the_formula(seed, points):
     rng = np.random.default_rng(seed)
     center, normal, start, direction = rng.normal(size=(4, 3)) * [[5], [1], [20], [1]]
     direction /= np.linalg.norm(direction)
@@ -50,7 +50,7 @@ def test_a_line_crosses_a_plane_where_the_formula_says(seed, points):
 
 
 @given(st.floats(-9, 9), st.floats(-0.5, 0.5))
-def test_a_line_crosses_a_cylinder_where_the_formula_says(offset, tilt):
+def test_crossings_of_a_cylinder_match_the_formula(offset, tilt):
     """Radius 10 about y; a line at x = offset enters and leaves at z = -+sqrt(100 - offset^2)."""
     facets = 192
     solid = make_cylinder("tumour", ((0, -60, 0), (0, 60, 0)), 10.0, into=4, facets=facets)
@@ -112,7 +112,7 @@ def test_a_fine_surface_is_met_like_a_coarse_one():
     np.testing.assert_allclose(find_crossings(curve, [fine]).arc, find_crossings(curve, [TOP]).arc, atol=1e-9)
 
 
-def test_builders_give_sound_surfaces_of_the_right_size():
+def test_builders_give_valid_surfaces_of_the_right_size():
     core = make_cylinder("core", ((1, 2, 3), (1, 2, 23)), 5.0, into=4, facets=192)
     assert find_mesh_faults(core.mesh, "solid") == []
     assert find_mesh_faults(TOP.mesh, "sheet") == []
@@ -168,7 +168,7 @@ def test_formats_of_surfaces(tmp_path, ending):
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no mesh at all", b"solid x\nendsolid x\n"])
-def test_what_is_no_surface_says_so(tmp_path, content):
+def test_files_without_a_surface_are_refused(tmp_path, content):
     path = tmp_path / "x.stl"
     if content is not None:
         path.write_bytes(content)

@@ -80,7 +80,7 @@ def test_a_triangle(tmp_path, name, content):
         ("a.glb", b"glTF" + bytes(100)),
     ],
 )
-def test_what_is_no_mesh(tmp_path, name, content):
+def test_files_without_a_mesh_are_refused(tmp_path, name, content):
     path = tmp_path / name
     path.write_bytes(content.encode() if isinstance(content, str) else content)
     with pytest.raises(DataError) as found:
@@ -98,7 +98,7 @@ def test_what_is_no_mesh(tmp_path, name, content):
         ("cut.ply", binary(2)[:-5], ()),
     ],
 )
-def test_the_reason_is_that_of_the_file_and_not_of_its_reader(tmp_path, name, content, numbers):
+def test_the_error_names_the_fault_of_the_file(tmp_path, name, content, numbers):
     path = tmp_path / name
     path.write_bytes(content)
     with pytest.raises(DataError) as found:
@@ -117,7 +117,7 @@ def test_a_mesh_is_a_regular_file_of_bounded_size(tmp_path, monkeypatch):
 
 
 @pytest.mark.parametrize("far", ["1e300", "nan", "-inf"])
-def test_coordinates_that_cannot_be_are_left_to_the_check_of_surfaces(tmp_path, far):
+def test_invalid_coordinates_are_left_to_the_surface_check(tmp_path, far):
     path = tmp_path / "a.obj"
     path.write_text(f"{OBJ}v {far} 0 1\nf 1 2 3\nf 1 3 4\n")
     mesh = read_surface(path, "sheet", 2).mesh

@@ -31,7 +31,7 @@ def shifted(one, shift):
     return replace(one, layers=replace(one.layers, surfaces=surfaces))
 
 
-def test_the_dataset_says_what_was_reconstructed(tmp_path):
+def test_the_dataset_records_what_was_reconstructed(tmp_path):
     assemble_dataset(tmp_path, [named("a"), named("b")], RECIPE, ABOUT)
     assert check(tmp_path) == []
     dataset = read(tmp_path)
@@ -73,7 +73,7 @@ def with_surfaces(name, medium, *names):
     return replace(one, scan=replace(one.scan, medium=medium), layers=layers)
 
 
-def test_what_surfaces_are_called_never_spoils_a_file(tmp_path):
+def test_any_surface_name_gives_a_valid_file(tmp_path):
     one = with_surfaces("a", "gel", "skin {id}/2", "Fett (außen)", "fett au en", "x_1")
     assemble_dataset(tmp_path, [one], RECIPE, ABOUT)
     found = sorted(file.name for file in (tmp_path / "layers").iterdir())
@@ -104,7 +104,7 @@ def test_scans_of_one_medium_have_the_same_layers(tmp_path):
     assert "media of different names" in error.value.fix
 
 
-def test_an_insertion_with_a_fault_is_left_out_and_told(tmp_path):
+def test_an_insertion_with_a_fault_is_left_out_and_reported(tmp_path):
     backwards = named("b", points=small().points[::-1])
     kept, failed = assemble_checked(tmp_path / "out", [named("a"), backwards, named("c")], RECIPE, ABOUT)
     assert [one.scan.id for one in kept] == ["a", "c"]
@@ -118,14 +118,14 @@ def test_nothing_but_faults_is_no_dataset_and_each_names_its_scan_and_the_recipe
     kept, failed = assemble_checked(tmp_path / "out", [named("a"), named("b")], short, ABOUT)
     assert kept == () and not (tmp_path / "out").exists()
     assert [one.scan.id for one in failed] == ["a", "b"]
-    told = str(failed[0].error)
-    assert told.startswith("scans/phantom1-03.nrrd: ") and "the needle is only 20 mm long" in told
-    assert "needle.length_mm in the recipe" in told and "dataset.toml" not in told
+    message = str(failed[0].error)
+    assert message.startswith("scans/phantom1-03.nrrd: ") and "the needle is only 20 mm long" in message
+    assert "needle.length_mm in the recipe" in message and "dataset.toml" not in message
 
 
-def test_a_plain_reconstruction_says_only_whence_its_pose_is():
-    (said,) = (one for one in collect_warnings(small()) if "known markers" not in one)
-    assert "drawn through the shaft" in said
+def test_a_plain_reconstruction_warns_of_its_pose_only():
+    (warning,) = (one for one in collect_warnings(small()) if "known markers" not in one)
+    assert "drawn through the shaft" in warning
 
 
 def changed_pose(**changes):
@@ -173,13 +173,13 @@ def own_surface(profile):
         ),
     ],
 )
-def test_what_a_person_should_know_is_said(one, words):
+def test_doubtful_reconstructions_give_warnings(one, words):
 
-    assert any(re.search(words, said) for said in collect_warnings(one())), collect_warnings(one())
+    assert any(re.search(words, warning) for warning in collect_warnings(one())), collect_warnings(one())
 
 
-def test_a_bevel_that_points_elsewhere_is_noticed():
+def test_a_bevel_of_another_direction_gives_a_warning():
     one = replace(changed_pose(), plane="stated")
     away = -(one.patient.rotation.T @ one.frame.rotation[:, 1])
-    said = collect_warnings(replace(one, needle_axis=replace(one.needle_axis, bevel=away)))
-    assert any("180 degrees away" in text for text in said)
+    warnings = collect_warnings(replace(one, needle_axis=replace(one.needle_axis, bevel=away)))
+    assert any("180 degrees away" in text for text in warnings)

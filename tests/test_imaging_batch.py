@@ -53,20 +53,20 @@ def worked(monkeypatch, reconstructed):
     return Worked(monkeypatch, reconstructed)
 
 
-def test_a_scan_that_fails_is_told_and_the_others_are_there(sample, tmp_path):
-    torn = tmp_path / "torn.nrrd"
-    torn.write_bytes(sample.volume.read_bytes()[:50_000])
+def test_a_failed_scan_is_reported_and_the_others_are_reconstructed(sample, tmp_path):
+    truncated = tmp_path / "truncated.nrrd"
+    truncated.write_bytes(sample.volume.read_bytes()[:50_000])
     scans = [
-        replace(sample, id="torn", volume=torn),
+        replace(sample, id="truncated", volume=truncated),
         sample,
         replace(sample, id="gone", volume=tmp_path / "x"),
     ]
-    told = []
-    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(progress=lambda *step: told.append(step)))
+    steps = []
+    found = reconstruct_all(scans, RECIPE, ReconstructionBatch(progress=lambda *step: steps.append(step)))
     assert [type(one) is ReconstructionFailure for one in found] == [True, False, True]
-    assert found[0].scan.id == "torn" and str(torn) in str(found[0].error)
+    assert found[0].scan.id == "truncated" and str(truncated) in str(found[0].error)
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
-    assert told[-1][1:] == (3, 3)
+    assert steps[-1][1:] == (3, 3)
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
@@ -87,7 +87,7 @@ def test_a_scan_whose_reader_crashes_costs_the_others_nothing(sample, tmp_path, 
     assert found[1].depth == pytest.approx(25.0, abs=0.3)
 
 
-def test_what_nobody_foresaw_in_one_scan_is_its_failure(sample, monkeypatch):
+def test_an_unexpected_error_in_one_scan_is_its_failure(sample, monkeypatch):
     def breaks(scan, recipe):
         raise ZeroDivisionError("by nought")
 
@@ -96,7 +96,7 @@ def test_what_nobody_foresaw_in_one_scan_is_its_failure(sample, monkeypatch):
     assert "unexpected ZeroDivisionError: by nought" in str(one.error)
 
 
-def test_what_is_finished_is_kept_and_taken_as_it_is(sample, tmp_path, worked):
+def test_finished_scans_are_kept_and_reused(sample, tmp_path, worked):
     other = replace(sample, id="again")
     stopped = []
     first = reconstruct_all(
@@ -116,8 +116,8 @@ def test_what_is_finished_is_kept_and_taken_as_it_is(sample, tmp_path, worked):
     assert np.array_equal(resumed[0].points, first[0].points)
 
 
-@pytest.mark.parametrize("change", ["nothing", "file", "scan", "recipe", "torn", "not resumed"])
-def test_what_was_kept_of_other_work_is_done_again(change, sample, tmp_path, worked):
+@pytest.mark.parametrize("change", ["nothing", "file", "scan", "recipe", "truncated", "not resumed"])
+def test_checkpoints_of_other_input_are_recomputed(change, sample, tmp_path, worked):
     volume = tmp_path / "sample.nrrd"
     shutil.copy(sample.volume, volume)
     scan, recipe, checkpoint_folder = replace(sample, volume=volume), RECIPE, tmp_path / "kept"
@@ -129,7 +129,7 @@ def test_what_was_kept_of_other_work_is_done_again(change, sample, tmp_path, wor
         scan = replace(scan, side=-1)
     if change == "recipe":
         recipe = ReconstructionRecord.model_validate({"schema": 1, "layers": {"surface_sd_mm": 0.3}})
-    if change == "torn":
+    if change == "truncated":
         kept = next(checkpoint_folder.iterdir())
         kept.write_bytes(kept.read_bytes()[:1000])
     reconstruct_all(
@@ -152,7 +152,7 @@ def test_one_slice_stands_for_its_series(sample, tmp_path, worked):
     assert worked.done == ["sample"] * 2
 
 
-def test_whatever_byte_of_what_is_kept_is_changed_it_is_seen(sample, tmp_path, worked):
+def test_any_changed_byte_of_a_checkpoint_is_detected(sample, tmp_path, worked):
     reconstruct_all([sample], RECIPE, ReconstructionBatch(checkpoint_folder=tmp_path))
     file, chance = tmp_path / "sample.checkpoint", random.Random(1)
     whole = file.read_bytes()

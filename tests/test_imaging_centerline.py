@@ -184,7 +184,7 @@ def sections(shifts, tilt=0.0):
     return CrossSections(across, flat + 1000.0, flat + 10.0, np.column_stack([flat, flat + tilt]))
 
 
-def test_what_sections_share_is_stated():
+def test_the_error_shared_by_sections_is_stated():
     none = sections(0.0)
     assert estimate_shared_sd(none, none, 0.5) == 0.0
     apart = sections(0.02)  # 0.02 mm along one of two directions

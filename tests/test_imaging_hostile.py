@@ -42,7 +42,7 @@ def test_a_file_that_crashed_a_reader_is_a_data_error(path, tmp_path):
 
 
 @pytest.mark.parametrize("path", NATIVE[::8], ids=lambda path: path.name)
-def test_were_its_header_not_checked_the_crash_is_one_of_the_child(path):
+def test_without_the_header_check_only_the_child_process_crashes(path):
     with pytest.raises(DataError) as found:
         read_in_sandbox("needlefit.imaging.image_files:read_image", path, ReaderLimits(), {"path": str(path)})
     assert "SIG" in found.value.what
@@ -178,7 +178,7 @@ def test_a_nifti_header_with_a_value_that_cannot_be(tmp_path, at, entry):
 
 
 @pytest.mark.parametrize("place", ["missing", "folder", "/dev/zero", "/dev/null", "socket.nrrd"])
-def test_what_is_no_file(tmp_path, place):
+def test_non_regular_files_are_refused(tmp_path, place):
     (tmp_path / "folder").mkdir()
     path = tmp_path / place
     if place.startswith("/dev"):
@@ -238,7 +238,7 @@ def test_headers_that_lie_beside_their_voxels(tmp_path):
         plain(path)
 
 
-def test_what_programs_write_into_headers(tmp_path):
+def test_headers_of_common_programs_are_read(tmp_path):
     """Comments, texts of any length, line ends of Windows, and what other programs leave in them."""
     path = nrrd(tmp_path / "a.nrrd", content="a scan", kinds="domain domain domain")
     head, _, data = path.read_bytes().partition(b"\n\n")

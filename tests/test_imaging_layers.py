@@ -206,7 +206,7 @@ def test_an_empty_segment_is_named(tmp_path):
     assert "muscle (label 2)" in refused(path)
 
 
-def test_labels_without_a_segment_are_told(tmp_path):
+def test_labels_without_a_segment_are_refused(tmp_path):
     volume = labelled(lambda p: 1 + (p[:, 0] > 0))
     path = save_segments(tmp_path / "l.seg.nrrd", [volume], [(1, "fat")])
     assert "voxels have the labels 2, which no segment has" in refused(path)
@@ -221,7 +221,7 @@ def test_labels_without_a_segment_are_told(tmp_path):
         (lambda p: np.rint(np.abs(p[:, 0]) * 20), "labels: this is a scan"),
     ],
 )
-def test_what_is_no_segmentation_is_refused(tmp_path, values, words):
+def test_files_without_a_segmentation_are_refused(tmp_path, values, words):
     assert words in refused(save(tmp_path / "v.nrrd", labelled(values)))
 
 
@@ -264,14 +264,14 @@ def test_meshes_are_numbered_by_their_place_and_closed_ones_are_solid(tmp_path):
     assert [s.into for s in read_layers(scan(LayerSource(files[0], "sheet", 3), stated), HOME)] == [3, 2]
 
 
-def test_a_layer_left_out_is_told(tmp_path):
+def test_a_skipped_layer_is_refused(tmp_path):
     file = save_mesh(tmp_path / "s.stl", SHEET)
     assert "no surface leads into layer 2; they lead into 3" in refused(LayerSource(file, "sheet", 3))
 
 
 @pytest.mark.parametrize("name", ["a.stl", "a.ply", "a.obj"])
 @pytest.mark.parametrize(("space", "sign"), [("RAS", [-1, -1, 1]), ("LPS", [1, 1, 1]), ("", [1, 1, 1])])
-def test_what_slicer_says_of_its_axes_is_honoured(tmp_path, name, space, sign):
+def test_axes_stated_by_slicer_are_used(tmp_path, name, space, sign):
     file = save_mesh(tmp_path / name, SHEET, space)
     [found] = read_layers(scan(file), HOME)
     assert sorted(np.round(found.mesh.vertices, 4).tolist()) == sorted(
@@ -332,13 +332,13 @@ def turned():
         (without_lid(), None, "it looks like a solid with a hole"),
     ],
 )
-def test_a_mesh_that_is_no_boundary_says_why(tmp_path, mesh, kind, words):
+def test_a_mesh_that_is_no_boundary_is_refused_with_its_fault(tmp_path, mesh, kind, words):
     file = save_mesh(tmp_path / "m.stl", mesh)
     message = refused(LayerSource(file, kind, 2) if kind else file)
     assert words in message and str(file) in message
 
 
-def test_all_files_are_told_at_once(tmp_path):
+def test_faults_of_all_files_are_reported_at_once(tmp_path):
     broken = tmp_path / "broken.stl"
     broken.write_bytes(b"solid nothing")
     message = refused(tmp_path / "none.ply", broken, save_mesh(tmp_path / "m.stl", holed(1)))
@@ -375,7 +375,7 @@ def test_deviations_grow_as_the_needle_grazes(degrees):
     assert across.sd[0] == pytest.approx(0.2 * math.tan(angle), abs=1e-9)
 
 
-def test_a_needle_in_the_surface_hardly_knows_its_crossing():
+def test_a_needle_in_the_surface_has_an_uncertain_crossing():
     layers = find_crossed_layers(NEEDLE, HOME, (tilted(89.9),), LayerErrors(0.1, np.zeros(len(NEEDLE))))
     assert layers.sd[0] == pytest.approx(0.1 / 0.02)
 
@@ -426,13 +426,13 @@ def test_without_surfaces_there_is_one_layer():
 # ---- doubts
 
 
-def test_a_sheet_too_small_is_told_and_by_how_much():
+def test_a_sheet_too_small_is_reported_with_the_gap():
     """It spans 10 mm about (10, 12, 0): its rim is 7 mm away from the needle."""
     small = make_sheet("skin", (10, 12, 0), (1, 0, 0), 10, into=2)
     layers = find_crossed_layers(NEEDLE, HOME, (small,), EXACT)
-    said = check_layer_count(scan(), layers, NEEDLE, HOME)
-    assert said[0] == "the needle passes 7.0 mm beside the sheet skin: it is too small"
-    assert "the nearest surface stays 7.0 mm away" in said[1]
+    warnings = check_layer_count(scan(), layers, NEEDLE, HOME)
+    assert warnings[0] == "the needle passes 7.0 mm beside the sheet skin: it is too small"
+    assert "the nearest surface stays 7.0 mm away" in warnings[1]
 
 
 def test_layers_in_ras_are_recognised_by_what_would_be_crossed():
@@ -443,8 +443,8 @@ def test_layers_in_ras_are_recognised_by_what_would_be_crossed():
     beyond = find_crossed_layers(
         NEEDLE, HOME, (make_sheet("skin", (55, 0, 0), (1, 0, 0), 60, into=2),), EXACT
     )
-    said = check_layer_count(scan(), beyond, NEEDLE, HOME)
-    assert said == ("the needle crosses no layer; the nearest surface stays 15.0 mm away",)
+    warnings = check_layer_count(scan(), beyond, NEEDLE, HOME)
+    assert warnings == ("the needle crosses no layer; the nearest surface stays 15.0 mm away",)
 
 
 def test_layers_counted_must_be_met():
@@ -484,7 +484,7 @@ def test_layers_drawn_around_the_needle_are_refused(end, tmp_path):
     assert "label the needle's voxels" in error.value.fix
 
 
-def test_what_a_needle_passes_through_is_no_tunnel(tmp_path):
+def test_layers_that_the_needle_crosses_are_no_tunnel(tmp_path):
     """Whole layers; a vessel across; a ball of 3 mm; the edge of a box, 1 mm beside the needle."""
     whole = read_layers(scan(save(tmp_path / "whole.nrrd", labelled(without(lambda p: p[:, 0] > 99)))), HOME)
     vessel = make_cylinder("vessel", ((0, -10, 0), (0, 10, 0)), 1.5, into=3)

@@ -51,7 +51,7 @@ def test_balls_are_found_where_they_are(plain):
     assert (found.sd < 0.05).all()
 
 
-def test_needle_is_no_marker_though_nobody_says_where_it_is(plain):
+def test_the_needle_is_no_marker_even_when_unknown(plain):
     assert off(find_markers(plain, RECIPE)).max() < 0.03
 
 
@@ -200,7 +200,7 @@ def table(path, points):
 RAS = np.array([-1.0, -1.0, 1.0])
 
 
-def test_places_from_every_kind_of_file_are_lps(tmp_path):
+def test_points_from_every_kind_of_file_are_lps(tmp_path):
     np.testing.assert_allclose(read_markers(table(tmp_path / "a.csv", PLACES)), PLACES)
     np.testing.assert_allclose(read_markers(slicer_list(tmp_path / "a.mrk.json", PLACES, "LPS")), PLACES)
     np.testing.assert_allclose(
@@ -212,7 +212,7 @@ def test_places_from_every_kind_of_file_are_lps(tmp_path):
     np.testing.assert_allclose(read_markers(old), PLACES)
 
 
-def test_files_that_hold_no_places_say_what_is_wrong(tmp_path):
+def test_files_without_points_are_refused(tmp_path):
     short = tmp_path / "b.csv"
     short.write_text("x_mm,y_mm\n1,2\n")
     with pytest.raises(DataError, match="z_mm") as caught:

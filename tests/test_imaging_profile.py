@@ -130,7 +130,7 @@ def test_in_a_linear_volume_core_and_surroundings_are_that_of_the_axis():
     assert_allclose(shown.s, s)
 
 
-def test_outside_the_volume_nothing_is_said():
+def test_outside_the_volume_there_is_no_edge():
     volume = linear(np.zeros(3))
     points = middle(volume) + np.linspace(0, 60, 31)[:, None] * [0.0, 1.0, 0.0]
     shown = sample_profile(volume, points, np.linspace(0, 60, 31))

@@ -26,10 +26,10 @@ def face(at):
     return make_sheet("own", (11.0, 11.0, at), (0, 0, 1), 20.0, into=1).mesh
 
 
-def test_the_tissue_s_own_surface_says_where_it_begins(tmp_path):
+def test_the_tissue_s_own_surface_sets_the_entry(tmp_path):
     one = reconstruct(scan(tmp_path, face(FACE + 2.0)), cases.RECIPE)
     assert one.points[0, 2] == pytest.approx(FACE + 2.0, abs=0.05)
-    assert any("before its own surface" in said for said in one.warnings)
+    assert any("before its own surface" in warning for warning in one.warnings)
 
 
 def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):

@@ -86,7 +86,7 @@ def test_a_missing_and_a_spurious_marker_are_left_out_and_named():
     assert "known markers 5" in registration.warnings[1]
 
 
-def test_a_marker_that_was_moved_is_left_out_and_its_distance_said():
+def test_a_moved_marker_is_left_out_and_its_distance_reported():
     moved = LAYOUT.copy()
     moved[3] += [0, 0, 2.0]
     registration = register(moved, LAYOUT, 0.05)
@@ -130,7 +130,7 @@ def test_precise_markers_count_for_more_than_loose_ones():
     assert registration.residuals[0] == pytest.approx([-0.5, 0, 0], abs=1e-3)
 
 
-def test_an_axis_that_is_badly_known_is_not_believed():
+def test_an_uncertain_axis_is_weighted_down():
     """Errors along the loose axis of the scan alone hardly reach the pose."""
     rng = np.random.default_rng(5)
     noise = np.zeros((6, 3))

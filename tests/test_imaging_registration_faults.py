@@ -69,7 +69,7 @@ def test_markers_on_a_line_are_refused_exactly_and_within_noise():
     assert register(bent * [1, 40, 1], bent * [1, 40, 1], 0.1).fre < 1e-9
 
 
-def test_a_deviation_as_large_as_the_layout_is_not_blamed_on_the_layout():
+def test_a_deviation_as_large_as_the_layout_is_not_attributed_to_the_layout():
     text = refused(FOUND, LAYOUT, 50.0)
     assert "known to 50 mm" in text and "line" not in text.split("fix")[1] and "reference_sd_mm" in text
 
@@ -80,21 +80,21 @@ def test_found_markers_on_a_line_are_refused_though_the_layout_is_not():
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])
-def test_mirrored_markers_are_said_to_be_mirrored(axis):
+def test_mirrored_markers_are_reported_as_mirrored(axis):
     signs = np.ones(3)
     signs[axis] = -1
     assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1)
     assert "mirrored" in refused(FOUND * signs, LAYOUT, 0.1, pairs=[[n, n] for n in range(6)])
 
 
-def test_flat_markers_cannot_tell_a_mirrored_scan_and_it_is_said():
+def test_flat_markers_give_a_warning_that_a_mirrored_scan_is_undetectable():
     flat = LAYOUT * [1, 1, 0]
     registration = register(flat * [1, -1, 1], flat, 0.1)
     assert np.linalg.det(registration.rotation) == pytest.approx(1)
     assert any("mirrored scan would pass unseen" in remark for remark in registration.warnings)
 
 
-def test_ras_read_as_lps_is_a_turn_that_only_a_rough_pose_can_show():
+def test_ras_read_as_lps_is_a_rotation_that_only_a_rough_pose_reveals():
     flipped = FOUND * [-1, -1, 1]
     assert register(flipped, LAYOUT, 0.1).fre < 1e-9
     near = Frame(POSE.origin + 5.0, Rotation.from_rotvec([0.1, 0, 0.1]).as_matrix() @ POSE.rotation)
@@ -120,7 +120,7 @@ def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
         ((1.1, 1.1, 1.0), "1.1000 times too long along x and y"),
     ],
 )
-def test_a_wrong_spacing_is_measured_and_not_mended(factors, word):
+def test_a_wrong_spacing_is_measured_and_not_corrected(factors, word):
     assert word in refused(FOUND * factors, LAYOUT, 0.1)
 
 
@@ -135,12 +135,12 @@ def test_a_small_wrong_scale_is_remarked_and_not_applied():
     assert whole.factor == pytest.approx(1 / 1.004, abs=1e-5)
 
 
-def test_unrelated_markers_fit_nowhere():
+def test_unrelated_markers_are_refused():
     rng = np.random.default_rng(8)
     assert "no pairing" in refused(rng.uniform(-40, 40, (7, 3)), LAYOUT, 0.1)
 
 
-def test_noise_that_is_understated_is_said_with_what_would_fit():
+def test_understated_noise_is_reported_with_the_noise_that_fits():
     rng = np.random.default_rng(9)
     found = FOUND + 0.3 * rng.normal(size=(6, 3))
     text = refused(found, LAYOUT, 0.03)
@@ -215,7 +215,7 @@ def test_the_symmetry_group_of_a_layout(layout, turns, groups):
     assert group_interchangeable(found) == groups
 
 
-def test_a_layout_becomes_asymmetric_where_its_misfit_says():
+def test_a_layout_is_asymmetric_above_its_misfit():
     """An isosceles triangle, half base a, height h, one foot drawn out by e, its feet swapped by a half turn.
 
     That leaves (e, e, 0) along the base. The best shift takes 2 e / 3, the best turn, of moment 2 e h / 3

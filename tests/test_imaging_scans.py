@@ -129,16 +129,16 @@ def test_a_table_without_volumes_is_refused(folder):
     assert "column `scan` is missing" in refused(folder, "id,medium", "a,gel")
 
 
-def test_an_empty_table_sends_to_the_page_that_explains_it(folder):
+def test_an_empty_table_names_the_page_of_its_columns(folder):
     assert "docs/scans.md lists the columns" in refused(folder, "")
 
 
-def test_ids_are_told_apart(folder):
+def test_duplicate_ids_are_refused(folder):
     message = refused(folder, "id,scan", "one,two.nii.gz", ",one.nrrd")
     assert message.startswith(f"{folder / 'scans.csv'}:3: has the id one, as {folder / 'scans.csv'}:2 has")
 
 
-def test_all_faults_are_told_at_once(folder):
+def test_all_faults_are_reported_at_once(folder):
     message = refused(folder, "scan,layers,origin", "none.nrrd,two,guessed", "one.nrrd,1,", "two.nii.gz,-1,")
     path = folder / "scans.csv"
     assert f"{path}: has 4 faults" in message
@@ -196,7 +196,7 @@ def test_volumes_of_one_name_need_a_table(folder):
     assert "table of scans" in error.value.fix
 
 
-def test_what_is_missing_on_the_command_line_is_told_at_once(folder):
+def test_all_missing_options_are_reported_at_once(folder):
     with pytest.raises(DataError, match="has 3 faults") as error:
         make_scans([folder / "none"], markers=folder / "none.csv", layers=[str(folder / "none.stl")])
     for words in ("none: there is no such file or folder", "none.csv: there is no such file", "none.stl"):
@@ -204,5 +204,5 @@ def test_what_is_missing_on_the_command_line_is_told_at_once(folder):
 
 
 def test_scans_of_one_table_lie_in_one_world(folder):
-    said = refused(folder, "scan,markers", "one.nrrd,markers.csv", "two.nii.gz,")
-    assert "scans.csv:3" in said and "one world" in said
+    message = refused(folder, "scan,markers", "one.nrrd,markers.csv", "two.nii.gz,")
+    assert "scans.csv:3" in message and "one world" in message

@@ -11,7 +11,7 @@ import SimpleITK as sitk
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
-from reading_here import caged, read_here  # noqa: F401
+from reading_here import child_process_reader, read_here  # noqa: F401
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.volume import Volume, to_index, to_patient
@@ -33,7 +33,7 @@ def refused(path):
 
 def nrrd(path, values=VALUES, data=None, **fields):
     """Write an NRRD file; `fields` replace or, with None, remove lines of its header."""
-    said = {
+    fields = {
         "type": "short",
         "dimension": values.ndim,
         "space": "left-posterior-superior",
@@ -43,7 +43,7 @@ def nrrd(path, values=VALUES, data=None, **fields):
         "encoding": "raw",
         "space origin": "(1,2,3)",
     } | {key.replace("_", " "): value for key, value in fields.items()}
-    lines = [f"{key}: {value}" for key, value in said.items() if value is not None]
+    lines = [f"{key}: {value}" for key, value in fields.items() if value is not None]
     header = "\n".join(["NRRD0004", *lines]) + "\n\n"
     path.write_bytes(header.encode() + (values.tobytes() if data is None else data))
     return path
@@ -72,7 +72,7 @@ def nifti(path, sizes=VALUES.shape[::-1], values=VALUES, codes=(0, 1), **entries
 
 
 def metaimage(path, **fields):
-    said = {
+    fields = {
         "ObjectType": "Image",
         "NDims": 3,
         "BinaryData": "True",
@@ -84,7 +84,7 @@ def metaimage(path, **fields):
         "ElementType": "MET_SHORT",
         "ElementDataFile": "LOCAL",
     } | fields
-    header = "".join(f"{key} = {value}\n" for key, value in said.items())
+    header = "".join(f"{key} = {value}\n" for key, value in fields.items())
     path.write_bytes(header.encode() + VALUES.tobytes())
     return path
 
@@ -145,7 +145,7 @@ def test_known_points():
         ({"origin": (np.nan, 0, 0)}, "not finite"),
     ],
 )
-def test_a_volume_that_cannot_be(wrong, words):
+def test_an_invalid_volume_is_refused(wrong, words):
     with pytest.raises(DataError) as error:
         volume_of(**{"values": VALUES} | wrong)
     assert words in str(error.value)
@@ -304,7 +304,7 @@ def test_written_and_read(tmp_path_factory, name, tolerance, direction, seed, wh
 
 
 @pytest.mark.parametrize("name", ["a.nrrd", "a.mha", "a.nii.gz"])
-@pytest.mark.usefixtures("caged")
+@pytest.mark.usefixtures("child_process_reader")
 def test_extreme_values_are_kept(tmp_path, name):
     values = np.array([-32768, 32767, 32768, 1e-30, 3e38, -1e9, 0.1, 0.0], np.float32).reshape(2, 2, 2)
     write_volume(volume_of(values), tmp_path / name)
@@ -337,7 +337,7 @@ def test_an_earlier_file_is_replaced_and_no_scratch_stays(tmp_path):
     assert [file.name for file in tmp_path.iterdir()] == ["a.nrrd"]
 
 
-def test_what_cannot_be_written(tmp_path):
+def test_an_unknown_volume_format_is_refused(tmp_path):
     with pytest.raises(DataError, match=r"\.png is no kind of volume"):
         write_volume(volume_of(VALUES), tmp_path / "a.png")
     with pytest.raises(DataError, match="not finite"):
@@ -370,7 +370,7 @@ def test_a_file_cut_short(tmp_path, name, kept):
     assert "not all there" in fault.what and "cut short" in fault.fix
 
 
-@pytest.mark.usefixtures("caged")
+@pytest.mark.usefixtures("child_process_reader")
 def test_a_packed_file_with_a_wrong_byte(tmp_path):
     path = tmp_path / "a.nii.gz"
     write_volume(volume_of(np.random.default_rng(1).integers(0, 9999, (60, 60, 60))), path)
@@ -380,7 +380,7 @@ def test_a_packed_file_with_a_wrong_byte(tmp_path):
     assert "damaged" in refused(path).fix
 
 
-def test_a_header_whose_voxels_are_elsewhere(tmp_path):
+def test_a_header_with_detached_voxels(tmp_path):
     path = nrrd(tmp_path / "a.nhdr", data=b"", data_file="gone.raw")
     assert "gone.raw" in refused(path).what
     (tmp_path / "gone.raw").write_bytes(VALUES.tobytes()[:-4])
@@ -401,7 +401,7 @@ def bombs(folder):
     ]
 
 
-@pytest.mark.usefixtures("caged")
+@pytest.mark.usefixtures("child_process_reader")
 def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     for path in bombs(tmp_path):
@@ -411,8 +411,8 @@ def test_a_header_that_claims_a_petabyte_is_refused_before_anything_is_allocated
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 50e3  # kB
 
 
-@pytest.mark.usefixtures("caged")
-def test_a_small_file_that_claims_much_that_could_be(tmp_path):
+@pytest.mark.usefixtures("child_process_reader")
+def test_a_small_file_that_claims_a_plausible_size(tmp_path):
     """512 MB claimed, 48 bytes there: counted, not believed."""
     assert "not all there" in refused(nifti(tmp_path / "a.nii.gz", sizes=(1024, 512, 512))).what
 
@@ -492,20 +492,20 @@ def test_sheared_axes(tmp_path, path, arguments):
         ("a.mha", {"ElementSpacing": "400 500 900"}),
     ],
 )
-def test_spacings_that_cannot_be(tmp_path, path, arguments):
+def test_invalid_spacings_are_refused(tmp_path, path, arguments):
     make = {"a.nrrd": nrrd, "a.nii": nifti, "a.mha": metaimage}[path]
     assert "spacing" in refused(make(tmp_path / path, **arguments)).what
 
 
-def test_values_that_are_no_numbers(tmp_path):
+def test_non_finite_values_are_refused(tmp_path):
     values = VALUES.astype(np.float32)
     values[0, 0, :2] = np.nan, np.inf
     fault = refused(nrrd(tmp_path / "a.nrrd", values, type="float"))
     assert "holds 2 voxels" in fault.what and "air" in fault.fix
 
 
-@pytest.mark.usefixtures("caged")
-def test_a_missing_package_names_the_line_that_installs_it(tmp_path, monkeypatch):
+@pytest.mark.usefixtures("child_process_reader")
+def test_a_missing_package_is_named_with_its_install_command(tmp_path, monkeypatch):
     monkeypatch.delitem(sys.modules, "needlefit.imaging.image_files", raising=False)
     monkeypatch.setitem(sys.modules, "SimpleITK", None)
     with pytest.raises(ConfigError) as error:

@@ -20,7 +20,7 @@ from pydicom.uid import (
     SecondaryCaptureImageStorage,
     generate_uid,
 )
-from reading_here import caged, read_here  # noqa: F401
+from reading_here import child_process_reader, read_here  # noqa: F401
 
 from needlefit.errors import ConfigError, DataError
 from needlefit.imaging.dicom.series import find_series
@@ -49,7 +49,7 @@ def spoilt(k, **entries):
 # What is read
 
 
-@pytest.mark.usefixtures("caged")
+@pytest.mark.usefixtures("child_process_reader")
 def test_a_plain_series(tmp_path):
     volume = read_volume(save(tmp_path / "scan", series()))
     assert volume.values.dtype == np.float32 and np.array_equal(volume.values, NUMBERS)
@@ -150,13 +150,13 @@ def test_big_endian(tmp_path):
 
 
 @pytest.mark.parametrize("compressor", ["JPEG", "JPEG2000"])
-@pytest.mark.usefixtures("caged")
+@pytest.mark.usefixtures("child_process_reader")
 def test_lossless_jpeg(tmp_path, compressor):
     slices = [packed_as(data, compressor, tmp_path) for data in series()]
     assert np.array_equal(read_volume(save(tmp_path / "scan", slices)).values, NUMBERS)
 
 
-def test_other_files_do_not_matter(tmp_path):
+def test_other_files_are_ignored(tmp_path):
     save(tmp_path, series())
     (tmp_path / "README.txt").write_text("Needle 3")
     (tmp_path / ".DS_Store").write_bytes(b"\0")
@@ -205,7 +205,7 @@ def test_two_series_of_one_number(tmp_path):
     assert "2 series are called 3" in fault.what and "UID" in fault.fix
 
 
-def test_overviews_and_pictures_of_their_own_are_no_candidates(tmp_path):
+def test_localizers_and_single_images_are_no_candidates(tmp_path):
     overview = a_slice(0, SeriesInstanceUID=generate_uid(), ImageType=["ORIGINAL", "PRIMARY", "LOCALIZER"])
     dose = a_slice(
         0,
@@ -274,14 +274,14 @@ def test_a_tilted_gantry(tmp_path, degrees):
 
 
 @pytest.mark.parametrize("modality", ["CT", "XA", None])
-def test_cone_beam_scanners_may_call_themselves_otherwise(tmp_path, modality):
+def test_cone_beam_scanners_may_have_other_modalities(tmp_path, modality):
     assert np.array_equal(read_volume(save(tmp_path, series(Modality=modality))).values, NUMBERS)
 
 
-@pytest.mark.parametrize(("degrees", "said"), [(10.0, 1), (-3.5, 1), (0.0, 0), (None, 0)])
-def test_a_tilt_that_is_stated_but_not_there_is_remarked(tmp_path, degrees, said):
+@pytest.mark.parametrize(("degrees", "warnings"), [(10.0, 1), (-3.5, 1), (0.0, 0), (None, 0)])
+def test_a_stated_tilt_without_sheared_slices_gives_a_warning(tmp_path, degrees, warnings):
     volume = read_volume(save(tmp_path, series(GantryDetectorTilt=degrees)))
-    assert len(volume.warnings) == said
+    assert len(volume.warnings) == warnings
     assert all(f"tilted by {abs(degrees):g} degrees" in remark for remark in volume.warnings)
 
 
@@ -354,7 +354,7 @@ def test_a_header_that_cannot_be_used(tmp_path, entries, words):
     assert words in fault.what and fault.where.endswith("004.dcm")
 
 
-def test_a_number_that_is_none(tmp_path):
+def test_an_invalid_number_is_refused(tmp_path):
     save(tmp_path, series())
     file = tmp_path / "001.dcm"
     file.write_bytes(file.read_bytes().replace(b"-10.0\\20.0\\30.9", b"-10.0\\abcd\\30.9"))
@@ -362,7 +362,7 @@ def test_a_number_that_is_none(tmp_path):
 
 
 @pytest.mark.parametrize("axes", [[1, 0, 0, 0.1, 1, 0], [2, 0, 0, 0, 1, 0], [0, 0, 0, 0, 0, 0]])
-def test_axes_that_are_none(tmp_path, axes):
+def test_invalid_axes_are_refused(tmp_path, axes):
     assert "ImageOrientationPatient" in refused(save(tmp_path, series(ImageOrientationPatient=axes))).what
 
 
@@ -411,8 +411,8 @@ def test_compressed_voxels_cut_short(tmp_path):
     assert "RLE" in refused(tmp_path).what
 
 
-@pytest.mark.usefixtures("caged")
-def test_headers_that_claim_a_bomb(tmp_path):
+@pytest.mark.usefixtures("child_process_reader")
+def test_headers_that_claim_huge_volumes_are_refused(tmp_path):
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     fault = refused(save(tmp_path / "all", series(Rows=65535, Columns=65535)))
     assert "65535 x 65535 x 6" in fault.what and "crop" in fault.fix
@@ -440,7 +440,7 @@ def turned(seed, shape=(4, 5, 6), scale=1000.0, flip=False):
 
 @settings(max_examples=20, deadline=None)
 @given(seed=st.integers(0, 2**32 - 1), flip=st.booleans())
-def test_written_and_read_every_voxel_stands_where_it_stood(tmp_path_factory, seed, flip):
+def test_written_and_read_every_voxel_keeps_its_position(tmp_path_factory, seed, flip):
     """A left-handed volume comes back right-handed: its slices are the same, in the other order."""
     folder = tmp_path_factory.mktemp("scan") / "series"
     volume = turned(seed, flip=flip)
@@ -454,7 +454,7 @@ def test_written_and_read_every_voxel_stands_where_it_stood(tmp_path_factory, se
     assert np.abs(to_patient(again, np.rint(there)) - to_patient(volume, here)).max() < 1e-6
 
 
-def test_fractions_are_kept_to_a_level(tmp_path):
+def test_fractions_are_kept_to_one_quantisation_step(tmp_path):
     volume = turned(3, scale=1.0)
     volume = Volume(volume.values + np.float32(0.123), volume.origin, volume.spacing, volume.direction)
     write_volume(volume, tmp_path / "scan")
@@ -506,13 +506,13 @@ def test_a_write_that_fails_leaves_nothing(tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_place_that_cannot_be_written(tmp_path):
+def test_an_unwritable_folder_is_refused(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(ConfigError):
         write_volume(turned(1), tmp_path / "file" / "scan")
 
 
-@pytest.mark.usefixtures("caged")
+@pytest.mark.usefixtures("child_process_reader")
 def test_a_large_series_is_read_in_seconds(tmp_path):
     values = np.zeros((60, 512, 512), dtype=np.float32)
     values[:, ::7, ::5] = 1000.0

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
-from reporting_results import stereo, study, told, with_draws
+from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting import figures
 from needlefit.reporting.figures.insertions import collect_curves, subtract_fit
@@ -33,7 +33,7 @@ def test_starts_are_counted_as_each_search_had_them():
 
 def test_bands_stay_beside_the_needle_they_were_foretold_for():
     """Tilted by what the frames of score and prediction differ, a band keeps its distances to the needle."""
-    results = told(with_draws(study(5)))
+    results = with_predictions(with_draws(study(5)))
     tilted = results.bands.copy()
     for name in ("measured_mm", "low_95_mm", "high_95_mm", "low_50_mm", "high_50_mm"):
         tilted[name] += 0.01 * tilted["x_mm"]

@@ -12,7 +12,7 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
-from reporting_results import stereo, study, told, with_draws
+from reporting_results import stereo, study, with_draws, with_predictions
 
 from needlefit.reporting import posterior, run_folder
 from needlefit.reporting.figures import style
@@ -64,7 +64,9 @@ def stands_in(table: pd.DataFrame, values: np.ndarray) -> np.ndarray:
     return near <= 1e-6 * np.maximum(1.0, np.abs(values))
 
 
-@pytest.mark.parametrize("results", [told(with_draws(study(5))), stereo()], ids=["study5", "stereo"])
+@pytest.mark.parametrize(
+    "results", [with_predictions(with_draws(study(5))), stereo()], ids=["study5", "stereo"]
+)
 def test_what_is_drawn_stands_in_the_table_beside(results, painted, tmp_path):
     run_folder._draw_figures(results, tmp_path)
     pictures = {path.stem for path in tmp_path.glob("*.pdf")}
@@ -101,7 +103,7 @@ def test_the_ridge_is_the_longest_axis_of_the_draws():
 
 def test_levels_are_counted_toward_the_bevel_and_by_needles():
     """Seven needles; of the levels 0.1, 0.4, 0.7, 0.97 in turn, four lie in the middle half, all in 95 %."""
-    made = told(study(1))
+    made = with_predictions(study(1))
     rows = tabulate_predictive_check([made])
     assert set(rows["needles"]) == {7}
     cover = rows[(rows["element"] == "coverage") & (rows["quantity"] == "shape")].set_index("probability")[

@@ -151,7 +151,7 @@ def _child(asked: dict[str, Any], printed: Path, answer: int) -> None:
     os.chdir(asked["folder"])
     kind, at = asked["fault"] or ("kill", 0)
     injector = Injector(Path(asked["folder"]).resolve(), at, kind)
-    injector.steps = _Told(answer)
+    injector.steps = _ReportedSteps(answer)
     install(injector)
     _count_exchanges(injector)
     code = 0
@@ -180,7 +180,7 @@ def _count_exchanges(injector: Any) -> None:
     atomic_write._try_exchange = exchanged
 
 
-class _Told(list):
+class _ReportedSteps(list):
     """Steps that the server hears of at once, since this process may be killed at any of them."""
 
     def __init__(self, descriptor: int) -> None:
