@@ -1,4 +1,5 @@
-"""The mechanical model: needle, tissue and controls, the model twice (`reference`, `kernel`), and `simulate`.
+"""The mechanical model of a needle in tissue: needle, tissue, controls, a readable reference, a compiled
+kernel, `simulate`.
 
 Knows no data and no files; docs/model.md states the equations.
 """

@@ -1,4 +1,4 @@
-"""Many parameter sets of one insertion, and their shapes."""
+"""Batches: one insertion with many parameter sets, and the needle shapes that result."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -26,7 +26,8 @@ Ints = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Batch:
-    """One insertion with B parameter sets; what a set does not give is that of `needle`, `tissue`, `steps`.
+    """One insertion with B parameter sets; what is None has the value of `needle`, `tissue` and `steps` in
+    all sets.
 
     Attributes
     ----------
@@ -106,7 +107,7 @@ class Batch:
         return needle, tissue, steps, self.rules
 
     def vary_inputs(self, i: int) -> tuple[Needle, tuple[Step, ...]]:
-        """Return the needle of set i and its steps."""
+        """Return needle and steps with the parameters of set i."""
 
         def choose(name: str, default: float) -> float:
             values = getattr(self, name)
@@ -134,7 +135,7 @@ VARYING_FIELDS = tuple(field.name for field in fields(Batch))[4:]
 
 @dataclass(frozen=True)
 class NeedleShapes:
-    """The shapes of a batch; the fields of `NeedleShape` with a leading axis of B sets.
+    """The shapes of a batch: the fields of `NeedleShape` with a leading axis of B sets.
 
     Attributes
     ----------
@@ -167,7 +168,7 @@ class NeedleShapes:
 
     @classmethod
     def from_shapes(cls, shapes: Sequence[NeedleShape]) -> Self:
-        """Return shapes of the same insertion together."""
+        """Return several shapes of the same insertion as one batch."""
         return cls(
             np.array([shape.x for shape in shapes]),
             np.array([shape.u for shape in shapes]),
@@ -186,12 +187,12 @@ class NeedleShapes:
 
     @cached_property
     def validity(self) -> Validity:
-        """How far each set strains what the model assumes, arrays (B,); NaN where it failed."""
+        """Validity of each set's solution, arrays (B,); NaN where the solution failed."""
         return compute_validity(self)
 
     @property
     def valid(self) -> NDArray[np.bool_]:
-        """Whether each set converged and keeps to what the model assumes, (B,)."""
+        """Whether each set converged and keeps within the model's assumptions, (B,)."""
         return self.converged & self.validity.ok
 
     @property
@@ -201,7 +202,7 @@ class NeedleShapes:
 
 
 def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return points (B, K, 2) in C of every needle at beam coordinates `s` (K,), mm; else as
+    """Return the points (B, K, 2) in C of every needle at beam coordinates `s` (K,), mm; see
     `compute_positions`.
     """
     return kernel.compute_batch_positions(
@@ -210,8 +211,6 @@ def compute_batch_positions(shapes: NeedleShapes, s: Floats) -> Floats:
 
 
 def compute_batch_deflections(shapes: NeedleShapes, s: Floats) -> Floats:
-    """Return the deflections (B, K) of every needle at beam coordinates `s` (K,), mm:
-    `compute_batch_positions`'s.
-    """
+    """Return the deflections (B, K) of every needle at beam coordinates `s` (K,), mm, without computing x."""
     at = np.ascontiguousarray(s, dtype=np.float64)
     return kernel.compute_batch_deflections(shapes.x, shapes.u, shapes.slope, at)

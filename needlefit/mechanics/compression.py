@@ -1,4 +1,4 @@
-"""Stress of the one-term, incompressible Ogden solid in unconfined uniaxial compression.
+"""Stress of a one-term, incompressible Ogden solid in an unconfined uniaxial compression test.
 
 What a testing machine sees of the law whose tangent modulus is the foundation's k. With the energy
 
@@ -44,7 +44,7 @@ def compute_stress(mu: float, alpha: float, stretch: Floats, measure: StressMeas
 
 
 def compute_log_stress_derivative(alpha: float, stretch: Floats) -> Floats:
-    """Return d ln(stress) / d alpha (N,), the same for both measures.
+    """Return d ln(stress) / d alpha (N,), the same for nominal and true stress.
 
     It is h / 4 (1 + 3 (coth x - 1 / x)): in small strain alpha tilts the curve by h / 4, no more.
     """

@@ -1,4 +1,4 @@
-"""What steers the needle (bevel, base, guides, a tracked tip), step by step, and the rules of its advance."""
+"""The inputs of an insertion (bevel, base, guides, tracked tip), its steps, and the options of the model."""
 
 import math
 from dataclasses import dataclass, field
@@ -19,7 +19,9 @@ from needlefit.schemas.scene import BevelRecord, RulesRecord
 
 @dataclass(frozen=True)
 class Bevel:
-    """The bevel turns the cut by `offset` (mm) per constraint spacing, toward `side` (+1: y > 0, -1)."""
+    """The needle's bevel: it turns the cut by `offset` (mm) per constraint spacing, toward `side` (+1: y > 0,
+    or -1).
+    """
 
     offset: float
     side: int = 1
@@ -33,13 +35,13 @@ class Bevel:
 
     @classmethod
     def from_record(cls, record: BevelRecord) -> Self:
-        """Return the bevel that a checked record describes."""
+        """Return the bevel that a validated record describes."""
         return cls(record.offset_mm, record.side)
 
 
 @dataclass(frozen=True)
 class Guide:
-    """A guide or template at a fixed place, through which the needle slides.
+    """A guide or template at a fixed position, through which the needle slides.
 
     Attributes
     ----------
@@ -74,7 +76,7 @@ class Guide:
 
 @dataclass(frozen=True)
 class TrackedTip:
-    """The tip as a tracker reports it in C: deflection (mm) and, unless None, slope."""
+    """A tip position measured by a tracker, in C: deflection (mm) and, unless None, slope."""
 
     y: float
     slope: float | None = None
@@ -86,7 +88,7 @@ class TrackedTip:
 
 @dataclass(frozen=True)
 class Controls:
-    """Essential conditions ("V-inputs"), constant over one step.
+    """Boundary conditions on the needle ("V-inputs" of the paper), constant over one step.
 
     Attributes
     ----------
@@ -122,6 +124,8 @@ class Controls:
                     expected="guides at different x",
                     fix="move one of them, or leave it out",
                 )
+        # The dataclass is frozen, hence `object.__setattr__`. Sorted, so that the order of guides in a file
+        # changes nothing.
         object.__setattr__(self, "guides", ordered)
 
     @property
@@ -137,7 +141,7 @@ class Controls:
 
 @dataclass(frozen=True)
 class Step:
-    """One stretch of an insertion: the tip goes to `depth` (mm) while the inputs stay as they are.
+    """One step of an insertion: the tip moves to `depth` (mm) under constant inputs.
 
     A depth below the one before is a retraction, the same depth a mere change of the inputs.
     """
@@ -155,7 +159,7 @@ class Step:
 
 @dataclass(frozen=True)
 class ModelOptions:
-    """Options of the model and the solver: discretisation, tolerances, and variants of the advance.
+    """Options of the model and the solver: discretisation, tolerances, variants of the rule of advance.
 
     Attributes
     ----------
@@ -174,7 +178,7 @@ class ModelOptions:
     tangent : float
         Part of its slope that the tip takes on when it advances: 1 along its tangent, 0 a mere shift in x.
     first_cell : float or None
-        Depth of the first constraint point, mm; None: the last cell is whole. A `Session` is told its own.
+        Depth of the first constraint point, mm; None: the last cell is whole. A `Session` has its own.
     """
 
     spacing: float = 1.0
@@ -222,7 +226,7 @@ class ModelOptions:
 
     @classmethod
     def from_record(cls, record: RulesRecord) -> Self:
-        """Return the rules that a checked record describes."""
+        """Return the options that a validated record describes."""
         return cls(
             record.constraint_spacing_mm,
             record.element,

@@ -1,4 +1,6 @@
-"""Many insertions with many parameter sets: vectors within an insertion, cores between them."""
+"""Simulate many insertions with many parameter sets: vector instructions within an insertion, threads between
+them.
+"""
 
 import math
 import os
@@ -44,7 +46,7 @@ Bools = NDArray[np.bool_]
 
 
 def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tuple[NeedleShapes, ...]:
-    """Lead every parameter set of every batch through its steps; longest insertions first, on all cores.
+    """Simulate every parameter set of every batch on all cores, the longest insertions first.
 
     What a set gives does not depend on the sets beside it, on their order, or on the number of threads. A
     set whose tissue is compressed beyond the series of its law, and every set of an insertion with
@@ -98,7 +100,7 @@ class _SharedTables:
 class _BatchJob:
     batch: Batch
     lattice: Lattice
-    groups: tuple[tuple[int, TipStops, Ints], ...]  # as `simulate.packed`
+    groups: tuple[tuple[int, TipStops, Ints], ...]  # as `simulate.pack_groups` returns them
     stops: tuple[TipStop, ...]
     valid: Bools  # (B,) which sets are made of numbers that needle and tissue accept
     shared: _SharedTables | None  # None: every set goes alone
@@ -210,8 +212,9 @@ def _simulate_lanes(job: _BatchJob, shared: _SharedTables, sets: Ints) -> tuple[
         conditions = compile_controls(batch.steps[controls_id].controls)
         inputs = _make_inputs(batch, tissue, conditions, bevel_id, lane)
         kernel.advance_lanes(lane_state, grids, tables, conditions, inputs, stops, newton)
-    count, size = len(sets), int(lane_state.size[0])
-    state = lane_state.states[lane_state.size[3], :size].reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
+    count, size = len(sets), int(lane_state.size[kernel.NODES_NOW])
+    current = lane_state.states[lane_state.size[kernel.CURRENT_STATE], :size]
+    state = current.reshape(size, 2, LANES)[:, :, :count]  # (N, 2, B)
     front = _solve_front(job, conditions, sets, float(lane_state.nodes[0]), state[0])  # (B, F, 3)
     points = np.empty((count, last.cell + 1, 2))
     points[:, :, 0] = list_constraint_depths(last.tip, last.cell, job.lattice.first_cell, job.lattice.spacing)

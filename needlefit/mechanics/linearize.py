@@ -1,4 +1,4 @@
-"""The model with its exact derivatives: shape and Jacobian from one pass."""
+"""Compute a needle's shape and its exact derivatives with respect to the parameters, in one pass."""
 
 import math
 from collections.abc import Sequence
@@ -113,8 +113,7 @@ def linearize_steps(
     *,
     wrt: Sequence[str] = _DEFAULT_WRT,
 ) -> tuple[NeedleShape, Jacobian]:
-    """Lead the needle through `steps` as `simulate_steps` does; return its last shape and that shape's
-    derivatives.
+    """Insert the needle as `simulate_steps` does; return its last shape and the derivatives of that shape.
 
     Parameters and returns are those of `simulate_steps` and `linearize`.
     """
@@ -130,6 +129,7 @@ def linearize_steps(
     by_alpha = laws.term_slopes(tissue.law)
     history = _make_history(len(insertion.y), len(insertion.rays), columns.total)
     whole = np.empty((len(insertion.nodes), 2, columns.total))
+    # Derivatives belong to the converged state: they need a smaller tolerance than shapes do.
     newton = NewtonOptions(min(rules.tolerance, MAX_TOLERANCE_MM), rules.max_iterations)
     sides = np.array([step.bevel.side / rules.spacing for step in steps])
     offsets = np.array([step.bevel.offset for step in steps])

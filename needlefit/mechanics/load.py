@@ -1,4 +1,4 @@
-"""The lateral loads on the needle: the tissue's along the shaft, and the reactions of its supports."""
+"""The lateral loads on the needle: the tissue's load along the shaft, and the reactions of the supports."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ _DEFAULT_OPTIONS = ModelOptions()
 
 @dataclass(frozen=True)
 class SupportReaction:
-    """Force and moment of a support (base, guide, tracked tip) on the needle.
+    """Force and moment of one support (base, guide or tracked tip) on the needle.
 
     Attributes
     ----------
@@ -39,7 +39,7 @@ class SupportReaction:
 
 @dataclass(frozen=True)
 class Loads:
-    """All that acts on the needle across its axis, in the constraint frame C; + is toward +y.
+    """All loads across the needle's axis, in the constraint frame C; positive toward +y.
 
     Attributes
     ----------
@@ -49,12 +49,12 @@ class Loads:
         Lateral load of the tissue there, N/mm; it jumps where constraint point or layer change.
     weight : (K,) array
         Length of shaft that each of them stands for, mm: the tissue's force is `weight @ load`.
-    at_tip : float
+    tip_region_force : float
         Force of the tissue on the stretch that belongs to the last constraint point, N.
-    base : Hold
-    guides : tuple of Hold
+    base : SupportReaction
+    guides : tuple of SupportReaction
         One for each of the controls' guides, in their order; all 0 for one that does not hold yet.
-    tip : Hold
+    tip : SupportReaction
         What holds a tracked tip where it is; all 0 where the tip is free.
     """
 
@@ -68,7 +68,7 @@ class Loads:
 
     @property
     def tip_force(self) -> float:
-        """Lateral force on the tip, N: of the tissue about it, and of what holds it where it is tracked."""
+        """Lateral force on the tip, N: the tissue's around the tip, plus that of a tracker that holds it."""
         return self.tip_region_force + self.tip.force
 
     @property
@@ -79,7 +79,7 @@ class Loads:
 
     @property
     def all_loads(self) -> tuple[SupportReaction, ...]:
-        """The tissue and all that holds the needle: together they balance."""
+        """The tissue's load and all supports: together they are in balance."""
         return self.tissue, self.base, *self.guides, self.tip
 
 
@@ -90,7 +90,7 @@ def compute_loads(
     controls: Controls,
     rules: ModelOptions = _DEFAULT_OPTIONS,
 ) -> Loads:
-    """Return what acts on a needle in equilibrium: docs/model.md, section 3.
+    """Return all loads on a needle in equilibrium: docs/model.md, section 3.
 
     Parameters
     ----------

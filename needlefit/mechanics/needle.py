@@ -1,4 +1,4 @@
-"""The needle: an inextensible Euler-Bernoulli beam; and the check that parameters are finite."""
+"""The needle as an inextensible Euler-Bernoulli beam, and a check for finite parameters."""
 
 import math
 from dataclasses import dataclass
@@ -10,7 +10,7 @@ from needlefit.schemas.scene import NeedleRecord
 
 
 def is_finite(*values: float) -> bool:
-    """Return whether all values are finite numbers; what is no number at all is none."""
+    """Return whether all values are finite numbers; False for anything that is not a number."""
     try:
         return all(map(math.isfinite, values))
     except (TypeError, OverflowError):
@@ -19,7 +19,7 @@ def is_finite(*values: float) -> bool:
 
 @dataclass(frozen=True)
 class Needle:
-    """A straight, unloaded beam.
+    """A needle: a straight beam, free of load when straight.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class Needle:
     def from_tube(
         cls, length: float, outer_diameter: float, youngs_modulus: float, inner_diameter: float = 0.0
     ) -> Self:
-        """Return the needle of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
+        """Return the needle made of a round tube: EI = E pi (OD^4 - ID^4) / 64; lengths in mm, E in MPa."""
         if not 0 <= inner_diameter < outer_diameter <= MAX_NEEDLE_DIAMETER_MM:
             raise ModelError(
                 f"the needle's diameters are {inner_diameter:g} and {outer_diameter:g} mm",
@@ -57,7 +57,7 @@ class Needle:
 
     @classmethod
     def from_record(cls, record: NeedleRecord) -> Self:
-        """Return the needle that a checked record describes."""
+        """Return the needle that a validated record describes."""
         if record.flexural_rigidity_nmm2 is not None:
             return cls(record.length_mm, record.flexural_rigidity_nmm2)
         assert record.outer_diameter_mm is not None and record.youngs_modulus_gpa is not None

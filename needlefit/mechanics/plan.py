@@ -1,8 +1,9 @@
-"""From steps to stops: where the tip halts, which ray cut its path there, which controls hold the needle.
+"""Turn the steps of an insertion into stops: where the tip halts, which ray cut its path, which controls hold
+the needle.
 
-Which equilibria an insertion needs depends on depths and on where inputs change, never on the solution.
-They are therefore written down beforehand as a straight list of stops, and whatever solves them (the
-reference, the compiled kernel, its lanes, the sensitivities, a session) follows the same list.
+Which equilibria an insertion needs depends on depths and on changes of the inputs, never on the solution.
+They are therefore listed beforehand, and all solvers (the reference, the compiled kernel, its lanes, the
+sensitivities, a session) follow the same list.
 """
 
 import math
@@ -20,7 +21,7 @@ SAME_DEPTH_MM = 1e-9
 
 @dataclass(frozen=True)
 class Move:
-    """A step, as far as the plan needs it: the depth it leads to (mm), and names for its inputs."""
+    """A step as the plan needs it: the depth it leads to (mm), and numbers that identify its inputs."""
 
     depth: float
     bevel_id: int  # names the bevel
@@ -29,7 +30,7 @@ class Move:
 
 @dataclass(frozen=True)
 class TipStop:
-    """One equilibrium of an insertion.
+    """One stop of the tip: one equilibrium of an insertion.
 
     Attributes
     ----------
@@ -42,12 +43,12 @@ class TipStop:
         Whether that point belongs to the lattice of constraint points, or only goes with the tip.
     ray : int
         Number of the ray that leads here, counted from the entry.
-    opens : bool
+    starts_ray : bool
         Whether that ray begins where the tip stood at the stop before, along its tangent there.
-    cut : int
-        Names the bevel that cuts, or cut, the ray.
-    held : int
-        Names the controls that hold the needle.
+    bevel_id : int
+        Number of the bevel that cuts, or has cut, the ray.
+    controls_id : int
+        Number of the controls that hold the needle.
     """
 
     tip: float
@@ -61,7 +62,7 @@ class TipStop:
 
 @dataclass(frozen=True)
 class Ray:
-    """The way that the tip cuts from `start` (mm) on, and the inputs under which it was begun.
+    """The straight path that the tip cuts from `start` (mm) on, and the inputs under which it began.
 
     Rays are linked from the tip back to the entry: a long session adds and drops them at no cost.
     """
@@ -75,7 +76,7 @@ class Ray:
 
 @dataclass(frozen=True)
 class Lattice:
-    """The constraint points that an insertion can have.
+    """The depths at which an insertion can have constraint points.
 
     Attributes
     ----------
@@ -97,12 +98,12 @@ class Lattice:
 
     @classmethod
     def ending_at(cls, depth: float, spacing: float) -> "Lattice":
-        """Return the lattice with a constraint point at `depth`: the last cell is whole."""
+        """Return the lattice with a constraint point at `depth`, so that the last cell is a whole one."""
         cells = max(1, math.ceil((depth - SAME_DEPTH_MM) / spacing))
         return cls(depth - (cells - 1) * spacing, spacing)
 
     def depth(self, m: int) -> float:
-        """Return x_m, mm."""
+        """Return the depth x_m of constraint point m, mm."""
         return 0.0 if m == 0 else self.first_cell + (m - 1) * self.spacing
 
     def is_at(self, m: int, depth: float) -> bool:
@@ -118,17 +119,17 @@ class Lattice:
 
 @dataclass(frozen=True)
 class Position:
-    """Where the tip stands, and the rays that led there.
+    """The present position in a plan: the last stop, and the rays that led to it.
 
     Attributes
     ----------
-    last : Stop or None
+    last : TipStop or None
         The stop at which the tip stands; None before first contact.
     ray : Ray or None
         The one that led there, and so all before it; None at the entry.
     move : Move or None
         The move before, whose inputs the next one may change.
-    turned : bool
+    inputs_changed : bool
         Whether inputs have changed since the tip came to this depth.
     """
 
@@ -139,7 +140,7 @@ class Position:
 
 
 def list_rays(position: Position) -> list[Ray]:
-    """Return the rays that led to a position, from the entry on."""
+    """Return the rays that led to a position, from the entry to the tip."""
     found, ray = [], position.ray
     while ray:
         found.append(ray)
@@ -148,7 +149,9 @@ def list_rays(position: Position) -> list[Ray]:
 
 
 def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Position, list[TipStop]]:
-    """Return where a move leads, and its stops, the last of which stands at its depth under its inputs."""
+    """Return the position after a move, and the stops of the move; the last stop is at the move's depth and
+    inputs.
+    """
     ray = position.ray
     stops: list[TipStop] = []
 
@@ -180,11 +183,15 @@ def plan_move(position: Position, move: Move, lattice: Lattice) -> tuple[Positio
         while move.depth > at + SAME_DEPTH_MM:
             if begins:
                 ray = Ray(at, move.bevel_id, move.controls_id, ray.number + 1 if ray else 0, ray)
+            # 2 * SAME_DEPTH_MM: a tip that stands at a constraint point, up to rounding, goes on to the next
+            # one.
             at = halt(
                 min(lattice.depth(lattice.cell(at + 2 * SAME_DEPTH_MM)), move.depth), starts_ray=begins
             ).tip
             begins = True
     elif move.depth < here.tip - SAME_DEPTH_MM:
+        # A retraction drops the rays that begin beyond the new depth; the tip then stands on the last ray
+        # that is left.
         while ray and ray.start >= move.depth - SAME_DEPTH_MM:
             ray = ray.before
         halt(move.depth)
@@ -209,7 +216,7 @@ def plan_stops(steps: Sequence[Step], lattice: Lattice, length: float) -> tuple[
 
 
 def make_moves(steps: Sequence[Step], length: float) -> tuple[Move, ...]:
-    """Return the steps as moves, once the needle of `length` (mm) is long enough for each of them."""
+    """Return the steps as moves, after a check that the needle of `length` (mm) is long enough for each."""
     if not steps:
         raise ModelError("an insertion without steps", expected="one step at least")
     bevels: dict[Bevel, int] = {}
@@ -245,7 +252,7 @@ def make_lattice(steps: Sequence[Step], rules: ModelOptions) -> Lattice:
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def count_element_solves(depths: tuple[float, ...], spacing: float, element: float) -> float:
-    """Return about how many elements an insertion solves for, and at most that many.
+    """Estimate the number of elements an insertion solves for; the true number is not larger.
 
     On the way in the tip halts once in every cell, else once or twice a step; each halt solves for the
     elements between entry and tip.
@@ -302,7 +309,8 @@ def check_reach(length: float, depth: float, controls: Controls) -> None:
 def find_input_path(
     position: Position, last: Step, lattice: Lattice, inputs_of: Callable[[Ray], tuple[Bevel, Controls]]
 ) -> tuple[Step, ...]:
-    """Return the shortest steps from first contact to where the needle stands: same rays, same inputs.
+    """Return the shortest steps that lead from first contact to the present position, with the same rays and
+    inputs.
 
     Movements that were taken back leave nothing behind, and are left out.
 
@@ -312,7 +320,7 @@ def find_input_path(
     last : Step
         Where the tip stands, and under which inputs.
     lattice : Lattice
-    meant : callable
+    inputs_of : callable
         The bevel that cuts a ray, and the controls under which it was begun.
     """
     steps: list[Step] = []

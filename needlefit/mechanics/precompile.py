@@ -1,7 +1,7 @@
-"""Compile the kernel ahead, in a process of its own, once for all processes that start at the same time.
+"""Compile the kernel ahead of its use, in a separate process, once for all processes that start together.
 
-What is compiled does not depend on who compiles it. A process of its own gives back the memory (300 MB), and
-the others wait for it rather than compile the same.
+The compiled code does not depend on the process that compiles it. A separate process returns the memory (300
+MB) when it ends, and other processes wait for it instead of compiling the same code.
 """
 
 import subprocess
@@ -38,7 +38,7 @@ _BEVEL, _DEPTH = Bevel(0.1), 4.0
 
 
 def precompile(*parts: str) -> None:
-    """Compile those of some parts of the kernel that are not on the disk yet; nothing if all are.
+    """Compile those parts of the kernel that are not on disk yet.
 
     Where no other process can be started they are compiled in this one, when they are called.
     """
@@ -74,7 +74,7 @@ def _wait_for_lock(file: int) -> None:
 
 
 def compile_parts(parts: list[str]) -> None:
-    """Compile some parts of the kernel: each by simulating a needle with it."""
+    """Compile parts of the kernel by simulating a needle with each of them."""
     for part in parts:
         _COMPILERS[part]()
         mark_complete(part)

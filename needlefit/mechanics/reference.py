@@ -1,7 +1,7 @@
-"""The model of docs/model.md, line by line: slow, dense, and meant to be read beside the equations.
+"""The model of docs/model.md, line by line: slow, dense, to be read beside the equations.
 
-Section numbers are those of docs/model.md. `mechanics.simulate` is the same model, compiled; one test
-ties the two.
+Section numbers are those of docs/model.md. `mechanics.simulate` is the same model, compiled; a test compares
+the two.
 """
 
 import math
@@ -31,7 +31,7 @@ def simulate(
     controls: Controls = Controls(),
     rules: ModelOptions = ModelOptions(),
 ) -> NeedleShape:
-    """Section 4: insert the needle under constant inputs; arguments as in `mechanics.simulate`."""
+    """Insert the needle under constant inputs (section 4); arguments as in `mechanics.simulate.simulate`."""
     return simulate_steps(needle, tissue, (Step(depth, bevel, controls),), rules)
 
 
@@ -42,7 +42,9 @@ def simulate_steps(
     rules: ModelOptions = ModelOptions(),
     lattice: Lattice | None = None,
 ) -> NeedleShape:
-    """Section 4: bring the tip from one stop to the next; arguments as in `simulate_steps`."""
+    """Bring the tip from one stop to the next (section 4); arguments as in
+    `mechanics.simulate.simulate_steps`.
+    """
     lattice = lattice or make_lattice(steps, rules)
     C_int = rules.spacing
     c: dict[int, float] = {0: 0.0}  # y of the constraint points, by their number
@@ -76,7 +78,7 @@ def simulate_steps(
 def mesh(
     stop: TipStop, controls: Controls, lattice: Lattice, L: float, h: float
 ) -> tuple[Floats, Floats, Bools]:
-    """Sections 3 and 4: the nodes of one stop, and what is prescribed there.
+    """Return the nodes of one stop and the prescribed deflections and slopes (sections 3 and 4).
 
     Base and guides; the entry; every h, fixed in the tissue; the tip. Very short elements ruin the
     conditioning: the entry gets no node when the next one is nearer than h / 2, nor does a place nearer
@@ -88,7 +90,7 @@ def mesh(
     nodes : (N,) array
     u : (2 N,) array
         Deflection and slope of every node: what is prescribed, else 0.
-    held : (2 N,) array
+    prescribed : (2 N,) array
         Which of them are prescribed.
     """
     tip = stop.tip
@@ -119,7 +121,7 @@ def equilibrium(
     prescribed: Bools,
     rules: ModelOptions,
 ) -> tuple[Floats, int]:
-    """Section 3: find u with int EI u'' v'' + sum_i int k_i(lambda) e g v = 0 for all v, by Newton's method.
+    """Find u with int EI u'' v'' + sum_i int k_i(lambda) e g v = 0 for all v, by Newton's method (section 3).
 
     `u` (2 N,) is a guess of deflection and slope of every node, true where they are `prescribed`.
     """
@@ -156,14 +158,16 @@ def equilibrium(
 
 
 def modulus(tissue: Tissue, layer: NDArray[np.int64], lam: Floats) -> tuple[Floats, Floats]:
-    """Section 3: k(lambda) and dk/dlambda at points in the given layers; the law is a sum of powers."""
+    """Return k(lambda) and dk/dlambda at points in the given layers (section 3); the law is a sum
+    of powers.
+    """
     c, q = (terms[layer] for terms in laws.power_terms(tissue.law, tissue.alpha))  # (Q, P)
     mu, lam = tissue.mu[layer], lam[:, None]
     return mu * np.sum(c * lam**q, axis=1), mu * np.sum(c * q * lam ** (q - 1), axis=1)
 
 
 def bending_stiffness(nodes: Floats, EI: float) -> Floats:
-    """Return int EI N_i'' N_j'' dx, (2 N, 2 N), of two-node cubic elements."""
+    """Return the bending stiffness int EI N_i'' N_j'' dx, (2 N, 2 N), of two-node cubic elements."""
     K = np.zeros((2 * len(nodes), 2 * len(nodes)))
     for a, h in enumerate(np.diff(nodes)):
         K[2 * a : 2 * a + 4, 2 * a : 2 * a + 4] += (EI / h**3) * np.array(
@@ -178,13 +182,15 @@ def bending_stiffness(nodes: Floats, EI: float) -> Floats:
 
 
 def change_depths(x_c: Floats, switch: float) -> Floats:
-    """Section 3: where the tissue's points change from one constraint point to the next; 0.5: halfway."""
+    """Return the depths where the next constraint point takes over (section 3); `switch` 0.5: halfway."""
     where: Floats = (1 - switch) * x_c[:-1] + switch * x_c[1:]
     return where
 
 
 def quadrature(nodes: Floats, change: Floats, boundaries: Floats) -> tuple[Floats, Floats]:
-    """Section 3: two Gauss points on each interval without node, boundary or change of constraint inside."""
+    """Return two Gauss points and weights on each interval free of nodes, boundaries and changes of
+    constraint (section 3).
+    """
     edges = np.unique(np.clip(np.concatenate(([0.0], nodes, change, boundaries)), 0.0, nodes[-1]))
     middle, half = (edges[1:] + edges[:-1]) / 2, np.diff(edges) / 2
     points = middle[:, None] + half[:, None] * np.array([-1, 1]) / math.sqrt(3)

@@ -30,7 +30,7 @@ MAX_AXIS_ANGLE_RAD = math.radians(45)
 
 @dataclass(frozen=True)
 class Entry:
-    """The tip's pose in the world at first contact, an element of SE(2): C's origin (mm) and x axis (rad)."""
+    """The tip's pose in the world at first contact: origin of C (mm) and angle of C's x axis (rad)."""
 
     x: float = 0.0
     y: float = 0.0
@@ -38,24 +38,26 @@ class Entry:
 
     @classmethod
     def from_record(cls, record: SceneEntryRecord) -> Self:
-        """Return the pose that a checked record describes."""
+        """Return the pose that a validated record describes."""
         return cls(record.x_mm, record.y_mm, math.radians(record.angle_deg))
 
     @property
     def placement(self) -> Placement:
-        """C in the plane z = 0 of the world, whose coordinates are taken as a patient's."""
+        """The pose of C in the plane z = 0 of the world, whose coordinates are read as patient
+        coordinates.
+        """
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         rotation = np.array([[cos, -sin, 0.0], [sin, cos, 0.0], [0.0, 0.0, 1.0]])
         return Placement(Frame(np.array([self.x, self.y, 0.0]), rotation))
 
     def to_world(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2) of C in the world, mm."""
+        """Return points (K, 2), given in C, in world coordinates, mm."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         x, y = np.asarray(points, dtype=np.float64).T  # (K,)
         return np.column_stack((self.x + cos * x - sin * y, self.y + sin * x + cos * y))
 
     def to_frame(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2) of the world in C, mm."""
+        """Return points (K, 2), given in world coordinates, in C, mm."""
         cos, sin = math.cos(self.angle), math.sin(self.angle)
         x, y = (np.asarray(points, dtype=np.float64) - [self.x, self.y]).T  # (K,)
         return np.column_stack((cos * x + sin * y, cos * y - sin * x))
@@ -81,7 +83,7 @@ class Entry:
 
 @dataclass(frozen=True)
 class Scene:
-    """The arguments of `simulate_steps`, and the entry's pose.
+    """One insertion to simulate: the arguments of `simulate_steps`, and the pose of the entry.
 
     Attributes
     ----------
@@ -102,7 +104,7 @@ class Scene:
 
     @property
     def depth(self) -> float:
-        """Where the last step ends: inserted arc length, mm."""
+        """Inserted arc length at the end of the last step, mm."""
         return self.steps[-1].depth
 
     @property
@@ -112,7 +114,7 @@ class Scene:
 
     @classmethod
     def from_record(cls, record: SceneRecord, where: str = "") -> Self:
-        """Return the scene that a checked record describes; `where` is named in errors.
+        """Return the scene that a validated record describes; `where` is named in errors.
 
         Raises
         ------
@@ -152,7 +154,7 @@ def simulate_scene(scene: Scene) -> tuple[NeedleShape, ...]:
 
 
 def begin_session(scene: Scene, first_cell: float) -> Session:
-    """Return the needle of a scene at first contact, held as its first step begins, to go on step by step.
+    """Return a session at first contact, under the inputs of the scene's first step.
 
     `first_cell` (mm) is that of `scene.lattice` for who wants the needle that `simulate_scene` finds.
     """
@@ -229,7 +231,8 @@ def _name_keys(where: str, *keys: str) -> Iterator[None]:
 
 
 def iterate_states(scene: Scene, stride: float = 0.5) -> Iterator[tuple[float, NeedleState]]:
-    """Yield the path length of the tip (mm, back and forth) and the needle's state, from first contact on.
+    """Yield the path length of the tip (mm, insertions plus retractions) and the needle's state, from first
+    contact on.
 
     The depths of the steps are among the places where it is seen, the others at most `stride` mm apart, or
     farther where that would be more than `MAX_SHOWN_POSITIONS`; it ends before a stride that fails.

@@ -1,4 +1,4 @@
-"""The model step by step, for interactive simulation."""
+"""Sessions: simulate a needle step by step, for interactive use."""
 
 import copy
 import math
@@ -34,12 +34,13 @@ from needlefit.schemas.limits import MAX_ELEMENTS, MAX_STEPS
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
 T = TypeVar("T")
-_UNCHANGED: Any = object()  # None already says that a tip is not tracked
+# None stands for a tip that is not tracked, so a further value is needed for `as it was`.
+_UNCHANGED: Any = object()
 
 
 @dataclass(frozen=True)
 class NeedleState:
-    """A needle's state: its shape in C, the depth and the inputs that hold it there, and its tissue."""
+    """The state of a needle: its shape in C, its depth and inputs, and its tissue."""
 
     shape: NeedleShape
     step: Step
@@ -47,7 +48,7 @@ class NeedleState:
 
 
 class Session:
-    """A needle that goes on from where it stands.
+    """A needle that is inserted step by step, each step from its present state.
 
     With the same first cell and the same steps it finds the same bits as `simulate.simulate_steps`; steps
     that only divide a longer one change nothing at its end.
@@ -101,7 +102,7 @@ class Session:
 
     @property
     def now(self) -> NeedleState:
-        """The needle as it stands."""
+        """The present state of the needle."""
         return NeedleState(self._shape, self.last, self.tissue)
 
     @property
@@ -118,7 +119,7 @@ class Session:
         guides: tuple[Guide, ...] | None = None,
         tip: TrackedTip | None = _UNCHANGED,
     ) -> NeedleShape:
-        """Change inputs, then insert or retract; what is not given stays as it is.
+        """Change some inputs, then insert or retract; inputs that are not given stay as they are.
 
         Parameters
         ----------
@@ -150,13 +151,15 @@ class Session:
         return self.go(Step(0.0 if abs(depth) < SAME_DEPTH_MM else depth, bevel or self.last.bevel, controls))
 
     def go(self, step: Step) -> NeedleShape:
-        """Bring the tip to the depth of `step` under its inputs; else as `step`."""
+        """Move the tip to the depth of `step` under its inputs; returns and errors are those of
+        `Session.step`.
+        """
         check_reach(self.needle.length, step.depth, step.controls)
         check_size((self.last.depth, step.depth), self.rules)
         return self._go(step)
 
     def copy(self) -> Self:
-        """Return a second needle that stands where this one does; the two go on by themselves."""
+        """Return an independent second needle in the same state."""
         other = copy.copy(self)
         other.failures = self.failures.copy()
         other._bevels, other._controls = self._bevels.copy(), self._controls.copy()
@@ -166,7 +169,7 @@ class Session:
         return other
 
     def input_path(self) -> tuple[Step, ...]:
-        """Return the shortest steps from first contact to where the needle stands."""
+        """Return the shortest steps that lead from first contact to the present state."""
         bevels, controls = self._bevels.values(), self._controls.values()
         return find_input_path(
             self._position,
@@ -207,6 +210,7 @@ class Session:
             _check_rays(stops[-1].ray + 1)
             self._grow_arrays(len(step.controls.guides), stops[-1].ray + 1)
             changed_arrays = self._list_changed_arrays(stops)
+            # Only what this step may change is copied, for a step that fails.
             saved = [part.copy() for part in changed_arrays]
             # rays that open now are cut by this bevel; the kernel does not read the turn of the others
             turn = step.bevel.side * step.bevel.offset / self.rules.spacing
@@ -241,6 +245,7 @@ class Session:
         """Let the kernel's arrays hold so many guides and rays; what they hold already stays."""
         if guides <= self._guides and rays <= self._rays:
             return
+        # Doubled, so that a session that adds rays one by one copies its arrays only a few times.
         self._guides, self._rays = max(2 * guides, self._guides), max(2 * rays, self._rays)
         before, self._insertion = self._insertion, self._begin()
         for part, old in zip(_list_arrays(self._insertion), _list_arrays(before), strict=True):

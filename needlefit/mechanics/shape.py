@@ -17,7 +17,7 @@ Status = Literal["converged", "over-compressed", "not converged", "non-finite"]
 
 @dataclass(frozen=True)
 class NeedleShape:
-    """Nodes of the deflected beam in C, base first, tip last.
+    """The shape of a needle: the nodes of the bent beam in C, base first, tip last.
 
     `x` is the beam coordinate (arc length, 0 at the entry), not the place in space: see `compute_positions`.
 
@@ -48,12 +48,14 @@ class NeedleShape:
 
     @cached_property
     def validity(self) -> Validity:
-        """How far the shape strains what the model assumes; NaN where there is no solution."""
+        """How far the solution exceeds or keeps within the model's assumptions; NaN where there is no
+        solution.
+        """
         return compute_validity(self)
 
     @property
     def valid(self) -> bool:
-        """Whether the shape converged and keeps to what the model assumes."""
+        """Whether the solution converged and keeps within the model's assumptions."""
         return self.converged and bool(self.validity.ok)
 
     @property
@@ -78,7 +80,7 @@ class NeedleShape:
 
 
 def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
-    """Return the needle's points in C.
+    """Return the points (K, 2) of the needle in C, mm, at given beam coordinates.
 
     The needle keeps its length: x(s) = integral of cos(atan u') from the base, y = u (the tip therefore
     lags a little behind its depth).
@@ -100,6 +102,7 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
         If a coordinate lies outside the needle.
     """
     wanted = np.ascontiguousarray(s, dtype=np.float64)
+    # The last of a row of equidistant coordinates may lie beyond the tip by rounding.
     slack = 1e-9 * max(1.0, shape.depth)
     if wanted.min() < shape.x[0] - slack or wanted.max() > shape.x[-1] + slack:
         raise ModelError(
@@ -110,15 +113,14 @@ def compute_positions(shape: NeedleShape, s: Floats) -> Floats:
 
 
 def map_beam_points(shape: NeedleShape, points: Floats) -> Floats:
-    """Return where points (K, 2), given by beam coordinate and y, lie beside the needle of
-    `compute_positions`.
+    """Return points (K, 2), given by beam coordinate and y, in the coordinates of `compute_positions`.
 
-    What belongs to a beam coordinate is carried along x with that point of the needle and keeps its y: so its
-    distance from the needle is the one that the model knows.
+    Each point moves along x with the point of the needle at its beam coordinate, and keeps its y. Its
+    distance from the needle is then the one that the model uses.
     """
     return np.column_stack((compute_positions(shape, points[:, 0])[:, 0], points[:, 1]))
 
 
 def sample_inserted_points(shape: NeedleShape, stations: int = 101) -> Floats:
-    """Return points (stations, 2) in C at equal fractions of inserted arc length, entry to tip."""
+    """Return points (stations, 2) in C at equal fractions of the inserted arc length, from entry to tip."""
     return compute_positions(shape, np.linspace(0.0, shape.depth, stations))

@@ -1,4 +1,4 @@
-"""The model as pure functions: needle, tissue and inputs -> shape."""
+"""Simulate a needle insertion: pure functions from needle, tissue and inputs to the needle's shape."""
 
 import math
 from collections.abc import Sequence
@@ -77,7 +77,7 @@ def simulate_steps(
     rules: ModelOptions = _DEFAULT_OPTIONS,
     lattice: Lattice | None = None,
 ) -> NeedleShape:
-    """Lead the needle through `steps`, insertions and retractions, and return its last shape in C.
+    """Move the needle through `steps`, insertions and retractions, and return its last shape in C.
 
     Parameters
     ----------
@@ -123,7 +123,7 @@ def equilibrium(
     controls: Controls = _DEFAULT_CONTROLS,
     rules: ModelOptions = _DEFAULT_OPTIONS,
 ) -> NeedleShape:
-    """Return the equilibrium against given constraint points, without any history.
+    """Return the needle's equilibrium against given constraint points, without an insertion before it.
 
     Parameters
     ----------
@@ -164,11 +164,13 @@ def equilibrium(
 def begin_insertion(
     needle: Needle, tissue: Tissue, steps: Sequence[Step], lattice: Lattice, rules: ModelOptions
 ) -> kernel.KernelInsertion:
-    """Return the needle before first contact, with room for all steps."""
+    """Return the kernel's state before first contact, with arrays large enough for all steps."""
     depths = tuple(step.depth for step in steps)
     check_size(depths, rules)
     deepest = max(depths)
     guides = max(len(step.controls.guides) for step in steps)
+    # At most one ray for each cell, one more for each step that changes inputs inside a cell, and one at the
+    # entry.
     rays = lattice.cell(deepest) + len(steps) + 1
     return kernel.begin_insertion(
         needle.flexural_rigidity, needle.length, lattice.first_cell, lattice.spacing, rules.element,
@@ -177,14 +179,14 @@ def begin_insertion(
 
 
 def compile_tissue(tissue: Tissue) -> Foundation:
-    """Return the tissue as the kernel reads it."""
+    """Return the tissue in the form that the kernel reads."""
     coefficients, exponents = laws.power_terms(tissue.law, tissue.alpha)
     return make_foundation(tissue.mu, coefficients, exponents, tissue.thickness, tissue.friction)
 
 
 @lru_cache(maxsize=64)
 def compile_controls(controls: Controls) -> kernel.BoundaryConditions:
-    """Return the inputs as the kernel reads them."""
+    """Return the boundary conditions in the form that the kernel reads."""
     tip = controls.tip
     return kernel.BoundaryConditions(
         np.array([controls.base_y, controls.base_slope, controls.stage_slope]),
@@ -204,7 +206,9 @@ def _or_nan(slope: float | None) -> float:
 
 @lru_cache(maxsize=512)  # a fit asks for the same insertions over and over
 def pack_groups(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, kernel.TipStops, Ints], ...]:
-    """Return the stops of all moves in groups under the same inputs: whose, the stops, and whose bevels."""
+    """Return the stops of all moves, grouped by equal controls: the controls' number, the stops, their
+    bevels' numbers.
+    """
     groups = []
     for controls_id, some in groupby(make_stops(moves, lattice), key=lambda stop: stop.controls_id):
         stops, bevel_id = pack_stops(tuple(some))
@@ -213,7 +217,7 @@ def pack_groups(moves: tuple[Move, ...], lattice: Lattice) -> tuple[tuple[int, k
 
 
 def pack_stops(stops: Sequence[TipStop]) -> tuple[kernel.TipStops, Ints]:
-    """Return stops as the kernel reads them, their turn left open, and the names of their bevels."""
+    """Return stops in the form that the kernel reads, without their turn, and the numbers of their bevels."""
     columns = zip(
         *((s.tip, s.cell, s.permanent, s.ray, s.starts_ray, s.bevel_id) for s in stops), strict=True
     )
@@ -229,10 +233,11 @@ def read_shape(
     status: int,
     iterations: int,
 ) -> NeedleShape:
-    """Return the needle's shape at a stop; NaN where the solution failed on the way there."""
+    """Return the needle's shape at a stop from the kernel's state; NaN where the solution failed before."""
     if status == CONVERGED:
-        size = int(insertion.size[0])
-        nodes, state = insertion.nodes[:size].copy(), insertion.states[0, :size].copy()
+        size = int(insertion.size[kernel.CHAIN_NODES])
+        # Copies: the kernel goes on to write into its arrays.
+        nodes, state = insertion.nodes[:size].copy(), insertion.states[kernel.NOW, :size].copy()
     else:
         nodes = kernel.list_chain_nodes(insertion, compile_controls(controls), stop.tip, stop.cell)
         state = np.full((len(nodes), 2), np.nan)

@@ -1,4 +1,4 @@
-"""The tissue: layers that resist the needle's deflection from its own cut."""
+"""The tissue: layers that resist the needle's deflection away from its own cut."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Tissue:
-    """Layers, from the entry inwards; n is the length of `mu`, never part of a name.
+    """The layers of a tissue, from the entry inwards; their number n is the length of `mu`.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Tissue:
 
     @classmethod
     def from_records(cls, layers: Sequence[LayerRecord], law: str) -> Self:
-        """Return the tissue that checked layer records describe (Pa become MPa)."""
+        """Return the tissue that validated layer records describe (Pa become MPa)."""
         return cls(
             mu=np.array([layer.mu_pa * 1e-6 for layer in layers]),
             alpha=np.array([layer.alpha for layer in layers]),

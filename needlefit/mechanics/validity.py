@@ -1,4 +1,4 @@
-"""Whether a solution keeps to what the model assumes: a needle may converge and its shape still be wrong.
+"""Check whether a solution keeps within the model's assumptions: a solution may converge and still be wrong.
 
 The record stands beside the status of every solution. Each quantity is the worst of the whole needle, and
 each has a limit; docs/solver.md, "Validity of a solution", says where the limits come from.
@@ -39,7 +39,9 @@ ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
 
 
 class SolvedShape(Protocol):
-    """What validity is read from: a `NeedleShape`, or the `NeedleShapes` of a batch (leading axes ...)."""
+    """The fields that validity is computed from: of a `NeedleShape`, or of `NeedleShapes` with leading axes
+    (...).
+    """
 
     @property
     def x(self) -> Floats:
@@ -63,12 +65,12 @@ class SolvedShape(Protocol):
 
     @property
     def scales(self) -> Floats:
-        """What `compute_scales` returns, (..., 3)."""
+        """Reference lengths of validity, as `compute_scales` returns them, (..., 3), mm."""
 
 
 @dataclass(frozen=True)
 class Validity:
-    """How far a solution strains the model's assumptions; of a batch with leading axes (...).
+    """How near a solution comes to the limits of the model's assumptions; of a batch with leading axes (...).
 
     All are NaN where there is no solution, and such a one is not `ok`.
 
@@ -95,13 +97,15 @@ class Validity:
 
     @property
     def ok(self) -> Bools:
-        """Whether every quantity keeps to its limit, (...)."""
+        """Whether every quantity is within its limit, (...)."""
         within: Bools = np.logical_and.reduce([getattr(self, name) <= limit for name, limit, _ in LIMITS])
         return within
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """What exceeds its limit, in words; of a single solution. Empty where there is none."""
+        """Descriptions of the quantities of a single solution that exceed their limits; empty if
+        none does.
+        """
         return tuple(
             f"{words} {float(value):.3g} (limit {limit:g})"
             for name, limit, words in LIMITS
@@ -125,7 +129,7 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
 
 
 def find_worst(solutions: Sequence[Validity]) -> Validity:
-    """Return the worst of each quantity over several single solutions; those that failed are left out."""
+    """Return the worst value of each quantity over several single solutions; failed ones are left out."""
     worst = {name: np.array([getattr(one, name) for one in solutions]) for name, _, _ in LIMITS}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RuntimeWarning)  # all failed: NaN
@@ -133,7 +137,7 @@ def find_worst(solutions: Sequence[Validity]) -> Validity:
 
 
 def compute_validity(solved: SolvedShape) -> Validity:
-    """Return how far a solution, or each of a batch, strains the model's assumptions."""
+    """Return the validity of a solution, or of each solution of a batch."""
     x, u, slope, scales = solved.x, solved.u, solved.slope, solved.scales
     length = x[..., -1] - x[..., 0]
     step = np.diff(x, axis=-1)
@@ -177,6 +181,7 @@ def _find_slopes(u: Floats, slope: Floats, step: Floats) -> tuple[Floats, Floats
     end = slope[..., 1:]
     # u' = begin + t bend + t^2 curl
     bend, curl = 6 * mean - 4 * begin - 2 * end, 3 * (begin + end) - 6 * mean
+    # Extremes of the slope inside an element lie where u'' = 0. A cubic without curl has none.
     at = np.divide(-0.5 * bend, curl, out=np.zeros_like(curl), where=np.abs(curl) > 1e-12)
     turning = begin + np.where((at > 0) & (at < 1), at, 0.0) * (bend + at * curl)
     steepest = np.maximum(np.abs(turning).max(axis=-1), np.abs(slope).max(axis=-1))
@@ -213,7 +218,7 @@ def _find_compression(solved: SolvedShape) -> Floats:
 
 
 def compute_scales(tissue: Tissue, rigidity: float, depth: float, spacing: float) -> Floats:
-    """Return the lengths (3,) that a needle at `depth` is measured by, mm.
+    """Return the reference lengths (3,) of validity for a needle at `depth`, mm.
 
     The thinnest of the layers that it has entered, at least one constraint spacing (infinite for the only
     layer); their least thickness t; the length 1 / beta over which the softest of them holds the needle.
@@ -226,7 +231,9 @@ def compute_scales(tissue: Tissue, rigidity: float, depth: float, spacing: float
 def compute_batch_scales(
     batch_mu: Floats, rigidity: Floats, tissue: Tissue, depth: float, spacing: float
 ) -> Floats:
-    """Return `compute_scales` (B, 3) for sets that differ in mu (B, n) and rigidity (B,)."""
+    """Return the reference lengths (B, 3) of `compute_scales` for sets that differ in mu (B, n) and rigidity
+    (B,).
+    """
     thinnest, entered = _find_entered_layers(tissue, depth, spacing)
     found = np.empty((len(batch_mu), 3))
     found[:, 0], found[:, 1] = thinnest, tissue.thickness[:entered].min()
@@ -243,10 +250,12 @@ def _find_entered_layers(tissue: Tissue, depth: float, spacing: float) -> tuple[
 
 
 def foundation_length(rigidity: float, mu: float) -> float:
-    """Return 1 / beta = (4 EI / k)^(1/4) with k = 3 mu, mm."""
+    """Return the length 1 / beta = (4 EI / k)^(1/4) over which tissue holds a needle, with k = 3 mu, mm."""
     return math.sqrt(math.sqrt(4 * rigidity / (3 * mu)))
 
 
 def make_unknown_scales() -> Floats:
-    """Return the scales of a shape without a tissue: nothing is measured by them."""
+    """Return the scales of a shape without a tissue: infinite, so that no limit that needs them is
+    exceeded.
+    """
     return np.full(3, np.inf)

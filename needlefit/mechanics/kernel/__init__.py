@@ -1,8 +1,8 @@
-"""The model of `mechanics/reference.py`, compiled; a test ties the two.
+"""The compiled form of `mechanics/reference.py`; a test compares the two.
 
-`insertion` goes from stop to stop; at each `grid` places nodes and quadrature points, `scalar` finds the
-equilibrium and `foundation` evaluates the tissue's law; `beam` gives the points in the plane. `lanes/` does
-the same for many parameter sets at once; `insertion_derivatives`, with `adjoint` and `parameter_loads`, adds
+`insertion` goes from stop to stop. At each stop `grid` places nodes and quadrature points, `scalar` finds the
+equilibrium and `foundation` evaluates the tissue's law. `beam` returns the points in the plane. `lanes/` does
+the same for many parameter sets at once. `insertion_derivatives`, with `adjoint` and `parameter_loads`, adds
 exact derivatives. `precompile` compiles three parts: kernel (one needle), lanes, sensitivity (derivatives).
 
 A function with `fastmath` lets the compiler fuse or reorder its sums, so its last digits depend on what it

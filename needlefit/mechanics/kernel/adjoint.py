@@ -1,7 +1,7 @@
 """Solve for the derivatives of one stop: of the tip by two adjoint rows, of the whole shape by tangent
 systems.
 
-At all stops but the last only the tip's derivatives are needed: two adjoint solves, however many
+At all stops but the last only the tip's derivatives are needed: two adjoint solves serve any number of
 parameters.
 """
 
@@ -16,8 +16,35 @@ from needlefit.mechanics.kernel.foundation import (
     stiffness_alpha_derivative,
 )
 from needlefit.mechanics.kernel.grid import NodeGrid
-from needlefit.mechanics.kernel.parameter_loads import LAYER_SUMS, AdjointWorkspace, DerivativeColumns
-from needlefit.mechanics.kernel.scalar import CLAMPED, FREE, Chain
+from needlefit.mechanics.kernel.parameter_loads import (
+    LAYER_ALPHA,
+    LAYER_FORCE,
+    LAYER_FRICTION,
+    LAYER_SUMS,
+    AdjointWorkspace,
+    DerivativeColumns,
+)
+from needlefit.mechanics.kernel.scalar import (
+    CLAMPED,
+    FREE,
+    G00,
+    G01,
+    G10,
+    G11,
+    INV00,
+    INV01,
+    INV10,
+    INV11,
+    K20,
+    K21,
+    K30,
+    K31,
+    POINT_ALPHA,
+    POINT_E,
+    POINT_FORCE,
+    POINT_TANGENT,
+    Chain,
+)
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -27,12 +54,12 @@ Ints = NDArray[np.int64]
 def solve_adjoint(kind: Ints, end: int, factor: Floats, rows: Floats, prescribed_rows: Floats) -> None:
     """Solve K^T lam = load from tip to base, for a load on the tip's deflection and one on its slope.
 
-    K is not symmetric where something is prescribed, or with friction. Where something is prescribed lam is
-    what the answer gains per unit of it, and weighs no load.
+    K is not symmetric where something is prescribed, or with friction. At a prescribed value, lam is the
+    derivative of the tip with respect to that value; it multiplies no load.
     """
     a0, a1, b0, b1 = 1.0, 0.0, 0.0, 1.0  # what arrives at a node
     for i in range(end, -1, -1):
-        i00, i01, i10, i11 = factor[i, 6], factor[i, 7], factor[i, 8], factor[i, 9]
+        i00, i01, i10, i11 = factor[i, INV00], factor[i, INV01], factor[i, INV10], factor[i, INV11]
         u0, u1 = i00 * a0 + i10 * a1, i01 * a0 + i11 * a1
         v0, v1 = i00 * b0 + i10 * b1, i01 * b0 + i11 * b1
         if kind[i] != FREE:
@@ -47,7 +74,8 @@ def solve_adjoint(kind: Ints, end: int, factor: Floats, rows: Floats, prescribed
                 u1 = v1 = 0.0
         rows[i, 0], rows[i, 1], rows[i, 2], rows[i, 3] = u0, u1, v0, v1
         if i > 0:
-            k20, k21, k30, k31 = factor[i - 1, 10], factor[i - 1, 11], factor[i - 1, 12], factor[i - 1, 13]
+            k20, k21 = factor[i - 1, K20], factor[i - 1, K21]
+            k30, k31 = factor[i - 1, K30], factor[i - 1, K31]
             a0, a1 = -(k20 * u0 + k30 * u1), -(k21 * u0 + k31 * u1)
             b0, b1 = -(k20 * v0 + k30 * v1), -(k21 * v0 + k31 * v1)
 
@@ -56,10 +84,10 @@ def solve_adjoint(kind: Ints, end: int, factor: Floats, rows: Floats, prescribed
 def fill_alpha_loads(
     points: Floats, foundation: Foundation, alpha_derivative: AlphaDerivative, grid: NodeGrid, last: int
 ) -> None:
-    """Put weight times dk/dalpha e of each quadrature point into the last column of `points`."""
+    """Fill column POINT_ALPHA of `points` with weight times dk/dalpha e of each quadrature point."""
     weight, layer, limit, series = grid.weight, grid.layer, alpha_derivative.limit, alpha_derivative.series
     for q in range(grid.first[last + 1]):
-        here, away = layer[q], points[q, 0]
+        here, away = layer[q], points[q, POINT_E]
         size = abs(away)
         slope = 0.0
         if size <= limit[here]:
@@ -67,7 +95,7 @@ def fill_alpha_loads(
                 slope = slope * size + series[here, j]
         else:
             slope = stiffness_alpha_derivative(foundation, alpha_derivative, here, size)
-        points[q, 3] = weight[q] * slope * away
+        points[q, POINT_ALPHA] = weight[q] * slope * away
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
@@ -75,9 +103,9 @@ def sum_adjoint_loads(
     rows: Floats, points: Floats, by_constraint: Floats, by_layer: Floats, foundation: Foundation,
     grid: NodeGrid, state: Floats, before: int, last: int, cell: int, has_friction: bool,
 ) -> None:  # fmt: skip
-    """Sum rows times loads over the quadrature, by constraint point and by layer.
+    """Sum adjoint rows times loads over the quadrature points, by constraint point and by layer.
 
-    Scalars and plain loops, as in `scalar.sweep`, for the same reason.
+    Scalars and plain loops, as in `scalar.sweep_forward`, for the same reason.
     """
     first, layer, nearest, shapes = grid.first, grid.layer, grid.constraint, grid.shapes
     friction = foundation.friction
@@ -95,7 +123,7 @@ def sum_adjoint_loads(
             pull_u = pull_v = force_u = force_v = bend_u = bend_v = rub_u = rub_v = 0.0
             for q in range(pair, pair + 2):
                 n0, n1, n2, n3 = shapes[q, 0], shapes[q, 1], shapes[q, 2], shapes[q, 3]
-                pull, force = points[q, 1], points[q, 2]
+                pull, force = points[q, POINT_TANGENT], points[q, POINT_FORCE]
                 at_u = n0 * u0 + n1 * u1 + n2 * u2 + n3 * u3
                 at_v = n0 * v0 + n1 * v1 + n2 * v2 + n3 * v3
                 pull_u += at_u * pull
@@ -110,22 +138,22 @@ def sum_adjoint_loads(
                     g = 1.0 - friction[here] * square
                     rub_u -= at_u * force * square / g
                     rub_v -= at_v * force * square / g
-                bend = points[q, 3] * g
+                bend = points[q, POINT_ALPHA] * g
                 bend_u += at_u * bend
                 bend_v += at_v * bend
             by_constraint[behind, 0] += pull_u
             by_constraint[behind, 1] += pull_v
-            by_layer[here, 0, 0] += force_u
-            by_layer[here, 1, 0] += force_v
-            by_layer[here, 0, 1] += bend_u
-            by_layer[here, 1, 1] += bend_v
-            by_layer[here, 0, 2] += rub_u
-            by_layer[here, 1, 2] += rub_v
+            by_layer[here, 0, LAYER_FORCE] += force_u
+            by_layer[here, 1, LAYER_FORCE] += force_v
+            by_layer[here, 0, LAYER_ALPHA] += bend_u
+            by_layer[here, 1, LAYER_ALPHA] += bend_v
+            by_layer[here, 0, LAYER_FRICTION] += rub_u
+            by_layer[here, 1, LAYER_FRICTION] += rub_v
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def start_from_constraints(tip: Floats, pull: Floats, constraints: Floats, cell: int, columns: int) -> None:
-    """Put what the constraint points' own derivatives do to the tip into `tip` (2, P)."""
+    """Set `tip` (2, P) to the contribution of the constraint points' own derivatives."""
     for p in range(columns):
         tip[0, p] = tip[1, p] = 0.0
     for m in range(cell + 1):
@@ -140,23 +168,26 @@ def add_layer_derivatives(
     tip: Floats, by_layer: Floats, mu: Floats, rigidity: float, at_mu: int, at_alpha: int, at_friction: int,
     at_rigidity: int,
 ) -> None:  # fmt: skip
-    """Add to `tip` what the layers' own numbers and the needle's do, given the columns where each begins."""
+    """Add to `tip` the derivatives with respect to the layers' parameters and the needle's rigidity.
+
+    `at_mu` and the others are the first column of each kind; -1: not wanted.
+    """
     for i in range(len(mu)):
         for r in range(2):
-            force = by_layer[i, r, 0]
+            force = by_layer[i, r, LAYER_FORCE]
             if at_mu >= 0:
                 tip[r, at_mu + i] -= force / mu[i]
             if at_rigidity >= 0:  # in equilibrium the beam's own load is minus the tissue's
                 tip[r, at_rigidity] += force / rigidity
             if at_alpha >= 0:
-                tip[r, at_alpha + i] -= by_layer[i, r, 1]
+                tip[r, at_alpha + i] -= by_layer[i, r, LAYER_ALPHA]
             if at_friction >= 0:
-                tip[r, at_friction + i] -= by_layer[i, r, 2]
+                tip[r, at_friction + i] -= by_layer[i, r, LAYER_FRICTION]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_entry_derivatives(tip: Floats, workspace: AdjointWorkspace, load_entries: int, kind: Ints) -> None:
-    """Add to `tip` what the listed right-hand sides do."""
+    """Add to `tip` the contribution of the listed right-hand sides."""
     for n in range(load_entries):
         node, component, column = (
             workspace.load_entries[n, 0],
@@ -208,15 +239,15 @@ def _fill_loads(
                 pull = force = bend = rub = 0.0
                 for q in range(pair, pair + 2):
                     n, g = shapes[q, j], 1.0
-                    pull += n * points[q, 1]
-                    force += n * points[q, 2]
+                    pull += n * points[q, POINT_TANGENT]
+                    force += n * points[q, POINT_FORCE]
                     if has_friction:
                         slope = shapes[q, 4] * state[a, 0] + shapes[q, 5] * state[a, 1]
                         slope += shapes[q, 6] * state[a + 1, 0] + shapes[q, 7] * state[a + 1, 1]
                         square = slope * slope / (1.0 + slope * slope)
                         g = 1.0 - friction[here] * square
-                        rub -= n * points[q, 2] * square / g
-                    bend += n * points[q, 3] * g
+                        rub -= n * points[q, POINT_FORCE] * square / g
+                    bend += n * points[q, POINT_ALPHA] * g
                 for p in range(total):
                     whole[at, component, p] += pull * constraints[behind, p]
                 if at_mu >= 0:
@@ -231,10 +262,10 @@ def _fill_loads(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, forceinline=True)
 def _solve_tangents(whole: Floats, factor: Floats, kind: Ints, size: int, columns: int) -> None:
-    """Solve K du = load in place, forward and back with the blocks that `scalar.sweep` left."""
+    """Solve K du = load in place, forward and back with the blocks that `scalar.sweep_forward` left."""
     for i in range(size):
-        i00, i01, i10, i11 = factor[i, 6], factor[i, 7], factor[i, 8], factor[i, 9]
-        k20, k21, k30, k31 = factor[i, 10], factor[i, 11], factor[i, 12], factor[i, 13]
+        i00, i01, i10, i11 = factor[i, INV00], factor[i, INV01], factor[i, INV10], factor[i, INV11]
+        k20, k21, k30, k31 = factor[i, K20], factor[i, K21], factor[i, K30], factor[i, K31]
         if i + 1 < size and kind[i + 1] != FREE:  # its equation does not know this node
             k20 = k21 = 0.0
             if kind[i + 1] == CLAMPED:
@@ -247,7 +278,7 @@ def _solve_tangents(whole: Floats, factor: Floats, kind: Ints, size: int, column
                 whole[i + 1, 0, p] -= k20 * z0 + k21 * z1
                 whole[i + 1, 1, p] -= k30 * z0 + k31 * z1
     for i in range(size - 2, -1, -1):
-        g00, g01, g10, g11 = factor[i, 0], factor[i, 1], factor[i, 2], factor[i, 3]
+        g00, g01, g10, g11 = factor[i, G00], factor[i, G01], factor[i, G10], factor[i, G11]
         for p in range(columns):
             u, slope = whole[i + 1, 0, p], whole[i + 1, 1, p]
             whole[i, 0, p] -= g00 * u + g01 * slope

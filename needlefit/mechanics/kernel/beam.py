@@ -9,10 +9,15 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
+# Columns of a Hermite row: the functions of deflection and slope at the element's first node (0, 1) and at
+# its second node (2, 3), then the slopes of these four functions in the same order (from SLOPES on).
+HERMITE_COLUMNS = 8
+SLOPES = 4
+
 
 @njit(cache=True, nogil=True)
 def fill_hermite(row: Floats, x: float, length: float) -> None:
-    """Fill `row` (8,) with the four functions of (u, u') at the two ends, then their slopes, `x` mm in."""
+    """Fill a Hermite row (HERMITE_COLUMNS,) at `x` mm into an element of this length."""
     s = x / length
     row[0] = 1.0 - s * s * (3.0 - 2.0 * s)
     row[1] = x * (1.0 - s) * (1.0 - s)
@@ -26,7 +31,9 @@ def fill_hermite(row: Floats, x: float, length: float) -> None:
 
 @njit(cache=True, nogil=True)
 def fill_hermite_derivatives(row: Floats, x: float, length: float, drift: float, grows: float) -> None:
-    """Fill `row` (8,) with the change of what `fill_hermite` gives as x and length change at these rates."""
+    """Fill `row` with the change of a Hermite row when x changes by `drift` and the length by `grows`, per
+    unit.
+    """
     s = x / length
     row[0] = drift * -6.0 * s * (1.0 - s) / length + grows * 6.0 * s * s * (1.0 - s) / length
     row[1] = drift * (1.0 - s) * (1.0 - 3.0 * s) + grows * 2.0 * s * s * (1.0 - s)
@@ -38,13 +45,14 @@ def fill_hermite_derivatives(row: Floats, x: float, length: float, drift: float,
     row[7] = (drift * (6.0 * s - 2.0) + grows * s * (2.0 - 6.0 * s)) / length
 
 
+# cos(atan u') of a cubic is no polynomial: more points than the two of the stiffness.
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(5)
 _NODES, _WEIGHTS = 0.5 * (_NODES + 1.0), 0.5 * _WEIGHTS
 
 
 @njit(cache=True, nogil=True)
 def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
-    """Return points (K, 2) in C at beam coordinates `s` (K,), for nodes x, u, slope (N,)."""
+    """Return the needle's points (K, 2) in C at beam coordinates `s` (K,), from nodes x, u, slope (N,)."""
     reached = np.empty(len(x))  # the x coordinate in space of each node
     reached[0] = x[0]
     ends = np.empty(4)
@@ -52,7 +60,7 @@ def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
         fill_element_ends(ends, u, slope, e)
         reached[e + 1] = reached[e] + _integrate_x(ends, x[e + 1] - x[e], x[e + 1] - x[e])
     points = np.empty((len(s), 2))
-    row = np.empty(8)
+    row = np.empty(HERMITE_COLUMNS)
     for i in range(len(s)):
         e = find_element(x, s[i])
         fill_element_ends(ends, u, slope, e)
@@ -65,7 +73,7 @@ def compute_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
 
 @njit(cache=True, nogil=True)
 def compute_batch_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
-    """Return points (B, K, 2) of B needles, their nodes (B, N), at the same beam coordinates."""
+    """Return the points (B, K, 2) of B needles with nodes (B, N) at the same beam coordinates."""
     points = np.empty((len(x), len(s), 2))
     for b in range(len(x)):
         one = compute_positions(x[b], u[b], slope[b], s)
@@ -76,11 +84,11 @@ def compute_batch_positions(x: Floats, u: Floats, slope: Floats, s: Floats) -> F
 
 @njit(cache=True, nogil=True)
 def compute_batch_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) -> Floats:
-    """Return what `compute_batch_positions` says of deflection alone, (B, K): the way along C takes most
-    time.
+    """Return the deflections (B, K) of B needles at beam coordinates: `compute_batch_positions` without x,
+    which takes most of the time.
     """
     found = np.empty((len(x), len(s)))
-    ends, row = np.empty(4), np.empty(8)
+    ends, row = np.empty(4), np.empty(HERMITE_COLUMNS)
     for b in range(len(x)):
         for i in range(len(s)):
             e = find_element(x[b], s[i])
@@ -92,7 +100,7 @@ def compute_batch_deflections(x: Floats, u: Floats, slope: Floats, s: Floats) ->
 
 @njit(cache=True, nogil=True)
 def find_element(x: Floats, s: float) -> int:
-    """Return the element of nodes `x` (N,) in which a beam coordinate lies; the nearest one outside."""
+    """Return the element of nodes `x` (N,) that contains a beam coordinate; outside, the nearest one."""
     return min(max(int(np.searchsorted(x, s)) - 1, 0), len(x) - 2)
 
 
@@ -105,7 +113,7 @@ def fill_element_ends(ends: Floats, u: Floats, slope: Floats, e: int) -> None:
 @njit(cache=True, nogil=True)
 def _integrate_x(ends: Floats, length: float, upto: float) -> float:
     """Return the integral of cos(atan u') over the first `upto` mm of an element."""
-    row = np.empty(8)
+    row = np.empty(HERMITE_COLUMNS)
     total = 0.0
     for i in range(len(_NODES)):
         fill_hermite(row, _NODES[i] * upto, length)
@@ -118,7 +126,7 @@ def _integrate_x(ends: Floats, length: float, upto: float) -> float:
 def compute_position_derivatives(
     x: Floats, u: Floats, slope: Floats, s: Floats, x_by: Floats, u_by: Floats, slope_by: Floats
 ) -> Floats:
-    """Return the derivatives (K, 2, P) of the points at beam coordinates `s` (K,).
+    """Return the derivatives (K, 2, P) of the needle's points at beam coordinates `s` (K,).
 
     `x_by`, `u_by` and `slope_by` (N, P) are those of the nodes x, u, slope (N,).
     """
@@ -128,7 +136,7 @@ def compute_position_derivatives(
         reached[e + 1] = reached[e]
         _add_x_derivatives(reached[e + 1], e, x[e + 1] - x[e], x, u, slope, x_by, u_by, slope_by)
     moves = np.zeros((len(s), 2, columns))
-    n, n_by = np.empty(8), np.empty(8)
+    n, n_by = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS)
     for i in range(len(s)):
         e = min(max(np.searchsorted(x, s[i]) - 1, 0), len(x) - 2)
         moves[i, 0] = reached[e]
@@ -154,7 +162,7 @@ def _add_x_derivatives(
     slope_by: Floats,
 ) -> None:  # fmt: skip
     """Add the derivative of the integral of cos(atan u') over the first `upto` mm of an element."""
-    n, n_by = np.empty(8), np.empty(8)
+    n, n_by = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS)
     length = x[e + 1] - x[e]
     for i in range(len(_NODES)):
         fill_hermite(n, _NODES[i] * upto, length)

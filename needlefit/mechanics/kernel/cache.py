@@ -1,8 +1,9 @@
-"""Compiled functions on disk: in a folder of the user's own, each file whole and checked, or not used at all.
+"""Keep compiled functions on disk, in a folder that only this user can write to; each file is whole and
+checked, or not used.
 
-Compiled code is kept as pickles and machine code. Reading it is as running the program itself, and it is
-trusted as the program's own code is: only from a folder that belongs to this user and that nobody else can
-write to. Where there is none, the functions are kept in a temporary folder, as long as the process lives.
+Compiled code is kept as pickles and machine code. Reading it runs it, so it must be as trusted as the program
+itself: it is read only from a folder that belongs to this user and that nobody else can write to. Without
+such a folder, the functions go to a temporary folder that is removed when the process ends.
 
 Numba's own cache has an index file beside each data file, reads them as they come, and tells whether one is
 stale by the file that the function stands in alone, not by the files that it calls. Here every compiled
@@ -38,7 +39,7 @@ DIGEST_BYTES = hashlib.sha256().digest_size
 
 @dataclass(frozen=True)
 class CacheFolder:
-    """Where compiled functions are kept; `why_temporary` is empty if they stay there."""
+    """The folder of compiled functions; `why_temporary` is empty if they are kept after the process ends."""
 
     path: Path
     why_temporary: str = ""
@@ -89,7 +90,7 @@ def _find_problem(path: Path) -> str:
 
 
 class FileCache(FunctionCache):
-    """What numba asks for a compiled function; it has none rather than fail."""
+    """Numba's cache of one function, stored in files of ours; errors of a file never stop a run."""
 
     def __init__(self, numba_cache: FunctionCache, name: str) -> None:
         vars(self).update(vars(numba_cache))
@@ -103,7 +104,7 @@ class FileCache(FunctionCache):
             return None
 
     def save_overload(self, sig: Any, data: Any) -> None:  # noqa: ANN401  numba's own types
-        """Keep a function that was compiled; on a full disk it is compiled again by the next process."""
+        """Save a compiled function; on a full disk the next process compiles it again."""
         try:
             super().save_overload(sig, data)  # type: ignore[no-untyped-call]
         except OSError:
@@ -119,8 +120,8 @@ def is_complete(part: str) -> bool:
 
 
 def mark_complete(part: str) -> None:
-    """Record that all functions of a part are on disk, once a needle was simulated by them; not if one is
-    not.
+    """Record that all functions of a part are on disk, after a needle was simulated with them; skip it if one
+    was not saved.
     """
     if not _unsaved:
         with suppress(OSError):

@@ -1,4 +1,4 @@
-"""The tissue's reaction at one point of the shaft, and its derivatives."""
+"""Evaluate the tissue's reaction at one point of the shaft, and its derivatives."""
 
 from typing import NamedTuple
 
@@ -14,7 +14,9 @@ MAX_SERIES_COMPRESSION = 0.2  # |e| / t; a series spans no more of the thickness
 
 
 class Foundation(NamedTuple):
-    """Layers, as the kernel reads them."""
+    """The tissue's layers in the form the kernel reads: powers of the stretch, and a polynomial fitted to
+    them.
+    """
 
     mu: Floats  # (n,) MPa
     coefficients: Floats  # (n, P) of the law's powers of the stretch
@@ -40,10 +42,10 @@ class AlphaDerivative(NamedTuple):
 def make_foundation(
     mu: Floats, coefficients: Floats, exponents: Floats, thickness: Floats, friction: Floats
 ) -> Foundation:
-    """Return the layers with a polynomial of k in |e|, from its values at Chebyshev's points.
+    """Return the layers with a polynomial of k in |e|, interpolated at Chebyshev points.
 
-    It reaches several times as far as Taylor's of the same length: an error term at the ends of an interval
-    shrinks with the sixth power of a quarter of its length.
+    It is accurate over several times the range of a Taylor series of the same length: its error at the ends
+    of an interval falls with the sixth power of a quarter of the interval's length.
     """
     count = len(mu)
     series, limit, curvature = np.zeros((count, SERIES_TERMS)), np.empty(count), np.empty(count)
@@ -58,6 +60,8 @@ def make_foundation(
             if j > 0:
                 bend += 0.5 * j * (j + 1) * abs(series[i, j]) * step / limit[i]
             step *= limit[i]
+        # The least tangent over the interval is at one of its ends. A tangent that is not positive makes the
+        # curvature infinite, and every step is then iterated to the tolerance.
         curvature[i] = 2.0 * bend / min(series[i, 0], max(tangent, 0.0))
     has_friction = bool(np.any(friction > 0.0))
     return Foundation(
@@ -79,6 +83,7 @@ def _find_series_range(coefficients: Floats, exponents: Floats, interval: float)
         left_out += abs(term)
         value += coefficients[p]
         steepest = max(steepest, SERIES_TERMS - exponents[p])
+    # A law whose series ends, as the linear one: the polynomial is exact.
     if left_out == 0.0:
         return MAX_SERIES_COMPRESSION / interval
     at_rest = (SERIES_TOLERANCE * value / (2.0 * left_out)) ** (1.0 / SERIES_TERMS)
@@ -109,9 +114,9 @@ def _fit_series(series: Floats, factors: Floats, exponents: Floats, thickness: f
 
 @njit(cache=True)
 def make_alpha_derivative(foundation: Foundation, coefficients: Floats, exponents: Floats) -> AlphaDerivative:
-    """Return the change of the layers per unit of alpha, given that of the law's powers (P,).
+    """Return the derivatives of the layers with respect to alpha, given those of the law's powers (P,).
 
-    Taylor's series here: dk/dalpha vanishes at e = 0, and so must its error.
+    These are Taylor series: dk/dalpha vanishes at e = 0, and so must its error.
     """
     series, limit = np.zeros_like(foundation.series), np.empty(len(foundation.mu))
     for i in range(len(foundation.mu)):
@@ -131,14 +136,17 @@ def make_alpha_derivative(foundation: Foundation, coefficients: Floats, exponent
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def evaluate_power(exponent: float, d: float) -> tuple[float, float]:
-    """Return lambda^q, one term of k, and d(lambda^q e)/de at a compression d = 1 - lambda < 1."""
+    """Return lambda^q, one term of k, and its contribution d(lambda^q e)/de, at a compression d = 1 - lambda
+    < 1.
+    """
+    # log1p keeps the digits of a small compression, which ln(1 - d) would lose.
     part = np.exp(exponent * np.log1p(-d))
     return part, part * (1.0 - d * exponent / (1.0 - d))
 
 
 @njit(cache=True, nogil=True)
 def friction_factor(gamma: float, slope: float) -> tuple[float, float]:
-    """Return the friction factor g = 1 - gamma sin^2(atan u') and dg/du'."""
+    """Return the factor g = 1 - gamma sin^2(atan u') by which friction lowers the reaction, and dg/du'."""
     square = slope * slope
     return 1.0 - gamma * square / (1.0 + square), -2.0 * gamma * slope / ((1.0 + square) * (1.0 + square))
 
@@ -147,7 +155,10 @@ def friction_factor(gamma: float, slope: float) -> tuple[float, float]:
 def stiffness_alpha_derivative(
     foundation: Foundation, alpha_derivative: AlphaDerivative, layer: int, size: float
 ) -> float:
-    """Return dk/dalpha, MPa, at |e| = size mm: mu sum (dc/dalpha + c dq/dalpha ln lambda) lambda^q."""
+    """Return dk/dalpha, MPa, at |e| = size mm, from the exact law.
+
+    It is mu sum (dc/dalpha + c dq/dalpha ln lambda) lambda^q.
+    """
     logarithm = np.log1p(-size / foundation.thickness[layer])
     total = 0.0
     for p in range(len(alpha_derivative.exponents)):

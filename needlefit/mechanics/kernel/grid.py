@@ -1,4 +1,4 @@
-"""What one stop finds in the tissue: nodes, constraint depths, split quadrature."""
+"""Place nodes, constraint depths and quadrature points for one stop of the tip."""
 
 from typing import NamedTuple
 
@@ -6,7 +6,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.beam import fill_hermite
+from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -19,7 +19,8 @@ GUIDE_ENGAGEMENT_MM = 0.05
 
 
 class NodeGrid(NamedTuple):
-    """Element e ends at node e; element 0 reaches from the last node before the tissue to node 0.
+    """The mesh of one stop: element e ends at node e; element 0 reaches from the last node before the tissue
+    to node 0.
 
     Quadrature points are sorted by depth; those of element e are `first[e]` to `first[e + 1]`.
     """
@@ -30,12 +31,12 @@ class NodeGrid(NamedTuple):
     weight: Floats  # (Q,)
     layer: Ints  # (Q,)
     constraint: Ints  # (Q,) index of the constraint point that it belongs to
-    shapes: Floats  # (Q, 8) cubic functions and their slopes; element 0's rows are for the solver to fill
+    shapes: Floats  # (Q, HERMITE_COLUMNS) cubic functions and their slopes; the solver fills element 0's rows
 
 
 @njit(cache=True, nogil=True)
 def find_cell(depth: float, first_cell: float, spacing: float) -> int:
-    """Return the number of the constraint point at `depth`, or of the next one deeper."""
+    """Return the number of the constraint point at `depth`, or of the next deeper one."""
     if depth <= SAME_DEPTH_MM:
         return 0
     return 1 + max(0, int(np.ceil((depth - first_cell - SAME_DEPTH_MM) / spacing)))
@@ -54,11 +55,12 @@ def list_constraint_depths(tip: float, cell: int, first_cell: float, spacing: fl
 
 @njit(cache=True, nogil=True)
 def list_node_depths(tip: float, first_cell: float, spacing: float, element: float, within: Floats) -> Floats:
-    """Return the nodes in the tissue of a tip at `tip`; `within` (G,) are the guides that hold there.
+    """Return the depths of the nodes in the tissue for a tip at `tip`; `within` (G,) are the guides engaged
+    there.
 
-    Nodes stand every `element` before and after x_1. Short elements ruin the conditioning: a node is left
-    out that is nearer than half an element to the tip or a quarter to a guide, and so is the entry when
-    the first one after it is nearer than half an element.
+    Nodes stand every `element` before and after x_1. Short elements ruin the conditioning. A node is
+    therefore left out if it is nearer than half an element to the tip or a quarter to a guide. The entry gets
+    no node if the first node after it is nearer than half an element.
     """
     per_cell = round(spacing / element)
     i = 1 - int(
@@ -99,8 +101,8 @@ def list_node_depths(tip: float, first_cell: float, spacing: float, element: flo
 def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: float) -> NodeGrid:
     """Return the quadrature for constraint depths (M + 1,), layer boundaries (n - 1,) and nodes (N,).
 
-    Every interval of quadrature lies in one element, one layer, and belongs to one constraint point: from
-    `switch` of the way to the next one on (0.5: the nearest) to that one.
+    Every interval of quadrature lies in one element and one layer, and belongs to one constraint point.
+    Beyond `switch` of the way to the next constraint point (0.5: the nearest) it belongs to that one.
     """
     count, layers, cells = len(nodes), len(boundaries), len(constraints)
     capacity = 2 * (count + layers + cells)
@@ -121,7 +123,10 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
         if here < layers:
             b = min(b, boundaries[here])
         length = b - a
+        # A boundary may lie on a node or on a change of constraint: the interval between them is empty.
         if length > 0.0:
+            # Two Gauss points: with more the result is not more accurate. The split at every jump of c or of
+            # the layer removes the larger error.
             for side in (-1.0, 1.0):
                 x[points] = 0.5 * (a + b) + side * GAUSS_OFFSET * length
                 weight[points] = 0.5 * length
@@ -136,7 +141,7 @@ def build_grid(constraints: Floats, boundaries: Floats, nodes: Floats, switch: f
         if b >= nodes[element]:
             element += 1
             first[element] = points
-    shapes = np.empty((points, 8))
+    shapes = np.empty((points, HERMITE_COLUMNS))
     for e in range(1, count):
         for q in range(first[e], first[e + 1]):
             fill_hermite(shapes[q], x[q] - nodes[e - 1], nodes[e] - nodes[e - 1])

@@ -8,7 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.beam import fill_hermite
+from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
 from needlefit.mechanics.kernel.foundation import Foundation
 from needlefit.mechanics.kernel.grid import (
     GUIDE_ENGAGEMENT_MM,
@@ -34,9 +34,14 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 Bools = NDArray[np.bool_]
 
+GUIDE_X, GUIDE_Y, GUIDE_SLOPE = 0, 1, 2  # columns of a guide
+RAY_X, RAY_Y, RAY_SLOPE, RAY_TURN = 0, 1, 2, 3  # columns of a ray
+NOW, ONE_CELL_AGO, TWO_CELLS_AGO = 0, 1, 2  # first index of `KernelInsertion.states`
+CHAIN_NODES, FRONT_NODES, ON_MAIN_GRID, PREVIOUS_NODES = 0, 1, 2, 3  # index of `KernelInsertion.size`
+
 
 class TipStops(NamedTuple):
-    """Where the tip halts, in order (S,); `mechanics.plan` says what the fields mean."""
+    """The stops of the tip in order, (S,) arrays; `mechanics.plan.TipStop` describes each field."""
 
     tip: Floats
     cell: Ints
@@ -74,9 +79,9 @@ class KernelInsertion(NamedTuple):
     rays: Floats  # (R, 4) x, y of the tip where each ray begins, the slope that it takes on, the bevel's turn
     tip: Floats  # (3,) x, y, slope of the tip now
     nodes: Floats  # (C,) depth of the chain's nodes now
-    states: Floats  # (3, C, 2) their deflection and slope: now, one cell ago, and room for a third
+    states: Floats  # (3, C, 2) their deflection and slope: now, one cell ago, two cells ago
     size: Ints  # (4,) nodes of the chain, those before the tissue, whether the rest are the main grid's,
-    # and how many of them stood in the tissue one cell ago (0: there was no such stop)
+    # and nodes of the chain one cell ago (0: there was no such stop)
     record: Floats  # (S, C + 1, 2) for derivatives: the state at each stop under way, and below it
     # the y of the constraint point there and the depth where its ray begins; (0, C + 1, 2): none are wanted
 
@@ -86,7 +91,9 @@ def begin_insertion(
     rigidity: float, length: float, first_cell: float, spacing: float, element: float, switch: float,
     tangent: float, boundaries: Floats, deepest: float, guides: int, rays: int,
 ) -> KernelInsertion:  # fmt: skip
-    """Return a needle before first contact, with room up to `deepest` (mm) for so many guides and rays."""
+    """Return a needle before first contact, with arrays that reach to `deepest` (mm) and to so many guides
+    and rays.
+    """
     cells = max(find_cell(deepest, first_cell, spacing), 1)
     tip = first_cell + (cells - 1) * spacing
     nodes = list_node_depths(tip, first_cell, spacing, element, np.empty(0))
@@ -110,9 +117,10 @@ def advance_needle(
     stops: TipStops,
     newton: NewtonOptions,
 ) -> tuple[int, int, int]:
-    """Bring the needle from stop to stop; return the status, Newton iterations and stops reached.
+    """Bring the needle from stop to stop; return the status, the Newton iterations and the number of stops
+    reached.
 
-    Where a stop fails the needle's state is worthless.
+    Where a stop fails the needle's state must not be used.
     """
     iterations = 0
     rays, y, tip, states, size = insertion.rays, insertion.y, insertion.tip, insertion.states, insertion.size
@@ -122,10 +130,14 @@ def advance_needle(
     for s in range(len(stops.tip)):
         depth, cell, ray = stops.tip[s], stops.cell[s], stops.ray[s]
         if stops.starts_ray[s]:
-            rays[ray, 0], rays[ray, 1], rays[ray, 3] = tip[0], tip[1], stops.turn[s]
-            rays[ray, 2] = insertion.tangent * tip[2]
+            rays[ray, RAY_X], rays[ray, RAY_Y], rays[ray, RAY_TURN] = tip[0], tip[1], stops.turn[s]
+            rays[ray, RAY_SLOPE] = insertion.tangent * tip[2]
+        # At the entry (cell 0) there is no cut yet: c_0 = 0 defines the frame.
         if cell > 0:
-            y[cell] = rays[ray, 1] + (depth - rays[ray, 0]) * (rays[ray, 2] + rays[ray, 3])
+            ahead, direction = depth - rays[ray, RAY_X], rays[ray, RAY_SLOPE] + rays[ray, RAY_TURN]
+            y[cell] = rays[ray, RAY_Y] + ahead * direction
+        # Nodes of the main grid lie at fixed depths, so every prefix of it is the grid of a stop at a
+        # constraint point. Guides in the tissue have nodes of their own.
         on_main = stops.permanent[s] and cell > 0 and len(conditions.within) == 0
         if on_main:
             grid = insertion.main
@@ -135,21 +147,22 @@ def advance_needle(
             last = len(grid.nodes) - 1
         prescribe_stop(chain, conditions, grid, last, depth, insertion.length)
         extrapolated = guess_next_state(insertion, chain, grid, last, on_main)
-        status, used = equilibrate(states[0], chain, foundation, grid, y, last, newton, trial, factor)
+        status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
         iterations += used
+        # The extrapolated guess may lie outside the range from which Newton's method converges.
         if status != CONVERGED and extrapolated:
             extend_straight(insertion, chain, grid)
-            status, used = equilibrate(states[0], chain, foundation, grid, y, last, newton, trial, factor)
+            status, used = equilibrate(states[NOW], chain, foundation, grid, y, last, newton, trial, factor)
             iterations += used
         if status != CONVERGED:
             return status, iterations, s
-        end = size[0] - 1
-        tip[0], tip[1], tip[2] = depth, states[0, end, 0], states[0, end, 1]
+        end = size[CHAIN_NODES] - 1
+        tip[0], tip[1], tip[2] = depth, states[NOW, end, 0], states[NOW, end, 1]
         insertion.track[cell, 0], insertion.track[cell, 1] = tip[1], tip[2]
         if len(record) > 0:
-            for i in range(size[0]):
-                record[s, i, 0], record[s, i, 1] = states[0, i, 0], states[0, i, 1]
-            record[s, capacity, 0], record[s, capacity, 1] = y[cell], rays[ray, 0]
+            for i in range(size[CHAIN_NODES]):
+                record[s, i, 0], record[s, i, 1] = states[NOW, i, 0], states[NOW, i, 1]
+            record[s, capacity, 0], record[s, capacity, 1] = y[cell], rays[ray, RAY_X]
     return CONVERGED, iterations, len(stops.tip)
 
 
@@ -157,8 +170,10 @@ def advance_needle(
 def build_stop_grid(
     insertion: KernelInsertion, conditions: BoundaryConditions, tip: float, cell: int
 ) -> NodeGrid:
-    """Return the grid of a tip that stands between constraint points, or of guides in the tissue."""
-    active = conditions.within[:, 0]
+    """Return the grid of one stop that the main grid does not serve: the tip between constraint points, or
+    guides in the tissue.
+    """
+    active = conditions.within[:, GUIDE_X]
     active = active[active <= tip - GUIDE_ENGAGEMENT_MM]
     nodes = list_node_depths(tip, insertion.first_cell, insertion.spacing, insertion.element, active)
     points = list_constraint_depths(tip, cell, insertion.first_cell, insertion.spacing)
@@ -170,7 +185,7 @@ def list_chain_nodes(
     insertion: KernelInsertion, conditions: BoundaryConditions, tip: float, cell: int
 ) -> Floats:
     """Return the depths of all nodes of a tip at `tip`, base first."""
-    before, nodes = conditions.before[:, 0], build_stop_grid(insertion, conditions, tip, cell).nodes
+    before, nodes = conditions.before[:, GUIDE_X], build_stop_grid(insertion, conditions, tip, cell).nodes
     depths = np.empty(1 + len(before) + len(nodes))
     depths[0] = tip - insertion.length
     for i in range(len(before)):
@@ -182,14 +197,14 @@ def list_chain_nodes(
 
 @njit(cache=True, nogil=True)
 def begin_chain(conditions: BoundaryConditions, rigidity: float, capacity: int) -> Chain:
-    """Return a chain of up to `capacity` nodes on which base and guides before the tissue are prescribed."""
+    """Return a chain with room for `capacity` nodes, with base and guides before the tissue prescribed."""
     before = 1 + len(conditions.before)
     front, kind, value = np.zeros(before), np.zeros(capacity, np.int64), np.zeros((capacity, 2))
     kind[0] = CLAMPED
     value[0, 1] = conditions.base[1]
     for i in range(1, before):
-        front[i] = conditions.before[i - 1, 0]
-        _prescribe(kind, value, i, conditions.before[i - 1, 1], conditions.before[i - 1, 2])
+        front[i] = conditions.before[i - 1, GUIDE_X]
+        _prescribe(kind, value, i, conditions.before[i - 1, GUIDE_Y], conditions.before[i - 1, GUIDE_SLOPE])
     return Chain(rigidity, front, kind, value)
 
 
@@ -197,18 +212,18 @@ def begin_chain(conditions: BoundaryConditions, rigidity: float, capacity: int) 
 def prescribe_stop(
     chain: Chain, conditions: BoundaryConditions, grid: NodeGrid, last: int, tip: float, length: float
 ) -> None:
-    """Prescribe what depends on where the tip stands: the base, guides in the tissue, the tip itself."""
+    """Prescribe what depends on the depth of the tip: the base, the guides in the tissue, a tracked tip."""
     before = len(chain.front)
     chain.front[0] = tip - length
+    # The base moves with the stage: its axis may lie at an angle to the insertion axis.
     chain.value[0, 0] = conditions.base[0] + conditions.base[2] * tip
     for i in range(before, before + last + 1):
         chain.kind[i] = FREE
     for i in range(len(conditions.within)):
-        node = np.searchsorted(grid.nodes, conditions.within[i, 0])
-        if node < last and grid.nodes[node] == conditions.within[i, 0]:  # none holds the tip itself
-            _prescribe(
-                chain.kind, chain.value, before + node, conditions.within[i, 1], conditions.within[i, 2]
-            )
+        node = np.searchsorted(grid.nodes, conditions.within[i, GUIDE_X])
+        if node < last and grid.nodes[node] == conditions.within[i, GUIDE_X]:  # none holds the tip itself
+            y, slope = conditions.within[i, GUIDE_Y], conditions.within[i, GUIDE_SLOPE]
+            _prescribe(chain.kind, chain.value, before + node, y, slope)
     if not np.isnan(conditions.tip[0]):
         _prescribe(chain.kind, chain.value, before + last, conditions.tip[0], conditions.tip[1])
 
@@ -226,64 +241,70 @@ def _prescribe(kind: Ints, value: Floats, node: int, y: float, slope: float) -> 
 def guess_next_state(
     insertion: KernelInsertion, chain: Chain, grid: NodeGrid, last: int, on_main: bool
 ) -> bool:
-    """Guess the next stop from the shape as it is; return whether it was extrapolated from two stops."""
+    """Fill in a starting guess for the next stop; return whether it was extrapolated from two
+    earlier stops.
+    """
     states, nodes, now = insertion.states, insertion.nodes, insertion.size
     before, size = len(chain.front), len(chain.front) + last + 1
-    old_size, older_size = now[0], now[3]
-    same = on_main and now[2] == 1 and before == now[1]  # the nodes behind have not moved
+    old_size, older_size = now[CHAIN_NODES], now[PREVIOUS_NODES]
+    # the nodes behind the tip have not moved if both stops use the main grid
+    same = on_main and now[ON_MAIN_GRID] == 1 and before == now[FRONT_NODES]
     growth = size - old_size
     if not same and old_size > 0:
-        old_nodes, old_state = nodes[:old_size].copy(), states[0, :old_size].copy()
+        old_nodes, old_state = nodes[:old_size].copy(), states[NOW, :old_size].copy()
         for i in range(size):
             _interpolate_state(
-                old_nodes, old_state, chain.front[i] if i < before else grid.nodes[i - before], states[0, i]
+                old_nodes, old_state, chain.front[i] if i < before else grid.nodes[i - before], states[NOW, i]
             )
-    now[0], now[1], now[2], now[3] = size, before, int(on_main), 0
+    now[CHAIN_NODES], now[FRONT_NODES], now[ON_MAIN_GRID], now[PREVIOUS_NODES] = size, before, int(on_main), 0
     nodes[0] = chain.front[0]
     for i in range(max(old_size, 1) if same else 1, size):
         nodes[i] = chain.front[i] if i < before else grid.nodes[i - before]
     if not same or growth <= 0:
-        apply_prescribed(states[0], chain, size)
+        apply_prescribed(states[NOW], chain, size)
         return False
-    now[3] = old_size
+    now[PREVIOUS_NODES] = old_size
     for i in range(old_size):
         for j in range(2):
-            states[2, i, j] = states[1, i, j]
-            states[1, i, j] = states[0, i, j]
+            # Element by element: assigning whole arrays takes numba seconds to compile.
+            states[TWO_CELLS_AGO, i, j] = states[ONE_CELL_AGO, i, j]
+            states[ONE_CELL_AGO, i, j] = states[NOW, i, j]
     extend_straight(insertion, chain, grid)
+    # Extrapolation needs two cells with the same number of new nodes, and one whole cell of history.
     if growth != old_size - older_size or older_size < before + growth:
         return False
     # every node moves on as it moved, or as the node one cell behind it did, in the cell before
-    u, slope = states[2, older_size - 1, 0], states[2, older_size - 1, 1]
+    u, slope = states[TWO_CELLS_AGO, older_size - 1, 0], states[TWO_CELLS_AGO, older_size - 1, 1]
     for i in range(before, size):
         j = i if i < older_size else i - growth
         if i < old_size:
-            states[0, i, 0] += states[1, j, 0] - states[2, j, 0]
-            states[0, i, 1] += states[1, j, 1] - states[2, j, 1]
+            states[NOW, i, 0] += states[ONE_CELL_AGO, j, 0] - states[TWO_CELLS_AGO, j, 0]
+            states[NOW, i, 1] += states[ONE_CELL_AGO, j, 1] - states[TWO_CELLS_AGO, j, 1]
         else:
             ahead = nodes[j] - nodes[older_size - 1]
-            states[0, i, 0] += states[1, j, 0] - (u + ahead * slope)
-            states[0, i, 1] += states[1, j, 1] - slope
-    apply_prescribed(states[0], chain, size)
+            states[NOW, i, 0] += states[ONE_CELL_AGO, j, 0] - (u + ahead * slope)
+            states[NOW, i, 1] += states[ONE_CELL_AGO, j, 1] - slope
+    apply_prescribed(states[NOW], chain, size)
     return True
 
 
 @njit(cache=True, nogil=True)
 def extend_straight(insertion: KernelInsertion, chain: Chain, grid: NodeGrid) -> None:
-    """Guess that the shape stays and goes on along the tip's tangent in its new cell."""
-    states, tip, old_size, before = insertion.states, insertion.tip, insertion.size[3], insertion.size[1]
-    for i in range(insertion.size[0]):
+    """Guess that the shape stays as it is and continues along the tip's tangent in its new cell."""
+    states, tip = insertion.states, insertion.tip
+    old_size, before = insertion.size[PREVIOUS_NODES], insertion.size[FRONT_NODES]
+    for i in range(insertion.size[CHAIN_NODES]):
         if i < old_size:
-            states[0, i, 0], states[0, i, 1] = states[1, i, 0], states[1, i, 1]
+            states[NOW, i, 0], states[NOW, i, 1] = states[ONE_CELL_AGO, i, 0], states[ONE_CELL_AGO, i, 1]
         else:
-            states[0, i, 0] = tip[1] + (grid.nodes[i - before] - tip[0]) * tip[2]
-            states[0, i, 1] = tip[2]
-    apply_prescribed(states[0], chain, insertion.size[0])
+            states[NOW, i, 0] = tip[1] + (grid.nodes[i - before] - tip[0]) * tip[2]
+            states[NOW, i, 1] = tip[2]
+    apply_prescribed(states[NOW], chain, insertion.size[CHAIN_NODES])
 
 
 @njit(cache=True, nogil=True)
 def apply_prescribed(state: Floats, chain: Chain, size: int) -> None:
-    """Put what is prescribed into a guess."""
+    """Overwrite a guess with the prescribed deflections and slopes."""
     for i in range(size):
         if chain.kind[i] != FREE:
             state[i, 0] = chain.value[i, 0]
@@ -300,7 +321,7 @@ def _interpolate_state(nodes: Floats, state: Floats, x: float, into: Floats) -> 
         into[0], into[1] = state[at, 0] + (x - nodes[at]) * state[at, 1], state[at, 1]
         return
     e = np.searchsorted(nodes, x) - 1
-    n = np.empty(8)
+    n = np.empty(HERMITE_COLUMNS)
     fill_hermite(n, x - nodes[e], nodes[e + 1] - nodes[e])
     a0, a1, b0, b1 = state[e, 0], state[e, 1], state[e + 1, 0], state[e + 1, 1]
     into[0] = n[0] * a0 + n[1] * a1 + n[2] * b0 + n[3] * b1

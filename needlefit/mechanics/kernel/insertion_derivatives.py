@@ -1,9 +1,9 @@
-"""Exact derivatives of an insertion with respect to its parameters, from stop to stop.
+"""Compute the exact derivatives of an insertion with respect to its parameters, from stop to stop.
 
-What lies behind the needle enters a stop only through the ordinates of the constraint points, and these
-through the rays that the tip cut. Kept are therefore, per parameter, the derivatives of every constraint
-point and of every ray. At each stop two adjoint rows, K^T lam = the tip's deflection and slope, turn those
-into the tip's derivatives; whole tangent systems are solved at the last stop only.
+The past enters a stop only through the y of the constraint points, and these only through the rays that the
+tip cut. So the derivatives of every constraint point and of every ray are kept, one column for each
+parameter. At each stop two adjoint rows, K^T lam = the tip's deflection and slope, give the derivatives of
+the tip. Full tangent systems are solved at the last stop only.
 """
 
 import numpy as np
@@ -48,7 +48,8 @@ def advance_derivatives(
     conditions: BoundaryConditions, guides: Ints, stops: TipStops, turn_per_offset: Floats,
     newton: NewtonOptions, columns: DerivativeColumns, history: DerivativeHistory, whole: Floats,
 ) -> tuple[int, int]:  # fmt: skip
-    """Bring the needle from stop to stop, then its derivatives; return the status and Newton iterations.
+    """Bring the needle from stop to stop, then compute its derivatives; return the status and Newton
+    iterations.
 
     Parameters
     ----------
@@ -56,12 +57,13 @@ def advance_derivatives(
         Derivatives of the law's coefficients and exponents with respect to alpha.
     guides : (G + H, 3) array
         Columns of each guide's x, y and slope, of those before the tissue first; -1: not asked for.
-    swing : (S,) array
+    turn_per_offset : (S,) array
         Derivative of each stop's turn with respect to the bevel offset, 1 / mm.
     whole : (C, 2, P) array
         Filled with the derivatives of every node's deflection and slope at the last stop; without rows:
         more stops are to follow.
     """
+    # All stops are solved before the first derivative: `record` keeps the state at each of them.
     status, iterations, _ = forward.advance_needle(insertion, foundation, conditions, stops, newton)
     if status != CONVERGED:
         return status, iterations
@@ -116,6 +118,8 @@ def advance_derivatives(
             last = len(grid.nodes) - 1
         forward.prescribe_stop(chain, conditions, grid, last, depth, length)
         fill_entry_element(grid, chain.front[before - 1])
+        # The factor must belong to the converged state: that of the last Newton iteration is one step old,
+        # which makes the derivatives 2e-3 wrong.
         if sweep_forward(state, chain, foundation, grid, y, last, factor, points) == TISSUE_CRUSHED:
             return OVER_COMPRESSED, iterations
         if has_alpha:

@@ -1,10 +1,16 @@
-"""What the tissue puts on the shaft, and what holds the needle against it."""
+"""Compute the tissue's load on the shaft, and the forces of the supports that balance it."""
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.beam import fill_element_ends, fill_hermite, find_element
+from needlefit.mechanics.kernel.beam import (
+    HERMITE_COLUMNS,
+    SLOPES,
+    fill_element_ends,
+    fill_hermite,
+    find_element,
+)
 from needlefit.mechanics.kernel.foundation import Foundation, evaluate_power, friction_factor
 from needlefit.mechanics.kernel.grid import build_grid
 from needlefit.mechanics.kernel.scalar import compute_bending_stiffness
@@ -17,10 +23,12 @@ def compute_load(
     x: Floats, u: Floats, slope: Floats, constraints: Floats, foundation: Foundation, boundaries: Floats,
     switch: float, s: Floats,
 ) -> Floats:  # fmt: skip
-    """Return -k e g, N/mm, at beam coordinates `s` (K,) of nodes x, u, slope (N,); 0 before the tissue."""
+    """Return the tissue's load -k e g, N/mm, at beam coordinates `s` (K,), for nodes x, u, slope (N,); 0
+    before the tissue.
+    """
     load = np.zeros(len(s))
     change = (1.0 - switch) * constraints[:-1, 0] + switch * constraints[1:, 0]
-    ends, row = np.empty(4), np.empty(8)
+    ends, row = np.empty(4), np.empty(HERMITE_COLUMNS)
     for i in range(len(s)):
         if s[i] < 0.0:
             continue
@@ -32,7 +40,7 @@ def compute_load(
         turn = 0.0
         for j in range(4):
             away += row[j] * ends[j]
-            turn += row[4 + j] * ends[j]
+            turn += row[SLOPES + j] * ends[j]
         for p in range(foundation.exponents.shape[1]):
             part, _ = evaluate_power(foundation.exponents[layer, p], abs(away) / foundation.thickness[layer])
             load[i] -= foundation.mu[layer] * foundation.coefficients[layer, p] * part * away
@@ -45,7 +53,7 @@ def balance_forces(
     x: Floats, u: Floats, slope: Floats, constraints: Floats, foundation: Foundation, boundaries: Floats,
     switch: float, rigidity: float,
 ) -> tuple[Floats, Floats, Floats, int, Floats]:  # fmt: skip
-    """Return the load where the solver integrates it, and what it leaves over at the nodes.
+    """Return the tissue's load at the solver's quadrature points, and the force left over at each node.
 
     Returns
     -------
@@ -53,7 +61,7 @@ def balance_forces(
         Quadrature points, mm, what each stands for, mm, and the load, N/mm.
     last : int
         The first of them that belongs to the last constraint point.
-    held : (N, 2) array
+    nodal_forces : (N, 2) array
         Force (N) and moment (N mm) that must act on each node beside the load: what holds it, where
         something does; elsewhere nothing but rounding.
     """
@@ -61,7 +69,7 @@ def balance_forces(
     grid = build_grid(constraints[:, 0].copy(), boundaries, x[front:].copy(), switch)
     load = compute_load(x, u, slope, constraints, foundation, boundaries, switch, grid.x)
     nodal_forces = np.zeros((len(x), 2))
-    ends, row = np.empty(4), np.empty(8)
+    ends, row = np.empty(4), np.empty(HERMITE_COLUMNS)
     for i in range(len(x) - 1):
         fill_element_ends(ends, u, slope, i)
         length = x[i + 1] - x[i]

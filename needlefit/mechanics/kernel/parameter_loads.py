@@ -1,6 +1,4 @@
-"""How parameters load one stop: the right-hand sides of its derivatives, and what is kept from stop to
-stop.
-"""
+"""The right-hand sides of a stop's derivatives, and the derivatives kept from stop to stop."""
 
 from typing import NamedTuple
 
@@ -8,11 +6,22 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.beam import fill_hermite, fill_hermite_derivatives
+from needlefit.mechanics.kernel.beam import (
+    HERMITE_COLUMNS,
+    SLOPES,
+    fill_hermite,
+    fill_hermite_derivatives,
+)
 from needlefit.mechanics.kernel.foundation import Foundation, evaluate_power, friction_factor
 from needlefit.mechanics.kernel.grid import GAUSS_OFFSET, NodeGrid
-from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion
-from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, Chain
+from needlefit.mechanics.kernel.insertion import (
+    GUIDE_SLOPE,
+    GUIDE_X,
+    GUIDE_Y,
+    BoundaryConditions,
+    KernelInsertion,
+)
+from needlefit.mechanics.kernel.scalar import CLAMPED, FACTOR_COLUMNS, POINT_COLUMNS, Chain
 
 Floats = NDArray[np.float64]
 
@@ -21,7 +30,7 @@ Floats = NDArray[np.float64]
 def compute_tissue_reaction(
     foundation: Foundation, layer: int, away: float, slope: float
 ) -> tuple[float, float, float]:
-    """Return the force k e g per length at a point, and its derivatives with respect to e and u'."""
+    """Return the tissue's reaction k e g at a point, N/mm, and its derivatives with respect to e and u'."""
     d = abs(away) / foundation.thickness[layer]
     k = tangent = 0.0
     for p in range(foundation.exponents.shape[1]):
@@ -140,16 +149,16 @@ def _add_point(
 
     Per unit of what moves, x grows by `drift`, the element's length by `grows`, the weight by `gain`.
     """
-    n, n_by = np.empty(8), np.empty(8)
+    n, n_by = np.empty(HERMITE_COLUMNS), np.empty(HERMITE_COLUMNS)
     fill_hermite(n, x, length)
     fill_hermite_derivatives(n_by, x, length, drift, grows)
     u = slope = u_by = slope_by = 0.0
     for j in range(4):
         value = state[a + j // 2, j % 2]
         u += n[j] * value
-        slope += n[4 + j] * value
+        slope += n[SLOPES + j] * value
         u_by += n_by[j] * value
-        slope_by += n_by[4 + j] * value
+        slope_by += n_by[SLOPES + j] * value
     force, by_e, by_slope = compute_tissue_reaction(foundation, layer, u - c, slope)
     force_by = by_e * u_by + by_slope * slope_by
     for j in range(4):
@@ -158,11 +167,15 @@ def _add_point(
 
 Ints = NDArray[np.int64]
 
-LAYER_SUMS = 3  # per layer: of the force k e g, and what dk/dalpha and dg/dgamma make of it
+# Sums over a layer: of the force k e g, and of its derivatives with respect to alpha and friction.
+LAYER_SUMS = 3
+LAYER_FORCE, LAYER_ALPHA, LAYER_FRICTION = 0, 1, 2
 
 
 class DerivativeColumns(NamedTuple):
-    """Which column belongs to which parameter: the first of its kind, or -1 where it is not asked for."""
+    """The column of each kind of parameter in arrays of derivatives: that of its first one, or -1 if not
+    wanted.
+    """
 
     total: int
     mu: int
@@ -177,9 +190,9 @@ class DerivativeColumns(NamedTuple):
 
 
 class DerivativeHistory(NamedTuple):
-    """Derivatives of what the stops so far have left behind, with respect to P parameters.
+    """Derivatives, with respect to P parameters, of the constraint points, the rays and the tip so far.
 
-    All are 0 before first contact: no parameter moves a tip that defines the frame.
+    All are 0 before first contact: the tip defines the frame there, so no parameter moves it.
     """
 
     constraints: Floats  # (M + 1, P) of the constraint points' y
@@ -189,14 +202,14 @@ class DerivativeHistory(NamedTuple):
 
 
 class AdjointWorkspace(NamedTuple):
-    """Where a stop does its sums."""
+    """Working arrays for the derivatives of one stop."""
 
     factor: Floats  # (C, FACTOR_COLUMNS)
-    points: Floats  # (Q, 4) of each quadrature point e and, by weight, d(k e g)/de, k e g and e dk/dalpha
+    points: Floats  # (Q, POINT_COLUMNS)
     rows: Floats  # (C, 4) adjoint of the tip's deflection (two columns) and slope, 0 where prescribed
     prescribed_rows: Floats  # (C, 4) the same where something is prescribed: the answer per unit of that
     by_constraint: Floats  # (M + 1, 2)
-    by_layer: Floats  # (n, 2, SUMS)
+    by_layer: Floats  # (n, 2, LAYER_SUMS) for the tip's deflection and slope
     load: Floats  # (3, 2) on three nodes
     load_entries: Ints  # (E, 3) node, component and column of right-hand sides that touch few nodes
     amounts: Floats  # (E,)
@@ -204,12 +217,16 @@ class AdjointWorkspace(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def make_workspace(insertion: KernelInsertion, layers: int, guides: int) -> AdjointWorkspace:
+    """Return the working arrays for an insertion with so many layers and guides."""
     size = insertion.states.shape[1]
+    # The base has 3 entries; a guide 2, and 6 for the three nodes that its x moves; a boundary 4 on two
+    # nodes.
     load_entries = 3 + 8 * guides + 4 * layers
     return AdjointWorkspace(
-        np.empty((size, FACTOR_COLUMNS)), np.zeros((2 * (size + len(insertion.y) + layers), 4)),
-        np.empty((size, 4)), np.empty((size, 4)), np.empty((len(insertion.y), 2)), np.empty((layers, 2,
-        LAYER_SUMS)), np.empty((3, 2)), np.empty((load_entries, 3), np.int64), np.empty(load_entries),
+        np.empty((size, FACTOR_COLUMNS)), np.zeros((2 * (size + len(insertion.y) + layers), POINT_COLUMNS)),
+        np.empty((size, 4)), np.empty((size, 4)), np.empty((len(insertion.y), 2)),
+        np.empty((layers, 2, LAYER_SUMS)), np.empty((3, 2)),
+        np.empty((load_entries, 3), np.int64), np.empty(load_entries),
     )  # fmt: skip
 
 
@@ -219,7 +236,7 @@ def list_load_entries(
     state: Floats, y: Floats, conditions: BoundaryConditions, guides: Ints, columns: DerivativeColumns,
     last: int, depth: float,
 ) -> int:  # fmt: skip
-    """List the right-hand sides of base, guides and boundaries; return how many entries they have."""
+    """List the right-hand sides of base, guides and boundaries; return the number of entries."""
     n = 0
     n = _list_entry(workspace, n, 0, 0, columns.base_y, 1.0)
     n = _list_entry(workspace, n, 0, 0, columns.stage_slope, depth)
@@ -228,16 +245,16 @@ def list_load_entries(
     for g in range(len(guides)):
         node = g + 1
         if node >= before:
-            x = conditions.within[node - before, 0]
+            x = conditions.within[node - before, GUIDE_X]
             node = before + np.searchsorted(grid.nodes, x)
             if node >= before + last or grid.nodes[node - before] != x:
                 continue  # the tip has not passed it yet
-        n = _list_entry(workspace, n, node, 0, guides[g, 1], 1.0)
+        n = _list_entry(workspace, n, node, 0, guides[g, GUIDE_Y], 1.0)
         if chain.kind[node] == CLAMPED:
-            n = _list_entry(workspace, n, node, 1, guides[g, 2], 1.0)
-        if guides[g, 0] >= 0:
+            n = _list_entry(workspace, n, node, 1, guides[g, GUIDE_SLOPE], 1.0)
+        if guides[g, GUIDE_X] >= 0:
             fill_node_load(workspace.load, node, state, chain, foundation, grid, y)
-            n = _list_loads(workspace, n, chain, node - 1, 3, guides[g, 0])
+            n = _list_loads(workspace, n, chain, node - 1, 3, guides[g, GUIDE_X])
     if columns.boundary >= 0:
         for b in range(len(boundaries)):
             if 0.0 <= boundaries[b] < depth:

@@ -1,4 +1,4 @@
-"""One equilibrium of one needle: Newton on a beam over a power-law foundation.
+"""Solve for one equilibrium of one needle: Newton's method for a beam on a power-law foundation.
 
 Free spans are exact cubic elements; each Newton step is one fused sweep from base to tip that integrates
 an element, adds it and eliminates the 2 x 2 block of its first node, and one sweep back.
@@ -18,8 +18,19 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 CONVERGED, OVER_COMPRESSED, NOT_CONVERGED, NON_FINITE = 0, 1, 2, 3
-FACTOR_COLUMNS = 14  # of a node: G = S^-1 K_ab (4), z = S^-1 r (2), S^-1 (4), K_ba (4)
+# Columns of a node's factor, from the elimination of its 2 x 2 block S with the right-hand side r:
+# G = S^-1 K_ab, z = S^-1 r, S^-1 itself, and K_ba. a is this node, b the next one; 0 and 1 are deflection and
+# slope of a, 2 and 3 those of b.
+FACTOR_COLUMNS = 14
+G00, G01, G10, G11 = 0, 1, 2, 3
+Z0, Z1 = 4, 5
+INV00, INV01, INV10, INV11 = 6, 7, 8, 9
+K20, K21, K30, K31 = 10, 11, 12, 13
 FREE, PINNED, CLAMPED = 0, 1, 2  # a node: its deflection is prescribed, or its slope too
+# Columns of what a sweep keeps of each quadrature point for the derivatives (`adjoint`): the distance e from
+# the constraint point and, times the weight, d(k e g)/de, k e g and e dk/dalpha.
+POINT_COLUMNS = 4
+POINT_E, POINT_TANGENT, POINT_FORCE, POINT_ALPHA = 0, 1, 2, 3
 ROUNDING_MM = 1e-4  # Newton's last steps square the increment: only rounding keeps one this small alive
 MAX_FACTORED_COMPRESSION = 0.5  # |e| / t
 # results of a sweep: tissue compressed to nothing; the exact law was evaluated somewhere; series alone
@@ -27,7 +38,7 @@ TISSUE_CRUSHED, EXACT_LAW, SERIES_LAW = 0, 1, 2
 
 
 class Chain(NamedTuple):
-    """The nodes of one stop from base to tip, and what is prescribed there."""
+    """The nodes of one stop from base to tip, and what is prescribed at them."""
 
     rigidity: float  # EI, N mm^2
     front: Floats  # (F,) depth of the base and of the guides before the tissue
@@ -36,7 +47,7 @@ class Chain(NamedTuple):
 
 
 class NewtonOptions(NamedTuple):
-    """When to stop."""
+    """When Newton's method stops."""
 
     tolerance: float  # mm
     max_iterations: int
@@ -47,7 +58,7 @@ def equilibrate(
     state: Floats, chain: Chain, foundation: Foundation, grid: NodeGrid, y: Floats, last: int,
     newton: NewtonOptions, trial: Floats, factor: Floats,
 ) -> tuple[int, int]:  # fmt: skip
-    """Bring `state` into equilibrium with the tip at node `last` of the grid.
+    """Replace the guess `state` by the equilibrium of a needle whose tip is node `last` of the grid.
 
     Parameters
     ----------
@@ -64,6 +75,7 @@ def equilibrate(
     """
     front = len(chain.front)
     size = front + last + 1
+    # The needle before the tissue has grown shorter since the last stop, and element 0 with it.
     fill_entry_element(grid, chain.front[front - 1])
     state, trial, factor = state[:size], trial[:size], factor[:size]
     copy_state(trial, state)
@@ -102,7 +114,7 @@ def equilibrate(
 
 @njit(cache=True, nogil=True)
 def copy_state(into: Floats, state: Floats) -> None:
-    """Copy deflections and slopes; an assignment of arrays takes seconds to compile."""
+    """Copy deflections and slopes one by one; numba takes seconds to compile an assignment of arrays."""
     for i in range(len(state)):
         into[i, 0], into[i, 1] = state[i, 0], state[i, 1]
 
@@ -112,7 +124,8 @@ def sweep_forward(
     state: Floats, chain: Chain, foundation: Foundation, grid: NodeGrid, y: Floats, last: int, factor: Floats,
     keep: Floats | None = None,
 ) -> int:  # fmt: skip
-    """Linearise about `state` and eliminate from base to tip; return which form of the law it took.
+    """Linearise about `state` and eliminate node by node from base to tip; return the form of the law that
+    was used.
 
     Scalars, not small arrays, and no calls with arrays in the loops: the compiler then keeps everything
     in registers and counts no references, which is a factor of five.
@@ -175,15 +188,22 @@ def sweep_forward(
                         r = h * slope
                         w *= g
                     by_u = w * tangent
+                    # The system is solved for the whole u, not for its change: K_T u = tangent times u minus
+                    # the force. The beam's own residual then needs no evaluation.
                     r += by_u * u - w * k * away
                     if keep is not None:  # decided when compiled: forward runs do not ask
-                        keep[q, 0], keep[q, 1], keep[q, 2] = away, by_u, w * k * away
+                        keep[q, POINT_E], keep[q, POINT_TANGENT], keep[q, POINT_FORCE] = (
+                            away,
+                            by_u,
+                            w * k * away,
+                        )
                     t0, t1, t2, t3 = by_u * n0, by_u * n1, by_u * n2, by_u * n3
                     k00, k01, k02, k03 = k00 + n0 * t0, k01 + n0 * t1, k02 + n0 * t2, k03 + n0 * t3
                     k11, k12, k13 = k11 + n1 * t1, k12 + n1 * t2, k13 + n1 * t3
                     k22, k23, k33 = k22 + n2 * t2, k23 + n2 * t3, k33 + n3 * t3
                     f0, f1, f2, f3 = f0 + n0 * r, f1 + n1 * r, f2 + n2 * r, f3 + n3 * r
             stop = nodes[e] if e >= 0 else front[i + 1]
+            # The signs below are those of the cubic element: [a b -a b; b c -b d; -a -b a -b; b d -b c].
             a, b, c, d = compute_bending_stiffness(rigidity, stop - start)
             start = stop
             k10, k20, k21 = k01 + b + x10, k02 - a + x20, k12 - b + x21
@@ -198,15 +218,16 @@ def sweep_forward(
             s00, s01, k02, k03, r0 = 1.0, 0.0, 0.0, 0.0, value[i, 0]
             if kind[i] == CLAMPED:
                 s10, s11, k12, k13, r1 = 0.0, 1.0, 0.0, 0.0, value[i, 1]
+        # No pivoting: without friction S is positive definite as long as the tangent modulus is positive.
         inverse = 1.0 / (s00 * s11 - s01 * s10)
         i00, i01, i10, i11 = s11 * inverse, -s01 * inverse, -s10 * inverse, s00 * inverse
         g00, g01 = i00 * k02 + i01 * k12, i00 * k03 + i01 * k13
         g10, g11 = i10 * k02 + i11 * k12, i10 * k03 + i11 * k13
         z0, z1 = i00 * r0 + i01 * r1, i10 * r0 + i11 * r1
-        factor[i, 0], factor[i, 1], factor[i, 2], factor[i, 3] = g00, g01, g10, g11
-        factor[i, 4], factor[i, 5] = z0, z1
-        factor[i, 6], factor[i, 7], factor[i, 8], factor[i, 9] = i00, i01, i10, i11
-        factor[i, 10], factor[i, 11], factor[i, 12], factor[i, 13] = k20, k21, k30, k31
+        factor[i, G00], factor[i, G01], factor[i, G10], factor[i, G11] = g00, g01, g10, g11
+        factor[i, Z0], factor[i, Z1] = z0, z1
+        factor[i, INV00], factor[i, INV01], factor[i, INV10], factor[i, INV11] = i00, i01, i10, i11
+        factor[i, K20], factor[i, K21], factor[i, K30], factor[i, K31] = k20, k21, k30, k31
         s00, s01 = k22 - k20 * g00 - k21 * g10, k23 - k20 * g01 - k21 * g11
         s10, s11 = k32 - k30 * g00 - k31 * g10, k33 - k30 * g01 - k31 * g11
         r0, r1 = f2 - k20 * z0 - k21 * z1, f3 - k30 * z0 - k31 * z1
@@ -217,17 +238,19 @@ def sweep_forward(
 def substitute_back(state: Floats, factor: Floats) -> float:
     """Substitute back from tip to base into `state`; return the largest change, mm.
 
-    Of a deflection, or of a slope over a millimetre: where all deflections are prescribed, slopes alone tell.
+    The change of a node is that of its deflection, or of its slope over a millimetre if that is larger.
+    Where all deflections are prescribed only slopes change.
     """
     change = 0.0
     u = slope = 0.0  # the last node's G is 0
     for i in range(len(state) - 1, -1, -1):
         row = factor[i]
-        u, slope = row[4] - row[0] * u - row[1] * slope, row[5] - row[2] * u - row[3] * slope
+        u, slope = row[Z0] - row[G00] * u - row[G01] * slope, row[Z1] - row[G10] * u - row[G11] * slope
         step, turn = abs(u - state[i, 0]), abs(slope - state[i, 1])
+        # Written with `not` so that a NaN in `turn` becomes the step.
         if not turn <= step:
             step = turn
-        if not step <= change:  # a NaN is kept, for the caller to see
+        if not step <= change:  # as above: the caller sees a NaN
             change = step
         state[i, 0], state[i, 1] = u, slope
     return change
@@ -235,15 +258,15 @@ def substitute_back(state: Floats, factor: Floats) -> float:
 
 @njit(cache=True, nogil=True, inline="always")
 def compute_bending_stiffness(rigidity: float, length: float) -> tuple[float, float, float, float]:
-    """Return 12, 6 l, 4 l^2 and 2 l^2 times EI / l^3, the stiffness of a cubic beam element."""
+    """Return the entries of a cubic beam element's stiffness: 12, 6 l, 4 l^2 and 2 l^2 times EI / l^3."""
     f = rigidity / (length * length * length)
     return 12.0 * f, 6.0 * f * length, 4.0 * f * length * length, 2.0 * f * length * length
 
 
 @njit(cache=True, nogil=True)
 def fill_entry_element(grid: NodeGrid, span_start: float) -> None:
-    """Fill the rows of element 0, whose length changes as the needle advances; `span_start` is where it
-    begins.
+    """Fill the shape functions of element 0, from `span_start` to the first node in the tissue; its length
+    changes at every stop.
     """
     for q in range(grid.first[0], grid.first[1]):
         fill_hermite(grid.shapes[q], grid.x[q] - span_start, grid.nodes[0] - span_start)

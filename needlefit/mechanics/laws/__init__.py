@@ -1,4 +1,4 @@
-"""Tissue laws: how the foundation modulus depends on the stretch. One law, one file.
+"""Tissue laws: how the foundation modulus depends on the stretch. Each law is one file.
 
 A law is a sum of powers of the stretch, k(lambda) = mu * sum_p c_p lambda^q_p. Its file defines
 `terms(alpha)`, which returns the pairs (c_p, q_p), both at most linear in alpha; values, slopes, series and
@@ -22,7 +22,7 @@ Floats = NDArray[np.float64]
 
 @cache  # simulate asks at every call; the folder does not change under a running program
 def list_laws() -> tuple[str, ...]:
-    """Return the laws there are: the files of this folder."""
+    """Return the names of all laws: the files of this folder."""
     return tuple(sorted(module.name for module in pkgutil.iter_modules(__path__)))
 
 
@@ -40,7 +40,7 @@ def power_terms(law: str, alpha: Floats) -> tuple[Floats, Floats]:
 
 @cache
 def term_slopes(law: str) -> tuple[Floats, Floats]:
-    """Return the derivatives of coefficients and exponents, each (P,), with respect to alpha.
+    """Return the derivatives of a law's coefficients and exponents, each (P,), with respect to alpha.
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""Many parameter sets of one insertion at once: a set is a lane of the processor's vectors.
+"""Insert the needles of many parameter sets of one insertion at once: each set is a lane of vector
+instructions.
 
-The control flow of an insertion is the same for all parameters, so every loop over lanes is the innermost
-one (`passes`). Each lane takes its own decisions and none of them looks at another lane: it freezes at a
-stop where it has converged, and leaves for the scalar kernel where its tissue is compressed beyond the
-series of its law or the solution is lost.
+The stops of an insertion are the same for all parameters, so every loop over lanes is the innermost one
+(`passes`). No lane depends on another. A lane stops iterating at a stop where it has converged. It leaves for
+the scalar kernel where its tissue is compressed beyond the series of its law, or the solution is lost.
 
 A stop costs one full Newton pass; the lanes that are not converged then make a second one with the factor
 of the first, which costs half; further passes are full ones.
@@ -15,9 +15,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from needlefit.mechanics.kernel.beam import fill_hermite
+from needlefit.mechanics.kernel.beam import HERMITE_COLUMNS, fill_hermite
 from needlefit.mechanics.kernel.grid import SAME_DEPTH_MM, NodeGrid
 from needlefit.mechanics.kernel.insertion import (
+    GUIDE_SLOPE,
+    GUIDE_X,
+    GUIDE_Y,
     BoundaryConditions,
     KernelInsertion,
     TipStops,
@@ -39,10 +42,12 @@ Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
 W = LANES
+NODES_NOW, ON_MAIN_GRID, PREVIOUS_NODES, CURRENT_STATE = 0, 1, 2, 3  # index of `LaneState.size`
+FRONT_ROWS = 7  # of LANES numbers: what `_condense_front` returns
 
 
 class LaneState(NamedTuple):
-    """The insertion under way in all lanes; rows of W numbers."""
+    """The state of an insertion in all lanes; rows of W numbers."""
 
     y: Floats  # (M + 1, W) of the constraint points
     track: Floats  # (M + 1, 2 W) deflection and slope of the tip as it stood at each
@@ -59,7 +64,7 @@ class LaneState(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def begin_lanes(cells: int, nodes: int, rays: int) -> LaneState:
-    """Return lanes before first contact."""
+    """Return the lanes before first contact, with room for so many cells, nodes and rays."""
     return LaneState(
         np.zeros((cells + 1, W)), np.full((cells + 1, 2 * W), np.nan), np.zeros((rays, 3 * W)),
         np.zeros(rays), np.zeros((2, nodes, 2 * W)), np.zeros(nodes),
@@ -72,11 +77,12 @@ def advance_lanes(
     lanes: LaneState, insertion: KernelInsertion, main: LaneTables, conditions: BoundaryConditions,
     inputs: LaneInputs, stops: TipStops, newton: NewtonOptions,
 ) -> None:  # fmt: skip
-    """Bring the needles of all lanes from stop to stop; else as `insertion.advance`.
+    """Bring the needles of all lanes from stop to stop, as `kernel.insertion.advance_needle` does with one.
 
-    `insertion` lends its grids, `conditions` the places of what holds the needle.
+    `insertion` provides the grids, `conditions` the positions of guides.
     """
     nodes = lanes.states.shape[1]
+    # Eight to spare: the grid of a stop between constraint points may have a few points more.
     points = len(insertion.main.x) + 8
     workspace = LaneWorkspace(
         np.zeros((nodes + 2) * NODE_ROWS * W),
@@ -92,10 +98,11 @@ def advance_lanes(
         if not on_main:
             grid = build_stop_grid(insertion, conditions, tip, cell)
             tables = tabulate(grid)
+        # The main grid reaches to the deepest stop: the tip's node is not its last one.
         last = np.searchsorted(grid.nodes, tip - SAME_DEPTH_MM)
         _guess_next_state(lanes, grid, last, on_main)
         ends = _condense_front(lanes, inputs, grid, tables, tip, insertion.length)
-        state = lanes.states[lanes.size[3]].reshape(-1)
+        state = lanes.states[lanes.size[CURRENT_STATE]].reshape(-1)
         equilibrate_lanes(
             state,
             lanes.y.reshape(-1),
@@ -111,10 +118,11 @@ def advance_lanes(
         )
         lanes.depth[0] = tip
         for l in range(2 * W):
-            lanes.track[cell, l] = lanes.states[lanes.size[3], last, l]
+            lanes.track[cell, l] = lanes.states[lanes.size[CURRENT_STATE], last, l]
         here = 0
         for l in range(W):
             here += int(lanes.lane_status[l] == IN_LANE)
+        # The caller solves every set with the scalar kernel then: further stops are of no use.
         if here == 0:
             return
 
@@ -125,7 +133,7 @@ def _place_constraint(lanes: LaneState, inputs: LaneInputs, stops: TipStops, s: 
     ray, cell = stops.ray[s], stops.cell[s]
     if stops.starts_ray[s]:
         lanes.starts[ray] = lanes.depth[0]
-        tip = lanes.states[lanes.size[3], lanes.size[0] - 1]
+        tip = lanes.states[lanes.size[CURRENT_STATE], lanes.size[NODES_NOW] - 1]
         for l in range(W):
             lanes.rays[ray, l], lanes.rays[ray, W + l] = tip[l], tangent * tip[W + l]
             lanes.rays[ray, 2 * W + l] = inputs.turn[s, l]
@@ -138,17 +146,17 @@ def _place_constraint(lanes: LaneState, inputs: LaneInputs, stops: TipStops, s: 
 @njit(cache=True, nogil=True, forceinline=True)
 def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool) -> None:
     """Guess the next stop from the last two, or, where there are none, from the shape as it is."""
-    size, now = last + 1, lanes.size[3]
-    old, older_size = lanes.size[0], lanes.size[2]
+    size, now = last + 1, lanes.size[CURRENT_STATE]
+    old, older_size = lanes.size[NODES_NOW], lanes.size[PREVIOUS_NODES]
     state, other = lanes.states[now], lanes.states[1 - now]
-    same = on_main and lanes.size[1] == 1
+    same = on_main and lanes.size[ON_MAIN_GRID] == 1
     growth = size - old
-    lanes.size[0], lanes.size[1], lanes.size[2] = size, int(on_main), 0
+    lanes.size[NODES_NOW], lanes.size[ON_MAIN_GRID], lanes.size[PREVIOUS_NODES] = size, int(on_main), 0
     nodes = lanes.nodes
     if not same:
         if old > 0:
             _interpolate_state(state, nodes[:old].copy(), other, grid.nodes[:size])
-            lanes.size[3] = 1 - now
+            lanes.size[CURRENT_STATE] = 1 - now
     elif growth > 0:
         extrapolated = growth == old - older_size and older_size >= growth
         for i in range(size - 1, -1, -1):  # from the tip back: `other` is read behind where it is written
@@ -168,7 +176,7 @@ def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool
             else:
                 for l in range(2 * W):
                     other[i, l] = state[i, l]
-        lanes.size[2], lanes.size[3] = old, 1 - now
+        lanes.size[PREVIOUS_NODES], lanes.size[CURRENT_STATE] = old, 1 - now
     for i in range(size):
         nodes[i] = grid.nodes[i]
 
@@ -176,7 +184,7 @@ def _guess_next_state(lanes: LaneState, grid: NodeGrid, last: int, on_main: bool
 @njit(cache=True, nogil=True)
 def _interpolate_state(state: Floats, nodes: Floats, into: Floats, at: Floats) -> None:
     """Read the shapes `state` (N, 2 W) at other depths; beyond their ends they go straight on."""
-    end, n = len(nodes) - 1, np.empty(8)
+    end, n = len(nodes) - 1, np.empty(HERMITE_COLUMNS)
     for i in range(len(at)):
         if at[i] <= nodes[0] or at[i] >= nodes[end]:
             e = 0 if at[i] <= nodes[0] else end
@@ -207,29 +215,30 @@ def _condense_front(
         element 0 are filled where it has tissue.
     """
     last = len(inputs.before)  # the last node that is clamped; node 0 is the base
-    while last > 0 and np.isnan(inputs.before[last - 1, 2, 0]):
+    while last > 0 and np.isnan(inputs.before[last - 1, GUIDE_SLOPE, 0]):
         last -= 1
-    span_start = tip - length if last == 0 else inputs.before[last - 1, 0, 0]
+    span_start = tip - length if last == 0 else inputs.before[last - 1, GUIDE_X, 0]
     for q in range(grid.first[1]):
         fill_hermite(grid.shapes[q], grid.x[q] - span_start, grid.nodes[0] - span_start)
         tabulate_point(tables.points[q], grid.shapes[q], grid.weight[q])
-    ends = np.empty(7 * W)
+    ends = np.empty(FRONT_ROWS * W)
     for l in range(W):
         s00 = s01 = s11 = r0 = r1 = 0.0
         x, y, slope = tip - length, inputs.base[0, l] + inputs.base[2, l] * tip, inputs.base[1, l]
         for i in range(last, len(inputs.before) + 1):
             if i > 0:
                 x, y, slope = (
-                    inputs.before[i - 1, 0, l],
-                    inputs.before[i - 1, 1, l],
-                    inputs.before[i - 1, 2, l],
+                    inputs.before[i - 1, GUIDE_X, l],
+                    inputs.before[i - 1, GUIDE_Y, l],
+                    inputs.before[i - 1, GUIDE_SLOPE, l],
                 )
-            span = (inputs.before[i, 0, l] if i < len(inputs.before) else grid.nodes[0]) - x
+            span = (inputs.before[i, GUIDE_X, l] if i < len(inputs.before) else grid.nodes[0]) - x
             f = inputs.rigidity[l] / (span * span * span)
             k00, k01, k11, k13 = 12.0 * f, 6.0 * f * span, 4.0 * f * span * span, 2.0 * f * span * span
             if i == last:
                 s00, s01, s11, r0, r1 = k00, -k01, k11, k00 * y + k01 * slope, -k01 * y - k13 * slope
                 continue
+            # The deflection of a guide is prescribed, so only its slope is eliminated.
             s = s11 + k11  # of the slope of a guide that is passed freely
             g0, g1, z = -k01 / s, k13 / s, (r1 - (s01 + k01) * y) / s
             s00, s01, s11 = k00 + k01 * g0, -k01 + k01 * g1, k11 - k13 * g1

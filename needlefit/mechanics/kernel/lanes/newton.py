@@ -1,7 +1,7 @@
-"""One equilibrium in all lanes.
+"""Solve for one equilibrium in all lanes at once, by Newton's method.
 
-A full Newton pass; for the lanes that are not converged then a second one with the factor of the first,
-which costs half; further passes are full ones.
+The first pass is a full Newton pass. Lanes that have not converged then make a chord pass with the factor of
+the first, at half the cost; further passes are full ones.
 """
 
 from typing import NamedTuple
@@ -25,12 +25,27 @@ from needlefit.mechanics.kernel.lanes.passes import (  # fmt: skip
 )
 from needlefit.mechanics.kernel.lanes.tables import (  # fmt: skip
     EXCESS,
+    F2,
+    F3,
+    K02,
+    K03,
+    K12,
+    K13,
+    K22,
+    K23,
+    K33,
     LANES,
     LAYER_ROWS,
     NODE,
+    OVER,
+    STIFFNESS_ROWS,
     SUM_ROWS,
     W1,
+    W2,
+    W3,
+    W4,
     W5,
+    W6,
     LaneTables,
     S,
 )
@@ -45,12 +60,13 @@ NODE_STATE_OFFSET, LAYER_OFFSET = (
     U(2 * LANES),
     U(LAYER_ROWS * LANES),
 )  # deflections and slopes of a node; a layer
+AT_WORK, INCREMENT, LAST_INCREMENT = 0, LANES, 2 * LANES  # offsets of the rows of `busy`, one number a lane
 MAX_PASSES = 12  # at one stop; a lane that needs more goes to the scalar kernel
 IN_LANE, LEFT_LANES = 0, 1  # a lane: under way, gone to the scalar kernel
 
 
 class LaneInputs(NamedTuple):
-    """What differs between lanes."""
+    """The inputs that differ between lanes: rigidity, layers, base, guides and bevel."""
 
     rigidity: Floats  # (W,) EI, N mm^2
     layers: Floats  # (n LAYER_ROWS W,) series of k in |e|, and the |e| up to which it holds
@@ -61,7 +77,7 @@ class LaneInputs(NamedTuple):
 
 
 class LaneWorkspace(NamedTuple):
-    """Where the passes work; what they keep from one to the next."""
+    """Working arrays of the passes, and what a chord pass reads from the full pass before it."""
 
     work: (
         Floats  # ((N + 2) NODE_ROWS W,) what was handed on from before the tissue, then the rows of each node
@@ -76,7 +92,7 @@ def equilibrate_lanes(
     state: Floats, y: Floats, lane_status: Ints, passes: Ints, inputs: LaneInputs, grid: NodeGrid,
     tables: LaneTables, last: int, ends: Floats, workspace: LaneWorkspace, newton: NewtonOptions,
 ) -> None:  # fmt: skip
-    """Make Newton passes until every lane has converged or left; what one lane does, no other sees.
+    """Iterate until every lane has converged or left for the scalar kernel; no lane depends on another.
 
     Parameters
     ----------
@@ -92,9 +108,9 @@ def equilibrate_lanes(
         S and r that the needle before the tissue hands on, and its last node.
     """
     work = workspace.work
-    busy = np.zeros(3 * W)  # whether a lane is at work, its increment, the one before
+    busy = np.zeros(3 * W)
     for l in range(W):
-        busy[l] = 1.0 if lane_status[l] == IN_LANE else 0.0
+        busy[AT_WORK + l] = 1.0 if lane_status[l] == IN_LANE else 0.0
     for n in range(min(MAX_PASSES, newton.max_iterations)):
         full = n != 1
         _start_entry(grid, tables, inputs, y, state, ends, workspace, full)
@@ -105,24 +121,28 @@ def equilibrate_lanes(
         at_work = 0
         excess = work[U(last + 1) * NODE + EXCESS :]
         for l in range(W):
-            if busy[l] == 0.0:
+            if busy[AT_WORK + l] == 0.0:
                 continue
             passes[l] += 1
-            change, before = busy[W + l], busy[2 * W + l]
+            change, before = busy[INCREMENT + l], busy[LAST_INCREMENT + l]
             # the next increment: a full pass squares it, a half one multiplies it by the one before
             ahead = inputs.curvature[l] * change * (change if full else 2.0 * before)
+            # An increment this small that no longer shrinks is rounding, as in the scalar kernel.
             stalled = n > 1 and change < ROUNDING_MM and change > 0.5 * before
             if not np.isfinite(change):
-                lane_status[l], busy[l] = LEFT_LANES, 0.0
+                # A lost solution must not keep the other lanes iterating; the scalar kernel solves this set
+                # again.
+                lane_status[l], busy[AT_WORK + l] = LEFT_LANES, 0.0
             elif min(change, ahead) < newton.tolerance or stalled:
-                busy[l] = 0.0  # on the way there a guess may have left the series, the answer may not
+                # a guess may have left the range of the series on the way; the solution must not
+                busy[AT_WORK + l] = 0.0
                 lane_status[l] = IN_LANE if excess[l] <= 0.0 else LEFT_LANES
-            at_work += int(busy[l])
-            busy[2 * W + l] = change
+            at_work += int(busy[AT_WORK + l])
+            busy[LAST_INCREMENT + l] = change
         if at_work == 0:
             return
     for l in range(W):
-        if busy[l] > 0.0:
+        if busy[AT_WORK + l] > 0.0:
             lane_status[l] = LEFT_LANES
 
 
@@ -142,17 +162,19 @@ def _start_entry(
     span = np.empty(4 * W)
     for l in range(2 * W):
         span[l], span[2 * W + l] = ends[5 * W + l], state[l]
-    for l in range(0 if full else 10 * W, SUM_ROWS * W):  # a half pass keeps the stiffness
+    for l in range(0 if full else STIFFNESS_ROWS * W, SUM_ROWS * W):  # a chord pass keeps K
         sums[l] = 0.0
     for q in range(0, grid.first[1], 2):
         _add_interval(grid, tables, inputs, y, span, U(0), q, workspace.tangents, sums, full)
-    for l in range(W):
-        v0, v1 = ends[5 * W + l], ends[6 * W + l]
-        for i in range(3):
-            handed[i * W + l] += sums[(7 + i) * W + l]
-        handed[3 * W + l] += sums[12 * W + l] - sums[2 * W + l] * v0 - sums[5 * W + l] * v1
-        handed[4 * W + l] += sums[13 * W + l] - sums[3 * W + l] * v0 - sums[6 * W + l] * v1
-        excess[l] = sums[14 * W + l]
+    # The first node of element 0 is the prescribed end of the front: its columns go to the right-hand side.
+    for l in range(W1):
+        v0, v1 = ends[W5 + l], ends[W6 + l]
+        handed[l] += sums[K22 + l]
+        handed[W1 + l] += sums[K23 + l]
+        handed[W2 + l] += sums[K33 + l]
+        handed[W3 + l] += sums[F2 + l] - sums[K02 + l] * v0 - sums[K12 + l] * v1
+        handed[W4 + l] += sums[F3 + l] - sums[K03 + l] * v0 - sums[K13 + l] * v1
+        excess[l] = sums[OVER + l]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)

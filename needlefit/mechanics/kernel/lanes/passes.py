@@ -1,4 +1,5 @@
-"""The loops over lanes: integrate, eliminate, substitute back.
+"""The loops over lanes of one Newton pass: integrate the tissue's reaction, eliminate node by node,
+substitute back.
 
 Everything is a flat array of rows of LANES numbers, one row for each quantity of a node or layer, found by
 unsigned offsets: a slice would count references, and a signed index be checked for being negative, at every
@@ -82,6 +83,8 @@ def _modulus(
     s: float, c0: float, c1: float, c2: float, c3: float, c4: float, c5: float
 ) -> tuple[float, float]:
     """Return k and d(k e)/de at s = |e| from the series of k."""
+    # Horner's scheme for a polynomial and its derivative in one pass: no exponential, no logarithm. Both
+    # would stop the compiler from using vector instructions.
     d, k = c5, c5 * s + c4
     d, k = d * s + k, k * s + c3
     d, k = d * s + k, k * s + c2
@@ -122,7 +125,8 @@ def full_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
     table: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset,
 ) -> None:  # fmt: skip
-    """Do an element of two intervals, one nearest to each of two constraint points, in full.
+    """Integrate and eliminate one regular element: two intervals, one nearest to each of two constraint
+    points.
 
     Parameters
     ----------
@@ -210,6 +214,7 @@ def full_regular(
             work[before + S + l], work[before + S + W1 + l], work[before + S + W2 + l],
             work[before + R + l], work[before + R + W1 + l],
         )  # fmt: skip
+        # The excess is handed from node to node, so that the tip's node has the greatest of the whole needle.
         work[own + EXCESS + l] = max(work[before + EXCESS + l], over)
         work[own + TANGENT + l], work[own + TANGENT + W1 + l] = t0, t1
         work[own + TANGENT + W2 + l], work[own + TANGENT + W3 + l] = t2, t3
@@ -227,7 +232,10 @@ def chord_regular(
     state: Floats, node: Offset, y: Floats, point: Offset, layers: Floats, first: Offset, second: Offset,
     table: Floats, row: Offset, work: Floats, own: Offset,
 ) -> None:  # fmt: skip
-    """Do the right-hand side alone, with the tangents and the factor of the last full pass; as above."""
+    """Renew the right-hand side of a regular element; tangents and factor are those of the last full pass.
+
+    Parameters are those of `full_regular`.
+    """
     before = own - NODE
     for l in range(W1):
         a0, a1, b0, b1 = state[node + l], state[node + W1 + l], state[node + W2 + l], state[node + W3 + l]
@@ -378,7 +386,10 @@ def chord_interval(
 def full_sums(
     sums: Floats, bending: Floats, row: Offset, rigidity: Floats, work: Floats, own: Offset
 ) -> None:
-    """Eliminate the first node of an element whose intervals stand in `sums`; else as `full_regular`."""
+    """Eliminate the first node of an element whose intervals were added to `sums`.
+
+    Parameters are those of `full_regular`.
+    """
     before = own - NODE
     for l in range(W1):
         ei = rigidity[l]
@@ -408,7 +419,7 @@ def full_sums(
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def chord_sums(sums: Floats, work: Floats, own: Offset) -> None:
-    """Hand on the right-hand side of an element whose intervals stand in `sums`."""
+    """Renew the right-hand side of an element whose intervals were added to `sums`."""
     before = own - NODE
     for l in range(W1):
         work[own + EXCESS + l] = max(work[before + EXCESS + l], sums[OVER + l])
@@ -422,7 +433,7 @@ def chord_sums(sums: Floats, work: Floats, own: Offset) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def solve_tip(work: Floats, own: Offset) -> None:
-    """Solve for the tip's node; S^-1 is kept for the half pass."""
+    """Solve for deflection and slope of the tip, the last node; S^-1 is kept for the chord pass."""
     before = own - NODE
     for l in range(W1):
         s00, s01, s11 = work[before + S + l], work[before + S + W1 + l], work[before + S + W2 + l]
@@ -449,32 +460,37 @@ def solve_tip_chord(work: Floats, own: Offset) -> None:
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def update_tip(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
-    """Take over the tip's solution in the lanes that are at work.
+    """Write the tip's solution into `state`, in the lanes that are still iterating.
 
-    `lanes` (3 LANES,): whether a lane is at work, its increment, the one before.
+    `lanes` (3 LANES,): whether a lane iterates, its increment in this pass, its increment in the pass before.
     """
     for l in range(W1):
         u, slope = work[own + Z + l], work[own + Z + W1 + l]
         lanes[W1 + l] = abs(u - state[node + l])
+        # A selection, no branch: a branch in the loop would stop vectorisation. A lane that has converged
+        # keeps its bits, whatever the other lanes do.
         state[node + l] = u if lanes[l] > 0.0 else state[node + l]
         state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def substitute_back(work: Floats, own: Offset, state: Floats, node: Offset, lanes: Floats) -> None:
-    """Substitute back to a node from the one after it."""
+    """Compute a node from the one after it, and the greatest increment so far, in the lanes that still
+    iterate.
+    """
     for l in range(W1):
         b0, b1 = state[node + W2 + l], state[node + W3 + l]
         u = work[own + Z + l] - work[own + l] * b0 - work[own + W1 + l] * b1
         slope = work[own + Z + W1 + l] - work[own + W2 + l] * b0 - work[own + W3 + l] * b1
         step = abs(u - state[node + l])
-        lanes[W1 + l] = lanes[W1 + l] if step <= lanes[W1 + l] else step  # a NaN is kept
+        # Not `max`: the comparison with a NaN is false, so a lost solution shows in the increment.
+        lanes[W1 + l] = lanes[W1 + l] if step <= lanes[W1 + l] else step
         state[node + l] = u if lanes[l] > 0.0 else state[node + l]
         state[node + W1 + l] = slope if lanes[l] > 0.0 else state[node + W1 + l]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", fastmath=FASTMATH, forceinline=True)
 def extrapolate_node(new: Floats, node: Floats, last: Floats, older: Floats) -> None:
-    """Move a node (2 LANES,) as another, or it, moved from `older` to `last`; `new` may be `older`."""
+    """Fill `new` (2 LANES,) with `node` plus the change from `older` to `last`; `new` may be `older`."""
     for l in range(2 * LANES):
         new[l] = node[l] + (last[l] - older[l])

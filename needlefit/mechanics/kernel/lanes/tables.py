@@ -1,6 +1,7 @@
-"""The layout of the lanes' arrays (columns of tables, rows of LANES numbers), and the tables of a grid.
+"""The layout of the arrays that the loops over lanes share, and the tables computed from a grid before them.
 
-In the tables every weight and shape function is multiplied out beforehand.
+Columns of tables are counted in numbers, rows of flat arrays in steps of LANES numbers. In the tables every
+product of weight and shape functions is computed beforehand.
 """
 
 from typing import NamedTuple
@@ -32,6 +33,7 @@ REGULAR_COLUMNS = 76
 # G = S^-1 K_ab, S^-1, z = S^-1 r, tangents at its element's points, S, r, excess. Of an element's sums:
 # K (10), f (4), excess.
 LAYER_ROWS, NODE_ROWS, SUM_ROWS = 7, 19, 15
+STIFFNESS_ROWS = 10  # of an element's sums: they stand before f, and a chord pass keeps them
 
 # Offsets of rows in flat arrays. All are unsigned: an unsigned number and a signed one would make a float.
 ONE = np.uint64(1)
@@ -45,7 +47,7 @@ F0, F1, F2, F3, OVER = W10, W11, W12, W13, W14
 
 
 class LaneTables(NamedTuple):
-    """A grid as the loops over lanes read it."""
+    """The quadrature of a grid, as the loops over lanes read it."""
 
     points: Floats  # (Q, POINT_COLUMNS) of every point
     bending: Floats  # (N, 4) 12, 6 l, 4 l^2, 2 l^2 over l^3 of the element that ends at each node
@@ -55,7 +57,7 @@ class LaneTables(NamedTuple):
 
 @njit(cache=True, nogil=True)
 def tabulate(grid: NodeGrid) -> LaneTables:
-    """Return the tables of a grid; those of element 0 are filled when its length is known."""
+    """Return the tables of a grid; those of element 0 are filled at each stop, when its length is known."""
     count = len(grid.nodes)
     points, bending = np.zeros((len(grid.x), POINT_COLUMNS)), np.zeros((count, 4))
     regular, regular_row, regular_count = np.empty((count, REGULAR_COLUMNS)), np.full(count, -1), 0
@@ -65,6 +67,7 @@ def tabulate(grid: NodeGrid) -> LaneTables:
         for q in range(grid.first[e], grid.first[e + 1]):
             tabulate_point(points[q], grid.shapes[q], grid.weight[q])
         first = grid.first[e]
+        # Regular: four points, and the third is the first one of the next constraint point.
         if grid.first[e + 1] - first != 4 or grid.constraint[first + 2] != grid.constraint[first] + 1:
             continue
         row = regular[regular_count]
@@ -74,6 +77,7 @@ def tabulate(grid: NodeGrid) -> LaneTables:
         for i in range(4):
             row[B12 + i] = bending[e, i]
         regular_row[e] = regular_count
+        # Most regular elements equal the one before; a shared row stays in the processor's cache.
         if regular_count > 0 and _are_equal(row, regular[regular_count - 1]):
             regular_row[e] -= 1
         else:
@@ -92,7 +96,7 @@ def _are_equal(row: Floats, other: Floats) -> bool:
 
 @njit(cache=True, nogil=True)
 def tabulate_point(row: Floats, shape: Floats, weight: float) -> None:
-    """Fill `row` (POINT_COLUMNS,) of a quadrature point, given its shape functions."""
+    """Fill the table row (POINT_COLUMNS,) of one quadrature point, given its shape functions."""
     at = WN00
     for i in range(4):
         row[N0 + i], row[WN0 + i] = shape[i], weight * shape[i]
