@@ -1,1 +1,1 @@
-"""Measured insertions and tip tracks: how they are read, checked, written and selected."""
+"""Measured insertions and tip tracks: read, check, write and select them."""

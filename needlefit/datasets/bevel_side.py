@@ -1,4 +1,6 @@
-"""Whether measured needles bend to the side that their bevel faces, as every needle of the model does."""
+"""Check whether measured needles bend toward the side their bevel faces, as every needle of the
+model does.
+"""
 
 import math
 from collections.abc import Iterator, Sequence
@@ -31,7 +33,8 @@ BendSide = Literal["toward", "away", "unknown"]
 
 @dataclass(frozen=True)
 class BendResult:
-    """An insertion or a run, its row, and whether it bends toward its bevel; "unknown" within the noise.
+    """One insertion or run with its table row and its bending side: toward or away from the bevel, or
+    "unknown" within noise.
 
     `z` is its deflection toward the bevel in standard deviations; NaN where it cannot be judged.
     """
@@ -44,7 +47,7 @@ class BendResult:
 
 
 def classify_insertion(insertion: Insertion, where: str, noise: Noise) -> BendResult:
-    """Return an insertion that stands at `where` with what is known of its bend."""
+    """Return the bend result of an insertion; `where` is its position in the files, for messages."""
     z = compute_deflection_z(insertion, noise)
     return BendResult(insertion.id, where, find_bend_side(insertion, noise), insertion.medium, z)
 
@@ -99,7 +102,7 @@ def find_track_bend_side(track: TipTrack, noise: Noise) -> BendSide:
 
 
 def fit_parabola(x: Floats, y: Floats) -> tuple[float, float]:
-    """Return how far a parabola fitted to points (N,) leaves its first tangent, and its rms residual."""
+    """Fit a parabola to points (N,); return the deflection from its first tangent, and the rms residual."""
     coefficients = np.polyfit(x - x[0], y, 2)
     residuals = y - np.polyval(coefficients, x - x[0])
     return float(coefficients[0] * (x[-1] - x[0]) ** 2), float(np.sqrt(np.mean(residuals**2)))
@@ -129,7 +132,8 @@ def find_side_warnings(results: Sequence[BendResult], column: str, what: str) ->
 
 
 def pool_z(results: Sequence[BendResult]) -> float:
-    """Return the sum of the deflections that can be judged over the root of their number; NaN for none.
+    """Return the pooled z value: the sum of the defined values over the root of their number; NaN without
+    any.
 
     Each is limited to `REVERSED_SD`, so that a single wrong row does not speak for its medium.
     """
@@ -138,7 +142,7 @@ def pool_z(results: Sequence[BendResult]) -> float:
 
 
 def find_pooled_side_warnings(results: Sequence[BendResult], column: str) -> Iterator[ResultWarning]:
-    """Yield a warning for each medium whose insertions together bend away from their bevels.
+    """Yield a warning for each medium whose insertions, taken together, bend away from their bevels.
 
     None where every insertion that bends clearly bends away: `find_side_warnings` names those already.
     """

@@ -1,4 +1,4 @@
-"""The centrelines of a dataset: find the points of each insertion."""
+"""Find the centreline points of each insertion of a dataset, in files of their own or in one long table."""
 
 import re
 from dataclasses import dataclass, replace
@@ -31,14 +31,14 @@ class LongTable:
         return replace(self.table, cells=cells, lines=self.table.lines[first])
 
     def part(self, rows: np.ndarray) -> CsvTable:
-        """Return some rows as a table of their own."""
+        """Return some of the rows as a new table."""
         return replace(
             self.table, cells=self.table.cells.iloc[rows].reset_index(drop=True), lines=self.table.lines[rows]
         )
 
 
 def read_long_table(path: Path, record: DatasetRecord, found: list[Fault]) -> LongTable | None:
-    """Read the long table and sort its rows by insertion; None after a fault."""
+    """Read the long table and sort its rows by insertion; return None after a fault."""
     group_columns = list(record.centerlines.group_by)
     try:
         table = read_table(path)
@@ -135,7 +135,9 @@ def find_points(
 
 
 def make_patient_frame(record: FrameRecord) -> Frame:
-    """Return the patient coordinates of scans that no row places otherwise, as a frame in the world."""
+    """Return the patient coordinates, as a frame in the world, of scans whose row states no other
+    position.
+    """
     return IDENTITY_FRAME if record.lps_to_world is None else Frame.from_rows(record.lps_to_world)
 
 

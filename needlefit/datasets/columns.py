@@ -1,4 +1,4 @@
-"""The columns of `insertions.csv` and of a centreline, and the type of a row."""
+"""Column names of `insertions.csv` and of a centreline file, and the type of a row."""
 
 import re
 import unicodedata
@@ -54,7 +54,7 @@ ID_PATTERN = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,99}")
 
 
 def make_id(text: str, default: str) -> str:
-    """Return `text` with only what `ID_PATTERN` allows, `default` where nothing is left.
+    """Return `text` reduced to the characters that `ID_PATTERN` allows; `default` if none is left.
 
     Letters lose their accents, so that a name is the same id however its file system writes them.
     """

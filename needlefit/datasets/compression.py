@@ -1,4 +1,4 @@
-"""Read a compression test: which columns hold stretch and stress, and the loading of each specimen."""
+"""Read a compression test: find the columns of stretch and stress, and the loading of each specimen."""
 
 import math
 from collections.abc import Sequence
@@ -42,7 +42,7 @@ STRESS_HELP = (
 
 @dataclass(frozen=True)
 class CompressionColumns:
-    """Which columns of a table hold what.
+    """The columns of a compression table, by what they contain.
 
     Attributes
     ----------
@@ -66,7 +66,9 @@ class CompressionColumns:
 def find_columns(
     table: CsvTable, stated: StressMeasure | None, found: list[Fault]
 ) -> CompressionColumns | None:
-    """Return what the columns hold, or None after a fault; `stated` is the measure of a mere `stress_kpa`."""
+    """Return the columns of a compression table, or None after a fault; `stated` is the measure of a column
+    `stress_kpa`.
+    """
     names, where = list(map(str, table.cells.columns)), f"{table.path}:1"
     stretch = _select_columns(
         [option for option in STRETCH_COLUMNS if set(option) <= set(names)], "the stretch", where, found
@@ -97,7 +99,7 @@ def find_columns(
 
 
 def read_specimens(table: CsvTable, column: str) -> NDArray[np.str_]:
-    """Return the specimen of each row (N,)."""
+    """Return the specimen's name for each row (N,)."""
     if not column:
         return np.full(len(table.lines), table.path.stem)
     names: NDArray[np.str_] = table.cells[column].to_numpy(dtype=str)
@@ -198,7 +200,7 @@ def _find_measure(
 
 @dataclass(frozen=True)
 class CompressionTest:
-    """What a file says of one material.
+    """The measured loading curves of one material, read from one file.
 
     Attributes
     ----------
@@ -223,7 +225,7 @@ class CompressionTest:
 
 
 def read_compression(path: Path, stated: StressMeasure | None = None) -> CompressionTest:
-    """Read a compression test; `stated` says which stress a column `stress_kpa` holds.
+    """Read a compression test; `stated` is the stress measure (true or nominal) of a column `stress_kpa`.
 
     Columns: `stretch`, or `displacement_mm` and `height_mm`; `nominal_stress_kpa` or `true_stress_kpa` (or
     _pa, _mpa), or `force_n` and `area_mm2` or `diameter_mm`; `sample` or `id` tells specimens apart.

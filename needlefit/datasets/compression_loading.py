@@ -1,4 +1,4 @@
-"""Extract the loading of each specimen from its rows, with the faults and the notes on how it was read."""
+"""Extract the loading of each specimen from its rows, and report faults and corrections."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ MAX_OPPOSITE_FRACTION = 0.05
 
 
 def find_stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) -> Iterator[Fault]:
-    """Say why these numbers (N,) are no stretches in compression."""
+    """Return the reasons why the numbers (N,) cannot be stretches of a compression test."""
     low, high = float(stretch.min()), float(stretch.max())
     here = f"stretch of specimen {name} goes from {low:g} to {high:g}"
     expected = "height now over height before: 1 unloaded, falling to e.g. 0.8"
@@ -53,7 +53,7 @@ def find_stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) 
 
 
 def find_stress_faults(stress: Floats, where: str, name: str) -> Iterator[Fault]:
-    """Say why these numbers (N,) are no stresses of one sign."""
+    """Return the reasons why the numbers (N,) cannot be stresses of one sign."""
     low, high = float(stress.min()), float(stress.max())
     largest = max(abs(low), abs(high))
     if largest == 0:
@@ -70,7 +70,7 @@ def find_stress_faults(stress: Floats, where: str, name: str) -> Iterator[Fault]
 
 
 def find_turns(stretch: Floats) -> list[int]:
-    """Return the rows at which the machine turns round; noise is no turn."""
+    """Return the rows at which the testing machine reverses; reversals within noise do not count."""
     wide = MIN_TURN_FRACTION * float(np.ptp(stretch))
     found, extreme, direction = [], 0, -1
     for n in range(1, len(stretch)):
@@ -83,7 +83,7 @@ def find_turns(stretch: Floats) -> list[int]:
 
 
 def compute_lost_work(stretch: Floats, stress: Floats, turn: int) -> float:
-    """Return the part of the work of loading that the unloading after row `turn` does not give back."""
+    """Return the fraction of the loading work that the unloading after row `turn` does not return."""
     back = slice(turn, None)
     low, high = float(stretch[turn]), min(float(stretch[: turn + 1].max()), float(stretch[back].max()))
     at = np.linspace(low, high, 200)
@@ -95,7 +95,7 @@ def compute_lost_work(stretch: Floats, stress: Floats, turn: int) -> float:
 
 
 def estimate_preload(stretch: Floats, stress: Floats) -> float:
-    """Return the stress that a loading, sorted (N,), has at stretch 1 already, as a part of its largest.
+    """Return the stress at stretch 1 of a sorted loading (N,), as a fraction of its largest stress.
 
     A line through its first tenth says it; what begins far from 1 has none that could be told.
     """
@@ -144,7 +144,7 @@ class SpecimenLoading:
 
 @dataclass(frozen=True)
 class SpecimenRows:
-    """The rows of one specimen as they stand in the file: places, stretch (N,), stress (N,) in MPa."""
+    """The rows of one specimen as they are in the file: positions, stretch (N,), stress (N,) in MPa."""
 
     name: str
     where: list[str]
@@ -153,12 +153,14 @@ class SpecimenRows:
 
     @property
     def end(self) -> int:
-        """The row at which the loading ends; 0 where the table runs from the deepest row up."""
+        """The row at which the loading ends; 0 where the table begins at the largest compression."""
         return (find_turns(self.stretch) or [len(self.stretch) - 1])[0]
 
 
 def find_loading_faults(rows: SpecimenRows) -> list[Fault]:
-    """Return why the rows are no loading, or loading and unloading, in compression."""
+    """Return the reasons why the rows are neither a loading, nor a loading and an unloading, in
+    compression.
+    """
     where, name = rows.where[0], rows.name
     if len(np.unique(rows.stretch)) < MIN_STRETCHES:
         what = f"specimen {name} has {len(np.unique(rows.stretch))} different stretches"
@@ -183,7 +185,7 @@ def find_loading_faults(rows: SpecimenRows) -> list[Fault]:
 
 
 def extract_loading(rows: SpecimenRows) -> SpecimenLoading:
-    """Return the loading alone, sorted, averaged to at most `MAX_LOADING_POINTS`, its stresses negative."""
+    """Return the loading alone: sorted, averaged to at most `MAX_LOADING_POINTS`, with negative stresses."""
     loading_rows = slice(0, rows.end + 1) if rows.end else slice(None)
     stretch, stress = rows.stretch[loading_rows], rows.stress[loading_rows]
     order = np.argsort(-stretch, kind="stable")
@@ -194,7 +196,7 @@ def extract_loading(rows: SpecimenRows) -> SpecimenLoading:
 
 
 def describe_readings(specimens: Sequence[SpecimenRows]) -> list[str]:
-    """Return in sentences what was turned or left out, and what bends the fit."""
+    """Return sentences on what was reversed or left out, and on what distorts the fit."""
     turn_notes = [sentence for rows in specimens for sentence in _describe_turn(rows)]
     preloaded = [sentence for rows in specimens for sentence in _describe_preload(extract_loading(rows))]
     long = [f"specimen {r.name}" for r in specimens if len(r.stretch) > MAX_LOADING_POINTS]

@@ -1,6 +1,4 @@
-"""Warnings about a dataset that can be fitted all the same: placeholders, copies, mistyped columns, missed
-surfaces.
-"""
+"""Warn about a dataset that can still be fitted: placeholders, copies, mistyped columns, missed surfaces."""
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -41,7 +39,7 @@ def is_copy(one: Insertion, other: Insertion) -> bool:
 
 
 def find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarning]:
-    """Yield a warning for each insertion that is a copy of one before it."""
+    """Yield a warning for each insertion that is a copy of an earlier one."""
     for n, later in enumerate(listed):
         first = next((one for one in listed[:n] if is_copy(one.insertion, later.insertion)), None)
         if first is not None:
@@ -57,14 +55,14 @@ _PLACEHOLDER_FIX = "write what was measured; reports print it"
 
 
 def find_record_warnings(record: DatasetRecord | TrackDatasetRecord, file: Path) -> list[ResultWarning]:
-    """Return what is suspicious in a `dataset.toml` by itself."""
+    """Return the warnings about a `dataset.toml`, without regard to its tables."""
     where = format_place(file)
     found = [*find_placeholder_keys(record, where), *needle_warnings(record.needle, where)]
     return [*found, *find_stated_warnings(record.noise, record.needle.length_mm, where)]
 
 
 def find_placeholder_keys(record: SourceRecord, where: FormatPlace) -> Iterator[ResultWarning]:
-    """Yield a warning if texts of a template are still there."""
+    """Yield a warning if texts of a template were not replaced."""
     keys = list(_iterate_placeholder_keys(record.model_dump(by_alias=True)))
     if keys:
         named = ", ".join(f"`{key}`" for key in keys)
@@ -73,7 +71,7 @@ def find_placeholder_keys(record: SourceRecord, where: FormatPlace) -> Iterator[
 
 
 def find_placeholder_cells(table: CsvTable) -> Iterator[ResultWarning]:
-    """Yield a warning if cells of a table still hold the mark."""
+    """Yield a warning if cells of a table still contain the placeholder."""
     found = {
         str(name): rows
         for name, column in table.cells.items()
@@ -103,7 +101,7 @@ def _iterate_placeholder_keys(value: object, key: str = "") -> Iterator[str]:
 def find_insertion_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, file: Path
 ) -> list[ResultWarning]:
-    """Return what is suspicious in sound insertions."""
+    """Return the warnings about insertions that have no fault."""
     where, insertions = format_place(file), [one.insertion for one in listed]
     column = record.insertions.columns.get("bevel_side", "bevel_side")
     results = [classify_insertion(one.insertion, one.where, noise) for one in listed]
@@ -146,7 +144,7 @@ _UNIT = re.compile(r"_(mm|deg)$")
 def find_insertion_column_warnings(
     record: DatasetRecord, names: Iterable[str], path: Path
 ) -> Iterator[ResultWarning]:
-    """Yield a warning for each column of the table of insertions, with these names, that looks mistyped."""
+    """Yield a warning for each of these columns of the table of insertions that looks mistyped."""
     source = record.insertions
     ours = [*INSERTION_COLUMNS, BASE_SHIFT_COLUMN, *SCAN_COLUMNS]
     if record.frame.pose == "free":

@@ -1,4 +1,4 @@
-"""A fault in a dataset, and the error that lists faults."""
+"""Faults found in a dataset, and the error that lists them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -9,7 +9,9 @@ from needlefit.errors import DataError, NeedlefitError
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault: `where` (file, with line where there is one), `what`, what was `expected`, how to `fix`."""
+    """One fault in a dataset: `where` (file, and line if known), `what`, what was `expected`, how to `fix`
+    it.
+    """
 
     where: str
     what: str
@@ -21,12 +23,12 @@ class Fault:
 
 
 def from_error(error: NeedlefitError, where: str = "") -> Fault:
-    """Return the fault that an error describes, at `where` unless the error knows better."""
+    """Return the fault that an error describes; `where` is used if the error names no place."""
     return Fault(error.where or where, error.what, error.expected, error.fix)
 
 
 def as_error(faults: Sequence[Fault], path: Path) -> DataError:
-    """Return the error that lists every fault of what `path` holds."""
+    """Return one error that lists all faults found in `path`."""
     if len(faults) == 1:
         fault = faults[0]
         return DataError(fault.what, where=fault.where, expected=fault.expected, fix=fault.fix)

@@ -1,4 +1,4 @@
-"""The types of measured data: an insertion, the dataset, its stated noise."""
+"""Types of measured data: an insertion, the dataset, its stated measurement errors."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,7 +19,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Noise:
-    """What a dataset states of its measurement errors, mm.
+    """The measurement errors that a dataset states, mm.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Noise:
 
     @property
     def stated(self) -> bool:
-        """Whether the points of a centreline have any noise of their own."""
+        """Whether an error is stated for the points of a centreline."""
         return self.point_sd > 0 or self.correlated_sd > 0
 
 
@@ -159,7 +159,7 @@ class Dataset:
 
 
 def find_free_reach(drop: float, insertion: Insertion) -> float:
-    """Return how far from the tip a free comparison begins, mm.
+    """Return the distance from the tip at which the comparison of free shapes begins, mm.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Find what is wrong with an insertion: its centreline's points, and the layers that it meets."""
+"""Find faults of an insertion: in its centreline's points, and in the layers that it meets."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -48,7 +48,7 @@ UNIT_TOLERANCE = 0.25
 def find_curve_faults(
     points: Points, row: InsertionRow, record: DatasetRecord, place: str
 ) -> Iterator[Fault]:
-    """Say what is wrong with finite points as the centreline of `row`, which stands at `place`."""
+    """Return the faults of finite points as the centreline of `row`; `place` is used in messages."""
     curve = points.values
     if len(curve) < MIN_POINTS:
         yield Fault(
@@ -172,14 +172,14 @@ RAS_TO_LPS = Frame(np.zeros(3), np.diag([-1.0, -1.0, 1.0]))
 
 @dataclass(frozen=True)
 class ListedInsertion:
-    """An insertion, and the line of the table on which it stands."""
+    """An insertion, and its line in the table."""
 
     insertion: Insertion
     where: str
 
 
 def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
-    """Say which media skip a layer number: an `into` mistyped, or a surface left out."""
+    """Return the media that skip a layer number: a mistyped `into`, or a missing surface."""
     for name, medium in record.media.items():
         numbers = {surface.into for surface in medium.surfaces}
         skipped = sorted(set(range(2, max(numbers, default=1))) - numbers)
@@ -196,7 +196,9 @@ def find_media_faults(record: DatasetRecord, file: Path) -> Iterator[Fault]:
 def find_layer_faults(
     listed: Sequence[ListedInsertion], record: DatasetRecord, file: Path
 ) -> Iterator[Fault]:
-    """Say which insertions do not meet the layers listed for them, and why if all miss all surfaces."""
+    """Return the insertions that do not meet their listed layers; one reason if all of them miss all
+    surfaces.
+    """
     for name in dict.fromkeys(one.insertion.medium for one in listed):
         group = [one for one in listed if one.insertion.medium == name]
         copies = _find_copies(group[0].insertion.surfaces)

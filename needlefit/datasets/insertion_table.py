@@ -1,4 +1,4 @@
-"""Parse the table of insertions: cells to rows, and the faults of each row."""
+"""Parse the table of insertions: from cells to rows, with the faults of each row."""
 
 import math
 from collections.abc import Iterator
@@ -40,7 +40,7 @@ MIN_NEEDLE_LENGTH_MM = 30.0
 
 
 def parse_rows(table: CsvTable, record: DatasetRecord, found: list[Fault]) -> list[InsertionRow]:
-    """Return the rows without a fault of their own; note the faults of the others."""
+    """Return the rows without faults; note the faults of the others."""
     pose_known = record.frame.pose == "known"
     named = _rename_columns(table, record.insertions, found)
     has_scan = any(column in named.cells for column in SCAN_COLUMNS)
@@ -225,7 +225,7 @@ def _find_depth_faults(row: InsertionRow, where: str, record: DatasetRecord) -> 
 
 
 def describe_column(record: DatasetRecord, column: str) -> str:
-    """Return a column of the table of insertions for a message: its name there, and ours behind it."""
+    """Return a column's name for a message: its name in the table, followed by ours where the two differ."""
     theirs = record.insertions.columns.get(column, column)
     return theirs if theirs == column else f"{theirs} ({column})"
 

@@ -1,4 +1,4 @@
-"""Read and check every file of a dataset once: the dataset, or all its faults."""
+"""Read and check all files of a dataset once; the result is the dataset, or all of its faults."""
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
@@ -42,7 +42,9 @@ BEVEL_FIX = "point bevel_x, bevel_y, bevel_z across the entry direction, or leav
 
 @dataclass(frozen=True)
 class Inspection:
-    """What came of reading a dataset: `dataset` is None if there are faults; warnings there may be anyway."""
+    """The result of reading a dataset: `dataset` is None if there are faults; warnings are possible in either
+    case.
+    """
 
     dataset: Dataset | None
     faults: tuple[Fault, ...]
@@ -116,7 +118,7 @@ def _iterate_insertions(
 
 
 def find_needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
-    """Say whether a needle's modulus was written in another unit."""
+    """Return a fault if a needle's modulus was probably written in another unit."""
     modulus = needle.youngs_modulus_gpa
     if modulus is None or modulus <= MAX_MODULUS_GPA:
         return
@@ -146,7 +148,7 @@ def _read_insertion_table(
 def find_reach_faults(
     record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path
 ) -> Iterator[Fault]:
-    """Say which free shapes are no longer than what is left out of every comparison."""
+    """Return the free shapes that are no longer than the length left out of every comparison."""
     if record.frame.pose != "free":
         return
     for one in listed:
@@ -157,7 +159,7 @@ def find_reach_faults(
 
 
 def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path) -> Iterator[Fault]:
-    """Say which curves have points without any error: neither their own, nor one that the dataset states."""
+    """Return the curves for whose points no error is stated, neither in their file nor by the dataset."""
     if make_noise(record.noise).stated:
         return
     for one in listed:
@@ -171,14 +173,14 @@ def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], fil
 
 
 def make_refusal(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
-    """Return what came of a dataset with faults, each once; of one place the fault is enough."""
+    """Return the inspection of a dataset with faults: each fault once, and one for each place."""
     places = {fault.where for fault in faults}
     remaining = tuple(one for one in warnings if one.where not in places)
     return Inspection(None, tuple(dict.fromkeys(faults)), remaining)
 
 
 def find_repeated_ids(what: str, ids: Iterable[str], file: Path) -> Iterator[Fault]:
-    """Yield ids that several folders hold; within one table the rows were compared before."""
+    """Yield ids that occur in several folders; within one table they were compared before."""
     known_ids: set[str] = set()
     for id_ in ids:
         if id_ in known_ids:
@@ -225,13 +227,13 @@ def _make_dataset(
 
 
 def collect_notes(data: str, needle: str, noise: str) -> tuple[str, ...]:
-    """Return what a dataset's makers want known of data, needle and noise, as reports print it."""
+    """Return the dataset's own notes on data, needle and noise, for reports."""
     parts = (("", data), ("Needle: ", needle), ("Noise: ", noise))
     return tuple(head + text.strip() for head, text in parts if text.strip())
 
 
 def make_noise(record: NoiseRecord) -> Noise:
-    """Return the errors that a dataset states."""
+    """Return the measurement errors that a dataset states."""
     return Noise(
         record.registration_mean_mm, record.point_sd_mm, record.correlated_sd_mm, record.correlation_length_mm
     )

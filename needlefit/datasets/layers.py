@@ -1,4 +1,4 @@
-"""The layers of a dataset: read their surfaces, find which an insertion meets, and reduce it to its bending
+"""Read the layer surfaces of a dataset, find the layers of each insertion, and reduce it to its bending
 plane.
 """
 
@@ -29,7 +29,7 @@ EXPORT_FIX = "export the surface again as triangles, e.g. as STL"
 
 @dataclass(frozen=True)
 class Medium:
-    """The layers that one insertion may meet: surfaces in the world, or depths along the needle."""
+    """The layers that one insertion can meet: surfaces in the world, or depths along the needle."""
 
     surfaces: tuple[Surface, ...] = ()
     boundaries: Floats | None = None
@@ -40,7 +40,7 @@ SharedSurfaces = Mapping[SurfaceRecord, Surface | None]
 
 
 def read_shared_surfaces(record: DatasetRecord, folder: Path, found: list[Fault]) -> SharedSurfaces:
-    """Read the surfaces of all media but those of which every insertion has its own; note their faults."""
+    """Read the surfaces of all media that insertions share; note their faults."""
     listed = [surface for medium in record.media.values() for surface in medium.surfaces]
     return {one: _read_surface(one, folder / one.file, found) for one in listed if not one.own}
 
@@ -48,7 +48,9 @@ def read_shared_surfaces(record: DatasetRecord, folder: Path, found: list[Fault]
 def make_medium(
     row: InsertionRow, record: DatasetRecord, folder: Path, shared: SharedSurfaces, found: list[Fault]
 ) -> Medium | None:
-    """Return the medium of an insertion with its own surfaces, of `folder`, in place; None after a fault."""
+    """Return the medium of an insertion, with the surfaces in its own `folder` in place of shared ones; None
+    after a fault.
+    """
     medium = record.media[row.medium]
     surfaces = [
         _read_surface(one, folder / one.file_of(row.id), found) if one.own else shared[one]
@@ -73,13 +75,13 @@ def _read_surface(record: SurfaceRecord, path: Path, found: list[Fault]) -> Surf
 
 
 def make_file_fault(error: DataError, path: Path) -> Fault:
-    """Return the fault of a surface's file that could not be read, and how to fix it."""
+    """Return the fault of a surface file that could not be read, with its fix."""
     fault = from_error(error)
     return fault if fault.fix else replace(fault, fix=RESTORE_FIX if not is_file(path) else EXPORT_FIX)
 
 
 def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
-    """Say what keeps the surface read from a file from being a boundary, mm."""
+    """Return the reasons why the surface in a file cannot be a layer boundary; lengths in mm."""
     expected = {
         "solid": "a closed surface in one piece, its triangles turned outward",
         "sheet": "one piece with one rim, larger than the tissue it parts",
@@ -106,13 +108,15 @@ def find_surface_faults(surface: Surface, path: Path) -> Iterator[Fault]:
 def find_layers(
     centerline: Floats, frame: Frame, surfaces: Sequence[Surface]
 ) -> tuple[Floats, tuple[int, ...]]:
-    """Return at which depths (n - 1,) along C's x a centreline (N, 3) crosses surfaces, and the n layers."""
+    """Return the depths (n - 1,) along C's x at which a centreline (N, 3) crosses surfaces, and the
+    n layers.
+    """
     crossed = find_crossings(centerline, surfaces)
     return compute_depths(crossed.points, frame), crossed.sequence
 
 
 def compute_depths(points: Floats, frame: Frame) -> Floats:
-    """Return the depths (m,) along C's x of crossings (m, 3) in their order along the needle, mm."""
+    """Return the depths (m,) along C's x of crossings (m, 3), in their order along the needle, mm."""
     x = frame.to_local(points)[:, 0]
     # the centreline's first point is not exactly the entry: an interface there may project before it
     ordered: Floats = np.maximum.accumulate(np.maximum(x, 0.0))
@@ -120,13 +124,14 @@ def compute_depths(points: Floats, frame: Frame) -> Floats:
 
 
 def select_layers(boundaries: Floats, reach: float) -> tuple[Floats, tuple[int, ...]]:
-    """Return those of given depths that lie before `reach`, (n - 1,), mm, and the n layers met."""
+    """Return the given depths that lie before `reach`, (n - 1,), mm, and the n layers met."""
     depths = boundaries[boundaries < reach]
     return depths, tuple(range(1, len(depths) + 2))
 
 
 def reduce_insertion(row: InsertionRow, points: Points, medium: Medium, patient: Frame) -> Insertion:
-    """Return the insertion of a row without faults; `patient`: where its scan stands in the world.
+    """Reduce a row without faults to an insertion in its bending plane; `patient` is the pose of its scan in
+    the world.
 
     C stands at the entry pose; its plane is that of `row.bevel`, or, where that is empty, the one in
     which the centreline leaves the entry line. A row without entry pose gets `fit_free_frame`.

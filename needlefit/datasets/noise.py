@@ -1,4 +1,4 @@
-"""Measurement noise: the noise floor (errors that perfect parameters would still show), and doubtful stated
+"""Measurement noise: the noise floor (errors that even perfect parameters would show), and implausible stated
 errors.
 """
 
@@ -70,7 +70,8 @@ def estimate_noise_floor(
 
 
 def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draws: int) -> Floats:
-    """Return noise of the points of `curve` (N, d): independent, and correlated as exp(-|ds| / length).
+    """Draw noise of the points of `curve` (N, d): an independent part, and one correlated as exp(-|ds| /
+    length).
 
     Shape (draws, N, d), mm.
     """
@@ -121,7 +122,7 @@ MAX_NOISE_FRACTION = 0.5
 
 
 def find_stated_warnings(noise: NoiseRecord, length_mm: float, where: FormatPlace) -> Iterator[ResultWarning]:
-    """Yield a warning for each value of `[noise]` that no measurement has, for a needle of `length_mm`."""
+    """Yield a warning for each value of `[noise]` that is implausible for a needle of `length_mm`."""
     largest = max(noise.point_sd_mm, noise.correlated_sd_mm)
     if 0 < largest < MIN_POINT_SD_MM:
         name = "point_sd_mm" if largest == noise.point_sd_mm else "correlated_sd_mm"
@@ -147,7 +148,7 @@ def _make_unit_warning(key: str, value: float, where: FormatPlace) -> ResultWarn
 def find_noise_warnings(
     record: DatasetRecord, listed: Sequence[ListedInsertion], noise: Noise, where: FormatPlace
 ) -> list[ResultWarning]:
-    """Return what is suspicious in the errors stated, beside the insertions themselves."""
+    """Return the warnings that follow from stated errors and insertions together."""
     insertions = [one.insertion for one in listed]
     depths = [one.planar[:, 0] for one in insertions]
     return [
@@ -187,7 +188,9 @@ def _compare_registration(
 def find_spacing_warnings(
     noise: Noise, depths: Sequence[Floats], where: FormatPlace
 ) -> Iterator[ResultWarning]:
-    """Yield a warning if the correlation is shorter than points, at `depths` (N,) each, are apart."""
+    """Yield a warning if the correlation length is shorter than the distance of points, at `depths` (N,)
+    each.
+    """
     if noise.correlated_sd <= 0 or not depths:
         return
     spacing = min(float(np.median(np.abs(np.diff(one)))) for one in depths)

@@ -1,4 +1,4 @@
-"""Read a dataset, or list everything that is wrong with it (`needlefit check`)."""
+"""Read a dataset, or list all of its faults (`needlefit check`)."""
 
 from pathlib import Path
 
@@ -43,6 +43,6 @@ def check(path: Path) -> list[Fault]:
 
 
 def check_all(path: Path) -> tuple[list[Fault], list[ResultWarning]]:
-    """Return every fault of a dataset, which nothing is fitted to, and every warning, which stops nothing."""
+    """Return all faults of a dataset, which prevent a fit, and all warnings, which do not."""
     found = tracks.inspect_tracks(path) if tracks.holds_tracks(path) else inspection.inspect_dataset(path)
     return list(found.faults), list(found.warnings)

@@ -1,6 +1,4 @@
-"""Select the insertions of a dataset for a fit or a study, and group those that are no independent
-observations.
-"""
+"""Select the insertions of a dataset for a fit or a study, and group insertions that are not independent."""
 
 from collections.abc import Iterable, Sequence
 
@@ -17,7 +15,7 @@ def select_insertions(
     layer_count_rule: LayerCountRule = "listed",
     key: str = "tune",
 ) -> tuple[Insertion, ...]:
-    """Return the insertions that meet every key of `selection`, in the dataset's order.
+    """Return the insertions that match every key of `selection`, in the dataset's order.
 
     `layer_count_rule` decides which count of layers holds for an insertion that ends at a boundary; `key` is
     where the selection stands in its file.
@@ -49,12 +47,12 @@ def select_insertions(
 
 
 def count_layers(insertion: Insertion, layer_count_rule: LayerCountRule) -> int:
-    """Return how many layers an insertion traverses by this reading."""
+    """Return the number of layers that an insertion traverses, counted by the given rule."""
     return insertion.layers if layer_count_rule == "listed" else insertion.layers_alternative
 
 
 def get_other_rule(layer_count_rule: LayerCountRule) -> LayerCountRule:
-    """Return the reading that a study does not use."""
+    """Return the rule of counting layers that a study does not use."""
     return "alternative" if layer_count_rule == "listed" else "listed"
 
 
@@ -110,7 +108,8 @@ MIN_GROUPS = 5
 
 
 def group_independent(insertions: Sequence[str], specimens: Sequence[str]) -> tuple[str, ...]:
-    """Return the group of each insertion: its specimen where there are enough of these, else itself.
+    """Return the group of each insertion: its specimen if there are enough specimens, else the insertion
+    itself.
 
     Repeats in one specimen (one hole at several depths) are no independent observations; but where
     everything went into a few pieces, the insertions are all there is.

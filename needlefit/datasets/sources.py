@@ -1,4 +1,4 @@
-"""Find a dataset's files and scans, and check that the files are the ones that its author described."""
+"""Find the files and scans of a dataset, and verify their checksums."""
 
 import csv
 import hashlib
@@ -18,12 +18,12 @@ from needlefit.schemas.dataset import SourceRecord
 
 
 def find_dataset_file(path: Path) -> Path:
-    """Return the `dataset.toml` that `path`, a dataset's folder or that file, means."""
+    """Return the `dataset.toml` of `path`, which is a dataset's folder or that file."""
     return path / "dataset.toml" if is_dir(path) else path
 
 
 def find_folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
-    """Return the folders that hold the files: that of `path`, or all that `root` matches, sorted.
+    """Return the folders with the files, sorted: that of `path`, or all that match `root`.
 
     Raises
     ------
@@ -51,7 +51,7 @@ def find_folders(record: SourceRecord, path: Path) -> tuple[Path, ...]:
 
 
 def is_missing(path: Path) -> bool:
-    """Return whether the files of the dataset described at `path` lie elsewhere, and are not there."""
+    """Return whether the files of the dataset described at `path` are kept elsewhere and are not there."""
     root = read_toml(path).get("root")
     return isinstance(root, str) and not _match_folders(root, path)[1]
 
@@ -66,7 +66,7 @@ def _match_folders(root: str, path: Path) -> tuple[Path, tuple[Path, ...]]:
 
 
 def find_checksum_faults(checksums: Mapping[str, str], folder: Path) -> list[Fault]:
-    """Say which files of `folder` are not those whose sums are listed."""
+    """Return the files of `folder` whose checksums differ from the listed ones."""
     faults = []
     for name, expected in checksums.items():
         file = folder / name
@@ -108,14 +108,14 @@ VOLUME_COLUMNS = ("id", "volume", "series")
 
 @dataclass(frozen=True)
 class ScanVolume:
-    """The scan of an insertion: a file or folder, and which DICOM series where a folder holds several."""
+    """The scan of an insertion: a file or folder, and the DICOM series if a folder contains several."""
 
     path: Path
     series: str | None = None
 
 
 def write_volumes(folder: Path, volumes: Mapping[str, ScanVolume], home: Path | None = None) -> Path:
-    """Write where the scan of each insertion lies, by its id, as seen from the folder of the dataset.
+    """Write the path of each insertion's scan by insertion id, relative to the folder of the dataset.
 
     `home` is that folder where it is not yet in its place; dataset and scans may be moved together.
     """
@@ -135,7 +135,7 @@ def _relative_path(home: Path, path: Path) -> str:
 
 
 def find_volume(dataset: Dataset, id_: str) -> ScanVolume | None:
-    """Return the scan of an insertion, None where the dataset does not say; it may not lie there any more.
+    """Return the scan of an insertion, or None if the dataset states none; the path may not exist any more.
 
     Raises
     ------

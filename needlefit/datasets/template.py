@@ -1,5 +1,5 @@
-"""Start a dataset: an example to overwrite, or centrelines of a CSV, MATLAB or Slicer file in the package's
-layout.
+"""Create a dataset: an example to overwrite, or one converted from centrelines in a CSV, MATLAB or Slicer
+file.
 """
 
 import re
@@ -44,14 +44,14 @@ _PLACE_PATTERN = re.compile(r"(?:centerlines/(?P<id>[^/]+)\.csv|insertions\.csv)
 
 @dataclass(frozen=True)
 class CurveSource:
-    """The curves of a file by id, and what a reader should know of how it was read."""
+    """The curves of a file by id, with notes on how the file was read."""
 
     path: Path
     curves: Mapping[str, Points]
     notes: tuple[str, ...]
 
     def fault(self, fault: Fault) -> Fault:
-        """Return a fault of the dataset made from this file as one of the file itself."""
+        """Return a fault of the dataset made from this file as a fault of the file itself."""
         place = _PLACE_PATTERN.search(Path(fault.where).as_posix())
         if place is None:
             return replace(fault, where=str(self.path))
@@ -191,7 +191,8 @@ def _ignore_note(_note: str) -> None:
 def write_template(
     folder: Path, source: Path | None = None, tell: Callable[[str], None] = _ignore_note
 ) -> Path:
-    """Write a dataset that passes `check` into `folder` and return its `dataset.toml`; else write nothing.
+    """Write a dataset that passes `check` into `folder`; return its `dataset.toml`. Nothing is written if it
+    does not pass.
 
     Parameters
     ----------

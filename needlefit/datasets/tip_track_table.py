@@ -1,4 +1,4 @@
-"""Read a dataset of tip tracks: its table of readings, and every fault in it."""
+"""Read a dataset of tip tracks: its table of readings, with all faults."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -45,7 +45,7 @@ MAX_STEP_MM = 100.0
 
 @dataclass(frozen=True)
 class ParsedTracks:
-    """The sound runs of a table, and which were left out."""
+    """The runs of a table without faults, and notes on the runs left out."""
 
     tracks: tuple[TipTrack, ...]
     remarks: tuple[str, ...]
@@ -62,7 +62,9 @@ class _RunRows:
 
 
 def parse_tracks(table: CsvTable, record: TrackDatasetRecord, found: list[Fault]) -> ParsedTracks:
-    """Return the runs of a table; note every fault. A run with a reading marked invalid is left out whole."""
+    """Return the runs of a table; note every fault. A run with a reading marked invalid is left out as a
+    whole.
+    """
     before, tracks, remarks = len(found), [], []
     for run in _iterate_runs(table, record, found):
         bad = np.flatnonzero(run.values["valid"] == 0)
@@ -180,7 +182,7 @@ def _make_track(run: _RunRows, record: TrackDatasetRecord) -> TipTrack:
 
 @dataclass(frozen=True)
 class TrackInspection:
-    """What came of reading a dataset: `dataset` is None if there are faults."""
+    """The result of reading a dataset of tip tracks: `dataset` is None if there are faults."""
 
     dataset: TrackDataset | None
     faults: tuple[Fault, ...]
@@ -188,7 +190,7 @@ class TrackInspection:
 
 
 def holds_tracks(path: Path) -> bool:
-    """Return whether the dataset whose folder or `dataset.toml` is `path` is one of tip tracks."""
+    """Return whether `path`, a dataset's folder or `dataset.toml`, is a dataset of tip tracks."""
     try:
         return "tip_tracks" in read_toml(find_dataset_file(path))
     except ConfigError:

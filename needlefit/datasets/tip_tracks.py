@@ -22,7 +22,7 @@ GUIDE_STILL_MM = 0.05
 
 @dataclass(frozen=True)
 class TipTrack:
-    """One insertion, of which the tip was read now and then; the first reading is first contact.
+    """One insertion of which the tip was measured at some depths; the first reading is first contact.
 
     Attributes
     ----------
@@ -55,13 +55,13 @@ class TipTrack:
 
     @property
     def guided(self) -> bool:
-        """Whether the guide moved."""
+        """Whether the guide moved during the run."""
         return bool(np.ptp(self.guide) > GUIDE_STILL_MM)
 
 
 @dataclass(frozen=True)
 class TrackDataset:
-    """Runs with one needle; `remarks` says which runs of the table are left out, and why."""
+    """Runs with one needle; `remarks` lists the runs left out, with reasons."""
 
     name: str
     title: str
@@ -78,7 +78,7 @@ class TrackDataset:
 
 
 def select_runs(dataset: TrackDataset, wanted: TrackSelectionRecord) -> tuple[TipTrack, ...]:
-    """Return the runs that meet every key of `wanted`, in the dataset's order.
+    """Return the runs that match every key of `wanted`, in the dataset's order.
 
     Raises
     ------

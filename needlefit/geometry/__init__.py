@@ -1,3 +1,3 @@
-"""Frames, curves, surfaces, meshes, crossings, comparison of two curves; knows no needle and no file
-layout.
+"""Geometry without needles or files: frames, curves, surfaces, meshes, crossings, comparison of two
+curves.
 """

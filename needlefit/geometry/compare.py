@@ -1,4 +1,6 @@
-"""How far a simulated curve lies from a measured one: IPE, TE, EDP."""
+"""Compare a simulated curve with a measured one: in-plane error (IPE), tip error (TE), error-to-deflection
+percentage (EDP).
+"""
 
 from dataclasses import dataclass
 
@@ -13,7 +15,7 @@ COMPARISON_POINTS = 101
 
 @dataclass(frozen=True)
 class CurveErrors:
-    """The errors of one insertion, paper section IV; mm unless said.
+    """The errors of one insertion, as defined in section IV of the paper; mm unless stated.
 
     Attributes
     ----------
@@ -40,7 +42,7 @@ class CurveErrors:
 
 
 def compare_curves(simulated: ArrayLike, measured: ArrayLike) -> CurveErrors:
-    """Compare two curves (K, 2), both in C, station by station; see `CurveErrors`."""
+    """Compare two curves (K, 2), both in C, station by station; the result is described in `CurveErrors`."""
     sim, meas = np.asarray(simulated, dtype=np.float64), np.asarray(measured, dtype=np.float64)
     if sim.shape != meas.shape or sim.ndim != 2 or sim.shape[1] != 2:
         raise ValueError(

@@ -1,4 +1,4 @@
-"""Where a centreline crosses the layer surfaces, which layers it meets, and where a surface encloses it."""
+"""Find where a centreline crosses layer surfaces, the layers between, and where a surface encloses it."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -23,7 +23,7 @@ BLOCK_PAIRS = 200_000
 
 @dataclass(frozen=True)
 class Crossings:
-    """The layers along a curve.
+    """The layers along a curve, and the crossings between them.
 
     Attributes
     ----------
@@ -41,7 +41,7 @@ class Crossings:
 
 
 def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
-    """Return where the polyline `points` (N, 3) changes its layer.
+    """Return the places where the polyline `points` (N, 3) passes from one layer to another.
 
     A place belongs to the solid that contains it (the last listed, if several do), else to the layer into
     which the last sheet crossed leads, whichever way it was crossed, else to layer 1. A touch is no
@@ -72,7 +72,7 @@ def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
 
 
 def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
-    """Return the arc lengths (m,) at which the polyline `curve` (N, 3) passes through a surface, increasing.
+    """Return the arc lengths (m,), increasing, at which the polyline `curve` (N, 3) passes through a surface.
 
     A place where it meets triangles from both sides (it touches an edge, or a point of the curve lies on
     the surface and the curve turns back) is no passage through a sheet; for a solid the question is
@@ -87,7 +87,9 @@ def find_surface_hits(curve: Floats, surface: Surface) -> Floats:
 
 
 def count_ray_hits(start: Floats, rays: Floats, triangles: Floats) -> int:
-    """Return how many of the segments from `start` (3,) along `rays` (N, 3) meet triangles (M, 3, 3)."""
+    """Return how many of the segments from `start` (3,) along `rays` (N, 3) hit one of the triangles (M, 3,
+    3).
+    """
     segment, _, _ = _intersect(np.broadcast_to(start, rays.shape), rays, triangles)
     return len(np.unique(segment))
 
@@ -158,7 +160,7 @@ MAX_MISSED_RAYS = 1
 
 
 def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, step: float = 0.5) -> float:
-    """Return along how much of a polyline (N, 3) a surface is nearer than `radius` on all sides, mm.
+    """Return the length of a polyline (N, 3) on which a surface is nearer than `radius` on all sides, mm.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Curves: polylines by arc length, the plane in which one bends, curves of given curvature (baselines)."""
+"""Curves: polylines by arc length, their bending plane, and curves of given curvature (baselines)."""
 
 from collections.abc import Sequence
 
@@ -17,7 +17,7 @@ def arc_length(points: ArrayLike) -> Floats:
 
 
 def interpolate_at_arc(points: ArrayLike, s: ArrayLike) -> Floats:
-    """Return the points (K, d) at arc lengths `s` (K,) along `points` (N, d); beyond an end, that end."""
+    """Return the points (K, d) at arc lengths `s` (K,) along `points` (N, d); the end point beyond an end."""
     array = np.asarray(points, dtype=np.float64)
     along = arc_length(array)
     return np.column_stack([np.interp(np.asarray(s, dtype=np.float64), along, axis) for axis in array.T])
@@ -34,7 +34,7 @@ STRAIGHT_TOLERANCE_MM = 1e-9
 
 
 def find_bending_direction(centerline: ArrayLike, direction: ArrayLike) -> Floats:
-    """Return the unit vector (3,) normal to `direction` in which `centerline` (N, 3) leaves it.
+    """Return the unit vector (3,) normal to `direction` along which `centerline` (N, 3) deflects.
 
     The plane holds the line through the first point along `direction` and lies closest, in least squares,
     to all points; the vector points to the side of the tip. A straight curve bends nowhere: any normal.
@@ -51,7 +51,7 @@ def find_bending_direction(centerline: ArrayLike, direction: ArrayLike) -> Float
 
 
 def make_normal(direction: ArrayLike) -> Floats:
-    """Return a unit vector (3,) normal to `direction`: the same one for the same direction."""
+    """Return a unit vector (3,) normal to `direction`; equal directions give the same vector."""
     x = normalize(direction)
     axis = np.eye(3)[int(np.argmin(np.abs(x)))]  # the world axis that is least parallel
     return normalize(axis - (axis @ x) * x)
@@ -81,7 +81,7 @@ _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
 
 def integrate_curvature(depth: float, coefficients: Sequence[float] | Floats, s: ArrayLike) -> Floats:
-    """Return points (K, 2) of a curve whose curvature is a polynomial in the distance d from the tip.
+    """Return the points (K, 2) of a curve whose curvature is a polynomial in the distance d from the tip.
 
     kappa(d) = c_0 + c_1 d + ..., d = depth - s. The curve starts at the entry (0, 0) along x, so with
     P(d) the integral of kappa from 0 to d

@@ -1,6 +1,4 @@
-"""Rigid frames of the world: alignment of planar curves, patient coordinates (LPS inside), a needle's
-placement.
-"""
+"""Rigid frames: entry frames of needles, alignment of planar curves, patient coordinates (LPS inside)."""
 
 from dataclasses import dataclass
 from typing import Literal, Self
@@ -19,7 +17,7 @@ PARALLEL_SINE = 1e-6
 
 @dataclass(frozen=True)
 class Frame:
-    """A right-handed frame in the world.
+    """A right-handed coordinate frame, given by its origin and axes in the world.
 
     Attributes
     ----------
@@ -34,28 +32,28 @@ class Frame:
 
     @classmethod
     def from_rows(cls, rows: ArrayLike) -> Self:
-        """Return the frame whose motion to the world is `rows` (3, 4): rotation, and shift in mm."""
+        """Return the frame whose transform to the world is `rows` (3, 4): rotation, and shift in mm."""
         motion = np.asarray(rows, dtype=np.float64)
         return cls(motion[:, 3], motion[:, :3])
 
     @property
     def rows(self) -> Floats:
-        """Its motion to the world (3, 4), as `from_rows` takes it."""
+        """The frame's transform to the world (3, 4), as `from_rows` takes it."""
         return np.column_stack([self.rotation, self.origin])
 
     def to_local(self, points: ArrayLike) -> Floats:
-        """Return world `points` (N, 3) in this frame."""
+        """Return world `points` (N, 3) in coordinates of this frame."""
         local: Floats = (np.asarray(points, dtype=np.float64) - self.origin) @ self.rotation
         return local
 
     def to_world(self, points: ArrayLike) -> Floats:
-        """Return `points` (N, 3) of this frame in the world."""
+        """Return `points` (N, 3), given in this frame, in world coordinates."""
         world: Floats = np.asarray(points, dtype=np.float64) @ self.rotation.T + self.origin
         return world
 
 
 def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
-    """Return `vector` (3,) at length 1; DataError, which calls it `name`, if it is zero or not finite."""
+    """Return `vector` (3,) scaled to length 1; DataError, with `name` in it, if it is zero or not finite."""
     array = np.asarray(vector, dtype=np.float64)
     length = float(np.linalg.norm(array))
     if array.shape != (3,) or not np.isfinite(length) or length == 0.0:
@@ -65,7 +63,8 @@ def normalize(vector: ArrayLike, name: str = "direction") -> Floats:
 
 
 def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike) -> Frame:
-    """Return C: x along `direction`, y the part of `toward` normal to it, z = x cross y; all (3,), world.
+    """Return the constraint frame C: x along `direction`, y the part of `toward` normal to it, z = x cross y;
+    all (3,), world.
 
     Raises
     ------
@@ -84,7 +83,7 @@ def make_entry_frame(origin: ArrayLike, direction: ArrayLike, toward: ArrayLike)
 
 
 def align_rigid(moving: ArrayLike, fixed: ArrayLike) -> Floats:
-    """Return `moving` (..., N, 2) after the motions of SE(2) that bring it closest to `fixed` (N, 2).
+    """Return `moving` (..., N, 2) after the rigid planar motions that bring it closest to `fixed` (N, 2).
 
     Least squares over all points; rotation and shift only, never scale or reflection. In the plane the
     best angle has a closed form: the phase of sum conj(m_j) f_j, with centred points as complex numbers.
@@ -123,14 +122,14 @@ IDENTITY_FRAME = Frame(np.zeros(3), np.eye(3))
 
 
 def to_lps(points: ArrayLike, system: PatientSystem) -> Floats:
-    """Return `points` (..., 3) of a system as LPS coordinates; from LPS to that system it is the same."""
+    """Convert `points` (..., 3) from a patient coordinate system to LPS; the same call converts back."""
     turned: Floats = np.asarray(points, dtype=np.float64) * AXIS_SIGNS[system] + 0.0  # no "-0.0"
     return turned
 
 
 @dataclass(frozen=True)
 class Placement:
-    """The constraint frame C and the patient coordinates of the scan, each in the world.
+    """The poses of the constraint frame C and of the scan's patient coordinates, each in the world.
 
     Attributes
     ----------
@@ -145,33 +144,33 @@ class Placement:
 
     @classmethod
     def from_record(cls, record: PlacementRecord) -> Self:
-        """Return the placement that a checked record says."""
+        """Return the placement that a validated record describes."""
         return cls(Frame.from_rows(record.entry_to_world), Frame.from_rows(record.lps_to_world))
 
     def to_record(self) -> PlacementRecord:
-        """Return it as files hold it; reading it gives the same bits."""
+        """Return the placement as a record for files; reading it returns the same bits."""
         return PlacementRecord(
             entry_to_world=self.frame.rows.tolist(), lps_to_world=self.patient.rows.tolist()
         )
 
     @property
     def across(self) -> Floats:
-        """C's y axis in the patient coordinates, (3,)."""
+        """C's y axis in patient coordinates, (3,)."""
         found: Floats = self.frame.rotation[:, 1] @ self.patient.rotation
         return found
 
     def to_world(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2) of C in the world, (K, 3) mm."""
+        """Return points (K, 2), given in C, in world coordinates, (K, 3) mm."""
         flat = np.asarray(points, dtype=np.float64)
         return self.frame.to_world(np.column_stack([flat, np.zeros(len(flat))]))
 
     def to_patient(self, points: ArrayLike) -> Floats:
-        """Return points (K, 2) of C in the patient coordinates, (K, 3) LPS, mm."""
+        """Return points (K, 2), given in C, in patient coordinates, (K, 3) LPS, mm."""
         return self.patient.to_local(self.to_world(points))
 
 
 def move_frame(frame: Frame, points: Floats, to: Floats) -> Frame:
-    """Return the frame in which `points` (K, 2) lie where those of `to` (K, 2) lie in `frame`.
+    """Return the frame in which `points` (K, 2) have the world positions that `to` (K, 2) have in `frame`.
 
     Both are the same points, moved rigidly in the plane.
     """

@@ -20,7 +20,7 @@ TUBE_FACETS = 12
 
 
 def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> trimesh.Trimesh:
-    """Return a closed tube with elliptic cross-sections, its triangles turned outward.
+    """Return a closed tube with elliptic cross-sections; its triangles face outward.
 
     Parameters
     ----------
@@ -102,7 +102,8 @@ def _list_faces(count: int) -> NDArray[np.int64]:
 
 
 def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -> tuple[Surface, float]:
-    """Return the largest piece of a mesh as a solid, turned outward, and what the others take up beside it.
+    """Return the largest component of a mesh as an outward-facing solid, and the volume share of the other
+    components.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Layer boundaries as triangulated surfaces: read, write, build, and what is wrong with one."""
+"""Layer boundaries as triangulated surfaces: read, write, build and check them."""
 
 import re
 from collections.abc import Sequence
@@ -41,7 +41,9 @@ COORDINATE_DECIMALS = 4
 
 @dataclass(frozen=True)
 class Surface:
-    """A boundary: crossing a "sheet" leads into layer `into`; a "solid" is layer `into` wherever it is."""
+    """A layer boundary: crossing a "sheet" leads into layer `into`; a "solid" is layer `into` on
+    its inside.
+    """
 
     name: str
     mesh: trimesh.Trimesh
@@ -50,7 +52,7 @@ class Surface:
 
 
 def read_surface(path: Path, kind: SurfaceKind, into: int) -> Surface:
-    """Read an STL, PLY or OBJ file, in mm; what is wrong with the mesh itself `find_mesh_faults` says.
+    """Read an STL, PLY or OBJ file, in mm; the mesh itself is checked by `find_mesh_faults`.
 
     Raises
     ------
@@ -152,7 +154,7 @@ def write_surface(surface: Surface, path: Path) -> None:
 
 @dataclass(frozen=True)
 class Triangles:
-    """A surface in plain values: vertices (V, 3), mm, and faces (F, 3), numbers of vertices."""
+    """A surface as plain arrays: vertices (V, 3), mm, and faces (F, 3), indices of vertices."""
 
     name: str
     vertices: NDArray[np.float64]
@@ -162,14 +164,14 @@ class Triangles:
 
 
 def to_triangles(surface: Surface) -> Triangles:
-    """Return a surface in plain values."""
+    """Return a surface as plain arrays."""
     mesh = surface.mesh
     vertices, faces = np.array(mesh.vertices, np.float64), np.array(mesh.faces, np.int64)
     return Triangles(surface.name, vertices, faces, surface.kind, surface.into)
 
 
 def from_triangles(plain: Triangles) -> Surface:
-    """Return the surface of plain values; ValueError if a face names no vertex."""
+    """Return the surface of plain arrays; ValueError if a face refers to a missing vertex."""
     if plain.vertices.shape[1:] != (3,) or plain.faces.shape[1:] != (3,):
         raise ValueError("no triangles")
     if plain.faces.size and not (plain.faces.min() >= 0 and plain.faces.max() < len(plain.vertices)):
@@ -179,21 +181,23 @@ def from_triangles(plain: Triangles) -> Surface:
 
 
 def transform_surface(surface: Surface, frame: Frame) -> Surface:
-    """Return a surface of `frame` in the world."""
+    """Return a surface, given in `frame`, in world coordinates."""
     vertices = frame.to_world(surface.mesh.vertices)
     return replace(surface, mesh=trimesh.Trimesh(vertices, surface.mesh.faces, process=False))
 
 
 @dataclass(frozen=True)
 class NearestSurface:
-    """The nearest place of some surfaces to each of N points: its distance (N,), mm, and normal (N, 3)."""
+    """The nearest place of some surfaces for each of N points: its distance (N,), mm, and normal (N, 3)."""
 
     distances: NDArray[np.float64]
     normals: NDArray[np.float64]
 
 
 def find_nearest(points: ArrayLike, surfaces: Sequence[Surface]) -> NearestSurface:
-    """Return how far `points` (N, 3) lie from the nearest of some surfaces, and its unit normals there."""
+    """Return the distance of `points` (N, 3) from the nearest of some surfaces, and the unit
+    normals there.
+    """
     triangles = np.vstack([surface.mesh.triangles for surface in surfaces])
     normals = np.vstack([surface.mesh.face_normals for surface in surfaces])
     low, high = triangles.min(axis=1), triangles.max(axis=1)
@@ -247,7 +251,9 @@ def make_cylinder(
 
 
 def find_mesh_faults(mesh: trimesh.Trimesh, kind: SurfaceKind) -> list[str]:
-    """Say what keeps `mesh` from being a boundary: a closed "solid", a "sheet" without holes."""
+    """Return the reasons why `mesh` cannot be a boundary: a "solid" must be closed, a "sheet"
+    without holes.
+    """
     if len(mesh.faces) == 0:
         return ["holds no triangles"]
     if not np.isfinite(mesh.vertices).all():

@@ -1,1 +1,3 @@
-"""One file a format: what it holds, as cells with their lines or as points; nothing about insertions."""
+"""File formats, one module each: they read cells with line numbers, or points; insertions are
+unknown here.
+"""

@@ -1,4 +1,4 @@
-"""Comma-separated text as a table of cells that remember their lines."""
+"""Read comma-separated text as a table of cells that keep their line numbers."""
 
 import csv
 import io
@@ -38,7 +38,7 @@ OTHER_DELIMITERS = {";": "semicolons", "\t": "tabs", "|": "bars"}
 
 @dataclass(frozen=True)
 class CsvTable:
-    """Cells as text (stripped), and the line of the file on which each row stands, as an editor counts.
+    """A table of cells as text (stripped), with the line of the file of each row, counted from 1.
 
     `names` gives the names in the file of columns that were renamed to ours.
     """
@@ -49,17 +49,17 @@ class CsvTable:
     names: Mapping[str, str] = field(default_factory=dict)
 
     def describe_column(self, column: str) -> str:
-        """Return a column's name for a message: as its file has it, and ours behind it where that differs."""
+        """Return a column's name for a message: the file's own, followed by ours where the two differ."""
         theirs = self.names.get(column, column)
         return theirs if theirs == column else f"{theirs} ({column})"
 
     def where(self, row: int) -> str:
-        """Name the place of a row for a message."""
+        """Return the place of a row for a message."""
         return f"{self.path}:{self.lines[row]}"
 
 
 def read_table(path: Path, documented: str = "data/README.md") -> CsvTable:
-    """Read a CSV file with a header; byte order mark, CRLF and blank lines are fine.
+    """Read a CSV file with a header; byte order mark, CRLF and blank lines are accepted.
 
     An error names `documented` as the place where its columns are explained.
 
@@ -107,7 +107,7 @@ def parse_numbers(
     optional: bool = False,
     largest: float = MAX_COORDINATE,
 ) -> Floats:
-    """Return a column as numbers (N,); NaN where the cell is faulty, or empty and `optional`.
+    """Return a column as numbers (N,); NaN where a cell is faulty, or empty in an `optional` column.
 
     What exceeds `largest` is faulty.
     """
@@ -156,7 +156,7 @@ def read_points(
 
 
 def read_curve(table: CsvTable, names: Mapping[str, str], found: list[Fault]) -> Points | None:
-    """Return the points of a centreline, with their deviations where it has any; None after a fault."""
+    """Return the points of a centreline, with their deviations if it has any; None after a fault."""
     before = len(found)
     points = read_points(table, POINT_COLUMNS, names, found)
     if SD_COLUMN in names:
@@ -187,7 +187,9 @@ def _parse_deviations(table: CsvTable, column: str, found: list[Fault]) -> Float
 def note_missing_columns(
     table: CsvTable, wanted: Sequence[str], found: list[Fault], fix: str = MISSING_COLUMN_FIX
 ) -> bool:
-    """Note every column of `wanted` that the table lacks, and its `fix`; say whether there was one."""
+    """Note a fault, with its `fix`, for each column of `wanted` that the table lacks; return whether there
+    was one.
+    """
     missing = [column for column in wanted if column not in table.cells]
     for column in missing:
         found.append(
@@ -235,7 +237,7 @@ def _check_extent(rows: int, columns: int, where: str) -> None:
 
 
 def list_columns(columns: Iterable[object]) -> str:
-    """Name the columns of a table for a message; only what may be a name, since it may be any file."""
+    """Return the table's column names for a message; only plausible names, since the file may be anything."""
     names = [name for name in map(str, columns) if _NAME.fullmatch(name)]
     shown = ", ".join(names[:MAX_SHOWN_COLUMNS]) + ", ..." * (len(names) > MAX_SHOWN_COLUMNS)
     return shown if len(names) > 1 else "no names of columns"

@@ -1,4 +1,4 @@
-"""Markups of 3D Slicer: lists of points with labels, in LPS whatever the file holds."""
+"""Markup lists of 3D Slicer: labelled points, converted to LPS."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -27,7 +27,7 @@ CURVE_KINDS = ("Curve", "Fiducial")
 
 @dataclass(frozen=True)
 class Markups:
-    """One list of points.
+    """One markup list of 3D Slicer.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Markups:
     lines: NDArray[np.int64] | None = None
 
     def as_curve(self) -> Points:
-        """Return the points as a centreline; DataError if the list is none."""
+        """Return the points as a centreline; DataError if the list is not a curve."""
         if self.kind in CURVE_KINDS:
             return Points(self.path, self.points, self.lines)
         raise DataError(
@@ -71,7 +71,7 @@ class Markups:
 
 
 def parse_system(name: str, where: str) -> PatientSystem:
-    """Return the coordinate system that a file names; DataError if it is none in which points can stand."""
+    """Return the coordinate system that a file names; DataError if it is not LPS or RAS."""
     if name in SYSTEM_NAMES:
         return SYSTEM_NAMES[name]
     ijk = name in ("2", "IJK")
@@ -84,7 +84,7 @@ def parse_system(name: str, where: str) -> PatientSystem:
 
 
 def parse_position(values: object, where: str) -> list[float]:
-    """Return three coordinates that a file holds as numbers; DataError if they are not that."""
+    """Return three coordinates from a file; DataError if they are not three numbers."""
     numbers = [_number(value) for value in values] if isinstance(values, list | tuple) else []
     if len(numbers) == 3 and all(abs(number) <= MAX_COORDINATE for number in numbers):
         return numbers

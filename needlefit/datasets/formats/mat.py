@@ -1,4 +1,4 @@
-"""MATLAB files: every N x 3 array in them, whatever it is nested in.
+"""Read MATLAB files: every N x 3 array in them, also in structs and cells.
 
 scipy and h5py read them, in a child process: scipy crashes on some damaged files.
 """
@@ -51,7 +51,7 @@ SAVE_FIX = "save it again, e.g. save(file, 'x', '-v7')"
 
 
 def read_curves(path: Path) -> dict[str, Points]:
-    """Return every array of shape (N, 3), N > 3, by its name: `a`, `a_1` in a cell, `a_b` in a struct.
+    """Return every array of shape (N, 3), N > 3, by name: `a`, `a_1` in a cell, `a_b` in a struct.
 
     Reads versions 4 to 7 (scipy) and 7.3 (h5py).
 
@@ -80,7 +80,7 @@ def read_curves(path: Path) -> dict[str, Points]:
 
 
 def read_variables(results: SandboxArrays, path: str) -> list[str]:
-    """In the child: fill an array for every curve in a file; return the names of all variables."""
+    """Fill an array for every curve in a file, in the child process; return the names of all variables."""
     data = read_bytes(Path(path))
     try:
         variables = _read_hdf(data) if _is_hdf(data) else _read_classic(data)

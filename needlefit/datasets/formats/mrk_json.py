@@ -1,4 +1,4 @@
-"""`.mrk.json`, the markups of 3D Slicer (schema 1.0.x): read any list of points, write curves."""
+"""Read and write `.mrk.json`, the markup files of 3D Slicer (schema 1.0.x); only curves are written."""
 
 import json
 import re
@@ -39,14 +39,14 @@ _SCHEMA = re.compile(r"markups-schema-v1\.\d+\.\d+\.json#*$", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class CurveStyle:
-    """How Slicer shows a list: colour (red, green, blue; 0 to 1) and thickness of its line, mm."""
+    """How 3D Slicer draws a list: colour (red, green, blue; 0 to 1) and thickness of its line, mm."""
 
     colour: tuple[float, float, float]
     thickness: float = 0.5
 
 
 def read_mrk_json(path: Path) -> tuple[Markups, ...]:
-    """Read every list of points of a `.mrk.json` file; planes and boxes (ROI) are none and left out.
+    """Read every list of points of a `.mrk.json` file; planes and boxes (ROI) are skipped.
 
     Raises
     ------
@@ -72,7 +72,7 @@ def read_mrk_json(path: Path) -> tuple[Markups, ...]:
 
 
 def write_mrk_json(path: Path, lists: Iterable[tuple[Markups, CurveStyle]]) -> None:
-    """Write lists as one file that Slicer opens as so many nodes: LPS, mm, locked, every digit.
+    """Write lists to one file that Slicer opens as one node each: LPS, mm, locked, all digits.
 
     The same lists give the same bytes.
     """

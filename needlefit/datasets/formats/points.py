@@ -1,4 +1,4 @@
-"""A curve as a file holds it, before anything is known of it."""
+"""The points of a curve as they are in a file, before any check."""
 
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,7 +12,7 @@ MAX_COORDINATE = 1e6
 
 @dataclass(frozen=True)
 class Points:
-    """Points of one curve and where they stand.
+    """The points of one curve and their places in the file.
 
     Attributes
     ----------
@@ -43,12 +43,12 @@ class Points:
         return self.values if self.sd is None else np.column_stack([self.values, self.sd])
 
     def unusable(self) -> NDArray[np.int64]:
-        """Return the points that are not finite, or absurdly far away."""
+        """Return which points are not finite, or too far away to be a measurement."""
         sound = (np.abs(np.nan_to_num(self.values, nan=np.inf)) <= MAX_COORDINATE).all(axis=1)
         return np.flatnonzero(~sound)
 
     def where(self, index: int = 0) -> str:
-        """Name the place of point `index` for a message."""
+        """Return the place of point `index` for a message."""
         if self.lines is None:
             return f"{self.path}, point {index + 1}"
         return f"{self.path}:{self.lines[index]}" if len(self.lines) else str(self.path)

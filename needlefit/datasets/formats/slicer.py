@@ -1,6 +1,4 @@
-"""Read the files of 3D Slicer by their suffix: `.mrk.json`, and `.fcsv` (older point lists, one point a line,
-mm).
-"""
+"""Read files of 3D Slicer by suffix: `.mrk.json`, and `.fcsv` (older lists, one point a line, mm)."""
 
 import csv
 import re
@@ -141,7 +139,7 @@ def read_lists(path: Path) -> tuple[Markups, ...]:
 
 
 def read_markups(path: Path, name: str | None = None) -> Markups:
-    """Read the one list of a file, or, of several, the one called `name`; in LPS and mm.
+    """Read the only list of a file, or the one called `name` if there are several; in LPS and mm.
 
     Raises
     ------
@@ -162,7 +160,7 @@ def read_markups(path: Path, name: str | None = None) -> Markups:
 
 
 def read_points(path: Path) -> Points:
-    """Read a centreline: the one list of a file or, of several, its one open curve.
+    """Read a centreline: the only list of a file, or its only open curve if there are several lists.
 
     Raises
     ------
@@ -177,7 +175,9 @@ def read_points(path: Path) -> Points:
 
 
 def read_curves(path: Path) -> Mapping[str, Points]:
-    """Read every list that can be a centreline, by its name; DataError if there is none, or a name twice."""
+    """Read every list that can be a centreline, by name; DataError if there is none, or a name is
+    used twice.
+    """
     lists = read_lists(path)
     curves = [one for one in lists if one.kind in CURVE_KINDS] or list(lists)  # which then says what it is
     names = [one.name for one in curves]

@@ -1,4 +1,4 @@
-"""Plain tables as TOML text; the standard library only reads it."""
+"""Write plain tables as TOML text; the standard library can only read TOML."""
 
 import json
 from collections.abc import Mapping
