@@ -20,14 +20,14 @@ MIN_TURN_FRACTION = 0.05
 """A way back longer than this part of the whole range is a turn of the machine, not noise."""
 
 MIN_PRELOAD_FRACTION = 0.03
-"""A stress at stretch 1 above this part of the largest is told: mu and alpha have to bend to it."""
+"""A stress at stretch 1 above this part of the largest is reported: it biases mu and alpha."""
 
 MAX_OPPOSITE_FRACTION = 0.05
 """Stresses of the other sign larger than this part of the largest are no noise about zero."""
 
 
 def find_stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) -> Iterator[Fault]:
-    """Return the reasons why the numbers (N,) cannot be stretches of a compression test."""
+    """Yield the reasons why the numbers (N,) cannot be stretches of a compression test."""
     low, high = float(stretch.min()), float(stretch.max())
     here = f"stretch of specimen {name} goes from {low:g} to {high:g}"
     expected = "height now over height before: 1 unloaded, falling to e.g. 0.8"
@@ -53,7 +53,7 @@ def find_stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) 
 
 
 def find_stress_faults(stress: Floats, where: str, name: str) -> Iterator[Fault]:
-    """Return the reasons why the numbers (N,) cannot be stresses of one sign."""
+    """Yield the reasons why the numbers (N,) cannot be stresses of one sign."""
     low, high = float(stress.min()), float(stress.max())
     largest = max(abs(low), abs(high))
     if largest == 0:
@@ -72,6 +72,7 @@ def find_stress_faults(stress: Floats, where: str, name: str) -> Iterator[Fault]
 def find_turns(stretch: Floats) -> list[int]:
     """Return the rows at which the testing machine reverses; reversals within noise do not count."""
     wide = MIN_TURN_FRACTION * float(np.ptp(stretch))
+    # -1: loading comes first, and stretch falls as the specimen is compressed.
     found, extreme, direction = [], 0, -1
     for n in range(1, len(stretch)):
         if direction * (stretch[n] - stretch[extreme]) > 0:
@@ -97,7 +98,7 @@ def compute_lost_work(stretch: Floats, stress: Floats, turn: int) -> float:
 def estimate_preload(stretch: Floats, stress: Floats) -> float:
     """Return the stress at stretch 1 of a sorted loading (N,), as a fraction of its largest stress.
 
-    A line through its first tenth says it; what begins far from 1 has none that could be told.
+    It is read from a line through the first tenth; 0 for a loading that begins far from stretch 1.
     """
     first = max(MIN_STRETCHES, len(stretch) // 10)
     if abs(1 - stretch[0]) > STRETCH_TOLERANCE:
@@ -188,6 +189,7 @@ def extract_loading(rows: SpecimenRows) -> SpecimenLoading:
     """Return the loading alone: sorted, averaged to at most `MAX_LOADING_POINTS`, with negative stresses."""
     loading_rows = slice(0, rows.end + 1) if rows.end else slice(None)
     stretch, stress = rows.stretch[loading_rows], rows.stress[loading_rows]
+    # Stable: rows with equal stretch keep the order of the file.
     order = np.argsort(-stretch, kind="stable")
     sign = -1.0 if stress.sum() > 0 else 1.0
     pieces = np.array_split(order, min(len(order), MAX_LOADING_POINTS))

@@ -48,7 +48,7 @@ UNIT_TOLERANCE = 0.25
 def find_curve_faults(
     points: Points, row: InsertionRow, record: DatasetRecord, place: str
 ) -> Iterator[Fault]:
-    """Return the faults of finite points as the centreline of `row`; `place` is used in messages."""
+    """Yield the faults of finite points as the centreline of `row`; `place` is used in messages."""
     curve = points.values
     if len(curve) < MIN_POINTS:
         yield Fault(
@@ -100,6 +100,8 @@ def _find_unit_fault(points: Points, row: InsertionRow, depth_mm: str, place: st
 
 def _measure_span(curve: Floats) -> float:
     """Return the distance of the two ends of a curve, in whatever order its points are."""
+    # The point farthest from the mean is one end, also of an unsorted curve; the other end is the point
+    # farthest from it.
     end = curve[np.argmax(np.linalg.norm(curve - curve.mean(axis=0), axis=1))]
     return float(np.linalg.norm(curve - end, axis=1).max())
 
@@ -132,6 +134,7 @@ def _find_backward_points(curve: Floats) -> np.ndarray:
     behind = along < np.maximum.accumulate(along) - MAX_BACKWARD_MM
     steps = np.diff(curve, axis=0)
     headings = steps / np.maximum(np.linalg.norm(steps, axis=1), SAME_POINT_MM)[:, None]
+    # Two criteria: along the chord finds swapped parts of a curve, along the step before finds a fold.
     behind[2:] |= np.einsum("ij,ij->i", steps[1:], headings[:-1]) < -MAX_BACKWARD_MM
     return np.flatnonzero(behind)
 

@@ -106,6 +106,7 @@ def _iterate_insertions(
             faults += find_curve_faults(points, row, record, where)
         found += faults
         medium = make_medium(row, record, root, shared, found)
+        # All faults of a row are collected before it is skipped, so that one run lists them all.
         if points is None or faults or medium is None:
             continue
         try:
@@ -118,7 +119,7 @@ def _iterate_insertions(
 
 
 def find_needle_faults(needle: NeedleRecord, file: Path) -> Iterator[Fault]:
-    """Return a fault if a needle's modulus was probably written in another unit."""
+    """Yield a fault if a needle's modulus was probably written in another unit."""
     modulus = needle.youngs_modulus_gpa
     if modulus is None or modulus <= MAX_MODULUS_GPA:
         return
@@ -148,7 +149,7 @@ def _read_insertion_table(
 def find_reach_faults(
     record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path
 ) -> Iterator[Fault]:
-    """Return the free shapes that are no longer than the length left out of every comparison."""
+    """Yield the free shapes that are no longer than the length left out of every comparison."""
     if record.frame.pose != "free":
         return
     for one in listed:
@@ -159,7 +160,7 @@ def find_reach_faults(
 
 
 def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], file: Path) -> Iterator[Fault]:
-    """Return the curves for whose points no error is stated, neither in their file nor by the dataset."""
+    """Yield the curves with points whose stated error is 0, if the dataset states no other noise."""
     if make_noise(record.noise).stated:
         return
     for one in listed:
@@ -173,7 +174,9 @@ def find_sd_faults(record: DatasetRecord, listed: Iterable[ListedInsertion], fil
 
 
 def make_refusal(faults: Iterable[Fault], warnings: Iterable[ResultWarning]) -> Inspection:
-    """Return the inspection of a dataset with faults: each fault once, and one for each place."""
+    """Return the inspection of a dataset with faults, each once; warnings about places that have a fault are
+    left out.
+    """
     places = {fault.where for fault in faults}
     remaining = tuple(one for one in warnings if one.where not in places)
     return Inspection(None, tuple(dict.fromkeys(faults)), remaining)

@@ -43,7 +43,7 @@ def estimate_noise_floor(
     curve: by an isotropic shift, of which the plane sees two of three components, and by the row's angle.
     A curve that was cut in the plane of first contact shows no shift along the entry axis.
     The shift is the larger of the stated registration error and the row's pose deviation, which are
-    often one error told twice. Curves are compared as in a study: at equal fractions of arc length, or,
+    often the same error stated twice. Curves are compared as in a study: at equal fractions of arc length or,
     for free shapes, by arc length from the tip after alignment. Uncertain layer depths are not in it.
     """
     noise = dataset.noise
@@ -77,6 +77,7 @@ def draw_point_noise(curve: Floats, noise: Noise, rng: np.random.Generator, draw
     """
     s = arc_length(curve)
     independent = noise.point_sd * rng.normal(size=(draws, *curve.shape))
+    # A Cholesky root of the correlation matrix turns independent draws into correlated ones.
     decay = np.exp(-np.abs(s[:, None] - s) / noise.correlation_length)  # (N, N)
     root = noise.correlated_sd * np.linalg.cholesky(decay)
     drawn: Floats = independent + root @ rng.normal(size=(draws, *curve.shape))

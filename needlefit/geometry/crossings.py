@@ -52,6 +52,8 @@ def find_crossings(points: ArrayLike, surfaces: Sequence[Surface]) -> Crossings:
     hits = [(arc, surface) for surface in surfaces for arc in find_surface_hits(curve, surface)]
     hits.sort(key=lambda hit: hit[0])
     stops = [0.0, *(arc for arc, _ in hits), length]
+    # The layer is constant between two hits, so the middle of each stretch decides it; at the hits themselves
+    # rounding would.
     middles = interpolate_at_arc(curve, (np.array(stops[:-1]) + np.array(stops[1:])) / 2)
     solids = _find_solid_layers(middles, surfaces)
     arcs: list[float] = []

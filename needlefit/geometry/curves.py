@@ -46,6 +46,7 @@ def find_bending_direction(centerline: ArrayLike, direction: ArrayLike) -> Float
     if np.abs(across).max() < STRAIGHT_TOLERANCE_MM:
         return make_normal(x)
     _, _, axes = np.linalg.svd(across, full_matrices=False)
+    # The sign of a singular vector is arbitrary: the side of the tip decides it.
     toward: Floats = axes[0] if axes[0] @ across[-1] >= 0 else -axes[0]
     return normalize(toward - (toward @ x) * x)
 
@@ -66,6 +67,7 @@ def fit_free_frame(centerline: ArrayLike) -> Frame:
     points = np.asarray(centerline, dtype=np.float64)
     centre = points.mean(axis=0)
     _, _, (along, across, normal) = np.linalg.svd(points - centre, full_matrices=False)
+    # As above: the direction from the first point to the last decides the sign.
     along = along if along @ (points[-1] - points[0]) >= 0 else -along
     a, b = (points - points[0]) @ along, (points - points[0]) @ across
     curvature, slope, _ = np.polyfit(a, b, 2)
@@ -100,6 +102,7 @@ def integrate_curvature(depth: float, coefficients: Sequence[float] | Floats, s:
     along = np.asarray(s, dtype=np.float64)
     heading_integral = np.polynomial.Polynomial([0.0, *(c / (k + 1) for k, c in enumerate(coefficients))])
     inside = np.maximum(along, 0.0)
+    # Gauss points of the interval from 0 to s, for every s.
     at = 0.5 * inside[:, None] * (1 + _NODES)  # (K, Q)
     heading = heading_integral(depth) - heading_integral(depth - at)
     half = 0.5 * inside

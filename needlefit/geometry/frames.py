@@ -104,6 +104,7 @@ def differentiate_align_rigid(moving: ArrayLike, fixed: ArrayLike, slopes: Float
     a, b, da = m - m.mean(axis=0), f - f.mean(axis=0), slopes - slopes.mean(axis=0)
     across, along = np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b)
     turned = np.einsum("np,n->p", da[:, 0], b[:, 1]) - np.einsum("np,n->p", da[:, 1], b[:, 0])
+    # across and along are the sine and cosine of the best angle, times `size`.
     size = np.hypot(across, along)
     turn = (along * turned - across * np.einsum("nip,ni->p", da, b)) / size**2  # (P,), of the angle
     c, s = along / size, across / size
@@ -175,6 +176,7 @@ def move_frame(frame: Frame, points: Floats, to: Floats) -> Frame:
     Both are the same points, moved rigidly in the plane.
     """
     start, end = (complex(*(curve[-1] - curve[0])) for curve in (points, to))
+    # Planar vectors as complex numbers: their quotient, scaled to length 1, is the rotation.
     turn = end / start / abs(end / start)
     rotation = np.array([[turn.real, -turn.imag, 0.0], [turn.imag, turn.real, 0.0], [0.0, 0.0, 1.0]])
     shift = to[0] - rotation[:2, :2] @ points[0]

@@ -72,6 +72,7 @@ def _find_cross_sections(axis: Floats, toward: ArrayLike) -> tuple[Floats, Float
             fix="remove the repeated points",
         )
     steps = steps / lengths
+    # Neighbouring cross-sections share the bisecting plane, so that the tube does not fold at bends.
     tangents = np.vstack([steps[:1], steps[1:] + steps[:-1], steps[-1:]])
     first = normalize(toward) - tangents * (
         (tangents @ normalize(toward)) / np.maximum(np.sum(tangents**2, axis=1), PARALLEL_SINE)
@@ -123,6 +124,8 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     links = coo_array((np.ones(len(i)), (i, j)), shape=(len(points), len(points)))
     pieces = connected_components(links, directed=False)[1][corners[:, 0]]  # (F,)
     a, b, c = (points[corners[:, k]] for k in range(3))
+    # Volume of the tetrahedra from the origin to each triangle: for a closed component their sum is its
+    # volume, negative if its triangles face inward.
     volumes = np.bincount(pieces, np.einsum("fk,fk->f", a, np.cross(b, c)) / 6)
     largest = int(np.argmax(np.abs(volumes)))
     largest_faces = corners[pieces == largest]

@@ -265,6 +265,7 @@ def find_mesh_faults(mesh: trimesh.Trimesh, kind: SurfaceKind) -> list[str]:
     pieces = _count_components(edges)
     if pieces > 1:
         faults.append(f"falls apart into {pieces} pieces")
+    # An edge of only one triangle lies on a rim; a sheet without holes has one rim for each component.
     rims = _count_components(edges[counts == 1])
     if kind == "solid" and rims:
         faults.append(

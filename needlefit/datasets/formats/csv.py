@@ -95,6 +95,7 @@ def read_table(path: Path, documented: str = "data/README.md") -> CsvTable:
                 fix="remove the cells that are too many, or put text that holds a comma in quotes",
             )
     width = len(header)
+    # Text cells: pandas must not guess types, or ids such as 007 would lose their zeros.
     cells = pd.DataFrame([row + [""] * (width - len(row)) for _, row in body], columns=header, dtype=str)
     return CsvTable(path, cells, np.array([line for line, _ in body], dtype=np.int64))
 
@@ -113,6 +114,7 @@ def parse_numbers(
     """
     text = table.cells[column]
     values: Floats = pd.to_numeric(text, errors="coerce").to_numpy(dtype=np.float64)
+    # Infinity parses as a number; this comparison rejects it too.
     values = np.where(np.abs(values) <= largest, values, np.nan)
     empty = (text == "").to_numpy()
     bad = np.flatnonzero(np.isnan(values) & ~(empty & optional))

@@ -112,6 +112,7 @@ def _check_elements(data: bytes, path: Path) -> None:
         kind, size = (int.from_bytes(data[at : at + 4], order) for at in (place, place + 4))
         if kind not in ELEMENT_TYPES or place + 8 + size > len(data):
             raise _read_error(path, f"the element at byte {place} is of no kind, or reaches beyond the end")
+        # Elements are padded to 8 bytes, except compressed ones.
         place += 8 + size + (0 if kind == COMPRESSED_TYPE else -size % 8)
 
 
