@@ -1,1 +1,1 @@
-"""Results -> tables, figures and documents (`write`): the only package that draws."""
+"""Turn results into tables, figures and documents (`write`); the only package that draws."""

@@ -1,4 +1,4 @@
-"""Write a simulation-based calibration: files, figure of ranks, JSON."""
+"""Write a simulation-based calibration: tables, the figure of ranks, JSON."""
 
 import math
 from collections.abc import Sequence
@@ -33,7 +33,8 @@ MAX_PANEL_COLUMNS = 4
 
 
 def draw_ranks(found: Calibration, path: Path) -> Path:
-    """Draw, for each quantity, the ECDF of the ranks less that of uniform ones, on the band of chance.
+    """Draw, for each quantity, the ECDF of the ranks minus that of uniform ranks, on the band expected by
+    chance.
 
     A curve that is first above and then below: posteriors too narrow; the other way round: too wide.
     """
@@ -110,7 +111,7 @@ def write_calibration(found: Calibration, folder: Path) -> list[Path]:
 
 
 def calibration_to_json(found: Calibration) -> dict[str, Any]:
-    """Return the result for machines."""
+    """Return the calibration as JSON values."""
     about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title}
     warnings = to_rows(read_warnings(found.run))
     return {

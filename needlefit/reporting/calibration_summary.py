@@ -1,4 +1,4 @@
-"""Summarize a simulation-based calibration: table of coverage, and sentences."""
+"""Summarize a simulation-based calibration as a table of coverage and as sentences."""
 
 from needlefit.reporting.number_format import format_symbol, insert_symbols
 from needlefit.reporting.table_layout import TableColumn, TableLayout, text_column
@@ -33,12 +33,14 @@ CONTROL_NAMES: dict[Control, str] = {
 
 
 def name_quantity(name: str) -> str:
-    """Return what a ranked quantity is called in print."""
+    """Return the printed name of a ranked quantity."""
     return QUANTITY_NAMES.get(name, format_symbol(name).split(" (")[0])
 
 
 def lay_out_calibration(found: Calibration) -> TableLayout:
-    """Return one row per quantity: how many truths each central interval held, and what chance allows."""
+    """Return one row per quantity: how many true values each central interval covered, and the range expected
+    by chance.
+    """
     tables = {name: list(rows) for name, rows in _group_by_quantity(to_records(found.coverage)).items()}
     outside = found.ecdfs[~found.ecdfs["passes"]].groupby("quantity").size()
     rows = tuple(
@@ -64,14 +66,14 @@ def lay_out_calibration(found: Calibration) -> TableLayout:
 
 
 def describe_figure(found: Calibration) -> str:
-    """Return what table and figure show."""
+    """Return the caption of table and figure."""
     wrong = f" A control: {CONTROL_NAMES[found.control]}." if found.control else ""
     cut = " INTERRUPTED." if found.interrupted else ""
     return f"Where the truth stood among draws of its posterior, {len(found.replicates)} times.{wrong}{cut}"
 
 
 def summarize_calibration(found: Calibration) -> list[str]:
-    """Return the outcome, what was done, and by whom."""
+    """Return sentences: the outcome, the method, and the version and settings."""
     return [
         _describe_outcome(found),
         _describe_design(found),

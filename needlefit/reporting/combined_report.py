@@ -1,4 +1,4 @@
-"""Several studies reported in one folder, complete or not there at all."""
+"""Report several studies in one folder; the folder is complete, or it is not created."""
 
 from collections.abc import Sequence
 from pathlib import Path

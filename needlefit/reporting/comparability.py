@@ -1,4 +1,4 @@
-"""Explain whether our row and the paper's are comparable, and count layers by the alternative rule.
+"""Explain whether our rows and the paper's can be compared, and count layers by the alternative rule.
 
 The two readings of a needle that ends at a boundary: one layer more, or one less.
 
@@ -19,7 +19,9 @@ SYNTHETIC_NOTE = (
 
 
 def compare_validation_row(results: Results, insertions: int, paper_insertions: int | None) -> str:
-    """Return the sentence for a held-out group; `paper_insertions` is None where the paper has no row."""
+    """Return the sentence on comparability of a held-out group; `paper_insertions` is None if the paper has
+    no row.
+    """
     if paper_insertions is None:
         return "The paper has no such row."
     return _describe_comparability(
@@ -28,7 +30,7 @@ def compare_validation_row(results: Results, insertions: int, paper_insertions: 
 
 
 def compare_tuning_row(results: Results, insertions: int, paper_insertions: int | None) -> str:
-    """Return the sentence for an in-sample group."""
+    """Return the sentence on comparability of an in-sample group."""
     if paper_insertions is None:
         return "In-sample; the paper has no such row."
     conditions = "in-sample, measured boundaries, mean over insertions"
@@ -36,7 +38,7 @@ def compare_tuning_row(results: Results, insertions: int, paper_insertions: int 
 
 
 def compare_parameter_row(results: Results, printed: bool) -> str:
-    """Return the sentence for a row of the parameter table; `printed` where the paper has a value."""
+    """Return the sentence on comparability of a parameter; `printed`: the paper has a value."""
     if not printed:
         return "The paper has no such value."
     needles = "on a synthetic twin" if results.origin == "synthetic" else "on other needles"
@@ -73,7 +75,7 @@ Group = tuple[str, int]
 
 
 def use_alternate_count(results: Results) -> Results:
-    """Return the same results with the insertions grouped by the other reading."""
+    """Return the same results with the insertions grouped by the alternative rule of counting layers."""
     record = results.record.model_copy(
         update={"layer_count_rule": get_other_rule(results.record.layer_count_rule)}
     )
@@ -84,7 +86,7 @@ def use_alternate_count(results: Results) -> Results:
 
 
 def find_regrouped(results: Results, role: str) -> set[Group]:
-    """Return medium and layers of the groups of a role that the two readings fill differently."""
+    """Return medium and layers of the groups that differ between the two rules of counting layers."""
     rows = results.errors[results.errors["role"] == role]
     doubtful = rows[rows["layers"] != rows["layers_other"]]
     counts = (doubtful["layers"], doubtful["layers_other"])

@@ -1,4 +1,4 @@
-"""Tables for print: parameters, methods, single insertions, directions, the paper's contradictions."""
+"""Tables for print: parameters, methods, single insertions, directions, contradictions in the paper."""
 
 import re
 from collections.abc import Sequence
@@ -48,12 +48,12 @@ _PUBLISHED_NOTE = (
 
 
 def lay_out_parameters(results: Sequence[Results]) -> TableLayout:
-    """Return both fits beside the paper's hand-tuned set and that set with b alone re-tuned."""
+    """Return both fits beside the paper's parameters, and beside these with b re-fitted."""
     return _lay_out_parameter_rows(to_records(tabulate_parameters(*results)))
 
 
 def lay_out_free_parameters(results: Sequence[Results]) -> TableLayout:
-    """Return the same for the free parameters alone, without notes: several studies on one page."""
+    """Return the free parameters of several studies in one table, without notes."""
     table = tabulate_parameters(*results)
     return drop_column(_lay_out_parameter_rows(to_records(table[table["status"] == "free"])), "Note")
 
@@ -165,7 +165,7 @@ def lay_out_insertions(results: Results, role: str) -> TableLayout:
 
 
 def lay_out_directions(results: Results) -> TableLayout:
-    """Return which combinations of parameters the data know, and how well."""
+    """Return the combinations of parameters that the data determine, and how well."""
     rows = to_records(results.directions)
     folds = len({row["fold"] for row in rows}) > 1
     cells = tuple(
@@ -192,7 +192,7 @@ def lay_out_directions(results: Results) -> TableLayout:
 
 
 def lay_out_contradictions(claims: Sequence[Claim]) -> TableLayout:
-    """Return the paper's contradictions, both places side by side."""
+    """Return the contradictions in the paper, both places side by side."""
     columns = (
         text_column("What", wide=True),
         text_column("One place", wide=True),

@@ -1,4 +1,4 @@
-"""Differences of two runs as a sentence, a table, and JSON."""
+"""Present the differences of two runs as a sentence, a table, and JSON."""
 
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -13,7 +13,7 @@ MAX_CELL_LETTERS = 40
 
 
 def summarize_differences(found: Sequence[Difference]) -> str:
-    """Return in one sentence whether anything matters."""
+    """Return one sentence: whether any difference matters."""
     results = [one for one in found if one.matters is not None]
     if not found:
         return "The runs do not differ."
@@ -31,7 +31,7 @@ def summarize_differences(found: Sequence[Difference]) -> str:
 
 
 def lay_out_differences(found: Sequence[Difference]) -> TableLayout:
-    """Return one row per difference that is not slight: those that matter first, inputs last."""
+    """Return one row per difference that is not negligible: those that matter first, inputs last."""
     order = {True: 0, False: 1, None: 2}
     rows = sorted((one for one in found if not one.slight), key=lambda one: order[one.matters])
     slight = len(found) - len(rows)
@@ -66,7 +66,7 @@ def lay_out_differences(found: Sequence[Difference]) -> TableLayout:
 
 
 def differences_to_json(found: Sequence[Difference]) -> list[object]:
-    """Return the differences as plain JSON values."""
+    """Return the differences as JSON values."""
     return [to_json_values(asdict(one)) for one in found]
 
 

@@ -1,4 +1,6 @@
-"""Blocks of text, tables and figures -> one PDF (typst) and one HTML page; the same bytes every time."""
+"""Compile blocks of text, tables and figures to one PDF (typst) and one HTML page; equal blocks give equal
+bytes.
+"""
 
 import base64
 import json
@@ -25,7 +27,7 @@ Block = dict[str, Any]
 
 @dataclass(frozen=True)
 class Document:
-    """What a report says, in order.
+    """The contents of a report, in order.
 
     Attributes
     ----------
@@ -54,22 +56,22 @@ def subheading(words: str) -> Block:
 
 
 def text(words: str) -> Block:
-    """Return a paragraph."""
+    """Return a paragraph of text."""
     return {"kind": "text", "text": _prose_block(words)}
 
 
 def note(words: str) -> Block:
-    """Return a paragraph that stands back."""
+    """Return a paragraph in less prominent type."""
     return {"kind": "note", "text": _prose_block(words)}
 
 
 def bullets(items: Sequence[str]) -> Block:
-    """Return a list."""
+    """Return a bulleted list."""
     return {"kind": "list", "items": [_prose_block(words) for words in items]}
 
 
 def warning(words: str) -> Block:
-    """Return a paragraph that cannot be overlooked."""
+    """Return a warning: a paragraph in prominent type."""
     return {"kind": "warning", "text": _prose_block(words)}
 
 
@@ -79,7 +81,7 @@ def run_warning_blocks(run: Mapping[str, Any], name: str) -> list[Block]:
 
 
 def gap_box(words: str) -> Block:
-    """Return an empty box, and in words what is missing in it."""
+    """Return an empty box with a description of what is missing."""
     return {"kind": "empty", "text": _prose_block(words)}
 
 
@@ -94,7 +96,7 @@ def table(display: TableLayout, synthetic: bool) -> Block:
 
 
 def figure(path: Path, caption: str, synthetic: bool) -> Block:
-    """Return a figure: the PDF at `path`, set at its own size."""
+    """Return a figure: the PDF at `path`, in its own size."""
     return {"kind": "figure", "path": path, "caption": caption, "synthetic": synthetic}
 
 
@@ -108,7 +110,7 @@ def compile_pdf(document: Document) -> bytes:
 def compile_template(
     template: str, payload: Block, pictures: Mapping[str, Path] = MappingProxyType({})
 ) -> bytes:
-    """Return the PDF that a template makes of its data and of pictures, which it knows by these names.
+    """Return the PDF of a template with its data and pictures; the keys are the names used in the template.
 
     Only fonts of typst's own are used.
     """
@@ -125,7 +127,7 @@ def compile_template(
 
 
 def key_by_file_name(pictures: Sequence[Path]) -> dict[str, Path]:
-    """Return pictures as a template knows them that calls them by the names of their files."""
+    """Return pictures by file name, for a template that refers to them by file name."""
     return {picture.name: picture for picture in pictures}
 
 
@@ -143,7 +145,7 @@ def _payload(document: Document) -> Block:
 
 
 def find_version() -> str:
-    """Return needlefit's version; empty where it is run from a source tree that is not installed."""
+    """Return needlefit's version; empty if it runs from a source tree that is not installed."""
     try:
         return version("needlefit")
     except PackageNotFoundError:
@@ -163,7 +165,7 @@ _FIGURE_TEMPLATE = '#set page(width: auto, height: auto, margin: 0pt)\n#image("f
 
 
 def compile_html(document: Document) -> bytes:
-    """Return the page of a report; equal documents give equal bytes."""
+    """Return a report as one HTML page; equal documents give equal bytes."""
     blocks = list(_number_blocks(document))
     template = (files("needlefit.reporting") / "templates" / "report.html").read_text(encoding="utf-8")
     environment = jinja2.Environment(

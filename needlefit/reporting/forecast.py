@@ -96,7 +96,7 @@ def tabulate_forecast(forecast: Forecast) -> pd.DataFrame:
 
 
 def summarize_tip(forecast: Forecast) -> dict[str, Any]:
-    """Return the last station's row, and what the forecast rests on, for machines."""
+    """Return the tip's row and the basis of the prediction, as JSON values."""
     row = {name: float(value) for name, value in tabulate_forecast(forecast).iloc[-1].items()}
     draws = len(forecast.needle.means)
     source = {"draw_source": forecast.source, "draws": draws, "failed_solves": forecast.failed}
@@ -105,7 +105,7 @@ def summarize_tip(forecast: Forecast) -> dict[str, Any]:
 
 
 def describe_convergence(forecast: Forecast) -> str:
-    """Return why the posterior behind a forecast has not converged, or nothing."""
+    """Return why the posterior of a prediction has not converged; empty if it has."""
     return f"NOT CONVERGED: {'; '.join(forecast.faults)}" if forecast.faults else ""
 
 
@@ -142,7 +142,7 @@ def lay_out_forecast(forecast: Forecast, title: str, synthetic: bool) -> TableLa
 
 @dataclass(frozen=True)
 class StoredForecast:
-    """All that the files of a prediction hold: title, its table with the marks of every row, `run.json`."""
+    """The contents of all files of a prediction: title, table with plot marks, `run.json`."""
 
     title: str
     table: pd.DataFrame
@@ -152,7 +152,8 @@ class StoredForecast:
 def write_forecast(
     forecast: Forecast, folder: Path, title: str, run: dict[str, Any], synthetic: bool
 ) -> None:
-    """Write `forecast.csv`, `forecast.pdf`, `run.json` and what they are made again from to `folder`.
+    """Write `forecast.csv`, `forecast.pdf`, `run.json` and the stored inputs of `needlefit report` to
+    `folder`.
 
     Whole or not at all.
     """
@@ -164,7 +165,7 @@ def write_forecast(
 
 
 def write_stored_forecast(stored: StoredForecast, folder: Path) -> None:
-    """Write the files of a prediction; else as `write_forecast`."""
+    """Write the files of a stored prediction; see `write_forecast`."""
     table = stored.table
     with replace_folder(folder) as new:
         draw_forecast(table, stored.title, float(table["s_mm"].max()), new / "forecast.pdf")
@@ -174,7 +175,7 @@ def write_stored_forecast(stored: StoredForecast, folder: Path) -> None:
 
 
 def restore_forecast(table: Mapping[str, Any], folder: Path) -> StoredForecast:
-    """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
+    """Return the prediction that a run stored as `table` in `folder`; DataError if it is damaged."""
     require_schema(table, PredictionTable, str(folder / RESULTS_FILE))
     with convert_stored_errors(folder / RESULTS_FILE):
         return StoredForecast(table["title"], unpack_frame(table["table"]), table["run"])

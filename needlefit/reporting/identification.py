@@ -1,4 +1,4 @@
-"""Write the identifiability verdict: files, and JSON."""
+"""Write the results of an identifiability analysis: files and JSON."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -32,7 +32,9 @@ IDENTIFICATION_KIND = "identification"
 
 @dataclass(frozen=True)
 class IdentificationStage:
-    """Verdict at one stage, before the fit or after: a row per parameter, and the profiles' points."""
+    """The verdict at one stage, before or after the fit: one row per parameter, and the points of the
+    profiles.
+    """
 
     rows: pd.DataFrame
     profiles: pd.DataFrame
@@ -41,7 +43,7 @@ class IdentificationStage:
 
 @dataclass(frozen=True)
 class StoredIdentification:
-    """All that the files of a verdict hold: by stage ("design", "fit"), and the design's directions."""
+    """The contents of all files of a verdict: by stage ("design", "fit"), and the design's directions."""
 
     origin: str
     stages: Mapping[str, IdentificationStage]
@@ -68,7 +70,7 @@ def write_identification(found: Identification, fitted: Results | None, folder: 
 
 
 def write_stored_identification(stored: StoredIdentification, folder: Path) -> list[Path]:
-    """Write the files of a verdict; else as `write_identification`."""
+    """Write the files of a stored verdict; see `write_identification`."""
     origin, last = stored.origin, list(stored.stages)[-1]
     with replace_folder(folder) as new:
         tables = [
@@ -86,7 +88,7 @@ def write_stored_identification(stored: StoredIdentification, folder: Path) -> l
 
 
 def restore_identification(table: Mapping[str, Any], folder: Path) -> StoredIdentification:
-    """Return what a run stored as `table` in `folder`; DataError if it is damaged."""
+    """Return the verdict that a run stored as `table` in `folder`; DataError if it is damaged."""
     require_schema(table, IdentificationTable, str(folder / RESULTS_FILE))
     with convert_stored_errors(folder / RESULTS_FILE):
         stages = {
@@ -112,13 +114,13 @@ def _store_identification(stored: StoredIdentification, folder: Path) -> None:
 
 
 def merge_warnings(found: Identification, fitted: Results | None) -> tuple[ResultWarning, ...]:
-    """Return the warnings of the design, and of the fit if there is one, each once."""
+    """Return the warnings of the design and of the fit, each once."""
     runs = [found.run, *([] if fitted is None else [fitted.run])]
     return tuple(dict.fromkeys(one for run in runs for one in read_warnings(run)))
 
 
 def identification_to_json(found: Identification, fitted: Results | None) -> dict[str, Any]:
-    """Return the verdict for machines."""
+    """Return the verdict as JSON values."""
     about = {"name": found.name, "origin": found.origin, "dataset": found.dataset_title, "place": found.place}
     sentences = {"design": describe_design(found)}
     rows = {"design": to_records(tabulate_identification(found.identification, found.origin))}

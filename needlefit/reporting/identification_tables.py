@@ -1,4 +1,4 @@
-"""Identifiability verdict as tables for print, and in sentences."""
+"""Present an identifiability verdict as tables for print and as sentences."""
 
 import math
 
@@ -28,7 +28,7 @@ from needlefit.validation.identification import IDENTIFICATION_COLUMNS
 
 
 def describe_verdicts(identification: pd.DataFrame) -> list[str]:
-    """Return a sentence per parameter, as its profile has it, and where the others do not agree."""
+    """Return one sentence per parameter, from its profile, and where other criteria disagree."""
     summary = []
     for row in to_records(identification):
         held = f" (fixed at {format_number(row['value'])})" if row["status"] == "fixed" else ""
@@ -40,7 +40,7 @@ def describe_verdicts(identification: pd.DataFrame) -> list[str]:
 
 
 def describe_design(found: Identification) -> list[str]:
-    """Return what the design can tell: where it was looked at, then a sentence per parameter."""
+    """Return what the design determines: where it was evaluated, then one sentence per parameter."""
     shallow, deep = (f"{depth:.3g}" for depth in found.depths)
     depth = f"{shallow} mm" if shallow == deep else f"{shallow} to {deep} mm"
     count = f"{found.insertions} insertion" + ("s" if found.insertions > 1 else "")
@@ -105,7 +105,7 @@ def _describe_undeterminable(row: Row, thickness: float) -> str:
 
 
 def format_small_mm(value: float) -> str:
-    """Return a length that may be next to nothing."""
+    """Return a length as text, also one close to 0."""
     return "less than 0.001" if value < 1e-3 else f"{value:.2g}"
 
 
@@ -119,7 +119,7 @@ _SD_NOTE = (
 
 
 def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
-    """Return one row per parameter; of a design also where information and profile disagree.
+    """Return one row per parameter; for a design also where information and profile disagree.
 
     Of a fit `describe_verdicts` says that beside it.
     """
@@ -162,7 +162,7 @@ def lay_out_identification(identification: pd.DataFrame, expected: bool = False)
 
 
 def lay_out_expected_directions(expectation: ExpectedPrecision) -> TableLayout:
-    """Return the principal directions, best known first."""
+    """Return the principal directions, best determined first."""
     rows = tuple(
         (
             insert_symbols(str(row["combination"])),
@@ -188,7 +188,9 @@ def lay_out_expected_directions(expectation: ExpectedPrecision) -> TableLayout:
 
 
 def tabulate_directions(expectation: ExpectedPrecision, origin: str) -> pd.DataFrame:
-    """Return the principal directions: deviations at the place asked for and near, and their contraction."""
+    """Return the principal directions: standard deviations at the chosen point and near it, and their
+    contraction.
+    """
     rows = [
         {
             "combination": _format_combination(direction, expectation.names),
@@ -230,7 +232,7 @@ def _parameter_cells(row: Row) -> tuple[str, ...]:
 
 
 def tabulate_identification(identification: pd.DataFrame, origin: str) -> pd.DataFrame:
-    """Return the rows as `identify.csv` has them.
+    """Return the rows of `identify.csv`.
 
     `value` is where the profile is lowest, or where a design was looked at; without `determined` it is no
     estimate.

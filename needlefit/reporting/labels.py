@@ -1,4 +1,4 @@
-"""Labels and colours of methods, media and groups, and the captions of figures."""
+"""Printed names and colours of methods, media and groups, and the captions of figures."""
 
 from needlefit.validation.results import Results
 
@@ -54,34 +54,36 @@ POPULATION_NAMES = {"mean": "mean", "spread": "spread", "new": "a further one"}
 
 
 def rgb(colour: str) -> tuple[float, float, float]:
-    """Return red, green and blue, 0 to 1, of a colour "#rrggbb"."""
+    """Return red, green and blue, each 0 to 1, of a colour "#rrggbb"."""
     red, green, blue = (round(int(colour[i : i + 2], 16) / 255, 6) for i in (1, 3, 5))
     return red, green, blue
 
 
 def medium_name(name: str) -> str:
-    """Return a medium as print has it: `phantom2` is "phantom 2"."""
+    """Return the printed name of a medium: `phantom2` becomes "phantom 2"."""
     stem = name.rstrip("0123456789")
     return f"{stem} {name[len(stem) :]}".strip().replace("_", " ")
 
 
 def study_name(label: str | int) -> str:
-    """Return "study 3" for the paper's third; another study by its own name."""
+    """Return the printed name of a study: "study 3" for the paper's third; other studies keep their names."""
     return f"study {label}" if isinstance(label, int) else str(label)
 
 
 def layers_name(layers: int) -> str:
-    """Return "1 layer", "3 layers"."""
+    """Return a number of layers as text: "1 layer", "3 layers"."""
     return f"{layers} layer" if layers == 1 else f"{layers} layers"
 
 
 def entry_name(entry: str, angle_deg: float) -> str:
-    """Return an entry, and the angle at which a needle would go in there."""
+    """Return the printed name of an entry and an angle."""
     return entry if angle_deg == 0 else f"{entry}, {angle_deg:g}°".replace("-", "−")
 
 
 def method_name(method: str, results: Results) -> str:
-    """Return the method's name; on synthetic data the paper's set was not tuned on this data."""
+    """Return the printed name of a method; on synthetic data the paper's parameters were not tuned on these
+    data.
+    """
     name = METHOD_NAMES.get(method, method)
     foreign = method == "hand_tuned" and results.origin == "synthetic"
     return f"{name} (not tuned on this data)" if foreign else name

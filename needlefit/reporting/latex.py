@@ -1,4 +1,4 @@
-"""Tables as LaTeX (booktabs, no wider than the page), and the numbers of a run as LaTeX macros."""
+"""Write tables as LaTeX (booktabs, no wider than the page), and the numbers of a run as LaTeX macros."""
 
 import re
 from collections.abc import Iterator, Sequence
@@ -37,7 +37,7 @@ _LOWERED = str.maketrans("₀₁₂₃₄₅₆₇₈₉", "0123456789")
 
 
 def format_latex(table: TableLayout, synthetic: bool) -> str:
-    """Return the table as a LaTeX float; every special sign is escaped.
+    """Return the table as a LaTeX float; every special character is escaped.
 
     Parameters
     ----------
@@ -70,7 +70,7 @@ def _align(column: TableColumn) -> str:
 
 
 def escape_latex(text: str) -> str:
-    """Return text that LaTeX sets as it reads, in any font encoding."""
+    """Return text that LaTeX prints literally, in any font encoding."""
     escaped = "".join(_ESCAPES.get(sign, sign) for sign in text)
     escaped = re.sub(r"\\textasciicircum\{\}(-?\d+(?:\.\d+)?)", r"$^{\1}$", escaped)
     escaped = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: f"$^{{{m[0].translate(_RAISED)}}}$", escaped)
@@ -108,7 +108,8 @@ _REFERENCE_PREFIXES = ("floor", "paper")
 
 
 def format_macros(results: Sequence[Results]) -> str:
-    """Return a LaTeX file: errors in mm, EDP in per cent, fitted parameters in Pa and mm, by readable keys.
+    """Return a LaTeX file of macros: errors in mm, EDP in per cent, fitted parameters in Pa and mm, by
+    readable keys.
 
     A key is `<run>-<medium>-<layers>-<error>`, with `floor-` or `paper-` before the error for what stands
     beside it or `-over-floor` after it for the multiple of its noise floor, or `<run>-<parameter>`.
@@ -122,7 +123,7 @@ def format_macros(results: Sequence[Results]) -> str:
 
 
 def format_table_macros(name: str, tables: Sequence[TableLayout]) -> str:
-    """Return a LaTeX file with every number of some tables of a run as they are printed.
+    """Return a LaTeX file with every number of some tables of a run, as they are printed.
 
     A key is `<run>-<table>-<words of the row>-<head of the column>`, in small letters and hyphens; a row that
     names only what is new in it has the other words of the row above.

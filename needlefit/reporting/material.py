@@ -44,12 +44,12 @@ _MAX_DOTS = 60
 
 
 def draw_curves(measure: StressMeasure, curves: pd.DataFrame, path: Path) -> Path:
-    """Draw measured and fitted stress over stretch, and below what the fit leaves."""
+    """Draw measured and fitted stress over stretch, and the residuals below."""
     return plot(path, curves, lambda frame: _paint_curves(measure, frame))
 
 
 def draw_profiles(profiles: pd.DataFrame, path: Path) -> Path:
-    """Draw the profile log likelihoods of alpha, their 95 % regions, and the prior that follows."""
+    """Draw the profile log-likelihoods of alpha, their 95 % regions, and the resulting prior."""
     return plot(path, profiles, _paint_profiles)
 
 
@@ -120,7 +120,7 @@ _NOTES = (
 
 @dataclass(frozen=True)
 class MaterialReport:
-    """One test and what came out of it; `foundation` is what the user states of the model's mu."""
+    """One compression test and its results; `foundation` is what the user states about the model's mu."""
 
     name: str
     test: CompressionTest
@@ -176,7 +176,7 @@ def write_material(report: MaterialReport, folder: Path) -> list[Path]:
 
 
 def material_to_json(report: MaterialReport) -> dict[str, Any]:
-    """Return the result for machines."""
+    """Return the result as JSON values."""
     summary = [*summarize_material(report.material, report.foundation), *report.test.warnings]
     prior = _make_prior_tables(report) if report.material.alpha_identified else None
     return {
@@ -188,7 +188,7 @@ def material_to_json(report: MaterialReport) -> dict[str, Any]:
 
 
 def material_provenance(report: MaterialReport) -> dict[str, Any]:
-    """Return what a reader needs to repeat the fit; no time and no path."""
+    """Return the provenance of the fit, sufficient to repeat it; without times or paths."""
     return {
         "name": report.name,
         "versions": package_versions(_PACKAGES),

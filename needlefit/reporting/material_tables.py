@@ -1,4 +1,4 @@
-"""Compression test as tables (estimates, curves, profiles) and as sentences."""
+"""Present a compression test as tables (estimates, curves, profiles) and as sentences."""
 
 from math import exp
 from typing import Any
@@ -12,7 +12,7 @@ from needlefit.reporting.number_format import format_number
 
 
 def tabulate_material(material: MaterialEstimate) -> list[dict[str, Any]]:
-    """Return one row per specimen for machines, and one for a further specimen if alpha is known."""
+    """Return one row per specimen, and one for a further specimen if alpha is known."""
     rows = [_specimen_row(fit) for fit in material.fits]
     if material.alpha_identified:
         sd_log_mu, sd_alpha = material.sds
@@ -65,7 +65,9 @@ def tabulate_curves(material: MaterialEstimate) -> pd.DataFrame:
 
 
 def tabulate_profiles(material: MaterialEstimate) -> pd.DataFrame:
-    """Return the profiles of alpha of all specimens, then the ends of the prior that follows, if any does."""
+    """Return the profiles of alpha of all specimens, then the ends of the resulting prior, if there
+    is one.
+    """
     found = [_specimen_profile(fit) for fit in material.fits]
     if material.alpha_identified:
         ends = [float(material.mean[1]) + side * material.sds[1] for side in (-1.0, 1.0)]
@@ -109,7 +111,7 @@ FOUNDATION_OPTION = "--foundation FACTOR SPREAD"
 
 
 def summarize_material(material: MaterialEstimate, foundation: MaterialFoundation | None) -> list[str]:
-    """Return what is known, and what is not, a sentence each."""
+    """Return sentences: what the test determines, and what it does not."""
     open_ones = [describe_flat_region(fit) for fit in material.fits if not fit.identified]
     if not material.alpha_identified:
         return [*open_ones, "No specimen identifies alpha: no prior is written."]
@@ -128,14 +130,14 @@ def summarize_material(material: MaterialEstimate, foundation: MaterialFoundatio
 
 
 def judge_alpha(fit: SpecimenFit) -> str:
-    """Return in a word whether a specimen identifies alpha."""
+    """Return one word: whether a specimen identifies alpha."""
     if fit.identified:
         return "identified"
     return "one of several" if len(fit.profile.regions) > 1 else "not identified"
 
 
 def describe_flat_region(fit: SpecimenFit) -> str:
-    """Return over which alphas the test of one specimen is flat."""
+    """Return the range of alpha over which the fit to one specimen hardly changes."""
     low, high = fit.specimen.stretch.min(), fit.specimen.stretch.max()
     at = f"Specimen {fit.specimen.name} does not identify alpha at its stretches of {low:.3g} to {high:.3g}"
     flat = " and from ".join(_format_region(region) for region in fit.profile.regions)
@@ -149,7 +151,7 @@ def describe_flat_region(fit: SpecimenFit) -> str:
 
 
 def describe_prior(material: MaterialEstimate) -> str:
-    """Return what the prior is of, and what is not in it."""
+    """Return a description of the prior: its sources, and what it does not include."""
     count = len(material.pooled)
     if count == 1:
         return f"one specimen, {material.pooled[0]}: the spread between specimens is not known and not in it"

@@ -1,4 +1,4 @@
-"""Methods paragraph of a paper that uses a run, and the references it cites, from the run itself."""
+"""Compose the methods paragraph of a paper from a run, with the references it cites."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -14,14 +14,14 @@ from needlefit.validation.results import Results
 
 @dataclass(frozen=True)
 class CitedSentence:
-    """A sentence, and the keys in `format_references.bib` of what it rests on."""
+    """A sentence, and the keys of its sources in `references.bib`."""
 
     words: str
     cites: tuple[str, ...] = ()
 
 
 def compose_methods(results: Results) -> tuple[CitedSentence, ...]:
-    """Return what was done, sentence by sentence."""
+    """Return the sentences of the methods paragraph."""
     run = results.run
     if "recipe" not in run:  # results that were made up
         return ()
@@ -29,12 +29,12 @@ def compose_methods(results: Results) -> tuple[CitedSentence, ...]:
 
 
 def format_methods_text(results: Results) -> str:
-    """Return the paragraph without citations."""
+    """Return the paragraph as plain text, without citations."""
     return " ".join(sentence.words for sentence in compose_methods(results))
 
 
 def format_methods_latex(results: Results) -> str:
-    """Return the paragraph as LaTeX, with its citations; `format_references` holds what it cites."""
+    """Return the paragraph as LaTeX, with citations of the entries that `format_references` returns."""
     summary = [
         escape_latex(one.words.removesuffix("."))
         + (f"~\\cite{{{','.join(one.cites)}}}" if one.cites else "")
@@ -45,7 +45,7 @@ def format_methods_latex(results: Results) -> str:
 
 
 def format_references(results: Results) -> str:
-    """Return the BibTeX entries that the paragraph cites, in its order."""
+    """Return the BibTeX entries that the paragraph cites, in the order of citation."""
     known = _read_references()
     wanted = dict.fromkeys(key for sentence in compose_methods(results) for key in sentence.cites)
     return "\n\n".join(known[key] for key in wanted) + "\n"

@@ -1,4 +1,4 @@
-"""Format numbers: significant digits, exponents that read well, a dash for what is missing."""
+"""Format numbers for print: significant digits, readable exponents, a dash for missing values."""
 
 import math
 import re
@@ -12,12 +12,12 @@ _LOWERED = str.maketrans("0123456789", "₀₁₂₃₄₅₆₇₈₉")
 
 
 def format_mm(value: float | None, digits: int = 2) -> str:
-    """Return a length in mm as the paper prints it."""
+    """Return a length in mm as text, with the paper's precision."""
     return f"{value:.{digits}f}" if _is_known(value) else MISSING
 
 
 def format_signed_mm(value: float | None, digits: int = 2) -> str:
-    """Return a difference in mm with its sign, a true minus; what rounds to 0 has none."""
+    """Return a difference in mm as text with its sign (a true minus); a rounded 0 has no sign."""
     if not _is_known(value):
         return MISSING
     text = f"{value:+.{digits}f}"
@@ -25,7 +25,7 @@ def format_signed_mm(value: float | None, digits: int = 2) -> str:
 
 
 def format_percent(value: float | None) -> str:
-    """Return a percentage with three significant digits, as the paper prints it: 4.77, 10.3, 254."""
+    """Return a percentage with three significant digits, as in the paper: 4.77, 10.3, 254."""
     if not _is_known(value):
         return MISSING
     assert value is not None
@@ -34,7 +34,7 @@ def format_percent(value: float | None) -> str:
 
 
 def format_number(value: float | None) -> str:
-    """Return three significant digits in a form that reads back: 0.0847, 2.13e5."""
+    """Return three significant digits in a form that Python reads back: 0.0847, 2.13e5."""
     if not _is_known(value):
         return ""
     assert value is not None
@@ -48,7 +48,7 @@ def format_number(value: float | None) -> str:
 
 
 def typeset(text: str) -> str:
-    """Return a `format_number` as a book prints it: 2.13 × 10⁵, with a true minus."""
+    """Return a result of `format_number` as it is printed in books: 2.13 × 10⁵, with a true minus."""
     mantissa, e, exponent = text.partition("e")
     if e and exponent.lstrip("-").isdigit():
         power = f"10{exponent.translate(_RAISED)}"
@@ -70,7 +70,7 @@ def format_symbol(parameter: str) -> str:
 
 
 def insert_symbols(words: str) -> str:
-    """Return a sentence with parameters and powers as print has them: `mu1_pa * bevel_mm` is μ₁ · b.
+    """Return a sentence with its parameters and powers typeset: `mu1_pa * bevel_mm` becomes μ₁ · b.
 
     Exponents stay `^0.28`: what sets the sentence raises them, because Unicode has no raised point.
     """

@@ -1,4 +1,4 @@
-"""Parameter table: ours beside the paper's; what the data do not determine is printed as such."""
+"""The table of parameters: ours beside the paper's; undetermined parameters are marked."""
 
 from collections.abc import Callable
 
@@ -34,14 +34,14 @@ def tabulate_parameters(*results: Results) -> pd.DataFrame:
 
 
 def find_undetermined(results: Results) -> list[str]:
-    """Return the searched parameters that some fold could not determine, in the order of the model."""
+    """Return the estimated parameters that some fold could not determine, in the order of the model."""
     return _find_parameters(
         results, lambda row: row["status"] in _SEARCHED_STATUSES and not row["determined"]
     )
 
 
 def find_fixed(results: Results) -> list[str]:
-    """Return the parameters that were given, not searched, in the order of the model."""
+    """Return the parameters that were given, not estimated, in the order of the model."""
     return _find_parameters(results, lambda row: row["status"] == "fixed")
 
 

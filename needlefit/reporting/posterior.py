@@ -1,4 +1,4 @@
-"""Posteriors of a run: files, table of percentiles, and the ridge on which the draws lie.
+"""The posteriors of a run: files, the table of percentiles, and the ridge of the draws.
 
 The ridge on which a posterior lies: where parameters can move together and the needles stay what they are.
 
@@ -26,7 +26,7 @@ from needlefit.validation.stored import posterior_file_names
 
 
 def tabulate_percentiles(results: Results) -> pd.DataFrame:
-    """Return one row per fold and free parameter: percentiles (Pa, mm), the fit's own value, R-hat.
+    """Return one row per fold and free parameter: percentiles (Pa, mm), the fitted value, R-hat.
 
     `fit_value_used` is what the fit ended with and its predictions used; `fit_in_central_95` is false where
     that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
@@ -48,7 +48,9 @@ def tabulate_percentiles(results: Results) -> pd.DataFrame:
 
 
 def describe_unconverged(results: Results) -> str:
-    """Return in what the rule of convergence is not met, by fold where there are several, or nothing."""
+    """Return which criteria of convergence are not met, by fold if there are several; empty if all
+    are met.
+    """
     several = len(results.posteriors) > 1
     summary = [
         (f"{fold}: " if several else "") + "; ".join(posterior.faults)
@@ -65,7 +67,7 @@ def describe_unconverged(results: Results) -> str:
 
 
 def describe_outside_fits(results: Results) -> str:
-    """Return which fitted values lie outside the central 95 % of their posterior, or nothing."""
+    """Return which fitted values lie outside the central 95 % of their posterior; empty if none does."""
     rows = [row for row in to_records(tabulate_percentiles(results)) if row["fit_in_central_95"] is False]
     if not rows:
         return ""
@@ -88,7 +90,7 @@ _MODE_NOTE = (
 
 
 def lay_out_posterior(results: Results) -> TableLayout:
-    """Return the percentiles with the fit's own value beside them."""
+    """Return the percentiles beside the fitted value."""
     table = to_records(tabulate_percentiles(results))
     rows = tuple(
         (
@@ -122,7 +124,9 @@ def _fit_cell(row: Row) -> str:
 
 
 def make_posterior_writers(results: Results) -> Mapping[str, Callable[[Path], object]]:
-    """Return what `write` is to write besides: `posterior.csv`, and each fold's draws as netCDF."""
+    """Return the additional files of a run with their writers: `posterior.csv`, and each fold's draws as
+    netCDF.
+    """
     if not results.posteriors:
         return {}
     posteriors = results.posteriors.values()
@@ -179,7 +183,7 @@ RIDGE_REACH_SD = 2.0
 
 
 def describe_draws(results: Results) -> str:
-    """Return whose draws stand for the posterior, whether they can be trusted, and along what they lie."""
+    """Return sentences on the draws: their source, their convergence, and their longest direction."""
     fold = results.draws["fold"].iloc[0]
     draws = results.draws[results.draws["fold"] == fold]
     source, k, certified = (draws[name].iloc[0] for name in ("draw_source", "pareto_k", "certified"))
@@ -219,7 +223,7 @@ def list_free_parameters(results: Results) -> list[str]:
 
 
 def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
-    """Return the principal axes of draws (Pa, mm), the shortest, which is known best, first."""
+    """Return the principal axes of draws (Pa, mm), the shortest (best determined) first."""
     names = [str(name) for name in draws.columns]
     spread = np.atleast_2d(np.cov(to_log_coordinates(draws), rowvar=False))
     information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
@@ -227,18 +231,18 @@ def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
 
 
 def is_ridge(axes: tuple[Direction, ...]) -> bool:
-    """Return whether draws with these axes lie along the longest."""
+    """Return whether draws with these axes are elongated along the longest one."""
     return len(axes) > 1 and axes[-1].sd > RIDGE_MIN_AXIS_RATIO * axes[0].sd
 
 
 def to_log_coordinates(values: pd.DataFrame) -> Floats:
-    """Return values as theta has them (N, P): logarithms of moduli and lengths."""
+    """Return values in the coordinates of theta (N, P): logarithms of moduli and lengths."""
     columns = [np.log(values[n]) if is_logarithmic(str(n)) else values[n] for n in values.columns]
     return np.column_stack([np.asarray(column, dtype=np.float64) for column in columns])
 
 
 def find_ridge_ends(draws: pd.DataFrame) -> list[dict[str, float]]:
-    """Return both ends of the ridge, Pa and mm; none where the draws have no longest axis."""
+    """Return both ends of the ridge, Pa and mm; none if the draws have no longest axis."""
     axes = principal_axes(draws)
     if not is_ridge(axes):
         return []

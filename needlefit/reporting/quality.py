@@ -1,4 +1,4 @@
-"""One page per scan on which a person sees in a minute whether its reconstruction can be trusted."""
+"""The quality page of a reconstructed scan: one page for a quick visual check."""
 
 import tempfile
 from pathlib import Path
@@ -35,7 +35,7 @@ _MARKER_SOURCES = {"volume": "found in the scan", "fiducials": "placed by hand"}
 
 
 def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
-    """Write the page (A4, PDF) whole or not at all; the same reconstruction gives the same bytes.
+    """Write the quality page (A4, PDF), completely or not at all; equal reconstructions give equal bytes.
 
     Raises
     ------
@@ -56,7 +56,7 @@ def write_quality(reconstruction: Reconstruction, path: Path) -> Path:
 
 
 def list_facts(reconstruction: Reconstruction) -> list[list[Fact]]:
-    """Return what the page says in words and numbers, in groups that belong together."""
+    """Return the facts and numbers of the page, in groups."""
     groups = [
         _scan_facts(reconstruction),
         _registration_facts(reconstruction),

@@ -1,4 +1,4 @@
-"""Write a run's folder again from what it stored, without computing anything."""
+"""Write a run's folder again from its stored results, without any computation."""
 
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -29,7 +29,7 @@ Table = dict[str, Any]
 
 
 def rebuild(run: Path, folder: Path) -> Path:
-    """Write tables, figures and report of `run` to `folder`; return it.
+    """Write tables, figures and report of `run` to `folder`; return the folder.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def _refuse_quick_runs(run: Path) -> None:
 
 
 def restore_run(run: Path) -> list[Results | AnalysisResult]:
-    """Return what a run stored: one, or each of several that were reported together.
+    """Return the stored run, or each of several runs that were reported together.
 
     Raises
     ------

@@ -1,4 +1,6 @@
-"""Batch of reconstructed scans -> the folder of a dataset: tables, quality pages, files for 3D Slicer."""
+"""Write a batch of reconstructed scans as the folder of a dataset: tables, quality pages, files for 3D
+Slicer.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -53,7 +55,7 @@ def write_tables(reconstructions: Sequence[Reconstruction], folder: Path) -> tup
 
 
 def tabulate_reconstructions(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
-    """Return one row per scan; what it did not have (markers) is empty."""
+    """Return one row per scan; cells without a value (no markers) are empty."""
     rows = [
         _scan_values(one) | _registration_values(one) | _placement_values(one) | _needle_values(one)
         for one in reconstructions
@@ -62,7 +64,7 @@ def tabulate_reconstructions(reconstructions: Sequence[Reconstruction]) -> pd.Da
 
 
 def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
-    """Return one row per pair of a found marker (its place in the scan, LPS) and a known one, from 0.
+    """Return one row per pair of a found marker (position in the scan, LPS) and a known one, counted from 0.
 
     Residuals are known minus registered place, in the axes of the world; `left_out_mm` is the distance when
     the marker takes no part in the fit, `expected_left_out_mm` what the stated noise leads one to expect.
@@ -72,13 +74,15 @@ def tabulate_markers(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
 
 
 def tabulate_crossings(reconstructions: Sequence[Reconstruction]) -> pd.DataFrame:
-    """Return one row per crossing: depth along C's x, its deviation, the layers, the place in the world."""
+    """Return one row per crossing: depth along C's x, its standard deviation, the layers, the position in the
+    world.
+    """
     rows = [row for one in reconstructions for row in _crossing_rows(one)]
     return pd.DataFrame(rows, columns=list(_CROSSING_COLUMNS))
 
 
 def lay_out_reconstructions(reconstructions: Sequence[Reconstruction]) -> TableLayout:
-    """Return the table for the screen: what a person asks first of each scan."""
+    """Return the table for the screen: the main results of each scan."""
     columns = (
         *(
             text_column("Scan"),
@@ -209,7 +213,7 @@ def write_reconstruction(
     description: DatasetDescription,
     progress: Progress,
 ) -> tuple[tuple[Reconstruction, ...], tuple[ReconstructionFailure, ...]]:
-    """Write `folder`, whole or not at all; return what is in it, and what a dataset cannot hold.
+    """Write `folder`, completely or not at all; return its contents, and what a dataset cannot contain.
 
     Where none can be held nothing is written, and what was there stays.
 

@@ -1,4 +1,4 @@
-"""Committed evidence: the numbers of a run, rounded so that only a changed result changes them.
+"""Write reference results: the numbers of a run, rounded so that only a changed result changes the files.
 
 Lengths are rounded to 0.001 mm, in which machines agree; everything else to three significant digits. Of
 `run.json` what the answer was computed with and what it could not tell is kept; how many evaluations that
@@ -56,7 +56,7 @@ def write_reference(one: Results | AnalysisResult | TrackResults, folder: Path) 
 
 
 def round_frame(frame: pd.DataFrame) -> pd.DataFrame:
-    """Return a frame with every length to 0.001 mm and every other number to three significant digits."""
+    """Return a frame with lengths rounded to 0.001 mm and other numbers to three significant digits."""
     return frame.assign(**{str(name): _round_column(frame[name], str(name)) for name in frame})
 
 

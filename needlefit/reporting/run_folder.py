@@ -1,4 +1,4 @@
-"""Results -> a folder of files, complete or not there at all."""
+"""Write results as a folder of files; the folder is complete, or it is not created."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
@@ -64,7 +64,7 @@ def write_report(document: Document, folder: Path, name: str = "report") -> None
 
 
 def write_for_papers(results: Sequence[Results], folder: Path) -> None:
-    """Write every number as a macro, and for a single run its methods paragraph with what that cites."""
+    """Write every number as a LaTeX macro, and for a single run its methods paragraph with its references."""
     (folder / "numbers.tex").write_text(format_macros(results), encoding="utf-8")
     if len(results) == 1 and compose_methods(results[0]):
         (folder / "methods.tex").write_text(format_methods_latex(results[0]), encoding="utf-8")
@@ -83,7 +83,7 @@ def _write_frames(results: Results, folder: Path) -> None:
 
 
 def write_tables(studies: Sequence[Results], tunings: Sequence[Results], folder: Path) -> None:
-    """Write the paper's tables with our rows beside its own, as CSV for machines and LaTeX for papers."""
+    """Write the paper's tables with our rows beside its rows, as CSV and LaTeX."""
     synthetic = any(one.origin == "synthetic" for one in studies)
     for name, frame, table_layouts in _lay_out_tables(studies, tunings):
         if len(frame):
@@ -124,7 +124,7 @@ def _draw_figures(results: Results, folder: Path) -> dict[str, Path]:
 
 
 def draw_error_figures(results: Sequence[Results], folder: Path) -> dict[str, Path]:
-    """Draw the errors on held-out insertions, if any were scored."""
+    """Draw the errors on held-out insertions, if there are any."""
     if tabulate_validation(*results).empty:
         return {}
     drawn = {

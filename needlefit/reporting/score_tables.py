@@ -1,4 +1,4 @@
-"""Tables of errors and of interval coverage: our rows above the paper's, columns read downwards."""
+"""Tables of errors and of interval coverage: our rows above the paper's, one column per quantity."""
 
 from collections.abc import Sequence
 
@@ -58,7 +58,9 @@ _ALIGNED_NOTE = "Errors are after rigid alignment of each shape, whose pose in t
 
 
 def lay_out_validation(results: Sequence[Results]) -> TableLayout:
-    """Return the validation table: per held-out group ours, with planned boundaries, floor, and the paper."""
+    """Return the validation table, per held-out group: ours, ours with planned layer depths, noise floor,
+    paper.
+    """
     table = to_records(tabulate_validation(*results, with_alternate=True))
     heads = (
         text_column("Study"),
@@ -77,7 +79,7 @@ def lay_out_validation(results: Sequence[Results]) -> TableLayout:
 
 
 def lay_out_tuning(results: Sequence[Results], grouping: str) -> TableLayout:
-    """Return the in-sample errors `grouping` "layers" or "media", beside the paper's tuned models."""
+    """Return the in-sample errors by `grouping` ("layers" or "media"), beside the paper's tuned models."""
     table = [
         row
         for row in to_records(tabulate_tuning(*results, with_alternate=True))
@@ -101,7 +103,9 @@ def lay_out_tuning(results: Sequence[Results], grouping: str) -> TableLayout:
 
 
 def lay_out_design(results: Sequence[Results]) -> TableLayout:
-    """Return what tunes and what validates: counts, and the ranges of depth and measured deflection."""
+    """Return which insertions tune and which validate: counts, and ranges of depth and measured
+    deflection.
+    """
     heads = (
         text_column("Study"),
         text_column("Role"),
@@ -137,7 +141,7 @@ def lay_out_design(results: Sequence[Results]) -> TableLayout:
 
 
 def format_range(low: float, high: float) -> str:
-    """Return "19.48 to 54.75", or a single number where both are printed alike."""
+    """Return a range as text, "19.48 to 54.75", or one number if both ends are printed alike."""
     ends = [format_mm(low).replace("-", "−"), format_mm(high).replace("-", "−")]
     return " to ".join(dict.fromkeys(ends))
 
@@ -277,7 +281,7 @@ def lay_out_coverage(results: Results) -> TableLayout:
 
 
 def format_coverage(predictions: pd.DataFrame) -> tuple[str, ...]:
-    """Return the cells under `COVERAGE_COLUMNS` of some needles: shares within their intervals, and mean
+    """Return the cells of `COVERAGE_COLUMNS` for some needles: shares within their intervals, and mean
     scores.
     """
     independent_groups = group_independent(list(predictions["insertion"]), list(predictions["specimen"]))
@@ -291,5 +295,5 @@ def format_coverage(predictions: pd.DataFrame) -> tuple[str, ...]:
 
 
 def format_proportion(found: Proportion) -> str:
-    """Return counts and the interval of their share: "9 of 10 (60–98 %)"."""
+    """Return a proportion with its interval as text: "9 of 10 (60–98 %)"."""
     return f"{found.hits} of {found.trials} ({100 * found.low:.0f}–{100 * found.high:.0f} %)"

@@ -1,4 +1,4 @@
-"""Sentences of a report: errors beside the noise floor and the baselines, failures, validity."""
+"""The sentences of a report: errors beside noise floor and baselines, failures, validity."""
 
 from collections.abc import Mapping
 
@@ -16,19 +16,23 @@ _PAPER_SETS = ("hand_tuned", "hand_tuned_b")
 
 
 def find_scored_role(results: Results) -> str:
-    """Return "validate", or "tune" for a fit that holds nothing out."""
+    """Return the role that is scored: "validate", or "tune" for a fit without held-out insertions."""
     return "validate" if (results.errors["role"] == "validate").any() else "tune"
 
 
 def summarize_baselines(results: Results) -> str:
-    """Return which empirical curves and which of the paper's sets do better than the fitted model."""
+    """Return which empirical curves and which of the paper's parameter sets have smaller errors
+    than the fit.
+    """
     table = _rows_by_method(results)
     summary = [_summarize_curves(results, table), _summarize_paper_sets(results, table)]
     return " ".join(sentence for sentence in summary if sentence)
 
 
 def list_better_methods(results: Results) -> str:
-    """Return every method that does better than the fitted model on the scored points, or nothing."""
+    """Return every method with smaller errors than the fitted model on the scored points; empty if there is
+    none.
+    """
     table = _rows_by_method(results)
     losses = [
         f"{method_name(name, results)} ({_format_difference(row)})"
@@ -43,7 +47,7 @@ def list_better_methods(results: Results) -> str:
 
 
 def list_curve_differences(results: Results) -> str:
-    """Return every empirical curve's difference from the fitted model, or nothing if none was scored."""
+    """Return every empirical curve's difference from the fitted model; empty if none was scored."""
     curves = {name: row for name, row in _rows_by_method(results).items() if name in BASELINES}
     if not curves:
         return ""
@@ -145,7 +149,7 @@ _OMITTED_RUN_KEYS = (
 
 
 def summarize_errors(results: Results) -> list[str]:
-    """Return the answer: one sentence per held-out group, then how it stands against its baselines.
+    """Return the main result: one sentence per held-out group, then the comparison with its baselines.
 
     A study without a row of the paper is about its empirical curves, so each one's difference is given;
     of the others only the baselines that do better, named in the same breath as the errors.
@@ -159,7 +163,7 @@ def summarize_errors(results: Results) -> list[str]:
 
 
 def describe_undetermined(results: Results) -> str:
-    """Return which parameters the data leave open."""
+    """Return which parameters the data do not determine."""
     open_ones = find_undetermined(results)
     if not (results.parameters["method"] == "fitted").any():
         return "The search gave no parameters."
@@ -180,7 +184,7 @@ def describe_undetermined(results: Results) -> str:
 
 
 def describe_failures(results: Results) -> str:
-    """Return how many evaluations failed and why; nothing if none did."""
+    """Return how many evaluations failed and why; empty if none did."""
     failed = int(results.starts["failed_solves"].sum())
     evaluations = int(results.starts["evaluations"].sum())
     sampled = sum(posterior.failures for posterior in results.posteriors.values())
@@ -196,13 +200,13 @@ def describe_failures(results: Results) -> str:
 
 
 def describe_validity(results: Results) -> str:
-    """Return how many simulations are outside what the model assumes; nothing if none is."""
+    """Return how many simulations violate the model's assumptions; empty if none does."""
     words = describe_outside(results.run)
     return f"Outside what the model assumes: {words}." if words else ""
 
 
 def describe_noise_floor(results: Results) -> str:
-    """Return what perfect parameters would still show."""
+    """Return the errors that even perfect parameters would show."""
     row = _aggregate_fit(results)
     if row is None or row["floor_ipe_mean_mm"] is None:
         return (
@@ -228,7 +232,9 @@ def describe_noise_floor(results: Results) -> str:
 
 
 def describe_run(run: Mapping[str, object]) -> list[tuple[str, str]]:
-    """Return what the run was, a line per key; what the report shows elsewhere is left to run.json."""
+    """Return the settings of the run, one line per key; what the report shows elsewhere is left to
+    run.json.
+    """
     summary = [
         (key, _format_value(value)) for key, value in sorted(run.items()) if key not in _OMITTED_RUN_KEYS
     ]

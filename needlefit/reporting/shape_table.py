@@ -1,4 +1,4 @@
-"""A needle's shape as a table."""
+"""Tabulate a needle's shape."""
 
 from pathlib import Path
 
@@ -19,7 +19,7 @@ _MIN_STATION_DISTANCE_MM = 1e-6  # mm: a node so near a whole millimetre stands 
 
 
 def tabulate_shape(scene: Scene, moment: NeedleState, placement: Placement | None = None) -> pd.DataFrame:
-    """Return a row for every node and every whole millimetre of the needle, base first.
+    """Return one row for every node and every whole millimetre of the needle, base first.
 
     `placement` is where a measured needle lies.
 

@@ -1,4 +1,6 @@
-"""Needles for 3D Slicer: curves as `.mrk.json`, bodies as `.ply`, simulated or reconstructed; LPS, mm."""
+"""Write needles for 3D Slicer: curves as `.mrk.json`, bodies as `.ply`, simulated or reconstructed;
+LPS, mm.
+"""
 
 from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
@@ -35,7 +37,7 @@ _MEASURED_COLOUR, _FITTED_COLOUR, _BAND_COLOUR = (
 
 
 def write_needles(results: Results, folder: Path) -> None:
-    """Write every needle of a run, in the patient coordinates of its scan, to `folder`.
+    """Write every needle of a run to `folder`, in the patient coordinates of its scan.
 
     `<id>.mrk.json` holds curves: measured, fitted (predicted where the fit never saw it), and the edges of
     the 95 % band, of a posterior its median too. `<id>.needle.ply` is the fitted needle's body,
@@ -55,7 +57,7 @@ def write_needles(results: Results, folder: Path) -> None:
 def write_scene(
     placement: Placement, shapes: Sequence[NeedleShape], path: Path, diameter: float | None = None
 ) -> bool:
-    """Write a simulated needle, from its base to its tip, in the patient coordinates in which it lies.
+    """Write a simulated needle, base to tip, in patient coordinates.
 
     A `.mrk.json` holds a curve for every step, a `.ply` the body after the last; a step that failed is left
     out. Return whether there was any to write.
@@ -154,7 +156,7 @@ _NORMAL_95_HALF_WIDTH_SD = 1.96
 
 
 def write_scan(reconstruction: Reconstruction, folder: Path, diameter: float) -> tuple[Path, ...]:
-    """Write what Slicer shows over the scan to `folder`; return the files.
+    """Write the objects that Slicer shows over the scan to `folder`; return the files.
 
     `<id>.mrk.json` holds the whole needle, the part from entry to tip, the edges of its 95 % band toward and
     away from the bending side, entry and tip, where layers are crossed, and the markers found.
@@ -219,7 +221,7 @@ def _scan_points(reconstruction: Reconstruction) -> Iterator[tuple[str, tuple[st
 
 
 def name_markers(reconstruction: Reconstruction) -> tuple[str, ...]:
-    """Return what each marker found is: the known one that it was paired with, counted from 0, or none."""
+    """Return a name for each found marker: the number of its known marker, counted from 0, or none."""
     markers, registration = reconstruction.markers, reconstruction.registration
     if markers is None:
         return ()

@@ -1,4 +1,4 @@
-"""Report of one study or fit, section by section, and the overview of several studies."""
+"""Compose the report of one study or fit, section by section, and the overview of several studies."""
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
@@ -43,7 +43,7 @@ def compose_report(results: Results, figures: FigurePaths) -> Document:
 
 
 def warning_blocks(results: list[Results]) -> list[Block]:
-    """Return what a reader must know before any number."""
+    """Return the warnings that must be read before any number."""
     summary = []
     if any(one.origin == "synthetic" for one in results):
         summary.append(
@@ -76,12 +76,12 @@ def warning_blocks(results: list[Results]) -> list[Block]:
 
 
 def figure_blocks(figures: FigurePaths, name: str, caption: str, synthetic: bool) -> list[Block]:
-    """Return the block of a figure that was drawn, or none."""
+    """Return the block of a figure if it was drawn."""
     return [document.figure(figures[name], caption, synthetic)] if name in figures else []
 
 
 def run_blocks(results: Results, synthetic: bool) -> list[Block]:
-    """Return what the run was."""
+    """Return the settings of the run."""
     rows = tuple(sentences.describe_run(results.run))
     if not rows:
         return []
@@ -111,7 +111,7 @@ def _methods_blocks(results: Results) -> list[Block]:
 
 
 def tuning_blocks(results: Sequence[Results], synthetic: bool) -> list[Block]:
-    """Return the in-sample tables; by media only where the paper has a cell, else it says nothing new."""
+    """Return the in-sample tables; by media only where the paper has a cell."""
     rows = to_records(tabulate_tuning(*results))
     printed = any(row["grouping"] == "media" and row["paper_te_mm"] is not None for row in rows)
     groupings = ("layers", "media") if printed else ("layers",)
@@ -210,7 +210,7 @@ def compose_overview(
     figures: FigurePaths,
     appendix: Sequence[Block] = (),
 ) -> Document:
-    """Return one report over all studies: errors, baselines, tuning, parameters, the paper's contradictions.
+    """Return one report over all studies: errors, baselines, tuning, parameters, contradictions in the paper.
 
     `appendix` is what was asked besides, and answered.
     """

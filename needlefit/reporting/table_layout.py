@@ -1,4 +1,4 @@
-"""Table that is ready to be set: cells as text, headings of columns, places of rules."""
+"""A table ready for print: cells as text, column headings, positions of rules."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -8,7 +8,7 @@ Align = Literal["left", "right"]
 
 @dataclass(frozen=True)
 class TableColumn:
-    """A column's head, its unit (under the head), its side, and whether it takes the space that is left."""
+    """A column: heading, unit (below the heading), alignment, and whether it takes the remaining width."""
 
     label: str
     unit: str = ""
@@ -47,19 +47,19 @@ class TableLayout:
 
 
 def text_column(label: str, wide: bool = False) -> TableColumn:
-    """Return a column of words."""
+    """Return a left-aligned column of text."""
     return TableColumn(label, align="left", wide=wide)
 
 
 def drop_empty_columns(table: TableLayout) -> TableLayout:
-    """Return the table without the columns in which no row has anything to say."""
+    """Return the table without columns that are empty in all rows."""
     return _select_columns(
         table, [i for i in range(len(table.columns)) if any(row[i] not in ("", "–") for row in table.rows)]
     )
 
 
 def drop_column(table: TableLayout, label: str) -> TableLayout:
-    """Return the table without the column of this label."""
+    """Return the table without the column that has this label."""
     return _select_columns(table, [i for i, column in enumerate(table.columns) if column.label != label])
 
 

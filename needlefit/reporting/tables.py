@@ -1,4 +1,4 @@
-"""Our rows beside the paper's, as frames: what the CSV files, `--json` and the printed tables hold."""
+"""Our rows beside the paper's as frames: the contents of the CSV files, of `--json` and of printed tables."""
 
 import math
 from collections.abc import Callable, Iterator
@@ -31,7 +31,8 @@ RowMaker = Callable[[Results], list[Row]]
 
 
 def tabulate_validation(*results: Results, with_alternate: bool = False) -> pd.DataFrame:
-    """Return one row per held-out group: ours, its noise floor, other ways of scoring it, the paper's.
+    """Return one row per held-out group: our errors, the noise floor, other ways of scoring, the paper's
+    errors.
 
     The first columns are those of the paper's validation table (fitted model, measured boundaries, mean
     over insertions). `floor_*` is what perfect parameters would still show, `*_over_floor` the error as a
@@ -71,7 +72,7 @@ def tabulate_tuning(*results: Results, with_alternate: bool = False) -> pd.DataF
 
 
 def to_records(frame: pd.DataFrame) -> list[Row]:
-    """Return the rows as plain values for JSON; what is missing is None."""
+    """Return the rows as JSON values; missing values are None."""
     return [{str(k): _to_plain_value(v) for k, v in row.items()} for row in frame.to_dict("records")]
 
 

@@ -1,4 +1,4 @@
-"""Report of a study of tip tracks: tables, sentences, files."""
+"""Write the report of a study of tip tracks: tables, sentences, files."""
 
 from pathlib import Path
 
@@ -51,7 +51,7 @@ _COVERAGE_NOTES = (
 
 
 def lay_out_parameters(results: TrackResults) -> TableLayout:
-    """Return what the runs fitted to say of each parameter."""
+    """Return the estimate of each parameter from the fitted runs."""
     rows = tuple(
         (
             *(str(row["fit"]), format_symbol(row["parameter"])),
@@ -74,7 +74,7 @@ def lay_out_parameters(results: TrackResults) -> TableLayout:
 
 
 def lay_out_scores(results: TrackResults) -> TableLayout:
-    """Return how every method predicted the same runs."""
+    """Return the prediction errors of every method on the same runs."""
     rows = []
     for medium, group in compare_methods_by_run(results).groupby("medium", sort=False):
         for method in METHODS:
@@ -105,7 +105,7 @@ def lay_out_scores(results: TrackResults) -> TableLayout:
 
 
 def lay_out_depths(results: TrackResults) -> TableLayout:
-    """Return how the errors of what was predicted grow with depth."""
+    """Return how prediction errors grow with depth."""
     table = tabulate_by_depth(results)
     depth_ranges = sorted(set(zip(table["from_mm"], table["to_mm"], strict=True)))
     rows = []
@@ -126,7 +126,9 @@ def lay_out_depths(results: TrackResults) -> TableLayout:
 
 
 def lay_out_coverage(results: TrackResults) -> TableLayout:
-    """Return how often what was predicted held: last readings and whole tracks, a run one trial."""
+    """Return the coverage of predictive intervals: of last readings, and of whole tracks (a run is one
+    trial).
+    """
     rows = []
     for (medium, method), group in tabulate_coverage(results).groupby(["medium", "method"], sort=False):
         by_key = {(row["quantity"], row["level"]): row for row in to_records(group)}
@@ -164,12 +166,12 @@ _MEASURE_NAMES = {"rms_mm": "predicted", "aligned_rms_mm": "in shape"}
 
 
 def list_cautions(results: TrackResults) -> tuple[str, ...]:
-    """Return what must be known before the numbers: what has not converged, which runs are missing."""
+    """Return the warnings to read before the numbers: missing convergence, runs left out."""
     return (*(f"NOT CONVERGED: {fault}." for fault in results.faults), *results.remarks)
 
 
 def summarize_tracks(results: TrackResults) -> tuple[str, ...]:
-    """Return a sentence per medium: against which baselines the fit stands how."""
+    """Return one sentence per medium: the fit compared with the baselines."""
     paired = compare_methods_by_run(results)
     return tuple(
         _summarize_medium(str(medium), group) for medium, group in paired.groupby("medium", sort=False)

@@ -1,4 +1,4 @@
-"""Table of `needlefit verify`: for the screen, as files, and as a page with its convergence figure."""
+"""The table of `needlefit verify`: for the screen, as files, and as a page with its convergence figure."""
 
 import math
 import platform
@@ -32,7 +32,7 @@ _CONVERGENCE_PANELS = (("deflection", 4, "error of the deflection (mm)"), ("slop
 
 
 def draw_convergence(errors: pd.DataFrame, path: Path) -> Path:
-    """Draw the largest error of deflection and slope over the mesh size, a line per case.
+    """Draw the largest error of deflection and slope over the mesh size, one line per case.
 
     `errors` has a row per `case`, `norm` and mesh size `h_mm`, with the `error` and the `order` observed.
     """
@@ -111,7 +111,7 @@ def lay_out_verification(verification: Verification) -> list[TableLayout]:
 
 
 def summarize_verification(verification: Verification) -> str:
-    """Return the outcome in a sentence."""
+    """Return the outcome in one sentence."""
     judged = [row for row in verification.rows if row.verdict != "stated"]
     failed = len(verification.failed)
     summary = (
@@ -122,7 +122,7 @@ def summarize_verification(verification: Verification) -> str:
 
 
 def tabulate_verification(verification: Verification) -> list[dict[str, Any]]:
-    """Return the rows for machines, in the units that they name."""
+    """Return the rows for the CSV file, in the units that they name."""
     return [
         {
             "group": row.group.title,
@@ -140,7 +140,9 @@ def tabulate_verification(verification: Verification) -> list[dict[str, Any]]:
 
 
 def tabulate_refinements(verification: Verification) -> list[dict[str, Any]]:
-    """Return every error of the refinement studies, with the order observed since the mesh size before."""
+    """Return every error of the refinement studies, with the observed order from one mesh size to
+    the next.
+    """
     rows: list[dict[str, Any]] = []
     for curve in verification.curves:
         for norm, errors in curve.errors.items():
@@ -175,7 +177,7 @@ def write_verification(verification: Verification, folder: Path, timing: Mapping
 
 
 def verification_provenance(verification: Verification) -> dict[str, Any]:
-    """Return what a reader needs to repeat the table: versions, seed and rules; no time and no path."""
+    """Return the provenance of the table: versions, seed and rules; without times or paths."""
     return {
         "name": "verification",
         "versions": package_versions(_PACKAGES),
@@ -223,7 +225,7 @@ def _check_cells(row: CheckRow, before: CheckRow | None) -> tuple[str, ...]:
 
 
 def format_measured(value: float) -> str:
-    """Return a measured value with three digits, trailing zeros among them."""
+    """Return a measured value as text with three digits, including trailing zeros."""
     if not math.isfinite(value):
         return MISSING
     if value == 0.0 or 0.1 <= abs(value) < 100:
@@ -233,7 +235,7 @@ def format_measured(value: float) -> str:
 
 
 def format_bound(bound: AcceptanceBound) -> str:
-    """Return a bound as print has it."""
+    """Return a bound as text."""
     low, high = (typeset(format_number(value)) for value in (bound.low, bound.high))
     if low and high:
         return f"{low} to {high}"

@@ -1,1 +1,1 @@
-"""Reports of the kinds of analyses: one file a kind, entered in `result_folder.ANALYSIS_PAGES`."""
+"""Reports of analyses: one file for each kind of analysis, listed in `result_folder.ANALYSIS_PAGES`."""

@@ -19,7 +19,9 @@ _TARGETS = {"all": "what all of them give", "floor": "the noise floor"}
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return what a new specimen costs, what the old posterior is worth, and what the intervals are of."""
+    """Return sentences: how many insertions a new specimen needs, the use of the old posterior, and what
+    intervals cover.
+    """
     parts = (
         _describe_cost,
         _describe_floor,
@@ -32,7 +34,9 @@ def summarize(result: AnalysisResult) -> list[str]:
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return the curves as a table, and from where on they are good enough."""
+    """Return the learning curves as a table, with the number of insertions from which errors are small
+    enough.
+    """
     return [_lay_out_curves(result), _lay_out_insertions_needed(result)]
 
 
@@ -247,14 +251,14 @@ def _format_short_count(row: Row) -> str:
 
 
 def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
-    """Draw the curves; the frame `adaptation` holds what is drawn."""
+    """Draw the learning curves; the frame `adaptation` contains the drawn values."""
     if result.frames["adaptation"].empty:
         return {}
     return {"adaptation": draw_curves(result, folder / "adaptation.pdf")}
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return curves, counts, and what was put in."""
+    """Return the report's sections: curves, counts, and the inputs of the analysis."""
     curves, counts = lay_out_tables(result)
     caption = (
         "Errors on the held-out needles against the number of new insertions learned from: means over "

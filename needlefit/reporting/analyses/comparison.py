@@ -26,13 +26,13 @@ _VERDICT_COLOURS = {
 
 
 def draw_candidates(result: AnalysisResult, path: Path) -> Path:
-    """Draw one row for each candidate but the reference."""
+    """Draw one row for each candidate except the reference."""
     frame = result.frames["group_differences"].assign(held_out=name_held_out(result), origin=result.origin)
     return plot(path, frame, _paint_candidates)
 
 
 def name_held_out(result: AnalysisResult) -> str:
-    """Return what is held out as one: a group of repeats, if any two needles are repeats, else a needle."""
+    """Return the name of the unit held out together: a group of repeats if there are any, else a needle."""
     differences = result.frames["differences"]
     return (
         "group of repeats"
@@ -89,7 +89,7 @@ _VERDICT_NAMES = {"behind": "behind it", "tie": "not significantly different fro
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return who predicts better than whom, and what it means."""
+    """Return sentences: which candidates predict better than others, and what that means."""
     rows = to_records(result.frames["comparison"])
     own = next(row for row in rows if row["verdict"] == "reference")
     others = [row for row in rows if row["verdict"] != "reference"]
@@ -165,7 +165,7 @@ def _format_difference(row: Row) -> str:
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return one row for each candidate."""
+    """Return a table with one row for each candidate."""
     rows = to_records(result.frames["comparison"])
     columns = (
         *(
@@ -213,12 +213,12 @@ def _candidate_cells(row: Row) -> tuple[str, ...]:
 
 
 def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
-    """Draw the differences, group by group and their mean; the frame `comparison` holds what is drawn."""
+    """Draw the differences of each group and their mean; the frame `comparison` contains the drawn values."""
     return {"group_differences": draw_candidates(result, folder / "group_differences.pdf")}
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return figure, table and what was done."""
+    """Return the report's sections: figure, table and method."""
     (table,) = lay_out_tables(result)
     caption = (
         f"Log predictive density of each held-out {name_held_out(result)} less the reference’s (dots), and "

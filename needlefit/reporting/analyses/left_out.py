@@ -1,4 +1,4 @@
-"""Report of insertions and specimens left out in turn."""
+"""Report of a cross-validation: insertions and specimens left out in turn."""
 
 from pathlib import Path
 from typing import Any
@@ -20,7 +20,9 @@ from needlefit.validation.analyses.runner import AnalysisResult
 
 
 def draw_left_out(result: AnalysisResult, path: Path) -> Path:
-    """Draw mean IPE and TE in sample and left out, with the noise floor and a constant curvature."""
+    """Draw mean IPE and TE in sample and left out, with the noise floor and the constant-curvature
+    baseline.
+    """
     return plot(path, result.frames["summary"].assign(origin=result.origin), _paint_left_out)
 
 
@@ -73,12 +75,12 @@ _GROUP_NAMES = {"insertion": "each insertion left out", "specimen": "each specim
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return, for every fit, what leaving out added to the error."""
+    """Return, for every fit, how much larger the error of left-out insertions is."""
     return [_summarize_fit(row) for row in to_records(result.frames["summary"])]
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return the errors left out beside those in sample, and how what was left out was predicted."""
+    """Return left-out errors beside in-sample errors, and how well left-out insertions were predicted."""
     return [_lay_out_errors(result), _lay_out_coverage(result)]
 
 
@@ -155,14 +157,14 @@ def _lay_out_coverage(result: AnalysisResult) -> TableLayout:
 
 
 def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
-    """Draw the errors in sample and left out, if anything could be left out."""
+    """Draw the errors in sample and left out, unless nothing could be left out."""
     if (result.frames["summary"]["note"] != "").all():
         return {}
     return {"summary": draw_left_out(result, folder / "summary.pdf")}
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return the figure, both tables and what was done."""
+    """Return the report's sections: the figure, both tables and the method."""
     errors, coverage = lay_out_tables(result)
     caption = (
         "Errors in sample (hollow) and of what was left out (filled), with a constant curvature fitted to "

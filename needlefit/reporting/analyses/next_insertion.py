@@ -33,7 +33,7 @@ LABEL_SPACE = 1.62
 
 
 def draw_gains(result: AnalysisResult, path: Path) -> Path:
-    """Draw gain and remaining deviation of the first tip asked for."""
+    """Draw the expected gain, and the remaining standard deviation of the first predicted tip."""
     return plot(path, result.frames["gains"].assign(origin=result.origin), _paint_gains)
 
 
@@ -95,20 +95,20 @@ _CANDIDATE_KEYS = ["role", "entry", "angle_deg", "depth_mm"]
 
 
 def find_best_candidate(result: AnalysisResult) -> Row | None:
-    """Return the candidate that tells most; None if none has a solution."""
+    """Return the candidate with the largest expected information gain; None if none has a solution."""
     ranked = [row for rows in group_candidates(result).values() for row in rows]
     return max(ranked, key=lambda row: float(row["nats"]), default=None)
 
 
 def find_repeat(result: AnalysisResult) -> Row | None:
-    """Return the deepest insertion made so far, once more; None if it has no solution."""
+    """Return the candidate that repeats the deepest insertion so far; None if it has no solution."""
     every = result.frames["candidates"]
     found = to_records(every[(every["role"] == "repeat") & every["nats"].notna()])
     return found[0] if found else None
 
 
 def group_candidates(result: AnalysisResult) -> dict[tuple[str, float], list[Row]]:
-    """Return the candidates that have a solution, by entry and angle."""
+    """Return the candidates with a solution, grouped by entry and angle."""
     every = result.frames["candidates"]
     found: dict[tuple[str, float], list[Row]] = {}
     for row in to_records(every[(every["role"] == "candidate") & every["nats"].notna()]):
@@ -117,7 +117,7 @@ def group_candidates(result: AnalysisResult) -> dict[tuple[str, float], list[Row
 
 
 def select_candidate(frame: pd.DataFrame, where: Row) -> pd.DataFrame:
-    """Return the rows about one candidate."""
+    """Return the table rows of one candidate."""
     same = np.all([frame[key] == where[key] for key in _CANDIDATE_KEYS], axis=0)
     return frame[same]
 
@@ -127,7 +127,9 @@ BENT_RIDGE_NATS = 0.3
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return the best candidate, what it tells beside a repeat, and what none tells."""
+    """Return sentences: the best candidate, its gain beside that of a repeat, and parameters that no
+    candidate determines.
+    """
     best, again = find_best_candidate(result), find_repeat(result)
     if best is None:
         return ["No candidate has a solution within the medium."]
@@ -201,7 +203,9 @@ def _describe_agreement(result: AnalysisResult) -> str:
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return the best depth of every way in beside a repeat, and the deviations that the best leaves."""
+    """Return the best depth of every entry and angle beside a repeat, and the standard deviations left by the
+    best.
+    """
     return [_lay_out_ranking(result), _lay_out_expected_sds(result)]
 
 
@@ -273,12 +277,12 @@ def _lay_out_expected_sds(result: AnalysisResult) -> TableLayout:
 
 
 def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
-    """Draw what every insertion would tell, if any has a solution."""
+    """Draw the gain of every candidate, if any has a solution."""
     return {} if find_best_candidate(result) is None else {"gains": draw_gains(result, folder / "gains.pdf")}
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return figure, tables, and what is behind the numbers."""
+    """Return the report's sections: figure, tables, and the basis of the numbers."""
     caption = (
         "Expected gain of one more insertion (with its standard error), and the deviation of the tip asked "
         "for that it is expected to leave, against its depth. Diamond: the deepest insertion so far again."

@@ -1,4 +1,4 @@
-"""Interface that the report of every kind of analysis implements."""
+"""The interface that the report of every kind of analysis implements."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ FigurePaths = Mapping[str, Path]
 
 @dataclass(frozen=True)
 class AnalysisPage:
-    """How the results of one kind of analysis are reported.
+    """The functions that report the results of one kind of analysis.
 
     Attributes
     ----------

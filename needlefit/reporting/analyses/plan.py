@@ -17,7 +17,7 @@ from needlefit.validation.analyses.runner import AnalysisResult
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return the plan, by how much it would miss, and what the others would."""
+    """Return sentences: the plan, its expected miss, and the misses of the alternatives."""
     rows = {str(row["plan"]): row for row in to_records(result.frames["plans"])}
     ours = rows[EXPECTED]
     side = "+" if ours["bevel_side"] > 0 else "−"
@@ -68,7 +68,7 @@ def _describe_exceedances(result: AnalysisResult) -> str:
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return the plans with their misses, and how often they miss by more than is allowed."""
+    """Return the plans with their misses, and how often they miss by more than the tolerance."""
     plans, exceedances = to_records(result.frames["plans"]), result.frames["exceedances"]
     head = (
         text_column("Plan", wide=True),
@@ -122,7 +122,7 @@ def _plan_cells(row: Row, bounded: Collection[str]) -> tuple[str, ...]:
 
 
 def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
-    """Draw the plan in its plane, and how far the needles of all plans miss."""
+    """Draw the plan in its plane, and the misses of all plans."""
     return {
         "plane": draw_plane(result, folder / "plane.pdf"),
         "within": draw_misses(result, folder / "within.pdf"),
@@ -130,7 +130,7 @@ def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return the plan drawn, tables and misses, and what is behind them."""
+    """Return the report's sections: the drawn plan, tables, misses, and the basis of the numbers."""
     captions = {
         "plane": "The plan in its plane: the needle of the mean parameters (thick), those of fresh draws "
         "(thin), and method plans (dashed); right, where all of its needles end. Numbers name the layers.",

@@ -1,4 +1,4 @@
-"""Analysis result -> a folder of files, complete or not there at all."""
+"""Write an analysis result as a folder of files; the folder is complete, or it is not created."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -46,7 +46,7 @@ MODEL_DATA_NOTE = "The needles were made by the model itself: how it fares on th
 
 
 def write_analysis(result: AnalysisResult, folder: Path) -> Path:
-    """Write the result of an analysis to `folder`, replacing an earlier result there; return it.
+    """Write the result of an analysis to `folder`, replacing an earlier result there; return the folder.
 
     Every frame as CSV, tables and their numbers as LaTeX, figures as PDF, the report as PDF and HTML,
     `run.json`, `results.json.gz`, from which all of this can be made again, and `timing.json`.
@@ -72,7 +72,7 @@ def write_analysis(result: AnalysisResult, folder: Path) -> Path:
 
 
 def compose_analysis_report(result: AnalysisResult, figures: FigurePaths) -> Document:
-    """Return the report: question, results, how they were computed, provenance."""
+    """Return the report: question, results, method, provenance."""
     page = ANALYSIS_PAGES[result.kind]
     blocks = [
         *analysis_warning_blocks(result),
@@ -87,7 +87,7 @@ def compose_analysis_report(result: AnalysisResult, figures: FigurePaths) -> Doc
 
 
 def analysis_warning_blocks(result: AnalysisResult) -> list[Block]:
-    """Return what a reader must know before any number."""
+    """Return the warnings that must be read before any number."""
     blocks = []
     if result.synthetic:
         of_twin = "twin" in result.run["datasets"]

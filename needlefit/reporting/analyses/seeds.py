@@ -1,4 +1,4 @@
-"""Report of the studies on many synthetic datasets."""
+"""Report of the studies repeated on many synthetic datasets."""
 
 from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
@@ -42,7 +42,7 @@ _ERRORS = {"ipe_mean_mm": "mean IPE", "te_mm": "TE"}
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return whether the paper's pattern holds, and whom the fit beats, or not."""
+    """Return sentences: whether the paper's pattern holds, and which methods the fit is better than."""
     return [
         _describe_pattern(result),
         *_describe_studies(result),
@@ -53,13 +53,13 @@ def summarize(result: AnalysisResult) -> list[str]:
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return every cell over twins, the parameters, the comparisons, and what was lost."""
+    """Return tables of every cell over the datasets, the parameters, the comparisons, and the failures."""
     cells = [_lay_out_cells(result, name) for name in _TABLES]
     return [*cells, _lay_out_parameters(result), _lay_out_comparisons(result), _lay_out_losses(result)]
 
 
 def study_name(name: str) -> str:
-    """Return a study or fit as print has it."""
+    """Return the printed name of a study or fit."""
     return medium_name(name).capitalize()
 
 
@@ -287,7 +287,9 @@ def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return the pattern, the comparisons and their losses, then every cell and the parameters."""
+    """Return the report's sections: the pattern, comparisons and failures, then every cell and the
+    parameters.
+    """
     tables = {table.name: document.table(table, result.synthetic) for table in lay_out_tables(result)}
 
     def figure(name: str, caption: str) -> list[Block]:

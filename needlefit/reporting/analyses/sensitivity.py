@@ -1,4 +1,4 @@
-"""Report of a sensitivity study: how much the tables depend on each decision."""
+"""Report of a sensitivity study: how much the tables depend on each modelling decision."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,7 +34,9 @@ MIN_CHANGE_FLOORS = 0.1
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return what every kind of variation does, most first, and whether a conclusion changes."""
+    """Return sentences: the effect of each kind of variation, largest first, and whether a conclusion
+    changes.
+    """
     return [
         _describe_conclusions(result),
         *_describe_aspects(result),
@@ -46,7 +48,7 @@ def summarize(result: AnalysisResult) -> list[str]:
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return the change of every study, of all cells, and of the parameters."""
+    """Return the changes of every study, of all cells, and of the parameters."""
     return [
         _lay_out_studies(result, "again"),
         _lay_out_studies(result, "kept"),
@@ -274,7 +276,7 @@ def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return the figure, then the changes of studies, cells and parameters."""
+    """Return the report's sections: the figure, then the changes of studies, cells and parameters."""
     again, kept, largest, parameters = (document.table(t, result.synthetic) for t in lay_out_tables(result))
     return [
         document.heading("Who changes by how much"),

@@ -1,4 +1,6 @@
-"""Report of a population of specimens: mean, spread, a further specimen; or recovery of a known one."""
+"""Report of a population of specimens: mean, spread and a further specimen; or recovery of a known
+population.
+"""
 
 import math
 from pathlib import Path
@@ -21,7 +23,7 @@ MAX_NAMED_SPECIMENS = 3
 
 
 def summarize(result: AnalysisResult) -> list[str]:
-    """Return what the spread between specimens can be, or how often intervals held a known one."""
+    """Return sentences: the spread between specimens, or how often intervals covered a known one."""
     if result.frames["recovered"].empty:
         return [line for group in _list_groups(result) for line in _describe_population(result, group)]
     return _describe_recovery(result)
@@ -118,7 +120,7 @@ def _describe_recovery(result: AnalysisResult) -> list[str]:
 
 
 def lay_out_tables(result: AnalysisResult) -> list[TableLayout]:
-    """Return mean, spread and further specimen; or how often intervals held."""
+    """Return mean, spread and a further specimen as tables; or the coverage of the intervals."""
     return [_lay_out_coverage(result)] if len(result.frames["coverage"]) else [_lay_out_population(result)]
 
 
@@ -194,7 +196,7 @@ def _lay_out_coverage(result: AnalysisResult) -> TableLayout:
 
 
 def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
-    """Draw specimens and spreads, or the intervals of every replicate beside the truth."""
+    """Draw specimens and spreads, or the intervals of every replicate beside the true values."""
     if len(result.frames["coverage"]):
         return {"recovered": draw_recovered(result, folder / "recovered.pdf")}
     return {
@@ -204,7 +206,7 @@ def draw_figures(result: AnalysisResult, folder: Path) -> dict[str, Path]:
 
 
 def compose_sections(result: AnalysisResult, figures: FigurePaths) -> list[Block]:
-    """Return figures, table, and what is behind them."""
+    """Return the report's sections: figures, table, and the basis of the numbers."""
     captions = {
         "specimens": "The posterior of every specimen by itself: mean and standard deviation.",
         "densities": "Posterior density of the spread between specimens; dashed its prior.",

@@ -1,4 +1,4 @@
-"""Credibility bundle -> a folder of files, complete or not there at all."""
+"""Write a credibility bundle as a folder of files; the folder is complete, or it is not created."""
 
 import hashlib
 from pathlib import Path
@@ -41,7 +41,7 @@ def write_bundle(case: CredibilityCase, entries: list[FactorEntry], run: Path, f
 
 
 def list_rows(entries: list[FactorEntry]) -> list[Row]:
-    """Return a row for every finding and every gap."""
+    """Return one row for every finding and every gap."""
     table = []
     for entry in entries:
         head = {"part": entry.factor.part, "factor": entry.factor.name}
@@ -59,7 +59,7 @@ def _escape_cells(table: list[Row]) -> pd.DataFrame:
 
 
 def bundle_to_json(case: CredibilityCase, entries: list[FactorEntry]) -> dict[str, Any]:
-    """Return the bundle for machines."""
+    """Return the bundle as JSON values."""
     head = {"name": case.name, "disclaimer": DISCLAIMER, "damaged": list(case.damaged)}
     return {**head, "factors": list_rows(entries), "evidence": _evidence(case)}
 

@@ -1,4 +1,6 @@
-"""Credibility case: a run's results, the evidence beside them, statements of people; and findings."""
+"""Credibility case: the results of a run, evidence from other commands, statements of people, and
+findings.
+"""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,7 +26,7 @@ from needlefit.validation.results import Results
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing found.
+    """One finding: a statement with its source.
 
     Attributes
     ----------
@@ -46,7 +48,7 @@ class Finding:
 
 @dataclass(frozen=True)
 class EvidenceFigure:
-    """A figure that another command drew, what stands under it, and whether it shows the run's data."""
+    """A figure drawn by another command, its caption, and whether it shows the run's data."""
 
     path: Path
     caption: str
@@ -55,7 +57,7 @@ class EvidenceFigure:
 
 @dataclass(frozen=True)
 class FactorFindings:
-    """Findings on a factor, and `gaps`: what they leave open. Without findings all of it is a gap."""
+    """Findings on a factor, and `gaps`: what they leave open; without findings the whole factor is a gap."""
 
     findings: tuple[Finding, ...] = ()
     gaps: tuple[str, ...] = ()
@@ -64,7 +66,7 @@ class FactorFindings:
 
 
 def join_findings(*parts: FactorFindings) -> FactorFindings:
-    """Return all of several parts."""
+    """Return the findings of several parts as one."""
     return FactorFindings(
         tuple(finding for part in parts for finding in part.findings),
         tuple(dict.fromkeys(summary for part in parts for summary in part.gaps)),
@@ -78,7 +80,7 @@ NO_STATEMENTS = CredibilityStatementsRecord.model_validate({"schema": 1})
 
 @dataclass(frozen=True)
 class CredibilityCase:
-    """All that a bundle is made of.
+    """Everything a credibility bundle is composed from.
 
     Attributes
     ----------
@@ -110,20 +112,20 @@ class CredibilityCase:
 
     @property
     def held_out(self) -> list[Results]:
-        """The results with insertions that did not tune."""
+        """The results that have held-out insertions."""
         return [one for one in self.results if find_scored_role(one) == "validate"]
 
     @property
     def synthetic(self) -> bool:
-        """Whether anything in it is synthetic."""
+        """Whether any data in the case are synthetic."""
         return any(one.origin == "synthetic" for one in self.results)
 
     def counted(self, kind: EvidenceKind) -> list[CredibilityEvidence]:
-        """Return the evidence of one kind that is of the same thing as the run."""
+        """Return the evidence of one kind that applies to the run."""
         return [one for one in self.evidence if one.kind == kind and one.counted]
 
     def gap_prefix(self, results: Results) -> str:
-        """Return what a gap of one of several runs begins with."""
+        """Return the first words of a gap that concerns one of several runs."""
         return f"{results.name}: " if len(self.results) > 1 else ""
 
 
@@ -177,12 +179,12 @@ def _no_results_error(run: Path) -> DataError:
 
 
 def find_target(results: Results) -> str:
-    """Return the study or fit that results are of, as other commands call it."""
+    """Return the study or fit of the results, in the form that other commands accept."""
     return results.name.removesuffix("-tune")
 
 
 def make_finding(results: Results, file: str, words: str) -> Finding:
-    """Return what was found in a file of a run."""
+    """Return a finding from a file of a run."""
     verb = "validate" if isinstance(results.record, StudyRecord) else "tune"
     return Finding(
         words, f"{results.name}/{file}", f"needlefit {verb} {find_target(results)}", find_target(results)
@@ -190,10 +192,10 @@ def make_finding(results: Results, file: str, words: str) -> Finding:
 
 
 def find_figure(folder: Path, file: str, caption: str) -> tuple[EvidenceFigure, ...]:
-    """Return a figure that lies in a folder, if it does."""
+    """Return a figure of a folder, if it exists."""
     return (EvidenceFigure(folder / file, caption),) if (folder / file).is_file() else ()
 
 
 def make_evidence_finding(evidence: CredibilityEvidence, file: str, words: str) -> Finding:
-    """Return what was found in a file of evidence."""
+    """Return a finding from a file of evidence."""
     return Finding(words, f"{evidence.place}/{file}", evidence.command, evidence.target)

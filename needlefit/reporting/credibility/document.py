@@ -1,4 +1,4 @@
-"""Credibility bundle as one document: overview, findings and gaps of every factor, provenance."""
+"""Compose the credibility bundle as one document: overview, findings and gaps of every factor, provenance."""
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby
@@ -37,7 +37,9 @@ def provenance_blocks(case: CredibilityCase) -> list[Block]:
 
 
 def lay_out_evidence(evidence: Sequence[CredibilityEvidence]) -> TableLayout:
-    """Return one row per folder and run that it was looked at for, and why it is not counted."""
+    """Return one row per folder and run that was searched for evidence, with the reason if it is
+    not counted.
+    """
     rows = tuple(
         (
             one.place,
@@ -106,7 +108,7 @@ READING_NOTE = (
 
 
 def compose_bundle(case: CredibilityCase, entries: list[FactorEntry]) -> Document:
-    """Return the document."""
+    """Return the document of a credibility bundle."""
     blocks = [
         document.warning(DISCLAIMER),
         *warning_blocks(list(case.results)),
@@ -120,7 +122,7 @@ def compose_bundle(case: CredibilityCase, entries: list[FactorEntry]) -> Documen
 
 
 def lay_out_overview(entries: list[FactorEntry]) -> TableLayout:
-    """Return one row per factor: where something was found, and how many boxes are empty."""
+    """Return one row per factor: where findings exist, and the number of gaps."""
     rows, breaks, last = list[tuple[str, ...]](), list[int](), ""
     for entry in entries:
         part = entry.factor.part

@@ -1,4 +1,5 @@
-"""The credibility factors of ASME V&V 40-2018 in its order, each with what would fill its gap.
+"""The credibility factors of ASME V&V 40-2018 in their order, each with the evidence that would close its
+gap.
 
 Their names and order are those that public accounts of the standard give: FDA, Assessing the Credibility of
 Computational Modeling and Simulation in Medical Device Submissions (guidance, 17 November 2023), and
@@ -237,14 +238,14 @@ FACTORS = (
 
 @dataclass(frozen=True)
 class FactorEntry:
-    """One factor and its findings."""
+    """One factor with its findings."""
 
     factor: Factor
     content: FactorFindings
 
     @property
     def gaps(self) -> tuple[str, ...]:
-        """What stands in its empty boxes."""
+        """The gaps of the factor."""
         found = bool(self.content.findings)
         if self.factor.needs_statement:
             stated = any(one.command == "" for one in self.content.findings)
@@ -281,7 +282,7 @@ _FINDERS: Mapping[str, Callable[[CredibilityCase], FactorFindings]] = MappingPro
 
 
 def collect_entries(case: CredibilityCase) -> list[FactorEntry]:
-    """Return every factor, in the order of the standard."""
+    """Return every factor with its findings, in the order of the standard."""
     return [FactorEntry(factor, _collect_findings(factor, case)) for factor in FACTORS]
 
 

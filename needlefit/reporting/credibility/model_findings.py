@@ -30,7 +30,7 @@ _TUNING_NAMES = {"again": "tuned again", "kept": "kept"}
 
 
 def find_variations(case: CredibilityCase, aspects: Sequence[str]) -> FactorFindings:
-    """Return what varying each subject did to the errors of these runs; each one that was not, as a gap."""
+    """Return how much varying each input or rule changes the errors; one that was not varied is a gap."""
     every = case.counted("sensitivity")
     studies = {one.place: one for one in every}
     parts = [_find_variations_of(case, one, aspects) for one in studies.values()]
@@ -137,7 +137,9 @@ INPUT_ASPECTS = ("thickness", "rigidity", "layer depths")
 
 
 def find_form(case: CredibilityCase) -> FactorFindings:
-    """Return the rules decided, how curves without mechanics do on these needles, and what rules matter."""
+    """Return findings on model form: the decided rules, curves without mechanics, and the rules
+    that matter.
+    """
     findings = []
     for one in case.results:
         if rules := one.run.get("rules"):
@@ -151,7 +153,7 @@ def find_form(case: CredibilityCase) -> FactorFindings:
 
 
 def find_sensitivities(case: CredibilityCase) -> FactorFindings:
-    """Return which parameters the data determine, and what inputs matter."""
+    """Return findings on sensitivity: the parameters that the data determine, and the inputs that matter."""
     known = [make_finding(one, "parameters.csv", describe_undetermined(one)) for one in case.results]
     known += [
         make_evidence_finding(one, "identify.csv", insert_symbols(" ".join(summary)))
@@ -166,7 +168,7 @@ def find_sensitivities(case: CredibilityCase) -> FactorFindings:
 
 
 def find_uncertainties(case: CredibilityCase) -> FactorFindings:
-    """Return how well parameters are known, how far predictions are, and whether all this is right."""
+    """Return findings on uncertainty: of parameters and predictions, and whether they are calibrated."""
     parts = [_find_combinations(case, one) for one in case.results]
     parts += [_find_predictions(case, one) for one in case.held_out]
     parts += [_find_calibration(case, one) for one in case.counted("calibration")]

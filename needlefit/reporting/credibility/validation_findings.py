@@ -1,4 +1,4 @@
-"""Findings on comparator and assessment: specimens, insertions, and how outputs agree."""
+"""Findings on comparator and assessment: specimens, insertions, and the agreement of outputs."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -33,7 +33,9 @@ AGREEMENT_FIGURES = {"boxplot.pdf": labels.BOXPLOT_CAPTION, "predicted.pdf": lab
 
 
 def find_equal_inputs(case: CredibilityCase) -> FactorFindings:
-    """Return what the model was given of the very insertions, and where it tuned."""
+    """Return findings on inputs: which of them came from the compared insertions, and where they tuned the
+    model.
+    """
     findings = []
     for one in case.held_out:
         needle = one.run.get("dataset", {}).get("needle")
@@ -51,7 +53,7 @@ def find_equal_inputs(case: CredibilityCase) -> FactorFindings:
 
 
 def find_outputs(case: CredibilityCase) -> FactorFindings:
-    """Return how many outputs were compared on how many needles."""
+    """Return the number of outputs compared, and on how many needles."""
     findings = []
     for one in case.held_out:
         scored = one.shapes.query("role == 'validate' and method == 'fitted' and boundaries == 'measured'")
@@ -65,7 +67,7 @@ def find_outputs(case: CredibilityCase) -> FactorFindings:
 
 
 def find_equal_outputs(case: CredibilityCase) -> FactorFindings:
-    """Return that measured and simulated centrelines are the same quantity, as far as they are."""
+    """Return how far measured and simulated centrelines are the same quantity."""
     findings = []
     for one in case.held_out:
         aligned = (one.errors["comparison"] == "aligned").any()
@@ -87,7 +89,7 @@ _ALIGNED_NOTE = (
 
 
 def find_rigour(case: CredibilityCase) -> FactorFindings:
-    """Return which uncertainties entered the comparison."""
+    """Return the uncertainties that entered the comparison."""
     findings, gaps = list[Finding](), list[str]()
     for one in case.held_out:
         name = case.gap_prefix(one)
@@ -113,7 +115,9 @@ def find_rigour(case: CredibilityCase) -> FactorFindings:
 
 
 def find_agreement(case: CredibilityCase) -> FactorFindings:
-    """Return the errors beside their noise floors, baselines that do better, and how often intervals held."""
+    """Return the errors beside their noise floors, the baselines with smaller errors, and the coverage of
+    intervals.
+    """
     findings = []
     for one in case.held_out:
         named = isinstance(study_label(one), int)  # then the sentence itself says of which study it is
@@ -168,7 +172,7 @@ ALL_SYNTHETIC_NOTE = "All of it is synthetic: nothing physical was tested or mea
 
 
 def find_samples(case: CredibilityCase) -> FactorFindings:
-    """Return how many specimens and insertions were held out, and how many tuned."""
+    """Return the numbers of held-out and of tuning specimens and insertions."""
 
     def describe(one: Results) -> str:
         counts = [f"{_count_role(one, role)} {verb}" for role, verb in _ROLE_NAMES.items()]
@@ -178,7 +182,7 @@ def find_samples(case: CredibilityCase) -> FactorFindings:
 
 
 def find_samples_range(case: CredibilityCase) -> FactorFindings:
-    """Return the media and the numbers of layers."""
+    """Return the media and the numbers of layers that were tested."""
 
     def describe(one: Results) -> str:
         held_out = one.design[one.design["role"] == "validate"]
@@ -192,7 +196,7 @@ def find_samples_range(case: CredibilityCase) -> FactorFindings:
 
 
 def find_sample_measurements(case: CredibilityCase) -> FactorFindings:
-    """Return what the dataset says of itself, and which layers' stiffness was measured beforehand."""
+    """Return the dataset's statements about itself, and the layers whose stiffness was measured before."""
     found = _describe_each(
         case, "run.json", lambda one: " ".join(one.run.get("dataset", {}).get("notes", ()))
     )
@@ -206,12 +210,12 @@ def find_sample_measurements(case: CredibilityCase) -> FactorFindings:
 
 
 def find_sample_uncertainty(case: CredibilityCase) -> FactorFindings:
-    """Return nothing: a run does not repeat what its dataset states of layers."""
+    """Return no finding: a run does not contain what its dataset states about layers."""
     return FactorFindings(gaps=(ALL_SYNTHETIC_NOTE,) if _is_synthetic(case) else ())
 
 
 def find_conditions(case: CredibilityCase) -> FactorFindings:
-    """Return how many insertions were held out."""
+    """Return the number of held-out insertions."""
 
     def describe(one: Results) -> str:
         rows = _held_out_errors(one)
@@ -222,7 +226,7 @@ def find_conditions(case: CredibilityCase) -> FactorFindings:
 
 
 def find_conditions_range(case: CredibilityCase) -> FactorFindings:
-    """Return how deep the held-out needles went and how far they bent, beside those that tuned."""
+    """Return the ranges of depth and deflection of held-out needles, beside those of tuning needles."""
 
     def describe(one: Results) -> str:
         return f"{'; '.join(f'{verb}: {_describe_range(one, role)}' for role, verb in _RANGE_NAMES.items())}."
@@ -231,7 +235,7 @@ def find_conditions_range(case: CredibilityCase) -> FactorFindings:
 
 
 def find_condition_measurements(case: CredibilityCase) -> FactorFindings:
-    """Return what of an insertion is known from measurement."""
+    """Return the inputs of an insertion that were measured."""
 
     def describe(one: Results) -> str:
         aligned = (one.errors["comparison"] == "aligned").any()
@@ -245,12 +249,12 @@ def find_condition_measurements(case: CredibilityCase) -> FactorFindings:
 
 
 def find_condition_uncertainty(case: CredibilityCase) -> FactorFindings:
-    """Return what the stated measurement noise alone does to the errors."""
+    """Return the errors that the stated measurement noise causes by itself."""
     return _describe_each(case, "errors.csv", describe_noise_floor)
 
 
 def find_tested_range(case: CredibilityCase) -> FactorFindings:
-    """Return in what range predictions were held against needles, which is as far as they were tested."""
+    """Return the range in which predictions were compared with needles."""
 
     def describe(one: Results) -> str:
         media = ", ".join(dict.fromkeys(medium_name(str(name)) for name in _held_out_errors(one)["medium"]))

@@ -30,7 +30,7 @@ _CODE_GROUPS = (
 
 
 def find_quality_assurance(case: CredibilityCase) -> FactorFindings:
-    """Return with what the run was computed, and that only people can say how that is assured."""
+    """Return the software that computed the run; its quality assurance can be stated only by people."""
     findings = [
         make_finding(one, "run.json", f"Computed with {_join_versions(versions)}.")
         for one in case.results
@@ -40,7 +40,7 @@ def find_quality_assurance(case: CredibilityCase) -> FactorFindings:
 
 
 def find_code_verification(case: CredibilityCase) -> FactorFindings:
-    """Return every group of checks of the code, by what is nearest to its bound, and the orders observed."""
+    """Return every group of code checks with the check nearest to its bound, and the observed orders."""
     parts = []
     for one in case.counted("verification"):
         orders = find_figure(one.folder, EVIDENCE_FIGURES[one.kind], labels.CONVERGENCE_CAPTION)
@@ -50,7 +50,7 @@ def find_code_verification(case: CredibilityCase) -> FactorFindings:
 
 
 def find_discretisation(case: CredibilityCase) -> FactorFindings:
-    """Return what the mesh leaves, where it was measured with the mesh of the run."""
+    """Return the discretisation error, if it was measured with the mesh of the run."""
     parts = []
     for one in case.counted("verification"):
         measured = one.run["rules"]["element"]
@@ -72,7 +72,7 @@ def find_discretisation(case: CredibilityCase) -> FactorFindings:
 
 
 def find_solver(case: CredibilityCase) -> FactorFindings:
-    """Return what the solver's tangent and tolerance leave, and what failed in the run."""
+    """Return the errors of the solver's tangent and tolerance, and the failures of the run."""
     parts = []
     for one in case.counted("verification"):
         tolerance = format_measured(float(one.run["rules"]["tolerance"]))
@@ -87,7 +87,7 @@ def find_solver(case: CredibilityCase) -> FactorFindings:
 
 
 def find_use_error(case: CredibilityCase) -> FactorFindings:
-    """Return what stands in the run so that somebody else can run it again, and which files are damaged."""
+    """Return what the run stores for a repetition by others, and which of its files are damaged."""
     findings = []
     for one in case.results:
         dataset = one.run.get("dataset", {})

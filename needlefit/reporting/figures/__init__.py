@@ -1,4 +1,4 @@
-"""Figures of results, one file each, drawn the same way on every machine (`style`)."""
+"""Figures of results, one file each, drawn in the same way on every machine (`style`)."""
 
 from needlefit.reporting.figures.corner import draw_corner
 from needlefit.reporting.figures.held_out_errors import draw_baselines, draw_boxplot

@@ -1,4 +1,4 @@
-"""Errors on held-out needles against the number of insertions learned from."""
+"""Figure of errors on held-out needles against the number of insertions in the fit."""
 
 from pathlib import Path
 
@@ -21,7 +21,7 @@ _PANELS = (
 
 
 def draw_curves(result: AnalysisResult, path: Path) -> Path:
-    """Draw tip error, in-plane error, CRPS and coverage, one line per way."""
+    """Draw tip error, in-plane error, CRPS and coverage, one line per prior."""
     return plot(path, result.frames["adaptation"].assign(origin=result.origin), _paint_curves)
 
 

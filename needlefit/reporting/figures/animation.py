@@ -1,4 +1,4 @@
-"""Animation of an insertion at its own pace."""
+"""Write an animation of an insertion at its own speed."""
 
 import math
 from collections.abc import Iterable, Sequence
@@ -40,19 +40,20 @@ def animate(
     path: Path,
     overlays: SceneOverlays = _NO_OVERLAYS,
 ) -> None:
-    """Write moments as an animation, .gif or .mp4: each is seen from its time to the next one's.
+    """Write states of an insertion as an animation, .gif or .mp4; each is shown from its time to that of the
+    next.
 
     Parameters
     ----------
     title : str
     scene : Scene
         As of `draw_moment`.
-    moments : iterable of (time, Moment)
+    moments : iterable of (time, NeedleState)
         Times in s, increasing.
     duration : float
         The last of these times, s.
     path : Path
-    beside : Beside
+    overlays : SceneOverlays
 
     Raises
     ------
@@ -89,7 +90,7 @@ def _write_frames(
 
 
 def sample_moments(moments: Iterable[TimedMoment], times: Sequence[float]) -> list[NeedleState]:
-    """Return what is seen at each of `times`, increasing: the last moment that is not later."""
+    """Return the state shown at each of `times`, increasing: the last one that is not later."""
     found: list[NeedleState] = []
     seen: NeedleState | None = None
     for time, moment in moments:

@@ -1,4 +1,4 @@
-"""Posterior draws: every parameter and every pair of parameters, with the ridge that they lie on."""
+"""Figure of posterior draws: every parameter, every pair of parameters, and the ridge."""
 
 from pathlib import Path
 
@@ -29,13 +29,13 @@ _MARKS = {"fitted": ("D", 4.2, INK), "hand_tuned": ("s", 4.0, METHOD_COLOURS["ha
 
 
 def draw_corner(results: Results, path: Path) -> Path:
-    """Draw the stored draws of the first fold, the fit, the paper's set, the bounds and the ridge."""
+    """Draw the draws of the first fold with the fit, the paper's parameters, the bounds and the ridge."""
     names = {"fitted": "the fit", "hand_tuned": method_name("hand_tuned", results)}
     return plot(path, tabulate_marks(results), lambda frame: _paint(frame, names))
 
 
 def tabulate_marks(results: Results) -> pd.DataFrame:
-    """Return what is drawn, Pa and mm: a row per draw, fit, paper's set, bound and end of the ridge."""
+    """Return what is drawn, Pa and mm: one row per draw, fit, paper's set, bound and end of the ridge."""
     fold = results.draws["fold"].iloc[0]
     names = list_free_parameters(results)
     draws = results.draws.loc[results.draws["fold"] == fold, names].assign(mark="draw")

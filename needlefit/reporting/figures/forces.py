@@ -1,4 +1,4 @@
-"""Forces on a needle: computed, drawn, and described."""
+"""Compute, draw and describe the forces on a needle."""
 
 import math
 import textwrap
@@ -28,12 +28,13 @@ _ARROW = {
 
 
 def compute_state_loads(scene: Scene, moment: NeedleState) -> Loads:
-    """Return what acts on the needle."""
+    """Return the loads on the needle in one state."""
     return compute_loads(moment.shape, moment.tissue, scene.needle, moment.step.controls, scene.rules)
 
 
 def outline_load(entry: Entry, moment: NeedleState, found: Loads, per_mm: float) -> Floats:
-    """Return the outline in the world of the load along the shaft: from the needle to where it pulls.
+    """Return the outline in the world of the drawn load along the shaft: from the needle to the load, and
+    back.
 
     `per_mm` is the load that a drawn millimetre stands for, N/mm.
     """
@@ -45,13 +46,13 @@ def outline_load(entry: Entry, moment: NeedleState, found: Loads, per_mm: float)
 
 
 def draw_load(axes: Axes, outline: Floats) -> None:
-    """Shade the load along the shaft."""
+    """Fill the outline of the load along the shaft."""
     if len(outline):
         axes.fill(*outline.T, zorder=1.8, **look.LOAD)
 
 
 def draw_tip_force(axes: Axes, entry: Entry, moment: NeedleState, length: float) -> None:
-    """Draw the tip force as an arrow of that `length` (mm, + toward C's y) from the tip."""
+    """Draw the tip force as an arrow of `length` (mm, positive toward C's y) from the tip."""
     if abs(length) < 1e-3:
         return
     tip = compute_positions(moment.shape, moment.shape.x[-1:])[0]
@@ -62,7 +63,7 @@ def draw_tip_force(axes: Axes, entry: Entry, moment: NeedleState, length: float)
 def describe_moment(
     entry: Entry, moment: NeedleState, found: Loads, letters: int
 ) -> tuple[list[str], list[str]]:
-    """Return what is written above a drawing: where the needle stands and what holds it; and of its tip.
+    """Return the text above a drawing: position and supports of the needle, and its tip.
 
     In lines, the first of at most so many letters.
     """
@@ -86,7 +87,9 @@ def describe_moment(
 
 
 def round_up(value: float) -> float:
-    """Return the smallest of 1, 2, 5, 10, ... (of any power of ten) that is not below a positive value."""
+    """Return the smallest of 1, 2, 5, 10, ... (times any power of ten) that is not less than a positive
+    value.
+    """
     ten = 10.0 ** math.floor(math.log10(value))
     return next(float(f"{step * ten:.1g}") for step in (1, 2, 5, 10) if step * ten >= value * (1 - 1e-9))
 

@@ -1,4 +1,4 @@
-"""Errors of held-out groups: boxes of the fitted model, and mean errors of every method."""
+"""Figures of errors on held-out groups: boxes of the fitted model, and mean errors of every method."""
 
 from collections.abc import Iterator, Sequence
 from pathlib import Path
@@ -35,7 +35,7 @@ _BOXPLOT_COLUMNS = ("group", "error", "mark", "insertion", "value_mm", "origin")
 
 
 def draw_boxplot(results: Sequence[Results], path: Path) -> Path:
-    """Draw, per held-out group, the in-plane errors of all points and the tip errors (boxes: quartiles).
+    """Draw the in-plane errors of all points and the tip errors of each held-out group (boxes: quartiles).
 
     Whiskers span the 5th to the 95th percentile, dots are tips of single insertions. Diamonds are
     means over insertions, ours filled and the paper's open; dashes are the noise floor's.
@@ -156,7 +156,7 @@ _METHOD_MARKERS = dict(zip(METHODS, ("o", "o", "s", "s", "v", "^", "D"), strict=
 
 
 def draw_baselines(results: Sequence[Results], path: Path) -> Path:
-    """Draw one line per held-out group with a mark per method: the further left, the smaller the error."""
+    """Draw one line per held-out group with a mark per method; smaller errors are further left."""
     twin = next((one for one in results if one.origin == "synthetic"), None)
     names = {method: method_name(method, twin or results[0]) for method in METHODS}
     return plot(

@@ -1,4 +1,4 @@
-"""Figures with one panel per insertion: overlays of curves, and residuals from the fitted needle."""
+"""Figures with one panel per insertion: overlaid curves, and residuals from the fitted needle."""
 
 import math
 from collections.abc import Iterable, Iterator, Mapping
@@ -48,7 +48,7 @@ _BAND_COLOUR = METHOD_COLOURS["fitted"]
 
 
 def collect_curves(results: Results, role: str, shown: Iterable[str], every: int = 1) -> pd.DataFrame:
-    """Return one row per drawn point of a role's insertions, y toward the bevel, mm.
+    """Return one row per drawn point of a role's insertions; y is toward the bevel, mm.
 
     `curve` is a method of `shown`, "measured" (of the points, one in `every`), or the level of a band, which
     held-out insertions have: `low_mm`, `high_mm` are its ends.
@@ -91,7 +91,7 @@ def _align_bands(bands: pd.DataFrame, shapes: pd.DataFrame) -> pd.DataFrame:
 def iterate_panels(
     figure: Figure, points: pd.DataFrame, columns: int, names: Iterable[InsertionKey]
 ) -> Iterator[tuple[Axes, InsertionKey, pd.DataFrame]]:
-    """Yield a panel for each insertion, which it is, and its points; all panels have the same axes."""
+    """Yield each insertion's panel, name and points; all panels have the same axes."""
     wanted = list(names)
     rows = math.ceil(len(wanted) / columns)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
@@ -106,7 +106,7 @@ def iterate_panels(
 
 
 def paint_bands(axes: Axes, points: pd.DataFrame) -> None:
-    """Shade where measurements were predicted to lie."""
+    """Shade the predicted bands of the measurements."""
     for level, alpha in _BAND_OPACITIES.items():
         band = points[points["curve"] == f"{level} %"]
         axes.fill_between(
@@ -115,7 +115,7 @@ def paint_bands(axes: Axes, points: pd.DataFrame) -> None:
 
 
 def draw_legend(figure: Figure, present: set[str], method_names: Mapping[str, str]) -> None:
-    """Say above all panels what is what; `method_names` are names by which curves are called."""
+    """Draw the legend above all panels; `method_names` are the printed names of the curves."""
     handles: list[Artist] = [Line2D([], [], color=INK, marker="o", ms=2.7, lw=0, label="measured")]
     for method, name in method_names.items():
         if method in present:
@@ -209,7 +209,7 @@ _RESIDUAL_POINT_STEP = 2  # of the points compared, one in so many is drawn
 
 
 def draw_residuals(results: Results, path: Path, role: str = "validate") -> Path:
-    """Draw, per insertion of a role, deflections less that of the fitted needle at the same x, mm.
+    """Draw, per insertion of a role, deflections minus that of the fitted needle at the same x, mm.
 
     Measured points as dots, baselines as lines, and the bands of what was predicted. The straight line is
     left out: it would hide all others.
@@ -220,7 +220,7 @@ def draw_residuals(results: Results, path: Path, role: str = "validate") -> Path
 
 
 def subtract_fit(points: pd.DataFrame) -> pd.DataFrame:
-    """Return all curves but the fit, their heights less the fit's at the same x."""
+    """Return all curves except the fit, minus the fit's deflection at the same x."""
     parts = []
     for _, mine in points.groupby(INSERTION_KEYS, sort=False):
         fit = mine[mine["curve"] == "fitted"].dropna(subset="y_mm")

@@ -1,4 +1,4 @@
-"""Colours and line styles of a needle, the same in figures of scenes as on the page of `needlefit view`."""
+"""Colours and line styles of a needle, used in figures of scenes and on the page of `needlefit view`."""
 
 from typing import Any
 

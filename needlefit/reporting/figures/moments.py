@@ -1,4 +1,4 @@
-"""Figure of one state of an insertion, in true millimetres: the needle and the forces on it."""
+"""Figure of one state of an insertion, at equal scale in both directions: the needle and the forces on it."""
 
 import math
 from collections.abc import Sequence
@@ -52,7 +52,7 @@ _LEGEND_COLUMN_WIDTH_IN = 1.2  # inches, of the legend, on an average
 
 @dataclass(frozen=True)
 class SceneOverlays:
-    """What a needle is compared with, in its constraint frame C, mm.
+    """Curves to compare a needle with, in its constraint frame C, mm.
 
     Attributes
     ----------
@@ -71,20 +71,20 @@ class SceneOverlays:
 
     @property
     def curves(self) -> tuple[Floats, ...]:
-        """All that is there."""
+        """All curves that exist."""
         return tuple(curve for curve in (self.measured, self.low, self.high) if curve is not None)
 
 
 @dataclass(frozen=True)
 class MomentFigure:
-    """Axes in the world, mm in both directions alike, and the scales of forces.
+    """A figure with axes in the world, at equal scale in both directions, and the scales of forces.
 
     Attributes
     ----------
     figure : Figure
     axes : Axes
     scene : Scene
-    beside : Beside
+    overlays : SceneOverlays
     inches : float
         On paper, of a millimetre.
     per_mm : float
@@ -113,14 +113,14 @@ def lay_out_moments(
     overlays: SceneOverlays,
     whole: bool | None = None,
 ) -> MomentFigure:
-    """Return an empty sheet on which each of the moments has room.
+    """Return an empty figure that has room for each of the states.
 
     Parameters
     ----------
     title : str
     scene : Scene
-    moments : sequence of Moment
-    beside : Beside
+    moments : sequence of NeedleState
+    overlays : SceneOverlays
     whole : bool, optional
         The needle from its base on, or only as far as it is inserted; by default whole where more than the
         bevel steers it.
@@ -233,16 +233,16 @@ def draw_moment(
     overlays: SceneOverlays = _NO_OVERLAYS,
     whole: bool | None = None,
 ) -> None:
-    """Draw one moment, mm in both directions alike, to a .pdf, .png or .svg file.
+    """Draw one state of an insertion to a .pdf, .png or .svg file.
 
     Parameters
     ----------
     title : str
     scene : Scene
         Needle, entry, rules and names of layers; tissue and inputs are the moment's.
-    moment : Moment
+    moment : NeedleState
     path : Path
-    beside : Beside
+    overlays : SceneOverlays
     whole : bool, optional
         As of `lay_out_moments`.
 
@@ -262,7 +262,7 @@ def draw_moment(
 
 
 def paint_moment(moment_figure: MomentFigure, moment: NeedleState) -> None:
-    """Paint one moment on a sheet, in place of whatever is on it."""
+    """Draw one state in a figure, in place of an earlier one."""
     axes, scene = moment_figure.axes, replace(moment_figure.scene, tissue=moment.tissue)
     for old in (*axes.lines, *axes.patches, *axes.texts):
         old.remove()

@@ -1,4 +1,4 @@
-"""Plan in its plane, and the misses of its needles and of the alternative plans."""
+"""Figures of a plan: the plan in its plane, and the misses of its needles and of the alternatives."""
 
 from pathlib import Path
 
@@ -28,12 +28,12 @@ _LAYER_COLUMNS = ("interval", "layer", "from_mm", "to_mm")
 
 
 def draw_plane(result: AnalysisResult, path: Path) -> Path:
-    """Draw layers, needles and what they shall reach and pass by; beside it where the plan's needles end."""
+    """Draw layers, needles, target and obstacles; beside them where the plan's needles end."""
     return plot(path, _tabulate_plane(result), _paint_plane)
 
 
 def draw_misses(result: AnalysisResult, path: Path) -> Path:
-    """Draw the share of needles that miss by at most so much, plan by plan."""
+    """Draw, for each plan, the share of needles that miss by at most a given distance."""
     return plot(path, _tabulate_misses(result), _paint_misses)
 
 

@@ -1,4 +1,4 @@
-"""Predictive check: distribution of PIT values, and coverage of intervals, on held-out needles.
+"""Figure of the predictive check: PIT values and coverage of intervals on held-out needles.
 
 The level of a measurement is the probability that was predicted of less: of a tip less far toward the
 bevel, of a shape nearer at its worst point. Where predictions are right, levels are uniform. A needle is one
@@ -52,12 +52,14 @@ _COLUMNS = (
 
 
 def draw_predictive_check(results: Sequence[Results], path: Path) -> Path:
-    """Draw, a row of panels per study, the ECDF of the levels in its band, and the coverage of intervals."""
+    """Draw, one row of panels per study, the ECDF of the PIT values with its band, and the coverage of
+    intervals.
+    """
     return plot(path, tabulate_predictive_check(results), _paint)
 
 
 def tabulate_predictive_check(results: Sequence[Results]) -> pd.DataFrame:
-    """Return what is drawn: steps of the ECDFs, the band of chance, and shares with Wilson's intervals."""
+    """Return what is drawn: steps of the ECDFs, their band, and shares with Wilson intervals."""
     rows = [row for one in results if len(one.predictive) for row in _rows(one)]
     return pd.DataFrame(rows, columns=_COLUMNS)
 

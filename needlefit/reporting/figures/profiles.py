@@ -1,4 +1,4 @@
-"""Profile likelihoods: one small panel per parameter, with the parabola of the information beside."""
+"""Figure of profile likelihoods: one panel per parameter, with the parabola of the Fisher information."""
 
 import math
 from collections.abc import Callable
@@ -37,7 +37,7 @@ PROFILE_COLOUR, PARABOLA_COLOUR, WARNING_COLOUR = (
 
 
 def draw_profiles(identification: pd.DataFrame, profiles: pd.DataFrame, origin: str, path: Path) -> Path:
-    """Draw the deviance over each parameter, its 95 % interval, and what the information alone would say.
+    """Draw the deviance over each parameter, its 95 % interval, and the parabola of the Fisher information.
 
     The table has the computed points, between which the curve is the cubic of their slopes, and with each
     of them what is known of its parameter.
@@ -172,7 +172,7 @@ def _choose_colour(row: Row) -> str:
 
 
 def choose_log_ticks(low: float, high: float) -> list[float]:
-    """Return two to four round places on a logarithmic axis: powers of ten if there are enough of them."""
+    """Return two to four round ticks of a logarithmic axis: powers of ten if there are enough of them."""
     if high < 5 * low:
         places = MaxNLocator(3, steps=[1, 2, 5, 10]).tick_values(low, high)
         inner = [float(place) for place in places if low <= place <= high]

@@ -1,4 +1,4 @@
-"""Sections of a scan along the needle and across it near its tip, with what was reconstructed."""
+"""Figures of a scan along the needle, and across it near its tip, with the reconstruction."""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -44,7 +44,7 @@ _NORMAL_95_HALF_WIDTH_SD = 1.96
 
 
 def draw_needle_section(reconstruction: Reconstruction, path: Path) -> Path:
-    """Draw pictures, brightness, deflection and residuals over one axis, x of the constraint frame."""
+    """Draw image, brightness, deflection and residuals over the same axis, x of the constraint frame."""
     return draw(path, lambda: _paint_needle_section(reconstruction))
 
 
@@ -85,7 +85,9 @@ def _paint_needle_section(reconstruction: Reconstruction) -> Figure:
 
 
 def choose_spans(pictures: Sequence[ScanView], needle: Floats, room: float) -> list[Span]:
-    """Return what pictures show upwards so that together they are at most `room` mm high, the needle amid."""
+    """Return the vertical range of each image so that together they are at most `room` mm high, the needle in
+    the middle.
+    """
     centres, reaches = [], []
     for view in pictures:
         left, right, bottom, top = view.extent
@@ -230,7 +232,9 @@ _MAX_MARKER_PANEL_MM = 40.0  # mm: height of the markers' panel at most
 
 
 def draw_tip_section(reconstruction: Reconstruction, path: Path) -> Path:
-    """Draw the picture across the needle near its tip, and the markers' distances from their known places."""
+    """Draw the image across the needle near its tip, and the markers' distances from their known
+    positions.
+    """
     return draw(path, lambda: _paint_tip_section(reconstruction))
 
 

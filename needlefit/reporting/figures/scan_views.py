@@ -1,4 +1,4 @@
-"""Views of a scan in the axes of the constraint frame, with the reconstruction drawn over them."""
+"""Images of a scan in the axes of the constraint frame, with the reconstruction drawn over them."""
 
 from io import BytesIO
 
@@ -33,7 +33,7 @@ _OUTSIDE_COLOUR = "#e6ecf2"  # of the volume: no grey of the scan
 
 
 def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: tuple[float, float]) -> None:
-    """Draw one picture, with needle, layers and markers nearby; `span` is what it shows upwards, mm."""
+    """Draw one image with needle, layers and markers nearby; `span` is its vertical range, mm."""
     brightness, shade = _choose_window(reconstruction.views)
     axes.set_facecolor(_OUTSIDE_COLOUR)
     axes.imshow(
@@ -52,7 +52,7 @@ def show_view(axes: Axes, view: ScanView, reconstruction: Reconstruction, span: 
 
 
 def encode_png(view: ScanView) -> bytes:
-    """Return a picture of the scan by itself: PNG, the top row first, clear outside the volume."""
+    """Return an image of the scan as PNG: top row first, transparent outside the volume."""
     grey = np.interp(view.values, *_choose_window((view,)))  # (H, W)
     outside = ~np.isfinite(view.values)
     image = np.dstack([np.where(outside, 0.0, grey)] * 3 + [np.where(outside, 0.0, 1.0)])
@@ -62,7 +62,7 @@ def encode_png(view: ScanView) -> bytes:
 
 
 def join_needle(reconstruction: Reconstruction) -> Floats:
-    """Return the needle from base to tip in C: (N, 3), mm."""
+    """Return the whole needle from base to tip in C: (N, 3), mm."""
     placed = reconstruction.patient.to_world(reconstruction.needle_axis.points)
     return reconstruction.frame.to_local(placed)
 
@@ -125,7 +125,7 @@ def _draw_layers(
 def outline_surface(
     view: ScanView, reconstruction: Reconstruction, surface: Surface, span: tuple[float, float]
 ) -> Floats:
-    """Return where the sheet that a picture along the needle shows cuts a surface: points (K, 2), mm.
+    """Return the line along which the image plane of the needle cuts a surface: points (K, 2), mm.
 
     The sheet follows the needle along its third axis; so it is swept by the needle's course shifted
     sideways, and cuts the surface where those curves do.

@@ -1,4 +1,4 @@
-"""A picture of one simulated scene: the needle in its layers."""
+"""Figure of one simulated scene: the needle in its layers."""
 
 from collections.abc import Sequence
 from itertools import pairwise

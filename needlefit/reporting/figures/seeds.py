@@ -1,4 +1,6 @@
-"""Studies on many synthetic datasets: which generalise, comparisons of methods, every cell of the tables."""
+"""Figures of studies on many synthetic datasets: pattern, comparisons of methods, and every cell of the
+tables.
+"""
 
 from collections.abc import Sequence
 from pathlib import Path
@@ -34,17 +36,17 @@ _TABLE_LABELS = {
 
 
 def draw_pattern(result: AnalysisResult, path: Path) -> Path:
-    """Draw the mean IPE of every study on every twin, beside the threshold and the paper's own."""
+    """Draw the mean IPE of every study on every dataset, with the threshold and the paper's value."""
     return plot(path, _tabulate_pattern(result), _paint_pattern)
 
 
 def draw_comparisons(result: AnalysisResult, path: Path) -> Path:
-    """Draw what the fit's errors differ by from each method's, a panel a method."""
+    """Draw the differences between the fit's errors and each method's, one panel per method."""
     return plot(path, result.frames["comparisons"].assign(origin=result.origin), _paint_comparisons)
 
 
 def draw_cells(result: AnalysisResult, path: Path) -> Path:
-    """Draw median and range of every cell, a panel a metric."""
+    """Draw median and range of every cell, one panel per metric."""
     return plot(path, result.frames["cells"].assign(origin=result.origin), _paint_cells)
 
 

@@ -1,4 +1,6 @@
-"""How much held-out errors change with what was decided: a row a variation, a dot a study."""
+"""Figure of how much held-out errors change with each modelling decision: one row per variation, one dot per
+study.
+"""
 
 from pathlib import Path
 
@@ -25,7 +27,7 @@ _PANELS = (
 
 
 def draw_studies(result: AnalysisResult, path: Path) -> Path:
-    """Draw the change of every study's mean IPE and TE, in noise floors."""
+    """Draw the change of every study's mean IPE and TE, in units of the noise floor."""
     return plot(path, result.frames["studies"].assign(origin=result.origin), _paint)
 
 

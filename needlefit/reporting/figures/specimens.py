@@ -1,4 +1,4 @@
-"""Specimens and the spread between them, or whether a known population is found again."""
+"""Figures of specimens and the spread between them, or of the recovery of a known population."""
 
 from pathlib import Path
 
@@ -19,12 +19,12 @@ DENSITY_COLOURS = ("#0072B2", "#D55E00")
 
 
 def draw_specimens(result: AnalysisResult, path: Path) -> Path:
-    """Draw each specimen's own posterior: mean and standard deviation."""
+    """Draw the posterior of each specimen: mean and standard deviation."""
     return plot(path, result.frames["specimens"].assign(origin=result.origin), _paint_specimens)
 
 
 def draw_densities(result: AnalysisResult, path: Path) -> Path:
-    """Draw the posterior density of each spread over its prior, as far as its 95 % interval reaches."""
+    """Draw the posterior density of each spread with its prior, over the 95 % interval."""
     known = result.frames["population"]
     reach = known[known["quantity"] == "spread"][["groups", "parameter", "high_95"]]
     densities = result.frames["densities"].merge(reach, how="left", on=["groups", "parameter"])
@@ -32,7 +32,7 @@ def draw_densities(result: AnalysisResult, path: Path) -> Path:
 
 
 def draw_recovered(result: AnalysisResult, path: Path) -> Path:
-    """Draw the intervals of every replicate, grouped by the true spread, beside the truth."""
+    """Draw the intervals of every replicate with the true value, grouped by the true spread."""
     return plot(path, result.frames["recovered"].assign(origin=result.origin), _paint_recovered)
 
 

@@ -1,4 +1,4 @@
-"""A picture of an insertion in several steps: one panel each, in the world."""
+"""Figure of an insertion in several steps: one panel each, in the world."""
 
 import math
 from collections.abc import Sequence
@@ -36,7 +36,7 @@ MAX_PANELS = 20
 
 
 def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figure:
-    """Return a figure with the needle after each of `shapes`, panels sharing their axes in mm.
+    """Return a figure with the needle after each step, one panel per shape, on shared axes in mm.
 
     y is stretched by the factor that its label states, unless the entry is tilted. Of more than `MAX_PANELS`
     steps as many are shown, as the title says; each then states what changed since the one shown before.
@@ -138,7 +138,7 @@ def _write_head(axes: Axes, head: Sequence[str], lines: int) -> None:
 
 
 def describe_changes(before: Step | None, now: Step, frame: str = "") -> list[str]:
-    """Return in words which inputs a step changed; the first one's bevel always counts as such.
+    """Return a description of the inputs that a step changed; the bevel of the first step is always included.
 
     `frame` follows on each place.
     """

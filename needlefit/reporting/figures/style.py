@@ -1,4 +1,6 @@
-"""Style of every figure, saved so that equal results give equal bytes; layout in mm; label positions."""
+"""The style of all figures, saved so that equal results give equal bytes; layout in mm; positions
+of labels.
+"""
 
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -55,7 +57,8 @@ RC_PARAMS = {
 
 
 def plot(path: Path, frame: pd.DataFrame, paint: Callable[[pd.DataFrame], Figure]) -> Path:
-    """Draw a table and lay it beside the picture, as CSV: what is drawn is what the table holds, no more.
+    """Draw a table and save the table beside the figure, as CSV: the figure shows only what the table
+    contains.
 
     Raises
     ------
@@ -68,7 +71,8 @@ def plot(path: Path, frame: pd.DataFrame, paint: Callable[[pd.DataFrame], Figure
 
 
 def draw(path: Path, paint: Callable[[], Figure]) -> Path:
-    """Paint a figure in the package's style, whatever the user's own, and save it by its suffix.
+    """Draw a figure in the package's style, independent of the user's, and save it in the format of its
+    suffix.
 
     Raises
     ------
@@ -92,25 +96,27 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
 
 
 def fit_height(figure: Figure) -> None:
-    """Make a figure as high as what is drawn in it: axes of a given aspect need not fill it."""
+    """Set a figure's height to that of its contents; axes of fixed aspect may not fill it."""
     figure.draw_without_rendering()
     margin = 0.04  # inches, as the layout leaves at the sides
     figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
 
 
 def choose_vertical_scale(width: float, height: float) -> int:
-    """Return the largest of 1, 2, 5, ... that keeps a drawing of `width` by `height` mm wider than high."""
+    """Return the largest vertical exaggeration (1, 2, 5, ...) that keeps a drawing of `width` by `height` mm
+    wider than high.
+    """
     fitting = [factor for factor in _VERTICAL_SCALES if factor * height <= 0.62 * width]
     return fitting[-1] if fitting else 1
 
 
 def is_synthetic(frame: pd.DataFrame) -> bool:
-    """Return whether anything that a figure's table holds is of synthetic data."""
+    """Return whether a figure's table contains synthetic data."""
     return bool((frame["origin"] == "synthetic").any())
 
 
 def label_origin(figure: Figure, synthetic: bool) -> None:
-    """Write SYNTHETIC DATA across the top of a figure whose data are."""
+    """Write SYNTHETIC DATA across the top of a figure of synthetic data."""
     if synthetic:
         figure.suptitle(
             "SYNTHETIC DATA", x=0.995, ha="right", fontsize=7.5, weight="bold", color=SYNTHETIC_COLOUR
@@ -127,14 +133,14 @@ _MM_PER_INCH = 25.4
 
 
 def make_figure_mm(width: float, height: float) -> Figure:
-    """Return an empty figure, mm."""
+    """Return an empty figure of a size in mm."""
     figure = Figure(figsize=(width / _MM_PER_INCH, height / _MM_PER_INCH))
     figure.set_layout_engine("none")
     return figure
 
 
 def add_panel_mm(figure: Figure, place: tuple[float, float, float, float]) -> Axes:
-    """Return axes at (left, bottom, width, height), mm."""
+    """Add axes at (left, bottom, width, height), mm; return them."""
     width, height = figure.get_size_inches() * _MM_PER_INCH
     left, bottom, wide, high = place
     return figure.add_axes((left / width, bottom / height, wide / width, high / height))
@@ -147,7 +153,7 @@ LETTER_WIDTH_MM, MIN_LABEL_GAP_MM = 1.3, 1.5
 
 
 def spread_labels(places: Sequence[float], names: Sequence[str], scale: float) -> Floats:
-    """Return where names stand so that none touches the next: over their places, or as near as may be.
+    """Return label positions as near as possible to their places, without overlap.
 
     Parameters
     ----------
@@ -164,7 +170,9 @@ def spread_labels(places: Sequence[float], names: Sequence[str], scale: float) -
 
 
 def separate_positions(places: Sequence[float] | Floats, offsets: Floats) -> Floats:
-    """Return the places nearest to increasing `places` (N,) at least as far apart as `offsets` (N,)."""
+    """Return the positions nearest to increasing `places` (N,) that are at least as far apart as `offsets`
+    (N,).
+    """
     # with the least distances taken off, names may coincide but not change places: means of runs that did
     runs: list[tuple[float, int]] = []
     for wish in np.asarray(places) - offsets:

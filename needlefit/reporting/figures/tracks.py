@@ -1,4 +1,4 @@
-"""Predicted runs of tip tracks, reading by reading: the tip, and below it the guide."""
+"""Figure of predicted tip tracks: the tip at each reading, and the guide below it."""
 
 from itertools import groupby
 from pathlib import Path
@@ -16,7 +16,7 @@ _MARGIN_FRACTION = 0.25  # share of the readings' range left free above and belo
 
 
 def draw_tracks(readings: pd.DataFrame, path: Path) -> Path:
-    """Draw every run predicted, a row of panels per medium."""
+    """Draw every predicted run, one row of panels per medium."""
     return plot(path, readings, _paint_tracks)
 
 

@@ -1,4 +1,4 @@
-"""Where the starts of a search ended: how good, and how far apart."""
+"""Figure of a multi-start search: objective and parameters at the end of each start."""
 
 import math
 from pathlib import Path
@@ -20,7 +20,8 @@ from needlefit.validation.results import Results
 
 
 def draw_waterfall(results: Results, path: Path) -> Path:
-    """Draw how far all starts ended above the best, and where in its bounds each left each parameter.
+    """Draw the objective of all starts above the best one, and the final value of each parameter within its
+    bounds.
 
     A parameter whose dots spread along its axis although their ends are practically the best one is not
     determined by the data.
@@ -29,7 +30,7 @@ def draw_waterfall(results: Results, path: Path) -> Path:
 
 
 def tabulate_starts(results: Results) -> pd.DataFrame:
-    """Return one row per start and free parameter of its search: rank, excess, and where it ended.
+    """Return one row per start and free parameter: rank, objective minus best, and final value.
 
     Ranks are within a search, best first; starts without a result have none. Only of the fit itself are the
     parameters' ends drawn, so those of other searches are left out.
@@ -95,7 +96,7 @@ def _paint_ranked(axes: Axes, starts: pd.DataFrame) -> None:
 
 
 def describe_counts(starts: pd.DataFrame) -> str:
-    """Return how many starts each search had, and how many searches there were."""
+    """Return the number of starts of each search, and the number of searches, as text."""
     sizes = starts.groupby(["fit", "fold"], sort=False).size()
     each = f"{sizes.min()}" if sizes.min() == sizes.max() else f"{sizes.min()} to {sizes.max()}"
     fits, folds = starts["fit"].nunique(), starts["fold"].nunique()

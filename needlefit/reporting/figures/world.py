@@ -1,4 +1,4 @@
-"""Scene in world coordinates: its layers, and a needle in them."""
+"""Draw a scene in world coordinates: its layers, and a needle in them."""
 
 from collections.abc import Mapping
 from itertools import pairwise
@@ -24,14 +24,14 @@ _LAYER_COLOURS = LinearSegmentedColormap.from_list("layers", ["#f7f4ee", "#d3c7a
 
 
 def shade_layers(tissue: Tissue) -> list[Colour]:
-    """Return one colour a layer."""
+    """Return one colour per layer."""
     stiffness = np.log10(tissue.mu)
     decades = max(float(np.ptp(stiffness)), 1.0)  # one at least, so that like layers look alike
     return [_LAYER_COLOURS(float((one - stiffness.min()) / decades)) for one in stiffness]
 
 
 def label_layers(scene: Scene, widths: Mapping[int, float], one_line: bool = False) -> dict[int, str]:
-    """Return what is written on the layers (counted from 0) that are so wide on paper, in inches.
+    """Return the labels of the layers (counted from 0) that are wide enough on paper, in inches.
 
     All of them are called in the same way: by the scene's own names if these fit, or "layer 1", or "1". Its
     modulus stands below, or with `one_line` behind, where a layer has room for it.
@@ -63,20 +63,20 @@ _BEYOND_PANEL_MM = 1e4  # mm: further than any panel reaches
 
 
 def trace_needle(entry: Entry, shape: NeedleShape) -> Floats:
-    """Return the needle from base to tip in the world, (300, 2) mm."""
+    """Return points of the needle from base to tip in the world, (300, 2) mm."""
     return entry.to_world(compute_positions(shape, np.linspace(shape.x[0], shape.depth, 300)))
 
 
 def find_base(scene: Scene, step: Step) -> Floats:
-    """Return where a step brings the base, in the world: known whether there is a solution or not."""
+    """Return the base's position in the world after a step; it is known even without a solution."""
     controls = step.controls
     y = controls.base_y + controls.stage_slope * step.depth
     return scene.entry.to_world([[step.depth - scene.needle.length, y]])
 
 
 def find_limits(points: Floats, min_span: float) -> tuple[Span, Span]:
-    """Return limits in x and y that show all points (K, 2) with a margin; none spans less than `min_span`
-    mm.
+    """Return limits in x and y that show all points (K, 2) with a margin, each at least `min_span`
+    mm wide.
     """
     low, high = points.min(axis=0), points.max(axis=0)
     room = np.maximum(high - low, min_span)
@@ -89,7 +89,7 @@ def find_limits(points: Floats, min_span: float) -> tuple[Span, Span]:
 
 
 def draw_layers(axes: Axes, scene: Scene, scale: float | None, low: bool = False) -> None:
-    """Shade the layers; with a `scale` (inches per mm) write on them what they are.
+    """Shade the layers; with a `scale` (inches per mm) label them.
 
     In a `low` panel that is one line, on the side on which there is more room beside the entry's axis.
     """
@@ -158,7 +158,7 @@ def _find_label_place(axes: Axes, entry: Entry, depths: Span, height: float) -> 
 
 
 def draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> None:
-    """Draw a needle, its constraint points, and what holds it; or say why there is no needle."""
+    """Draw a needle, its constraint points and its supports; or the reason why there is no needle."""
     entry = scene.entry
     for guide in step.controls.guides:
         x, y = entry.to_world([[guide.x, guide.y]])[0]
@@ -174,7 +174,7 @@ def draw_needle(axes: Axes, scene: Scene, step: Step, shape: NeedleShape) -> Non
 
 
 def write_failure(axes: Axes, shape: NeedleShape) -> None:
-    """Write across a panel without a needle why there is none."""
+    """Write the reason why there is no needle across a panel."""
     axes.text(
         0.5, 0.7, f"no solution: {shape.status}", transform=axes.transAxes, ha="center", va="center",
         fontsize=8.5, color=look.TIP, zorder=6, bbox={"fc": "white", "alpha": 0.7, "lw": 0, "pad": 2},
@@ -182,7 +182,7 @@ def write_failure(axes: Axes, shape: NeedleShape) -> None:
 
 
 def make_legend_handles(guides: bool) -> list[Line2D]:
-    """Return what the legend shows of the marks that `draw_needle` makes."""
+    """Return the legend's handles for what `draw_needle` draws."""
     summary = [("base", look.BASE), ("constraint points", look.POINTS), ("tip", look.TIP_MARK)]
     if guides:
         summary.insert(1, ("guide or template", look.GUIDE))
