@@ -1,4 +1,4 @@
-"""Export a recording: its last shape, pictures, an animation, or its inputs."""
+"""Export a recording: its last shape, figures, an animation, or its inputs."""
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -20,15 +20,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RecordingOutcome:
-    """A recording, carried out.
+    """A recording after its replay, and the needle at its end.
 
     Attributes
     ----------
     recording : Recording
-    steering : Steering
+    steering : SteeredNeedle
         Its needle, as it stands at the end.
-    off : float
-        How far the tip came to stand from where the recording says, at most, mm; 0: the same bits.
+    tip_offset_mm : float
+        Greatest distance of the tip from its recorded position, mm; 0: the same bits.
     """
 
     recording: Recording
@@ -37,28 +37,28 @@ class RecordingOutcome:
 
     @property
     def title(self) -> str:
-        """The scene's, or else its name."""
+        """The scene's title, or the scene's name if it has no title."""
         return self.recording.head.scene.title or self.recording.head.target
 
     @property
     def placement(self) -> Placement | None:
-        """Where a measured needle lies; None of a scene, which says so itself."""
+        """The position of a measured needle; None for a scene, which contains its own."""
         placement = self.recording.head.placement
         return None if placement is None else Placement.from_record(placement)
 
     @property
     def state(self) -> NeedleState:
-        """The needle at the end."""
+        """The needle's state at the end of the recording."""
         return self.steering.now
 
     @property
     def scene(self) -> Scene:
-        """The scene, with the tissue and the inputs that the needle has at the end."""
+        """The scene with the tissue and the inputs at the end of the recording."""
         return replace(self.steering.scene, tissue=self.state.tissue, steps=(self.state.step,))
 
 
 def replay_to_end(recording: Recording) -> RecordingOutcome:
-    """Return where a recording ends.
+    """Replay a recording and return the outcome.
 
     Raises
     ------
@@ -71,12 +71,12 @@ def replay_to_end(recording: Recording) -> RecordingOutcome:
 
 
 def list_timed_states(recording: Recording) -> Iterator[tuple[float, NeedleState]]:
-    """Yield every moment of a recording with its time, s."""
+    """Yield the time (s) and state of the needle after every step of a recording."""
     return ((replayed.time, replayed.state) for replayed in replay(recording))
 
 
 def recording_duration(recording: Recording) -> float:
-    """Return how long a recording lasts, s."""
+    """Return the duration of a recording, s."""
     return recording.steps[-1].time if recording.steps else 0.0
 
 
@@ -92,7 +92,7 @@ EXPORT_TYPES = {
 
 
 def export(path: Path, kind: str) -> bytes:
-    """Return what one of `EXPORT_TYPES` holds of the recording at `path`, as it stands now.
+    """Return the content of one of `EXPORT_TYPES` for the recording at `path`, as it is now.
 
     Raises
     ------
@@ -109,7 +109,7 @@ def export(path: Path, kind: str) -> bytes:
 
 
 def write_table(outcome: RecordingOutcome, path: Path) -> None:
-    """Write the shape as a table, .csv."""
+    """Write the needle's shape as a table, .csv."""
     from needlefit.reporting.shape_table import write_shape
 
     write_shape(outcome.scene, outcome.state, path, outcome.placement)
@@ -125,14 +125,14 @@ def write_curve(outcome: RecordingOutcome, path: Path) -> None:
 
 
 def write_picture(outcome: RecordingOutcome, path: Path) -> None:
-    """Draw the needle and what is known beside it, .svg, .png or .pdf."""
+    """Draw the needle with its overlays, .svg, .png or .pdf."""
     from needlefit.reporting.figures.moments import draw_moment
 
     draw_moment(outcome.title, outcome.scene, outcome.state, path, _find_overlays(outcome, banded=True))
 
 
 def write_animation(outcome: RecordingOutcome, path: Path) -> None:
-    """Draw everything that was done, .gif or .mp4; without a band, which belongs to one moment."""
+    """Draw the whole recording, .gif or .mp4; without the band, which belongs to one state."""
     from needlefit.reporting.figures.animation import animate
 
     states, lasted = list_timed_states(outcome.recording), recording_duration(outcome.recording)

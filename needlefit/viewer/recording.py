@@ -1,4 +1,4 @@
-"""The input log: a CSV that holds all of an interactive insertion, and is complete after every step.
+"""The recording of an interactive insertion: a CSV file that is complete after every step.
 
 Its first lines begin with `#`; without that they are TOML: the scene, whole, and the model's first cell. Then
 comes one row an input, `step,time_s,input,item,value,deflection_mm`; the rows of one step act together, and
@@ -57,7 +57,7 @@ class RecordedStep:
 
 @dataclass(frozen=True)
 class Recording:
-    """What a log holds: the scene, and what was done to its needle."""
+    """The contents of a recording: the scene, and the steps of its needle."""
 
     head: RecordingRecord
     steps: tuple[RecordedStep, ...]
@@ -65,7 +65,7 @@ class Recording:
 
 
 class RecordingWriter:
-    """Writes a recording as it happens; a step that was written is there whatever ends the program.
+    """Writes a recording step by step; a written step stays in the file however the program ends.
 
     The file is made at the first step.
     """
@@ -87,7 +87,7 @@ class RecordingWriter:
             file.write("".join(_rows(step)).encode())
 
     def begin(self) -> None:
-        """Make the file with its head, where that was not done; raise OSError if it cannot be written."""
+        """Create the file with its head, unless it exists; OSError if it cannot be written."""
         if self._begun:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -97,7 +97,7 @@ class RecordingWriter:
 
 
 def read_recording(path: Path) -> Recording:
-    """Return the recording in a file; a step that was cut off at its end is left out.
+    """Return the recording in a file; an incomplete last line is left out.
 
     Raises
     ------
@@ -227,7 +227,7 @@ def _line_error(path: Path, line: int, what: str, expected: str) -> DataError:
 def make_head(
     target: str, first_cell: float, scene: dict[str, object], placement: PlacementRecord | None = None
 ) -> RecordingRecord:
-    """Return the head of a new recording of a scene (as its record says it), which lies at `placement`."""
+    """Return the head of a new recording of a scene (a record) at `placement`."""
     tables = {"schema": 1, "needlefit": __version__, "target": target, "first_cell_mm": first_cell}
     lies = {} if placement is None else {"placement": placement.model_dump(mode="json")}
     return check(tables | lies | {"scene": scene}, RecordingRecord, "recording")
@@ -235,13 +235,13 @@ def make_head(
 
 @dataclass(frozen=True)
 class ReplayedStep:
-    """One step of a recording, carried out again.
+    """One step of a recording after its replay.
 
     Attributes
     ----------
-    recorded : Recorded or None
-        What was recorded; None of the needle at first contact.
-    moment : Moment
+    recorded : RecordedStep or None
+        The recorded step; None for the needle at first contact.
+    state : NeedleState
         The needle after it.
     """
 
@@ -250,12 +250,12 @@ class ReplayedStep:
 
     @property
     def time(self) -> float:
-        """Since the recording began, s."""
+        """Time since the recording began, s."""
         return self.recorded.time if self.recorded else 0.0
 
     @property
     def tip_offset_mm(self) -> float:
-        """How far the tip stands from where the recording says, mm; 0: the same bits."""
+        """Distance of the tip from its recorded position, mm; 0: the same bits."""
         return abs(float(self.state.shape.u[-1]) - self.recorded.deflection) if self.recorded else 0.0
 
 
@@ -278,8 +278,8 @@ def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Itera
     Parameters
     ----------
     recording : Recording
-    steering : Steering, optional
-        The needle that carries it out, which stands at first contact; by default a new one.
+    steering : SteeredNeedle, optional
+        The needle for the replay, at first contact; by default a new one.
 
     Raises
     ------
@@ -304,14 +304,16 @@ def replay(recording: Recording, steering: SteeredNeedle | None = None) -> Itera
 
 
 def find_last_returns(steps: Sequence[RecordedStep]) -> dict[int, int]:
-    """Return to which steps the needle returns, and the number of the last step that does."""
+    """Return the steps to which the needle returns, each with the number of the last step that
+    returns to it.
+    """
     return {int(c.value): step.number for step in steps for c in step.changes if c.name == "return_to"}
 
 
 def keep_for_returns(
     recorded: RecordedStep, last: dict[int, int], keep: Callable[[], None], forget: Callable[[int], None]
 ) -> None:
-    """Keep the needle as it stands after a step if a later one returns to it; forget what none returns to."""
+    """Store the state after a step if a later step returns to it; delete a state after its last return."""
     if recorded.number in last:
         keep()
     for change in recorded.changes:

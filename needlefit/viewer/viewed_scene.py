@@ -1,4 +1,4 @@
-"""A scene that is shown, with its overlays."""
+"""A scene for the viewer, with its overlays."""
 
 from dataclasses import dataclass
 
@@ -13,7 +13,7 @@ from needlefit.viewer.overlay.slice import InsertionScan
 
 @dataclass(frozen=True)
 class ViewedScene:
-    """What a name on the command line means, ready to be taken in hand.
+    """Everything the viewer needs to show one name of the command line.
 
     Attributes
     ----------
@@ -23,17 +23,17 @@ class ViewedScene:
     note : str
         Where the parameters come from, and what cannot be shown and why; sentences.
     record : SceneRecord
-        All that the needle needs.
+        The scene: needle, tissue and inputs.
     first_cell : float
         Depth of the first constraint point, mm, with which a `Session` ends as `simulate` and `predict` do.
     placement : PlacementRecord or None
-        Where a measured needle lies; None of a scene, which says so itself.
+        The position of a measured needle; None for a scene, which contains its own.
     synthetic : bool
         Whether it is about synthetic data.
-    measured : Measured or None
-    spread : Spread or None
+    measured : MeasuredOverlay or None
+    spread : ParameterDraws or None
         Draws of the parameters, for the band of a fit.
-    scanned : Scanned or None
+    scanned : InsertionScan or None
         The scan in which the needle was measured.
     choices : tuple of str
         Insertions that can be shown instead.
@@ -56,5 +56,5 @@ class ViewedScene:
 
     @property
     def diameter(self) -> float:
-        """Of the needle as it is drawn, mm."""
+        """Diameter at which the needle is drawn, mm."""
         return self.record.needle.outer_diameter_mm or DEFAULT_DIAMETER_MM

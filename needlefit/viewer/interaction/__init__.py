@@ -1,1 +1,1 @@
-"""The inputs of a user, and the needle that they act on."""
+"""The inputs of a user, and the needle that they control."""

@@ -1,4 +1,4 @@
-"""Inputs of the interactive simulation, as the page, recordings and their replay name them.
+"""The inputs of the interactive simulation, under the names that the page, recordings and replays use.
 
 V-inputs act on the needle's shape (base, guides, a tracked tip), H-inputs on how far it is in and where it
 cuts (depth, bevel). The moduli and a bevel offset throughout are no inputs of an insertion but parameters of
@@ -50,7 +50,7 @@ MAX_MU_PA = 1e15
 
 @dataclass(frozen=True)
 class Change:
-    """One input set to a value.
+    """One input and its new value.
 
     Attributes
     ----------
@@ -102,7 +102,7 @@ class Change:
 
 
 def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], tip_y: float) -> Step:
-    """Return the depth and inputs of `step` after H- and V-inputs were changed.
+    """Return the depth and inputs of `step` after some inputs were changed.
 
     Parameters
     ----------
@@ -136,7 +136,7 @@ def apply_changes(step: Step, changes: Iterable[Change], names: Sequence[str], t
 
 
 def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, ...]:
-    """Return what to change of the inputs of `now` to have those of `step`; the depth is left alone."""
+    """Return the changes that turn the inputs of `now` into those of `step`; the depth is not included."""
     wanted, held = step.controls, now.controls
     pairs = [
         ("bevel_side", float(step.bevel.side), float(now.bevel.side)),
@@ -162,12 +162,12 @@ def find_changes(step: Step, now: Step, names: Sequence[str]) -> tuple[Change, .
 
 
 def guide_name(item: int, names: Sequence[str]) -> str:
-    """Return what the guide of this number is called."""
+    """Return the name of the guide with this number."""
     return names[item - 1] if item <= len(names) else f"guide {item}"
 
 
 def guide_number(guide: Guide, names: Sequence[str]) -> int:
-    """Return the number of a guide, from 1."""
+    """Return the number of a guide, counted from 1."""
     return names.index(guide.name) + 1 if guide.name in names else int(guide.name.removeprefix("guide "))
 
 

@@ -1,4 +1,4 @@
-"""A needle that is simulated step by step as inputs change, and can return to earlier steps."""
+"""A needle that is simulated step by step as inputs change, and can return to earlier states."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -18,7 +18,7 @@ TRIAL_SECONDS, TRIALS = 0.008, 3
 
 
 def measure_step_rate(session: Session, depth: float) -> float:
-    """Return the steps a second that a needle makes about `depth` (mm) when nothing else is asked for.
+    """Return the number of steps per second that a needle can compute near `depth` (mm), with no other work.
 
     A step is what a frame asks for: the tip goes on by a constraint spacing, in and out by turns. Between the
     frames of a page the processor sleeps and forgets, and single steps take a few times as long.
@@ -39,7 +39,7 @@ def _measure_once(session: Session, steps: list[Step]) -> float:
 
 
 class SteeredNeedle:
-    """The needle of a scene from first contact on, step by step, as changes come.
+    """The needle of a scene, simulated step by step from first contact on.
 
     The same changes in the same order find the same bits.
 
@@ -70,7 +70,7 @@ class SteeredNeedle:
 
     @property
     def now(self) -> NeedleState:
-        """The needle as it stands."""
+        """The present state of the needle."""
         return self._session.now
 
     @property
@@ -79,20 +79,22 @@ class SteeredNeedle:
         return self._session.lattice.first_cell
 
     def input_path(self) -> tuple[Step, ...]:
-        """Return the shortest steps that lead to where the needle stands."""
+        """Return the shortest steps that lead to the present state."""
         return self._session.input_path()
 
     def step_rate(self) -> float:
-        """Return how many steps a second this needle can make, at the depth that the scene ends at."""
+        """Return the steps per second that this needle can compute at the final depth of its scene."""
         return measure_step_rate(self._session, min(self.scene.depth, self.reach()))
 
     def reach(self) -> float:
-        """Return how deep the needle can go as it is held now, mm; the base then almost touches."""
+        """Return the greatest depth possible under the present inputs, mm; the base is then just before
+        guides or tissue.
+        """
         before = self.now.step.controls.before
         return self.scene.needle.length + (before[0].x if before else 0.0) - 1e-6
 
     def apply(self, changes: Sequence[Change]) -> NeedleState:
-        """Carry out one step: all changes together.
+        """Carry out one step: all changes at once.
 
         Raises
         ------
@@ -108,11 +110,11 @@ class SteeredNeedle:
         return self.now
 
     def keep(self) -> None:
-        """Make it possible to return to where the needle stands now."""
+        """Store the present state, for a later return to it."""
         self._saved[self.number] = self._session.copy()
 
     def forget(self, number: int) -> None:
-        """Let go of what was kept at a step; the beginning stays."""
+        """Delete the state stored at a step; the initial state stays."""
         if number:
             self._saved.pop(number, None)
 
@@ -166,7 +168,7 @@ def _check_together(changes: Sequence[Change]) -> None:
 
 
 def list_guide_names(scene: Scene) -> tuple[str, ...]:
-    """Return what the guides of a scene are called, in the order of their numbers."""
+    """Return the names of the guides of a scene, in the order of their numbers."""
     guides = [guide for step in scene.steps for guide in step.controls.guides]
     return tuple(dict.fromkeys(guide.name or "guide" for guide in guides))
 

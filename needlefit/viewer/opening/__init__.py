@@ -1,4 +1,4 @@
-"""From a name on the command line, or a recording, to the scene that is shown."""
+"""Find the scene to show for a name on the command line, or for a recording."""
 
 from dataclasses import replace
 
@@ -15,7 +15,7 @@ from needlefit.viewer.viewed_scene import ViewedScene
 
 
 def open_scene(view_target: ViewTarget) -> ViewedScene:
-    """Return the needle of a scene.
+    """Return a scene, ready to be shown.
 
     Raises
     ------
@@ -33,7 +33,7 @@ DEFAULT_SCENE = "phantom2"
 
 
 def open_target(name: str | None, insertion: str | None = None) -> ViewedScene:
-    """Return what is shown of SCENE, RUN or DATASET/ID.
+    """Return the scene to show for SCENE, RUN or DATASET/ID.
 
     Parameters
     ----------
@@ -57,7 +57,7 @@ _OPENERS = {"scene": open_scene, "run": open_run, "dataset": open_insertion}
 
 
 def open_recording(recording: Recording) -> ViewedScene:
-    """Return the scene of a recording, with what was shown beside it where that is still there unchanged."""
+    """Return the scene of a recording, with its overlays if their files still exist unchanged."""
     head = recording.head
     alone = ViewedScene(
         head.target,

@@ -1,4 +1,4 @@
-"""Show a measured insertion: its parameters at the start, and where its needle lies."""
+"""Show a measured insertion: initial parameters, and the position of its needle."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -33,7 +33,7 @@ DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
 
 @dataclass(frozen=True)
 class StartParameters:
-    """A medium, a value of each of its parameters (Pa, mm), and in words where they come from."""
+    """A medium, the values of its parameters (Pa, mm), and a description of their source."""
 
     medium: MediumRecord
     values: Mapping[str, float]
@@ -41,7 +41,7 @@ class StartParameters:
 
 
 def choose_start_parameters(insertion: Insertion) -> StartParameters:
-    """Return the paper's hand-tuned set of the insertion's medium, else the middle of what is known of it.
+    """Return the paper's parameters for the insertion's medium, or the middle of the prior if there are none.
 
     Media are described in configs/media by the name that the dataset gives them.
     """
@@ -87,7 +87,7 @@ def _make_default_medium(name: str, layers: int) -> StartParameters:
 
 
 def find_placement(dataset: Dataset, insertion: Insertion, shape: NeedleShape) -> PlacementRecord | None:
-    """Return where the constraint frame of a simulated needle lies: where a run's files for Slicer have it.
+    """Return the pose of a simulated needle's constraint frame, as in a run's files for 3D Slicer.
 
     Parameters
     ----------
@@ -111,7 +111,7 @@ def find_placement(dataset: Dataset, insertion: Insertion, shape: NeedleShape) -
 
 
 def open_insertion(view_target: ViewTarget) -> ViewedScene:
-    """Return a measured insertion, by default the first of its dataset, with parameters to be tuned by hand.
+    """Return a measured insertion, by default the first of its dataset, with parameters for manual tuning.
 
     Raises
     ------
@@ -131,7 +131,7 @@ def open_insertion(view_target: ViewTarget) -> ViewedScene:
 
 
 def choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget, kind: str) -> Insertion:
-    """Return the insertion that was named, or the first; ConfigError where there is no such one."""
+    """Return the insertion with the given name, or the first; ConfigError if there is none."""
     by_id = {insertion.id: insertion for insertion in insertions}
     if view_target.insertion is None:
         return insertions[0]
@@ -142,7 +142,7 @@ def choose_insertion(insertions: tuple[Insertion, ...], view_target: ViewTarget,
 
 @dataclass(frozen=True)
 class ShownInsertion:
-    """A measured insertion, and the parameters (Pa, mm) with which its needle is shown.
+    """A measured insertion, and the parameters (Pa, mm) of the needle shown with it.
 
     `seed` is that of the draws of its noise floor, so that it is the one of studies.
     """
@@ -157,7 +157,7 @@ class ShownInsertion:
 def make_viewed_scene(
     shown: ShownInsertion, name: str, description: str, choices: tuple[str, ...]
 ) -> ViewedScene:
-    """Return what is shown of an insertion; `name` is that of its dataset or run."""
+    """Return the scene that shows an insertion; `name` is that of its dataset or run."""
     dataset, insertion = shown.dataset, shown.insertion
     title = f"{insertion.id} · {dataset.title}"
     record = make_scene_record(shown.values, shown.medium, dataset, insertion, title)

@@ -33,7 +33,7 @@ _LAYERS_NOTE = "Its layers lie where it was measured to cross them. "
 
 
 def open_run(view_target: ViewTarget) -> ViewedScene:
-    """Return an insertion with the parameters of a run, by default the first that its fit never saw.
+    """Return an insertion with the fitted parameters of a run, by default the first held-out one.
 
     Raises
     ------

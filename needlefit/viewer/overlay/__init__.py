@@ -1,1 +1,1 @@
-"""Overlays of the simulated needle: a measured needle, the band of a fit, the slice of a scan."""
+"""Overlays of the simulated needle: a measured needle, the band of a fit, a slice of a scan."""

@@ -1,4 +1,4 @@
-"""Where a fit says that the needle is, as surely as the data know the parameters.
+"""The 95 % band of the needle under the posterior draws of a fit.
 
 The band is that of `validation/needles_in_scan.py`: the central 95 % of the needles of draws of the
 parameters, led as the user steered this one. Neither the noise of measured points, nor errors of the layers'
@@ -24,7 +24,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class ParameterDraws:
-    """Draws of the parameters, as the layers of one insertion have them.
+    """Posterior draws of the parameters of the layers that one insertion meets.
 
     Attributes
     ----------
@@ -42,7 +42,7 @@ class ParameterDraws:
 
 @dataclass(frozen=True)
 class NeedleBand:
-    """The central 95 % of the needles of draws, from the entry to the tip, in C.
+    """The band that contains the central 95 % of the drawn needles, from entry to tip, in C.
 
     Attributes
     ----------
@@ -61,7 +61,7 @@ class NeedleBand:
 
 
 def select_layer_draws(draws: pd.DataFrame, layers: Sequence[int]) -> ParameterDraws:
-    """Return draws (a column per parameter; Pa, mm) as the layers that a needle meets have them.
+    """Return draws (one column per parameter; Pa, mm) arranged by the layers that a needle meets.
 
     `layers` are their numbers, from 1, in the order in which they are met.
     """
@@ -80,7 +80,7 @@ def compute_band(
     rules: ModelOptions,
     first_cell: float,
 ) -> NeedleBand | None:
-    """Return the band of a needle that was led through `steps`; None where it has no width to show.
+    """Return the band of a needle after `steps`; None if it has no width.
 
     Every draw replaces moduli and alphas of all layers and the bevel offset of all steps; the layers stay
     where they are, guides and base where the user holds them. Runs on one core, and lets the interpreter go.

@@ -1,4 +1,4 @@
-"""A measured needle, and its distance from the simulated one at this step."""
+"""A measured needle as an overlay, and its distance from the simulated one."""
 
 import math
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ _FRACTIONS = np.linspace(0.0, 1.0, COMPARISON_POINTS)
 
 @dataclass(frozen=True)
 class MeasuredOverlay:
-    """A measured needle, ready to be compared with many simulated ones.
+    """A measured needle, prepared for comparison with many simulated ones.
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class MeasuredOverlay:
 
 @dataclass(frozen=True)
 class LiveErrors:
-    """How far the needle lies from the measured one; mm unless said.
+    """The errors of the simulated needle against the measured one; mm unless stated.
 
     Attributes
     ----------
@@ -86,7 +86,7 @@ class LiveErrors:
 def make_measured_overlay(
     dataset: Dataset, insertion: Insertion, floor: float, shape: NeedleShape
 ) -> MeasuredOverlay:
-    """Return an insertion as it is compared.
+    """Return the overlay of a measured insertion.
 
     Parameters
     ----------
@@ -107,7 +107,7 @@ def make_measured_overlay(
 
 
 def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveErrors | None:
-    """Return how far a needle lies from the measured one.
+    """Return the errors of a simulated needle against the measured one.
 
     None where that cannot be said: the needle was not found, has hardly begun, or is not as deep as a
     measured one of which only the shape is known.

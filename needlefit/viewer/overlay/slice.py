@@ -1,4 +1,4 @@
-"""The slice of a scan in the plane in which its needle bends."""
+"""The slice of a scan in the bending plane of its needle."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ SLICE_HALF_WIDTH_MM = 25.0
 
 @dataclass(frozen=True)
 class InsertionScan:
-    """A measured needle and the scan in which it was seen."""
+    """A measured needle, and the scan in which it was measured."""
 
     volume: ScanVolume
     insertion: Insertion
@@ -24,14 +24,14 @@ class InsertionScan:
 
 @dataclass(frozen=True)
 class ScanSlice:
-    """A slice as PNG, and its edges in C: left, right, bottom, top, mm."""
+    """A slice of a scan as PNG, and its edges in C: left, right, bottom, top, mm."""
 
     png: bytes
     extent: tuple[float, float, float, float]
 
 
 def find_scan(dataset: Dataset, insertion: Insertion) -> tuple[InsertionScan | None, str]:
-    """Return the scan of an insertion, or none and, where one could be expected, in words why.
+    """Return the scan of an insertion, or None with the reason if one was expected.
 
     Raises
     ------
@@ -49,7 +49,7 @@ def find_scan(dataset: Dataset, insertion: Insertion) -> tuple[InsertionScan | N
 
 
 def read_slice(one: InsertionScan) -> ScanSlice:
-    """Read a scan and return the slice along its needle: some seconds where the scan is large.
+    """Read a scan and return the slice along its needle; this takes seconds for a large scan.
 
     It follows the needle through the thickness, so that a needle bent out of its plane stays in it; before
     the entry it follows the entry axis.

@@ -1,4 +1,4 @@
-"""The WebSocket connections of all windows, one needle each."""
+"""The WebSocket connections of all windows; each has its own needle."""
 
 import asyncio
 import json
@@ -44,7 +44,7 @@ HEADERS = {
 
 @dataclass(frozen=True)
 class AccessControl:
-    """What a caller is measured by.
+    """The rules by which a request is accepted: host, origin and token.
 
     Attributes
     ----------
@@ -59,16 +59,16 @@ class AccessControl:
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Under which this server may be called."""
+        """The host names of this server."""
         return tuple(f"{host}:{self.port}" for host in (LOOPBACK, "localhost"))
 
     @property
     def address(self) -> str:
-        """Where the page is; the token stands behind `#`, which browsers send to nobody."""
+        """The address of the page; the token follows `#`, a part that browsers send to no server."""
         return f"http://{LOOPBACK}:{self.port}/#token={self.token}"
 
     def has_own_host(self, headers: Mapping[str, str]) -> bool:
-        """Whether a request calls this server by its own name."""
+        """Whether a request names this server as its host."""
         return headers.get("Host", "") in self.names
 
     def from_page(self, headers: Mapping[str, str]) -> bool:
@@ -76,20 +76,20 @@ class AccessControl:
         return headers.get("Origin", "") in tuple(f"http://{name}" for name in self.names)
 
     def is_token(self, token: object) -> bool:
-        """Whether that is the token."""
+        """Whether a text is the token; the comparison takes the same time for every text."""
         return isinstance(token, str) and secrets.compare_digest(token.encode(), self.token.encode())
 
 
 class RateLimit:
-    """How fast a window may talk: `MAX_MESSAGES_PER_S` a second, after a pause `MAX_BURST_MESSAGES` at
-    once.
+    """The limit of messages of a window: `MAX_MESSAGES_PER_S`, with bursts of `MAX_BURST_MESSAGES` after a
+    pause.
     """
 
     def __init__(self) -> None:
         self._left, self._at = MAX_BURST_MESSAGES, monotonic()
 
     def allows(self) -> bool:
-        """Whether one more message may come now."""
+        """Whether one more message is within the limit now."""
         now = monotonic()
         self._left = min(MAX_BURST_MESSAGES, self._left + MAX_MESSAGES_PER_S * (now - self._at))
         self._at = now
@@ -112,7 +112,7 @@ CLOSE_NO_TOKEN, CLOSE_TAKEN = 4401, 4409
 
 
 class Connections:
-    """One socket for each window, one window for each needle: the newest."""
+    """All connections: one for each window, and one window for each needle, the newest."""
 
     def __init__(self, access: AccessControl, trials: TrialRegistry) -> None:
         self.access, self.trials = access, trials

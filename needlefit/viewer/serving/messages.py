@@ -1,4 +1,4 @@
-"""Encode a trial for the page: everything computed, in mm and frame C, ready for JSON."""
+"""Encode a trial as messages for the page: computed values in mm and frame C, ready for JSON."""
 
 import json
 import math
@@ -31,7 +31,7 @@ SLIDER_FACTOR = 100.0
 
 
 def scene_message(trial: InteractiveTrial) -> dict[str, Any]:
-    """Return what stays: the needle, the layers, and what lies behind them."""
+    """Return the message of all that stays constant: the needle, the layers, the overlays."""
     viewed_scene, scene = trial.viewed_scene, trial.scene
     tissue = scene.tissue
     first = scene.steps[0].bevel
@@ -68,7 +68,7 @@ def scene_message(trial: InteractiveTrial) -> dict[str, Any]:
 
 
 def state_message(trial: InteractiveTrial) -> dict[str, Any]:
-    """Return what changes from step to step."""
+    """Return the message of all that changes from step to step."""
     steering, now = trial.steering, trial.steering.now
     shape, step, controls = now.shape, now.step, now.step.controls
     s = _stations(shape)
@@ -102,7 +102,7 @@ def state_message(trial: InteractiveTrial) -> dict[str, Any]:
 
 
 def band_message(step: int, band: NeedleBand | None) -> dict[str, Any]:
-    """Return the band of the needle after a step; without points where it has none."""
+    """Return the message of the needle's band after a step; without points if there is no band."""
     edges = (band.x, band.low, band.high) if band else (np.empty(0),) * 3
     x, low, high = (_round_lengths(values) for values in edges)
     failed = band.failed if band else 0
@@ -211,7 +211,7 @@ MAX_REPLAY_SPEED = 1000.0
 
 @dataclass(frozen=True)
 class Message:
-    """One message of the page.
+    """One message from the page.
 
     Attributes
     ----------
@@ -233,7 +233,7 @@ class Message:
     fault: ModelError | None = None
 
     def number(self, key: str, default: float | None = None, most: float = math.inf) -> float:
-        """Return a finite number that the message must hold, unless there is a default."""
+        """Return a finite number of the message; without a default it is required."""
         value = self.content.get(key, default)
         found = _finite(value)
         if found is None or abs(found) > most:
@@ -242,19 +242,19 @@ class Message:
         return found
 
     def text(self, key: str) -> str:
-        """Return a text; empty if the message holds none."""
+        """Return a text of the message; empty if there is none."""
         value = self.content.get(key)
         return value if isinstance(value, str) else ""
 
     @property
     def gesture(self) -> int | None:
-        """Which gesture it belongs to, if any."""
+        """The gesture to which the message belongs, if any."""
         value = self.content.get("gesture")
         return value if isinstance(value, int) and not isinstance(value, bool) else None
 
 
 def read_message(text: str) -> Message:
-    """Return the message in a text.
+    """Return the message that a text contains.
 
     It has a fault if it is no JSON, or asks for an unknown action, an input that does not exist, or one that
     is not finite; the reply names its number where it can be read.

@@ -24,7 +24,7 @@ from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 
 
 class FileRoutes:
-    """Makes files while needles go on: exports by a process of its own, slices by a thread."""
+    """Creates files during a simulation: exports in a separate process, slices in a thread."""
 
     def __init__(self, trials: TrialRegistry) -> None:
         self.trials = trials

@@ -1,4 +1,4 @@
-"""Interactive trials: each window steers, records and undoes one needle."""
+"""Interactive trials: each window controls, records and undoes the steps of one needle."""
 
 import secrets
 from collections.abc import Callable, Sequence
@@ -24,8 +24,8 @@ class InteractiveTrial:
     ----------
     name : str
         Which one it is; part of the recording's name.
-    subject : Subject
-        What is shown and steered.
+    viewed_scene : ViewedScene
+        The scene that is shown and controlled.
     path : Path
         Of the recording, written as the needle moves.
     source : Recording, optional
@@ -35,7 +35,7 @@ class InteractiveTrial:
     ----------
     speed : float
         Steps a second that its needle can make here.
-    kin : dict of str -> Trial
+    window_trials : dict of str -> InteractiveTrial
         The last needle of the same window beside each insertion that it has shown, this one among them.
     """
 
@@ -59,7 +59,7 @@ class InteractiveTrial:
 
     @property
     def shown_insertion(self) -> str:
-        """The insertion that lies beside the needle; empty where there is none."""
+        """The id of the measured insertion shown with the needle; empty if there is none."""
         return self.viewed_scene.measured.id if self.viewed_scene.measured else ""
 
     @property
@@ -69,7 +69,7 @@ class InteractiveTrial:
 
     @property
     def can_redo(self) -> bool:
-        """Whether there is one to carry out again."""
+        """Whether there is an undone gesture to redo."""
         return bool(self._future)
 
     def time(self) -> float:
@@ -103,24 +103,24 @@ class InteractiveTrial:
             self._forget(left)
 
     def undo(self) -> None:
-        """Take the last gesture back."""
+        """Undo the last gesture."""
         self._go(self._past, self._future)
 
     def redo(self) -> None:
-        """Carry out again what was taken back last."""
+        """Redo the gesture that was undone last."""
         self._go(self._future, self._past)
 
     def reset(self) -> None:
-        """Return to first contact; that, too, can be undone."""
+        """Return to first contact; this can be undone."""
         self.act((Change("return_to", None, 0.0),))
 
     def pin(self) -> None:
-        """Keep the needle as it stands, for a replay that returns to it."""
+        """Store the present state, for a replay that returns to it."""
         self._pinned.add(self.steering.number)
         self.steering.keep()
 
     def unpin(self, number: int) -> None:
-        """Let go of what was pinned at a step."""
+        """Delete the state that was stored at a step."""
         self._pinned.discard(number)
         self._forget([number])
 
@@ -158,16 +158,16 @@ MAX_TRIALS = 32
 
 
 class TrialRegistry:
-    """Every window has a needle of its own; a page that comes back finds the one it had.
+    """All trials of the server; a page that reconnects gets its own trial again.
 
     Parameters
     ----------
-    subject : Subject
+    viewed_scene : ViewedScene
         What a new window shows.
     folder : Path
         Where recordings are written.
     reopen : callable
-        Name of an insertion -> the subject that shows it.
+        Name of an insertion -> the scene that shows it.
     source : Recording, optional
         What a new window can replay.
     """
@@ -186,28 +186,28 @@ class TrialRegistry:
         self._steered: set[str] = set()
 
     def open(self, name: str) -> InteractiveTrial:
-        """Return the needle of this name, or a new one where there is none."""
+        """Return the trial of this name, or a new one if there is none."""
         trial = self._all.get(name) or self._begin(self._viewed_scene, self._source)
         self._steered.add(trial.name)
         return trial
 
     def known(self, name: str) -> InteractiveTrial | None:
-        """Return the needle of this name, if there is one."""
+        """Return the trial of this name, if there is one."""
         return self._all.get(name)
 
     def close(self, trial: InteractiveTrial) -> None:
-        """Say that no window steers a needle any more; it is there until too many others are."""
+        """Note that no window controls a trial any more; it is kept until there are too many others."""
         self._steered.discard(trial.name)
         if trial.name in self._all:  # the youngest of those that nobody steers
             self._all[trial.name] = self._all.pop(trial.name)
 
     def prepare(self, trial: InteractiveTrial, insertion: str) -> None:
-        """Read what it takes to show another insertion, so that `another` need not; may run beside it."""
+        """Read the files for showing another insertion, before `another` is called; can run in a thread."""
         if insertion in trial.viewed_scene.choices and insertion not in self._viewed_scenes:
             self._viewed_scenes[insertion] = self._reopen(insertion)
 
     def another(self, trial: InteractiveTrial, insertion: str) -> InteractiveTrial:
-        """Return the needle that the same window had beside another insertion, or a new one.
+        """Return the window's trial with another insertion, or a new trial.
 
         Raises
         ------
@@ -221,11 +221,11 @@ class TrialRegistry:
         return self._instead(trial, there or self._begin(self._viewed_scenes[insertion], None))
 
     def again(self, trial: InteractiveTrial, source: Recording) -> InteractiveTrial:
-        """Return a new needle for the same window, at first contact, for a replay."""
+        """Return a new trial for the same window, at first contact, for a replay."""
         return self._instead(trial, self._begin(trial.viewed_scene, source))
 
     def written(self) -> list[Path]:
-        """Return the recordings that were begun."""
+        """Return the recordings that have been started."""
         return [path for path in self._paths if path.exists()]
 
     def _instead(self, trial: InteractiveTrial, other: InteractiveTrial) -> InteractiveTrial:

@@ -33,7 +33,7 @@ UNDO_PAUSE_S = 0.4
 
 
 class Motion(Protocol):
-    """Goes on by `dt` seconds; returns whether there is more to come."""
+    """A motion of the needle: `advance` continues it by `dt` seconds and returns whether it goes on."""
 
     speed: float
 
@@ -42,7 +42,7 @@ class Motion(Protocol):
 
 @dataclass
 class Stroke:
-    """The tip goes in (out, where `speed` is negative) until it is halted, or at `to`.
+    """A motion of the tip: in (out, if `speed` is negative) until it is stopped, or reaches `to`.
 
     Attributes
     ----------
@@ -58,7 +58,7 @@ class Stroke:
     to: float | None = None
 
     def advance(self, trial: InteractiveTrial, dt: float) -> bool:
-        """Go on; `Motion`."""
+        """Continue the motion by `dt` seconds; see `Motion`."""
         now, reach = trial.steering.now.step.depth, trial.steering.reach()
         low, high = (0.0, reach) if self.to is None else sorted((now, min(max(self.to, 0.0), reach)))
         depth = min(max(now + self.speed * dt, low), high)
@@ -68,7 +68,7 @@ class Stroke:
 
 
 class Play:
-    """The steps of the scene, at a speed, from first contact on."""
+    """A motion through the steps of the scene, at constant speed, from first contact on."""
 
     def __init__(self, trial: InteractiveTrial, speed: float, gesture: int) -> None:
         self.speed, self._gesture = abs(speed), gesture
@@ -76,7 +76,7 @@ class Play:
         self._stroke: Stroke | None = None
 
     def advance(self, trial: InteractiveTrial, dt: float) -> bool:
-        """Go on; `Motion`."""
+        """Continue the motion by `dt` seconds; see `Motion`."""
         if self._stroke is None:
             step = next(self._steps, None)
             if step is None:
@@ -91,7 +91,9 @@ class Play:
 
 
 class Replay:
-    """The steps of a recording, at its own times; steps without a pause between them are one gesture."""
+    """A motion through the steps of a recording at their own times; steps without a pause between are one
+    gesture.
+    """
 
     def __init__(self, steps: Sequence[RecordedStep], times: float) -> None:
         self.speed = abs(times)
@@ -101,7 +103,7 @@ class Replay:
         self._last, self._gesture = find_last_returns(steps), -1  # a page's own gestures are above 0
 
     def advance(self, trial: InteractiveTrial, dt: float) -> bool:
-        """Go on; `Motion`."""
+        """Continue the motion by `dt` seconds; see `Motion`."""
         self._clock += self.speed * dt
         while self._next and self._next.time <= self._clock:
             trial.act(self._next.changes, self._gesture)
@@ -116,7 +118,7 @@ Reply = dict[str, Any]
 
 
 class Window:
-    """A page that has said its token, and the needle that it steers.
+    """One authenticated page, and the needle that it controls.
 
     Nothing moves by itself: what goes on does so when the page asks for its next frame, and by the time since
     the frame before. A page that is hidden or gone therefore stops its needle.
@@ -130,7 +132,7 @@ class Window:
         self._at = 0.0
 
     def answer(self, message: Message) -> Iterator[Reply]:
-        """Carry a message out; yield what to send back."""
+        """Carry out a message; yield the replies."""
         self.last_message_id = message.id
         trial = self.trial
         try:
