@@ -80,7 +80,7 @@ def _make_group_names(keys: pd.DataFrame, template: str | None, path: Path, foun
 
 
 def _check_constant(long: LongTable, record: InsertionsRecord, found: list[Fault]) -> None:
-    """Note a column that should say one thing of an insertion and says several."""
+    """Note a column that should have one value for an insertion and has several."""
     if record.file is not None:
         return
     for column in record.columns.values():

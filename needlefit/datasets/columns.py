@@ -75,7 +75,7 @@ class InsertionRow:
     side : int
         The side of C's x axis that the bevel faces, +1 (toward +y) or -1.
     patient : Frame or None
-        The patient coordinates (LPS) of its scan in the world; None: as `[frame] lps_to_world` says.
+        The patient coordinates (LPS) of its scan in the world; None: that of `[frame] lps_to_world`.
     line : int
         Line of the file that it comes from, 0 if from none.
     """

@@ -53,7 +53,7 @@ class CompressionColumns:
     unit : float
         What the column of stresses is multiplied by to give MPa; 1 where force and area make it.
     sample : str
-        Column that tells specimens apart; empty: all rows are one.
+        Column with the specimen's name; empty: all rows are one specimen.
     """
 
     stretch: tuple[str, ...]
@@ -148,7 +148,7 @@ def _read_size(table: CsvTable, column: str, names: NDArray[np.str_], found: lis
 def _select_columns(
     alternatives: Sequence[tuple[str, ...]], what: str, where: str, found: list[Fault]
 ) -> tuple[str, ...] | None:
-    """Return the only way; an empty one after a fault because there are several, None if there is none."""
+    """Return the only option; an empty one after a fault (several options), None if there is none."""
     if len(alternatives) < 2:
         return alternatives[0] if alternatives else None
     listed = " and by ".join(f"`{'`, `'.join(option)}`" for option in alternatives)

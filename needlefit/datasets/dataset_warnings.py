@@ -186,7 +186,7 @@ def _find_mistyped(
 
 
 def _compute_similarity(one: str, other: str) -> float:
-    """Return how alike two names are, 0 to 1; a unit at the end that both have makes no names alike."""
+    """Return the similarity of two names, 0 to 1; a unit at the end of both does not count."""
     first, second = (re.sub(r"[\W_]", "", _UNIT.sub("", name.strip().lower())) for name in (one, other))
     if first == second:
         return 1.0

@@ -137,7 +137,7 @@ def _read_insertion_table(
 ) -> CsvTable | None:
     """Return the table of insertions: its file, or the first rows of the groups of the long table."""
     if record.insertions.file is None:
-        assert long is not None  # the record says so
+        assert long is not None  # the record was checked: one of the two files is given
         return long.first_rows()
     try:
         return read_table(root / record.insertions.file)

@@ -114,7 +114,7 @@ MIN_POSE_SD_MM = 1e-3
 """Of registration and entry pose: less was written in another unit."""
 
 MAX_POSE_SD_MM = 5.0
-"""Of registration and entry pose: with more, nobody would compare curves."""
+"""Of registration and entry pose: with a larger one, curves cannot be compared."""
 
 MAX_POSE_ANGLE_SD_DEG = 20.0
 

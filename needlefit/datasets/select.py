@@ -69,7 +69,7 @@ def _matches(insertion: Insertion, selection: SelectionRecord, layer_count_rule:
 
 
 def _format_key(key: str, value: object) -> str:
-    """Return a key of a selection and its value as the file says them."""
+    """Return a key of a selection and its value as they are in the file."""
     values = value if isinstance(value, tuple) else (value,)
     listed = ", ".join(f"{v:g}" if isinstance(v, float) else str(v) for v in values)
     return f"{key} = {f'[{listed}]' if isinstance(value, tuple) else listed}"

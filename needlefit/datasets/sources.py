@@ -140,7 +140,7 @@ def find_volume(dataset: Dataset, id_: str) -> ScanVolume | None:
     Raises
     ------
     DataError
-        If the table that says so has a fault.
+        If the table of scans has a fault.
     """
     path = dataset.path.parent / VOLUMES_FILE
     if not is_file(path):

@@ -67,7 +67,7 @@ def read_source(path: Path) -> CurveSource:
     Raises
     ------
     DataError
-        If the file is missing, of another kind, or holds no usable curves; it says what is read.
+        If the file is missing, of another kind, or without usable curves; the message lists what is read.
     """
     suffix = path.suffix.lower()
     if suffix not in READERS:
@@ -93,7 +93,7 @@ def _read_matlab(path: Path) -> ReadCurves:
 
 
 def _read_slicer(path: Path) -> ReadCurves:
-    """Return the lists of a Slicer file; the points that none of them ever placed are told."""
+    """Return the lists of a Slicer file; points that were never placed are reported."""
     unset = sum(len(one.unset) for one in slicer.read_lists(path))
     notes = [f"{unset} points without a position ignored"] if unset else []
     return slicer.read_curves(path), notes
@@ -125,7 +125,7 @@ READERS: Mapping[str, Callable[[Path], ReadCurves]] = {
 
 
 def _drop_mapping_fix(fault: Fault) -> Fault:
-    """Return a fault whose fix speaks of `--from`, which knows no `columns` of a dataset.toml."""
+    """Return a fault with a fix for `--from`, where a dataset.toml and its `columns` do not exist yet."""
     return replace(fault, fix=f"rename it; {SOURCE_HELP}") if "is missing" in fault.what else fault
 
 
@@ -144,7 +144,7 @@ def _find_unusable(name: str, points: Points) -> list[Fault]:
 def _make_names(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
     """Return the curves under ids that can name files.
 
-    Two that come out alike, and names that a spreadsheet would run or a terminal would not show, are errors.
+    Two equal names are an error, and so are names that a spreadsheet would run or a terminal not show.
     """
     named: dict[str, Points] = {}
     for theirs, points in curves.items():

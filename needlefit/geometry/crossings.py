@@ -144,7 +144,7 @@ def _intersect(starts: Floats, steps: Floats, triangles: Floats) -> tuple[np.nda
 
 
 def _find_solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarray:
-    """Return the layer of the solid that holds each place (K, 3), 0 where there is none."""
+    """Return the layer of the solid that contains each place (K, 3), 0 where there is none."""
     layers = np.zeros(len(places), dtype=np.int64)
     for surface in surfaces:
         if surface.kind == "solid":

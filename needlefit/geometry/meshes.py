@@ -111,7 +111,7 @@ def extract_solid(name: str, vertices: ArrayLike, faces: ArrayLike, into: int) -
     vertices : (V, 3) array
         mm.
     faces : (F, 3) array of int
-        Triangles, turned alike; every piece closed, pieces within another ones (cavities) the other way.
+        Triangles with consistent orientation; every component is closed, and cavities are oriented inward.
 
     Returns
     -------

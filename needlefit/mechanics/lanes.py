@@ -114,7 +114,7 @@ class _BatchJob:
 def _prepare_job(batch: Batch) -> _BatchJob:
     valid = _find_valid(batch)
     needle, steps, rules = batch.needle, batch.steps, batch.rules
-    if valid.any():  # depths and controls are alike in all valid sets: any of them stands for all
+    if valid.any():  # depths and controls are alike in all valid sets: so one of them is used for all
         needle, steps = batch.vary_inputs(int(np.argmax(valid)))
     lattice = make_lattice(steps, rules)
     moves = make_moves(steps, needle.length)
@@ -252,7 +252,7 @@ def _copy_entry_tables(shared: _SharedTables) -> tuple[KernelInsertion, LaneTabl
 def _make_inputs(
     batch: Batch, tissue: tuple[Floats, Floats], conditions: BoundaryConditions, bevel_id: Ints, lane: Ints
 ) -> LaneInputs:
-    """Return what differs between lanes under the inputs of one step; `lane` (W,) says whose they are."""
+    """Return the inputs that differ between lanes in one step; `lane` (W,): the set of each lane."""
 
     def given(name: str, otherwise: float) -> Floats:
         values = getattr(batch, name)

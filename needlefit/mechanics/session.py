@@ -275,7 +275,7 @@ def _list_arrays(now: kernel.KernelInsertion) -> tuple[np.ndarray, ...]:
 
 
 class _InputIds(Generic[T]):
-    """The numbers by which the plan knows inputs: equal inputs have equal ones."""
+    """Numbers that identify inputs in the plan: equal inputs have equal numbers."""
 
     def __init__(self) -> None:
         self._numbers: dict[T, int] = {}
@@ -299,7 +299,7 @@ class _InputIds(Generic[T]):
         return self._numbers[value]
 
     def drop_unused(self, used: Callable[[], set[int]]) -> None:
-        """Now and then drop inputs under which no ray was cut, lest a long session grow."""
+        """Drop unused inputs from time to time, so that the memory of a long session stays bounded."""
         if len(self._numbers) > self._max_kept:
             saved = used()
             self._numbers = {value: number for value, number in self._numbers.items() if number in saved}

@@ -111,7 +111,7 @@ def _describe_design(found: Calibration) -> str:
 
 
 def _describe_computation(found: Calibration) -> list[str]:
-    """Return who computed the posteriors, and how many nobody certified."""
+    """Return the method that computed the posteriors, and how many were not certified."""
     count = len(found.replicates)
     by = found.replicates["draw_source"].value_counts().to_dict()
     parts = [f"{one} by {who} ({100 * one / count:.1f} %)" for who, one in by.items()]

@@ -44,7 +44,7 @@ def write_combined(
 
 
 def _summarize_analysis(result: AnalysisResult, folder: Path) -> list[Block]:
-    """Return an answer in short: question, what it says, its first figure; its own report has the others."""
+    """Return a result in short: question, summary, first figure; its own report has the rest."""
     page = ANALYSIS_PAGES[result.kind]
     (folder / result.name).mkdir()
     drawn = page.draw(result, folder / result.name)

@@ -86,7 +86,7 @@ def gap_box(words: str) -> Block:
 
 
 def _prose_block(words: str) -> str:
-    """Return words without the backticks by which a terminal and Markdown tell names: a page prints them."""
+    """Return text without backticks, which mark names in Markdown; a page would print them."""
     return words.replace("`", "")
 
 
@@ -121,6 +121,7 @@ def compile_template(
         (folder / "data.json").write_text(json.dumps(payload), encoding="utf-8")
         for known, picture in pictures.items():
             (folder / known).write_bytes(picture.read_bytes())
+        # System fonts differ between machines; without them the same inputs give the same bytes.
         pdf = typst.compile(str(page), root=name, ignore_system_fonts=True)
     assert isinstance(pdf, bytes)
     return pdf

@@ -60,7 +60,7 @@ def describe_design(found: Identification) -> list[str]:
 
 
 def _describe_expected(expectation: ExpectedPrecision, name: str, row: Row) -> str:
-    """Return what a design says of one free parameter."""
+    """Return what a design determines about one free parameter."""
     column = expectation.sds[:, expectation.names.index(name)]
     sd, low, high = float(column[0]), float(column.min()), float(column.max())
     near = "" if high < 1.3 * low else f"; {_format_sd_range(name, low, high)} near"
@@ -121,7 +121,7 @@ _SD_NOTE = (
 def lay_out_identification(identification: pd.DataFrame, expected: bool = False) -> TableLayout:
     """Return one row per parameter; for a design also where information and profile disagree.
 
-    Of a fit `describe_verdicts` says that beside it.
+    For a fit, `describe_verdicts` adds that as text.
     """
     rows, breaks = [], []
     table = to_records(identification)

@@ -41,7 +41,7 @@ def format_latex(table: TableLayout, synthetic: bool) -> str:
 
     Parameters
     ----------
-    table : Display
+    table : TableLayout
     synthetic : bool
         Whether the caption begins with "SYNTHETIC DATA."
     """
@@ -71,6 +71,8 @@ def _align(column: TableColumn) -> str:
 
 def escape_latex(text: str) -> str:
     """Return text that LaTeX prints literally, in any font encoding."""
+    # Character by character: escaping in several passes would escape the backslashes of the pass before. Only
+    # then are exponents recognised, by their escaped form.
     escaped = "".join(_ESCAPES.get(sign, sign) for sign in text)
     escaped = re.sub(r"\\textasciicircum\{\}(-?\d+(?:\.\d+)?)", r"$^{\1}$", escaped)
     escaped = re.sub("[⁻⁰¹²³⁴⁵⁶⁷⁸⁹]+", lambda m: f"$^{{{m[0].translate(_RAISED)}}}$", escaped)
@@ -129,6 +131,7 @@ def format_table_macros(name: str, tables: Sequence[TableLayout]) -> str:
     names only what is new in it has the other words of the row above.
     """
     lines = [_format_macro(_slug(name, *keys), words) for table in tables for keys, words in _cells(table)]
+    # A dict keeps the order and drops repeated lines.
     return _MACRO_HEAD + "".join(dict.fromkeys(lines))
 
 

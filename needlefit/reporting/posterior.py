@@ -3,7 +3,7 @@
 The ridge on which a posterior lies: where parameters can move together and the needles stay what they are.
 
 It is the longest principal axis of the draws, in logarithms of moduli and lengths; across it lies what the
-data do tell.
+data determine.
 """
 
 from collections.abc import Callable, Mapping
@@ -32,8 +32,8 @@ def tabulate_percentiles(results: Results) -> pd.DataFrame:
     that lies outside the central 95 % of the draws: a peak need not lie where most of a density is, and a
     fit of the recipe's error metrics need not agree with a posterior at all. `acceptance` is the fold's;
     `ess_bulk` and `ess_tail` are the independent draws of the ensemble that has fewest. `converged` is false
-    where the rule, which asks more than the parameters, is not met: the percentiles are then not final.
-    `determined` is false where the fit's value is no estimate, and the percentiles tell of the bounds too.
+    where the criteria, which concern more than the parameters, are not met: percentiles are then not final.
+    `determined` is false where the fit's value is no estimate; the percentiles then depend on the bounds too.
     """
     fits = {(str(r["fold"]), r["parameter"]): r for r in _fitted_rows(results)}
     rows = [
@@ -226,6 +226,7 @@ def principal_axes(draws: pd.DataFrame) -> tuple[Direction, ...]:
     """Return the principal axes of draws (Pa, mm), the shortest (best determined) first."""
     names = [str(name) for name in draws.columns]
     spread = np.atleast_2d(np.cov(to_log_coordinates(draws), rowvar=False))
+    # The inverse covariance of the draws plays the part of the Fisher information.
     information: Floats = np.linalg.pinv(spread, hermitian=True).astype(np.float64)
     return principal_directions(information, names)
 

@@ -140,6 +140,7 @@ def _read_parts(run: Path) -> dict[str, object]:
 
 def _restore_part(run: Path, name: str, computed: object) -> Results | AnalysisResult:
     folder = run.parent / name
+    # A run repeated since the report of several would mix two states of the data.
     if read_run(folder) != computed:
         raise DataError(
             f"is not the run of which `{run.name}` tells",

@@ -49,6 +49,7 @@ def write(results: Results, folder: Path, extra: ExtraWriters | None = None) -> 
             write_needles(results, new / "slicer")
         for name, save in (extra or {}).items():
             save(new / name)
+        # The report reads the figures' files, so it is written after them.
         write_report(compose_report(results, drawn), new)
         write_for_papers([results], new)
         store_results(results, new)

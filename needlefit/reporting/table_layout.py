@@ -26,7 +26,7 @@ class TableLayout:
         Of its file and label.
     caption : str
         What it shows.
-    columns : tuple of Column
+    columns : tuple of TableColumn
     rows : tuple of tuple of str
         Cells, as many as there are columns.
     breaks : tuple of int

@@ -256,7 +256,7 @@ def _make_frame(rows: list[Row], columns: list[str]) -> pd.DataFrame:
 
 
 def _to_plain_value(value: object) -> object:
-    """Return a value that JSON knows: NaN and infinity become None, numpy scalars Python's."""
+    """Return a value that JSON can store: NaN and infinity become None, numpy scalars become Python's."""
     value = value.item() if hasattr(value, "item") else value
     if value is pd.NA or value is pd.NaT or (isinstance(value, float) and not math.isfinite(value)):
         return None

@@ -187,7 +187,7 @@ def _summarize_medium(medium: str, group: pd.DataFrame) -> str:
 
 
 def _compare_methods(group: pd.DataFrame) -> str:
-    """Return how the fit stands against each method: better or worse where the interval says so."""
+    """Return the comparison of the fit with each method: better or worse if the interval excludes 0."""
     verdicts: dict[str, list[str]] = {}
     for row in to_records(group[group["method"] != "fitted"]):
         low, high = row["difference_low_mm"], row["difference_high_mm"]

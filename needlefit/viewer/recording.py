@@ -91,6 +91,7 @@ class RecordingWriter:
         if self._begun:
             return
         self.path.parent.mkdir(parents=True, exist_ok=True)
+        # x: an existing file is never overwritten.
         with self.path.open("xb", buffering=0) as file:
             file.write(_head_lines(self._head).encode())
         self._begun = True
@@ -102,7 +103,7 @@ def read_recording(path: Path) -> Recording:
     Raises
     ------
     DataError, ConfigError
-        If it is none, or one of its lines or keys is wrong.
+        If it is not a recording, or one of its lines or keys is wrong.
     """
     lines = read_text(path).splitlines(keepends=True)
     count = next((n for n, line in enumerate(lines) if not line.startswith("#")), len(lines))

@@ -97,7 +97,7 @@ def parse_position(values: object, where: str) -> list[float]:
 
 
 def _number(value: object) -> float:
-    """Return a number as float, NaN for what is none."""
+    """Return a number as float; NaN for anything else."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return float("nan")
     try:

@@ -112,7 +112,7 @@ def _split_cells(line: str, where: str) -> list[str]:
 
 
 def _to_float(text: str) -> float | str:
-    """Return a cell as a number, or the cell where it is none: the message shows it."""
+    """Return a cell as a number; or the cell itself if it is not a number, for the message."""
     try:
         return float(text)
     except ValueError:

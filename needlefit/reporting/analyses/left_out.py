@@ -45,7 +45,7 @@ def _paint_left_out(frame: pd.DataFrame) -> Figure:
 
 
 def _paint_pair(axes: Axes, y: int, row: Row, metric: str, direct: bool) -> None:
-    """Draw one row: floor, in sample, left out, and the curve that knows no tissue."""
+    """Draw one row: noise floor, in sample, left out, and the curve without a tissue model."""
     floor, sample = row[f"floor_{metric}_mm"], row[f"in_sample_{metric}_mm"]
     error_left_out, curve = row[f"{metric}_mm"], row[f"curve_{metric}_mm"]
     axes.plot([sample, error_left_out], [y, y], color=METHOD_COLOURS["fitted"], lw=1.0, zorder=2)

@@ -165,7 +165,7 @@ def _format_precision(name: str, sd: float) -> str:
 
 
 def _describe_tip(result: AnalysisResult, name: str) -> str:
-    """Return which candidate tells most about a tip."""
+    """Return the candidate that reduces the uncertainty of a tip most."""
     every = result.frames["tips"]
     mine = every[(every["tip"] == name) & (every["role"] == "candidate")]
     row = to_records(mine.sort_values("sd_after_mm", kind="stable"))[0]

@@ -42,7 +42,7 @@ def summarize(result: AnalysisResult) -> list[str]:
 
 
 def _describe_aim(result: AnalysisResult, ours: Row) -> str:
-    """Return what the plan is for, or that there is none, and what stands in its place."""
+    """Return the target of the plan, or the reason why there is no plan."""
     (x, y), limit = _record(result).target_mm, max(_record(result).tolerances_mm)
     target = f"x = {x:g}, y = {y:g} mm"
     if reaches(ours["median_mm"], limit):

@@ -262,7 +262,7 @@ def _format_values(row: Row) -> str:
 
 
 def _format_ends(name: str, *ends: float) -> str:
-    """Return two ends, of logarithms where the parameter is told as one, in the parameter's own unit."""
+    """Return two ends in the parameter's own unit; those of a logarithmic parameter are converted."""
     low, high = (math.exp(end) if _is_logarithmic(name) else end for end in ends)
     unit = {"_pa": " Pa", "_mm": " mm"}.get(name[-3:], "")
     return f"{typeset(format_number(low))} to {typeset(format_number(high))}{unit}"

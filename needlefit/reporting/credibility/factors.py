@@ -27,7 +27,7 @@ class Factor:
         The section it stands in.
     name : str
     question : str
-        What it asks.
+        The question of the factor.
     fix : str
         What would fill it where nothing was found.
     needs_statement : bool
@@ -43,7 +43,7 @@ class Factor:
 
 
 def _stated_factor(whom: str, key: str, part: str, name: str, question: str) -> Factor:
-    """Return a factor that no program can tell."""
+    """Return a factor that only people can assess."""
     fix = f"Not for a program to tell: to be filled in by {whom} (--statements FILE, key {key})."
     return Factor(key, part, name, question, fix, needs_statement=True)
 

@@ -272,7 +272,7 @@ _RANGE_NAMES = {"validate": "Held out", "tune": "tuned"}
 
 
 def _describe_each(case: CredibilityCase, file: str, describe: Callable[[Results], str]) -> FactorFindings:
-    """Return what is said of every run that holds insertions out; of synthetic ones, that they are."""
+    """Return a note for every run with held-out insertions; synthetic ones are named as such."""
     words = [(one, describe(one)) for one in case.held_out]
     found = tuple(make_finding(one, file, text) for one, text in words if text)
     return FactorFindings(found, (ALL_SYNTHETIC_NOTE,) if _is_synthetic(case) else ())

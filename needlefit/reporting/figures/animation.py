@@ -20,7 +20,7 @@ FRAMES_PER_S = 10
 """Frames a second."""
 
 MAX_FRAMES = 150
-"""Frames of an animation; one that would take more goes faster, and says so."""
+"""Frames of an animation; a longer one plays faster, and its title states that."""
 
 FINAL_FRAMES = 10
 """Frames for which the end stays, before a GIF begins anew."""
@@ -82,6 +82,7 @@ def _write_frames(
 ) -> None:
     """Write a frame for each moment; nothing moves but what moves, and no frame is laid out again."""
     with matplotlib.rc_context({"figure.constrained_layout.use": False}):
+        # The layout was found once; a new one for each frame would let the axes jump.
         moment_figure.figure.set_layout_engine(None)
         with writer.saving(moment_figure.figure, str(path), DOTS_PER_INCH):
             for moment in shown:
@@ -95,6 +96,7 @@ def sample_moments(moments: Iterable[TimedMoment], times: Sequence[float]) -> li
     seen: NeedleState | None = None
     for time, moment in moments:
         while len(found) < len(times) and time > times[len(found)]:
+            # Before the first moment there is none: the first one is shown.
             found.append(seen or moment)
         seen = moment
     assert seen is not None

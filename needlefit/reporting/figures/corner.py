@@ -84,6 +84,7 @@ def _paint_marginal(axes: Axes, frame: pd.DataFrame, name: str) -> None:
     back = np.exp(edges) if is_logarithmic(name) else edges
     axes.stairs(heights, back, fill=True, color=_DRAW_COLOUR, alpha=0.35, lw=0)
     bounds = to_log_coordinates(frame[frame["mark"].str.endswith("bound")][[name]])[:, 0]
+    # A parameter without bounds has no flat prior to draw.
     if np.isfinite(bounds).all():
         axes.axhline(1 / float(np.ptp(bounds)), color=GREY, lw=0.8, ls=(0, (1, 1.5)))
     for mark, (_, _, colour) in _MARKS.items():

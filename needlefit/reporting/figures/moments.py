@@ -46,7 +46,7 @@ _MAX_FORCE_FRACTION = 0.08  # and the largest tip force
 _MIN_HEIGHT_RATIO, _MAX_HEIGHT_RATIO = 0.2, 1.1  # height over width
 _MAX_HEIGHT_IN = 6.5  # inches
 _LETTER_WIDTH_IN = 0.06  # inches, of 7.5 point type
-_TIP_TEXT_WIDTH_IN = 1.5  # inches, of what is said of the tip
+_TIP_TEXT_WIDTH_IN = 1.5  # inches, of the text on the tip
 _LEGEND_COLUMN_WIDTH_IN = 1.2  # inches, of the legend, on an average
 
 
@@ -61,7 +61,7 @@ class SceneOverlays:
     low, high : (K, 2) arrays, optional
         The edges of the 95 % band of fitted ones.
     synthetic : bool
-        Whether the data are; the picture then says so.
+        Whether the data are synthetic; the figure is then labelled.
     """
 
     measured: Floats | None = None
@@ -88,11 +88,11 @@ class MomentFigure:
     inches : float
         On paper, of a millimetre.
     per_mm : float
-        Lateral load that a drawn millimetre stands for, N/mm; 0 where there is none to draw.
+        Lateral load per drawn millimetre, N/mm; 0 without a load.
     arrow : float
         Length of the arrow of a tip force of one newton, mm.
     letters, lines : int
-        Room for what is written above the drawing, beside what is said of the tip.
+        Room for the text above the drawing, beside the text on the tip.
     """
 
     figure: Figure
@@ -177,7 +177,7 @@ def _find_limits(points: Floats, span: float) -> tuple[Span, Span]:
 
 
 def _axis_labels(entry: Entry) -> dict[str, str]:
-    """Return what the axes are: C's own where the scene says no other world."""
+    """Return the labels of the axes: those of C if the scene has no other world."""
     if entry == Entry():
         return {"xlabel": "x along the entry (mm)", "ylabel": "y (mm)"}
     return {"xlabel": "x in the world (mm)", "ylabel": "y in the world (mm)"}
@@ -264,6 +264,7 @@ def draw_moment(
 def paint_moment(moment_figure: MomentFigure, moment: NeedleState) -> None:
     """Draw one state in a figure, in place of an earlier one."""
     axes, scene = moment_figure.axes, replace(moment_figure.scene, tissue=moment.tissue)
+    # Only what was drawn is removed: the axes, their limits and the layout stay the same in every frame.
     for old in (*axes.lines, *axes.patches, *axes.texts):
         old.remove()
     draw_layers(axes, scene, moment_figure.inches)

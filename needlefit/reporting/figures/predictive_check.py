@@ -117,6 +117,7 @@ def _orient_pits(results: Results) -> dict[str, Floats]:
     tips, shapes = (
         predictions[f"{quantity}_pit"].to_numpy(dtype=np.float64) for quantity in ("tip", "shape")
     )
+    # The PIT value of -y is 1 minus that of y: needles whose bevels face opposite sides become comparable.
     return {"tip": np.where(sides > 0, tips, 1 - tips), "shape": shapes}
 
 

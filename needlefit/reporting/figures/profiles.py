@@ -167,7 +167,7 @@ def _describe_state(row: Row) -> str:
 
 
 def _choose_colour(row: Row) -> str:
-    """Return the colour of what is said: that of a warning where the interval is open."""
+    """Return the colour of the verdict: that of a warning where the interval is open."""
     return INK if row["end_low"] == row["end_high"] == "closed" else WARNING_COLOUR
 
 

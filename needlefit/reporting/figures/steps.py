@@ -39,7 +39,7 @@ def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figu
     """Return a figure with the needle after each step, one panel per shape, on shared axes in mm.
 
     y is stretched by the factor that its label states, unless the entry is tilted. Of more than `MAX_PANELS`
-    steps as many are shown, as the title says; each then states what changed since the one shown before.
+    steps, as many are shown and the title states it; each lists the changes since the one shown before.
     """
     shown = _select_steps(len(shapes))
     if len(shown) < len(shapes):
@@ -117,7 +117,7 @@ def _find_limits(scene: Scene, steps: Sequence[Step], shapes: Sequence[NeedleSha
 def _head_lines(scene: Scene, n: int, past: int | None, shape: NeedleShape) -> list[str]:
     """Return which step this is, what changed since step `past`, and where the tip came to lie.
 
-    Places are told in C; where that is not the world, whose axes the panel has, they say so.
+    Positions are in C; the text states this where C differs from the world of the panel's axes.
     """
     steps, frame = scene.steps, "" if scene.entry == Entry() else " in C"
     before = None if past is None else steps[past]

@@ -46,8 +46,10 @@ RC_PARAMS = {
     "axes.spines.right": False,
     "lines.solid_capstyle": "round",
     "legend.frameon": False,
+    # TrueType: journals reject Type 3 fonts.
     "pdf.fonttype": 42,
     "svg.fonttype": "path",
+    # A fixed salt, or the ids in the file would be random.
     "svg.hashsalt": "needlefit",
     "figure.constrained_layout.use": True,
     "figure.dpi": 100,
@@ -90,6 +92,7 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
     require_folder(path)
     with matplotlib.style.context(["default", RC_PARAMS]):
         figure = paint()
+        # A figure made without pyplot has no canvas; without one it cannot be laid out or saved.
         FigureCanvasAgg(figure)
         figure.savefig(path, format=suffix[1:], metadata=_METADATA[suffix])
     return path
@@ -97,6 +100,7 @@ def draw(path: Path, paint: Callable[[], Figure]) -> Path:
 
 def fit_height(figure: Figure) -> None:
     """Set a figure's height to that of its contents; axes of fixed aspect may not fill it."""
+    # Constrained layout sets the axes only when the figure is drawn.
     figure.draw_without_rendering()
     margin = 0.04  # inches, as the layout leaves at the sides
     figure.set_figheight(figure.get_tightbbox().height + 2 * margin)
@@ -135,6 +139,7 @@ _MM_PER_INCH = 25.4
 def make_figure_mm(width: float, height: float) -> Figure:
     """Return an empty figure of a size in mm."""
     figure = Figure(figsize=(width / _MM_PER_INCH, height / _MM_PER_INCH))
+    # Panels are placed in mm: a layout engine would move them.
     figure.set_layout_engine("none")
     return figure
 

@@ -89,6 +89,7 @@ def _paint_ranked(axes: Axes, starts: pd.DataFrame) -> None:
     axes.set_xlabel("start, best first")
     axes.axhline(1, color=GREY, lw=0.6, ls=(0, (2, 1.5)))
     axes.set_ylabel("above the best,\nin what counts as equal")
+    # Linear up to what counts as equal, logarithmic above: 0 must be visible too.
     axes.set_yscale("symlog", linthresh=1)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
     axes.set_ylim(bottom=0)

@@ -20,7 +20,7 @@ TRIAL_SECONDS, TRIALS = 0.008, 3
 def measure_step_rate(session: Session, depth: float) -> float:
     """Return the number of steps per second that a needle can compute near `depth` (mm), with no other work.
 
-    A step is what a frame asks for: the tip goes on by a constraint spacing, in and out by turns. Between the
+    A step moves the tip by a constraint spacing, in and out alternately. Between the
     frames of a page the processor sleeps and forgets, and single steps take a few times as long.
     """
     other = session.copy()
@@ -91,6 +91,7 @@ class SteeredNeedle:
         guides or tissue.
         """
         before = self.now.step.controls.before
+        # 1e-6 mm less: the base must stay before guides and tissue.
         return self.scene.needle.length + (before[0].x if before else 0.0) - 1e-6
 
     def apply(self, changes: Sequence[Change]) -> NeedleState:
@@ -103,6 +104,7 @@ class SteeredNeedle:
         """
         _check_together(changes)
         if changes and changes[0].name == "return_to":
+            # A copy: the stored state must survive further steps, for another return.
             self._session = self._saved_at(int(changes[0].value)).copy()
         else:
             self._session = self._advance(changes)

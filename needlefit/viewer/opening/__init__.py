@@ -40,7 +40,7 @@ def open_target(name: str | None, insertion: str | None = None) -> ViewedScene:
     name : str or None
         None: the scene `DEFAULT_SCENE`.
     insertion : str, optional
-        Of the run or dataset; by default what `name` says, else the first.
+        Of the run or dataset; by default the one in `name`, else the first.
 
     Raises
     ------

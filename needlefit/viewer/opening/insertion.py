@@ -28,7 +28,7 @@ from needlefit.viewer.overlay.slice import find_scan
 from needlefit.viewer.viewed_scene import ViewedScene
 
 DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
-"""Of every layer of a medium that nobody described: the paper's softer material, about its bevel offset."""
+"""Of every layer of an undescribed medium: the paper's softer material, and about its bevel offset."""
 
 
 @dataclass(frozen=True)

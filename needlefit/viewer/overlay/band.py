@@ -1,8 +1,8 @@
 """The 95 % band of the needle under the posterior draws of a fit.
 
-The band is that of `validation/needles_in_scan.py`: the central 95 % of the needles of draws of the
-parameters, led as the user steered this one. Neither the noise of measured points, nor errors of the layers'
-places, nor what the model misses is in it.
+As in `validation/needles_in_scan.py`: the central 95 % of needles simulated with posterior draws of the
+parameters and with the user's inputs. It includes neither the noise of measured points, nor errors of the
+layers' depths, nor model error.
 """
 
 from collections.abc import Sequence
@@ -100,7 +100,7 @@ def compute_band(
     depth = steps[-1].depth
     if not depth > 0:
         return None
-    led = Batch(
+    batch = Batch(
         needle,
         tissue,
         steps,
@@ -109,7 +109,8 @@ def compute_band(
         alpha=spread.alpha,
         offset=spread.offset,
     )
-    (shapes,) = simulate_batches([led], threads=1)
+    # One thread: the other cores are left to the needles that users control at the same time.
+    (shapes,) = simulate_batches([batch], threads=1)
     found = compute_batch_positions(shapes, np.linspace(0.0, depth, NEEDLE_POINTS))[
         shapes.converged
     ]  # (B, K, 2)

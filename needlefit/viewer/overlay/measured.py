@@ -19,7 +19,7 @@ DEPTH_TOLERANCE_MM = 1e-6
 """A needle this near to the measured depth, mm, has reached it."""
 
 MIN_COMPARED_MM = 1.0
-"""Of less than this in common, mm, nothing is said."""
+"""Shorter overlaps than this, mm, are not compared."""
 
 _FRACTIONS = np.linspace(0.0, 1.0, COMPARISON_POINTS)
 
@@ -36,8 +36,8 @@ class MeasuredOverlay:
         with which it was opened.
     s : (N,) array
         Where on a needle of the same depth each of the points belongs, at equal fractions of length, mm.
-    target : Target
-        What a study compares a needle of the measured depth with.
+    target : ComparedPoints
+        The points that a study compares with a needle of the measured depth.
     depth : float
         Inserted arc length, mm.
     side : int
@@ -109,7 +109,7 @@ def make_measured_overlay(
 def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveErrors | None:
     """Return the errors of a simulated needle against the measured one.
 
-    None where that cannot be said: the needle was not found, has hardly begun, or is not as deep as a
+    None where that is undefined: the needle has no solution, has hardly begun, or is not as deep as a
     measured one of which only the shape is known.
     """
     upto = min(shape.depth, measured.depth)
@@ -118,6 +118,8 @@ def compute_live_errors(measured: MeasuredOverlay, shape: NeedleShape) -> LiveEr
     beyond = shape.depth - measured.depth
     whole = abs(beyond) <= DEPTH_TOLERANCE_MM
     if whole:
+        # The depths agree only to a tolerance: positions are read from the tip, so that both tips are
+        # compared.
         curve = make_curve(shape)
         errors = compare_curves(*align_points(measured.target, lambda s: curve(s + beyond)))
     elif measured.target.pose == "known":

@@ -39,7 +39,7 @@ HEADERS = {
     "Cross-Origin-Resource-Policy": "same-origin",
     "Cache-Control": "no-store",
 }
-"""Of every answer: the page runs only what this server gave it, and talks to nobody else."""
+"""Headers of every answer: the page runs only code of this server, and connects only to it."""
 
 
 @dataclass(frozen=True)
@@ -77,6 +77,8 @@ class AccessControl:
 
     def is_token(self, token: object) -> bool:
         """Whether a text is the token; the comparison takes the same time for every text."""
+        # An ordinary comparison ends at the first difference; its duration would reveal how much of a guess
+        # is right.
         return isinstance(token, str) and secrets.compare_digest(token.encode(), self.token.encode())
 
 
@@ -91,6 +93,7 @@ class RateLimit:
     def allows(self) -> bool:
         """Whether one more message is within the limit now."""
         now = monotonic()
+        # A token bucket: the allowance grows with time up to the burst, and each message takes one.
         self._left = min(MAX_BURST_MESSAGES, self._left + MAX_MESSAGES_PER_S * (now - self._at))
         self._at = now
         if self._left < 1:
@@ -108,7 +111,7 @@ BAND_INTERVAL_S = 0.15
 MAX_WINDOWS = 16
 
 CLOSE_NO_TOKEN, CLOSE_TAKEN = 4401, 4409
-"""Why a socket is closed, as the page is told: no token, or another window has the needle."""
+"""Codes for closing a socket: no token, or another window controls the needle."""
 
 
 class Connections:
@@ -159,7 +162,7 @@ class Connections:
         return message
 
     async def _take(self, trial: InteractiveTrial, socket: web.WebSocketResponse) -> None:
-        """Give a needle to this window; whoever had it is told."""
+        """Give a needle to this window; the window that had it is notified."""
         before = self._sockets.get(trial.name)
         self._sockets[trial.name] = socket
         if before is not None:
@@ -174,7 +177,7 @@ class Connections:
                 return
             message, trial = read_message(frame.data), window.trial
             if message.do == "show":  # reads a dataset: other windows go on meanwhile
-                with suppress(NeedlefitError):  # the answer says it
+                with suppress(NeedlefitError):  # the reply reports the error
                     await asyncio.to_thread(self.trials.prepare, trial, message.text("insertion"))
             if self._sockets.get(trial.name) is not socket:
                 return  # another window has taken the needle
@@ -213,6 +216,7 @@ async def _send_bands(window: Window, socket: web.WebSocketResponse) -> None:
                 compute_band, spread, trial.scene.needle, steering.now.tissue, steering.input_path(),
                 trial.scene.rules, steering.first_cell,
             )  # fmt: skip
+            # The window may have changed its trial while the band was computed.
             if trial is window.trial:
                 await _send(socket, [band_message(number[1], found)])
         await asyncio.sleep(BAND_INTERVAL_S)

@@ -221,7 +221,7 @@ class Message:
         The page's own number of it; answers name it.
     changes : tuple of Change
     content : dict
-        Whatever else it says.
+        All other keys of the message.
     fault : ModelError or None
         Why it cannot be carried out.
     """

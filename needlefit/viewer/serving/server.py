@@ -36,6 +36,8 @@ class FileRoutes:
         trial = await self._asked(request)
         if kind not in EXPORT_TYPES:
             raise web.HTTPNotFound(text=f"there is no export {kind}; there are {', '.join(EXPORT_TYPES)}")
+        # spawn: a forked child would share the server's sockets and its threads' locks. The pool starts with
+        # the first export, so that a server without exports pays nothing.
         self._pool = self._pool or ProcessPoolExecutor(1, mp_context=get_context("spawn"))
         try:
             trial.recorder.begin()
@@ -91,11 +93,11 @@ async def serve(
 
     Parameters
     ----------
-    trials : Trials
+    trials : TrialRegistry
     port : int
         0: one that is free.
     ready : callable
-        Told the door once the page can be opened.
+        Called with the access control once the page can be opened.
     stop : callable
         Awaited while pages are served.
 
@@ -104,6 +106,7 @@ async def serve(
     ConfigError
         If the port is taken.
     """
+    # The socket is opened before the address is made: port 0 gets its number only then.
     listening = _listen(port)
     access = AccessControl(listening.getsockname()[1])
     runner = web.AppRunner(_application(access, trials), access_log=None, shutdown_timeout=2.0)

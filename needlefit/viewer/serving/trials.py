@@ -148,6 +148,7 @@ class InteractiveTrial:
         time = self.time()
         moment = self.steering.apply(changes)
         recorded = RecordedStep(self.steering.number, time, tuple(changes), float(moment.shape.u[-1]))
+        # Set before the write and cleared after it: an error of any kind in between leaves it set.
         self._write_failed = True
         self.recorder.write(recorded)
         self._write_failed = False
@@ -198,7 +199,7 @@ class TrialRegistry:
     def close(self, trial: InteractiveTrial) -> None:
         """Note that no window controls a trial any more; it is kept until there are too many others."""
         self._steered.discard(trial.name)
-        if trial.name in self._all:  # the youngest of those that nobody steers
+        if trial.name in self._all:  # becomes the newest of those without a window
             self._all[trial.name] = self._all.pop(trial.name)
 
     def prepare(self, trial: InteractiveTrial, insertion: str) -> None:
@@ -229,7 +230,7 @@ class TrialRegistry:
         return [path for path in self._paths if path.exists()]
 
     def _instead(self, trial: InteractiveTrial, other: InteractiveTrial) -> InteractiveTrial:
-        """Give a window another needle; whoever steers the first says himself that he does no more."""
+        """Give a window another needle; the caller closes the first one."""
         other.window_trials = trial.window_trials
         other.window_trials[other.shown_insertion] = other
         self._all[other.name] = other

@@ -120,7 +120,7 @@ Reply = dict[str, Any]
 class Window:
     """One authenticated page, and the needle that it controls.
 
-    Nothing moves by itself: what goes on does so when the page asks for its next frame, and by the time since
+    Motions advance only when the page requests its next frame, by the time since
     the frame before. A page that is hidden or gone therefore stops its needle.
     """
 
