@@ -80,8 +80,8 @@ def spent(process: int) -> float:
 
 def ended(arguments: list[str], within: float) -> bool:
     """Run a command, killed after `within` seconds of processor time; return whether it ended by itself."""
-    with tempfile.TemporaryFile("w+") as said:
-        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=said)
+    with tempfile.TemporaryFile("w+") as errors:
+        process = subprocess.Popen(arguments, stdout=subprocess.DEVNULL, stderr=errors)
         while process.poll() is None:
             if spent(process.pid) > within:
                 process.kill()
@@ -89,8 +89,8 @@ def ended(arguments: list[str], within: float) -> bool:
                 return False
             time.sleep(0.05)
         if process.returncode not in (0, NOT_CONVERGED):
-            said.seek(0)
-            raise SystemExit(f"exit code {process.returncode}: {said.read()}")
+            errors.seek(0)
+            raise SystemExit(f"exit code {process.returncode}: {errors.read()}")
     return True
 
 

@@ -7,7 +7,7 @@ Every problem draws a medium of the twin, one to `--insertions` of its insertion
 are the model's own at depths that err, displaced and measured with the stated noise. The best known fit is
 the best of all seeds, of the recipe with `--larger` times as many starts, of another algorithm (slsqp, as
 many starts as the recipe has, without any approach), and of a search begun at the truth. A multi-start has
-succeeded if it ends within 0.1 of it in the log posterior. It is also said how many starts
+succeeded if it ends within 0.1 of it in the log posterior. It also reports how many starts
 would have been enough: the smallest number of which, drawn at random, 99 % succeed in every problem.
 
 `--out` keeps a line per problem as it is finished; a rerun with the same file goes on after the last one.

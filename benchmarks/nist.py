@@ -27,9 +27,14 @@ def cell(one: Regression, start: int, algorithm: str, evaluations: int) -> tuple
     """Return what is printed of one search, and what is counted."""
     end = ended(one, start, algorithm, np.inf if algorithm == "leastsquares" else 10.0, evaluations)
     digits, hit = max(0.0, one.digits(end.theta)), attained(one, end)
-    said = f"{digits:.1f}" if end.succeeded else f"[{digits:.1f}]"
-    counts = {"hit": hit, "six": digits >= DIGITS, "said": end.succeeded, "false": end.succeeded and not hit}
-    return said + ("!" if counts["false"] else ""), counts
+    shown = f"{digits:.1f}" if end.succeeded else f"[{digits:.1f}]"
+    counts = {
+        "hit": hit,
+        "six": digits >= DIGITS,
+        "success": end.succeeded,
+        "false": end.succeeded and not hit,
+    }
+    return shown + ("!" if counts["false"] else ""), counts
 
 
 def main() -> None:
@@ -56,9 +61,9 @@ def main() -> None:
             if any(cells):
                 print(f"| {one.level} | {one.name} | {start + 1} | {' | '.join(cells)} |", flush=True)
     for name, rows in counted.items():
-        six, hit, said, false = (sum(row[k] for row in rows) for k in ("six", "hit", "said", "false"))
+        six, hit, success, false = (sum(row[k] for row in rows) for k in ("six", "hit", "success", "false"))
         ends = f"{hit} of {len(rows)} hits, {six} to six digits"
-        print(f"{name}: {ends}, {said} called a success, {false} of them misses")
+        print(f"{name}: {ends}, {success} called a success, {false} of them misses")
 
 
 if __name__ == "__main__":

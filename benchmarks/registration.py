@@ -216,7 +216,7 @@ def nearly_symmetric(cases: int, rng: np.random.Generator) -> dict[str, object]:
 
 
 def faults(cases: int, rng: np.random.Generator, left_out: list[int]) -> dict[str, object]:
-    """Return how often reflections, RAS for LPS, and spacings are noticed; and said for what they are."""
+    """Return how often reflections, RAS for LPS, and spacings are noticed; and named for what they are."""
     counts: dict[str, list[tuple[bool, bool]]] = {}
 
     def count(name: str, result: Registration | str, word: str) -> None:
@@ -229,20 +229,20 @@ def faults(cases: int, rng: np.random.Generator, left_out: list[int]) -> dict[st
         wobble = Rotation.from_rotvec(rng.normal(size=3) * 0.1).as_matrix()
         rough = Frame(case.pose.origin + 10 * rng.normal(size=3), wobble @ case.pose.rotation)
 
-        def ask(factors: object, near: Frame | None = None, case: Case = case) -> Registration | str:
+        def register(factors: object, near: Frame | None = None, case: Case = case) -> Registration | str:
             return tried(
                 lambda: register(case.found * np.array(factors), case.known, FOUND_SD, KNOWN_SD, rough=near)
             )
 
-        count("mirrored", ask([1, 1, -1]), "mirror")
-        count("RAS read as LPS, with a rough pose (10 mm, 6 degrees)", ask([-1, -1, 1], rough), "RAS")
+        count("mirrored", register([1, 1, -1]), "mirror")
+        count("RAS read as LPS, with a rough pose (10 mm, 6 degrees)", register([-1, -1, 1], rough), "RAS")
         for factor in SCALES:
-            count(f"spacing wrong by {factor:g}", ask([factor] * 3), "spacing")
-            count(f"slice spacing wrong by {factor:g}", ask([1, 1, factor]), "spacing")
+            count(f"spacing wrong by {factor:g}", register([factor] * 3), "spacing")
+            count(f"slice spacing wrong by {factor:g}", register([1, 1, factor]), "spacing")
     return {
         name: {
             "noticed": share(sum(n for n, _ in hits), len(hits)),
-            "said": share(sum(s for _, s in hits), len(hits)),
+            "named": share(sum(s for _, s in hits), len(hits)),
         }
         for name, hits in counts.items()
     }
@@ -307,7 +307,7 @@ def figures(cases: int, seed: int) -> dict[str, object]:
         "pairing found by itself": search_pairs(2 * cases, rngs[2], left_out),
         "all but symmetric layouts": nearly_symmetric(cases, rngs[8]),
         "faults": faults(cases, rngs[3], left_out),
-        "symmetric layouts refused and said": symmetric(rngs[4]),
+        "symmetric layouts refused and named": symmetric(rngs[4]),
         "closest points alone end in wrong pairs, one missing and one spurious": closest(cases, rngs[5]),
         "registration, ms": durations(rngs[6]),
     }

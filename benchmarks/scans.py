@@ -43,7 +43,7 @@ def rows_of(task: tuple[int, PlannedInsertion], folder: Path) -> list[dict[str, 
             scanned.insertion, scanned.exposure, reconstruct(scanned.scan, make_recipe([WHOLE_BOX_SETUP]))
         )
     except DataError as error:
-        return [{"seed": seed, "id": planned.id, "quantity": "failure", "said": str(error)}]
+        return [{"seed": seed, "id": planned.id, "quantity": "failure", "message": str(error)}]
     finally:
         scanned.scan.volume.unlink()
     return [{"seed": seed, "id": planned.id} | row for row in [*_needle(built), *_layers(built)]]
@@ -124,7 +124,7 @@ def main() -> None:
         frame.to_csv(arguments.rows, index=False)
     failures = frame[frame["quantity"] == "failure"]
     for _, line in failures.iterrows():
-        print(f"failed: {line['seed']} {line['id']}: {line['said']}", file=sys.stderr)
+        print(f"failed: {line['seed']} {line['id']}: {line['message']}", file=sys.stderr)
     table = summary(frame)
     if arguments.json:
         print(table.to_json(orient="records", indent=2))

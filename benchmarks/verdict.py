@@ -34,17 +34,17 @@ def main(name: str, count: int, jobs: int, starts: int) -> None:
     took = [(b[0] - a[0], b[1] - a[1]) for a, b in parts]
     print(f"{len(problem.insertions)} insertions, {len(fit.starts)} starts, {jobs} threads")
     searched = f"{fit.evaluations} evaluations, {fit.gradients} of them with derivatives"
-    print(f"fit:      {searched}, {said(took[0])}")
-    print(f"metric:   {said(took[1])}")
-    print(f"profiles: {examination.evaluations} Jacobians, {said(took[2])}")
-    print(f"together: {said(took[3])}")
+    print(f"fit:      {searched}, {format_times(took[0])}")
+    print(f"metric:   {format_times(took[1])}")
+    print(f"profiles: {examination.evaluations} Jacobians, {format_times(took[2])}")
+    print(f"together: {format_times(took[3])}")
     for one in examination.parameters:
         profile = one.profile
         counts = f"{len(profile.at):3d} points, {profile.evaluations:4d} Jacobians"
         print(f"  {one.name:10s} {counts}, ends {' and '.join(profile.ends)}")
 
 
-def said(took: tuple[float, float]) -> str:
+def format_times(took: tuple[float, float]) -> str:
     return f"{took[0]:.1f} s, {took[1]:.1f} s of processor"
 
 

@@ -117,8 +117,8 @@ def turn(page: Page, seconds: float) -> None:
         time.sleep(0.05)
 
 
-def told(page: Page, steer: Callable[[Page, float], None], seconds: float) -> list[dict]:
-    """Return what the page told of its frames while it was steered, in order."""
+def measure_frames(page: Page, steer: Callable[[Page, float], None], seconds: float) -> list[dict]:
+    """Return the frame times of the page while it was steered, in order."""
     start = page.evaluate("performance.now()")
     steer(page, seconds)
     frames = sorted(page.evaluate("window.needlefit.frames"), key=lambda frame: frame["t"])
@@ -140,8 +140,8 @@ def real_time(subject: str, seconds: float) -> dict:
         opened(address) as page,
     ):
         drive(page, 3.0)  # everything is compiled and cached
-        frames = told(page, drive, seconds)
-        wheel = told(page, turn, seconds / 4)
+        frames = measure_frames(page, drive, seconds)
+        wheel = measure_frames(page, turn, seconds / 4)
         solver = page.evaluate("window.needlefit.state.solver")
     t = np.array([frame["t"] for frame in frames])
     fell_out = np.maximum(np.rint(np.diff(t) / FRAME) - 1, 0)[np.diff(t) > LATE * FRAME].sum()

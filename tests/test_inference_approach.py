@@ -47,7 +47,7 @@ def led(calls=None):
     return squares(counted, squares(shifted(np.array([0.05, -0.05]))))
 
 
-def test_starts_that_meet_go_on_as_one():
+def test_starts_that_converge_are_merged():
     calls = []
     fit = minimize(led(calls), squares_recipe(starts=12), rng())
     alone = [start for start in fit.starts if start.joined is None]
@@ -63,19 +63,19 @@ def test_starts_that_meet_go_on_as_one():
     assert len(calls) < 0.4 * apart.evaluations
 
 
-def test_without_approach_every_start_goes_alone():
+def test_without_approach_no_starts_are_merged():
     fit = minimize(led(), squares_recipe(approach=False), rng())
     assert {start.joined for start in fit.starts} == {None}
 
 
-def test_a_start_whose_approach_fails_begins_where_it_was_put():
+def test_a_start_whose_approach_fails_keeps_its_initial_point():
     nothing = squares(lambda theta: (np.full(2, np.nan), np.zeros((2, 2))))
     fit = minimize(squares(easier=nothing), squares_recipe(starts=4), rng())
     assert fit.objective == pytest.approx(-7.0, abs=1e-6)
     assert {start.joined for start in fit.starts} == {None} and fit.failures >= 4
 
 
-def test_ends_apart_in_one_parameter_have_not_met():
+def test_ends_that_differ_in_one_parameter_are_not_merged():
     def end(index, theta, value):
         return Start(index, (0.0,), theta, value, 1, 0, "tolerance")
 
@@ -85,7 +85,7 @@ def test_ends_apart_in_one_parameter_have_not_met():
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_what_is_resumed_is_the_very_same_fit(jobs):
+def test_a_resumed_fit_is_identical(jobs):
     search = squares_recipe(starts=8)
     whole = minimize(led(), search, rng())
     for kept in ([0], [3, 4, 5], range(7), range(8)):

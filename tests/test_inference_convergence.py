@@ -62,7 +62,7 @@ def test_walkers_that_are_independent_add_up():
     assert found.ess_bulk[:, 0] == pytest.approx(np.full(4, 16 * 3000 / 3), rel=0.1)
 
 
-def test_the_stiff_direction_is_asked_too():
+def test_convergence_is_checked_along_the_stiff_direction():
     """Neither parameter shows that the ensembles disagree about the difference of both."""
     sloppy = autoregressive(0.0, (4, 500, 8), 3)
     stiff = 0.01 * autoregressive(0.0, (4, 500, 8), 4) + 0.01 * np.arange(4)[:, None, None]

@@ -79,7 +79,7 @@ def test_the_insertion_named_is_the_first_without_a_solution(bevel, named):
     assert explain_failure(p, np.log([2e7, bevel])) == EvaluationFailure(named, "over-compressed")
 
 
-def test_a_model_that_refuses_says_so_in_its_own_words():
+def test_a_model_error_keeps_its_own_message():
     record = medium(1, guide_distance_mm={"bounds": [2.0, 140.0]}, mu1_pa={"fixed": 3e5})
     p = problem(record, [measure({**TRUTH, "guide_distance_mm": 15.0}, record, insertion(55.0))])
     found = explain_failure(p, p.parameters.theta({**TRUTH, "guide_distance_mm": 120.0}))
@@ -87,7 +87,7 @@ def test_a_model_that_refuses_says_so_in_its_own_words():
     assert found.reason.startswith("ModelError: ") and "\n" not in found.reason
 
 
-def test_where_every_needle_is_solved_no_simulation_is_to_blame():
+def test_without_failed_solves_no_insertion_is_named():
     p = two_layers(count=1)
     assert explain_failure(p, p.parameters.theta(TRUTH)) == EvaluationFailure("", "value not finite")
 

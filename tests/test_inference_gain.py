@@ -10,7 +10,7 @@ COVARIANCE = np.array([[1.0, -0.6], [-0.6, 0.5]])
 SLOPES = np.array([[1.5, 0.4], [0.2, 1.1], [-0.7, 0.9]])  # (R, P), whitened
 
 
-def foreseen(thetas: np.ndarray, by_depth: np.ndarray) -> PredictedData:
+def predict_data(thetas: np.ndarray, by_depth: np.ndarray) -> PredictedData:
     """Draws of equal weight whose data are SLOPES theta; one uncertain depth moves them by `by_depth`."""
     first = thetas @ SLOPES.T
     white = np.stack([first, first + by_depth, first - by_depth], axis=1)  # (B, m, R)
@@ -23,7 +23,7 @@ def foreseen(thetas: np.ndarray, by_depth: np.ndarray) -> PredictedData:
 def test_nested_gain_and_deviations_are_those_of_the_linear_gaussian_case(by_depth):
     rng = np.random.default_rng(1)
     thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=1200)
-    found = nested_gain(foreseen(thetas, by_depth), np.arange(400), thetas, rng)
+    found = nested_gain(predict_data(thetas, by_depth), np.arange(400), thetas, rng)
     noise = np.eye(3) + np.outer(by_depth, by_depth)  # the depth, integrated over
     after = np.linalg.inv(np.linalg.inv(COVARIANCE) + SLOPES.T @ np.linalg.solve(noise, SLOPES))
     nats = 0.5 * np.log(np.linalg.det(COVARIANCE) / np.linalg.det(after))
@@ -45,17 +45,17 @@ def test_weights_count_as_draws():
     rng = np.random.default_rng(2)
     thetas = rng.multivariate_normal([0.0, 0.0], COVARIANCE, size=50)
     twice = np.concatenate([thetas, thetas[:10]])
-    heavy = foreseen(thetas, np.zeros(3))
+    heavy = predict_data(thetas, np.zeros(3))
     weights = np.log(np.where(np.arange(50) < 10, 2.0, 1.0) / 60)
     heavy = PredictedData(weights, heavy.scales, heavy.white, heavy.nodes)
     of = np.arange(20)
     one = nested_gain(heavy, of, thetas, np.random.default_rng(3))
-    other = nested_gain(foreseen(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
+    other = nested_gain(predict_data(twice, np.zeros(3)), of, twice, np.random.default_rng(3))
     assert one.nats == pytest.approx(other.nats, rel=1e-12)
     assert one.sds == pytest.approx(other.sds, rel=1e-9)
 
 
-def test_data_that_tell_nothing_gain_nothing():
+def test_uninformative_data_have_zero_gain():
     rng = np.random.default_rng(4)
     thetas = rng.standard_normal((100, 1))
     nodes = Nodes((), np.empty((1, 0)), np.array([[1.0]]), None)

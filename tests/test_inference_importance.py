@@ -36,7 +36,7 @@ def moments(found: WeightedDraws) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return mean, (away * weights[:, None]).T @ away, np.sqrt((weights**2) @ away**2)
 
 
-def test_a_gaussian_comes_back():
+def test_a_gaussian_is_recovered():
     found = weighted(
         Known(gaussian(np.diag([1.0, 4.0, 0.01]), np.array([1.0, 0.0, -1.0])), 3), [1.0, 0.0, -1.0]
     )
@@ -57,7 +57,7 @@ def test_a_correlated_gaussian_of_twenty_dimensions():
     assert got == pytest.approx(covariance, abs=8 * errors.max())
 
 
-def test_a_banana_comes_back():
+def test_a_banana_is_recovered():
     """E x1 = 1, var x1 = 2.25; x0 is normal; from its Laplace approximation alone k says that it does not."""
     once = weighted(Known(banana, half=40.0), effort=Effort(rounds=1, min_ess=1))
     found = weighted(Known(banana, half=40.0))
@@ -77,7 +77,7 @@ def test_horns_of_a_banana_are_seen_with_the_default_effort_too():
     assert np.mean([moments(one)[0][1] for one in found if one.certified]) == pytest.approx(1.0, abs=0.2)
 
 
-def test_what_leans_on_a_bound_comes_back():
+def test_a_density_at_a_bound_is_recovered():
     """exp(x) on [-10, 10]: 10 - x is exponential, its mean 1."""
     found = weighted(Known(lambda x: x[:, 0], 1), [10.0])
     mean, covariance, errors = moments(found)
@@ -85,7 +85,7 @@ def test_what_leans_on_a_bound_comes_back():
     assert abs(mean[0] - 9.0) < 4 * errors[0] and covariance[0, 0] == pytest.approx(1.0, rel=0.2)
 
 
-def test_both_hills_of_two_weigh_alike():
+def test_two_equal_modes_have_equal_weight():
     found = weighted(Known(two_hills), [[5.0, 0.0], [-5.0, 0.0]])
     assert found.certified
     assert np.exp(found.log_weights)[found.thetas[:, 0] > 0].sum() == pytest.approx(0.5, abs=0.06)

@@ -78,7 +78,7 @@ def test_the_deviations_of_points_replace_the_datasets():
     assert known.whitening.T @ known.whitening == pytest.approx(inverse)
 
 
-def test_a_pose_moves_a_parabola_as_its_modes_say():
+def test_a_pose_moves_a_parabola_by_its_modes():
     x = np.linspace(0.0, 40.0, 81)
     parabola = np.column_stack([x, 1e-3 * x**2])
     across, turn, along_axis = pose_modes(parabola).T
@@ -86,7 +86,7 @@ def test_a_pose_moves_a_parabola_as_its_modes_say():
     assert along_axis == pytest.approx(-2e-3 * x, abs=1e-9)  # y(x - d) = y(x) - d y'(x)
 
 
-def test_pose_deviations_are_the_larger_of_two_tellings_of_one_error():
+def test_pose_deviations_are_the_larger_of_two_statements():
     noise = Noise(registration_mean=0.2 * math.sqrt(8 / math.pi))
     assert pose_sds(straight(angle_sd=0.01), noise) == pytest.approx([0.2, 0.01, 0.2])
     assert pose_sds(replace(straight(), pose_shift_sd=0.5), noise) == pytest.approx([0.5, 0.0, 0.5])
@@ -166,7 +166,7 @@ def test_a_centreline_of_many_points_is_thinned_and_keeps_its_tip():
     )
 
 
-def test_no_stated_noise_is_an_error_that_says_what_is_missing():
+def test_missing_noise_is_an_error_that_names_the_key():
     with pytest.raises(DataError, match="point_sd_mm"):
         make_observation(dataset([], Noise()), straight())
 
@@ -188,7 +188,7 @@ def test_the_whitened_residuals_of_noisy_data_have_unit_variance():
     assert np.mean(white**2) == pytest.approx(1.0, abs=0.15)
 
 
-def test_outside_the_bounds_the_posterior_is_nothing():
+def test_outside_the_bounds_the_posterior_is_zero():
     record = medium(1)
     p = problem(record, [measure(TRUTH, record, insertion(50.0))])
     theta = p.parameters.theta(TRUTH)

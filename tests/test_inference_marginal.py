@@ -171,7 +171,7 @@ def test_a_scale_of_the_noise_is_normalised():
     assert fell == pytest.approx(n * math.log(4), rel=1e-3)
 
 
-def test_a_nodes_failure_is_the_densitys():
+def test_a_failed_node_fails_the_density():
     made = Nodes((LAYERED, LAYERED, LAYERED), np.zeros((3, 1)), np.array([[1, 0, 0], [0, -0.5, 0.5]]), None)
     white = np.ones((3, 4))
     white[2] = np.nan

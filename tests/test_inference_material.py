@@ -85,7 +85,7 @@ def test_stresses_of_the_wrong_sign_fit_no_mu():
         fit_specimen(type(wrong)("gel", wrong.stretch, -wrong.stress), "nominal")
 
 
-def test_three_specimens_say_what_a_fourth_may_be():
+def test_three_specimens_predict_a_fourth():
     estimates = [np.array([0.0, 1.0]), np.array([0.0, 2.0]), np.array([0.3, 3.0])]
     within = np.diag([0.01, 0.25])
     mean, between, covariance = pool(estimates, [within] * 3)
@@ -97,7 +97,7 @@ def test_three_specimens_say_what_a_fourth_may_be():
     assert np.linalg.eigvalsh(between)[1] == pytest.approx(np.linalg.eigvalsh(spread)[1])
 
 
-def test_of_one_specimen_nothing_is_known_between():
+def test_one_specimen_does_not_determine_the_spread_between_specimens():
     mean, between, covariance = pool([np.array([0.0, 1.0])], [np.eye(2)])
     assert mean.tolist() == [0, 1] and np.isnan(between).all() and covariance.tolist() == np.eye(2).tolist()
 
@@ -147,7 +147,7 @@ def test_the_log_posterior_is_the_likelihood_and_the_prior():
     assert many == pytest.approx([stated.parameters.prior.log_density(stated.values(t)) for t in thetas])
 
 
-def test_a_parameter_known_from_its_prior_alone_is_not_said_to_be_determined():
+def test_a_parameter_known_from_its_prior_alone_is_not_determined():
     record = medium(1, alpha1={"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.2}})
     p = problem(record, [measure(TRUTH, record, insertion(d)) for d in (35.0, 50.0)], noise=FINE)
     verdict = identify(p, fit_at(p, TRUTH))
@@ -158,7 +158,7 @@ def test_a_parameter_known_from_its_prior_alone_is_not_said_to_be_determined():
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "message"),
     [
         ({"alpha1": {"bounds": [-3, 9], "prior": {"median": 2, "factor": 2}}}, "wrong kind"),
         ({"mu1_pa": {"bounds": [1e3, 1e9], "prior": ALPHA}}, "wrong kind"),
@@ -167,22 +167,22 @@ def test_a_parameter_known_from_its_prior_alone_is_not_said_to_be_determined():
         ({"alpha1": {"bounds": [-3, 9], "prior": {**ALPHA, "correlation": 0.5}}}, "no partner"),
     ],
 )
-def test_a_prior_that_cannot_be_is_refused(changed, said):
-    with pytest.raises(ConfigError, match=said):
+def test_an_invalid_prior_is_refused(changed, message):
+    with pytest.raises(ConfigError, match=message):
         Parameters.from_record(medium(1, **changed))
 
 
 @pytest.mark.parametrize(
-    ("parameter", "said"),
+    ("parameter", "message"),
     [
         ({"fixed": 1.0, "prior": ALPHA}, "for a free parameter"),
         ({"bounds": [-3, 9], "prior": {"mean": 1.0}}, "mean and sd"),
         ({"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}, "sd"),
     ],
 )
-def test_a_prior_is_checked_in_its_file(parameter, said):
+def test_a_prior_is_checked_in_its_file(parameter, message):
     table = {"schema": 1, "layers": 1, "parameters": {"alpha1": parameter}}
-    with pytest.raises(ConfigError, match=said):
+    with pytest.raises(ConfigError, match=message):
         check(table, MediumRecord, "medium.toml")
 
 
@@ -193,7 +193,7 @@ def test_a_test_of_the_material_frees_the_alpha_of_its_layer():
     assert parameters.prior.names == ("mu2_pa", "alpha2") and "alpha1" in parameters.fixed
     with pytest.raises(ConfigError, match="no layer `3`"):
         set_material_prior(medium(2), "3", tested)
-    with pytest.raises(ConfigError, match="alpha2, which is tied"):
+    with pytest.raises(ConfigError, match=r"alpha2.* tied"):
         set_material_prior(medium(2, alpha2={"tie": "alpha1"}), "2", tested)
     with pytest.raises(ConfigError, match="law is `linear`"):
         set_material_prior(medium(2).model_copy(update={"law": "linear"}), "2", tested)

@@ -97,7 +97,7 @@ def test_the_budget_is_kept_exactly():
 
 @pytest.mark.parametrize("algorithm", ["neldermead", "praxis", "crs2"])
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_an_interrupted_search_resumes_to_the_very_same_fit(algorithm, jobs):
+def test_an_interrupted_search_resumes_to_the_identical_fit(algorithm, jobs):
     whole = minimize(box(rosenbrock), recipe(algorithm=algorithm), rng())
     reported, calls, lock = [], [0], threading.Lock()
 
@@ -191,7 +191,7 @@ def test_every_way_ends_at_the_same_log_posterior(algorithm):
 
 
 @pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "lbfgs"])
-def test_a_minimum_at_a_bound_is_found_and_said_to_be_the_bounds(algorithm):
+def test_a_minimum_at_a_bound_is_found_and_flagged(algorithm):
     fit = minimize(squares(valley, half=0.5), squares_recipe(algorithm=algorithm), rng())
     # at theta0 = 0.5 the best theta1 is 0.25: half of (1 - 0.5)^2 is left
     assert fit.objective == pytest.approx(0.125 - 7.0, abs=1e-6)
@@ -207,7 +207,7 @@ def test_a_plateau_is_no_success():
     assert {start.stopped for start in fit.starts} == {"flat"}
 
 
-def test_a_search_that_ends_too_early_says_so():
+def test_a_search_that_ends_too_early_is_flagged():
     loose = squares_recipe(algorithm="neldermead", tolerance=0.2)
     starts = minimize(squares(valley), loose, rng()).starts
     assert {start.stopped for start in starts if start.objective > -7 + 1e-4} == {"stalled"}
@@ -222,14 +222,14 @@ def test_residuals_that_are_not_the_value_are_found_out():
     assert {start.stopped for start in fit.starts} == {"no sum of squares"}
 
 
-def test_what_is_no_sum_of_squares_refuses_least_squares():
+def test_least_squares_needs_a_sum_of_squares():
     with pytest.raises(ConfigError, match="leastsquares"):
         minimize(squares(valley, squares=False), squares_recipe(), rng())
     with pytest.raises(ConfigError, match="leastsquares"):
         minimize(box(bowl), recipe(algorithm="leastsquares"), rng())
 
 
-def test_least_squares_walks_around_what_cannot_be_solved():
+def test_least_squares_avoids_points_without_a_solution():
     def half(theta):
         residuals, slopes = valley(theta)
         return (residuals, slopes) if theta[0] > -1 else (residuals * np.nan, slopes)
@@ -249,7 +249,7 @@ def test_evaluations_with_derivatives_are_counted_among_all_and_within_the_budge
 
 @pytest.mark.parametrize("algorithm", ["leastsquares", "slsqp", "crs2+leastsquares"])
 @pytest.mark.parametrize("jobs", [1, 2])
-def test_a_fit_by_derivatives_resumes_to_the_very_same_one(algorithm, jobs):
+def test_a_fit_by_derivatives_resumes_to_the_identical_fit(algorithm, jobs):
     search = squares_recipe(algorithm=algorithm, starts=6)
     whole = minimize(squares(valley), search, rng())
     finished = {s.index: start_from_dict(json.loads(json.dumps(start_to_dict(s)))) for s in whole.starts[1:4]}

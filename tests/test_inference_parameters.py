@@ -39,7 +39,7 @@ def test_ties_follow_chains_and_multiply_factors():
 
 
 @pytest.mark.parametrize(
-    ("changed", "said"),
+    ("changed", "key"),
     [
         ({"mu1_pa": {"tie": "mu9_pa"}}, "has not"),
         ({"mu1_pa": {"tie": "stiffness"}}, "no parameter called `stiffness`"),
@@ -53,10 +53,10 @@ def test_ties_follow_chains_and_multiply_factors():
         ({"mu3_pa": {"fixed": 1e5}}, "`mu3_pa` is unknown"),
     ],
 )
-def test_what_cannot_be_is_said_with_its_key(changed, said):
+def test_an_invalid_value_is_reported_with_its_key(changed, key):
     with pytest.raises(ConfigError) as error:
         Parameters.from_record(medium(**changed))
-    assert said in str(error.value)
+    assert key in str(error.value)
 
 
 def test_a_missing_parameter_is_named():

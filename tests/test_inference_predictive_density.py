@@ -33,7 +33,7 @@ def _log_density(data):
     return log_density
 
 
-def _weighed(data, seed) -> WeightedDraws:
+def _weighted(data, seed) -> WeightedDraws:
     known = Known(_log_density(data), FREE)
     rows = np.concatenate([a / sd for a, _, sd in data]), np.concatenate([y / sd for _, y, sd in data])
     peak = np.linalg.lstsq(*rows)[0]
@@ -56,13 +56,16 @@ def _predictive(first, second):
 def test_the_density_of_further_data_is_the_ratio_of_evidences():
     first, second = _case()
     exact = _predictive(first, second)
-    told = [
-        compute_predictive_density(_weighed([first, second], s), _weighed([first], 100 + s)) for s in range(8)
+    densities = [
+        compute_predictive_density(_weighted([first, second], s), _weighted([first], 100 + s))
+        for s in range(8)
     ]
-    errors = np.array([one.log_density - exact for one in told])
+    errors = np.array([one.log_density - exact for one in densities])
     assert np.all(np.abs(errors) < 0.1)
-    assert np.sqrt(np.mean(errors**2)) < 1.5 * told[0].se < 0.2  # the stated error is the error
-    assert max(one.k for one in told) < 0.7 and min(one.effective_sample_size for one in told) >= 250
+    assert np.sqrt(np.mean(errors**2)) < 1.5 * densities[0].se < 0.2  # the stated error is the error
+    assert (
+        max(one.k for one in densities) < 0.7 and min(one.effective_sample_size for one in densities) >= 250
+    )
 
 
 def test_a_mean_over_a_hundred_draws_would_miss_it():

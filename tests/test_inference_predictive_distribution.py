@@ -22,7 +22,7 @@ def test_equal_draws_are_one_gaussian():
     assert crps(one(0.0, 1.0), [0.0]) == pytest.approx((np.sqrt(2) - 1) / np.sqrt(np.pi))
 
 
-def test_a_sure_prediction_scores_its_absolute_error():
+def test_a_point_prediction_scores_its_absolute_error():
     assert crps(one(1.0, 0.0), [3.5]) == pytest.approx(2.5)
     spread = PredictiveMixture(np.array([[0.0], [1.0], [2.0], [3.0]]), np.zeros(1))
     # sum over i of |y - x_i| / n - sum over pairs of |x_i - x_j| / (2 n^2)
@@ -42,7 +42,7 @@ def test_the_score_is_the_integral_that_defines_it():
     assert crps(mixture, [y]) == pytest.approx(integral, rel=1e-6)
 
 
-def test_intervals_hold_what_they_say():
+def test_intervals_cover_their_nominal_fraction():
     """Draws of the same distribution as the truth: 50 and 95 % of truths lie within."""
     rng = np.random.default_rng(4)
     mixture = PredictiveMixture(rng.normal(size=(400, 1)), np.array([0.5]))

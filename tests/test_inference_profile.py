@@ -85,7 +85,7 @@ def test_a_banana_has_the_known_curves():
     assert up.high > up.best + math.sqrt(DEVIANCE_95) * up.sd
 
 
-def test_a_parameter_without_a_say_is_flat():
+def test_a_parameter_without_effect_is_flat():
     target = Known(lambda x, y: [y - 1.0], lambda x, y: [[0.0, 1.0]])
     p = found(target, 0)
     assert p.flat and p.rise == pytest.approx(0.0, abs=1e-9) and p.sd == math.inf
@@ -93,7 +93,7 @@ def test_a_parameter_without_a_say_is_flat():
     assert target.calls < 60
 
 
-def test_a_parameter_that_another_one_can_stand_in_for_is_flat():
+def test_a_parameter_that_another_one_compensates_is_flat():
     """Only x + y is known; y can follow x as far as the bounds of y allow."""
     target = Known(lambda x, y: [x + y], lambda x, y: [[1.0, 1.0]])
     p = found(target, 0)
@@ -142,7 +142,7 @@ def test_a_better_optimum_met_on_the_way_takes_the_place_of_the_first():
     assert p.best == pytest.approx(2 * math.pi, abs=0.05) and p.minima > 1 and p.deviance.min() == 0.0
 
 
-def test_where_no_solution_is_found_the_end_says_so():
+def test_an_interval_end_without_a_solution_is_flagged():
     def residuals(x: float, y: float) -> list[float]:
         return [0.1 * x if x < 3 else math.nan, y]
 
@@ -151,7 +151,7 @@ def test_where_no_solution_is_found_the_end_says_so():
     assert p.ends[0] == "closed" and p.low == pytest.approx(-19.6, abs=0.01)
 
 
-def test_a_descent_stops_at_bounds_and_holds_what_is_held():
+def test_a_descent_stops_at_bounds_and_keeps_fixed_parameters():
     target = line(lower=np.array([2.0, -20.0]))
     end = minimize_squares(target, np.array([5.0, 5.0]))
     assert end.converged and end.theta == pytest.approx([2.0, -0.5])
@@ -160,7 +160,7 @@ def test_a_descent_stops_at_bounds_and_holds_what_is_held():
     assert target.calls < 20
 
 
-def test_a_wall_before_the_bound_leaves_each_place_once():
+def test_a_failure_before_the_bound_leaves_each_point_once():
     """The first long step ends at the bound and is refined; the bound is met again on the way out."""
     target = Known(
         lambda x, y: [0.02 * x + max(0.0, x - 18.0) ** 2, y],

@@ -61,7 +61,7 @@ def test_a_gaussian_is_recovered(long):
     assert long.log_posterior[0, 0] == gaussian(long.draws[0, 0])
 
 
-def test_the_budget_ends_a_run_that_says_that_it_has_not_converged():
+def test_the_budget_ends_a_run_that_is_flagged_as_unconverged():
     short = draw()
     assert not short.converged and not short.interrupted
     assert short.steps + short.burn_in == 60 and short.burn_in <= 30
@@ -81,7 +81,7 @@ def test_ensembles_differ_and_begin_apart():
     assert len(np.unique(centres[:, 0])) == 4 and np.ptp(centres[:, 0]) > 0.05
 
 
-def test_ensembles_begun_in_one_place_go_their_own_ways(monkeypatch):
+def test_ensembles_with_equal_starts_differ(monkeypatch):
     """Their starting points would hide it if all of them drew the same random numbers after that."""
 
     def same(*arguments):
@@ -166,7 +166,7 @@ def test_a_stop_at_once_leaves_nothing():
 
 
 @pytest.mark.parametrize("stopped", [1, 21, 37, 59])
-def test_a_run_goes_on_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
+def test_a_run_resumes_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
     save(draw(), tmp_path / "whole.nc")
     try:
         draw(callbacks=Callbacks(stop=stopping_after(stopped)), kept=tmp_path / "kept")
@@ -178,7 +178,7 @@ def test_a_run_goes_on_from_its_snapshots_to_the_same_bytes(tmp_path, stopped):
 
 
 @pytest.mark.parametrize("stopped", [5, 11, 40])
-def test_what_ensembles_had_learned_they_know_again(tmp_path, monkeypatch, stopped):
+def test_adaptation_is_restored_from_snapshots(tmp_path, monkeypatch, stopped):
     monkeypatch.setattr(walkers, "ADAPTATION_STEPS", (10, 25))
     save(draw(moves=INDEPENDENT), tmp_path / "whole.nc")
     draw(moves=INDEPENDENT, callbacks=Callbacks(stop=stopping_after(2 * stopped)), kept=tmp_path / "kept")
@@ -186,26 +186,26 @@ def test_what_ensembles_had_learned_they_know_again(tmp_path, monkeypatch, stopp
     assert (tmp_path / "whole.nc").read_bytes() == (tmp_path / "again.nc").read_bytes()
 
 
-def test_what_was_learned_from_is_burn_in(monkeypatch):
+def test_steps_used_for_adaptation_are_burn_in(monkeypatch):
     monkeypatch.setattr(walkers, "ADAPTATION_STEPS", (10, 30))
     assert draw(moves=INDEPENDENT).burn_in == 30
     assert draw(moves=INDEPENDENT, steps=59).burn_in < 30  # the second would leave less than it takes
 
 
-def test_what_is_lost_of_the_snapshots_is_walked_again(tmp_path):
+def test_lost_snapshots_are_sampled_again(tmp_path):
     whole = draw(kept=tmp_path)
     (tmp_path / "00001.checkpoint").unlink()  # the third is of no use then
     assert np.array_equal(draw(kept=tmp_path).draws, whole.draws)
 
 
 @pytest.mark.parametrize("damage", ["cut", "flipped", "empty"])
-def test_a_damaged_snapshot_is_set_aside_and_walked_again(tmp_path, damage):
+def test_a_damaged_snapshot_is_set_aside_and_sampled_again(tmp_path, damage):
     whole, lines = draw(kept=tmp_path), []
-    torn = tmp_path / "00001.checkpoint"
-    data = bytearray(torn.read_bytes())
+    damaged = tmp_path / "00001.checkpoint"
+    data = bytearray(damaged.read_bytes())
     data[-100] ^= 1
-    torn.write_bytes({"cut": data[:200], "flipped": data, "empty": b""}[damage])
-    before = torn.read_bytes()
+    damaged.write_bytes({"cut": data[:200], "flipped": data, "empty": b""}[damage])
+    before = damaged.read_bytes()
     kept = Snapshots(tmp_path, lines.append)
     again = sample(box(gaussian), (0.4, -0.2), settings(), np.random.default_rng(1), None, kept)
     assert np.array_equal(again.draws, whole.draws)
@@ -252,7 +252,7 @@ def test_equal_posteriors_give_equal_bytes(tmp_path):
     assert (tmp_path / "a.nc").read_bytes() == (tmp_path / "b.nc").read_bytes()
 
 
-def test_what_is_no_posterior_is_refused(tmp_path):
+def test_a_file_that_is_no_posterior_is_refused(tmp_path):
     (tmp_path / "no.nc").write_text("no netCDF")
     with pytest.raises(DataError, match=r"no\.nc"):
         load(tmp_path / "no.nc")

@@ -37,7 +37,7 @@ def test_a_gaussian_that_bounds_cut(moves):
     assert levels == pytest.approx(np.tile(tail.ppf([0.05, 0.5, 0.95]), (3, 1)), abs=0.03)
 
 
-def test_independent_proposals_are_drawn_as_their_density_says():
+def test_independent_proposals_follow_their_density():
     """Weighed by a known density over theirs, they have its moments."""
     random, seen = np.random.RandomState(1), np.random.default_rng(1).exponential(size=(60, 2))
     for picture in (fit_proposal(seen), make_initial_proposal(2)):
@@ -71,7 +71,7 @@ def test_a_banana():
     assert got.converged
 
 
-def test_two_hills_that_nothing_walks_between_are_reported():
+def test_two_modes_without_exchange_are_reported():
     got = draw(Known(two_hills), ends=[[5.0, 0.0], [-5.0, 0.0]], steps=1000)
     assert not got.converged
     assert got.convergence.r_hat[0] > 1.5
@@ -79,7 +79,7 @@ def test_two_hills_that_nothing_walks_between_are_reported():
     assert set(np.sign(got.draws[:, :, 0].mean(axis=1))) == {-1.0, 1.0}
 
 
-def test_an_ensemble_with_walkers_on_both_hills_is_slow_not_quick():
+def test_an_ensemble_with_walkers_in_both_modes_mixes_slowly():
     """Each walker alone looks independent: about the mean of all of them it is not."""
     rng = np.random.default_rng(2)
     parted = rng.normal(size=(1, 500, 16)) + np.where(np.arange(16) < 8, -20.0, 20.0)

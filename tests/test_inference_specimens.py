@@ -46,7 +46,7 @@ def test_density_is_that_of_gaussian_estimates_whose_variances_add(tau):
     assert one.log_density(np.array([[*MEAN, *tau]])) == pytest.approx([expected])
 
 
-def test_nothing_is_possible_outside_the_bounds():
+def test_the_density_is_zero_outside_the_bounds():
     at = np.array([[*MEAN, -0.1, 0.1], [3.0, -1.6, 0.1, 0.1]])
     assert np.all(population(0.3, 3, 1).log_density(at) == -np.inf)
 
@@ -71,7 +71,7 @@ def test_one_specimen_leaves_the_spread_to_its_prior():
     assert np.sum(weights * found.thetas[:, 2] ** 2) == pytest.approx(1.0, abs=0.25)  # of a half-normal, sd 1
 
 
-def test_best_told_is_the_stiff_direction():
+def test_the_best_determined_direction_is_the_stiff_one():
     draws = np.random.default_rng(7).multivariate_normal([0, 0], RIDGE, size=400)
     stiff = np.linalg.eigh(RIDGE)[1][:, 0]
     assert abs(best_determined([make_specimen(draws)]) @ stiff) == pytest.approx(1.0, abs=0.01)

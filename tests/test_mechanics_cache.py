@@ -85,7 +85,7 @@ def test_a_damaged_file_is_compiled_again(place, damage):
         assert hits(fresh()) == 1
 
 
-def test_a_room_is_complete_only_if_all_of_it_could_be_kept(place, monkeypatch):
+def test_a_cache_folder_is_complete_only_if_every_file_was_kept(place, monkeypatch):
     cache.mark_complete("lanes")
     assert cache.is_complete("lanes") and not cache.is_complete("kernel")
     monkeypatch.setattr(cache, "_unsaved", ["one"])
@@ -116,7 +116,7 @@ def chosen(monkeypatch: pytest.MonkeyPatch, place: Path | str) -> cache.CacheFol
     return cache.find_cache_folder.__wrapped__()
 
 
-def test_the_folder_is_the_user_s_own(tmp_path, monkeypatch):
+def test_the_folder_belongs_to_the_user(tmp_path, monkeypatch):
     found = chosen(monkeypatch, tmp_path / "new")
     assert found == chosen(monkeypatch, tmp_path / "new")
     assert found.path.parent == tmp_path / "new" and not found.why_temporary

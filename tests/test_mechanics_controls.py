@@ -240,12 +240,13 @@ def test_the_order_in_which_guides_are_named_does_not_matter() -> None:
 
 @pytest.mark.parametrize("x", [-3.0, 0.0, 4.5])
 def test_two_guides_at_one_place_are_refused(x: float) -> None:
-    with pytest.raises(ModelError, match=f"same x = {x:g} mm.*\n.*\n  fix: move one"):
+    with pytest.raises(ModelError, match=f"x = {x:g} mm") as fault:
         Controls(guides=(Guide(x, 0.0, in_tissue=x >= 0), Guide(x, 0.1, None, x >= 0)))
+    assert "guides" in fault.value.expected and fault.value.fix
 
 
 @pytest.mark.parametrize(("x", "in_tissue"), [(3.0, False), (0.0, False), (-3.0, True)])
-def test_a_guide_says_on_which_side_of_the_entry_it_stands(x: float, in_tissue: bool) -> None:
+def test_a_guide_error_names_its_side_of_the_entry(x: float, in_tissue: bool) -> None:
     with pytest.raises(ModelError, match="before the tissue"):
         Guide(x, in_tissue=in_tissue)
 
@@ -254,7 +255,7 @@ def test_a_guide_says_on_which_side_of_the_entry_it_stands(x: float, in_tissue: 
 def test_a_base_that_would_reach_a_guide_is_refused(solve) -> None:
     guides = (Guide(-3.0), Guide(-130.0, 0.0, None))
     assert solve(NEEDLE, TISSUE, BEVEL, 19.9, Controls(guides=guides)).converged
-    with pytest.raises(ModelError, match="guide 130 mm before the tissue"):
+    with pytest.raises(ModelError, match="guide 130 mm"):
         solve(NEEDLE, TISSUE, BEVEL, 20.0, Controls(guides=guides))
 
 

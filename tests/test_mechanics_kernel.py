@@ -111,7 +111,7 @@ def test_over_compression_is_a_value_with_its_reason() -> None:
 
 
 @pytest.mark.parametrize(("offset", "thickness"), [(0.1, 0.1), (0.5, 0.5), (30.0, 1.0)])
-def test_over_compression_is_told_wherever_newton_meets_it(offset: float, thickness: float) -> None:
+def test_over_compression_is_reported_at_any_newton_iteration(offset: float, thickness: float) -> None:
     """Also where the first guess was bearable; what was never found is NaN, not 0."""
     tissue = Tissue(mu=[5.0], alpha=[1.0], thickness=[thickness])
     shape = simulate(NEEDLE, tissue, Bevel(offset), 20.0)
@@ -119,7 +119,7 @@ def test_over_compression_is_told_wherever_newton_meets_it(offset: float, thickn
     assert np.isnan(shape.deflection) and np.isnan(shape.u).all()
 
 
-def test_a_solve_that_ends_over_compressed_after_bearable_steps_says_so() -> None:
+def test_a_solve_that_ends_over_compressed_is_reported() -> None:
     """Only the base moves: the first iteration, from the straight guess, still compresses nothing fully."""
     points = np.column_stack((np.arange(11.0), np.zeros(11)))
     tissue = Tissue(mu=[1e-3], alpha=[1.0], thickness=[0.5])
@@ -129,7 +129,7 @@ def test_a_solve_that_ends_over_compressed_after_bearable_steps_says_so() -> Non
 
 
 @pytest.mark.parametrize("depth", [1e-12, 1e-10, 1e-9, 1e-6])
-def test_a_hair_s_breadth_is_a_depth(depth: float) -> None:
+def test_a_tiny_depth_is_a_depth(depth: float) -> None:
     shape = simulate(NEEDLE, Tissue(mu=[5.0], alpha=[1.0]), Bevel(0.1), depth)
     assert shape.converged and shape.depth == pytest.approx(depth, abs=1e-9)
     assert abs(shape.deflection) <= 0.2 * depth
@@ -195,7 +195,7 @@ def test_elements_so_short_that_rounding_wins_are_refused(rules) -> None:
         ModelOptions(*rules)
 
 
-def test_a_guess_beyond_what_tissue_bears_is_not_the_answer() -> None:
+def test_an_over_compressed_guess_is_not_the_solution() -> None:
     """The base moves by more than t before the first cell; the needle finds its place, and stays there."""
     tissue = Tissue(mu=[33.0], alpha=[1.0], thickness=[5.0])
     found = simulate_steps(NEEDLE, tissue, (Step(3.0, Bevel(0.05), Controls(base_y=5.1)),))

@@ -90,7 +90,7 @@ def test_each_set_may_have_its_guide_elsewhere_wherever_the_first_nodes_lie(firs
         assert shapes[i].x[1] == x[i] and shapes[i].u[1] == pytest.approx(0.1, abs=1e-14)
 
 
-def test_ordinary_sets_never_ask_the_scalar_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ordinary_sets_never_call_the_scalar_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_) -> None:
         raise AssertionError
 
@@ -137,7 +137,7 @@ def test_the_number_of_threads_changes_no_bit(threads: int) -> None:
 
 
 @pytest.mark.parametrize("steps", [THERE_AND_BACK, (replace(WIDE, depth=16.0),)])
-def test_bad_numbers_spoil_and_delay_nobody(steps: tuple[Step, ...]) -> None:
+def test_invalid_numbers_affect_no_other_set(steps: tuple[Step, ...]) -> None:
     """Also where the bad set is the first, or fills a block of its own."""
     good = broad(40, steps=steps)
     bad = np.array([[np.nan, 1.0], [1.0, np.inf], [0.0, 1.0], [1.0, -2.0]])
@@ -157,7 +157,7 @@ def test_bad_numbers_spoil_and_delay_nobody(steps: tuple[Step, ...]) -> None:
 
 
 @pytest.mark.parametrize("name", ["rigidity", "base_y", "base_slope", "offset", "guide_x"])
-def test_any_parameter_may_be_no_number(name: str) -> None:
+def test_any_parameter_may_be_nan(name: str) -> None:
     value = {"rigidity": 1e4, "guide_x": -7.0}.get(name, 0.01)
     steps = (Step(8.0, Bevel(0.1), Controls(guides=(Guide(-5.0),))),)
     shapes = one(Batch(NEEDLE, TISSUE, steps, **{name: [np.nan, value, value, np.inf]}))
@@ -177,7 +177,7 @@ def thin(offset: list[float], thickness: float, friction: float = 0.0) -> Batch:
 
 
 @pytest.mark.parametrize("friction", [0.0, 0.3])
-def test_an_over_compressed_set_is_told_and_harms_nobody(friction: float) -> None:
+def test_an_over_compressed_set_is_reported_and_affects_no_other(friction: float) -> None:
     """At b = 0.2 mm the first cell alone wants 0.05 mm of tissue, all there is."""
     shapes = one(thin([0.2, 0.001, 0.3, 0.002], 0.05, friction))
     assert shapes.status.tolist() == [1, 0, 1, 0]
@@ -193,7 +193,7 @@ def test_a_batch_of_nothing_but_failures_is_a_batch() -> None:
     assert shapes[0].depth == 10.0
 
 
-def test_a_set_that_leaves_the_series_goes_on_alone_and_exactly() -> None:
+def test_a_set_that_leaves_the_series_is_solved_alone_and_exactly() -> None:
     """Tissue of 1 mm: at b = 0.05 mm its compression is beyond the series; small ones stay together."""
     batch = thin([0.05, 0.001, 0.05, 0.002], 1.0)
     shapes = one(batch)
@@ -213,7 +213,7 @@ def test_a_set_that_leaves_the_series_goes_on_alone_and_exactly() -> None:
         Controls(guides=(Guide(-4.0), Guide(5.0, 0.1, None, in_tissue=True))),
     ],
 )
-def test_inputs_that_lanes_do_not_know_go_through_the_scalar_kernel(controls: Controls) -> None:
+def test_inputs_without_a_lane_use_the_scalar_kernel(controls: Controls) -> None:
     batch = Batch(NEEDLE, TISSUE, (Step(9.6, Bevel(0.1), controls),), mu=[[0.3, 3.0], [2.0, 20.0]])
     shapes = one(batch)
     for i in range(2):
@@ -238,7 +238,7 @@ def test_different_insertions_come_back_in_their_order() -> None:
     assert simulate_batches([]) == ()
 
 
-def test_shapes_are_shapes() -> None:
+def test_array_shapes_are_those_of_the_batch() -> None:
     batch = broad(3)
     shapes = one(batch)
     assert len(shapes) == len(batch) == 3 and isinstance(shapes[1], NeedleShape)

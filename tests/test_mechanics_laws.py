@@ -58,7 +58,7 @@ def test_the_linear_law_is_a_number() -> None:
     assert layer.curvature[0] < 1e-9
 
 
-def test_layers_do_not_know_each_other() -> None:
+def test_layers_are_independent() -> None:
     def layers(mu: list, alpha: list, thickness: list):
         terms = laws.power_terms("ogden", np.array(alpha))
         return make_foundation(np.array(mu), *terms, np.array(thickness), np.zeros(len(mu)))
@@ -111,7 +111,7 @@ def sister(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[str]:
 
 
 def test_a_law_is_one_file(sister: str) -> None:
-    """It is found by its name, and neither reference nor kernel needs to be told."""
+    """It is found by its name, and neither reference nor kernel needs a change."""
     assert sister in laws.list_laws()
     tissue = Tissue(mu=[0.5], alpha=[4.0], thickness=[2.0], law=sister)
     case = (NEEDLE, tissue, Bevel(0.1), 9.0, BASE)
@@ -121,5 +121,5 @@ def test_a_law_is_one_file(sister: str) -> None:
 
 
 def test_without_that_file_there_is_no_such_law() -> None:
-    with pytest.raises(ModelError, match="no tissue law called `sister`"):
+    with pytest.raises(ModelError, match=r"law .*`sister`"):
         compile_tissue(Tissue(mu=[0.5], alpha=[4.0], law="sister"))

@@ -160,7 +160,7 @@ def test_there_is_no_load_before_the_tissue_nor_in_a_guide_not_yet_reached() -> 
     assert compute_lateral_load(shape, LAYERS, np.array([-100.0, -20.0, -1e-6])).tolist() == [0.0, 0.0, 0.0]
 
 
-def test_of_a_failed_solution_nothing_is_known() -> None:
+def test_a_failed_solution_has_no_load() -> None:
     tissue = Tissue(mu=[1.0], alpha=[3.0], thickness=[0.5])
     controls = Controls(base_y=30.0, guides=(Guide(-0.5, 30.0),))
     shape = simulate(NEEDLE, tissue, Bevel(0.1), 20.0, controls)
@@ -169,7 +169,7 @@ def test_of_a_failed_solution_nothing_is_known() -> None:
     assert np.isnan([found.base.force, found.guides[0].force, found.tip_force]).all()
 
 
-def test_a_window_that_draws_sixty_times_a_second_can_ask_each_time() -> None:
+def test_the_load_is_computed_in_less_than_a_frame() -> None:
     """Within 0.2 ms for 60 mm inserted, at the best of a few."""
     shape = simulate(NEEDLE, LAYERS, Bevel(0.1), 60.0)
     best = math.inf

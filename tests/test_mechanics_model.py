@@ -105,8 +105,9 @@ def test_ogden_modulus_by_hand() -> None:
 
 
 def test_unknown_law_names_the_known_ones() -> None:
-    with pytest.raises(ModelError, match="linear, neo_hookean, ogden"):
+    with pytest.raises(ModelError, match="`fung`") as fault:
         simulate(NEEDLE, Tissue(mu=[0.2], alpha=[1.0], law="fung"), Bevel(0.1), 10.0)
+    assert all(law in fault.value.expected for law in ("linear", "neo_hookean", "ogden"))
 
 
 def test_alpha_hardly_moves_the_tip() -> None:
@@ -120,15 +121,15 @@ def test_alpha_hardly_moves_the_tip() -> None:
 
 
 @pytest.mark.parametrize(
-    ("wrong", "told"),
+    ("wrong", "message"),
     [
         ({"mu": [0.2, -1.0]}, "layer 2 has mu -1 MPa"),
         ({"thickness": [0.0, 40.0]}, "layer 1 has thickness 0 mm"),
         ({"friction": [0.0, -0.1]}, "layer 2 has friction -0.1"),
     ],
 )
-def test_a_wrong_layer_is_named_with_its_value(wrong, told):
-    with pytest.raises(ModelError, match=told):
+def test_a_wrong_layer_is_named_with_its_value(wrong, message):
+    with pytest.raises(ModelError, match=message):
         Tissue(**{"mu": np.ones(2), "alpha": np.ones(2), "boundaries": np.array([5.0])} | wrong)
 
 

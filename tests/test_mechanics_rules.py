@@ -77,7 +77,7 @@ def test_derivatives_equal_complex_steps_under_any_rules(switch: float, tangent:
     np.testing.assert_allclose(found.constraints[:, columns] / scale, points / scale, atol=1e-6)
 
 
-def test_a_cell_that_belongs_to_the_point_behind_is_not_pulled_by_the_cut() -> None:
+def test_a_cell_of_the_point_behind_is_not_pulled_by_the_cut() -> None:
     """After one cell the only point behind is the entry's, so that nothing bends the needle."""
     behind = simulate(NEEDLE, TISSUE, BEVEL, 1.0, rules=ModelOptions(switch=1.0))
     np.testing.assert_allclose(behind.u, 0.0, atol=1e-12)
@@ -98,14 +98,14 @@ def test_without_the_tangent_the_cut_leaves_the_tip_by_the_bevel_alone() -> None
 
 def test_a_first_cell_in_the_rules_is_a_lattice() -> None:
     steps = (Step(7.3, BEVEL),)
-    told = simulate_steps(NEEDLE, TISSUE, steps, ModelOptions(first_cell=0.4))
+    chosen = simulate_steps(NEEDLE, TISSUE, steps, ModelOptions(first_cell=0.4))
     given = simulate_steps(NEEDLE, TISSUE, steps, ModelOptions(), Lattice(0.4, 1.0))
-    np.testing.assert_array_equal(told.u, given.u)
-    np.testing.assert_allclose(told.constraints[:3, 0], [0.0, 0.4, 1.4])
+    np.testing.assert_array_equal(chosen.u, given.u)
+    np.testing.assert_allclose(chosen.constraints[:3, 0], [0.0, 0.4, 1.4])
     (lanes,) = simulate_batches(
         [Batch(NEEDLE, TISSUE, steps, ModelOptions(first_cell=0.4), offset=np.array([0.1]))]
     )
-    np.testing.assert_allclose(lanes[0].u, told.u, atol=1e-7)
+    np.testing.assert_allclose(lanes[0].u, chosen.u, atol=1e-7)
 
 
 def test_rules_outside_their_range_are_refused() -> None:

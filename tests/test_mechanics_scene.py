@@ -56,7 +56,7 @@ def test_an_axis_in_the_world_has_a_slope_in_c(entry_deg, axis_deg, slope):
     assert found == pytest.approx(slope, abs=1e-12)
 
 
-def test_what_a_file_says_in_the_world_is_seen_from_c():
+def test_world_coordinates_of_a_file_are_transformed_to_c():
     entry = {"x_mm": 1, "y_mm": 2, "angle_deg": 90}  # C's x points up, its y to the left
     guides = [
         {"name": "held", "x_mm": 1 - 0.5, "y_mm": 2 - 20, "angle_deg": 100},
@@ -113,12 +113,12 @@ def test_guides_and_layers_keep_their_names_for_pictures():
 
 
 def test_faults_name_file_and_key():
-    with pytest.raises(ConfigError, match=r"a\.toml: key `steps\.2\.guides\.g`: guide stands at x = 1"):
+    with pytest.raises(ConfigError, match=r"a\.toml: key `steps\.2\.guides\.g`: .*x = 1"):
         built(
             guides=[{"name": "g", "x_mm": -5, "y_mm": 0}],
             steps=[{"depth_mm": 5}, {"depth_mm": 9, "guides": {"g": {"x_mm": 1}}}],
         )
-    with pytest.raises(ConfigError, match=r"a\.toml: key `law`: there is no tissue law"):
+    with pytest.raises(ConfigError, match=r"a\.toml: key `law`: .*rubber"):
         built(depth_mm=5, law="rubber")
 
 
@@ -164,7 +164,7 @@ def test_a_scene_moved_as_a_whole_is_the_same_scene(turn, shift_x, shift_y, star
         )
 
 
-def test_each_shape_is_the_next_one_s_past():
+def test_each_shape_is_the_history_of_the_next():
     lattice = make_lattice(FIGURE1.steps, FIGURE1.rules)
     for n, shape in enumerate(SHAPES, start=1):
         alone = simulate_steps(FIGURE1.needle, FIGURE1.tissue, FIGURE1.steps[:n], FIGURE1.rules, lattice)
@@ -185,7 +185,7 @@ def at(shape: NeedleShape, x: float) -> tuple[float, float]:
     return float(shape.u[node]), float(shape.slope[node])
 
 
-def test_figure_1_is_held_where_its_controls_say():
+def test_figure_1_satisfies_its_boundary_conditions():
     assert FIGURE1.tissue.layers == 4 and len(FIGURE1.steps) == 3
     assert {step.bevel.side for step in FIGURE1.steps} == {1, -1}
     template = [(0.0, 0.0), (2.0, 0.0), (-1.5, 0.0)]  # the file's y_mm, and the slope of its axis
@@ -212,7 +212,7 @@ def test_figure_1_mirrored_deflects_to_the_other_side():
         assert other.constraints[:, 1] == pytest.approx(-shape.constraints[:, 1], abs=1e-12)
 
 
-def test_figure_1_keeps_what_it_has_cut_and_begins_anew_where_the_bevel_turns():
+def test_figure_1_keeps_its_cut_path_and_starts_a_ray_where_the_bevel_turns():
     b, spacing = FIGURE1.steps[0].bevel.offset, FIGURE1.rules.spacing
     for past, shape, side, last in ((SHAPES[0], SHAPES[1], -1, 40), (SHAPES[1], SHAPES[2], -1, 70)):
         assert np.array_equal(shape.constraints[: last + 1], past.constraints)  # x_m = m mm: a point a mm

@@ -131,7 +131,7 @@ def test_the_shape_is_that_of_the_forward_run(depth: float) -> None:
 
 
 @pytest.mark.parametrize("side", [1, -1])
-def test_the_first_constraint_point_moves_as_geometry_says(side: int) -> None:
+def test_the_first_constraint_point_moves_by_geometry(side: int) -> None:
     """The free needle is a rod: c_1 moves by 1 per base y, L + x_1 per base slope, s x_1 / C_int per b."""
     rules = ModelOptions(2.0, 1.0)
     _, found = linearize(
@@ -205,7 +205,7 @@ def test_every_law_is_linear_in_alpha_term_by_term(law: str) -> None:
         np.testing.assert_allclose(q[i], q[1] + alpha * dq, rtol=1e-15)
 
 
-def test_a_tracked_tip_stands_where_it_is_said_to_stand() -> None:
+def test_a_tracked_tip_is_at_its_stated_position() -> None:
     controls = Controls(base_y=0.2, tip=TrackedTip(0.4, 0.01))
     _, found = linearize(NEEDLE, PHANTOM, Bevel(0.085), 30.0, controls, wrt=DERIVATIVE_KINDS)
     assert not np.any(found.u[-1]) and not np.any(found.slope[-1])
@@ -226,7 +226,7 @@ def test_what_a_guide_holds_moves_with_it() -> None:
     assert not np.any(found.u[:, 2])  # the first leaves the needle free to turn
 
 
-def test_a_guide_that_holds_nothing_any_more_moves_no_node() -> None:
+def test_an_inactive_guide_moves_no_node() -> None:
     """It stood at a depth where the mesh has a node of its own; then at the tip, which no guide holds."""
     guided = Controls(guides=(Guide(3.0, 0.1, in_tissue=True),))
     free_again = [Step(6.0, Bevel(0.1), guided), Step(8.0, Bevel(0.1))]
@@ -257,7 +257,7 @@ def test_guides_of_several_steps_at_one_place_are_one_guide() -> None:
     np.testing.assert_allclose(found.u[:, 1], slope, atol=1e-6)
 
 
-def test_points_in_the_plane_move_as_differences_say() -> None:
+def test_points_in_the_plane_move_as_finite_differences() -> None:
     controls = Controls(base_slope=0.01, guides=(Guide(-15.0, 0.2, None), Guide(4.6, 0.3, in_tissue=True)))
     rules = ModelOptions(tolerance=1e-11)
     shape, found = linearize(NEEDLE, PHANTOM, Bevel(0.15), 25.0, controls, rules, wrt=("offset", "guides"))
@@ -286,6 +286,6 @@ def test_a_failed_needle_has_no_derivatives() -> None:
         assert np.isnan(part).all()
 
 
-def test_unknown_kinds_are_refused_with_those_there_are() -> None:
+def test_unknown_kinds_are_refused_and_the_known_ones_listed() -> None:
     with pytest.raises(ModelError, match="`depth`"):
         linearize(NEEDLE, PHANTOM, Bevel(0.1), 10.0, wrt=("mu", "depth"))

@@ -116,7 +116,7 @@ def test_equal_sub_steps_of_every_step_change_nothing(inputs: list, division: in
 
 @pytest.mark.parametrize("depth", [5.0, 5.4, 0.6, 1.0])
 @pytest.mark.parametrize("eps", [1e-3, 0.2, 0.5])
-def test_a_little_in_and_out_again_returns(depth: float, eps: float) -> None:
+def test_a_small_insertion_and_retraction_returns(depth: float, eps: float) -> None:
     under_way, untouched = session(), session()
     here = under_way.step(depth)
     under_way.step(eps)
@@ -128,7 +128,7 @@ def test_a_little_in_and_out_again_returns(depth: float, eps: float) -> None:
 
 
 @pytest.mark.parametrize("back", [0.3, 2.0, 2.5, 6.9])
-def test_retraction_forgets_what_lies_beyond_and_keeps_what_lies_behind(back: float) -> None:
+def test_retraction_discards_the_path_beyond_and_keeps_the_path_behind(back: float) -> None:
     under_way = session()
     before = under_way.step(9.0)
     found = under_way.step(-back)
@@ -200,7 +200,7 @@ def test_a_moved_input_sets_the_ray_anew_where_the_tip_then_stands(change: dict)
         ({"tip": TrackedTip(0.2)}, {"tip": None}),
     ],
 )
-def test_a_change_taken_back_at_the_same_depth_has_happened(there: dict, back: dict) -> None:
+def test_a_change_undone_at_the_same_depth_still_counts(there: dict, back: dict) -> None:
     under_way, untouched = session(), session()
     untouched.step(5.3)
     under_way.step(5.3)
@@ -251,7 +251,7 @@ def test_the_first_cell_is_kept_with_the_session() -> None:
     np.testing.assert_allclose(session(0.3).step(2.5).constraints[:, 0], [0, 0.3, 1.3, 2.3, 2.5])
 
 
-def test_a_long_session_neither_grows_nor_loses_itself() -> None:
+def test_a_long_session_keeps_its_size_and_accuracy() -> None:
     """Thousands of steps in and out, each under inputs never seen before."""
     rng = np.random.default_rng(0)
     under_way = session(0.4)

@@ -37,7 +37,7 @@ def wandered(seed: int) -> tuple[Session, np.random.Generator]:
 
 
 @pytest.mark.parametrize("seed", range(20))
-def test_a_copy_goes_on_as_the_first_and_neither_moves_the_other(seed: int) -> None:
+def test_a_copy_continues_independently_of_the_original(seed: int) -> None:
     first, rng = wandered(seed)
     second, before = first.copy(), first.now.shape
     steps = random_steps(rng, 3)
@@ -48,7 +48,7 @@ def test_a_copy_goes_on_as_the_first_and_neither_moves_the_other(seed: int) -> N
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_the_course_leads_to_the_same_needle_and_on_from_there(seed: int) -> None:
+def test_the_path_reproduces_the_needle_and_can_be_continued(seed: int) -> None:
     under_way, rng = wandered(seed)
     input_path = under_way.input_path()
     again = simulate_steps(under_way.needle, under_way.tissue, input_path, under_way.rules, under_way.lattice)
@@ -58,7 +58,7 @@ def test_the_course_leads_to_the_same_needle_and_on_from_there(seed: int) -> Non
         assert_near(retold.go(step), under_way.go(step))
 
 
-def test_the_course_forgets_what_was_taken_back() -> None:
+def test_the_path_omits_what_was_undone() -> None:
     under_way = Session(NEEDLE, SOFT, LEFT)
     under_way.step(insert=20)
     for _ in range(50):
@@ -90,7 +90,7 @@ def test_inputs_changed_and_changed_back_at_the_tip_cut_anew_from_there() -> Non
     assert abs(untouched.step(insert=5.3).deflection - under_way.now.shape.deflection) > 1e-4
 
 
-def test_retold_is_the_insertion_into_the_other_tissue() -> None:
+def test_a_path_is_simulated_in_another_tissue() -> None:
     guided = Controls(guides=(Guide(-20.0),))
     steps = (Step(10.0, LEFT), Step(18.4, RIGHT, guided), Step(25.0, LEFT, guided))
     under_way = Session(NEEDLE, SOFT, LEFT)
@@ -106,7 +106,7 @@ def test_retold_is_the_insertion_into_the_other_tissue() -> None:
     assert retold.last == blunt[-1]
 
 
-def test_retold_says_where_it_failed_and_leaves_the_first_alone() -> None:
+def test_a_failed_path_is_located_and_the_original_is_unchanged() -> None:
     thin = Tissue(mu=[0.5], alpha=[8.0], thickness=[1.0])
     under_way = Session(NEEDLE, replace(thin, thickness=[60.0]), LEFT)
     under_way.step(insert=5.4)

@@ -32,7 +32,7 @@ def assert_same_bits(found: NeedleShape, expected: NeedleShape) -> None:
         {"guides": tuple(Guide(-float(n), 9.0 * (n % 2)) for n in range(1, 12))},  # more than ever before
     ],
 )
-def test_a_failed_step_has_not_happened(step: dict) -> None:
+def test_a_failed_step_changes_nothing(step: dict) -> None:
     """Each of these compresses tissue of 2 mm to nothing; the needle stays where and as it was."""
     under_way, untouched = Session(NEEDLE, THIN, LEFT, 0.7), Session(NEEDLE, THIN, LEFT, 0.7)
     for one in (under_way, untouched):
@@ -58,7 +58,7 @@ def test_failures_are_counted_by_reason() -> None:
     assert under_way.step(1.0).converged and under_way.depth == 6.4
 
 
-def test_a_needle_that_fails_at_once_stands_at_the_entry() -> None:
+def test_a_needle_that_fails_at_once_stays_at_the_entry() -> None:
     tissue = Tissue(mu=[1e308], alpha=[1.0])
     under_way = Session(NEEDLE, tissue, LEFT)
     assert under_way.step(3.0).status == "non-finite"

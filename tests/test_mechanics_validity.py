@@ -81,7 +81,7 @@ def test_compression_is_the_largest_distance_from_a_constraint_point():
     assert shape.validity.compression == pytest.approx(away.max() / 40.0, rel=1e-6)
 
 
-def test_what_is_not_solved_is_not_valid():
+def test_a_failed_solution_is_not_valid():
     found = simulate(NEEDLE, TISSUE, Bevel(30.0), 55.0)
     assert not found.converged and not found.valid and not found.validity.ok
     assert found.validity.faults == () and np.isnan(found.validity.max_slope)
@@ -165,7 +165,7 @@ def test_a_needle_before_the_entry_has_the_rounding_of_its_shortest_element():
         lambda: simulate_steps(NEEDLE, TISSUE, [Step(d, Bevel(0.0)) for d in (140.0, 1.0) * 3000]),
     ],
 )
-def test_sizes_beyond_all_use_are_refused_at_once(build):
+def test_excessive_sizes_are_refused_at_once(build):
     began = time.monotonic()
     with pytest.raises(ModelError):
         build()

@@ -13,14 +13,14 @@ from needlefit.mechanics.kernel.cache import is_complete
 from needlefit.mechanics.precompile import KERNEL_PARTS, compile_parts, precompile
 
 
-def test_every_room_is_compiled_by_now_and_inserting_compiles_nothing_else():
+def test_every_variant_is_compiled_and_inserting_compiles_nothing_else():
     assert all(is_complete(part) for part in KERNEL_PARTS)
     before = [sum(one.stats.cache_misses.values()) for one in kernel_functions()]
     compile_parts(list(KERNEL_PARTS))
     assert [sum(one.stats.cache_misses.values()) for one in kernel_functions()] == before
 
 
-def test_what_is_compiled_is_not_compiled_again(monkeypatch):
+def test_compiled_functions_are_not_compiled_again(monkeypatch):
     started = []
     monkeypatch.setattr(module.subprocess, "run", lambda *words, **options: started.append(words))
     precompile(*KERNEL_PARTS)
@@ -64,7 +64,7 @@ def test_the_lock_goes_with_a_process_that_is_killed(tmp_path):
             assert time.monotonic() - begin < 10
 
 
-def test_a_lock_that_cannot_be_had_keeps_nobody_waiting(tmp_path, monkeypatch):
+def test_an_unavailable_lock_does_not_block(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "MAX_WAIT_S", 0.3)
     with module._hold_lock(tmp_path / "lock"), module._hold_lock(tmp_path / "lock"):
         pass

@@ -56,7 +56,7 @@ def test_the_wheel_is_small(built):
     assert wheel.stat().st_size <= TEN_MB
 
 
-def test_the_page_of_the_view_is_in_the_wheel_whole(installed):
+def test_the_wheel_holds_every_file_of_the_page(installed):
     """Whatever a file of the page names is there too: it needs no build, and nothing from elsewhere."""
     place = Path("needlefit/viewer/page")
     page = Path(installed["PYTHONPATH"]) / place

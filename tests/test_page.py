@@ -204,7 +204,7 @@ def test_a_replay_in_the_page_ends_with_the_same_needle(page) -> None:
     assert again["y"] == state["y"] and again["step"] == state["step"]
 
 
-def test_what_is_refused_is_said_aloud_and_nothing_moves(page) -> None:
+def test_a_refused_input_is_announced_and_nothing_moves(page) -> None:
     go_to(page, 20)
     page.fill("#goto-depth", "200")
     page.press("#goto-depth", "Enter")
@@ -251,7 +251,7 @@ def test_keys_add_to_the_very_value_also_beyond_the_slider(page) -> None:
     assert tip["deflection_mm"] == pytest.approx(held, abs=1e-12)
 
 
-def test_of_two_arrows_the_newest_counts_and_then_the_one_still_held(page) -> None:
+def test_of_two_arrow_keys_the_newest_counts_then_the_one_still_pressed(page) -> None:
     page.focus("#canvas")
     page.keyboard.down("ArrowRight")
     until(page, "state => state.depth_mm > 2 && state.moving > 0")
@@ -263,7 +263,7 @@ def test_of_two_arrows_the_newest_counts_and_then_the_one_still_held(page) -> No
     until(page, "state => !state.moving")
 
 
-def test_an_address_pasted_anew_connects_and_a_needle_that_is_gone_is_told_of(page) -> None:
+def test_a_pasted_address_connects_and_a_missing_needle_is_reported(page) -> None:
     go_to(page, 5)
     address = page.url
     page.evaluate("location.hash = 'token=another'")
@@ -274,7 +274,7 @@ def test_an_address_pasted_anew_connects_and_a_needle_that_is_gone_is_told_of(pa
     until(page, "state => window.needlefit.connected && state.depth_mm === 0")
 
 
-def test_what_the_server_tells_of_band_validity_and_pause_is_shown(page) -> None:
+def test_band_validity_and_pause_messages_are_shown(page) -> None:
     go_to(page, 20)
     tell = """message => import('/page/store.js').then(({ now, take }) => {
         take(message.kind === 'state' ? { ...now.state, ...message } : message);
@@ -290,7 +290,7 @@ def test_what_the_server_tells_of_band_validity_and_pause_is_shown(page) -> None
     assert "slope 0.4" in page.locator("#said").text_content()
 
 
-def test_a_page_that_lost_the_line_says_so_and_finds_its_needle_again(server, chromium) -> None:
+def test_a_disconnected_page_shows_it_and_reconnects_to_its_needle(server, chromium) -> None:
     context = chromium.new_context(viewport={"width": 1280, "height": 800})
     window = context.new_page()
     window.goto(server.address)
@@ -421,9 +421,9 @@ def test_at_200_percent_nothing_is_cut_off(server, chromium) -> None:
         field = page.locator("#tissue-fields .number").nth(2)
         field.fill("-5")
         field.press("Enter")
-        said = page.locator("#refusal strong")
-        said.wait_for()
-        box, typed = said.bounding_box(), field.bounding_box()
+        message = page.locator("#refusal strong")
+        message.wait_for()
+        box, typed = message.bounding_box(), field.bounding_box()
         assert box["y"] >= 0 and box["y"] + box["height"] <= min(400, typed["y"])
 
 

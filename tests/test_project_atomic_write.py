@@ -48,7 +48,7 @@ def write(place: Path, verb: str) -> None:
 
 
 @pytest.mark.parametrize("verb", ["replace_folder", "replace_file"])
-def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(verb, tmp_path):
+def test_leftovers_of_a_killed_process_are_removed_and_those_of_a_running_one_kept(verb, tmp_path):
     killed, living = writing(tmp_path / "out", verb), writing(tmp_path / "out", verb)
     end(killed, signal.SIGKILL)
     mine = [tmp_path / ".out.needlefit-mine", tmp_path / ".out.abcdefgh", tmp_path / ".other.needlefit-a"]
@@ -64,7 +64,7 @@ def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(verb
     assert set(tmp_path.iterdir()) == {tmp_path / "out", *mine}
 
 
-def test_the_only_copy_goes_back_to_its_place(tmp_path):
+def test_the_only_copy_is_restored(tmp_path):
     """Killed between two renamings: the earlier folder stands in the scratch folder alone."""
     process = writing(tmp_path / "out", "replace_folder")
     (scratch,) = tmp_path.iterdir()
@@ -77,7 +77,7 @@ def test_the_only_copy_goes_back_to_its_place(tmp_path):
     assert (tmp_path / "out" / "notes.txt").read_text() == "mine"
 
 
-def test_a_result_that_was_exchanged_and_holds_what_is_foreign_is_never_removed(tmp_path):
+def test_an_exchanged_result_with_foreign_files_is_never_removed(tmp_path):
     """Killed after the exchange, before anybody looked at what was replaced."""
     write(tmp_path / "out", "replace_folder")
     process = writing(tmp_path / "out", "replace_folder")

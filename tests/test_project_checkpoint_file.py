@@ -37,7 +37,7 @@ def write(path: Path) -> bytes:
     return path.read_bytes()
 
 
-def test_what_was_written_is_read_and_the_same_bytes_come_again(tmp_path):
+def test_written_data_are_read_back_and_written_to_the_same_bytes(tmp_path):
     assert write(tmp_path / "a.checkpoint") == write(tmp_path / "b.checkpoint")
     kept = read_checkpoint_file(tmp_path / "a.checkpoint", "test", "stamp")
     assert kept.values == {"x": [1.5, None, float("inf")]}
@@ -49,7 +49,7 @@ def test_what_was_written_is_read_and_the_same_bytes_come_again(tmp_path):
         read_checkpoint_file(tmp_path / "a.checkpoint", "other", "stamp")
 
 
-def test_every_change_of_a_byte_is_seen(tmp_path):
+def test_every_changed_byte_is_detected(tmp_path):
     path, chance = tmp_path / "a.checkpoint", random.Random(1)
     whole = write(path)
     for _ in range(FLIPS):
@@ -80,7 +80,7 @@ def forged(path: Path, table: object, data: bytes = b"") -> Path:
         *(["a", "<f8", ["1"]], ["a", "<f8", [True]], ["a", "<f8", []], ["a", "<f8", 1], ["a"], "a", None),
     ],
 )
-def test_what_is_forged_with_the_right_digest_is_refused(tmp_path, row):
+def test_forged_contents_with_the_right_digest_are_refused(tmp_path, row):
     with pytest.raises(DataError):
         read_checkpoint_file(
             forged(tmp_path / "a", {"values": {}, "arrays": [row]}, b"1234"), "test", "stamp"
@@ -88,7 +88,7 @@ def test_what_is_forged_with_the_right_digest_is_refused(tmp_path, row):
 
 
 @pytest.mark.parametrize("table", [[], {}, {"values": {}}, {"values": [], "arrays": []}, 7])
-def test_what_holds_no_table_is_refused(tmp_path, table):
+def test_a_file_without_a_table_is_refused(tmp_path, table):
     with pytest.raises(DataError):
         read_checkpoint_file(forged(tmp_path / "a", table), "test", "stamp")
 
@@ -107,7 +107,7 @@ def test_a_pickle_is_not_run(tmp_path, monkeypatch, data):
     assert not (tmp_path / "was_run").exists()
 
 
-def test_what_is_set_aside_overwrites_nothing(tmp_path):
+def test_setting_aside_overwrites_nothing(tmp_path):
     for name in ("a", "a.damaged-1", "a.damaged-3"):
         (tmp_path / name).write_text(name)
     assert set_aside(tmp_path / "a").name == "a.damaged-2"
@@ -136,7 +136,7 @@ class Outer:
 ONE = Outer("µ", (Inner(np.ones((2, 3)), "solid"),), (1, 0.5), Path("a/b"))
 
 
-def test_a_dataclass_comes_back_as_it_was():
+def test_a_dataclass_round_trips():
     arrays = {}
     plain = json.loads(json.dumps(encode(dataclasses.replace(ONE, maybe=ONE.parts[0]), {}, arrays)))
     again = decode(Outer, plain, {}, arrays)
@@ -154,7 +154,7 @@ def test_a_dataclass_comes_back_as_it_was():
         *({"maybe": []}, {"more": 1}, {"pair": [True, 2.0]}),
     ],
 )
-def test_what_is_not_as_declared_is_refused(change):
+def test_values_of_undeclared_types_are_refused(change):
     arrays = {}
     plain = encode(ONE, {}, arrays)
     with pytest.raises(ValueError):

@@ -52,12 +52,12 @@ def test_only_regular_files_are_opened(places, kind, read):
     assert kind in refused(read, places[kind]).what
 
 
-def test_a_toml_file_that_is_none_is_an_error_of_the_configuration(places):
+def test_invalid_toml_is_a_config_error(places):
     for path in places.values():
         refused(read_toml, path, error=ConfigError)
 
 
-def test_a_file_exchanged_for_a_pipe_between_two_looks_is_not_waited_for(tmp_path, monkeypatch):
+def test_a_file_replaced_by_a_pipe_does_not_block(tmp_path, monkeypatch):
     """Opening a pipe that nobody writes to would wait for ever."""
     path = tmp_path / "a"
     os.mkfifo(path)
@@ -69,12 +69,12 @@ def test_a_file_exchanged_for_a_pipe_between_two_looks_is_not_waited_for(tmp_pat
 
 
 @pytest.mark.parametrize("name", ["a\0b", "x" * 300, "a/" * 3000, "gone", "\udcff", "a\nb\x1b[31m"])
-def test_names_that_cannot_be(tmp_path, name):
+def test_impossible_names_are_refused(tmp_path, name):
     error = refused(read_bytes, tmp_path / name)
     assert "\0" not in str(error) and "\x1b" not in str(error)
 
 
-def test_a_file_is_no_larger_than_is_said(tmp_path):
+def test_a_file_larger_than_the_limit_is_refused(tmp_path):
     path = tmp_path / "a"
     path.write_bytes(bytes(2000))
     assert len(read_bytes(path, 2000)) == 2000
@@ -84,7 +84,7 @@ def test_a_file_is_no_larger_than_is_said(tmp_path):
     assert "MiB" in refused(read_text, path).what
 
 
-def test_a_file_that_states_no_size():
+def test_a_file_without_a_size_is_limited_too():
     """Files of /proc have the size 0; what they hold counts."""
     whole = read_bytes(Path("/proc/self/status"))
     assert len(whole) > 100
@@ -111,7 +111,7 @@ def nested(levels, value="1"):
     return "[" * levels + value + "]" * levels
 
 
-def test_json_nests_as_deep_as_is_said():
+def test_the_nesting_of_json_is_limited():
     assert parse_json(nested(MAX_NESTING_LEVELS), "f")
     assert str(MAX_NESTING_LEVELS) in refused(parse_json, nested(MAX_NESTING_LEVELS + 1), "f").what
     for levels in (10_000, 100_000):
@@ -119,7 +119,7 @@ def test_json_nests_as_deep_as_is_said():
     refused(parse_json, '{"a":' * 20_000 + "1" + "}" * 20_000, "f")
 
 
-def test_toml_nests_as_deep_as_is_said():
+def test_the_nesting_of_toml_is_limited():
     assert parse_toml(f"a = {nested(MAX_NESTING_LEVELS - 1)}", "f")
     for text in (
         f"a = {nested(MAX_NESTING_LEVELS + 1)}",
@@ -142,12 +142,12 @@ def test_numbers_of_many_digits(digits):
     "text",
     [SECRET, f"a = {SECRET}", f'a = "{SECRET}', f"[{SECRET}", f"a = 1\na = '{SECRET}'", f"{SECRET} = 1"],
 )
-def test_what_does_not_parse_is_not_quoted(text, tmp_path):
+def test_unparsable_contents_are_not_quoted(text, tmp_path):
     refused(parse_toml, text, "f", error=ConfigError)
     assert "line" in refused(parse_json, text, "f").what
 
 
-def test_a_failure_is_an_error_of_the_kind_asked_for(tmp_path):
+def test_a_failure_raises_the_requested_error_class(tmp_path):
     refused(parse_toml, "=", "f", DataError, error=DataError)
     refused(parse_json, "=", "f", ConfigError, error=ConfigError)
     refused(open_regular(tmp_path / "x", 1, ConfigError, "the scene").__enter__, error=ConfigError)

@@ -21,13 +21,13 @@ from needlefit.verification import run as verification
     "name",
     ["n" * 250, "n" * 232, "é" * 120, f"{'d' * 256}/x", "/".join(["deep" * 50] * 25), "a\0b", "/"],
 )
-def test_a_place_that_the_system_does_not_take_is_refused(name, tmp_path):
+def test_an_unwritable_output_path_is_refused(name, tmp_path):
     with pytest.raises(ConfigError):
         require_writable(tmp_path / name)
     assert list(tmp_path.iterdir()) == []
 
 
-def test_names_that_the_system_takes_pass(tmp_path):
+def test_valid_output_names_pass(tmp_path):
     longest = os.pathconf(tmp_path, "PC_NAME_MAX") - 24
     for place in ("new", "new/newer/newest", "n" * longest, "é" * (longest // 2)):
         require_writable(tmp_path / place)
@@ -104,7 +104,7 @@ def test_a_recording_and_the_dataset_that_it_is_of_are_not_replaced(tmp_path, mo
     assert run("simulate", "--recording", "log.csv", "--csv", "data/new.csv") == 0
 
 
-def test_outputs_that_meet_are_refused_and_an_old_one_is_replaced(own, tmp_path, capsys):
+def test_colliding_outputs_are_refused_and_an_old_one_is_replaced(own, tmp_path, capsys):
     out = str(tmp_path / "out.svg")
     assert run("simulate", str(own), "--plot", out, "--csv", out) == 3
     assert run("simulate", str(own), "--plot", str(tmp_path)) == 3
@@ -113,7 +113,7 @@ def test_outputs_that_meet_are_refused_and_an_old_one_is_replaced(own, tmp_path,
     require_output_files({"--csv": Path("/dev/null")}, [own])
 
 
-def test_scans_are_not_lost_to_the_dataset_made_of_them(tmp_path, capsys):
+def test_a_dataset_does_not_overwrite_its_scans(tmp_path, capsys):
     """The folder of `twin ct` carries our stamp: but for its scans being inputs it could be replaced."""
     from needlefit.project.atomic_write import replace_folder
 

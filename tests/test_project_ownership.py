@@ -28,7 +28,7 @@ def everything(folder):
     return {path: path.read_bytes() for path in sorted(folder.rglob("*")) if path.is_file()}
 
 
-def test_what_nobody_touched_is_replaced_and_has_the_same_stamp(tmp_path):
+def test_an_unchanged_result_is_replaced_and_has_the_same_stamp(tmp_path):
     folder = tmp_path / "out"
     write(folder)
     first = (folder / STAMP).read_bytes()
@@ -47,7 +47,7 @@ def test_what_nobody_touched_is_replaced_and_has_the_same_stamp(tmp_path):
 @pytest.mark.parametrize(
     "file", ["part/a.csv", "notes.txt", ".hidden", "new/b.csv", "part/thesis.docx", STAMP]
 )
-def test_what_somebody_added_or_changed_is_kept_and_named(file, tmp_path):
+def test_added_or_changed_files_are_kept_and_named(file, tmp_path):
     folder = tmp_path / "out"
     write(folder)
     (folder / file).parent.mkdir(exist_ok=True)
@@ -139,7 +139,7 @@ def test_a_file_put_there_meanwhile_is_kept(tmp_path, monkeypatch):
     assert {path.name for path in tmp_path.iterdir()} == {"outTrue", "outFalse"}
 
 
-def test_the_foreign_result_stays_in_reach_even_if_it_cannot_go_back(tmp_path, monkeypatch):
+def test_a_foreign_result_stays_accessible_if_it_cannot_be_restored(tmp_path, monkeypatch):
     folder, calls = tmp_path / "out", []
 
     def exchange(one, other):
@@ -183,7 +183,7 @@ def test_there_is_a_result_at_every_moment(tmp_path):
     assert missed == []
 
 
-def test_two_that_begin_where_nothing_is_both_end_whole(tmp_path):
+def test_two_concurrent_first_writers_both_succeed(tmp_path):
     with replace_folder(tmp_path / "out") as first:
         (first / "a.csv").write_text("first")
         write(tmp_path / "out", "second")
@@ -235,7 +235,7 @@ def test_the_evidence_in_the_repository_and_the_shipped_data_may_be_replaced():
     }
 
 
-def test_files_that_have_no_place_are_none_of_ours(tmp_path):
+def test_files_without_a_place_are_foreign(tmp_path):
     (tmp_path / "file").write_text("mine")
     for check in (require_replaceable, require_own_checkpoint):
         with pytest.raises(ConfigError, match="it is a file"):
@@ -247,7 +247,7 @@ def test_files_that_have_no_place_are_none_of_ours(tmp_path):
         pytest.fail("began")
 
 
-def test_a_folder_of_somebody_is_no_checkpoint(tmp_path):
+def test_a_foreign_folder_is_no_checkpoint(tmp_path):
     (tmp_path / "0123456789abcdef.jsonl").write_text("mine")
     with pytest.raises(ConfigError, match="0123456789abcdef"):
         require_own_checkpoint(tmp_path)

@@ -56,7 +56,7 @@ def test_a_large_array_is_mapped_not_copied():
     ("reader", "word"),
     [("crashes", "SIGSEGV"), ("is_killed", "memory"), ("leaves", "answer"), ("computes_for_ever", "1 s of")],
 )
-def test_an_end_without_an_answer_is_a_data_error(reader, word):
+def test_a_reader_that_ends_without_a_result_is_a_data_error(reader, word):
     assert word in refused(reader)
 
 
@@ -87,13 +87,13 @@ def test_another_exception_is_named_and_not_quoted():
     assert "ValueError" in what and "content" not in what
 
 
-def test_a_package_that_lacks_is_named():
+def test_a_missing_package_is_named():
     with pytest.raises(ModuleNotFoundError) as found:
         run("lacks_a_package")
     assert found.value.name == "no_such_package"
 
 
-def test_what_a_library_prints_is_no_answer():
+def test_output_printed_by_a_library_is_ignored():
     assert run("prints") == (None, {})
 
 
@@ -113,7 +113,7 @@ def test_what_a_library_prints_is_no_answer():
         [1],
     ],
 )
-def test_an_answer_that_does_not_fit_what_was_written_is_refused(described):
+def test_a_result_that_does_not_match_its_file_is_refused(described):
     assert "answer" in refused("describes_what_it_did_not_write", described=described)
 
 
@@ -126,7 +126,7 @@ def test_the_child_imports_nothing_from_the_working_folder(tmp_path, monkeypatch
     assert variables["OMP_NUM_THREADS"] == "1"
 
 
-def test_it_serves_threads():
+def test_the_reader_can_be_called_from_threads():
     found = []
     work = [
         threading.Thread(target=lambda: found.append(run("fills", shape=[2], factor=1))) for _ in range(4)
@@ -170,7 +170,7 @@ def test_the_user_states_the_memory_of_one_file(monkeypatch, text, size):
 
 
 @pytest.mark.parametrize("text", ["much", "-1", "nan", "inf", "0", "9" * 5000])
-def test_what_is_no_memory_is_refused(monkeypatch, text):
+def test_an_invalid_memory_limit_is_refused(monkeypatch, text):
     monkeypatch.setenv(MEMORY_VARIABLE, text)
     with pytest.raises(ConfigError) as found:
         stated_memory_bytes()

@@ -21,7 +21,7 @@ def faults(**table):
         (float("inf"), 'a finite number, or "estimated"'),
     ],
 )
-def test_what_may_be_a_number_or_a_word_is_one_fault(value, expected):
+def test_a_wrong_union_value_is_one_fault(value, expected):
     (fault,) = faults(likelihood={"noise_scale": value})
     assert (fault.key, fault.expected) == ("likelihood.noise_scale", expected)
 

@@ -26,14 +26,14 @@ def counts() -> set[int]:
     return {found["num_threads"] for found in threadpool_info() if found["user_api"] == "blas"}
 
 
-def test_a_run_of_a_program_has_one_thread_and_leaves_the_program_its_own():
+def test_a_run_from_a_program_has_one_thread_and_restores_the_setting():
     with threadpool_limits(2, user_api="blas"):
         before = counts()
         assert one_thread(counts)() == {1}
         assert counts() == before == {2}
 
 
-def test_the_command_line_has_one_thread_whatever_the_environment_says():
+def test_the_command_line_has_one_thread_whatever_the_environment():
     environment = {**os.environ, **dict.fromkeys(THREAD_VARIABLES, "2")}
     done = subprocess.run(
         [sys.executable, "-c", COMMAND], env=environment, capture_output=True, text=True, check=True

@@ -23,7 +23,7 @@ EXAMPLES = re.findall(r"```python\n(.*?)```\s*```text\n(.*?)```", TEXT, re.DOTAL
 
 
 @pytest.mark.parametrize(("code", "prints"), EXAMPLES)
-def test_a_python_example_prints_what_stands_below_it(code, prints, capsys):
+def test_a_python_example_prints_the_output_below_it(code, prints, capsys):
     exec(compile(code, str(README), "exec"), {})
     assert capsys.readouterr().out == prints
 
@@ -57,7 +57,7 @@ def test_one_command_runs_everything_and_one_runs_the_tests():
     assert test.startswith("python3 -m venv") and " -m pytest " in test
 
 
-def test_what_it_names_is_there():
+def test_every_named_file_exists():
     links = [link for link in re.findall(r"\]\(([^)#]+)\)", TEXT) if not link.startswith("http")]
     assert links
     assert [link for link in links if not (README.parent / link).exists()] == []

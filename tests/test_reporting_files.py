@@ -84,7 +84,7 @@ def test_no_time_and_no_path_outside_timing(folder):
             assert str(folder.parent).encode() not in content
 
 
-def test_every_csv_says_synthetic_in_every_row(folder):
+def test_every_csv_row_is_marked_synthetic(folder):
     for path in folder.glob("*.csv"):
         with path.open(newline="", encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
@@ -96,11 +96,11 @@ def test_every_csv_says_synthetic_in_every_row(folder):
 
 def test_failures_are_counted_by_reason_where_there_are_any():
     """Start 0 of both fits fails 600 times, every fourth time because it does not converge; 20 are kept."""
-    said = (
+    warning = (
         "1200 of 9600 evaluations failed; failures.csv holds the parameters of the first 40: "
         "30 over-compressed, 10 not converged."
     )
-    assert said in [block.get("text") for block in compose_report(study(1), {}).blocks]
+    assert warning in [block.get("text") for block in compose_report(study(1), {}).blocks]
 
 
 def test_the_report_warns_before_any_number():
@@ -124,7 +124,7 @@ def test_all_studies_together(tmp_path):
     assert set(json.loads((tmp_path / "all" / "run.json").read_text())) == {"study1", "study5"}
 
 
-def test_a_failure_leaves_the_earlier_result_and_nothing_half_done(tmp_path, monkeypatch):
+def test_a_failure_keeps_the_earlier_result_and_leaves_no_partial_one(tmp_path, monkeypatch):
     target = tmp_path / "study1"
     target.mkdir()
     (target / "run.json").write_text(EARLIER)
@@ -153,7 +153,7 @@ def test_an_earlier_result_is_replaced_as_a_whole(tmp_path, monkeypatch):
     assert [p.name for p in tmp_path.iterdir()] == ["study1"]
 
 
-def test_a_folder_of_something_else_is_never_replaced(tmp_path):
+def test_a_foreign_folder_is_never_replaced(tmp_path):
     (tmp_path / "thesis.docx").write_text("years of work")
     with pytest.raises(ConfigError, match=r"thesis\.docx"):
         run_folder.write(study(1), tmp_path)

@@ -61,7 +61,7 @@ def test_every_figure_and_table_can_be_reached_and_is_described(page):
     assert all(head["scope"] == "col" for head in outline.all("th"))
 
 
-def test_the_page_says_what_the_pdf_says(page):
+def test_the_page_and_the_pdf_have_the_same_text(page):
     content, one = page
     words = " ".join("".join(Outline(content).words).split())
     for block in compose_report(one, {}).blocks:
@@ -75,7 +75,7 @@ def test_equal_reports_give_equal_bytes(page):
     assert compile_html(one) == compile_html(one)
 
 
-def test_what_a_user_wrote_is_text_and_no_markup():
+def test_user_text_is_escaped():
     display = TableLayout(
         "t", "<b>bold</b>", (text_column("<i>"), TableColumn("x")), (("mu * b^-1.9", "<script>"),)
     )
@@ -88,8 +88,8 @@ def test_what_a_user_wrote_is_text_and_no_markup():
 
 
 def test_prose_has_no_backticks():
-    said = "made by `needlefit twin`"
-    blocks = (document.text(said), document.bullets([said]), document.note(said), document.warning(said))
+    text = "made by `needlefit twin`"
+    blocks = (document.text(text), document.bullets([text]), document.note(text), document.warning(text))
     content = compile_html(document.Document("t", "", False, blocks)).decode()
     assert content.count("made by needlefit twin") == 4 and "`" not in content.split("</style>")[1]
 

@@ -33,18 +33,18 @@ def run_of(**changed):
     return dataclasses.replace(study(1), run=RUN | changed)
 
 
-def test_the_paragraph_tells_what_this_run_did():
-    said = format_methods_text(run_of())
-    assert "μ₁ and b were estimated from 2 insertions; α₁ were held fixed" not in said
-    assert "μ₁ and b were estimated from 2 insertions; α₁ was held fixed." in said
-    assert "16 starts" in said and "elements of 0.5 mm" in said and "needlefit 9.8.7" in said
-    assert "3 insertions held out" in said and "R-hat" not in said
+def test_the_methods_paragraph_describes_this_run():
+    text = format_methods_text(run_of())
+    assert re.search(r"μ₁ and b \w+ estimated\b[^.]*\b2 insertions\b", text)
+    assert re.search(r"α₁ was\b[^.]*\bfixed\b", text) and "α₁ were" not in text
+    assert "16 starts" in text and "elements of 0.5 mm" in text and "needlefit 9.8.7" in text
+    assert "3 insertions held out" in text and "R-hat" not in text
     other = RECIPE | {"minimize": "metric", "algorithm": "bobyqa+neldermead", "starts": 5}
     changed = format_methods_text(run_of(recipe=other))
-    assert "BOBYQA and then NELDERMEAD from 5 starts" in changed and "posterior" not in changed
+    assert re.search(r"BOBYQA\b.*\bNELDERMEAD\b.*\b5 starts", changed) and "posterior" not in changed
 
 
-def test_every_citation_has_its_entry_and_no_other_stands_there():
+def test_citations_and_entries_correspond():
     one = run_of()
     cited = {
         key for keys in re.findall(r"\\cite\{([^}]*)\}", format_methods_latex(one)) for key in keys.split(",")

@@ -84,7 +84,7 @@ def contents(place: Path) -> dict[str, bytes]:
 
 
 def assert_same(found: Mapping[str, bytes], expected: Mapping[str, bytes]) -> None:
-    """A difference is told by the files' names: their bytes are many."""
+    """A difference is reported by the files' names: their bytes are many."""
     assert found.keys() == expected.keys()
     assert [name for name in expected if found[name] != expected[name]] == []
 

@@ -46,7 +46,7 @@ def test_good_names(name):
 
 
 @pytest.mark.parametrize("name", ["", ".", "..", "a/b", "../a", "a\\b", "x" * 201])
-def test_what_names_no_file(name):
+def test_names_that_are_no_file_names_are_refused(name):
     assert file_name_fault(name)
 
 

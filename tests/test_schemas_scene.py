@@ -1,6 +1,7 @@
 """Scenes: the shipped ones hold the paper's parameter sets; what a scene's file may say."""
 
 import csv
+import re
 from datetime import date
 from pathlib import Path
 
@@ -57,7 +58,7 @@ def test_its_depth_is_the_middle_of_the_medium_s(name):
 
 
 @pytest.mark.parametrize("name", [row["set"] for row in SETS])
-def test_it_is_the_paper_s_needle_and_says_what_is_invented(name):
+def test_it_is_the_paper_s_needle_and_lists_invented_values(name):
     record = scene(name)
     assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
     assert record.needle.youngs_modulus_gpa == 80
@@ -103,7 +104,7 @@ BARE = {
 RING = {"name": "ring", "x_mm": -9, "y_mm": 0}
 
 
-def test_what_a_step_does_not_say_carries_over():
+def test_unset_values_of_a_step_carry_over():
     steps = [
         {"depth_mm": 10},
         {"depth_mm": 20, "side": -1, "base_y_mm": 2, "guides": {"ring": {"y_mm": 0.5}}},
@@ -142,7 +143,7 @@ def test_a_scene_without_steps_is_one():
 
 
 @pytest.mark.parametrize(
-    ("more", "told"),
+    ("more", "message"),
     [
         ({}, r"`depth_mm` is missing: give it, or \[\[steps\]\]"),
         ({"depth_mm": 5, "steps": [{"depth_mm": 5}]}, r"delete it, or set steps\.1\.depth_mm"),
@@ -161,8 +162,8 @@ def test_a_scene_without_steps_is_one():
         ({"depth_mm": 5, "guides": [RING | {"name": "7"}]}, r"`guides\.1\.name`"),
     ],
 )
-def test_what_a_scene_may_not_say(more, told):
-    with pytest.raises(ConfigError, match=told):
+def test_invalid_scenes_are_refused(more, message):
+    with pytest.raises(ConfigError, match=message):
         check(BARE | {"guides": [RING]} | more, SceneRecord, "a.toml")
 
 
@@ -192,30 +193,34 @@ def test_what_a_scene_may_not_say(more, told):
         ),
     ],
 )  # fmt: skip
-def test_a_fault_says_what_was_expected_and_what_to_do(more, what, expected, fix):
+def test_an_error_states_the_expected_value_and_the_fix(more, what, expected, fix):
     with pytest.raises(ConfigError) as fault:
         check(BARE | {"depth_mm": 5} | more, SceneRecord, "a.toml")
     assert what in fault.value.what and ";" not in fault.value.what.split("; did you mean")[0]
     assert expected in fault.value.expected and fix in fault.value.fix
 
 
-def test_of_several_faults_each_is_told_once():
+def test_several_errors_are_each_listed_once():
     layer = {"top_mm": 0, "mu_pa": -1, "alpha": "x"}
     with pytest.raises(ConfigError) as fault:
         check(BARE | {"depth_mm": 5, "layers": [layer]}, SceneRecord, "a.toml")
-    assert fault.value.what == 'key `layers.1.mu_pa` is -1; key `layers.1.alpha` is "x"'
-    expected = "`layers.1.mu_pa`: a number above 0; `layers.1.alpha`: a number, without quotes"
-    assert fault.value.expected == expected
-    assert fault.value.fix == "correct `layers.1.mu_pa`; correct `layers.1.alpha`"
+    assert re.findall(r"`([\w.]+)` is ([^;]+)", fault.value.what) == [
+        ("layers.1.mu_pa", "-1"),
+        ("layers.1.alpha", '"x"'),
+    ]
+    modulus, alpha = fault.value.expected.split("; ")
+    assert modulus.startswith("`layers.1.mu_pa`") and "above 0" in modulus
+    assert alpha.startswith("`layers.1.alpha`") and "quotes" in alpha
+    assert re.findall(r"`([\w.]+)`", fault.value.fix) == ["layers.1.mu_pa", "layers.1.alpha"]
 
 
-def test_a_whole_number_is_a_number_and_a_date_is_nothing():
+def test_an_integer_is_a_number_and_a_date_is_refused():
     assert check(BARE | {"depth_mm": 5}, SceneRecord, "a.toml").depth_mm == 5.0
     with pytest.raises(ConfigError, match="key `title`"):
         check(BARE | {"depth_mm": 5, "title": date(2020, 1, 1)}, SceneRecord, "a.toml")
 
 
-def test_the_scene_of_figure_1_says_what_is_invented():
+def test_the_scene_of_figure_1_lists_invented_values():
     record = scene("figure1")
     assert (record.needle.length_mm, record.needle.outer_diameter_mm) == (150, 1.27)
     assert (len(record.layers), len(record.steps), len(record.guides)) == (4, 3, 1)
@@ -225,5 +230,5 @@ def test_the_scene_of_figure_1_says_what_is_invented():
 def test_a_fault_in_a_list_is_numbered_from_1(tmp_path: Path):
     tables = {"schema": 1, "depth_mm": 3.0, "needle": {"length_mm": 9, "flexural_rigidity_nmm2": 1}}
     tables |= {"bevel": {"offset_mm": 0.1}, "layers": [{"top_mm": 0, "mu_pa": 1, "alpha": 1}, {"top_mm": 1}]}
-    with pytest.raises(ConfigError, match=r"`layers\.2\.mu_pa` is missing"):
+    with pytest.raises(ConfigError, match=r"`layers\.2\.mu_pa`.* missing"):
         check(tables, SceneRecord, "a.toml")

@@ -32,7 +32,7 @@ def test_a_bevel_takes_half_a_cylinder_of_its_length(angle):
     assert_allclose((blunt.part.sum() - bevelled.part.sum()) * VOXEL, cut, rtol=0.02)
 
 
-def test_the_bevel_s_point_lies_where_it_is_said_to_lie():
+def test_the_bevel_s_point_is_at_its_stated_position():
     toward = np.array([0.3, 1.0, 0.2])
     needle = Needle3D(cases.axis()[41:], bevel_toward=toward)
     metal = voxelize_needle(needle, cases.grid())
@@ -51,7 +51,7 @@ def test_balls_keep_their_volume_and_centre():
     assert_allclose(mean, center[0], atol=5e-3)
 
 
-def test_layers_read_what_they_are():
+def test_layers_have_their_ct_numbers():
     volume = cases.scan(cases.axis(), noise_hu=0.0)
     column = volume.values[:, 10, 5]  # 8 mm from the needle
     depth = np.arange(len(column)) * cases.SPACING - 12.0
@@ -96,7 +96,7 @@ def test_rays_lie_in_the_slices_that_hold_metal_and_grow_with_it():
     assert strong.std() > 2 * error.std()
 
 
-def test_a_hardened_beam_reads_the_middle_too_dark():
+def test_beam_hardening_darkens_the_middle():
     far = SceneMarkers(np.array([[100.0, 100.0, 100.0]]))  # nothing in view
     values = cases.scan(cases.axis(), noise_hu=0.0, cupping_hu=80.0, scene={"markers": far}).values
     # 8 mm off the box's axis: 80 (1 - 0.5 (8 / 40)^2) = 78.4

@@ -1,4 +1,4 @@
-"""The twin as scans: what is true stands in the volumes where it is said to stand."""
+"""The twin as scans: what is true stands in the volumes at its stated position."""
 
 import csv
 import os
@@ -72,7 +72,7 @@ def world_points(x, y, z):
 # ---- what is in a volume
 
 
-def test_the_needle_stands_where_it_truly_is(clean):
+def test_the_needle_is_at_its_true_position(clean):
     """The centre of brightness across the true axis is the axis, from the air to the tip."""
     twin, exposure, volume = clean
     frame = twin.true_insertion.frame
@@ -332,7 +332,7 @@ def test_scans_replace_scans_and_nothing_else(tmp_path):
 # ---- processes
 
 
-def test_tasks_are_answered_in_their_order_by_any_number_of_processes():
+def test_results_are_in_task_order_for_any_number_of_processes():
     tasks = [-3, 1, -2]
     assert list(run_in_order(abs, tasks, 1)) == list(run_in_order(abs, tasks, 2)) == [3, 1, 2]
 
@@ -342,6 +342,6 @@ def test_the_error_of_a_task_reaches_the_caller():
         list(run_in_order(abs, [1, "one", 2], 2))
 
 
-def test_a_process_that_is_killed_is_said_so():
+def test_a_killed_process_is_reported():
     with pytest.raises(ConfigError, match="ended from outside"):
         list(run_in_order(os._exit, [1, 1], 2))

@@ -161,7 +161,7 @@ def test_the_truth_is_not_the_model_that_is_fitted(truth):
     assert any(len(row["mu_pa"]) > 10 for row in rows)
 
 
-def test_nothing_that_fits_reads_the_truth():
+def test_fitting_code_never_reads_the_truth():
     for path in PACKAGE.rglob("*.py"):
         part = path.relative_to(PACKAGE).parts[0]
         text = path.read_text(encoding="utf-8")

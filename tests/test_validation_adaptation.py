@@ -97,10 +97,10 @@ def test_media_without_a_common_parameter_and_bounds_that_miss_the_old_fit_are_r
     old = Parameters.from_record(medium(layers=1))
     fit = old.values(old.theta({"mu1_pa": 3e5, "bevel_mm": 0.08}))
     narrow = Parameters.from_record(medium(layers=1, mu1_pa={"bounds": [1e6, 1e8]}))
-    with pytest.raises(ConfigError, match="mu1_pa of the old medium"):
+    with pytest.raises(ConfigError, match="mu1_pa"):
         widen_posterior(old, fit, old.theta(fit)[None], narrow, {})
     nothing = old.with_only((), fit)
-    with pytest.raises(ConfigError, match="no parameter in common"):
+    with pytest.raises(ConfigError, match=r"parameter.* common"):
         widen_posterior(old, fit, old.theta(fit)[None], nothing, {})
 
 
@@ -148,6 +148,6 @@ def test_without_spread_and_new_data_the_inflated_posterior_is_the_old_one(not_n
     assert scores["inflated", 0] == pytest.approx(scores["none", 0], rel=0.2)  # as a Gaussian
 
 
-def test_what_is_held_out_never_teaches(not_new):
+def test_held_out_insertions_are_never_fitted(not_new):
     assert set(not_new.frames["errors"]["insertion"]) == {"at48"}
     assert set(not_new.frames["fits"]["learned_from"]) == {"nothing", "at42"}

@@ -39,7 +39,7 @@ def _stopping_after(count: int, done: list[str]) -> Settings:
     return Settings(stop=lambda: len(done) >= count)
 
 
-def test_pieces_go_on_after_a_stop_to_the_same_rows(tmp_path):
+def test_interrupted_tasks_resume_to_the_same_rows(tmp_path):
     whole, interrupted = run_tasks(_pieces([]), "x", Settings(), open_checkpoint(None, False, {}))
     assert not interrupted
     assert [row["of"] for row in whole["errors"]] == ["a", "b", "c", "d"]
@@ -57,7 +57,7 @@ def test_pieces_go_on_after_a_stop_to_the_same_rows(tmp_path):
     assert json.dumps(again) == json.dumps(whole)
 
 
-def test_a_piece_keeps_no_value_that_json_would_change():
+def test_a_task_row_keeps_no_value_that_json_would_change():
     with pytest.raises(TypeError, match="Path"):
         run_tasks({"a": lambda: {"x": [{"at": Path()}]}}, "x", Settings(), open_checkpoint(None, False, {}))
 
@@ -80,7 +80,7 @@ def test_evidence_is_rounded_to_a_micrometre_and_three_digits():
     assert got[["insertions", "note"]].equals(frame[["insertions", "note"]])
 
 
-def test_an_unknown_kind_of_study_lists_those_there_are(tmp_path):
+def test_an_unknown_kind_of_study_lists_the_known_ones(tmp_path):
     file = tmp_path / "odd.toml"
     file.write_text("schema = 1\nkind = { odd = 1 }\n")
     with pytest.raises(ConfigError, match="kind"):
@@ -109,9 +109,9 @@ def project(tmp_path, monkeypatch):
 def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project, capsys):
     assert run_cli("validate", "left", "--reference", "-q") == 0
     out = capsys.readouterr().out
-    assert "One, each specimen left out: not applicable: one specimen." in out
+    assert "One" in out and "not applicable" in out
     summary = pd.read_csv("reports/left/summary.csv").set_index("fit")
-    assert summary.loc["one", "note"] == "not applicable: one specimen"
+    assert summary.loc["one", "note"].startswith("not applicable")
     assert np.isnan(summary.loc["one", "te_mm"])
     errors = pd.read_csv("reports/left/errors.csv")
     errors = errors[(errors["fit"] == "pieces") & (errors["method"] == "fitted")]
@@ -125,17 +125,17 @@ def test_specimens_are_left_out_in_turn_and_one_alone_is_not_applicable(project,
     }
     gap = (left["te_mm"] - sample["te_mm"]).mean()
     assert summary.loc["pieces", "te_gap_mm"] == pytest.approx(gap, abs=1e-7)
-    told = pd.read_csv("reports/left/predictive.csv")
-    assert told["insertion"].tolist() == ["chicken-01", "chicken-04", "chicken-05"]
+    predicted = pd.read_csv("reports/left/predictive.csv")
+    assert predicted["insertion"].tolist() == ["chicken-01", "chicken-04", "chicken-05"]
     evidence = pd.read_csv("reports/reference/left/summary.csv").set_index("fit")
     assert evidence.loc["pieces", "te_mm"] == round(summary.loc["pieces", "te_mm"], 3)
     before = {path.name: path.read_bytes() for path in Path("reports/left").iterdir()}
     assert run_cli("report", "left", "-q") == 0
     assert {path.name: path.read_bytes() for path in Path("reports/left").iterdir()} == before
     assert {"report.pdf", "report.html", "summary.pdf", "left_out.tex"} <= before.keys()
-    told = Path("reports/left/numbers.tex").read_text(encoding="utf-8")
+    macros = Path("reports/left/numbers.tex").read_text(encoding="utf-8")
     value = f"{summary.loc['pieces', 'te_mm']:.2f}"
-    assert rf"nf@left-left-out-pieces-specimen-te-left-out-mm\endcsname{{{value}}}" in told
+    assert rf"nf@left-left-out-pieces-specimen-te-left-out-mm\endcsname{{{value}}}" in macros
     figures = {name.removesuffix(".pdf") for name in before if name.endswith(".pdf")} - {"report"}
     assert all(f"{figure}.csv" in before for figure in figures)
 
@@ -148,38 +148,39 @@ def _answer(folder: Path, kind: str, **frames: pd.DataFrame) -> Path:
     return folder
 
 
-def test_two_answers_differ_in_rows_lengths_and_numbers(tmp_path):
-    told = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2]})
+def test_two_results_differ_in_rows_lengths_and_numbers(tmp_path):
+    first = pd.DataFrame({"fit": ["a", "b"], "te_mm": [0.2, 0.4], "pareto_k": [0.5, 0.2]})
     other = pd.DataFrame({"fit": ["b", "a"], "te_mm": [0.41, 0.2], "pareto_k": [0.4, 0.5]})
-    one, two = (_answer(tmp_path / n, "left_out", summary=f) for n, f in (("1", told), ("2", other)))
+    one, two = (_answer(tmp_path / n, "left_out", summary=f) for n, f in (("1", first), ("2", other)))
     assert compare_runs(one, one) == []
     length, number = compare_runs(one, two)  # rows are found by their words, in whatever order
     assert (length.before, length.after, length.matters) == (0.4, 0.41, True)
     assert "insertions" not in length.why and "0.01 mm" in length.why
     assert (number.before, number.after, number.matters) == (0.2, 0.4, True)
-    three = _answer(tmp_path / "3", "left_out", summary=told.assign(fit=["a", "c"]))
+    three = _answer(tmp_path / "3", "left_out", summary=first.assign(fit=["a", "c"]))
     (rows,) = compare_runs(one, three)
-    assert rows.where == "rows of summary" and rows.why.startswith("2 rows are in one run only")
+    assert rows.where == "rows of summary" and rows.why.startswith("2 rows")
 
 
-def test_errors_of_answers_are_compared_insertion_by_insertion(tmp_path):
-    told = pd.DataFrame({"insertion": ["a", "b", "c"], "te_mm": [0.2, 0.4, 0.3]})
-    worse = told.assign(te_mm=told["te_mm"] + [0.1, 0.1, 0.1])
+def test_errors_of_results_are_compared_insertion_by_insertion(tmp_path):
+    first = pd.DataFrame({"insertion": ["a", "b", "c"], "te_mm": [0.2, 0.4, 0.3]})
+    worse = first.assign(te_mm=first["te_mm"] + [0.1, 0.1, 0.1])
     (found,) = compare_runs(
-        _answer(tmp_path / "1", "left_out", errors=told), _answer(tmp_path / "2", "left_out", errors=worse)
+        _answer(tmp_path / "1", "left_out", errors=first), _answer(tmp_path / "2", "left_out", errors=worse)
     )
     assert found.matters and "on 3 insertions" in found.why
 
 
-def test_answers_to_other_questions_are_not_compared(tmp_path):
+def test_results_of_different_analyses_are_not_compared(tmp_path):
     one, two = (_answer(tmp_path / kind, kind) for kind in ("left_out", "plan"))
     study = tmp_path / "study"
     study.mkdir()
     (study / "run.json").write_text("{}")
     (study / "errors.csv").write_text("fold\n")
     for pair in ((one, two), (one, study), (study, two)):
-        with pytest.raises(DataError, match="they answer different questions"):
+        with pytest.raises(DataError, match="different") as fault:
             compare_runs(*pair)
+        assert fault.value.exit_code == 3
 
 
 NEXT = {
@@ -215,7 +216,7 @@ ALONE = {
     ],
     ids=["like", "depths", "quantities", "fits", "folds"],
 )
-def test_what_is_wrong_with_a_study_is_told_with_its_name_and_key(record, what, where):
+def test_a_faulty_study_is_reported_with_its_name_and_key(record, what, where):
     with pytest.raises(ConfigError, match=what) as error:
         run("mine", ANALYSIS_KINDS[record["kind"]].record.model_validate(record), Settings())
     assert error.value.where == f"study mine, key `{where}`"

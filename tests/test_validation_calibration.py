@@ -95,7 +95,7 @@ def test_exact_posteriors_pass_and_narrow_ones_fail():
     assert failures(ranked(0.7)) == ["x"] and failures(ranked(1.4)) == ["x"]
 
 
-def test_a_band_holds_all_places_as_often_as_it_says():
+def test_a_simultaneous_band_covers_its_nominal_fraction():
     low, high = ecdf_band(60, 80, 0.1)
     drawn = np.random.default_rng(1).integers(0, 80, (10000, 60))
     below = np.stack([(drawn < place).sum(axis=1) for place in range(1, 80)], axis=1)
@@ -152,7 +152,7 @@ def test_a_replicate_is_its_number_s_and_a_control_s_needles_are_the_same():
     assert plain == replicate(3, Experiment(job, {"mu1_pa": 0.3, "bevel_mm": 0.95}))
 
 
-def test_the_sampler_draws_where_it_is_asked_to_and_says_that_it_has_not_converged():
+def test_the_sampler_is_used_on_request_and_flags_missing_convergence():
     job = small_job(1)
     hurried = job.recipe.model_copy(update={"sample": job.recipe.sample.model_copy(update={"steps": 30})})
     row = replicate(

@@ -34,7 +34,7 @@ def resumed(folder: Path) -> tuple[list[int], list[str]]:
     return sorted(open_checkpoint(folder, True, {"n": 1}, lines.append).finished("fold/fit")), lines
 
 
-def test_a_torn_line_is_no_start(tmp_path):
+def test_a_truncated_line_is_no_start(tmp_path):
     file = kept(tmp_path / "c")
     with file.open("a") as stream:
         stream.write('{"index": 1, "theta0": [0.')
@@ -45,10 +45,10 @@ def test_a_torn_line_is_no_start(tmp_path):
     aside = file.with_name(f"{file.name}.damaged-1")
     assert aside.read_bytes().startswith(before)
     del checkpoint
-    assert resumed(tmp_path / "c") == ([0, 1, 2, 5], [])  # said once
+    assert resumed(tmp_path / "c") == ([0, 1, 2, 5], [])  # reported once
 
 
-def test_whatever_byte_is_changed_no_start_is_read_otherwise(tmp_path):
+def test_a_changed_byte_never_changes_a_start(tmp_path):
     file, chance = kept(tmp_path / "c"), random.Random(1)
     whole = file.read_bytes()
     rows = {line for line in whole.split(b"\n") if line}
@@ -64,7 +64,7 @@ def test_whatever_byte_is_changed_no_start_is_read_otherwise(tmp_path):
             aside.unlink()
 
 
-def test_rows_of_something_else_are_none(tmp_path):
+def test_rows_of_another_task_are_ignored(tmp_path):
     kept(tmp_path / "c")
     checkpoint = open_checkpoint(tmp_path / "c", True, {"n": 1})
     checkpoint.keep_row("fold/fit", {"index": "no start"})
@@ -108,7 +108,7 @@ def test_a_checkpoint_with_a_damaged_stamp_is_set_aside_whole(tmp_path, stamp, r
     "text", [b"mine", b"\xff\xfe", b"[]", b'{"program": "other"}', b'{"program": "needlefit", "format": 2}']
 )
 @pytest.mark.parametrize("name", [STAMP, "work.sha256"])
-def test_a_folder_whose_stamp_is_none_of_ours_stays(tmp_path, name, text):
+def test_a_folder_with_a_foreign_stamp_is_kept(tmp_path, name, text):
     folder, lines = tmp_path / "c", []
     folder.mkdir()
     (folder / name).write_bytes(text)
@@ -124,7 +124,7 @@ def test_a_folder_whose_stamp_is_none_of_ours_stays(tmp_path, name, text):
     }
 
 
-def test_of_other_work_is_refused_and_without_resume_emptied(tmp_path):
+def test_a_checkpoint_of_other_work_is_refused_and_without_resume_emptied(tmp_path):
     kept(tmp_path / "c")
     with pytest.raises(ConfigError, match="other work"):
         open_checkpoint(tmp_path / "c", True, {"n": 2})
@@ -132,7 +132,7 @@ def test_of_other_work_is_refused_and_without_resume_emptied(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["notes.txt", "sub/data.csv", "0123456789abcdef.posterior/mine.csv"])
-def test_what_is_foreign_stays_when_a_run_begins_and_when_it_ends(tmp_path, name):
+def test_foreign_files_are_kept_when_a_run_begins_and_ends(tmp_path, name):
     folder, lines = tmp_path / "c", []
     kept(folder)
     (folder / name).parent.mkdir(exist_ok=True)

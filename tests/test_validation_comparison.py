@@ -49,7 +49,7 @@ def test_differences_are_summed_over_groups_and_their_error_is_that_of_the_group
     assert verdict(-np.inf, np.nan) == "tie"  # nothing is known where a density is missing
 
 
-def test_what_draws_leave_open_adds_up_where_needles_share_it():
+def test_posterior_uncertainty_adds_up_over_needles_that_share_it():
     errors = {"log_density_se": [0.5, 0.5, 0.4], "shared_se": [0.3, 0.3, 0.0], "fold": ["1", "1", "2"]}
     # 0.4^2 + 0.4^2 + 0.4^2 of the needles, (2 * 0.3)^2 of the first fold
     assert monte_carlo_error(pd.DataFrame(errors)) == pytest.approx(math.sqrt(3 * 0.16 + 0.36))
@@ -65,7 +65,7 @@ def test_repeats_are_never_on_both_sides():
 def test_there_are_no_more_folds_than_needles():
     many = tuple(replace(insertion(30.0 + k), specimen="one block") for k in range(4))
     assert [len(fold.validate) for fold in deal_folds(many, 4)] == [1, 1, 1, 1]
-    with pytest.raises(ConfigError, match="5 folds cannot be dealt from 4 needles"):
+    with pytest.raises(ConfigError, match=r"5 folds .*4 needles"):
         deal_folds(many, 5)
 
 
@@ -113,9 +113,9 @@ def test_a_straight_lines_density_is_that_of_the_noise_factor_alone():
         scaled = quad(lambda at: np.exp(density(np.array([[at]]))[0] - top), *(density.peak[0] + [-2.0, 2.0]))
         return top + math.log(scaled[0])
 
-    told = found.predict_density(made[2])
-    assert told.log_density == pytest.approx(log_evidence(made) - log_evidence(made[:2]), abs=0.15)
-    assert told.k < 0.7 and told.se < 0.1
+    density = found.predict_density(made[2])
+    assert density.log_density == pytest.approx(log_evidence(made) - log_evidence(made[:2]), abs=0.15)
+    assert density.k < 0.7 and density.se < 0.1
 
 
 def test_further_points_add_their_whole_density():
@@ -187,14 +187,14 @@ def test_needles_that_are_no_repeats_are_not_called_so(compared):
 
 def test_a_control_that_the_comparison_misses_is_a_fault(compared):
     (fault,) = compared.faults
-    assert "not found ahead of linear" in fault
+    assert "ahead of linear" in fault
     assert "straight" not in fault
 
 
 def test_a_study_names_its_data_or_makes_them():
     with pytest.raises(ValueError, match="neither dataset nor"):
         ComparisonRecord.model_validate({**RECORD, "dataset": None})
-    with pytest.raises(ValueError, match="not among the candidates"):
+    with pytest.raises(ValueError, match="candidates"):
         ComparisonRecord.model_validate({**RECORD, "candidates": ("linear", "straight")})
 
 

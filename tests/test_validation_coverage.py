@@ -21,7 +21,7 @@ def test_repeats_of_one_specimen_do_not_narrow_the_interval():
 
 
 @pytest.mark.parametrize("length", [0.01, 5.0, 1e6])
-def test_a_whole_curve_leaves_its_band_as_often_as_foretold(length):
+def test_a_whole_curve_leaves_its_band_at_the_nominal_rate(length):
     """Levels of curves drawn from what is foretold are uniform, whether points go together or not."""
     rng, s = np.random.default_rng(3), np.arange(30.0)
     covariance = 0.04 * np.exp(-np.abs(s[:, None] - s) / length) + 1e-9 * np.eye(30)

@@ -1,4 +1,5 @@
 import json
+import re
 
 import numpy as np
 import pandas as pd
@@ -41,7 +42,7 @@ def first(tmp_path):
 
 def test_equal_runs_do_not_differ(first, tmp_path):
     found = compare_runs(first, write(tmp_path / "b"))
-    assert found == [] and summarize_differences(found) == "The runs do not differ."
+    assert found == [] and re.search(r"\d", summarize_differences(found)) is None
 
 
 def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_path):
@@ -49,7 +50,7 @@ def test_inputs_are_named_by_their_path_and_matter_by_what_follows(first, tmp_pa
     assert [(one.what, one.where, one.before, one.after, one.matters) for one in found] == [
         ("input", "recipe.seed", 1, 2, None)
     ]
-    assert summarize_differences(found) == "The inputs differ in 1 key, and no result does."
+    assert re.findall(r"\d+ \w+", summarize_differences(found)) == ["1 key"]
 
 
 @pytest.mark.parametrize(("part", "matters"), [(0.3, False), (0.7, True)])
@@ -59,10 +60,10 @@ def test_a_parameter_matters_by_its_own_deviation_and_what_is_tied_to_it_does_no
     moved = PARAMETERS.assign(value_used=[1e5 * np.exp(0.1 * part), 1e5 * np.exp(0.1 * part), 0.1])
     (one,) = compare_runs(first, write(tmp_path / "b", parameters=moved))
     assert (one.what, one.where, one.matters) == ("parameter", "mu1_pa", matters)
-    assert one.why == f"{part:.2g} of its standard deviation"
+    assert one.why.startswith(f"{part:.2g} ") and "standard deviation" in one.why
 
 
-def test_what_is_not_determined_may_move_and_a_verdict_may_not(first, tmp_path):
+def test_undetermined_parameters_may_move_and_verdicts_may_not(first, tmp_path):
     moved = PARAMETERS.assign(value_used=[1e5, 1e5, 0.3])
     (one,) = compare_runs(first, write(tmp_path / "b", parameters=moved))
     assert not one.matters and one.why.endswith("not determined")
@@ -88,7 +89,7 @@ def test_errors_are_compared_insertion_by_insertion(gap, matters, slight, first,
     assert len(lay_out_differences([one]).rows) == (0 if slight else 1)
 
 
-def test_insertions_of_one_run_only_are_told(first, tmp_path):
+def test_insertions_of_one_run_only_are_listed(first, tmp_path):
     (one,) = compare_runs(first, write(tmp_path / "b", errors=ERRORS.iloc[:3]))
     assert (one.where, one.before, one.after, one.matters) == ("scored rows", 4, 3, True)
 
@@ -98,7 +99,7 @@ def test_the_command_prints_what_matters_first(first, tmp_path, capsys):
     second = write(tmp_path / "b", errors=changed, recipe={"seed": 2, "starts": 8})
     assert run("diff", str(first), str(second)) == 0
     lines = capsys.readouterr().out.splitlines()
-    assert lines[0] == "1 result changed, 1 of which matters. The inputs differ in 1 key."
+    assert re.findall(r"\d+ \w+", lines[0]) == ["1 result", "1 of", "1 key"]
     assert run("diff", str(first), str(second), "--json") == 0
     assert [row["matters"] for row in json.loads(capsys.readouterr().out)] == [None, True]
 
@@ -121,14 +122,18 @@ def test_a_verdict_and_a_deviation_of_identify_are_compared(tmp_path):
     assert (wider.why, wider.matters) == ("2 times as large", True)
 
 
-def test_a_tip_that_was_foretold_elsewhere_is_told_in_its_deviations(tmp_path):
+def test_a_moved_tip_prediction_is_given_in_its_deviations(tmp_path):
     """A band of 3.92 mm is a deviation of 1 mm: a median that moved by 0.4 mm is what it was, by 0.6 not."""
     row = {"s_mm": 50.0, "needle_median_mm": 2.0, "needle_95_low_mm": 0.04, "needle_95_high_mm": 3.96}
     one = table(tmp_path / "a", "forecast", [row])
     for moved, matters in ((0.4, False), (0.6, True)):
         two = table(tmp_path / "b", "forecast", [{**row, "needle_median_mm": 2.0 + moved}])
         (found,) = compare_runs(one, two)
-        assert found.why == f"{moved:g} of its standard deviation" and found.matters is matters
+        assert (
+            found.why.startswith(f"{moved:g} ")
+            and "standard deviation" in found.why
+            and found.matters is matters
+        )
 
 
 def test_counts_of_a_calibration_matter_where_their_verdict_changed(tmp_path):
@@ -158,7 +163,7 @@ def test_runs_of_different_kinds_are_not_compared(tmp_path):
 @pytest.mark.parametrize(
     ("file", "command"), [("verification.csv", "needlefit verify"), ("material.json", "material FILE")]
 )
-def test_what_is_computed_in_a_moment_is_not_made_again_from_a_store(file, command, tmp_path):
+def test_quick_results_are_not_rebuilt_from_storage(file, command, tmp_path):
     (tmp_path / "run.json").write_text("{}")
     (tmp_path / file).write_text("")
     with pytest.raises(DataError, match=command):

@@ -74,7 +74,7 @@ def test_bands_are_quantiles_of_draws(job):
     assert tips[24] <= low <= tips[26] and tips[74] <= high <= tips[76]
 
 
-def test_what_cannot_be_predicted_is_refused(job):
+def test_an_impossible_prediction_is_refused(job):
     other = replace(SCENE, needle=Needle(150.0, 2e4))
     with pytest.raises(ConfigError, match="flexural rigidity"):
         planned(job, [theta(job)], other)
@@ -117,7 +117,7 @@ def test_draws_of_a_posterior_are_spread_over_it(job):
     assert np.exp(thetas[:, names.index("bevel_mm")]) == pytest.approx(0.05)
 
 
-def test_a_forecast_from_a_posterior_that_has_not_converged_says_so(job):
+def test_a_prediction_from_an_unconverged_posterior_is_flagged(job):
     draws = Draws(np.array([theta(job)] * 3), "posterior", ("R-hat of mu1_pa is 1.2",))
     found = forecast(SCENE, draws, job)
     layout = lay_out_forecast(found, "gel", False)
@@ -126,14 +126,14 @@ def test_a_forecast_from_a_posterior_that_has_not_converged_says_so(job):
 
 
 def test_a_posterior_of_other_data_is_refused(job, tmp_path):
-    said = {key: describe_configuration(job)[key] for key in ("medium", "folds", "dataset", "recipe")}
-    write_json(tmp_path / "run.json", said)
+    record = {key: describe_configuration(job)[key] for key in ("medium", "folds", "dataset", "recipe")}
+    write_json(tmp_path / "run.json", record)
     require_same_configuration(job, tmp_path)
-    write_json(tmp_path / "run.json", said | {"dataset": {}})
+    write_json(tmp_path / "run.json", record | {"dataset": {}})
     with pytest.raises(ConfigError, match="another dataset"):
         require_same_configuration(job, tmp_path)
     other = job.recipe.model_copy(update={"likelihood": LikelihoodRecord(noise="independent")})
-    write_json(tmp_path / "run.json", said)
+    write_json(tmp_path / "run.json", record)
     with pytest.raises(ConfigError, match="another likelihood"):
         require_same_configuration(replace(job, recipe=other), tmp_path)
     (tmp_path / "run.json").write_text("{")
@@ -142,28 +142,28 @@ def test_a_posterior_of_other_data_is_refused(job, tmp_path):
 
 
 def test_a_run_that_is_named_must_hold_a_posterior(job, tmp_path):
-    with pytest.raises(ConfigError, match=r"holds no posterior\.nc"):
+    with pytest.raises(ConfigError, match=r"no posterior\.nc"):
         draw_parameters(job, tmp_path, Settings(), required=True)
 
 
-def test_a_search_that_was_interrupted_foretells_nothing_and_one_that_ended_early_says_so(job, tmp_path):
+def test_an_interrupted_search_predicts_nothing_and_an_early_end_is_flagged(job, tmp_path):
     assert draw_parameters(job, tmp_path, Settings(stop=lambda: True)) is None
     short = replace(job, recipe=job.recipe.model_copy(update={"evaluations": 4}))
     found = draw_parameters(short, tmp_path, Settings())
-    assert found.faults[0] == "no start of the search ended at a minimum (budget)"
+    assert "minimum" in found.faults[0] and "(budget)" in found.faults[0]
 
 
 @pytest.mark.slow
-def test_what_is_foretold_without_sampling_is_the_posterior(job, tmp_path):
+def test_importance_draws_match_the_posterior(job, tmp_path):
     """Weighed draws and walked ones have the same middle and width, in the stiff and the sloppy direction."""
     problem = job.problem(job.folds[0])
-    weighed = draw_parameters(job, tmp_path, Settings()).thetas
+    drawn = draw_parameters(job, tmp_path, Settings()).thetas
     fit = minimize(problem, job.recipe, np.random.default_rng(1))
     walked = sample(problem, fit.theta, SampleRecord(steps=400, check_interval=200), np.random.default_rng(2))
     thetas = thin_posterior(walked, job.parameters, 2000).thetas
     axes = np.linalg.eigh(np.cov(thetas.T))[1]
     for direction in axes.T:
-        one, two = weighed @ direction, thetas @ direction
+        one, two = drawn @ direction, thetas @ direction
         assert np.median(one) == pytest.approx(np.median(two), abs=0.35 * np.std(two))
         assert np.std(one) == pytest.approx(np.std(two), rel=0.3)
 
@@ -174,9 +174,9 @@ def test_the_command(tmp_path, monkeypatch, capsys):
     (tmp_path / "gel.toml").write_text(fit + 'insertions = ["phantom2-15", "phantom2-16"]\n')
     words = ("predict", "./gel.toml", "--scene", "study2", "--depth", "30", "-q")
     assert run(*words, "--json") == 0
-    said = json.loads(capsys.readouterr().out)
-    assert said["draw_source"] == "importance" and said["draws"] + said["failed_solves"] == 400
-    tip = said["tip"]
+    output = json.loads(capsys.readouterr().out)
+    assert output["draw_source"] == "importance" and output["draws"] + output["failed_solves"] == 400
+    tip = output["tip"]
     assert tip["s_mm"] == 30
     assert tip["needle_95_low_mm"] < tip["needle_median_mm"] < tip["needle_95_high_mm"]
     assert tip["measured_95_low_mm"] < tip["needle_95_low_mm"]

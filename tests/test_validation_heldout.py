@@ -55,7 +55,7 @@ def exact(insertion):
     return replace(insertion, depth_sd=0.0, boundary_sd=0.0)
 
 
-def test_with_sure_parameters_and_depths_the_pose_and_the_points_are_left(job, known):
+def test_with_exact_parameters_and_depths_pose_and_point_errors_remain(job, known):
     insertion = exact(job.folds[0].validate[0])
     (row,) = tabulate_held_out(job, of(job, insertion), sure(known))
     shift, angle, _ = pose_sds(insertion, job.dataset.noise)
@@ -65,15 +65,15 @@ def test_with_sure_parameters_and_depths_the_pose_and_the_points_are_left(job, k
     assert tuple(row) == PREDICTIVE_COLUMNS and row["draw_source"] == "importance" and row["certified"]
 
 
-def test_the_band_ends_where_the_tip_was_foretold(job, known):
+def test_the_band_ends_at_the_predicted_tip(job, known):
     (one,) = predict_held_out(job, of(job, exact(job.folds[0].validate[0])), sure(known))
     assert len(one.band) == BAND_POINTS and all(tuple(point) == BAND_COLUMNS for point in one.band)
     last = one.band[-1]
     for name in ("low_50", "high_50", "low_95", "high_95"):
         side, level = name.split("_")
         assert last[f"{name}_mm"] == pytest.approx(one.row[f"tip_{level}_{side}_mm"])
-    told = one.row["tip_median_mm"], one.row["tip_measured_mm"]
-    assert (last["median_mm"], last["measured_mm"]) == pytest.approx(told)
+    tips = one.row["tip_median_mm"], one.row["tip_measured_mm"]
+    assert (last["median_mm"], last["measured_mm"]) == pytest.approx(tips)
     widths = np.array([point["high_95_mm"] - point["low_95_mm"] for point in one.band])
     assert widths[-1] > widths[0] > 0  # a turn of the pose tells most at the tip
 
@@ -109,7 +109,7 @@ def test_the_measured_shape_is_only_compared(job, known):
     assert moved["tip_crps_mm"] > as_is["tip_crps_mm"] + 3.0
 
 
-def test_the_same_study_foretells_the_same(job, few_draws):
+def test_the_same_study_predicts_the_same(job, few_draws):
     few = of(job, *job.folds[0].validate[:2])
     first, again = (list(tabulate_held_out(job, few, few_draws)) for _ in range(2))
     assert first == again
@@ -117,7 +117,7 @@ def test_the_same_study_foretells_the_same(job, few_draws):
     assert alone == first[1:]  # an insertion does not depend on the others
 
 
-def test_the_table_counts_what_fell_where(job, few_draws):
+def test_the_table_counts_covered_insertions(job, few_draws):
     import pandas as pd
     from reporting_results import study
 
@@ -126,10 +126,10 @@ def test_the_table_counts_what_fell_where(job, few_draws):
     rows[1] |= {"tip_in_50": False, "tip_in_95": True}
     table = lay_out_coverage(replace(study(2), predictive=pd.DataFrame(rows)))
     assert table.rows[0][2:4] == ("1 of 2 (9–91 %)", "2 of 2 (34–100 %)")
-    assert "draws of the posterior about the fit" in table.caption
+    assert "posterior" in table.caption
 
 
-def test_the_scale_of_the_noise_is_that_of_what_is_foretold(job, known):
+def test_the_noise_scale_is_that_of_the_prediction(job, known):
     insertion = exact(job.folds[0].validate[0])
     doubled = job.recipe.likelihood.model_copy(update={"noise_scale": 2.0})
     wide = replace(job, recipe=job.recipe.model_copy(update={"likelihood": doubled}))

@@ -178,9 +178,7 @@ def test_where_nothing_fails_the_table_of_failures_is_a_header(clean: Results) -
     assert describe_failures(results) == ""
 
 
-def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(
-    project: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_row_of_failures_csv_reproduces_its_failure(project: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Constraints that leave the needle by 30 mm a millimetre and more press the tissue flat."""
     rewrite(project, "media", "bevel_mm = { bounds = [0.02, 0.3] }", "bevel_mm = { bounds = [0.02, 3e3] }")
     results = run("violent", study(), Settings())
@@ -200,7 +198,9 @@ def test_a_line_of_failures_csv_fails_again_for_the_reason_it_gives(
         f"{counted} of {results.starts['evaluations'].sum()} evaluations failed: {counted} over-compressed;"
     )
     kept, done = project / "violent.partial", []
-    stopped = Settings(checkpoint=kept, progress=lambda *said: done.append(said), stop=lambda: len(done) >= 2)
+    stopped = Settings(
+        checkpoint=kept, progress=lambda *event: done.append(event), stop=lambda: len(done) >= 2
+    )
     assert run("violent", study(), stopped).interrupted
     again = run("violent", study(), Settings(checkpoint=kept, resume=True))
     pd.testing.assert_frame_equal(again.failures, results.failures, check_exact=True)
@@ -217,12 +217,12 @@ def test_leaving_specimens_out_never_splits_one(project: Path) -> None:
 
 def test_an_insertion_on_both_sides_is_refused(project: Path) -> None:
     record = study(tune={"insertions": ["needle-1"]}, validate=[{"specimens": ["piece1"]}])
-    with pytest.raises(ConfigError, match="needle-1 would both tune and validate"):
+    with pytest.raises(ConfigError, match=r"needle-1 .*tune and validate"):
         run("both", record, Settings())
 
 
 def test_the_paper_s_set_must_fit_the_medium(project: Path) -> None:
-    with pytest.raises(ConfigError, match="has no mu2_pa"):
+    with pytest.raises(ConfigError, match="no mu2_pa"):
         medium = project / "configs" / "media" / "gel.toml"
         medium.write_text(MEDIUM.replace("mu2_pa = { fixed = 2e7 }", "mu2_pa = { bounds = [1e3, 1e9] }"))
         run("hand", study(paper_parameters="chicken"), Settings())
@@ -287,13 +287,13 @@ def test_a_medium_without_the_layers_met_is_refused_before_the_fit(project: Path
     (project / "configs" / "media" / "gel.toml").write_text(
         "\n".join(one).replace("layers = 2", "layers = 1")
     )
-    with pytest.raises(ConfigError, match="medium gel has 1 layer, insertion needle-1 meets layer 2"):
+    with pytest.raises(ConfigError, match=r"gel .*1 layer.* needle-1 .*layer 2"):
         run("few", study(), Settings())
 
 
 def test_a_guide_out_of_the_needle_s_reach_is_refused_before_the_fit(project: Path) -> None:
     rewrite(project, "media", "bevel_mm", "guide_distance_mm = { bounds = [1.0, 120.0] }\nbevel_mm")
-    with pytest.raises(ConfigError, match="needle of 150 mm is too short"):
+    with pytest.raises(ConfigError, match="needle of 150 mm"):
         run("guide", study(), Settings())
 
 
@@ -308,4 +308,4 @@ def test_a_search_that_ends_early_is_marked(project: Path) -> None:
     fit = {"schema": 1, "dataset": "needles", "medium": "gel", "recipe": "gel"}
     found = run("gel", FitRecord.model_validate(fit | {"tune": {"specimens": ["piece1"]}}), Settings())
     ((fault,),) = found.run["search_faults"].values()
-    assert fault == "no start of the search ended at a minimum (budget)"
+    assert "minimum" in fault and "(budget)" in fault

@@ -234,8 +234,8 @@ def test_a_tie_shares_its_sources_verdict_times_its_factor(project: Path) -> Non
     assert rows.loc["alpha1", "note"].startswith("fixed") and not rows.loc["alpha1", "determined"]
 
 
-def test_the_run_says_what_decided_it(project: Path) -> None:
-    results = run("said", study(), Settings())
+def test_the_run_records_its_settings(project: Path) -> None:
+    results = run("run", study(), Settings())
     starts = results.starts
     assert results.run["evaluations"] == starts["evaluations"].sum()
     assert results.run["folds"][0]["validate"] == ["needle-3", "needle-4"]

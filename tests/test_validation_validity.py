@@ -53,7 +53,7 @@ def test_scored_simulations_are_counted_and_named():
     assert "2 of 3" in describe_outside({"validity": table})
 
 
-def test_a_run_inside_its_limits_says_nothing():
+def test_a_run_inside_its_limits_has_no_warning():
     counts = ValidityCounts()
     counts.draws.add(400, 0)
     assert list(validity_warnings({"validity": counts.table()})) == []
@@ -89,7 +89,7 @@ def test_one_key_cannot_ask_for_gigabytes(record, key, tables):
     assert key in caught.value.what
 
 
-def test_a_chain_of_too_many_numbers_is_refused_before_it_begins():
+def test_an_oversized_chain_is_refused_before_it_starts():
     from needlefit.inference.sampling.sample import sample
 
     problem = two_layers(count=1)

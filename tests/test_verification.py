@@ -109,7 +109,7 @@ def test_a_check_that_crashes_is_a_failed_row_with_its_reason_and_the_next_one_g
     good = Check(Group.TANGENT, "good", quantities, lambda rng: CheckOutcome((0.5, 7.0)))
     found = verify(1, [bad, good])
     assert [row.verdict for row in found.rows] == ["FAILS", "FAILS", "passes", "stated"]
-    assert found.rows[0].remark == "not measured: ZeroDivisionError: no luck"
+    assert found.rows[0].remark.endswith("ZeroDivisionError: no luck")
     assert "test_verification.py" in found.traces[0]
 
 
@@ -427,7 +427,7 @@ def test_a_solution_that_fails_under_derivatives_is_not_drawn_again(monkeypatch)
         return replace(shape, status="not converged"), jacobian
 
     found = with_jacobian(monkeypatch, failed)
-    assert len(found.failed) == 3 and "the solver failed: not converged" in found.failed[0].remark
+    assert len(found.failed) == 3 and "not converged" in found.failed[0].remark
 
 
 @pytest.mark.parametrize("check", symmetries.CHECKS, ids=lambda check: check.title)

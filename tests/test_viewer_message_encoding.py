@@ -1,4 +1,4 @@
-"""What the page is told of forces and loads: their signs and sizes, from closed forms."""
+"""The page's messages of forces and loads: their signs and sizes, from closed forms."""
 
 import numpy as np
 import pytest
@@ -14,8 +14,8 @@ STIFF, NEEDLE = 1e10, 1e4  # N mm^2
 
 
 @pytest.fixture
-def told(tmp_path):
-    """Return what the page is told after steps, of a needle in even, linear tissue."""
+def encode(tmp_path):
+    """Return the message to the page after steps, of a needle in even, linear tissue."""
 
     def state(rigidity: float, *steps: dict) -> dict:
         record = SceneRecord.model_validate(
@@ -37,33 +37,33 @@ def told(tmp_path):
     return state
 
 
-def test_a_base_moved_up_is_borne_by_a_guide_that_clamps(told) -> None:
+def test_a_base_moved_up_is_borne_by_a_guide_that_clamps(encode) -> None:
     """Both ends clamped, a apart, one moved aside by y: 12 EI y / a^3, and 6 EI y / a^2 at the base."""
     a, y = 120.0, 0.4
     guide = {"guide_x_mm@1": a - LENGTH, "guide_y_mm@1": 0.0}
-    forces = told(NEEDLE, guide, {"base_y_mm": y})["forces"]
+    forces = encode(NEEDLE, guide, {"base_y_mm": y})["forces"]
     assert forces["base_n"] == pytest.approx(12 * NEEDLE * y / a**3)
     assert forces["base_nmm"] == pytest.approx(6 * NEEDLE * y / a**2)
     assert forces["guides_n"] == {"1": pytest.approx(-forces["base_n"])}
     assert forces["tip_n"] == 0.0
 
 
-def test_forces_are_told_of_the_guide_that_bears_them(told) -> None:
+def test_forces_are_assigned_to_the_guide_that_bears_them(encode) -> None:
     """Number 2 stands nearer to the base; the free part beyond number 1 bears nothing."""
     first = {"guide_x_mm@1": -20.0, "guide_y_mm@1": 0.0, "guide_turns_freely@1": 1.0}
     second = {"guide_x_mm@2": -50.0, "guide_y_mm@2": 0.0}
-    forces = told(NEEDLE, first | second, {"base_y_mm": 0.4})["forces"]
+    forces = encode(NEEDLE, first | second, {"base_y_mm": 0.4})["forces"]
     assert forces["guides_n"]["2"] == pytest.approx(-12 * NEEDLE * 0.4 / 100.0**3)
     assert forces["guides_n"]["1"] == pytest.approx(0.0, abs=1e-12)
 
 
 @pytest.mark.parametrize("y", [0.2, -0.2])
-def test_tissue_pushes_a_needle_moved_aside_back_to_its_cut(told, y) -> None:
+def test_tissue_pushes_a_needle_moved_aside_back_to_its_cut(encode, y) -> None:
     """One that does not bend, 40 mm deep: -k y on every millimetre, which the base holds against.
 
     Of that the tip bears the last point's half cell; the base's moment is about itself, at D - L.
     """
-    state = told(STIFF, {"depth_mm": 40.0}, {"base_y_mm": y})
+    state = encode(STIFF, {"depth_mm": 40.0}, {"base_y_mm": y})
     forces, load = state["forces"], state["load"]
     np.testing.assert_allclose(load["n_per_mm"], -K * y, rtol=2e-3)
     np.testing.assert_allclose(load["y"], y, rtol=2e-3)
@@ -73,16 +73,16 @@ def test_tissue_pushes_a_needle_moved_aside_back_to_its_cut(told, y) -> None:
 
 
 @pytest.mark.parametrize("side", [1.0, -1.0])
-def test_the_cut_that_a_bevel_makes_pulls_the_tip_to_its_side(told, side) -> None:
-    state = told(NEEDLE, {"bevel_side": side, "bevel_offset_mm": 0.2}, {"depth_mm": 30.0})
+def test_the_cut_that_a_bevel_makes_pulls_the_tip_to_its_side(encode, side) -> None:
+    state = encode(NEEDLE, {"bevel_side": side, "bevel_offset_mm": 0.2}, {"depth_mm": 30.0})
     assert side * state["forces"]["tip_n"] > 0
     assert side * state["load"]["n_per_mm"][-1] > 0
     assert side * state["tip"]["deflection_mm"] > 0
 
 
-def test_points_are_told_beside_the_needle_that_they_hold(told) -> None:
+def test_constraint_points_are_sent_with_the_needle(encode) -> None:
     """A steep one, shortened along x: its last point and its path end at its tip."""
-    state = told(NEEDLE, {"bevel_offset_mm": 0.4}, {"depth_mm": 100.0})
+    state = encode(NEEDLE, {"bevel_offset_mm": 0.4}, {"depth_mm": 100.0})
     tip = state["tip"]["x"]
     assert 100.0 - tip > 1.0
     assert state["constraints"][0][-1] == state["tip_path"][0][-1] == tip == state["x"][-1]
@@ -90,7 +90,7 @@ def test_points_are_told_beside_the_needle_that_they_hold(told) -> None:
 
 
 @pytest.mark.parametrize(("y", "faults"), [(2.0, 0), (6.0, 1)])
-def test_the_page_is_given_the_limits_that_are_exceeded(told, y, faults) -> None:
+def test_the_page_is_given_the_limits_that_are_exceeded(encode, y, faults) -> None:
     """The needle's slope is greatest between base and guide, where no node stands."""
-    found = told(NEEDLE, {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}, {"base_y_mm": y})
+    found = encode(NEEDLE, {"guide_x_mm@1": 20.0 - LENGTH, "guide_y_mm@1": 0.0}, {"base_y_mm": y})
     assert found["max_slope"] == pytest.approx(1.5 * y / 20.0) and len(found["faults"]) == faults

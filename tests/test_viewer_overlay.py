@@ -82,7 +82,7 @@ def test_at_the_measured_depth_errors_are_those_of_a_study():
     assert found.edp == expected.edp
 
 
-def test_what_cannot_be_compared_has_no_errors():
+def test_without_a_measured_shape_there_are_no_errors():
     one = of(oblique(0.05), floor=math.nan)
     assert compute_live_errors(one, straight(0.5)) is None
     assert compute_live_errors(one, straight(40.0, "over-compressed")) is None
@@ -129,7 +129,7 @@ def led() -> Session:
     return session
 
 
-def test_the_band_holds_the_needles_of_all_draws_led_as_the_hand_led():
+def test_the_band_covers_the_needles_of_all_draws_under_the_same_inputs():
     session, drawn = led(), spread()
     found = compute_band(drawn, SCENE.needle, SCENE.tissue, session.input_path(), SCENE.rules, 0.7)
     s = np.linspace(0.0, session.depth, len(found.x))
@@ -217,14 +217,14 @@ def test_the_needle_lies_on_its_shadow_in_the_slice(scan):
     assert top - bottom == pytest.approx(50.0 + 3.6, abs=0.7)
 
 
-def test_a_dataset_says_where_its_scans_lie_and_what_is_lacking_is_told(scan, tmp_path, monkeypatch):
+def test_a_dataset_locates_its_scans_and_missing_ones_are_reported(scan, tmp_path, monkeypatch):
     whole = dataclasses.replace(dataset([scan.insertion]), path=tmp_path / "dataset.toml")
     assert find_scan(whole, scan.insertion) == (None, "")  # nothing was promised
     write_volumes(tmp_path, {"other": ScanVolume(Path("x")), scan.insertion.id: scan.volume})
     found, lacking = find_scan(whole, scan.insertion)
     assert lacking == "" and found.volume == ScanVolume(scan.volume.path.resolve())
     monkeypatch.setattr("needlefit.viewer.overlay.slice.ct_packages_installed", lambda: False)
-    assert "pip install 'needlefit[ct]'" in find_scan(whole, scan.insertion)[1]
+    assert "needlefit[ct]" in find_scan(whole, scan.insertion)[1]
     monkeypatch.undo()
     (tmp_path / "volumes.csv").write_text(f"id,volume,series\n{scan.insertion.id},scans/a,2\n")
     assert find_volume(whole, scan.insertion.id) == ScanVolume(tmp_path / "scans/a", "2")
@@ -235,7 +235,7 @@ def test_a_dataset_says_where_its_scans_lie_and_what_is_lacking_is_told(scan, tm
         find_volume(whole, "a")
 
 
-def test_the_packages_that_read_scans_are_looked_for(monkeypatch):
+def test_missing_packages_that_read_scans_are_named(monkeypatch):
     assert scans.ct_packages_installed()
     monkeypatch.setattr(scans, "find_spec", lambda name: None if name == "pydicom" else object())
     assert not scans.ct_packages_installed()

@@ -22,8 +22,8 @@ def steer(record: SceneRecord = PLAIN, first_cell: float = 1.0) -> SteeredNeedle
     return SteeredNeedle(Scene.from_record(record), first_cell)
 
 
-def act(steering: SteeredNeedle, *said) -> None:
-    steering.apply([Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in said])
+def act(steering: SteeredNeedle, *changes) -> None:
+    steering.apply([Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in changes])
 
 
 WANDERING = [
@@ -45,16 +45,16 @@ WANDERING = [
 ]
 
 
-def recorded(path, said=WANDERING) -> list[np.ndarray]:
-    """Write a recording of what was said; return the deflections after each step."""
+def recorded(path, changes=WANDERING) -> list[np.ndarray]:
+    """Write a recording of changes; return the deflections after each step."""
     steering = steer()
     recorder = RecordingWriter(path, make_head("study2", 1.0, PLAIN.model_dump(mode="json", by_alias=True)))
     found = [steering.now.shape.u]
-    for n, changes in enumerate(said, start=1):
-        act(steering, *changes)
+    for n, step in enumerate(changes, start=1):
+        act(steering, *step)
         if n == 2:
             steering.keep()
-        given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in changes)
+        given = tuple(Change(name, *(rest if len(rest) == 2 else (None, *rest))) for name, *rest in step)
         recorder.write(RecordedStep(n, 0.25 * n, given, float(steering.now.shape.u[-1])))
         found.append(steering.now.shape.u)
     return found
@@ -129,11 +129,11 @@ def test_an_insertion_by_hand_is_the_simulated_one() -> None:
     assert steering.now.shape.deflection == pytest.approx(expected, abs=1e-7)
 
 
-def test_what_is_refused_has_not_happened() -> None:
+def test_a_refused_input_changes_nothing() -> None:
     steering = steer()
     act(steering, ("depth_mm", 30.0))
     before = steering.now
-    for said in (
+    for changes in (
         [("depth_mm", 151.0)],
         [("guide_x_mm", 1, -20.0)],
         [("mu_pa", 1, -5.0)],
@@ -146,13 +146,13 @@ def test_what_is_refused_has_not_happened() -> None:
         [("guide_x_mm", 1, -200.0), ("guide_y_mm", 1, 0.0)],
     ):
         with pytest.raises(ModelError):
-            act(steering, *said)
+            act(steering, *changes)
     assert steering.number == 1
     assert steering.now.shape is before.shape and steering.now.step == before.step
 
 
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_no_input_takes_what_is_not_finite(value: float) -> None:
+def test_every_input_refuses_non_finite_values(value: float) -> None:
     with pytest.raises(ModelError, match="finite"):
         Change("base_y_mm", None, value)
 
@@ -169,7 +169,7 @@ def test_guides_keep_their_numbers_and_names() -> None:
     assert steering.now.step.controls.tip == TrackedTip(0.1)
 
 
-def test_the_steps_of_a_scene_can_be_carried_out_by_hand() -> None:
+def test_the_steps_of_a_scene_can_be_reproduced_by_hand() -> None:
     scene = Scene.from_record(RECORD)
     steering = steer(RECORD)
     for step in steering.scene.steps:

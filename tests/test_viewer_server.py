@@ -29,10 +29,10 @@ class Page:
     def __init__(self, socket) -> None:
         self.socket, self.id, self.scene = socket, 0, None
 
-    async def say(self, do: str, **said) -> dict:
+    async def say(self, do: str, **arguments) -> dict:
         """Return the state that answers a message; whatever comes before it is kept."""
         self.id += 1
-        await self.socket.send_str(json.dumps({"do": do, "id": self.id, **said}))
+        await self.socket.send_str(json.dumps({"do": do, "id": self.id, **arguments}))
         self.refused = None
         while True:
             answer = json.loads((await self.socket.receive(timeout=10)).data)
@@ -258,7 +258,7 @@ async def test_so_many_windows_and_no_more_but_each_finds_its_needle(tmp_path) -
         assert (await server.page(pages[3].scene["needle"])).first["depth_mm"] == 0
 
 
-def test_only_needles_that_nobody_steers_are_let_go(tmp_path) -> None:
+def test_only_idle_needles_are_dropped(tmp_path) -> None:
     viewed_scene = open_target("study2")
     trials = TrialRegistry(viewed_scene, tmp_path, lambda insertion: viewed_scene)
     steered, left = trials.open(""), trials.open("")
@@ -292,7 +292,7 @@ def test_only_needles_that_nobody_steers_are_let_go(tmp_path) -> None:
         '{"do": "change", "id": 9, "set": [["base_y_mm", null, ' + "9" * 400 + "]]}",
     ],
 )
-def test_a_faulty_message_is_told_so(text: str) -> None:
+def test_a_faulty_message_is_refused(text: str) -> None:
     assert read_message(text).fault
 
 
@@ -301,7 +301,7 @@ async def test_what_is_refused_changes_nothing(tmp_path) -> None:
     async with house(tmp_path) as server:
         page = await server.page()
         before = await page.say("change", insert_mm=30)
-        for do, said in (
+        for do, arguments in (
             ("change", {"set": [["base_y_mm", None, float("inf")]]}),
             ("change", {"insert_mm": float("nan")}),
             ("change", {"set": [["return_to", None, 0]]}),
@@ -312,8 +312,8 @@ async def test_what_is_refused_changes_nothing(tmp_path) -> None:
             ("show", {"insertion": "../../etc"}),
             ("no such thing", {}),
         ):
-            state = await page.say(do, **said)
-            assert page.refused, (do, said)
+            state = await page.say(do, **arguments)
+            assert page.refused, (do, arguments)
             assert state | {"answers": 0, "time_s": 0} == before | {"answers": 0, "time_s": 0}
 
 
