@@ -175,8 +175,8 @@ def test_an_invalid_prior_is_refused(changed, message):
 @pytest.mark.parametrize(
     ("parameter", "message"),
     [
-        ({"fixed": 1.0, "prior": ALPHA}, "for a free parameter"),
-        ({"bounds": [-3, 9], "prior": {"mean": 1.0}}, "mean and sd"),
+        ({"fixed": 1.0, "prior": ALPHA}, "free"),
+        ({"bounds": [-3, 9], "prior": {"mean": 1.0}}, "mean"),
         ({"bounds": [-3, 9], "prior": {"mean": 1.0, "sd": 0.0}}, "sd"),
     ],
 )

@@ -39,10 +39,10 @@ def test_ties_follow_chains_and_multiply_factors():
 
 
 @pytest.mark.parametrize(
-    ("changed", "key"),
+    ("changed", "fault"),
     [
         ({"mu1_pa": {"tie": "mu9_pa"}}, "has not"),
-        ({"mu1_pa": {"tie": "stiffness"}}, "no parameter called `stiffness`"),
+        ({"mu1_pa": {"tie": "stiffness"}}, "`stiffness`"),
         ({"mu1_pa": {"tie": "mu2_pa"}, "mu2_pa": {"tie": "mu1_pa"}}, "circle"),
         ({"mu1_pa": {"tie": "mu1_pa"}}, "circle"),
         ({"mu1_pa": {"tie": "alpha1"}}, "different quantities"),
@@ -50,19 +50,19 @@ def test_ties_follow_chains_and_multiply_factors():
         ({"mu1_pa": {"tie": "ten * mu2_pa"}}, "no number"),
         ({"mu1_pa": {"tie": "mu2_pa + 1"}}, "cannot be read"),
         ({"mu1_pa": {"bounds": [0, 1]}}, "not above 0"),
-        ({"mu3_pa": {"fixed": 1e5}}, "`mu3_pa` is unknown"),
+        ({"mu3_pa": {"fixed": 1e5}}, "`mu3_pa`"),
     ],
 )
-def test_an_invalid_value_is_reported_with_its_key(changed, key):
+def test_an_invalid_parameter_is_refused_with_its_reason(changed, fault):
     with pytest.raises(ConfigError) as error:
         Parameters.from_record(medium(**changed))
-    assert key in str(error.value)
+    assert fault in str(error.value)
 
 
 def test_a_missing_parameter_is_named():
     record = medium()
     table = {name: p for name, p in record.parameters.items() if name != "alpha2"}
-    with pytest.raises(ConfigError, match="`alpha2` is missing"):
+    with pytest.raises(ConfigError, match="`alpha2`"):
         Parameters.from_record(record.model_copy(update={"parameters": table}))
 
 

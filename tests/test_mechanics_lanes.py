@@ -249,12 +249,12 @@ def test_array_shapes_are_those_of_the_batch() -> None:
     ("given", "message"),
     [
         ({}, "not given"),
-        ({"mu": [[1.0, 2.0, 3.0]]}, r"mu has shape \(1, 3\)"),
-        ({"mu": [1.0, 2.0]}, r"mu has shape \(2,\)"),
-        ({"offset": [[0.1]]}, r"offset has shape \(1, 1\)"),
-        ({"offset": [0.1, 0.2], "base_y": [0.0]}, "one size B for all"),
+        ({"mu": [[1.0, 2.0, 3.0]]}, r"mu .*\(1, 3\)"),
+        ({"mu": [1.0, 2.0]}, r"mu .*\(2,\)"),
+        ({"offset": [[0.1]]}, r"offset .*\(1, 1\)"),
+        ({"offset": [0.1, 0.2], "base_y": [0.0]}, "one size"),
         ({"offset": []}, "at least 1"),
-        ({"guide_x": [-3.0]}, "exactly one guide"),
+        ({"guide_x": [-3.0]}, "one guide"),
     ],
 )
 def test_sets_that_make_no_batch_are_refused(given: dict, message: str) -> None:

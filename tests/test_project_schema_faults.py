@@ -16,14 +16,15 @@ def faults(**table):
 @pytest.mark.parametrize(
     ("value", "expected"),
     [
-        (0, 'a number above 0, or "estimated"'),
-        ("estimate", 'a number, without quotes, or "estimated"'),
-        (float("inf"), 'a finite number, or "estimated"'),
+        (0, "above 0"),
+        ("estimate", "quotes"),
+        (float("inf"), "finite"),
     ],
 )
 def test_a_wrong_union_value_is_one_fault(value, expected):
     (fault,) = faults(likelihood={"noise_scale": value})
-    assert (fault.key, fault.expected) == ("likelihood.noise_scale", expected)
+    assert fault.key == "likelihood.noise_scale"
+    assert expected in fault.expected and '"estimated"' in fault.expected
 
 
 def test_two_wrong_keys_are_two_faults():

@@ -208,11 +208,11 @@ ALONE = {
 @pytest.mark.parametrize(
     ("record", "what", "where"),
     [
-        ({**NEXT, "template_insertion": "none"}, "not in the dataset", "template_insertion"),
-        ({**NEXT, "depths_mm": [40, 9e3]}, "cannot be inserted 9000 mm", "depths_mm"),
-        ({**NEXT, "quantities": DEEP}, "cannot be inserted 4000 mm", "quantities.1.depth_mm"),
-        ({**LEFT, "fits": ["no"]}, "no fit called `no`", "fits"),
-        (ALONE, "only one group", "folds"),
+        ({**NEXT, "template_insertion": "none"}, "dataset", "template_insertion"),
+        ({**NEXT, "depths_mm": [40, 9e3]}, "9000 mm", "depths_mm"),
+        ({**NEXT, "quantities": DEEP}, "4000 mm", "quantities.1.depth_mm"),
+        ({**LEFT, "fits": ["no"]}, "fit .*`no`", "fits"),
+        (ALONE, "one group", "folds"),
     ],
     ids=["like", "depths", "quantities", "fits", "folds"],
 )

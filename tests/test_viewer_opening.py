@@ -233,13 +233,13 @@ def test_an_ambiguous_name_lists_each_path(project):
 @pytest.mark.parametrize(
     ("name", "words"),
     [
-        ("studi3", "no scene, run or dataset called `studi3`.*expected: one of study3"),
-        ("needels/needle-1", "no dataset or run called `needels`.*expected: one of needles"),
-        ("needles/needle-9", "no insertion of needles called `needle-9`.*needle-"),
-        ("small/needle-9", "no insertion of run small called `needle-9`"),
-        ("configs/nix.toml", "configs/nix.toml: there is no such scene"),
-        ("configs/media", "configs/media: holds no scene, run or dataset"),
-        ("study3/needle-1", "no dataset or run called `study3`"),
+        ("studi3", "`studi3`.*expected: .*study3"),
+        ("needels/needle-1", "`needels`.*expected: .*needles"),
+        ("needles/needle-9", "needles .*`needle-9`.*needle-"),
+        ("small/needle-9", "insertion .*small .*`needle-9`"),
+        ("configs/nix.toml", "configs/nix.toml: .*scene"),
+        ("configs/media", "configs/media: .*dataset"),
+        ("study3/needle-1", "dataset .*`study3`"),
     ],
 )
 def test_an_unknown_name_lists_the_nearest(name, words, project):
