@@ -12,9 +12,10 @@ from scipy.integrate import solve_bvp
 from needlefit.errors import ModelError
 from needlefit.mechanics.batch import Batch
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.insertion_limits import count_element_solves
 from needlefit.mechanics.lanes import simulate_batches
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import Lattice, count_element_solves, plan_stops
+from needlefit.mechanics.plan import Lattice, plan_stops
 from needlefit.mechanics.session import Session
 from needlefit.mechanics.shape import NeedleShape, compute_positions
 from needlefit.mechanics.simulate import simulate, simulate_steps

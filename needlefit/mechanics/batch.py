@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, ModelOptions, Step
+from needlefit.mechanics.insertion_limits import count_element_solves
 from needlefit.mechanics.kernel import beam as kernel
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import count_element_solves
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.simulate import STATUS_NAMES
 from needlefit.mechanics.tissue import Tissue

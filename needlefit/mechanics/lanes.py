@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from needlefit.mechanics import laws
 from needlefit.mechanics.batch import VARYING_FIELDS, Batch, NeedleShapes
+from needlefit.mechanics.insertion_limits import check_size
 from needlefit.mechanics.kernel.foundation import make_foundation
 from needlefit.mechanics.kernel.grid import list_constraint_depths
 from needlefit.mechanics.kernel.insertion import BoundaryConditions, KernelInsertion, TipStops
@@ -21,15 +22,7 @@ from needlefit.mechanics.kernel.lanes import insertion as kernel
 from needlefit.mechanics.kernel.lanes.newton import LEFT_LANES, LaneInputs
 from needlefit.mechanics.kernel.lanes.tables import LANES, LaneTables, tabulate
 from needlefit.mechanics.kernel.scalar import NON_FINITE, NewtonOptions
-from needlefit.mechanics.plan import (
-    SAME_DEPTH_MM,
-    Lattice,
-    TipStop,
-    check_size,
-    make_lattice,
-    make_moves,
-    make_stops,
-)
+from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, TipStop, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.simulate import (
     begin_insertion,
@@ -71,6 +64,7 @@ def simulate_batches(batches: Sequence[Batch], threads: int | None = None) -> tu
     """
     jobs = [_prepare_job(batch) for batch in batches]
     tasks = [(n, start) for n, job in enumerate(jobs) for start in range(0, len(job.batch), LANES)]
+    # Longest first: a long task that begins last would leave the other threads idle.
     tasks.sort(key=lambda task: -jobs[task[0]].cost)  # stable: blocks of one batch stay in order
     threads = min(threads or len(os.sched_getaffinity(0)), len(tasks))
 
@@ -164,11 +158,13 @@ def _make_layers(job: _BatchJob, lane: Ints) -> tuple[Floats, Floats]:
     mu = np.broadcast_to(tissue.mu if job.batch.mu is None else job.batch.mu[lane], shape)
     alpha = np.broadcast_to(tissue.alpha if job.batch.alpha is None else job.batch.alpha[lane], shape)
     valid = job.valid[lane, None]
+    # Lanes of invalid sets compute with harmless numbers; `_simulate_block` replaces their results.
     mu, alpha = np.where(valid, mu, 1.0), np.where(valid, alpha, 1.0)
     coefficients, exponents = laws.power_terms(tissue.law, alpha.ravel())
     thickness, friction = (np.resize(part, mu.size) for part in (tissue.thickness, tissue.friction))
     found = make_foundation(mu.ravel(), coefficients, exponents, thickness, friction)
     series = np.concatenate((found.series, found.limit[:, None]), axis=1)
+    # From (lane, layer, row) to (layer, row, lane): each row of LANES numbers must be contiguous.
     return series.reshape(*shape, -1).transpose(1, 2, 0).ravel(), found.curvature.reshape(shape).max(axis=1)
 
 
@@ -299,6 +295,8 @@ def _solve_front(
     for i, guide in enumerate(guides, start=1):
         if np.isnan(guide[2]):
             a, b = 1 / span[:, i - 1], 1 / span[:, i]
+            # As in a cubic spline: curvature, and with it the moment, is continuous at a guide without a
+            # slope of its own.
             matrix[:, i, i - 1], matrix[:, i, i], matrix[:, i, i + 1] = a, 2 * (a + b), b
             right[:, i] = 3 * (rise[:, i - 1] * a**2 + rise[:, i] * b**2)
     front[..., 2] = np.linalg.solve(matrix, right[..., None])[:, :-1, 0]

@@ -124,6 +124,7 @@ def linearize_steps(
     insertion = begin_insertion(needle, tissue, steps, lattice, rules)
     groups = pack_groups(moves, lattice)
     max_stops = max(len(stops.tip) for _, stops, _ in groups)
+    # A forward run keeps no states; derivatives need the state at each stop of a group.
     insertion = insertion._replace(record=np.empty((max_stops, *insertion.record.shape[1:])))
     foundation = compile_tissue(tissue)
     by_alpha = laws.term_slopes(tissue.law)

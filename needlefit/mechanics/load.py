@@ -109,6 +109,7 @@ def compute_loads(
         shape.x, shape.u, shape.slope, shape.constraints, compile_tissue(tissue), tissue.boundaries,
         rules.switch, needle.flexural_rigidity,
     )  # fmt: skip
+    # Supports have nodes at exactly their x, so a node is found by its coordinate.
     reactions = dict(zip(shape.x.tolist(), nodal_forces.tolist(), strict=True))
     base, tip = float(shape.x[0]), controls.tip
     return Loads(

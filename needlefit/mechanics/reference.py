@@ -146,6 +146,7 @@ def equilibrium(
         residual = K_b @ u + N.T @ (w_q * k * e * g)
         tangent = K_b + N.T @ ((w_q * kt * g)[:, None] * N) + N.T @ ((w_q * k * e * dg)[:, None] * dN)
         step = np.zeros_like(u)
+        # Prescribed values do not change: their rows and columns are left out.
         step[free] = np.linalg.solve(tangent[np.ix_(free, free)], -residual[free])
         u += step
         change = np.max(np.abs(step))  # of deflections, and of slopes over a millimetre

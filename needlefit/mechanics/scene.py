@@ -14,8 +14,9 @@ from needlefit.errors import ConfigError, ModelError
 from needlefit.geometry.frames import Frame, Placement
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, check_reach, check_size, make_lattice
+from needlefit.mechanics.plan import SAME_DEPTH_MM, Lattice, make_lattice
 from needlefit.mechanics.session import NeedleState, Session
 from needlefit.mechanics.shape import NeedleShape
 from needlefit.mechanics.tissue import Tissue
@@ -248,6 +249,7 @@ def iterate_states(scene: Scene, stride: float = 0.5) -> Iterator[tuple[float, N
         count = max(1, math.ceil(abs(step.depth - start) / stride))
         for n in range(1, count + 1):
             part = n / count
+            # The last part ends at the step's depth to the bit, as `simulate_scene` does.
             depth = step.depth if n == count else start + part * (step.depth - start)
             if not session.go(Step(depth, step.bevel, step.controls)).converged:
                 return

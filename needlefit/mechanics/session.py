@@ -11,6 +11,7 @@ import numpy as np
 
 from needlefit.errors import ModelError
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step, TrackedTip
+from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.scalar import CONVERGED, NewtonOptions
 from needlefit.mechanics.needle import Needle
@@ -20,8 +21,6 @@ from needlefit.mechanics.plan import (
     Move,
     Position,
     TipStop,
-    check_reach,
-    check_size,
     find_input_path,
     list_rays,
     plan_move,
@@ -163,6 +162,7 @@ class Session:
         other = copy.copy(self)
         other.failures = self.failures.copy()
         other._bevels, other._controls = self._bevels.copy(), self._controls.copy()
+        # New arrays of the same sizes: the kernel writes into its arrays.
         other._insertion = self._begin()
         for part, ours in zip(_list_arrays(other._insertion), _list_arrays(self._insertion), strict=True):
             part[...] = ours

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from needlefit.errors import ModelError
 from needlefit.mechanics import laws
 from needlefit.mechanics.control import Bevel, Controls, Guide, ModelOptions, Step
+from needlefit.mechanics.insertion_limits import check_reach, check_size
 from needlefit.mechanics.kernel import insertion as kernel
 from needlefit.mechanics.kernel.foundation import Foundation, make_foundation
 from needlefit.mechanics.kernel.grid import (
@@ -21,16 +22,7 @@ from needlefit.mechanics.kernel.grid import (
 )
 from needlefit.mechanics.kernel.scalar import CONVERGED, FACTOR_COLUMNS, NewtonOptions, equilibrate
 from needlefit.mechanics.needle import Needle
-from needlefit.mechanics.plan import (
-    Lattice,
-    Move,
-    TipStop,
-    check_reach,
-    check_size,
-    make_lattice,
-    make_moves,
-    make_stops,
-)
+from needlefit.mechanics.plan import Lattice, Move, TipStop, make_lattice, make_moves, make_stops
 from needlefit.mechanics.shape import NeedleShape, Status
 from needlefit.mechanics.tissue import Tissue
 from needlefit.mechanics.validity import compute_scales

@@ -195,6 +195,7 @@ _GAUSS = ((0.5 - math.sqrt(0.15), 5 / 18), (0.5, 4 / 9), (0.5 + math.sqrt(0.15),
 def _shorten(slope: Floats) -> Floats:
     """Return 1 - cos(atan slope), to the last digit for small slopes."""
     squared = slope * slope
+    # 1 - 1 / root without the cancellation that would lose the digits of a small slope.
     root = np.sqrt(1 + squared)
     found: Floats = squared / (root * (1 + root))
     return found

@@ -13,7 +13,7 @@ from needlefit.inference.material import set_material_prior
 from needlefit.inference.parameters import Parameters, with_noise_scale
 from needlefit.inference.problem import Problem
 from needlefit.inference.ties import NOISE_SCALE
-from needlefit.mechanics.plan import check_size, count_element_solves
+from needlefit.mechanics.insertion_limits import check_size, count_element_solves
 from needlefit.project.load import load
 from needlefit.project.locate import FileKind, find_file
 from needlefit.project.progress import Note, Progress, Stop, never_stop, no_note, no_progress

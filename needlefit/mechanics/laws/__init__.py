@@ -34,6 +34,7 @@ def power_terms(law: str, alpha: Floats) -> tuple[Floats, Floats]:
     ModelError
         If there is no law of that name.
     """
+    # Terms are linear in alpha, so their values at alpha = 0 and 1 determine them for every alpha.
     (c, q), (dc, dq) = _make_terms_at_zero(law), term_slopes(law)
     return c + alpha[..., None] * dc, q + alpha[..., None] * dq
 
