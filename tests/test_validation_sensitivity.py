@@ -27,7 +27,7 @@ insertions = ["chicken-01"]
 [[validate]]
 insertions = ["chicken-04", "chicken-05"]
 """
-STUDY = """schema = 1
+SENSITIVITY = """schema = 1
 kind = "sensitivity"
 studies = ["small"]
 starts = 1
@@ -80,7 +80,7 @@ def test_a_stiffer_needle_in_as_much_stiffer_tissue_bends_alike():
 
 def test_a_variation_that_changes_nothing_is_refused(tmp_path):
     file = tmp_path / "nothing.toml"
-    file.write_text(STUDY.replace("rigidity_factor = 1.1\n", ""))
+    file.write_text(SENSITIVITY.replace("rigidity_factor = 1.1\n", ""))
     with pytest.raises(ConfigError, match="changes nothing"):
         load_analysis(file)
 
@@ -90,7 +90,7 @@ def test_a_small_study_under_two_variations(tmp_path, monkeypatch):
         (tmp_path / folder).mkdir(parents=True)
     (tmp_path / "configs/recipes/few.toml").write_text(RECIPE.replace("starts = 4", "starts = 2"))
     (tmp_path / "studies/small.toml").write_text(STUDY)
-    (tmp_path / "studies/varied.toml").write_text(STUDY)
+    (tmp_path / "studies/varied.toml").write_text(SENSITIVITY)
     monkeypatch.chdir(tmp_path)
     record = load_analysis(find_file("study", "varied"))
     assert record is not None
