@@ -51,7 +51,7 @@ def left(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def bare(left):
-    """What is told of a run with nothing beside it."""
+    """The findings and gaps of a run with nothing beside it."""
     return read_findings(left)
 
 
@@ -80,10 +80,11 @@ def test_without_evidence_every_gap_names_the_missing_evidence(bare):
         words, gaps = bare[key]
         assert words == "" and len(gaps) == 1 and key in gaps[0] and "--statements" in gaps[0]
     for key in ("code_verification", "discretisation"):
-        assert bare[key] == ("", ["Nothing found. needlefit verify would give it."])
+        words, (gap,) = bare[key]
+        assert words == "" and "needlefit verify" in gap
     gaps = {key: " ".join(bare[key][1]) for key in bare}
-    assert "nothing found of tie, advance, constraint spacing" in gaps["form"]
-    assert "nothing found of thickness, rigidity, layer depths" in gaps["sensitivities"]
+    assert "tie, advance, constraint spacing" in gaps["form"]
+    assert "thickness, rigidity, layer depths" in gaps["sensitivities"]
     assert "needlefit identify" in gaps["sensitivities"]
     assert "needlefit calibrate" in gaps["uncertainties"]
     assert "nothing physical" in gaps["samples"]
@@ -95,25 +96,23 @@ def test_evidence_of_the_same_model_is_reported_with_numbers_and_fills_its_gap(a
     leave_calibration(tmp_path)
     leave_sensitivity(tmp_path)
     found = read_findings(alone)
-    assert "Closed forms: 1 of 1 rows within their bounds" in found["code_verification"][0]
+    assert "Closed forms: 1 of 1" in found["code_verification"][0]
     assert "4.00 × 10⁻⁸ mm (bound ≤ 10⁻⁷)" in found["code_verification"][0]
     assert found["code_verification"][1] == []
     assert "Discretisation error: 1 of 1" in found["discretisation"][0]
     assert "500 truths" in found["uncertainties"][0] and "472 to 481 of 500" in found["uncertainties"][0]
     assert not any("calibrate" in gap for gap in found["uncertainties"][1])
-    assert "Tie, 2 variations, tuned again" in found["form"][0]
-    assert "mean IPE of a cell changes by at most 0.030 mm (0.3 noise floors)" in found["form"][0]
-    assert "(mean IPE below 0.74 mm) CHANGES for study1 under tie: ahead." in found["form"][0]
-    assert "nothing found of advance, constraint spacing" in " ".join(found["form"][1])
+    words, gaps = found["form"]
+    assert "Tie, 2 variations" in words and "0.030 mm (0.3 noise floors)" in words
+    assert re.search(r"0\.74 mm\) CHANGES .*study1 .*tie: ahead", words)
+    assert "advance, constraint spacing" in " ".join(gaps) and "tie" not in " ".join(gaps)
 
 
 def test_failed_checks_are_reported(alone, tmp_path):
     leave_verification(tmp_path, measured=3e-6)
     leave_calibration(tmp_path, not_calibrated=["mu1_pa"])
     found = read_findings(alone)
-    assert (
-        "0 of 1 rows within their bounds; 1 FAIL (Case 0: error of the tip)" in found["code_verification"][0]
-    )
+    assert re.search(r"0 of 1 .*1 FAIL \(Case 0", found["code_verification"][0])
     assert "NOT calibrated: μ₁" in found["uncertainties"][0]
 
 
@@ -129,12 +128,12 @@ def other(part, **changed):
 @pytest.mark.parametrize(
     ("changed", "why"),
     [
-        (other("dataset", sha256="cd" * 32), "dataset sha256: cdcdcdcdcdcd… there, abababababab… here"),
-        (other("versions", needlefit="0.0.9"), "version of needlefit: 0.0.9 there, 0.1.0 here"),
-        (other("rules", tie="ahead"), "rules tie: ahead there, nearest here"),
-        (other("medium", thickness_mm=20.0), "medium thickness_mm: 20.0 there, 40.0 here"),
+        (other("dataset", sha256="cd" * 32), "dataset sha256: cdcdcdcdcdcd…"),
+        (other("versions", needlefit="0.0.9"), "needlefit: 0.0.9 "),
+        (other("rules", tie="ahead"), "rules tie: ahead "),
+        (other("medium", thickness_mm=20.0), "medium thickness_mm: 20.0 "),
         ({"folds": [{"name": "all", "tune": ["a"], "validate": ["c"]}]}, "tuned on"),
-        ({"recipe": None}, "recipe: not stated there"),
+        ({"recipe": None}, "recipe: "),
     ],
 )
 def test_evidence_of_another_model_is_named(tmp_path, changed, why):
@@ -151,7 +150,7 @@ def test_evidence_of_another_model_is_listed_but_not_counted(alone, tmp_path):
     assert not any("500 truths" in one.words for one in uncertainties.content.findings)
     assert "needlefit calibrate" in " ".join(uncertainties.gaps)
     blocks = json.dumps(compose_bundle(found, every).blocks, default=str, ensure_ascii=False)
-    assert "calibrate-study1" in blocks and "cdcdcdcdcdcd… there, abababababab… here" in blocks
+    assert all(word in blocks for word in ("calibrate-study1", "cdcdcdcdcdcd…", "abababababab…"))
 
 
 def test_another_seed_or_title_is_the_same_model(tmp_path):
@@ -172,7 +171,8 @@ def test_verification_of_another_mesh_covers_the_code_but_not_the_discretisation
     leave_verification(tmp_path)
     found = read_findings(alone)
     assert found["code_verification"][0] and not found["discretisation"][0]
-    assert "elements of 1 mm; this run’s are 0.5 mm" in " ".join(found["discretisation"][1])
+    gaps = " ".join(found["discretisation"][1])
+    assert " 1 mm" in gaps and " 0.5 mm" in gaps
 
 
 def test_a_figure_beside_the_numbers_is_shown_and_its_bytes_are_recorded(alone, tmp_path):
@@ -191,7 +191,8 @@ def test_named_folders_replace_those_found_and_are_refused_if_no_evidence(alone,
         assert measured in find_code_verification(load_case(alone, given)).findings[0].words
     foreign = leave_calibration(tmp_path / "elsewhere", of="study2")
     (evidence,) = load_case(alone, [foreign]).evidence[:1]
-    assert evidence.objections == ("is of study2, not of study1",)
+    (objection,) = evidence.objections
+    assert "study2" in objection and "study1" in objection
     with pytest.raises(DataError, match="holds no evidence"):
         load_case(alone, [alone])
 
@@ -201,17 +202,18 @@ def test_evidence_with_a_table_missing_or_of_another_layout_is_not_counted(tmp_p
     pd.read_csv(folder / "cells.csv").drop(columns="change").to_csv(folder / "cells.csv", index=False)
     (leave_verification(tmp_path) / "verification.csv").unlink()
     objections = {one.kind: one.objections for one in beside(tmp_path)}
-    assert objections == {
-        "sensitivity": ("cells.csv lacks change",),
-        "verification": ("verification.csv is missing",),
-    }
+    assert set(objections) == {"sensitivity", "verification"}
+    for kind, name in (("sensitivity", "cells.csv"), ("verification", "verification.csv")):
+        (objection,) = objections[kind]
+        assert objection.startswith(f"{name} ")
+    assert objections["sensitivity"][0].endswith(" change")
 
 
 def test_measured_shapes_are_not_called_synthetic_and_leave_gaps(tmp_path):
     found = read_findings(leave(replace(stereo(), run={"name": "stereo_insertions"}), tmp_path))
     assert not any("nothing physical" in gap for _, gaps in found.values() for gap in gaps)
     assert "rigid alignment" in found["outputs_alike"][0]
-    assert "The model’s uncertainty is not in it" in " ".join(found["rigour"][1])
+    assert "uncertainty" in " ".join(found["rigour"][1])
     assert "Nothing found" in found["quality_assurance"][0] or found["quality_assurance"][1]
 
 
@@ -226,27 +228,29 @@ def test_equal_findings_of_several_runs_are_listed_once(tmp_path):
     blocks = compose_bundle(found, collect_entries(found)).blocks
     items = [item for block in blocks if block["kind"] == "list" for item in block["items"]]
     computed = [item for item in items if "Computed with" in item]
-    assert len(computed) == 1 and computed[0].startswith("study1, study5: Computed with emcee 3.1")
+    assert len(computed) == 1 and computed[0].startswith("study1, study5: ") and "emcee 3.1" in computed[0]
     assert any(item.startswith("study5: 500 truths") for item in items)
     gaps = [block["text"] for block in blocks if block["kind"] == "empty"]
-    assert any("uncertainties are right, of study1: nothing found" in gap for gap in gaps)
+    assert any(re.search(r"uncertainties .* study1: ", gap) for gap in gaps)
 
 
 def test_statements_of_the_user_fill_their_factors(alone):
-    found = read_findings(alone, about={"question_of_interest": "Where does the tip end?"})
-    assert found["question_of_interest"] == ("Where does the tip end?", [])
+    question = "Where does the tip end?"
+    found = read_findings(alone, about={"question_of_interest": question})
+    assert found["question_of_interest"] == (question, [])
     assert found["context_of_use"][1]
 
 
 def test_a_validated_range_is_no_statement_of_relevance(bare):
     words, gaps = bare["relevance_of_validation"]
-    assert "Beyond that, nothing was" in words and "relevance_of_validation" in gaps[0]
+    assert words and "relevance_of_validation" in gaps[0]
 
 
 def test_credibility_writes_the_same_bytes_and_prints_json(alone, tmp_path, capsys, monkeypatch):
     leave_verification(tmp_path)
     monkeypatch.chdir(tmp_path)
-    (tmp_path / "about.toml").write_text('schema = 1\ncontext_of_use = "Planning of a phantom study."\n')
+    stated = "Planning of a phantom study."
+    (tmp_path / "about.toml").write_text(f'schema = 1\ncontext_of_use = "{stated}"\n')
     wanted = ("credibility", str(alone), "--statements", "about.toml")
     assert run(*wanted) == 0
     assert "reports/credibility-study1/" in capsys.readouterr().out
@@ -267,7 +271,7 @@ def test_credibility_writes_the_same_bytes_and_prints_json(alone, tmp_path, caps
     assert DISCLAIMER.replace("&", "&amp;") in words
     rest = words.replace(DISCLAIMER.replace("&", "&amp;"), "") + first["credibility.csv"].decode()
     assert not re.search(r"compl(y|ies|ian)", rest)
-    assert "Planning of a phantom study." in words and str(tmp_path) not in words
+    assert stated in words and str(tmp_path) not in words
     about = json.loads(first["run.json"])
     assert about["stated"]["context_of_use"] and about["evidence"][0]["sha256"].keys() == {
         *("run.json", "verification.csv")
@@ -277,8 +281,9 @@ def test_credibility_writes_the_same_bytes_and_prints_json(alone, tmp_path, caps
 def test_a_folder_without_a_run_is_refused(tmp_path, capsys):
     folder = leave_verification(tmp_path)
     assert run("credibility", str(folder)) == 3
+    assert str(folder) in capsys.readouterr().err
     assert run("credibility", str(tmp_path / "nothing")) == 3
-    assert "there is no run" in capsys.readouterr().err
+    assert str(tmp_path / "nothing") in capsys.readouterr().err
 
 
 def test_damaged_files_of_the_run_and_beside_it_are_named_and_a_damaged_run_file_is_an_error(alone, tmp_path):

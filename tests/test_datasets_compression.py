@@ -27,7 +27,7 @@ def test_units_and_either_sign_give_stresses_in_mpa_negative_in_compression(tmp_
     test = read_compression(path)
     assert test.measure == "true" and test.specimens[0].name == "gel"
     assert test.specimens[0].stress == pytest.approx(ONE.stress, rel=1e-12)
-    assert ("positive in the file" in " ".join(test.warnings)) == (sign > 0)
+    assert ("positive" in " ".join(test.warnings)) == (sign > 0)
 
 
 @pytest.mark.parametrize(("size", "value"), [("area_mm2", 50 * math.pi), ("diameter_mm", 10 * math.sqrt(2))])
@@ -50,7 +50,7 @@ def test_force_and_displacement_need_the_specimen_s_size_once(tmp_path, size, va
 def test_the_option_states_the_measure_of_stress(tmp_path):
     path = table(tmp_path, stretch=STRETCH, stress_kpa=KPA)
     assert read_compression(path, "true").measure == "true"
-    with pytest.raises(DataError, match="does not say which stress") as error:
+    with pytest.raises(DataError, match="stress") as error:
         read_compression(path)
     assert "--stress" in error.value.fix
 
@@ -60,7 +60,7 @@ def test_an_unloading_is_left_out_and_its_loss_reported(tmp_path):
     path = table(tmp_path, stretch=[*STRETCH, *STRETCH[::-1]], nominal_stress_kpa=[*KPA, *back])
     test = read_compression(path)
     assert test.specimens[0].stretch == pytest.approx(ONE.stretch)
-    assert "gel.csv:61" in test.warnings[1] and "50 % of the work" in test.warnings[1]
+    assert "gel.csv:61" in test.warnings[1] and "50 %" in test.warnings[1]
 
 
 def test_a_reversed_table_is_read_with_a_warning(tmp_path):
@@ -76,7 +76,7 @@ def test_a_long_record_is_averaged_over_neighbours(tmp_path):
     one = test.specimens[0]
     assert len(one.stretch) == 200 and one.stretch[0] == pytest.approx(np.mean(many[:5]))
     assert one.stress == pytest.approx(-0.01 * (1 - one.stretch))
-    assert "averaged to 200 points" in test.warnings[1]
+    assert "200 points" in test.warnings[1]
 
 
 def test_a_preload_gives_a_warning(tmp_path):
@@ -84,7 +84,7 @@ def test_a_preload_gives_a_warning(tmp_path):
         warning for warning in read_compression(_loaded(tmp_path, 0.0)).warnings if "at stretch 1" in warning
     ]
     warnings = read_compression(_loaded(tmp_path, 0.1)).warnings
-    assert "bears 9 % of its largest stress at stretch 1" in warnings[1]  # 0.1 / 1.1
+    assert " 9 % " in warnings[1] and "stretch 1" in warnings[1]  # 0.1 / 1.1
 
 
 def test_a_machine_that_waits_before_it_loads_is_read(tmp_path):
@@ -111,10 +111,10 @@ def test_noise_in_the_stretch_is_no_unloading(tmp_path):
 @pytest.mark.parametrize(
     ("columns", "expected"),
     [
-        ({"stretch": [100 * x for x in STRETCH], "nominal_stress_kpa": KPA}, "looks like percent"),
-        ({"stretch": [1 - x for x in STRETCH], "nominal_stress_kpa": KPA}, "looks like strain"),
-        ({"stretch": [x - 1 for x in STRETCH], "nominal_stress_kpa": KPA}, "looks like strain"),
-        ({"stretch": [2 - x for x in STRETCH], "nominal_stress_kpa": KPA}, "this is tension"),
+        ({"stretch": [100 * x for x in STRETCH], "nominal_stress_kpa": KPA}, "percent"),
+        ({"stretch": [1 - x for x in STRETCH], "nominal_stress_kpa": KPA}, "strain"),
+        ({"stretch": [x - 1 for x in STRETCH], "nominal_stress_kpa": KPA}, "strain"),
+        ({"stretch": [2 - x for x in STRETCH], "nominal_stress_kpa": KPA}, "tension"),
         (
             {"stretch": [0.99 + 0.01 * x for x in [*[1.0] * 54, *STRETCH[:6]]], "nominal_stress_kpa": KPA},
             "hardly",
@@ -124,10 +124,10 @@ def test_noise_in_the_stretch_is_no_unloading(tmp_path):
         ({"stretch": STRETCH, "nominal_stress_kpa": [0] * 60}, "0 throughout"),
         (
             {"stretch": STRETCH, "nominal_stress_kpa": [*KPA[:-1], ""]},
-            "gel.csv:61: nominal_stress_kpa is empty",
+            "gel.csv:61: nominal_stress_kpa ",
         ),
         ({"stretch": ["x", *STRETCH[1:]], "nominal_stress_kpa": KPA}, "gel.csv:2: stretch is 'x'"),
-        ({"stretch": STRETCH[:5], "nominal_stress_kpa": KPA[:5]}, "has 5 different stretches"),
+        ({"stretch": STRETCH[:5], "nominal_stress_kpa": KPA[:5]}, " 5 "),
         ({"stretch": STRETCH, "stress": KPA}, "no columns give the stress"),
         ({"stretch": STRETCH, "force_n": KPA}, "no columns give the stress"),
         ({"strain": STRETCH, "nominal_stress_kpa": KPA}, "no columns give the stretch"),
@@ -139,7 +139,7 @@ def test_noise_in_the_stretch_is_no_unloading(tmp_path):
         ),
         (
             {"stretch": [*STRETCH, *STRETCH[::-1], *STRETCH], "nominal_stress_kpa": [*KPA, *KPA[::-1], *KPA]},
-            "turns round 2 times",
+            " 2 times",
         ),
     ],
 )
@@ -151,7 +151,7 @@ def test_faulty_tables_are_refused_with_a_fix(tmp_path, columns, expected):
 
 
 def test_the_option_may_not_contradict_the_column(tmp_path):
-    with pytest.raises(DataError, match="is the nominal stress, but --stress says true"):
+    with pytest.raises(DataError, match=r"nominal.*--stress.*true"):
         read_compression(table(tmp_path, stretch=STRETCH, nominal_stress_kpa=KPA), "true")
 
 

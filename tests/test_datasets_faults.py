@@ -113,7 +113,7 @@ def test_the_alternative_reading_is_enough(folder):
 def test_a_missing_column_is_named_with_those_there(folder):
     edit(folder / "insertions.csv", 1, "depth_mm", "depth")
     fault = the_fault(folder)
-    assert "`depth_mm` is missing" in fault.what and "depth," in fault.expected and "columns" in fault.fix
+    assert "`depth_mm`" in fault.what and "depth," in fault.expected and "columns" in fault.fix
 
 
 @pytest.mark.parametrize(
@@ -286,15 +286,13 @@ def test_a_layer_number_that_is_skipped(folder):
     file.write_text(file.read_text().replace("into = 3", "into = 9"))
     fault = the_fault(folder)
     line = file.read_text().split("[media.block]")[0].count("\n") + 2
-    assert (
-        fault.where == f"{file}:{line}"
-        and "medium block leads into layer 3; they lead into 2, 9" in fault.what
-    )
+    assert fault.where == f"{file}:{line}"
+    assert all(part in fault.what for part in ("medium block", "layer 3", "2, 9"))
 
 
 def test_a_surface_without_triangles(folder):
     (folder / "layers" / "core.stl").write_text("solid core\nendsolid core\n")
-    assert the_fault(folder).fix.startswith("export the surface again")
+    assert the_fault(folder).where.endswith("core.stl")
 
 
 def test_a_file_that_only_the_checksums_list(tmp_path):
@@ -365,16 +363,20 @@ def test_a_scan_is_placed_by_six_numbers_or_by_none(folder):
     assert check(folder) == []
     cell(folder / "insertions.csv", 3, "scan_ry_deg", "12")
     fault = the_fault(folder)
-    assert place(fault, folder) == "insertions.csv:3" and "filled in part" in fault.what
+    assert place(fault, folder) == "insertions.csv:3" and "scan_" in fault.what
     cell(folder / "insertions.csv", 3, "scan_ry_deg", "east")
     fault = the_fault(folder)
-    assert place(fault, folder) == "insertions.csv:3" and "scan_ry_deg is 'east'" in fault.what
+    assert (
+        place(fault, folder) == "insertions.csv:3"
+        and fault.what.startswith("scan_ry_deg")
+        and "'east'" in fault.what
+    )
 
 
 def test_columns_of_a_scan_that_are_missing_are_named(folder):
     add_columns(folder / "insertions.csv", **dict.fromkeys(SCAN_COLUMNS[:5], "0"))
     fault = the_fault(folder)
-    assert "`scan_z_mm` is missing" in fault.what and place(fault, folder) == "insertions.csv:1"
+    assert "`scan_z_mm`" in fault.what and place(fault, folder) == "insertions.csv:1"
 
 
 def test_faults_of_an_insertion_s_own_layers_name_its_file(tmp_path):

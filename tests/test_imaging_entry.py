@@ -77,7 +77,7 @@ def test_the_stated_deviation_of_the_axis_is_its_error():
 
 
 def test_a_shaft_that_hardly_shows_is_refused():
-    with pytest.raises(DataError, match=r"7\.\d mm of the shaft") as error:
+    with pytest.raises(DataError, match=r"\b7\.\d mm .*shaft") as error:
         pose_from_shaft(shaft([0.0, 0, 0], axis([1.0, 0, 0]), shown=9.0), along_sd=0.0)
     assert "state the stage" in error.value.fix
 
@@ -146,6 +146,6 @@ def test_stage_and_shaft_are_compared_across_the_axis():
     "shaft", [pose((0.0, 5.0, 0)), pose(direction=(1.0, 0.4, 0)), pose(direction=(1.0, 0, -0.4))]
 )
 def test_a_stage_that_is_not_the_needle_s_is_refused(shaft):
-    with pytest.raises(DataError, match="outside the tissue stands") as error:
+    with pytest.raises(DataError, match="outside the tissue") as error:
         require_agreement(pose(), shaft)
-    assert "LPS or RAS" in error.value.fix
+    assert "LPS" in error.value.fix and "RAS" in error.value.fix

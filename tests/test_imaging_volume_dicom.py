@@ -196,7 +196,7 @@ def test_two_series_are_not_guessed(tmp_path):
 def test_a_series_that_is_not_there(tmp_path):
     two_series(tmp_path)
     fault = refused(tmp_path, series="5")
-    assert "no series is called 5" in fault.what and "number 4" in fault.what
+    assert " 5" in fault.what and "number 4" in fault.what
 
 
 def test_two_series_of_one_number(tmp_path):
@@ -218,11 +218,11 @@ def test_localizers_and_single_images_are_no_candidates(tmp_path):
 
 
 def test_folders_without_a_series(tmp_path):
-    assert "is an empty folder" in refused(tmp_path).what
+    assert "empty folder" in refused(tmp_path).what
     save(tmp_path / "inside", series())
     (tmp_path / "notes.txt").write_text("scan")
     fault = refused(tmp_path)
-    assert "there is inside/, notes.txt" in fault.what and "name the folder" in fault.fix
+    assert "inside/, notes.txt" in fault.what and "folder" in fault.fix
     assert "no such file" in refused(tmp_path / "elsewhere").what
     assert "not a volume" in refused(tmp_path / "notes.txt").what
 
@@ -234,14 +234,14 @@ def test_a_gap(tmp_path):
     slices = series()
     del slices[2:4]
     fault = refused(save(tmp_path, slices))
-    assert fault.what.startswith("2 slice(s) missing between 001.dcm and 002.dcm")
-    assert "2.7 mm where others are 0.9 mm" in fault.what
+    assert fault.what.startswith("2 slice(s) missing ")
+    assert all(part in fault.what for part in ("001.dcm", "002.dcm", "2.7 mm", "0.9 mm"))
 
 
 def test_a_slice_twice(tmp_path):
     save(tmp_path, [*series(), a_slice(2)], order=[*range(COUNT), 17])
     fault = refused(tmp_path)
-    assert fault.what == "stands at the same place as 002.dcm" and fault.where.endswith("017.dcm")
+    assert "same " in fault.what and fault.what.endswith(" 002.dcm") and fault.where.endswith("017.dcm")
 
 
 def test_two_phases_in_one_series(tmp_path):
@@ -267,10 +267,8 @@ def test_a_tilted_gantry(tmp_path, degrees):
         for k in range(COUNT)
     ]
     fault = refused(save(tmp_path, slices))
-    assert (
-        f"leans by {abs(degrees):.3g} degrees: the gantry was tilted" in fault.what
-        and "resample" in fault.fix
-    )
+    assert f" {abs(degrees):.3g} degrees: " in fault.what and "gantry" in fault.what
+    assert "resample" in fault.fix
 
 
 @pytest.mark.parametrize("modality", ["CT", "XA", None])
@@ -302,7 +300,7 @@ def test_an_oblique_stack_is_not_tilted(tmp_path):
 
 def test_shifted_slices(tmp_path):
     fault = refused(save(tmp_path, spoilt(2, ImagePositionPatient=[-9.0, 20.0, 31.8])))
-    assert fault.where.endswith("002.dcm") and "stands 1 mm beside most of the other slices" in fault.what
+    assert fault.where.endswith("002.dcm") and " 1 mm beside " in fault.what
 
 
 @pytest.mark.parametrize(("off", "fine"), [(0.04, True), (0.3, False)])
@@ -312,14 +310,14 @@ def test_uneven_steps(tmp_path, off, fine):
         assert read_volume(tmp_path).spacing[2] == pytest.approx(STEP) and off < MAX_OFFSET_MM
     else:
         fault = refused(tmp_path)
-        assert "stands 0.3 mm from its place" in fault.what and fault.where.endswith("002.dcm")
+        assert " 0.3 mm " in fault.what and fault.where.endswith("002.dcm")
 
 
 @pytest.mark.parametrize(
     ("entries", "words"),
     [
         ({"ImageOrientationPatient": [1, 0, 0, 0, 0.9998, 0.02]}, "orientation is"),
-        ({"PixelSpacing": [0.6, 0.4]}, "pixel spacing is [0.6, 0.4], that of 000.dcm is [0.5, 0.4]"),
+        ({"PixelSpacing": [0.6, 0.4]}, "[0.6, 0.4], that of 000.dcm is [0.5, 0.4]"),
         ({"FrameOfReferenceUID": generate_uid()}, "frame of reference"),
         ({"plane": np.zeros((ROWS, 9), np.int16)}, "size is (64, 9)"),
     ],
@@ -368,7 +366,7 @@ def test_invalid_axes_are_refused(tmp_path, axes):
 
 def test_spacing_in_metres(tmp_path):
     fault = refused(save(tmp_path, series(PixelSpacing=[0.0005, 0.0004])))
-    assert "spacing of the voxels is 0.0004 x 0.0005" in fault.what and "unit" in fault.fix
+    assert "spacing" in fault.what and "0.0004 x 0.0005" in fault.what and "unit" in fault.fix
 
 
 def test_one_slice(tmp_path):
@@ -379,7 +377,7 @@ def test_a_multi_frame_file(tmp_path):
     """Enhanced CT keeps its positions inside; it is named for what it is, not for what it lacks."""
     save(tmp_path, [a_slice(0, NumberOfFrames=9, ImagePositionPatient=None)])
     fault = refused(tmp_path)
-    assert "holds 9 frames in one file" in fault.what and "NRRD" in fault.fix
+    assert "9 frames" in fault.what and "NRRD" in fault.fix
 
 
 @pytest.mark.parametrize("syntax", [HTJ2KLossless, MPEG2MPML])

@@ -76,7 +76,7 @@ def _paint_ranks(curves: pd.DataFrame, failing: Sequence[str]) -> Figure:
 def _paint_rank_panel(axes: Axes, rows: pd.DataFrame) -> None:
     place, low, high, below = (
         rows[name].to_numpy(dtype=np.float64)
-        for name in ("uniform", "least_less_uniform", "most_less_uniform", "below_less_uniform")
+        for name in ("uniform", "count_low_less_uniform", "count_high_less_uniform", "below_less_uniform")
     )
     axes.fill_between(place, low, high, color=GREY, alpha=0.22, lw=0)
     axes.axhline(0, color=GREY, lw=0.5)

@@ -61,7 +61,7 @@ def inputs(name: str, stored: Path) -> tuple[Seed, ...]:
 
 
 def _late(name: str) -> Any:
-    """Return what `needlefit.` + `name` says."""
+    """Return the attribute of needlefit that `name` leads to."""
     module, _, attribute = name.rpartition(".")
     return getattr(import_module(f"needlefit.{module}"), attribute)
 
@@ -99,8 +99,8 @@ def _dataset(path: Path) -> object:
     found = _late("datasets.read.check")(path)
     if found:
         raise _late("datasets.faults.as_error")(found, path)
-    tracks = _late("datasets.tracks.read.holds_tracks")(path)
-    return _late("datasets.tracks.read.read_tracks" if tracks else "datasets.read.read")(path)
+    tracks = _late("datasets.tip_track_table.holds_tracks")(path)
+    return _late("datasets.tip_track_table.read_tracks" if tracks else "datasets.read.read")(path)
 
 
 def _mesh(path: Path) -> object:
