@@ -17,16 +17,17 @@ from needlefit.project.locate import join_names
 from needlefit.project.result_warnings import ResultWarning
 
 SIGNIFICANT_SD = 3.0
-"""Standard deviations beyond which a bend is no error of measurement."""
+"""Standard deviations beyond which a bend is not a measurement error."""
 
 MIN_BEND_SLOPE = 0.005
-"""Least bend over depth that counts: entry directions are hardly better known than 0.3 degrees."""
+"""Least bend over depth that counts: entry directions are hardly known better than 0.3 degrees."""
 
 REVERSED_SD = 4.0
-"""Of a medium's insertions together, beyond which bevels are reversed; no single one counts for more."""
+"""Standard deviations of a medium's insertions together beyond which bevels count as reversed; the weight of
+a single one is limited to this."""
 
 MAX_NAMED_INSERTIONS = 8
-"""Insertions that a warning names."""
+"""Number of insertions that a warning names."""
 
 BendSide = Literal["toward", "away", "unknown"]
 

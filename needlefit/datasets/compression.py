@@ -28,7 +28,7 @@ Floats = NDArray[np.float64]
 STRESS_UNITS_MPA = {"pa": 1e-6, "kpa": 1e-3, "mpa": 1.0}
 SPECIMEN_COLUMNS = ("sample", "id")
 SIZE_COLUMNS = ("height_mm", "area_mm2", "diameter_mm")
-"""What belongs to the specimen, not to a row: it may stand in the specimen's first row alone."""
+"""Columns of the specimen's size, which may be filled in its first row only."""
 
 STRETCH_COLUMNS = (("stretch",), ("displacement_mm", "height_mm"))
 FORCE_COLUMNS = (("force_n", "area_mm2"), ("force_n", "diameter_mm"))

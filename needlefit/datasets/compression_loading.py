@@ -11,19 +11,19 @@ from needlefit.datasets.faults import Fault
 Floats = NDArray[np.float64]
 
 MIN_STRETCHES = 6
-"""Different stretches of a loading, at least: two are spent on mu and alpha."""
+"""Least number of different stretches of a loading: two of them determine mu and alpha."""
 
 STRETCH_TOLERANCE = 2e-3
-"""Stretches may lie this far from 1 unloaded: the zero of a machine is not exact."""
+"""An unloaded stretch may differ from 1 by this: the zero of a testing machine is not exact."""
 
 MIN_TURN_FRACTION = 0.05
-"""A way back longer than this part of the whole range is a turn of the machine, not noise."""
+"""A movement back by more than this fraction of the whole range is a reversal of the machine, not noise."""
 
 MIN_PRELOAD_FRACTION = 0.03
 """A stress at stretch 1 above this part of the largest is reported: it biases mu and alpha."""
 
 MAX_OPPOSITE_FRACTION = 0.05
-"""Stresses of the other sign larger than this part of the largest are no noise about zero."""
+"""Stresses of the other sign above this fraction of the largest are not noise around zero."""
 
 
 def find_stretch_faults(stretch: Floats, stress: Floats, where: str, name: str) -> Iterator[Fault]:
@@ -122,7 +122,8 @@ def _looks_like_strain(stretch: Floats, stress: Floats) -> bool:
 
 
 MAX_LOADING_POINTS = 200
-"""A longer loading is averaged over neighbours: noise from reading to reading must not hide slower errors."""
+"""A longer loading is averaged over neighbouring rows, so that noise of single readings does not hide slower
+errors."""
 
 
 @dataclass(frozen=True)

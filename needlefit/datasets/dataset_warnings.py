@@ -25,7 +25,7 @@ from needlefit.project.unit_warnings import FormatPlace, format_place, layer_war
 from needlefit.schemas.dataset import DatasetRecord, SourceRecord, TrackDatasetRecord
 
 COPY_TOLERANCE_MM = 1e-6
-"""Largest distance of two points, per axis, that are one."""
+"""Largest distance, per axis, of two points that count as the same."""
 
 
 def is_copy(one: Insertion, other: Insertion) -> bool:
@@ -48,7 +48,7 @@ def find_copy_warnings(listed: Sequence[ListedInsertion]) -> Iterator[ResultWarn
 
 
 PLACEHOLDER = "TO FILL IN"
-"""Marks what a template cannot know."""
+"""Marks values that a template cannot know."""
 
 _PLACEHOLDER_PATTERN = re.compile(r"to[ _-]?fill[ _-]?in", re.IGNORECASE)
 _PLACEHOLDER_FIX = "write what was measured; reports print it"
@@ -136,7 +136,7 @@ def _find_missed_surfaces(insertions: Sequence[Insertion], where: FormatPlace) -
 
 
 MIN_SIMILARITY = 0.8
-"""Ratio of `difflib` from which on two names are taken for one, mistyped."""
+"""Ratio of `difflib` above which a name counts as a mistyped version of another."""
 
 _UNIT = re.compile(r"_(mm|deg)$")
 

@@ -108,18 +108,20 @@ def _compare_measured(curve: Floats, again: Floats, length: float | None) -> Cur
 
 
 MIN_POINT_SD_MM = 5e-4
-"""Of the points of a centreline: less was written in another unit."""
+"""Least plausible standard deviation of a centreline's points; a smaller one was written in another unit."""
 
 MIN_POSE_SD_MM = 1e-3
-"""Of registration and entry pose: less was written in another unit."""
+"""Least plausible standard deviation of registration and entry pose; a smaller one was written in another
+unit."""
 
 MAX_POSE_SD_MM = 5.0
-"""Of registration and entry pose: with a larger one, curves cannot be compared."""
+"""Greatest plausible standard deviation of registration and entry pose; beyond it, curves cannot be
+compared."""
 
 MAX_POSE_ANGLE_SD_DEG = 20.0
 
 MAX_NOISE_FRACTION = 0.5
-"""Part of the largest deflection from which on noise hides what there is to fit."""
+"""Fraction of the largest deflection above which noise hides the deflections."""
 
 
 def find_stated_warnings(noise: NoiseRecord, length_mm: float, where: FormatPlace) -> Iterator[ResultWarning]:

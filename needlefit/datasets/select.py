@@ -104,7 +104,7 @@ def _require_known(kind: str, wanted: Iterable[str], known: Iterable[str]) -> No
 
 
 MIN_GROUPS = 5
-"""Fewest groups from which a scatter between them is taken."""
+"""Least number of groups from which the scatter between groups is estimated."""
 
 
 def group_independent(insertions: Sequence[str], specimens: Sequence[str]) -> tuple[str, ...]:

@@ -121,7 +121,7 @@ READERS: Mapping[str, Callable[[Path], ReadCurves]] = {
     ".mat": _read_matlab,
     **dict.fromkeys(slicer.SLICER_SUFFIXES, _read_slicer),
 }
-"""What reads a file, by its ending."""
+"""The function that reads a file, by suffix."""
 
 
 def _drop_mapping_fix(fault: Fault) -> Fault:
@@ -168,7 +168,7 @@ def _make_names(curves: Mapping[str, Points], path: Path) -> dict[str, Points]:
 
 
 PLACEHOLDER_SD_MM = 0.1
-"""Noise of a point before its maker states one: about what tracing a needle in a CT scan leaves."""
+"""Standard deviation of a point until the author states one: roughly that of a needle traced in a CT scan."""
 
 NOISE_NOTE = f"{PLACEHOLDER}: {PLACEHOLDER_SD_MM:g} mm stands for how well a point is known, per axis"
 

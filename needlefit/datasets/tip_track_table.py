@@ -34,13 +34,13 @@ Floats = NDArray[np.float64]
 
 REQUIRED_TRACK_COLUMNS = ("id", "medium", "depth_mm", "tip_mm", "guide_mm")
 OPTIONAL_TRACK_COLUMNS = {"heading_deg": np.nan, "bevel_side": 1.0, "valid": 1.0}
-"""Columns that may be absent, or have empty cells, and what then stands for them."""
+"""Columns that may be absent or have empty cells, with their default values."""
 
 MIN_READINGS = 5
-"""Readings of a run: two of them are taken by shift and slope, and a bend needs more than one."""
+"""Least number of readings of a run: shift and slope take two, and a bend needs more than one."""
 
 MAX_STEP_MM = 100.0
-"""mm between two readings; more was written in another unit."""
+"""Greatest distance of two readings, mm; a larger one was written in another unit."""
 
 
 @dataclass(frozen=True)

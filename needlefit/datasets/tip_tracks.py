@@ -17,7 +17,7 @@ from needlefit.schemas.study import TrackSelectionRecord
 Floats = NDArray[np.float64]
 
 GUIDE_STILL_MM = 0.05
-"""mm; a guide that moved less stood still: stages jitter."""
+"""A guide that moved by less than this, mm, counts as fixed: stages jitter."""
 
 
 @dataclass(frozen=True)

@@ -155,10 +155,10 @@ def _find_solid_layers(places: Floats, surfaces: Sequence[Surface]) -> np.ndarra
 
 
 ENCLOSURE_RAYS = 12
-"""Directions across the curve in which the surface is looked for."""
+"""Number of directions across the curve in which the surface is searched."""
 
 MAX_MISSED_RAYS = 1
-"""So many may miss a surface that runs around; a plane is missed by half of them."""
+"""Number of directions that may miss a surface that encloses the curve; a plane is missed by half of them."""
 
 
 def measure_enclosed_length(points: ArrayLike, surface: Surface, radius: float, step: float = 0.5) -> float:

@@ -116,10 +116,10 @@ def differentiate_align_rigid(moving: ArrayLike, fixed: ArrayLike, slopes: Float
 PatientSystem = Literal["LPS", "RAS"]
 
 AXIS_SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
-"""What turns coordinates of a system into LPS: both have z toward the head, x and y are opposite."""
+"""Factors that convert coordinates of a system to LPS: z points to the head in both, x and y are opposite."""
 
 IDENTITY_FRAME = Frame(np.zeros(3), np.eye(3))
-"""The patient's frame in a world that is the patient's frame."""
+"""The patient's frame where world coordinates are patient coordinates."""
 
 
 def to_lps(points: ArrayLike, system: PatientSystem) -> Floats:

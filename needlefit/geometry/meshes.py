@@ -16,7 +16,7 @@ from needlefit.geometry.surfaces import Surface
 Floats = NDArray[np.float64]
 
 TUBE_FACETS = 12
-"""Corners of a cross-section."""
+"""Number of corners of a tube's cross-section."""
 
 
 def make_tube(points: ArrayLike, half_widths: ArrayLike, toward: ArrayLike) -> trimesh.Trimesh:

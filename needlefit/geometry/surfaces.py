@@ -23,7 +23,7 @@ SurfaceKind = Literal["sheet", "solid"]
 
 MAX_MESH_BYTES = 256 * 2**20
 MAX_MERGED_MM = 1e9
-"""Coordinates beyond this are no boundary's, and merging vertices counts in steps of 1e-8 mm."""
+"""Greatest plausible coordinate of a boundary, mm; merging of vertices counts in steps of 1e-8 mm."""
 
 _ELEMENT = re.compile(rb"element\s+(\w+)\s+(\d{1,19})")
 _EDGE_ELEMENT = re.compile(rb"^(element[ \t]+)edge([ \t])", re.MULTILINE)
@@ -31,7 +31,8 @@ _OBJ_VERTEX = re.compile(rb"^[ \t]*v[ \t]", re.MULTILINE)
 _OBJ_FACE = re.compile(rb"^[ \t]*f[ \t]([^\n]*)", re.MULTILINE)
 _OBJ_INDEX = re.compile(rb"(?:^|(?<=[ \t]))-?\d{1,19}")
 STL_HEADER_BYTES, STL_TRIANGLE_BYTES = 84, 50
-"""Of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for each."""
+"""Layout of a binary STL file: 80 bytes of any text and the number of triangles, then so many bytes for
+each."""
 
 READ_SUFFIXES = (".stl", ".ply", ".obj")
 

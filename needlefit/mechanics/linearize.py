@@ -34,14 +34,14 @@ DERIVATIVE_KINDS = (
     "mu", "alpha", "friction", "boundaries", "rigidity", "offset", "base_y", "base_slope", "stage_slope",
     "guides",
 )  # fmt: skip
-"""What `wrt` may name, in the order of the Jacobian's columns."""
+"""Kinds of parameters that `wrt` accepts, in the order of the Jacobian's columns."""
 
 _DEFAULT_CONTROLS = Controls()
 _DEFAULT_OPTIONS = ModelOptions()
 _DEFAULT_WRT = ("mu", "alpha", "offset")
 
 MAX_TOLERANCE_MM = 1e-9
-"""mm; derivatives belong to the converged state: one that is 1e-7 mm off makes them up to 1e-6 wrong."""
+"""Newton tolerance, mm: derivatives at a state that is 1e-7 mm off are up to 1e-6 wrong."""
 
 
 @dataclass(frozen=True)

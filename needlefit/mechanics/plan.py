@@ -16,7 +16,7 @@ from needlefit.mechanics.control import Bevel, Controls, ModelOptions, Step
 from needlefit.mechanics.insertion_limits import check_reach
 
 SAME_DEPTH_MM = 1e-9
-"""Two depths nearer than this are the same, mm."""
+"""Two depths that differ by less than this, mm, are the same."""
 
 
 @dataclass(frozen=True)

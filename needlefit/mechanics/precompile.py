@@ -30,7 +30,7 @@ except ImportError:  # Windows: processes that begin at the same time all compil
 KERNEL_PARTS = ("kernel", "lanes", "sensitivity")
 
 MAX_WAIT_S, POLL_INTERVAL_S = 300.0, 0.1
-"""How long to wait for another process that compiles, and how often to look."""
+"""Longest wait for another process that compiles, and the time between two checks."""
 
 _NEEDLE = Needle.from_tube(50.0, 1.27, 80e3)
 _TISSUE = Tissue(mu=np.array([0.2]), alpha=np.array([1.0]))

@@ -19,23 +19,23 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 
 MAX_SLOPE = 0.3
-"""Greatest slope |u'| at which small ones may be assumed: the curvature is then 14 % off."""
+"""Greatest slope |u'| for the assumption of small slopes: the curvature is then 14 % off."""
 
 MAX_DEFLECTION_PER_LENGTH = 0.2
-"""A cantilever under an end force then has a slope of 0.3 there, and linear theory is 4 % off."""
+"""At this deflection a cantilever under an end force has a slope of 0.3, and linear theory is 4 % off."""
 
 MAX_SHORTENING_PER_LAYER = 0.5
-"""The needle's points lie nearer to the entry than the model takes them to be; beyond half of the thinnest
-layer, most of what belongs to that layer is counted to another one."""
+"""The needle's points lie nearer to the entry than the model assumes. Beyond half of the thinnest layer, most
+of that layer's load is assigned to another layer."""
 
 MAX_COMPRESSION = 0.5
-"""|e| / t; compression tests of soft tissue, on which its laws rest, end at about half of the thickness."""
+"""|e| / t: compression tests of soft tissue, the basis of the laws, end at about half of the thickness."""
 
 MAX_ROUNDING_MM = 1e-3
-"""Error of the arithmetic, mm; what files and tables are rounded to."""
+"""Rounding error of the solver, mm: the precision of files and tables."""
 
 ROUNDING_FACTOR, ROUNDING_ORDER = 300.0, 2.5
-"""Of `Validity.rounding_mm`: fitted to the errors that `benchmarks/validity.py` measures."""
+"""Coefficients of `Validity.rounding_mm`, fitted to the errors that `benchmarks/validity.py` measures."""
 
 
 class SolvedShape(Protocol):
@@ -125,7 +125,7 @@ LIMITS: tuple[tuple[str, float, str], ...] = (
     ("compression", MAX_COMPRESSION, "compression of the tissue"),
     ("rounding_mm", MAX_ROUNDING_MM, "rounding error in mm"),
 )
-"""Attribute of `Validity`, its limit, and what it is called."""
+"""Attribute of `Validity`, its limit, and its printed name."""
 
 
 def find_worst(solutions: Sequence[Validity]) -> Validity:
@@ -161,7 +161,7 @@ def compute_validity(solved: SolvedShape) -> Validity:
 
 
 ENTRY_TOLERANCE_MM = -1e-9
-"""Where an element begins that lies before the entry, mm."""
+"""An element that begins before this depth, mm, lies before the entry."""
 
 
 def _find_shortest_element(x: Floats, step: Floats) -> Floats:

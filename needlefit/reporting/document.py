@@ -154,7 +154,8 @@ def find_version() -> str:
 
 
 SVG_SCALE = 1.7
-"""px of the page per pt of a figure: its letters are made for paper, and stand beside larger ones here."""
+"""Pixels of the page per point of a figure: the text of a figure is sized for paper, that of the page is
+larger."""
 
 _EXPONENT_PATTERN = re.compile(r"\^(-?\d+(?:\.\d+)?)")
 _INNER_SVG_PATTERN = re.compile(rb'xlink:href="(data:image/svg\+xml;base64,[^"]+)"')

@@ -35,7 +35,7 @@ APPROACH_NAMES = {
     "new": "new insertions alone",
     "none": "no update",
 }
-"""How a new medium is known in an adaptation."""
+"""Printed names of the ways to learn a new medium in an adaptation."""
 APPROACH_COLOURS = {"inflated": "#0072B2", "new": "#009E73", "none": "#8a8a8a"}
 PLAN_NAMES = {
     "expected": "least expected squared miss",

@@ -176,10 +176,10 @@ def _percentile_column(percentile: float) -> str:
 Floats = NDArray[np.float64]
 
 RIDGE_MIN_AXIS_RATIO = 3.0
-"""The longest axis of the draws is a ridge where it is so many times as long as the shortest."""
+"""Least ratio of the longest to the shortest axis of the draws of a ridge."""
 
 RIDGE_REACH_SD = 2.0
-"""Standard deviations to which the ridge is drawn on both sides."""
+"""Standard deviations to which the ridge is drawn in both directions."""
 
 
 def describe_draws(results: Results) -> str:

@@ -15,7 +15,7 @@ from needlefit.reporting.number_format import format_mm
 Fact = tuple[str, str]
 
 MAX_LISTED_WARNINGS = 10
-"""Warnings on a page; the table of the batch has all."""
+"""Number of warnings on a page; the table of the batch has all of them."""
 
 _ALONG_CAPTION = (
     "Above, the scan in slabs that follow the needle (crosses: centres of markers nearby); below, "

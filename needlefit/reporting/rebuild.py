@@ -86,14 +86,14 @@ _REBUILDERS: Mapping[str, Callable[[Table, Path, Path], object]] = MappingProxyT
         ),
     }
 )
-"""How each kind of run is written again, from the table that it stored."""
+"""The function that writes each kind of run again from its stored table."""
 
 _QUICK_COMMANDS = {
     "verification.csv": "needlefit verify",
     "material.json": "needlefit material FILE",
     "credibility.csv": "needlefit credibility RUN",
 }
-"""What only such a run writes, and how it is run: as fast as anything could be read again."""
+"""Files that identify runs which store nothing, with the command that computes them again in a moment."""
 
 
 def _refuse_quick_runs(run: Path) -> None:

@@ -21,13 +21,13 @@ from needlefit.validation.tracks.results import TrackResults, compare_methods_by
 from needlefit.validation.validity import VALIDITY_KEY
 
 LENGTH_DECIMALS = 3
-"""Of a length in mm."""
+"""Decimals of a length in mm."""
 
 SIGNIFICANT_DIGITS = 3
-"""Significant ones of everything else."""
+"""Significant digits of all other numbers."""
 
 MAX_ROWS = 500
-"""Rows of a table that is kept: longer ones are what shorter ones were made of, and no one reviews them."""
+"""Longest table that is kept: longer ones are intermediate results that nobody reviews."""
 
 _COUNT_KEYS = (
     "searches",

@@ -250,7 +250,7 @@ COVERAGE_COLUMNS = (
     *(TableColumn(f"{quantity} in", f"{level} %") for quantity in ("Tips", "Shapes") for level in (50, 95)),
     *(TableColumn("Tip CRPS", "mm"), TableColumn("Shape CRPS", "mm")),
 )
-"""Heads of what became of predictions."""
+"""Column headings of the coverage table."""
 
 
 def lay_out_coverage(results: Results) -> TableLayout:

@@ -24,7 +24,7 @@ _AGGREGATION_KEYS = ("role", "method", "boundaries", "medium", "layers")
 _DESCRIPTION_COLUMNS = ("layer_count_rule", "alternate_count", "comparable", "comparison", "origin")
 _RATIO_COLUMNS = [f"{floor.removeprefix('floor_').removesuffix('_mm')}_over_floor" for floor in FLOOR_COLUMNS]
 _POOLED_RATIO_COLUMNS = ["pooled_ipe_mean_over_floor", "pooled_te_over_floor"]
-"""Of all points together the floor's median and maximum are others than the mean of each insertion's."""
+"""Ratios of pooled errors: pooled median and maximum of the floor differ from the mean over insertions."""
 
 Row = dict[str, Any]
 RowMaker = Callable[[Results], list[Row]]

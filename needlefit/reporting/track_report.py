@@ -26,7 +26,7 @@ from needlefit.validation.tracks.results import (
 
 TRACK_METHOD_NAMES = {**METHOD_NAMES, "constant_curvature": "parabola"}
 PRINTED_MEASURES = ("rms_mm", "aligned_rms_mm")
-"""Of `summary.MEASURES`, what the table of scores shows."""
+"""The measures of `summary.MEASURES` that the table of scores shows."""
 
 _PARAMETER_NOTES = (
     "Percentiles of the posterior. “SD ratio” is its deviation over that of prior and bounds, in ln: where "

@@ -88,7 +88,7 @@ EXPORT_TYPES = {
     "animation.gif": "image/gif",
     "inputs.csv": "text/csv",
 }
-"""What there is, and its type."""
+"""Suffixes of the possible exports, with their media types."""
 
 
 def export(path: Path, kind: str) -> bytes:

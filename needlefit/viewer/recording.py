@@ -28,7 +28,7 @@ from needlefit.viewer.interaction.steering import SteeredNeedle
 COLUMNS = ("step", "time_s", "input", "item", "value", "deflection_mm")
 
 MAX_ITEM_DIGITS = 6
-"""Of the number of a guide or layer; Python refuses to convert thousands of digits."""
+"""Digits of the number of a guide or layer; Python refuses to convert thousands of digits."""
 
 
 @dataclass(frozen=True)

@@ -25,24 +25,25 @@ from needlefit.project.sandbox import (
 Floats = NDArray[np.float64]
 
 SIGNATURE, SIGNATURE_OFFSETS = b"\x89HDF\r\n\x1a\n", (0, 512, 1024, 2048)
-"""Of HDF5, which MATLAB writes from version 7.3 on behind a head of its own; and where it may stand."""
+"""Signature of HDF5, which MATLAB uses from version 7.3 on, and its possible positions behind MATLAB's own
+header."""
 
 MAX_SHOWN_VARIABLES = 20
-"""Variables that a message lists."""
+"""Number of variables that a message lists."""
 
 ELEMENT_TYPES = range(1, 19)
 COMPRESSED_TYPE = 15
-"""Kinds of elements of versions 5 to 7: numbers, matrices, compressed ones, text."""
+"""Types of elements in versions 5 to 7: numbers, matrices, compressed data, text."""
 
 HEADER_BYTES = 128
 VERSION_OFFSET = 124
-"""Length of the head of versions 5 to 7, and where in it stand the version and the order of bytes."""
+"""Length of the header in versions 5 to 7, and the position of version and byte order in it."""
 
 MIN_BYTES = 20
-"""Of the head of one matrix of version 4."""
+"""Size of the header of one matrix in version 4."""
 
 MAX_EXPANSION = 8
-"""Memory that the content of a file may take, in sizes of the file."""
+"""Memory that the content of a file may take, as a multiple of the file's size."""
 
 READ_BYTES_PER_SECOND = 2**20
 EXPECTED_ARRAYS = "N x 3 arrays of numbers, mm, entry first"

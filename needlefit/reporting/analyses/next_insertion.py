@@ -29,7 +29,7 @@ from needlefit.validation.analyses.runner import AnalysisResult
 
 ENTRY_COLOURS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 LABEL_SPACE = 1.62
-"""The width of a panel by its greatest depth: names stand beyond."""
+"""Width of a panel over its greatest depth; the labels are in the space beyond."""
 
 
 def draw_gains(result: AnalysisResult, path: Path) -> Path:

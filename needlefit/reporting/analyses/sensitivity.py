@@ -30,7 +30,7 @@ _TABLES = {
     "tuning_by_media": "By media",
 }
 MIN_CHANGE_FLOORS = 0.1
-"""Part of the noise floor that a change must exceed to be called one."""
+"""Least change that is reported as one, as a fraction of the noise floor."""
 
 
 def summarize(result: AnalysisResult) -> list[str]:

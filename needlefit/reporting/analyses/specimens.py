@@ -19,7 +19,7 @@ from needlefit.validation.analyses.runner import AnalysisResult
 from needlefit.validation.analyses.specimens import BEST_DETERMINED, LEVELS
 
 MAX_NAMED_SPECIMENS = 3
-"""Specimens at most that a sentence names; more are counted."""
+"""Number of specimens that a sentence names; more are only counted."""
 
 
 def summarize(result: AnalysisResult) -> list[str]:

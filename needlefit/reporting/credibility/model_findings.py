@@ -130,10 +130,10 @@ def _select_rows(case: CredibilityCase, evidence: CredibilityEvidence, file: str
 
 
 FORM_ASPECTS = ("tie", "advance", "constraint spacing", "first cell", "phase of the grid")
-"""Decided rules of the model, as a sensitivity study calls what it varies."""
+"""Rules of the model, by the names of their variations in a sensitivity study."""
 
 INPUT_ASPECTS = ("thickness", "rigidity", "layer depths")
-"""What is given to the model, likewise."""
+"""Inputs of the model, by the names of their variations in a sensitivity study."""
 
 
 def find_form(case: CredibilityCase) -> FactorFindings:

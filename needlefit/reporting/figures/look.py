@@ -16,7 +16,7 @@ COLOURS = {
     "band": "#0072b2",
     "halo": "#ffffffd8",
 }
-"""Those of the page by light, by the names that its style sheet has for them."""
+"""Colours of the page in its light theme, by the names in its style sheet."""
 
 TIP = COLOURS["tip"]
 

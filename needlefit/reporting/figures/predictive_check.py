@@ -29,10 +29,10 @@ from needlefit.validation.summary import find_bevel_sides
 Floats = NDArray[np.float64]
 
 BAND_POINTS = 100
-"""Probabilities at which the band of chance is computed, plus one."""
+"""Number of probabilities at which the band is computed, plus one."""
 
 BAND_ERROR_PROBABILITY = 0.05
-"""Probability with which levels that are uniform leave the band somewhere."""
+"""Probability that uniform PIT values leave the band somewhere."""
 
 _QUANTITIES = {"tip": ("tips", "#0072B2"), "shape": ("whole shapes", "#009E73")}
 _INTERVALS = (50, 95)

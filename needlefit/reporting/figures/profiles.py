@@ -21,13 +21,13 @@ from needlefit.reporting.tables import Row, to_records
 Floats = NDArray[np.float64]
 
 MAX_PANEL_COLUMNS = 4
-"""Most panels in a row."""
+"""Greatest number of panels in a row."""
 
 MAX_TICKS = 4
-"""Most numbers along a logarithmic axis."""
+"""Greatest number of labelled ticks on a logarithmic axis."""
 
 MAX_DEVIANCE = 6.5
-"""Deviance at which the panels end."""
+"""Upper end of the panels' deviance axis."""
 
 PROFILE_COLOUR, PARABOLA_COLOUR, WARNING_COLOUR = (
     METHOD_COLOURS["fitted"],

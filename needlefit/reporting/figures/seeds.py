@@ -18,7 +18,7 @@ from needlefit.validation import paper
 from needlefit.validation.analyses.runner import AnalysisResult
 
 _LINEAR_RANGE_MM = 0.1
-"""mm; up to here the scale of the comparisons is linear."""
+"""The scale of the comparisons is linear up to this, mm."""
 
 _METRIC_LABELS = {
     "median_err_mm": "median (mm)",

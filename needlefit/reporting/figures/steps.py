@@ -32,7 +32,8 @@ _MIN_PANEL_IN = 0.25  # inches of height, where so many panels let the figure gr
 _TWO_LINES_IN = 0.4  # inches of height that two lines of text in a panel take, with the needle beside them
 _MIN_PANEL_WIDTH_IN = 1.0  # inches
 MAX_PANELS = 20
-"""Of a figure; of more steps as many are shown, evenly, the first and the last among them."""
+"""Number of panels of a figure; of more steps as many are shown at even distances, with the first and the
+last."""
 
 
 def paint_steps(title: str, scene: Scene, shapes: Sequence[NeedleShape]) -> Figure:

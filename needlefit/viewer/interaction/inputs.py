@@ -34,18 +34,18 @@ INPUTS: dict[str, Item | None] = {
     "offset_throughout_mm": None,
     "return_to": None,
 }
-"""Every input, and what its item counts."""
+"""All inputs, each with the object that its item number counts."""
 
 PARAMETERS = ("mu_pa", "alpha", "offset_throughout_mm")
-"""Of the model: they hold for the whole insertion."""
+"""Parameters of the model: they apply to the whole insertion."""
 
 FLAGS = ("guide_turns_freely", "guide_engaged", "tip_held")
 
 MAX_GUIDE_NUMBER = 32
-"""Numbers that guides can have."""
+"""Greatest number of a guide."""
 
 MAX_MU_PA = 1e15
-"""mu, Pa: beyond, rounding exceeds what the needle itself bears."""
+"""Greatest mu, Pa: beyond it, rounding exceeds the needle's own stiffness."""
 
 
 @dataclass(frozen=True)

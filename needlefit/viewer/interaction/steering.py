@@ -14,7 +14,8 @@ from needlefit.mechanics.tissue import Tissue
 from needlefit.viewer.interaction.inputs import PARAMETERS, Change, apply_changes
 
 TRIAL_SECONDS, TRIALS = 0.008, 3
-"""Time of a trial, s, and how many there are: the fastest counts, as others on the machine only slow it."""
+"""Duration of a trial, s, and number of trials; the fastest counts, since other programs can only slow a
+trial down."""
 
 
 def measure_step_rate(session: Session, depth: float) -> float:

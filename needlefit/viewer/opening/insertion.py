@@ -28,7 +28,8 @@ from needlefit.viewer.overlay.slice import find_scan
 from needlefit.viewer.viewed_scene import ViewedScene
 
 DEFAULT_MU_PA, DEFAULT_ALPHA, DEFAULT_BEVEL_MM = 2e5, 1.0, 0.05
-"""Of every layer of an undescribed medium: the paper's softer material, and about its bevel offset."""
+"""Parameters of all layers of an undescribed medium: the paper's softer material, and roughly its bevel
+offset."""
 
 
 @dataclass(frozen=True)

@@ -20,13 +20,14 @@ from needlefit.viewer.serving.window import Reply, Window
 LOOPBACK = "127.0.0.1"
 
 MAX_MESSAGE_BYTES = 16 * 1024
-"""Bytes of a message: the largest that the page sends has a few hundred."""
+"""Size limit of a message; the largest from the page has a few hundred bytes."""
 
 MAX_MESSAGES_PER_S = 1000.0
-"""Messages a second that a window may send; a page sends up to 250 inputs, and one for each of its frames."""
+"""Messages per second that a window may send; a page sends up to 250 inputs, and one for each of its
+frames."""
 
 MAX_BURST_MESSAGES = 2000.0
-"""Messages that may come at once after a pause."""
+"""Number of messages that may arrive at once after a pause."""
 
 HEADERS = {
     "Content-Security-Policy": "default-src 'none'; script-src 'self'; style-src 'self'; "
@@ -103,10 +104,10 @@ class RateLimit:
 
 
 TOKEN_TIMEOUT_S = 10.0
-"""Time in which a window must say its token, s."""
+"""Time in which a window must send its token, s."""
 
 BAND_INTERVAL_S = 0.15
-"""Pause between two bands, s: they are drawn from a hundred needles beside the one that is steered."""
+"""Pause between two bands, s: each takes a hundred simulated needles."""
 
 MAX_WINDOWS = 16
 

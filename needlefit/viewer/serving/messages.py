@@ -21,7 +21,7 @@ from needlefit.viewer.serving.trials import InteractiveTrial
 Floats = NDArray[np.float64]
 
 LENGTH_DIGITS = 4
-"""Of lengths in mm that are drawn."""
+"""Decimals of drawn lengths in mm."""
 
 POINTS_BEFORE_TISSUE = 25
 """Points of the needle drawn before the tissue."""
@@ -200,13 +200,13 @@ ACTIONS = frozenset(
 )
 
 MAX_CHANGES = 64
-"""Inputs that one message may set."""
+"""Number of inputs that one message may set."""
 
 MAX_SPEED_MM_S = 1000.0
 """mm/s."""
 
 MAX_REPLAY_SPEED = 1000.0
-"""As fast as recorded, so many times."""
+"""Greatest speed of a replay, as a multiple of the recorded speed."""
 
 
 @dataclass(frozen=True)

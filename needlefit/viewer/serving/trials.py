@@ -14,7 +14,7 @@ from needlefit.viewer.recording import RecordedStep, Recording, RecordingWriter,
 from needlefit.viewer.viewed_scene import ViewedScene
 
 MAX_UNDO = 200
-"""Gestures that can be undone."""
+"""Number of gestures that can be undone."""
 
 
 class InteractiveTrial:
@@ -155,7 +155,8 @@ class InteractiveTrial:
 
 
 MAX_TRIALS = 32
-"""Needles that are kept; of more, those whose windows closed longest ago are let go, but no recording."""
+"""Number of trials that are kept. Beyond it, those whose windows closed first are dropped; their recordings
+stay."""
 
 
 class TrialRegistry:

@@ -25,11 +25,11 @@ from needlefit.viewer.serving.messages import (
 from needlefit.viewer.serving.trials import InteractiveTrial, TrialRegistry
 
 MAX_FRAME_S = 0.1
-"""Time that one frame may carry the needle on, s: after a pause it does not leap."""
+"""Longest motion in one frame, s: after a pause the needle does not jump."""
 
 
 UNDO_PAUSE_S = 0.4
-"""Time between two steps of a recording, s, from which on they are undone one by one."""
+"""Steps of a recording that are farther apart than this, s, are undone one by one."""
 
 
 class Motion(Protocol):
