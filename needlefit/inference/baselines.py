@@ -1,9 +1,10 @@
-"""Empirical curves as baselines: least-squares fits, and their posterior by the likelihood that models have.
+"""Baselines without mechanics: empirical curves, fitted by least squares, and their posterior.
 
-The posterior of an empirical curve, by the same likelihood as a model's.
+The posterior of an empirical curve uses the same likelihood as that of a model.
 
 A curve knows no layers and no mechanics: theta holds its coefficients, c_k LENGTH^(k + 1), flat within bounds
-that hold every needle, and the logarithm of the noise's scale. Of uncertain depths that of the tip moves it.
+that every needle satisfies, and the logarithm of the noise scale. Of the uncertain depths only the tip's
+moves the curve.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -31,7 +32,7 @@ COEFFICIENT_LENGTH_MM = 100.0
 
 @dataclass(frozen=True)
 class Baseline:
-    """An empirical curve, the same for all insertions but for their depth and bevel side.
+    """A fitted empirical curve; it differs between insertions only by their depth and bevel side.
 
     Attributes
     ----------
@@ -76,6 +77,7 @@ def fit_baseline(name: str, pose: Pose, drop: float, insertions: Sequence[Insert
             return _residuals(scale * scaled, pairs)
 
         found = scale * least_squares(residuals, found, xtol=1e-12).x
+    # twice the mean over coordinates: x and y of a point add up to its squared distance
     rms = float(np.sqrt(2 * np.mean(_residuals(found, pairs) ** 2)))
     return Baseline(name, tuple(found.tolist()), rms)
 
@@ -105,7 +107,7 @@ MAX_COEFFICIENT = 10.0
 
 @dataclass(frozen=True)
 class CurveDensity:
-    """The posterior of one curve, given some insertions.
+    """The posterior of the coefficients of one empirical curve, given some insertions.
 
     Attributes
     ----------
@@ -148,11 +150,12 @@ class CurveDensity:
 
     @cached_property
     def observations(self) -> tuple[Observation, ...]:
-        """The insertions, ready to be compared; computed once."""
+        """The observations that curves are compared with; computed once."""
         return tuple(self.of(insertion) for insertion in self.insertions)
 
     def of(self, insertion: Insertion) -> Observation:
-        """Return an insertion ready to be compared with curves, which no boundary moves."""
+        """Return the observation of an insertion; boundaries get no error, since they do not move a curve."""
+        # a curve has no layers, so only the depth of the tip is uncertain
         return make_observation(self.dataset, replace(insertion, boundary_sd=0.0), likelihood=self.likelihood)
 
     def curve(self, theta: Floats) -> Baseline:
@@ -162,7 +165,7 @@ class CurveDensity:
 
     @cached_property
     def peak(self) -> Floats:
-        """Theta (P,) of the greatest density, searched for about the closest curve."""
+        """Theta (P,) of the greatest density, found by a search from the least-squares curve."""
         pose, drop = self.dataset.pose, self.dataset.drop_proximal
         closest = fit_baseline(self.name, pose, drop, self.insertions).coefficients
         scaled = np.array(closest) * COEFFICIENT_LENGTH_MM ** np.arange(1.0, len(closest) + 1)

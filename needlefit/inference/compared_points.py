@@ -1,4 +1,4 @@
-"""Which points of a simulated and a measured needle are compared.
+"""Choose the points at which a simulated and a measured needle are compared.
 
 Pose known: both curves lie in C and are sampled at equal fractions of their own inserted arc length.
 
@@ -33,7 +33,7 @@ ENTRY_SIDE_FRACTION = 0.2
 
 @dataclass(frozen=True)
 class SimulatedCurve:
-    """The curve of a simulated needle: beam coordinates (K,) -> points (K, 2) in C."""
+    """A simulated needle as a function: beam coordinates (K,) -> points (K, 2) in C."""
 
     shape: NeedleShape
 
@@ -43,13 +43,13 @@ class SimulatedCurve:
 
 
 def make_curve(shape: NeedleShape) -> SimulatedCurve:
-    """Return the curve of a simulated needle."""
+    """Return a simulated needle as a function of the beam coordinate."""
     return SimulatedCurve(shape)
 
 
 @dataclass(frozen=True)
 class ComparedPoints:
-    """The measured side of one comparison.
+    """The measured points of one comparison, and where the simulated ones are taken.
 
     Attributes
     ----------
@@ -68,7 +68,7 @@ class ComparedPoints:
 def select_points(
     pose: Pose, drop: float, insertion: Insertion, stations: int = COMPARISON_POINTS
 ) -> ComparedPoints:
-    """Return what a curve is compared with; see `compare_points`."""
+    """Return the measured points that a curve is compared with; see `compare_points`."""
     if pose == "known":
         fractions = np.linspace(0.0, 1.0, stations)
         return ComparedPoints(insertion.depth * fractions, resample_curve(insertion.planar, fractions), pose)
@@ -106,9 +106,10 @@ def compare_points(
 
 
 def rotate_to_entry_axes(points: Floats) -> Floats:
-    """Return points (K, 2) from the first of them, x along the line through their entry side."""
+    """Return points (K, 2) relative to the first one, with x along the line through their entry side."""
     first = points[: max(2, round(ENTRY_SIDE_FRACTION * len(points)))]
     centred = first - first.mean(axis=0)
+    # the first right singular vector is the least-squares line; its sign is arbitrary
     direction = np.linalg.svd(centred, full_matrices=False)[2][0]
     direction = direction if direction @ (first[-1] - first[0]) >= 0 else -direction
     to_axes = np.array([[direction[0], -direction[1]], [direction[1], direction[0]]])

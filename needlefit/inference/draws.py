@@ -1,4 +1,4 @@
-"""Draws of the parameters, from a posterior or from the prior."""
+"""Draws of the parameters from a posterior or from the prior."""
 
 import math
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ Source = Literal["posterior", "importance"]
 
 @dataclass(frozen=True)
 class Draws:
-    """Draws of theta (B, P) of a posterior: sampled, or by importance sampling about its modes.
+    """Draws of theta (B, P) from a posterior, by MCMC or by importance sampling.
 
     `faults` says why it has not converged, or is not certified; it is empty if it is. `pareto_k` is that of
     the weights, NaN of a sampled posterior.
@@ -30,7 +30,7 @@ class Draws:
 
 
 def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> Draws:
-    """Return `count` draws, evenly spread over all chains and steps.
+    """Return `count` draws of a sampled posterior, evenly spread over all chains and steps.
 
     Raises
     ------
@@ -45,7 +45,7 @@ def thin_posterior(posterior: Posterior, parameters: Parameters, count: int) -> 
 
 
 def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -> float:
-    """Return what multiplies deviations of noise and pose: as stated, or root mean square of the draws'."""
+    """Return the factor on the standard deviations of noise and pose: the stated one, or the draws' rms."""
     if NOISE_SCALE not in parameters.free:
         return 1.0 if isinstance(stated, str) else stated
     scales = [parameters.values(theta)[NOISE_SCALE] for theta in draws.thetas]
@@ -53,12 +53,14 @@ def rms_noise_scale(draws: Draws, parameters: Parameters, stated: float | str) -
 
 
 def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator) -> Floats:
-    """Return `count` draws (B, P) of the prior: flat within the bounds, times what the medium states."""
+    """Return `count` draws (B, P) of the prior: flat within the bounds, times the Gaussian that is stated."""
     lower, upper = parameters.lower, parameters.upper
     slopes = parameters.prior.slopes(parameters.free)  # (Q, P)
     stated_columns = slopes.any(axis=0)
     middle = 0.5 * (lower + upper)
     off = parameters.prior.residuals(parameters.values(middle))
+    # the prior's residuals are off + slopes @ (theta - middle): draw standard normal residuals, and solve for
+    # theta
     spread = np.linalg.pinv(slopes[:, stated_columns])
     drawn = np.empty((0, len(lower)))
     while len(drawn) < count:
@@ -66,6 +68,7 @@ def draw_from_prior(parameters: Parameters, count: int, rng: np.random.Generator
         thetas[:, stated_columns] = (
             middle[stated_columns] + (rng.standard_normal((count, len(off))) - off) @ spread.T
         )
+        # rejection keeps the Gaussian's shape; clipping would pile draws up at the bounds
         inside = np.all((thetas >= lower) & (thetas <= upper), axis=1)
         drawn = np.concatenate([drawn, thetas[inside]])
     return drawn[:count]

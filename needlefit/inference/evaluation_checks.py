@@ -15,7 +15,7 @@ from needlefit.mechanics.lanes import simulate_batches
 
 @dataclass(frozen=True)
 class EvaluationFailure:
-    """What ended an evaluation.
+    """Why one evaluation failed, and at which insertion.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class EvaluationFailure:
 
 
 def explain_failure(problem: Problem, theta: Theta) -> EvaluationFailure:
-    """Return why a theta has no objective and no density, insertion by insertion as they are evaluated."""
+    """Return why a theta cannot be evaluated: the first insertion that fails, and how."""
     values = problem.values(theta)
     for insertion in problem.insertions:
         try:
@@ -55,7 +55,7 @@ Floats = NDArray[np.float64]
 def find_outside_validity(
     problem: Problem, thetas: Sequence[Theta] | Floats, jobs: int = 1
 ) -> NDArray[np.bool_]:
-    """Return which of `thetas` (B, P) simulate an insertion of the problem outside its validity, (B,).
+    """Return a mask (B,): the `thetas` (B, P) that simulate any insertion outside the model's validity.
 
     A solve that fails is none of these: it is counted as failed.
     """

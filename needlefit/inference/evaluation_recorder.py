@@ -1,5 +1,5 @@
-"""Evaluate an objective function, and record what was evaluated, what failed, the best point, and when to
-end.
+"""Evaluate an objective function, and record evaluations, failures, the best point, and the end of the
+search.
 """
 
 import math
@@ -30,7 +30,7 @@ def half_square(residuals: Floats) -> float:
 
 
 class SearchEnded(Exception):  # noqa: N818  (no error: the way out of a search)
-    """The search is over: its budget is spent, or a stop was asked for."""
+    """Raised to leave a search: its budget is spent, or a stop was requested."""
 
 
 class EvaluationRecorder:
@@ -71,14 +71,15 @@ class EvaluationRecorder:
 
         Raises
         ------
-        Ended
-            Instead of evaluating, once the budget is spent or a stop is asked for; so do all the others.
+        SearchEnded
+            Instead of evaluating, once the budget is spent or a stop is requested; so do all other
+            methods.
         """
         point = self._begin_evaluation(theta)
         return self._record(point, self._evaluate(self.objective_function.value, point))
 
     def gradient(self, theta: Floats) -> tuple[float, Floats]:
-        """Return the value and its gradient (P,); infinite and without slope where either failed."""
+        """Return the value and its gradient (P,); infinity and zeros where either failed."""
         assert self.objective_function.gradient is not None
         point = self._begin_evaluation(theta)
         self.gradients += 1
@@ -109,7 +110,9 @@ class EvaluationRecorder:
         return found if math.isfinite(value) else None
 
     def find_constant(self, theta: Floats) -> bool:
-        """Find what half the sum of squares lacks to be the value; return whether theta could be solved."""
+        """Find the constant between the value and half the sum of squares; return whether theta was
+        solved.
+        """
         assert self.objective_function.residuals is not None
         value, point = self.value(theta), self._begin_evaluation(theta)
         found = self._evaluate(self.objective_function.residuals, point)
@@ -133,6 +136,7 @@ class EvaluationRecorder:
 
     def _evaluate(self, function: Callable[[Floats], Value], theta: Floats) -> Value | None:
         try:
+            # a copy: the point is recorded after the call, so the function must not change it
             return function(theta.copy())
         except EVALUATION_ERRORS:
             return None

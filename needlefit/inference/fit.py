@@ -13,12 +13,12 @@ from needlefit.schemas.recipe import ObjectiveName
 INTERRUPTED = "interrupted"
 
 CONVERGED_REASONS = ("tolerance", "bound", "flat", "roundoff")
-"""Why a search ended that has nothing left to gain."""
+"""Reasons to end after which no further gain is expected."""
 
 
 @dataclass(frozen=True)
 class StartPoint:
-    """Where one search begins: its number, theta, and the seed of what it draws."""
+    """Where one local search begins: its number, theta, and the seed of its random numbers."""
 
     index: int
     theta: tuple[float, ...]
@@ -27,7 +27,7 @@ class StartPoint:
 
 @dataclass(frozen=True)
 class Start:
-    """One local search.
+    """The result of one local search.
 
     Attributes
     ----------
@@ -65,13 +65,13 @@ class Start:
 
     @property
     def succeeded(self) -> bool:
-        """Whether it ended at a minimum, as far as can be determined."""
+        """Whether the search ended at a minimum, as far as can be determined."""
         return self.stopped == "tolerance" and math.isfinite(self.objective)
 
 
 @dataclass(frozen=True)
 class Fit:
-    """The best of all starts.
+    """The best of all local searches, and all of them.
 
     Attributes
     ----------
@@ -103,7 +103,7 @@ class Fit:
 
     @property
     def fault(self) -> str:
-        """Why the best point may be no minimum; empty if a start ended at one."""
+        """Why the best point may not be a minimum; empty if a search ended at one."""
         if not self.starts or any(start.stopped in CONVERGED_REASONS for start in self.starts):
             return ""
         reasons = ", ".join(sorted({start.stopped for start in self.starts}))
@@ -120,7 +120,7 @@ def _ignore_step(done: int, total: int) -> None:
 
 @dataclass(frozen=True)
 class Callbacks:
-    """Callbacks to resume, follow and stop a long computation.
+    """Callbacks to resume, report and stop a long computation.
 
     Attributes
     ----------
@@ -151,6 +151,7 @@ def start_to_dict(start: Start) -> dict[str, Any]:
         "index": start.index,
         "theta0": list(start.theta0),
         "theta": list(start.theta),
+        # JSON has no infinity
         "objective": start.objective if math.isfinite(start.objective) else None,
         "evaluations": start.evaluations,
         "gradients": start.gradients,

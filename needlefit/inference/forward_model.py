@@ -1,5 +1,4 @@
-"""The forward model: parameter values and an insertion's conditions to a simulated needle and its
-derivatives.
+"""Run the forward model: parameter values and an insertion give a simulated needle and its derivatives.
 
 Derivatives by theta are the mechanics' own, chained through logarithms and ties.
 """
@@ -45,7 +44,7 @@ def predict(
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
 ) -> NeedleShape:
-    """Return the shape that the model gives one insertion.
+    """Return the needle shape that the model predicts for one insertion.
 
     Parameters
     ----------
@@ -75,7 +74,7 @@ def make_simulation_inputs(
     boundaries: Floats | None = None,
     sequence: Sequence[int] | None = None,
 ) -> tuple[Needle, Tissue, tuple[Step, ...], ModelOptions]:
-    """Return what `predict` simulates, as `simulate_steps` and `linearize_along` take it.
+    """Return the arguments of `simulate_steps` and `linearize_along` for one insertion.
 
     Both solve to `MAX_TOLERANCE_MM`, so that values and derivatives are of one state: searches compare them.
     """
@@ -92,7 +91,9 @@ def make_simulation_inputs(
 def make_batch(
     sets: Sequence[Mapping[str, float]], medium: MediumRecord, needle: Needle, insertion: Insertion
 ) -> Batch:
-    """Return one insertion with many parameter sets, for `lanes.simulate_batches`; else as `predict`."""
+    """Return a batch of one insertion with many parameter sets, for `lanes.simulate_batches`; see
+    `predict`.
+    """
     first = sets[0]
     guide = np.array([values.get("guide_distance_mm", insertion.guide_distance or 0.0) for values in sets])
     return Batch(
@@ -100,6 +101,7 @@ def make_batch(
         make_tissue(first, insertion.sequence, insertion.boundaries, medium),
         _make_steps(first, insertion),
         make_options(medium),
+        # files and theta hold Pa, the mechanics N and mm: 1 Pa = 1e-6 MPa
         mu=np.array([[values[f"mu{layer}_pa"] * 1e-6 for layer in insertion.sequence] for values in sets]),
         alpha=np.array([[values[f"alpha{layer}"] for layer in insertion.sequence] for values in sets]),
         offset=np.array([values["bevel_mm"] for values in sets]),
@@ -123,10 +125,13 @@ def _make_controls(guide_distance: float | None) -> Controls:
 
 
 def make_options(medium: MediumRecord) -> ModelOptions:
-    """Return the rules of a medium, and the longest mesh size up to 1 mm in its constraint spacing."""
+    """Return the model options of a medium, with a mesh size of at most 1 mm that divides its constraint
+    spacing.
+    """
     spacing = medium.constraint_spacing_mm
     return ModelOptions(
         spacing,
+        # 1e-9: a spacing that is a whole number of mm must not get one more element by rounding
         spacing / math.ceil(spacing / MAX_ELEMENT_MM - 1e-9),
         switch=medium.constraint_switch,
         tangent=medium.tangent_part,
@@ -185,7 +190,9 @@ def _chain_rule(
     """Return the derivatives (P,) by theta of what the mechanics differentiate by, by its name there."""
     slopes, nothing = parameters.slopes(values), np.zeros(len(parameters.free))
     found = {"offset": slopes["bevel_mm"], "guide1_y": nothing, "guide1_slope": nothing}
+    # the guide stands before the entry, at x = -guide_distance, hence the sign
     found["guide1_x"] = -slopes.get("guide_distance_mm", nothing)
+    # the mechanics number intervals along the path; a layer that is met twice gets both derivatives
     for interval, layer in enumerate(insertion.sequence, start=1):
         found[f"mu{interval}"] = 1e-6 * slopes[f"mu{layer}_pa"]
         found[f"alpha{interval}"] = slopes[f"alpha{layer}"]
@@ -195,7 +202,7 @@ def _chain_rule(
 def make_scene_record(
     values: Mapping[str, float], medium: MediumRecord, dataset: Dataset, insertion: Insertion, title: str = ""
 ) -> SceneRecord:
-    """Return the scene whose needle is that of `predict.conditions`, in C: the world is the needle's own.
+    """Return a scene file's content that reproduces the prediction of one insertion, in C.
 
     Parameters
     ----------
@@ -233,7 +240,9 @@ def make_scene_record(
 
 
 def find_layers(insertion: Insertion) -> tuple[tuple[float, int], ...]:
-    """Return depth (mm) and number of each layer that an insertion meets; those of no thickness left out."""
+    """Return depth (mm) and number of each layer that an insertion meets, without layers of zero
+    thickness.
+    """
     tops = [0.0, *insertion.boundaries.tolist()]
     ends = [*tops[1:], float("inf")]
     met = zip(tops, ends, insertion.sequence, strict=True)

@@ -8,7 +8,7 @@ were, its own uncertainty, and the spread between specimens, as a rule far large
 The scatter S of m estimates holds both; what a further specimen may be is S (1 + 1 / m), exactly as wide
 whatever the share of each. The spread alone, S less the mean covariance within, is given too.
 
-From a compression test to the prior of a layer.
+From the test to the prior of a layer:
 
 Alpha carries over as it is: it has no unit, no geometry, and k(lambda) / k(1) depends on it alone. mu does
 not. The test gives the shear modulus of the material; the model's mu is a foundation modulus, k(1) = 3 mu
@@ -39,7 +39,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class MaterialEstimate:
-    """The distribution of a further specimen, given those of one test.
+    """The predicted distribution of a further specimen, given those of one compression test.
 
     Attributes
     ----------
@@ -65,7 +65,7 @@ class MaterialEstimate:
 
     @property
     def alpha_identified(self) -> bool:
-        """Whether alpha is known at all."""
+        """Whether any specimen identifies alpha."""
         return bool(self.pooled)
 
     @property
@@ -96,7 +96,8 @@ def fit_material(test: CompressionTest) -> MaterialEstimate:
 
 
 def pool(estimates: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[Floats, Floats, Floats]:
-    """Return mean (P,), covariance between, and covariance of a further one, (P, P), of estimates (P,).
+    """Pool estimates (P,): return mean (P,), covariance between them, and covariance of a further one, (P,
+    P).
 
     Where there are none all are NaN; of a single one nothing can be known between.
     """
@@ -106,6 +107,7 @@ def pool(estimates: Sequence[Floats], covariances: Sequence[Floats]) -> tuple[Fl
     if count == 1:
         return estimates[0], np.full_like(covariances[0], np.nan), covariances[0]
     scatter = np.cov(np.array(estimates).T)
+    # few specimens determine the scatter badly: Student's quantile makes the 95 % interval hold
     small_sample_factor = student.ppf(UPPER_QUANTILE_95, count - 1) / NORMAL_95_HALF_WIDTH_SD
     mean: Floats = np.mean(estimates, axis=0)
     between = _nearest_positive(scatter - np.mean(covariances, axis=0))
@@ -130,7 +132,7 @@ NUMBER_FORMAT = ".6g"
 
 @dataclass(frozen=True)
 class MaterialFoundation:
-    """What the user knows of mu of the model over mu of the material.
+    """The user's factor between the mu of the model and the shear modulus of the material.
 
     Attributes
     ----------
@@ -168,13 +170,14 @@ def make_material_prior(
     of_mu = PriorRecord(
         median=_round(foundation.factor * math.exp(log_mu) * 1e6),
         factor=_round(math.exp(sd_mu)),
+        # a correlation of exactly 1 would make the covariance singular
         correlation=_round(float(np.clip(material.covariance[0, 1] / (sd_mu * sd), -0.99, 0.99))),
     )
     return of_alpha, of_mu
 
 
 def set_material_prior(medium: MediumRecord, layer: str, material: MaterialRecord) -> MediumRecord:
-    """Return the medium in which one layer has the prior of a compression test.
+    """Return the medium with the prior of a compression test on one layer.
 
     An alpha that the medium fixes becomes free within `ALPHA_REACH_SD` standard deviations of its prior's
     mean.

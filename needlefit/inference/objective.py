@@ -18,7 +18,7 @@ Floats = NDArray[np.float64]
 
 
 class SupportsBounds(Protocol):
-    """What has bounds."""
+    """Interface of anything with bounds on theta."""
 
     @property
     def lower(self) -> Floats:
@@ -30,21 +30,21 @@ class SupportsBounds(Protocol):
 
 
 class SupportsValues(SupportsBounds, Protocol):
-    """What has a theta."""
+    """Interface of anything that turns theta into parameter values."""
 
     def values(self, theta: Floats) -> dict[str, float]:
-        """Return what theta means."""
+        """Return the value of every parameter (Pa, mm) at theta."""
 
 
 class SupportsApproach(SupportsValues, Protocol):
-    """What may offer an easier problem with its best points close by."""
+    """Interface of a problem that may offer an easier problem with nearby minima."""
 
     def approach(self, minimized: ObjectiveName) -> "SupportsPosterior | None":
-        """Return what leads to the best points of what is minimised; None if nothing is easier."""
+        """Return an easier problem whose minima lead to those of this one; None if there is none."""
 
 
 class SupportsPosterior(SupportsApproach, Protocol):
-    """What has a posterior; `Problem` is one."""
+    """Interface of a problem with a posterior; `Problem` is one."""
 
     def log_posterior(self, theta: Floats) -> float:
         """Return the log posterior; not finite where it cannot be computed."""
@@ -65,7 +65,7 @@ class SupportsPosterior(SupportsApproach, Protocol):
 
 @runtime_checkable
 class SupportsMetric(SupportsApproach, Protocol):
-    """What has a metric objective; `Problem` is one; a fit to tip tracks is not."""
+    """Interface of a problem with a metric objective; `Problem` is one, a fit to tip tracks is not."""
 
     def objective(self, theta: Floats) -> float:
         """Return the metric objective, mm; not finite where it cannot be computed."""
@@ -76,7 +76,7 @@ class SupportsMetric(SupportsApproach, Protocol):
 
 @dataclass(frozen=True)
 class ObjectiveFunction:
-    """A function on a box, to be minimised; any of its functions may fail or not be finite.
+    """A function on a box, to be minimised; any evaluation may fail or not be finite.
 
     Attributes
     ----------
@@ -114,7 +114,7 @@ APPROACH_TOLERANCE = 1e-6
 
 
 def make_objective(problem: SupportsPosterior, minimized: ObjectiveName) -> ObjectiveFunction:
-    """Return what a recipe's `minimize` names, of one problem, and what leads to its minima.
+    """Return the objective function that a recipe's `minimize` names, with an easier one to start from.
 
     Raises
     ------
@@ -138,7 +138,7 @@ def make_objective(problem: SupportsPosterior, minimized: ObjectiveName) -> Obje
 def make_posterior_objective(
     problem: SupportsPosterior, absolute_tolerance: float = POSTERIOR_TOLERANCE
 ) -> ObjectiveFunction:
-    """Return the negative log posterior density in theta."""
+    """Return the negative log posterior density in theta as an objective function."""
 
     def value(theta: Floats) -> float:
         return -problem.log_posterior(theta)
@@ -158,5 +158,5 @@ def make_posterior_objective(
 
 
 def make_metric_objective(problem: SupportsMetric) -> ObjectiveFunction:
-    """Return the metric objective: a weighted mean of IPE, TE and EDP, mm."""
+    """Return the metric objective, a weighted mean of IPE, TE and EDP (mm), as an objective function."""
     return ObjectiveFunction(problem.lower, problem.upper, problem.objective, problem.objective_gradient)

@@ -1,4 +1,4 @@
-"""The parameters of a medium: names, bounds, ties, and the vector theta that is searched.
+"""Names, bounds and ties of a medium's parameters, and the vector theta that is searched.
 
 Moduli and lengths are searched in logarithms, because they are positive and known to orders of
 magnitude at most; alpha is searched as it is.
@@ -35,7 +35,7 @@ NOISE_SCALE_BOUNDS = (0.1, 10.0)
 
 @dataclass(frozen=True)
 class Parameters:
-    """What is free, fixed and tied; every parameter is exactly one of these.
+    """Which parameters are free, fixed and tied; every parameter is exactly one of these.
 
     Attributes
     ----------
@@ -99,7 +99,7 @@ class Parameters:
 
     @property
     def status(self) -> dict[str, Status]:
-        """What each parameter is."""
+        """Whether each parameter is free, fixed or tied."""
         return {
             name: "free" if name in self.bounds else "fixed" if name in self.fixed else "tied"
             for name in self.names
@@ -154,7 +154,7 @@ class Parameters:
 
 
 def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS[1]) -> Parameters:
-    """Return the parameters with a free noise scale, up to `largest`, as the last of them."""
+    """Return the parameters with a free noise scale, bounded by `largest`, as the last one."""
     names, bounds = (
         (*parameters.names, NOISE_SCALE),
         {**parameters.bounds, NOISE_SCALE: (NOISE_SCALE_BOUNDS[0], largest)},
@@ -165,7 +165,7 @@ def with_noise_scale(parameters: Parameters, largest: float = NOISE_SCALE_BOUNDS
 def make_tissue(
     values: Mapping[str, float], sequence: Sequence[int], boundaries: Floats, medium: MediumRecord
 ) -> Tissue:
-    """Return the tissue met by one insertion.
+    """Return the tissue that one insertion meets, in the units of the mechanics (MPa, mm).
 
     Parameters
     ----------
@@ -185,6 +185,7 @@ def make_tissue(
             fix="use the configuration of the medium that the needle went into",
         )
     return Tissue(
+        # Pa to MPa = N / mm^2
         mu=np.array([values[f"mu{layer}_pa"] * 1e-6 for layer in sequence]),
         alpha=np.array([values[f"alpha{layer}"] for layer in sequence]),
         boundaries=np.asarray(boundaries, dtype=np.float64),

@@ -1,4 +1,4 @@
-"""The posterior density of one fit, its exact gradient, and its least-squares residuals."""
+"""The posterior density of one fit, its exact gradient, and its residuals for least squares."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -77,6 +77,8 @@ class PosteriorDensity:
             for observation in self.observations
             for insertion in observation.nodes.insertions
         ]
+        # all nodes of all insertions go into one call, so that threads stay busy; they come back in this
+        # order
         shapes = iter(simulate_batches(batches, jobs))
         for observation in self.observations:
             yield _white_each(observation, [next(shapes) for _ in observation.nodes.s])
@@ -92,11 +94,13 @@ class PosteriorDensity:
             total += observation.log_norm
             total += float(log_marginals(white[None], observation.nodes, np.array([scale]))[0])
             slope = slope - np.einsum("mr,mrp->p", mixed @ white, by)
+            # d/d(ln scale) of the log density: |residual|^2 of the mixture, minus one per row for the
+            # normalising factor
             slope = slope + self._by_scale * (np.sum(mixed * (white @ white.T)) - observation.rows)
         return total, slope
 
     def residuals(self, values: Mapping[str, float]) -> Floats:
-        """Return residuals (R,): of the insertions, of what normalises their density, and of the prior."""
+        """Return residuals (R,): of the insertions, of the normalising factor, and of the prior."""
         scale = self._scale(values)
         linear_only = [(observation, observation.nodes.linear_only) for observation in self.observations]
         pairs = [
@@ -107,13 +111,13 @@ class PosteriorDensity:
         return np.concatenate([*(r for r, _ in pairs), normal, self.parameters.prior.residuals(values)])
 
     def jacobian(self, values: Mapping[str, float]) -> tuple[Floats, Floats]:
-        """Return `linear_residuals` and their derivatives (R, P) by theta; NaN where a solve fails."""
+        """Return `residuals` and their derivatives (R, P) by theta; NaN where a solve fails."""
         scale, parts, slopes = self._scale(values), [], []
         log_det, by_det = 0.0, np.zeros(len(self.parameters.free))
         for observation in self.observations:
             nodes = observation.nodes.linear_only
             white, by = self._white_and_slopes(observation, nodes, values)
-            # a larger scale shrinks residuals as a whole
+            # residuals are white / scale: d/d(ln scale) is minus the residual
             by = by - white[..., None] * self._by_scale
             part, more = linear_residuals(white, nodes, scale)
             part_slopes, more_slopes = linear_residual_derivatives(white, by, nodes, scale)
@@ -121,6 +125,7 @@ class PosteriorDensity:
             parts.append(part)
             slopes.append(part_slopes)
         normal, prior = self._normal(scale, log_det), self.parameters.prior
+        # derivative of normal^2 / 2; divided by normal below, since d(normal) = d(normal^2 / 2) / normal
         by_normal = 0.5 * by_det + self._rows * self._by_scale
         parts += [normal, prior.residuals(values)]
         slopes += [by_normal / normal[:, None], prior.slopes(self.parameters.free)]
@@ -128,7 +133,7 @@ class PosteriorDensity:
 
     @property
     def residual_counts(self) -> tuple[int, ...]:
-        """How many of `linear_residuals` each insertion has; the normalising one and the prior's follow."""
+        """Number of residuals of each insertion; the normalising one and the prior's come after them."""
         return tuple(observation.rows + observation.nodes.axes for observation in self.observations)
 
     @property

@@ -1,8 +1,7 @@
-"""The predictive distribution of a held-out needle: a mixture of Gaussians, one for each draw.
+"""The predictive distribution of a held-out needle: a mixture of Gaussians, one for each posterior draw.
 
-Each draw gives one curve. The Gaussian about it holds the errors of pose and measurement.
+Each draw gives one curve. The Gaussian about it has the errors of pose and measurement.
 
-Every draw gives one curve; about it lies what the draw does not know, the errors of pose and measurement.
 Quantities of a mixture have closed forms: with weights 1 / B, means m_b and one deviation s,
 
     F(y) = mean_b Phi((y - m_b) / s),
@@ -35,7 +34,7 @@ BRACKET_SD = 9.0
 
 @dataclass(frozen=True)
 class PredictiveMixture:
-    """Equal Gaussians of one deviation, for K quantities at once.
+    """A mixture of equally weighted Gaussians with one standard deviation, for K quantities at once.
 
     Attributes
     ----------
@@ -54,13 +53,14 @@ def cdf(mixture: PredictiveMixture, at: ArrayLike) -> Floats:
     values = np.asarray(at, dtype=np.float64)
     away = values - mixture.means  # (B, K)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # with a deviation of 0 the CDF is a step, and 0 / 0 at the step itself counts as the middle
         scaled = np.where(away == 0, 0.0, away / mixture.sd)
     below: Floats = ndtr(scaled).mean(axis=0)
     return below
 
 
 def quantile(mixture: PredictiveMixture, p: float) -> Floats:
-    """Return the values (K,) that are not exceeded with probability `p`, by bisection."""
+    """Return the quantiles (K,) of probability `p`, by bisection."""
     low = mixture.means.min(axis=0) - BRACKET_SD * mixture.sd
     high = mixture.means.max(axis=0) + BRACKET_SD * mixture.sd
     for _ in range(BISECTION_STEPS):
@@ -77,7 +77,7 @@ def interval(mixture: PredictiveMixture, level: float) -> tuple[Floats, Floats]:
 
 
 def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
-    """Return the continuous ranked probability score (K,) of what was `observed` (K,), in its unit.
+    """Return the continuous ranked probability score (K,) of the values `observed` (K,), in their unit.
 
     For a point prediction it is the absolute error; smaller is better.
     """
@@ -96,8 +96,8 @@ def crps(mixture: PredictiveMixture, observed: ArrayLike) -> Floats:
 def simulate_shape_pit(
     mixture: PredictiveMixture, covariance: Floats, observed: Floats, rng: np.random.Generator
 ) -> float:
-    """Return the predicted probability (PIT) of curves (K,) nearer, at their worst point, than the observed
-    one.
+    """Return the predictive CDF (PIT) of an observed curve (K,), by its largest standardised distance from
+    the mean.
 
     Nearness is the distance from the mean in standard deviations. By simulation, since points go together:
     `covariance` (K, K) is that of the errors about a draw, of which `mixture.sd` is the diagonal's root.
@@ -120,6 +120,7 @@ def simulate_shape_pit(
 def _mean_absolute(mean: Floats, sd: Floats) -> Floats:
     """Return the mean of |x| for Gaussians x of these means and deviations."""
     with np.errstate(divide="ignore", invalid="ignore"):
+        # a deviation of 0 is a point mass: its mean absolute value is |mean|
         z = np.where(sd > 0, mean / sd, 0.0)
     density = np.exp(-(z**2) / 2) / np.sqrt(2 * np.pi)
     spread: Floats = np.where(sd > 0, 2 * sd * density + mean * (2 * ndtr(z) - 1), np.abs(mean))

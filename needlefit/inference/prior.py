@@ -16,7 +16,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Prior:
-    """A Gaussian density of some parameters, in their coordinates of theta.
+    """A Gaussian prior of some parameters, in their coordinates of theta.
 
     Attributes
     ----------
@@ -33,7 +33,7 @@ class Prior:
     whitening: tuple[tuple[float, ...], ...] = ()
 
     def residuals(self, values: Mapping[str, float]) -> Floats:
-        """Return the whitened deviations (Q,) of `values` (Pa, mm); what is fixed counts as given."""
+        """Return the whitened deviations (Q,) of `values` (Pa, mm) from the prior mean."""
         if not self.names:
             return np.empty(0)
         off = [
@@ -49,6 +49,7 @@ class Prior:
 
     def slopes(self, names: Sequence[str]) -> Floats:
         """Return the derivatives (Q, P) of `residuals` by theta of the free parameters `names`."""
+        # a fixed parameter has no column: its residual is constant
         chosen = np.array([[float(name == own) for name in names] for own in self.names])  # (Q, P)
         if not self.names:
             return np.zeros((0, len(names)))
@@ -69,7 +70,7 @@ class Prior:
         return float(np.linalg.norm(spread[self.names.index(name)]))
 
     def describe(self, name: str) -> str:
-        """Describe the prior of one parameter, to end a sentence with; empty if there is none."""
+        """Describe the prior of one parameter as the end of a sentence; empty if there is none."""
         if name not in self.names:
             return ""
         mean, sd = self.mean[self.names.index(name)], self.sd(name)
@@ -81,7 +82,7 @@ class Prior:
 
 
 def make_prior(table: Mapping[str, ParameterRecord]) -> Prior:
-    """Return the prior that a medium's parameters state.
+    """Return the prior that the parameters of a medium state.
 
     Raises
     ------
@@ -105,7 +106,7 @@ def make_prior(table: Mapping[str, ParameterRecord]) -> Prior:
 
 
 def make_gaussian_prior(names: Sequence[str], mean: Floats, covariance: Floats) -> Prior:
-    """Return the prior of `mean` (Q,) and `covariance` (Q, Q), in theta's coordinates of `names`."""
+    """Return a Gaussian prior with `mean` (Q,) and `covariance` (Q, Q) in theta's coordinates of `names`."""
     whitening = np.linalg.inv(np.linalg.cholesky(covariance))
     return Prior(tuple(names), tuple(mean.tolist()), tuple(tuple(row) for row in whitening.tolist()))
 
@@ -134,7 +135,7 @@ def _alpha_of(mu: str) -> str:
 
 
 def to_coordinate(name: str, value: float) -> float:
-    """Return what theta holds of a parameter's value: its logarithm, but of alpha."""
+    """Return the coordinate of a parameter in theta: the logarithm of its value, or alpha itself."""
     return value if dimension(name) == "exponent" else math.log(value)
 
 

@@ -1,4 +1,4 @@
-"""A fit as an optimisation problem: theta in, metric objective, residuals or log posterior out.
+"""A fit as an optimisation problem: theta in; metric objective, residuals or log posterior out.
 
 The metric objective: how far one simulated needle lies from the measured one, in the paper's own errors.
 
@@ -36,7 +36,7 @@ SMOOTHING_MM = 1e-4
 
 
 def metric_misfit(simulated: Floats, measured: Floats, weights: WeightsRecord) -> float:
-    """Return what one insertion contributes, mm: points (K, 2) from the entry to the tip."""
+    """Return the metric misfit of one insertion, mm; points (K, 2) run from the entry to the tip."""
     off = simulated - measured  # (K, 2)
     distances = np.sqrt(np.sum(off**2, axis=1) + SMOOTHING_MM**2) - SMOOTHING_MM  # (K,)
     return float(_station_weights(measured, weights) @ distances)
@@ -56,6 +56,7 @@ def _station_weights(measured: Floats, weights: WeightsRecord) -> Floats:
     """Return the weight (K,) of the distance at each station."""
     deflection = abs(float(measured[-1, 1] - measured[0, 1]))
     station_weights = np.full(len(measured), weights.ipe / len(measured))
+    # the tip error and EDP count the last station alone, on top of its share of IPE
     station_weights[-1] += weights.te + weights.edp / max(deflection, weights.edp_floor_mm)
     return station_weights
 
@@ -68,7 +69,7 @@ UNIFORM_NOISE = Noise(point_sd=0.1)
 
 @dataclass(frozen=True)
 class Problem:
-    """Some insertions of one dataset, a medium's model, and which of its parameters are searched.
+    """Some insertions of one dataset, the model of a medium, and the parameters that are searched.
 
     Attributes
     ----------
@@ -133,11 +134,11 @@ class Problem:
         return tuple(align_points(goal, make_curve(shape)) for goal, shape in pairs)
 
     def errors(self, theta: Theta) -> tuple[CurveErrors, ...]:
-        """Return how far each simulated needle lies from the measured one."""
+        """Return the errors of each simulated needle against the measured one."""
         return tuple(compare_curves(*pair) for pair in self.points(theta))
 
     def objective(self, theta: Theta) -> float:
-        """Return the mean over insertions of `metric.misfit`, mm; infinite if any solve fails."""
+        """Return the mean of `metric_misfit` over insertions, mm; infinite if any solve fails."""
         values, total = self.values(theta), 0.0
         for insertion, goal in zip(self.insertions, self.compared_points, strict=True):
             shape = predict(values, self.medium, self.dataset.needle, insertion)
@@ -161,7 +162,7 @@ class Problem:
         return total / len(self.insertions), slope / len(self.insertions)
 
     def residuals(self, theta: Theta) -> Floats:
-        """Return the whitened residuals (R,) of all insertions one after the other; NaN where a solve fails.
+        """Return the whitened residuals (R,) of all insertions in turn; NaN where a solve fails.
 
         Behind them stand what normalises the density, where that depends on theta, and the prior's residuals.
         log_posterior = constant - |residuals|^2 / 2 within the bounds; where depths are integrated by
@@ -200,7 +201,8 @@ class Problem:
         return bool(np.all(at >= self.lower) and np.all(at <= self.upper))
 
     def approach(self, minimized: ObjectiveName) -> "Problem | None":
-        """Return what is cheaper or smoother than what is minimised and has its best points close by.
+        """Return a cheaper or smoother problem whose minima lie close to those of this one; None if there is
+        none.
 
         For the posterior that is the one with all depths as stated, one needle instead of 2 d + 1 or more;
         for the metric objective the plain squares of the deflections' errors.
@@ -218,7 +220,7 @@ class Problem:
 
     @cached_property
     def compared_points(self) -> tuple[ComparedPoints, ...]:
-        """What each insertion's simulated needle is compared with; computed once."""
+        """The measured points that each simulated needle is compared with; computed once."""
         pose, drop = self.dataset.pose, self.dataset.drop_proximal
         return tuple(select_points(pose, drop, insertion) for insertion in self.insertions)
 
@@ -240,7 +242,7 @@ def make_problem(
     weights: WeightsRecord,
     likelihood: LikelihoodRecord = _DEFAULT_LIKELIHOOD,
 ) -> Problem:
-    """Return the problem of fitting `medium` to `insertions`, everything free that the medium frees."""
+    """Return the problem of fitting `medium` to `insertions`; what the medium frees is searched."""
     parameters = Parameters.from_record(medium)
     if likelihood.noise_scale == "estimated":
         parameters = with_noise_scale(parameters)

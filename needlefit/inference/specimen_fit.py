@@ -23,7 +23,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class AlphaProfile:
-    """Sum of squares over alpha, mu being the best for each; everything that is asked of its shape.
+    """The profile of alpha: the sum of squares at each alpha, with the best mu for it.
 
     Attributes
     ----------
@@ -48,6 +48,7 @@ class AlphaProfile:
 
     def within(self, limit: float) -> tuple[tuple[float, float], ...]:
         """Return the intervals of alpha with a ratio of at most `limit`."""
+        # padded with False, so that a region that touches an end of the range still has both edges
         inside = np.concatenate(([False], self.ratio <= limit, [False]))
         begins, ends = (
             np.flatnonzero(np.diff(inside.astype(int)) == 1),
@@ -95,11 +96,11 @@ NORMAL_95_HALF_WIDTH_SD = 1.959964
 
 @dataclass(frozen=True)
 class SpecimenFit:
-    """The fit to the loading of one specimen.
+    """The fit of mu and alpha to the loading of one specimen.
 
     Attributes
     ----------
-    specimen : Specimen
+    specimen : SpecimenLoading
     measure : "nominal" or "true"
     mu : float
         Shear modulus of the material, MPa.
@@ -115,7 +116,7 @@ class SpecimenFit:
         Correlation of neighbouring residuals.
     effective_points : float
         Effective number of independent points.
-    profile : Profile
+    profile : AlphaProfile
     other_alphas : tuple of float
         Other alphas at which the misfit has a minimum inside the 95 % region.
     """
@@ -143,7 +144,7 @@ class SpecimenFit:
 
     @property
     def small_sample_factor(self) -> float:
-        """By how much Student's quantile of 95 % exceeds the normal one, for so few independent points."""
+        """Student's 97.5 % quantile over the normal one, for the few independent points of one specimen."""
         return float(student.ppf(UPPER_QUANTILE_95, self.effective_points - 2)) / NORMAL_95_HALF_WIDTH_SD
 
     @property
@@ -173,6 +174,7 @@ def fit_specimen(specimen: SpecimenLoading, measure: StressMeasure) -> SpecimenF
     neighbour_correlation, effective_points = _count_effective_points(residuals)
     floor = len(residuals) * (MIN_NOISE_FRACTION * float(np.max(np.abs(specimen.stress)))) ** 2
     squares = max(_sum_of_squares(minima[0]), floor)
+    # two fitted parameters leave effective_points - 2 degrees of freedom
     noise = math.sqrt(squares / len(residuals) * effective_points / (effective_points - 2))
     shared = noise**2 * len(residuals) / effective_points
     linear = [shared * _inverse_information(theta, specimen, measure) for theta, _ in minima]
@@ -209,6 +211,7 @@ def _find_starts(specimen: SpecimenLoading, measure: StressMeasure) -> list[tupl
     """Return (mu, alpha) at every minimum of the profile, its ends among them."""
     alphas = np.linspace(*ALPHA_RANGE, ALPHA_GRID_POINTS)
     mus, squares = _best_mu(specimen, measure, alphas)
+    # infinite neighbours let the ends of the range count as minima
     padded = np.concatenate(([np.inf], squares, [np.inf]))
     lowest = np.flatnonzero((squares <= padded[:-2]) & (squares <= padded[2:]) & (mus > 0))
     return [(float(mus[n]), float(alphas[n])) for n in lowest]
@@ -219,6 +222,7 @@ def _best_mu(specimen: SpecimenLoading, measure: StressMeasure, alphas: Floats) 
     found = []
     for alpha in alphas.tolist():
         unit = compute_stress(1.0, alpha, specimen.stretch, measure)
+        # stress is proportional to mu: linear least squares in one unknown
         mu = float(unit @ specimen.stress) / float(unit @ unit)
         off = mu * unit - specimen.stress
         found.append((mu, float(off @ off) if mu > 0 else math.inf))

@@ -1,4 +1,4 @@
-"""Mean and spread of parameters between specimens of one medium, in two stages.
+"""Estimate mean and spread of the parameters between specimens of one medium, in two stages.
 
     theta_i ~ N( m, diag(tau^2) ),      needles of specimen i ~ their likelihood at theta_i
 
@@ -46,7 +46,7 @@ DENSITY_POINTS = 400
 
 @dataclass(frozen=True)
 class Specimen:
-    """The posterior of one specimen as Gaussian kernels of equal weight.
+    """The posterior of one specimen as a mixture of equally weighted Gaussian kernels.
 
     Attributes
     ----------
@@ -60,18 +60,18 @@ class Specimen:
 
     @property
     def mean(self) -> Floats:
-        """Of the posterior: (P,)."""
+        """Mean of the posterior: (P,)."""
         found: Floats = self.centres.mean(axis=0)
         return found
 
     @property
     def covariance(self) -> Floats:
-        """Of the posterior: (P, P)."""
+        """Covariance of the posterior: (P, P)."""
         return np.atleast_2d(np.cov(self.centres.T, bias=True)) + self.kernel
 
 
 def make_specimen(draws: Floats) -> Specimen:
-    """Return the kernels of draws (K, P) of a posterior; their width is Silverman's."""
+    """Return the kernels of posterior draws (K, P); their width follows Silverman's rule."""
     count, p = draws.shape
     width = (4 / (p + 2)) ** (1 / (p + 4)) * count ** (-1 / (p + 4))
     part = width**2 / (1 + width**2)  # of the covariance, that the kernels have
@@ -82,7 +82,7 @@ def make_specimen(draws: Floats) -> Specimen:
 
 @dataclass(frozen=True)
 class Population:
-    """The distribution of parameters over specimens, given some of them.
+    """The posterior of mean m and spread tau over specimens, given some of them.
 
     Attributes
     ----------
@@ -99,12 +99,12 @@ class Population:
 
     @property
     def lower(self) -> Floats:
-        """Of (m, tau): (2 P,)."""
+        """Lower bounds of (m, tau): (2 P,)."""
         return np.concatenate([self.bounds[0], np.zeros(len(self.bounds[0]))])
 
     @property
     def upper(self) -> Floats:
-        """Of (m, tau): (2 P,)."""
+        """Upper bounds of (m, tau): (2 P,)."""
         return np.concatenate([self.bounds[1], np.full(len(self.bounds[1]), MAX_TAU_SD * self.spread_sd)])
 
     def log_density(self, at: Floats) -> Floats:
@@ -132,6 +132,8 @@ class Population:
     def _choose_start(self) -> Floats:
         means = np.array([one.mean for one in self.specimens])
         within = np.mean([np.diag(one.covariance) for one in self.specimens], axis=0)
+        # method of moments: variance of the means, less that within specimens; not exactly 0, which is a
+        # bound
         spread = np.sqrt(np.maximum(means.var(axis=0) - within, 0.01 * self.spread_sd**2))
         low, high = self.lower, self.upper
         begin: Floats = np.clip(np.concatenate([means.mean(axis=0), spread]), low, high)
@@ -151,7 +153,7 @@ def _likelihoods(one: Specimen, means: Floats, taus: Floats) -> Floats:
 
 
 def best_determined(specimens: Sequence[Specimen]) -> Floats:
-    """Return the combination (P,), of length 1, that specimens determine best: stiffest on average."""
+    """Return the combination (P,), of length 1, that the specimens determine best on average."""
     information = np.mean([np.linalg.inv(one.covariance) for one in specimens], axis=0)
     vector: Floats = np.linalg.eigh(information)[1][:, -1]
     upright: Floats = vector * np.sign(vector[np.argmax(np.abs(vector))])
@@ -159,13 +161,14 @@ def best_determined(specimens: Sequence[Specimen]) -> Floats:
 
 
 def marginal_density(values: Floats, weights: Floats, lowest: float) -> tuple[Floats, Floats]:
-    """Return places (GRID,) and the density there (GRID,) of weighted draws (N,) that end at `lowest`.
+    """Return points (DENSITY_POINTS,) and the density there of weighted draws (N,) that end at `lowest`.
 
     Smoothed by kernels, mirrored where the values end.
     """
     kernel = gaussian_kde(values, weights=weights)
     wide = 3 * float(np.sqrt(kernel.covariance[0, 0]))
     grid = np.linspace(lowest, float(values.max()) + wide, DENSITY_POINTS)
+    # reflection at `lowest`: a kernel estimate would lose the mass beyond the end
     density: Floats = kernel(grid) + kernel(2 * lowest - grid)
     return grid, density
 

@@ -1,4 +1,4 @@
-"""Ties between parameters: `"mu1_pa"` or `"10 * mu1_pa"` -> a factor and the parameter it ends at."""
+"""Read ties between parameters: `"mu1_pa"` or `"10 * mu1_pa"` -> a factor and the parameter it refers to."""
 
 import math
 import re
@@ -7,14 +7,14 @@ from collections.abc import Mapping
 from needlefit.errors import ConfigError
 
 NOISE_SCALE = "noise_scale"
-"""What the deviations of noise and pose are multiplied by, where it is estimated: of no medium."""
+"""What the deviations of noise and pose are multiplied by, where it is estimated; no medium has it."""
 
 _NAME = re.compile(r"(mu|alpha)([1-9]\d*)(_pa)?|(bevel|guide_distance)_mm|noise_scale")
 _TIE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[A-Za-z_]\w*)\s*")
 
 
 def dimension(name: str) -> str:
-    """Return what `name` measures: "modulus", "exponent", "length" or "factor".
+    """Return what the parameter `name` measures: "modulus", "exponent", "length" or "factor".
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""A prior for a new medium: the posterior of an old one, widened by the spread between media.
+"""Make the prior of a new medium: the posterior of an old one, widened by the spread between media.
 
 Both media are taken for draws of one population of which only the spread s is known (a standard deviation of
 each coordinate of theta). Then the new medium lies about the old one with variance 2 s^2, and
@@ -31,7 +31,7 @@ BOUND_TOLERANCE = 1e-9
 def widen_posterior(
     old: Parameters, fit: Mapping[str, float], thetas: Floats, new: Parameters, spread: Mapping[str, float]
 ) -> Prior:
-    """Return the prior of the free parameters of `new` that the old medium has too; the others stay flat.
+    """Return the prior of the free parameters of `new` that the old medium also has; the others stay flat.
 
     Parameters
     ----------

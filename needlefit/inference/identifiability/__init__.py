@@ -1,1 +1,3 @@
-"""What the data determine: Fisher information, profile likelihoods, and whether they agree."""
+"""Determine which parameters the data identify: Fisher information, profile likelihoods, and their
+agreement.
+"""

@@ -1,5 +1,4 @@
-"""Compare three measures of identifiability for one parameter: information, profile, and posterior SD / prior
-SD.
+"""Compare three measures of identifiability of one parameter: information, profile, posterior SD / prior SD.
 
 The information at the optimum is local, the profile is not, and the SD ratio counts the bounds: where they
 disagree, the sentence says which.
@@ -27,7 +26,7 @@ AGREEMENT = "information, profile and contraction agree"
 
 @dataclass(frozen=True)
 class Assessment:
-    """The identifiability of one parameter.
+    """How well one parameter is identified, by its profile and by the information.
 
     Attributes
     ----------
@@ -59,11 +58,11 @@ def assess_parameter(
     equal: tuple[float, float] | None = None,
     scatter: float = 1.0,
 ) -> Assessment:
-    """Return the assessment of one parameter.
+    """Return the identifiability of one parameter, and where the measures disagree.
 
     Parameters
     ----------
-    parameter : Examined
+    parameter : ParameterProfile
     sds : tuple of two floats
         Standard deviation of its coordinate in the posterior, and in the prior.
     equal : tuple of two floats, optional
@@ -91,12 +90,12 @@ def assess_parameter(
 
 
 def is_determined_by_data(name: str, sd: float, prior_sd: float) -> bool:
-    """Return whether a parameter with this deviation is determined by the data, not by its prior."""
+    """Return whether a posterior standard deviation is small enough by the data, not only by the prior."""
     return sd < (MAX_LOG_SD if is_logarithmic(name) else MAX_ALPHA_SD) and sd < MAX_SD_RATIO * prior_sd
 
 
 def add_sampled_disagreement(agreement: str, expected: float, sampled: float) -> str:
-    """Return the sentence on agreement, with what the draws contract to where the information says else."""
+    """Return the sentence on agreement, extended where the posterior draws contradict the information."""
     if 1 / AGREEMENT_FACTOR < sampled / expected < AGREEMENT_FACTOR:
         return agreement
     description = f"the draws contract to {sampled:.2g} of the prior, the information says {expected:.2g}"
@@ -104,7 +103,7 @@ def add_sampled_disagreement(agreement: str, expected: float, sampled: float) ->
 
 
 def describe_posterior_sd(name: str, sd: float) -> str:
-    """Return in words how well a parameter is known whose coordinate has this deviation."""
+    """Return in words how well a parameter is known, given the standard deviation of its coordinate."""
     return describe_precision(sd, is_logarithmic(name)) if math.isfinite(sd) else "not at all"
 
 
@@ -154,6 +153,7 @@ def _compare_classes(parameter: ParameterProfile, sds: tuple[float, float]) -> l
 def _classify_by_profile(parameter: ParameterProfile, prior_sd: float) -> int:
     """Return the class of a parameter by its profile: 0 not determined, 1 in part, 2 determined."""
     profile = parameter.profile
+    # divided by the factor of agreement too: the profile may be that much wider before the class changes
     sd = (profile.high - profile.low) / (2 * NORMAL_95_HALF_WIDTH_SD * AGREEMENT_FACTOR)
     return (
         0
@@ -174,6 +174,7 @@ def _compare_widths(parameter: ParameterProfile) -> list[str]:
         if (
             end == "closed"
             and math.isfinite(half)
+            # 1e-9: the reach is divided by below, and may be 0
             and not 1 / AGREEMENT_FACTOR < max(reach, 1e-9) / half < AGREEMENT_FACTOR
         ):
             ratio = max(reach / half, half / max(reach, 1e-9))

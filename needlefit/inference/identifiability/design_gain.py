@@ -1,8 +1,9 @@
-"""Expected information of insertions before they are made: nested Monte Carlo gain, and Fisher information.
+"""Compute the expected information of insertions before they are made: nested Monte Carlo and Fisher
+information.
 
-The gain of an insertion is the mutual information of parameters and data: the fall of entropy from what is
-known now to what will be known, averaged over all data that may come (D. V. Lindley, Ann. Math. Stat. 27
-(1956) 986). Nested Monte Carlo has it without linearising (K. J. Ryan, J. Comput. Graph. Stat. 12 (2003)
+The gain of an insertion is the mutual information of parameters and data: the entropy of the present
+posterior minus that of the next one, averaged over the data that may come (D. V. Lindley, Ann. Math. Stat. 27
+(1956) 986). Nested Monte Carlo computes it without linearising (K. J. Ryan, J. Comput. Graph. Stat. 12 (2003)
 585): some draws of the posterior each give the data that they predict, and all draws, of weights w_b that
 sum to 1, are reweighted by them,
 
@@ -47,7 +48,7 @@ MIN_RELATIVE_VARIANCE = 1e-12
 
 @dataclass(frozen=True)
 class ExpectedGain:
-    """The expected information gain of data; quantities are functions of the parameters, or these themselves.
+    """The expected information gain of one insertion, about all parameters and about single quantities.
 
     Attributes
     ----------
@@ -73,7 +74,7 @@ class ExpectedGain:
 
 @dataclass(frozen=True)
 class PredictedData:
-    """Draws of what is known now, and what one insertion would show if they were true.
+    """Draws of the present posterior, and the data of one insertion that each of them predicts.
 
     Attributes
     ----------
@@ -107,10 +108,13 @@ class PredictedData:
 def nested_gain(
     predicted: PredictedData, outer_draws: NDArray[np.intp], quantities: Floats, rng: np.random.Generator
 ) -> ExpectedGain:
-    """Return the gain about quantities (B, Q), over data predicted by draws `outer_draws` (O,).
+    """Return the expected gain about quantities (B, Q), averaged over data predicted by draws `outer_draws`
+    (O,).
 
     `outer_draws` stand for the posterior: they are drawn by its weights.
     """
+    # the numerator is the draw that made the data, the denominator the mean over all draws: log p(y|theta) -
+    # log p(y)
     likelihoods = predicted.log_likelihoods(outer_draws, rng)  # (O, B)
     joint = likelihoods + predicted.log_weights
     evidence = logsumexp(joint, axis=1)
@@ -136,8 +140,11 @@ def _variances(weights: Floats, quantities: Floats) -> Floats:
 
 
 def linearized_gain(covariance: Floats, slopes: Floats) -> float:
-    """Return 0.5 log det( I + Sigma J^T J ) of a covariance (P, P) and whitened slopes J (R, P)."""
+    """Return the gain of a linear Gaussian model, 0.5 log det(I + Sigma J^T J): Sigma (P, P), whitened J (R,
+    P).
+    """
     root = np.linalg.cholesky(covariance + MIN_RELATIVE_VARIANCE * np.diag(np.diag(covariance)))
+    # det(I + Sigma J^T J) = det(I + L^T J^T J L) with Sigma = L L^T: symmetric, so slogdet is stable
     whole = np.eye(len(covariance)) + root.T @ slopes.T @ slopes @ root
     return 0.5 * float(np.linalg.slogdet(whole)[1])
 
@@ -154,7 +161,7 @@ MAX_POINT_SD = 1.0
 
 @dataclass(frozen=True)
 class ExpectedPrecision:
-    """Deviations that a design leads one to expect; coordinates are those of theta.
+    """The standard deviations that a design is expected to give; coordinates are those of theta.
 
     Attributes
     ----------
@@ -183,7 +190,7 @@ class ExpectedPrecision:
 def expect_precision(
     design: DesignFunction, values: Mapping[str, float], rng: np.random.Generator
 ) -> ExpectedPrecision | None:
-    """Return the precision expected of a design at `values` and at places near; None where it has no solution
+    """Return the precision expected of a design at `values` and near them; None if it cannot be simulated
     there.
     """
     problem = design(values)
@@ -209,7 +216,7 @@ def expect_precision(
 
 
 def fisher_information(problem: Problem, theta: Floats) -> Floats:
-    """Return the Fisher information (P, P) of insertions, with that of bounds or a stated prior."""
+    """Return the Fisher information (P, P) of insertions, plus that of the bounds or the stated prior."""
     _, slope, _ = linearize(problem, theta)
     found: Floats = slope.T @ slope + prior_and_noise_information(problem)
     return found
@@ -222,6 +229,7 @@ def _draw_points(
     there.
     """
     precision, axes = np.linalg.eigh(first)
+    # a direction that the design leaves open would send the points to the bounds
     sds = np.minimum(1 / np.sqrt(precision), MAX_POINT_SD)
     drawn = centre + rng.standard_normal((OTHER_POINTS, len(centre))) * sds @ axes.T
     return [problem.values(theta) for theta in np.clip(drawn, problem.lower, problem.upper)]

@@ -1,5 +1,5 @@
-"""Gauss-Newton search for the nearest minimum of a sum of squares, within bounds, one parameter held if
-wanted.
+"""Find the nearest minimum of a sum of squares by Gauss-Newton steps, within bounds, with one parameter held
+if wanted.
 
 Each step is a small linear least-squares problem with bounds (the box, and a radius about the last point), so
 parameters may come to rest at their bounds.
@@ -30,11 +30,11 @@ MAX_EVALUATIONS = 40
 
 
 class SumOfSquares(SupportsBounds, Protocol):
-    """A sum of squares; `Problem` is one: its log posterior is constant - |residuals|^2 / 2."""
+    """Interface of a sum of squares; `Problem` is one: its log posterior is constant - |residuals|^2 / 2."""
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Of the parameters, P of them."""
+        """Names of the P parameters."""
 
     def jacobian(self, theta: Floats) -> tuple[Floats, Floats]:
         """Return residuals (R,) and their derivatives (R, P); not finite where they cannot be computed."""
@@ -45,7 +45,7 @@ class SumOfSquares(SupportsBounds, Protocol):
 
 @dataclass(frozen=True)
 class LocalMinimum:
-    """Where a descent ended.
+    """The point where a Gauss-Newton search ended.
 
     Attributes
     ----------
@@ -72,7 +72,7 @@ class LocalMinimum:
 def minimize_squares(
     target: SumOfSquares, theta: Floats, held: int | None = None, max_evaluations: int = MAX_EVALUATIONS
 ) -> LocalMinimum:
-    """Return the minimum nearest to `theta` (P,), with parameter `held` as it is there."""
+    """Return the minimum nearest to `theta` (P,); the parameter numbered `held` keeps its value."""
     moving = np.arange(len(theta)) != held
     lower, upper = target.lower[moving], target.upper[moving]
     at = _evaluate(target, np.clip(theta, target.lower, target.upper))
@@ -83,6 +83,7 @@ def minimize_squares(
             np.minimum(upper - at.theta[moving], radius),
         )
         step = _step(at, moving, step_bounds)
+        # the decrease that the linear model predicts: slope is 2 J^T r, so this is -(2 r^T J s + |J s|^2)
         gain = -float(at.slope[moving] @ step + step @ at.information[np.ix_(moving, moving)] @ step)
         converged = gain < MIN_GAIN
         if converged:
@@ -94,6 +95,7 @@ def minimize_squares(
         gain_ratio = (at.value - trial.value) / gain
         if gain_ratio > 0.75:
             radius *= 2
+        # written with `not`, so that a NaN shrinks the radius too
         elif not gain_ratio > 0.25:
             radius = 0.25 * float(np.max(np.abs(step)))
         at = trial if gain_ratio > 0 else at
@@ -104,11 +106,14 @@ def _step(at: LocalMinimum, moving: NDArray[np.bool_], step_bounds: tuple[Floats
     """Return the step (Q,) within `step_bounds` that would be best if residuals were linear."""
     information = at.information[np.ix_(moving, moving)]
     precision, axes = np.linalg.eigh(information)
+    # least squares needs a root of the information: eigenvalues are kept above rounding, 1e-300 guards a zero
+    # matrix
     root = np.sqrt(np.maximum(precision, 1e-12 * max(float(precision[-1]), 1e-300)))
     rows, wanted = (
         root[:, None] * axes.T,
         -0.5 * (axes.T @ at.slope[moving]) / root,
     )
+    # bvls solves the box exactly; the default, trf, only approaches active bounds
     step: Floats = lsq_linear(rows, wanted, bounds=step_bounds, method="bvls").x
     return step
 

@@ -1,4 +1,4 @@
-"""Which parameters the data determine, and in which combinations only.
+"""Decide which parameters the data determine, and which only in combination.
 
 A parameter is called determined if the shapes could determine it (its Cramer-Rao standard deviation is
 below `MAX_LOG_SD` in the logarithm, `MAX_ALPHA_SD` for alpha; where a prior is stated, below the part
@@ -57,7 +57,7 @@ MIN_NAMED_WEIGHT = 0.1
 
 @dataclass(frozen=True)
 class Identifiability:
-    """What the data determine of each free parameter; mappings go by its name.
+    """Which free parameters the data determine, and how well; mappings are keyed by parameter name.
 
     Attributes
     ----------
@@ -99,6 +99,7 @@ def identify(problem: Problem, fit: Fit) -> Identifiability:
     noisy = add_estimated_noise(problem, theta)
     residuals, slope, chi_square = linearize(noisy, theta)
     prior_part = prior_and_noise_information(noisy)
+    # a chi-square above 1 means that the noise is understated; one below 1 is not taken as extra precision
     information = slope.T @ slope / max(1.0, chi_square) + prior_part
     between = between_needle_sds(noisy, slope, residuals, slope.T @ slope + prior_part)
     sds = dict(zip(names, np.maximum(cramer_rao(information), between).tolist(), strict=True))
@@ -149,28 +150,30 @@ def between_needle_sds(problem: Problem, slope: Floats, residuals: Floats, infor
     for group, (j, r) in zip(group_independent(ids, specimens), parts, strict=True):
         scores[group] = scores.get(group, np.zeros(j.shape[1])) + j.T @ r
     n = len(scores)
+    # the scatter of n groups has rank n - 1 at most: fewer groups than parameters would underestimate it
     if n < max(MIN_GROUPS, len(problem.names) + 2) or not problem.names:
         return np.zeros(len(problem.names))
     scatter = np.array(list(scores.values()))  # (n, P)
     scatter = scatter - scatter.mean(axis=0)
     inverse = np.linalg.inv(information)
+    # the sandwich: bread is the inverse information, the filling the scatter of the groups' scores
     covariance = n / (n - 1) * inverse @ (scatter.T @ scatter) @ inverse
     sd: Floats = np.sqrt(np.diag(covariance))
     return sd
 
 
 def select_within_tolerance(fit: Fit) -> tuple[Start, ...]:
-    """Return the starts that ended practically as well as the best."""
+    """Return the starts whose objective is within tolerance of the optimum."""
     return tuple(start for start in fit.starts if within_tolerance(start, fit))
 
 
 def within_tolerance(start: Start, fit: Fit) -> bool:
-    """Return whether a start ended practically as well as the best one of its fit."""
+    """Return whether the objective of a start is within tolerance of the best start's."""
     return objective_excess(start, fit) <= 1.0
 
 
 def objective_excess(start: Start, fit: Fit) -> float:
-    """Return how far a start ended above the best one, in units of what still counts as practically equal."""
+    """Return the objective of a start minus the best one, in units of `objective_tolerance`."""
     return (
         (start.objective - fit.objective) / objective_tolerance(fit)
         if math.isfinite(fit.objective)
@@ -179,24 +182,27 @@ def objective_excess(start: Start, fit: Fit) -> float:
 
 
 def objective_tolerance(fit: Fit) -> float:
-    """Return by how much an equally good start may lie above the best: of the log posterior, or mm."""
+    """Return the tolerance of the objective: units of the log posterior, or mm for the metric."""
     if fit.minimized == "posterior":
         return LOG_POSTERIOR_TOLERANCE
     return max(METRIC_RELATIVE_TOLERANCE * abs(fit.objective), METRIC_TOLERANCE_MM)
 
 
 def add_estimated_noise(problem: Problem, theta: Floats) -> Problem:
-    """Return the problem with a noise: the stated one, or the rms residual at `theta` where none is."""
+    """Return the problem with a noise model: the stated one, or else the rms residual at `theta`."""
     stated = problem.dataset.noise if problem.noise is None else problem.noise
     if stated.stated:
         return problem
     squares = [np.mean((sim - measured)[:, 1] ** 2) for sim, measured in problem.points(theta)]
+    # 1e-6 mm: a fit without residuals must not give a noise of 0
     rms = max(math.sqrt(float(np.mean(squares))), 1e-6)
     return replace(problem, noise=replace(stated, point_sd=rms))
 
 
 def tip_range(problem: Problem, theta: Floats, name: str) -> float:
-    """Return how far any tip moves while one parameter goes through its bounds, the others held, mm."""
+    """Return the largest tip movement, mm, as one parameter goes through its bounds and the others are
+    held.
+    """
     k = problem.names.index(name)
     tips = []
     for end in (problem.lower[k], problem.upper[k]):
@@ -209,9 +215,9 @@ def tip_range(problem: Problem, theta: Floats, name: str) -> float:
 
 def linearize(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
     """Return the linearised observations: residuals (R,), derivatives (R, P), reduced chi-square."""
-    count = sum(
-        problem.density.residual_counts
-    )  # what follows normalises, or is the prior's, counted for itself
+    # residuals of the observations come first; the normalising one and the prior's follow, and the prior is
+    # added by `prior_information`
+    count = sum(problem.density.residual_counts)
     residuals, slope = (np.nan_to_num(part[:count]) for part in problem.jacobian(theta))
     # what a scale of the noise does to residuals is no information on the other parameters, on average
     slope = slope * (np.array(problem.names, dtype=object) != NOISE_SCALE)
@@ -220,16 +226,17 @@ def linearize(problem: Problem, theta: Floats) -> tuple[Floats, Floats, float]:
 
 
 def prior_information(problem: Problem) -> Floats:
-    """Return the information (P, P) of the stated prior, and of bounds without one."""
+    """Return the information (P, P) of the stated prior; parameters without one get that of their bounds."""
     stated = problem.parameters.prior
     flat = np.array([name not in stated.names for name in problem.names])
+    # 12 / width^2 is the precision of a uniform distribution of this width
     bounds: Floats = np.diag(np.where(flat, 12.0 / (problem.upper - problem.lower) ** 2, 0.0))
     known: Floats = bounds + stated.information(problem.names)
     return known
 
 
 def prior_and_noise_information(problem: Problem) -> Floats:
-    """Return `prior_information`, with that of the residuals' size on the noise scale."""
+    """Return `prior_information` plus the information that the residuals hold on the noise scale."""
     rows = sum(known.rows for known in problem.density.observations)  # Fisher: 2 of each, of the logarithm
     known: Floats = prior_information(problem) + np.diag(
         [2.0 * rows * (n == NOISE_SCALE) for n in problem.names]

@@ -1,4 +1,6 @@
-"""Fisher information: difference Jacobians, Cramer-Rao deviations, and principal directions in words."""
+"""Compute Fisher information: difference Jacobians, Cramer-Rao deviations, and principal directions in
+words.
+"""
 
 import math
 from collections.abc import Callable, Sequence
@@ -23,7 +25,7 @@ MIN_RELATIVE_WEIGHT = 0.05
 
 @dataclass(frozen=True)
 class Direction:
-    """One principal direction of the information on theta.
+    """One principal direction of the information on theta, with its standard deviation.
 
     Attributes
     ----------
@@ -59,14 +61,16 @@ def difference_jacobian(residuals: Callable[[Floats], Floats], theta: Floats, st
 
 
 def difference_steps(names: Sequence[str]) -> Floats:
-    """Return the difference step (P,) of each parameter of theta."""
+    """Return the step (P,) of the finite differences for each parameter of theta."""
     return np.array([LOG_STEP if is_logarithmic(name) else ALPHA_STEP for name in names])
 
 
 def cramer_rao(information: Floats) -> Floats:
-    """Return the Cramer-Rao standard deviations (P,) of theta; infinite where nothing is known."""
+    """Return the Cramer-Rao standard deviations (P,) of theta; infinite where there is no information."""
     precision, vectors = np.linalg.eigh(information)
     with np.errstate(divide="ignore", invalid="ignore"):
+        # a singular direction must make only its own parameters infinite: components below rounding would
+        # give 0 / 0
         variance = np.where(vectors**2 > 1e-14, vectors**2 / np.maximum(precision, 0.0), 0.0)
     sd: Floats = np.sqrt(variance.sum(axis=1))
     return sd
@@ -78,13 +82,17 @@ def principal_directions(information: Floats, names: Sequence[str]) -> tuple[Dir
     found = []
     for value, vector in zip(precision[::-1], vectors.T[::-1], strict=True):
         sd = 1 / math.sqrt(value) if value > 0 else math.inf
+        # the sign of an eigenvector is arbitrary: the largest component is made positive, so that words do
+        # not change
         vector = vector * np.sign(vector[np.argmax(np.abs(vector))])
         found.append(Direction(sd, tuple(vector.tolist()), _describe_direction(sd, vector, names)))
     return tuple(found)
 
 
 def describe_combination(weights: Floats, names: Sequence[str]) -> str:
-    """Return a combination in words, its largest weight scaled to 1: `mu1 * b^1.9`; with alpha, a sum."""
+    """Return a combination in words, scaled to a largest weight of 1: `mu1 * b^1.9`; a sum if alpha is in
+    it.
+    """
     scaled = weights / np.max(np.abs(weights))
     parts = [(name, float(w)) for name, w in zip(names, scaled, strict=True) if abs(w) >= MIN_RELATIVE_WEIGHT]
     if all(is_logarithmic(name) for name, _ in parts):
@@ -99,7 +107,9 @@ def short_name(name: str) -> str:
 
 
 def describe_precision(sd: float, logarithm: bool) -> str:
-    """Return in words how well something is known whose logarithm (or value) has this sd."""
+    """Return in words how well a quantity is known, given the standard deviation of its value or
+    logarithm.
+    """
     if not logarithm:
         return f"to {sd:.2g}"
     return f"to {100 * sd:.2g} %" if sd < NEARLY_FREE_SD else f"within a factor of {_print_factor(sd)} only"

@@ -1,4 +1,4 @@
-"""Compute the profiles of all free parameters of a fit, and of alphas that it held fixed."""
+"""Compute the profile likelihoods of all free parameters of a fit, and of the alphas that it held fixed."""
 
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -19,7 +19,7 @@ FREED_ALPHA_BOUNDS = (-3.0, 5.0)
 
 
 def find_fixed_alphas(problem: Problem) -> dict[str, tuple[str, ...]]:
-    """Return the fixed alphas that some insertion meets; with each, those of the same material.
+    """Return the fixed alphas that some insertion meets, each with the other alphas of its material.
 
     Layers are of one material if their mu are the same parameter and their alphas are fixed at one value.
     """
@@ -39,7 +39,9 @@ def find_fixed_alphas(problem: Problem) -> dict[str, tuple[str, ...]]:
 
 
 def free_alpha(problem: Problem, name: str) -> Problem:
-    """Return the problem with one alpha of `find_fixed_alphas` free, those of its material going with it."""
+    """Return the problem with one alpha of `find_fixed_alphas` free, and the others of its material tied to
+    it.
+    """
     return problem.with_parameters(
         _free_parameter(problem.parameters, name, find_fixed_alphas(problem)[name])
     )
@@ -47,6 +49,7 @@ def free_alpha(problem: Problem, name: str) -> Problem:
 
 def _free_parameter(parameters: Parameters, name: str, same: tuple[str, ...]) -> Parameters:
     at, (low, high) = parameters.fixed[name], FREED_ALPHA_BOUNDS
+    # the value that the fit used must lie within the bounds, whatever it was
     bounds: Mapping[str, tuple[float, float]] = {name: (min(low, at), max(high, at))}
     return replace(
         parameters,
@@ -67,11 +70,11 @@ MIN_SEPARATION = 0.05
 
 @dataclass(frozen=True)
 class ParameterProfile:
-    """The profile of one parameter, and the tip's range where it is an alpha.
+    """The profile of one parameter; for an alpha also the range of the tip.
 
     Attributes
     ----------
-    profile : Profile
+    profile : LikelihoodProfile
     bounds : tuple of two floats
         In the parameter's coordinate of theta.
     fixed_at : float or None
@@ -90,17 +93,17 @@ class ParameterProfile:
 
     @property
     def name(self) -> str:
-        """Of the parameter."""
+        """Name of the parameter."""
         return self.profile.name
 
 
 @dataclass(frozen=True)
 class FitProfiles:
-    """All profiles of one fit.
+    """The profiles of all parameters of one fit.
 
     Attributes
     ----------
-    parameters : tuple of Examined
+    parameters : tuple of ParameterProfile
         Free ones in the order of theta, then fixed alphas.
     scale : float
         What deviances were divided by: the reduced chi-square where it is above 1.
@@ -119,7 +122,7 @@ class FitProfiles:
 def profile_parameters(
     problem: Problem, fit: Fit, jobs: int = 1, stop: Callable[[], bool] = lambda: False
 ) -> FitProfiles:
-    """Return the profiles about a fit; the same for any number of threads.
+    """Compute the profiles about a fit; the result does not depend on the number of threads.
 
     Where the dataset states no noise, the fit's residuals stand for it. `stop` leaves out what has not begun.
     """
@@ -144,6 +147,7 @@ def profile_parameters(
         found = tuple(one for task in tasks if (one := task.result()) is not None)
     spent = sum(one.evaluations for one in minima) + sum(one.profile.evaluations for one in found)
     at_fit = noisy.residuals(np.array(fit.theta))
+    # residuals are those of the posterior: of a metric fit their gain means nothing
     gain = 0.5 * (float(at_fit @ at_fit) - optimum.value) if fit.minimized == "posterior" else 0.0
     return FitProfiles(found, scale, spent, gain)
 

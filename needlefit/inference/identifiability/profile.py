@@ -1,4 +1,4 @@
-"""Profile likelihoods: how the best fit worsens as one parameter is held away from it.
+"""Compute profile likelihoods: how much the best fit worsens as one parameter is held away from its optimum.
 
 The deviance, twice the fall of the log posterior with all other parameters re-optimised, is followed from
 the optimum to both sides until it is well above the 95 % quantile of chi-square with one degree of freedom,
@@ -37,7 +37,7 @@ CURVE_POINTS = 401
 
 @dataclass(frozen=True)
 class LikelihoodProfile:
-    """The profile of one parameter, in its coordinate of theta.
+    """The profile likelihood of one parameter, in its coordinate of theta.
 
     Attributes
     ----------
@@ -79,38 +79,38 @@ class LikelihoodProfile:
 
     @property
     def flat(self) -> bool:
-        """Whether every value between the bounds is within the 95 % interval."""
+        """Whether the 95 % interval reaches both bounds: the data determine nothing."""
         return self.ends == ("bound", "bound")
 
     @property
     def closed(self) -> bool:
-        """Whether the interval ends on both sides."""
+        """Whether the 95 % interval ends on both sides before a bound."""
         return self.ends == ("closed", "closed")
 
     @property
     def rise(self) -> float:
-        """Largest deviance that was found."""
+        """The largest deviance found on the profile."""
         return float(np.max(self.deviance))
 
     def curve(self, at: Floats) -> Floats:
-        """Return the deviance at coordinates within the range that was computed."""
+        """Return the deviance at coordinates within the computed range, by interpolation."""
         return _interpolate(self.at, self.deviance, self.slope, at)
 
     def parabola(self, at: Floats) -> Floats:
-        """Return the deviance that the information at the optimum implies."""
+        """Return the deviance that the information at the optimum predicts: a parabola."""
         return ((at - self.best) / self.sd) ** 2
 
 
 def compute_profile(
     target: SumOfSquares, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats] = (), scale: float = 1.0
 ) -> LikelihoodProfile:
-    """Return the profile of parameter `k` about an optimum, with the bounds of the others as their limits.
+    """Compute the profile of parameter `k` about an optimum; the others are re-optimised within their bounds.
 
     Parameters
     ----------
-    target : Squares
+    target : SumOfSquares
     k : int
-    optimum : Settled
+    optimum : LocalMinimum
         Of all parameters; should the profile find a better one, that takes its place.
     elsewhere : sequence of (P,) arrays
         Further places to begin from where the profile fails or jumps, and at its ends.
@@ -124,6 +124,7 @@ def compute_profile(
     best = select_best(points)
     deviance = np.array([(point.value - best.value) / scale for point in points])
     slope = np.array([point.slope[k] / scale for point in points])
+    # at the optimum the derivative is 0 up to the tolerance; exactly 0 keeps the cubic from dipping below it
     slope[deviance == 0] = 0.0
     (low, below), (high, above) = (_find_end(path, (at, deviance, slope), side) for side in (-1, 1))
     return LikelihoodProfile(
@@ -160,6 +161,8 @@ def _find_end(path: ProfilePath, curve: tuple[Floats, Floats, Floats], side: int
     outermost = -1 if side > 0 else 0
     if deviance[outermost] <= DEVIANCE_95:
         return float(at[outermost]), "bound" if path.at_bound[side > 0] else "lost"
+    # the outermost crossing counts, so the curve is scanned before it is bisected: it may cross more than
+    # once
     fine = np.unique(np.concatenate([np.linspace(at[0], at[-1], CURVE_POINTS), at]))
     inside = np.flatnonzero(_interpolate(*curve, fine) <= DEVIANCE_95)
     last = int(inside[outermost])
@@ -187,7 +190,9 @@ def _information_sd(information: Floats, k: int, width: Floats) -> float:
     others = np.arange(len(information)) != k
     cross = information[others, k]
     bounded = information[np.ix_(others, others)] + np.diag(12.0 / width[others] ** 2)
+    # Schur complement: the information on k that is left when the others are unknown
     remaining = float(information[k, k] - cross @ np.linalg.solve(bounded, cross))
+    # below rounding the parameter is not determined at all
     return 1 / math.sqrt(remaining) if remaining > 1e-14 else math.inf
 
 

@@ -1,4 +1,4 @@
-"""Trace a profile from the optimum outward; each point starts from the extrapolation of the previous one."""
+"""Trace a profile outward from the optimum; each point starts from an extrapolation of the one before."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -43,11 +43,11 @@ MAX_RESTARTS = 3
 
 @dataclass
 class ProfilePath:
-    """The points of one profile found so far.
+    """The points of one profile that were computed so far.
 
     Attributes
     ----------
-    points : list of Settled
+    points : list of LocalMinimum
         The optimum, and the best for each value of the held parameter that was tried.
     at_bound : list of two bools
         Whether the lower and the upper side end at the bound.
@@ -78,7 +78,7 @@ class _PathSettings:
 def trace_profile(
     target: SumOfSquares, k: int, optimum: LocalMinimum, elsewhere: Sequence[Floats] = (), scale: float = 1.0
 ) -> ProfilePath:
-    """Return the track of parameter `k` to both sides of the optimum, or of a better one met on the way."""
+    """Trace parameter `k` to both sides of the optimum, or of a better one that is found on the way."""
     settings, spent, retries = _PathSettings(target, k, elsewhere, scale, target.approach("posterior")), 0, 0
     for _ in range(MAX_RESTARTS):
         path = ProfilePath([optimum], evaluations=spent, retries=retries)
@@ -119,12 +119,14 @@ def _step_outward(
         if last.theta[k] == bound or _deviance_root(settings, optimum, last) ** 2 > STOP_DEVIANCE:
             break
         place = last.theta[k] + side * step
+        # a remainder of less than a fifth of a step is not worth a point of its own
         place = bound if abs(bound - last.theta[k]) < 1.2 * step else float(place)
         point = _compute_point(settings, path, found, place)
         rise, step = (
             _deviance_root(settings, optimum, point) - _deviance_root(settings, optimum, last),
             abs(place - float(last.theta[k])),
         )
+        # the root of the deviance is linear where the profile is a parabola, so steps are judged by it
         if rise > MAX_ROOT_RISE and step > MIN_STEP_FRACTION * settings.range:
             if np.isfinite(point.value):
                 path.points.append(point)  # it is a point of the profile all the same
@@ -144,6 +146,7 @@ def _get_bound(settings: _PathSettings, side: int) -> float:
 def _first_step(settings: _PathSettings, optimum: LocalMinimum) -> float:
     others = np.arange(len(optimum.theta)) != settings.k
     cross = optimum.information[others, settings.k]
+    # least squares, not solve: the others' information is singular where the data leave a combination open
     rest = np.linalg.lstsq(optimum.information[np.ix_(others, others)], cross, rcond=1e-12)[0]
     remaining = max(float(optimum.information[settings.k, settings.k] - cross @ rest), 0.0)
     slope = np.sqrt(remaining / settings.scale)
@@ -155,6 +158,7 @@ def _next_step(
 ) -> float:
     """Return the step at which the root of the deviance should have risen as wanted."""
     side, step = last
+    # at the optimum the root is 0, and its derivative is divided by it
     root = max(_deviance_root(settings, optimum, point), 1e-3)
     slope = side * float(point.slope[settings.k]) / settings.scale / (2 * root)
     wanted = TARGET_ROOT_RISE / slope if slope > 0 else step if slope < 0 else np.inf
@@ -174,8 +178,10 @@ def _compute_point(
     optimum, last = found[0], found[-1]
     point = _minimize_held(settings, path, _extrapolate(settings, last, place), place)
     before, after = _deviance_root(settings, optimum, last), _deviance_root(settings, optimum, point)
+    # first order in the deviance: d(root) = slope * step / (2 root); 0.5 keeps the first step finite
     lead = abs(place - float(last.theta[settings.k])) * abs(float(last.slope[settings.k])) / settings.scale
     expected = before + lead / (2 * max(before, 0.5)) + TARGET_ROOT_RISE
+    # a fall of the root, or a jump, means that the search has changed to another branch
     if point.converged and before - 0.3 < after < expected + MAX_ROOT_JUMP:
         return point
     path.retries += 1

@@ -1,1 +1,1 @@
-"""Importance sampling: a posterior as weighted draws about the modes of a fit."""
+"""Approximate a posterior by importance sampling: weighted draws about the modes of a fit."""

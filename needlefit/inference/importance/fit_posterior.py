@@ -1,4 +1,5 @@
-"""The posterior about a fit by importance sampling, and the predictive density of further data.
+"""Sample the posterior about a fit by importance sampling, and compute the predictive density of further
+data.
 
 How probable further data y are, after data D: the evidence of both over that of the first.
 
@@ -40,14 +41,16 @@ LARGER_EFFORT = Effort(draws=1000, components=30)
 
 
 def find_modes(fit: Fit, width: Floats) -> Floats:
-    """Return the modes (M, P) that a fit found, the best first; `width` (P,) is that of the bounds."""
+    """Return the distinct modes (M, P) that a fit found, the best first; `width` (P,) is that of the
+    bounds.
+    """
     starts = sorted(fit.starts, key=lambda start: (start.objective, start.index))
     plausible = [start for start in starts if start.objective <= fit.objective + MAX_LOG_DENSITY_GAP]
     return select_distinct((np.array(start.theta) for start in plausible), width)
 
 
 def select_distinct(ends: Iterable[Floats], width: Floats) -> Floats:
-    """Return those of some ends (P,) that differ from all before them: (M, P)."""
+    """Return the points (P,) that differ from all before them: (M, P)."""
     found: list[Floats] = []
     for end in ends:
         if all(np.max(np.abs(end - other) / width) > MIN_MODE_DISTANCE for other in found):
@@ -56,7 +59,7 @@ def select_distinct(ends: Iterable[Floats], width: Floats) -> Floats:
 
 
 def escalate_effort(sample: Callable[[Effort], WeightedDraws]) -> WeightedDraws:
-    """Sample with the first effort, and with the larger one where the first weights cannot be trusted."""
+    """Sample with the small effort, and again with the large one if the weights cannot be trusted."""
     found = sample(EFFORT)
     return found if found.k <= MAX_PARETO_K else sample(LARGER_EFFORT)
 
@@ -64,7 +67,7 @@ def escalate_effort(sample: Callable[[Effort], WeightedDraws]) -> WeightedDraws:
 def sample_about_modes(
     problem: Problem, ends: Floats, rng: np.random.Generator, jobs: int = 1, effort: Effort = EFFORT
 ) -> WeightedDraws:
-    """Return weighted draws of a posterior, known about its modes (M, P)."""
+    """Return weighted draws of a posterior whose modes (M, P) are known."""
     evaluator = Evaluator(problem, jobs)
     approximations = [approximate_by_laplace(evaluator, end, problem.lower, problem.upper) for end in ends]
     return sample_by_importance(evaluator, approximations, (problem.lower, problem.upper), rng, effort)
@@ -83,12 +86,13 @@ def sample_about_fit(
     if fit.minimized == "posterior":
         ends = find_modes(fit, problem.upper - problem.lower)
     else:
+        # the minimum of the metric is no mode of the posterior
         ends = minimize_squares(known, theta).theta[None]
     return sample_about_modes(known, ends, rng, jobs, effort)
 
 
 def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -> Draws:
-    """Return `count` draws without weights; those that are not certified say so in their `faults`."""
+    """Return `count` unweighted draws; their `faults` say so if the weights are not certified."""
     warning = (
         f"draws by importance are not certified: Pareto k is {found.k:.2f} ({MAX_PARETO_K} at most), and "
         f"they "
@@ -101,7 +105,7 @@ def resample_draws(found: WeightedDraws, count: int, rng: np.random.Generator) -
 def draw_by_importance(
     problem: Problem, fit: Fit, count: int, rng: np.random.Generator, jobs: int = 1
 ) -> Draws:
-    """Return `count` draws of the posterior about a fit, without weights; else as `sample_about_fit`."""
+    """Return `count` unweighted draws of the posterior about a fit; arguments as of `sample_about_fit`."""
     if not len(fit.theta):
         return Draws(np.empty((count, 0)), "importance")
     return resample_draws(sample_about_fit(problem, fit, rng, jobs), count, rng)
@@ -109,7 +113,7 @@ def draw_by_importance(
 
 @dataclass(frozen=True)
 class PredictiveDensity:
-    """How probable further data are.
+    """The predictive density of further data, with its Monte Carlo error.
 
     Attributes
     ----------
@@ -133,11 +137,11 @@ class PredictiveDensity:
 
 
 ZERO_DENSITY = PredictiveDensity(-math.inf, math.inf, math.inf, math.nan, 0.0)
-"""Of data that cannot be predicted."""
+"""Density of data that cannot be predicted."""
 
 
 def compute_predictive_density(both: WeightedDraws, first: WeightedDraws) -> PredictiveDensity:
-    """Return how probable further data are, given weighted draws of both and of the first alone.
+    """Return the predictive density of further data, from weighted draws given all data and given the first.
 
     The two densities must be normalised alike: what the further data add is their likelihood, in full.
     """

@@ -1,4 +1,4 @@
-"""Pareto-smoothed importance weights, and the Pareto k that says whether they can be trusted.
+"""Smooth importance weights by a Pareto tail, and compute the Pareto k that shows whether to trust them.
 
 The largest weights follow a generalised Pareto distribution; its shape k says how heavy their tail is, and
 its quantiles take their places (A. Vehtari, D. Simpson, A. Gelman, Y. Yao, J. Gabry, J. Mach. Learn. Res. 25
@@ -28,13 +28,14 @@ GRID_COARSENESS = 3.0
 
 
 def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
-    """Return log weights (N,) that sum to 1 as weights, their tail smoothed, and k.
+    """Return normalised log weights (N,) with a smoothed tail, and k.
 
     k is infinite where too few weights are not 0, and so is no estimate. Weights of 0 (-inf) stay.
     """
     found = log_weights - np.max(log_weights)
     count = math.ceil(min(len(found) / 5, 3 * math.sqrt(len(found))))
     order = np.argsort(found, kind="stable")
+    # weights that underflow to 0 cannot be distinguished, and must not become the threshold
     cut = max(float(found[order[-count - 1]]), math.log(np.finfo(float).tiny))
     tail = order[found[order] > cut]
     if len(tail) < MIN_TAIL_WEIGHTS:
@@ -44,13 +45,15 @@ def smooth_weights(log_weights: Floats) -> tuple[Floats, float]:
     levels = (np.arange(len(tail)) + 0.5) / len(tail)
     with np.errstate(over="ignore"):  # of a k beyond all use
         quantiles = scale * (np.expm1(-k * np.log1p(-levels)) / k if k else -np.log1p(-levels))
+    # no smoothed weight may exceed the largest raw one, which is 1 here
     found[tail] = np.minimum(np.log(quantiles + math.exp(cut)), 0.0)
     return found - logsumexp(found), k
 
 
 def fit_pareto(values: Floats) -> tuple[float, float]:
-    """Return shape and scale of the generalised Pareto distribution of positive `values` (N,), ascending."""
+    """Fit a generalised Pareto distribution to positive `values` (N,), ascending; return shape and scale."""
     n = len(values)
+    # numbers of grid points, quartile and grid as in Zhang & Stephens
     points = 30 + int(math.sqrt(n))
     quartile = values[int(n / 4 + 0.5) - 1]
     grid = 1 / values[-1] + (1 - np.sqrt(points / (np.arange(points) + 0.5))) / (GRID_COARSENESS * quartile)

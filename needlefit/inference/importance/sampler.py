@@ -1,4 +1,4 @@
-"""Adaptive importance sampling with mixtures of Student's t, fitted to the draws round by round.
+"""Sample adaptively by importance: mixtures of Student's t are fitted to the draws, round by round.
 
 Rounds of draws fit the mixture better: after each one all draws so far are weighed by what all rounds
 together would have drawn (deterministic mixture weights; J.-M. Cornuet, J.-M. Marin, A. Mira, C. P. Robert,
@@ -33,7 +33,7 @@ DEGREES_OF_FREEDOM = 5.0
 
 @dataclass(frozen=True)
 class StudentMixture:
-    """Components of one shape, each somewhere and of its own scale.
+    """A mixture of multivariate Student's t distributions, each with its own centre and scale.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class StudentMixture:
         return joint
 
     def refit(self, at: Floats, weights: Floats, least: Floats) -> "StudentMixture":
-        """Return the mixture one step nearer to points (N, P) of `weights` (N,), which sum to 1.
+        """Return the mixture after one EM step towards points (N, P) of `weights` (N,), which sum to 1.
 
         `least` (P, P) is added to every scale matrix; components that hardly any point belongs to go.
         """
@@ -93,8 +93,10 @@ class StudentMixture:
         joint = self._joint(at, squares)
         belongs = weights[:, None] * np.exp(joint - logsumexp(joint, axis=1, keepdims=True))  # (N, M)
         p = at.shape[1]
+        # weights of the Student likelihood: points far out pull less, as in robust regression
         pulls = belongs * (DEGREES_OF_FREEDOM + p) / (DEGREES_OF_FREEDOM + squares)
         parts, count = belongs.sum(axis=0), belongs.sum(axis=0) ** 2 / np.sum(belongs**2, axis=0).clip(1e-300)
+        # a component with fewer effective points than this has no full-rank covariance
         kept = np.flatnonzero(count > p + 1)
         if not len(kept):
             return self
@@ -110,7 +112,7 @@ LogDensityFunction = Callable[[Floats], Floats]
 
 @dataclass(frozen=True)
 class Effort:
-    """How many draws are made.
+    """How many draws an importance sampler makes.
 
     Attributes
     ----------
@@ -132,7 +134,7 @@ class Effort:
 
 @dataclass(frozen=True)
 class WeightedDraws:
-    """Weighted draws of a posterior.
+    """Weighted draws of a posterior, and how far their weights can be trusted.
 
     Attributes
     ----------
@@ -161,17 +163,17 @@ class WeightedDraws:
 
     @property
     def log_evidence_se(self) -> float:
-        """Monte Carlo error of `log_evidence`, at most: that of a mean, by the variance of the weights."""
+        """Upper estimate of the Monte Carlo error of `log_evidence`, from the variance of the weights."""
         return 1 / math.sqrt(self.effective_sample_size)
 
     @property
     def certified(self) -> bool:
-        """Whether they stand for the posterior."""
+        """Whether the draws represent the posterior: Pareto k and effective sample size are good enough."""
         return self.k <= MAX_PARETO_K and self.effective_sample_size >= self.min_ess
 
 
 def resample(found: WeightedDraws, count: int, rng: np.random.Generator) -> NDArray[np.intp]:
-    """Return which of the draws (`count`,) stand for the posterior, without weights.
+    """Return indices (`count`,) of draws that represent the posterior without weights.
 
     None stands twice, as long as there are enough: so they are nearer to independent ones (O. Skare,
     E. Bolviken, L. Holden, Scand. J. Stat. 30 (2003) 719).
@@ -195,7 +197,7 @@ def sample_by_importance(
     rng: np.random.Generator,
     effort: Effort,
 ) -> WeightedDraws:
-    """Return weighted draws of a density within its bounds (P,), (P,), known about its modes."""
+    """Return weighted draws of a density within its bounds (P,), (P,), given its modes."""
     proposal, rounds = _make_first_proposal(approximations), list[_Round]()
     while True:
         rounds.append(_draw_round(log_density, proposal, bounds, rng, effort.draws))
@@ -230,8 +232,10 @@ def _draw_round(
     count: int,
 ) -> _Round:
     """Draw until `count` points lie within the bounds, or fifty times as many were tried."""
+    # drawn at once, so that the random numbers do not depend on how many fall outside the bounds
     drawn = proposal.draw(50 * count, rng)
     inside = np.flatnonzero(np.all((drawn >= bounds[0]) & (drawn <= bounds[1]), axis=1))[:count]
+    # the tries up to the last accepted draw: the proposal's density within the bounds is normalised by them
     drawn_count = int(inside[-1]) + 1 if len(inside) == count else len(drawn)
     thetas = drawn[inside]
     return _Round(proposal, thetas, log_density(thetas), drawn_count)
@@ -273,6 +277,7 @@ def _fit_proposal(
     mean = weights @ at
     whole = (at - mean).T @ ((at - mean) * weights[:, None])
     least = MIN_COVARIANCE_FRACTION * whole + 1e-12 * np.eye(len(mean))
+    # components that share the volume of the whole covariance among them
     factor = components ** (-1 / len(mean)) * np.linalg.cholesky(whole + least)
     centres = at[rng.choice(len(at), size=components, p=weights)]
     fitted = StudentMixture(
@@ -299,6 +304,7 @@ def _flatten_weights(found: WeightedDraws, power: float, fewest: float) -> Float
         return compute_ess(log_weights(at)) - min(fewest, 0.5 * len(known))
 
     if missing(power) < 0:
+        # the effective sample size falls as the power rises; at power 0 it is the largest possible
         power = float(brentq(missing, 0.0, power, xtol=1e-3)) if missing(0.0) > 0 else 0.0
     weights = np.zeros(len(found.thetas))
     weights[known] = np.exp(log_weights(power) - logsumexp(log_weights(power)))

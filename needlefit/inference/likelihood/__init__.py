@@ -1,3 +1,4 @@
-"""The likelihood of measured centrelines: noise, pose and layer depths are marginalised
-(docs/inference.md).
+"""Compute the likelihood of measured centrelines, marginalised over noise, pose and layer depths.
+
+Equations: docs/inference.md.
 """

@@ -1,13 +1,13 @@
-"""Uncertain depths: the extra simulations that one insertion needs, and the integration over its depths.
+"""Integrate over the uncertain depths of one insertion: the extra simulations, and the quadrature rule.
 
-Every boundary errs by itself; an error of the insertion's depth is one of the entry's place, which moves
-the tip and all boundaries alike. Curves hardly mix two such errors, so that
+Every boundary has its own error. An error of the insertion depth is one of the entry point, which moves
+the tip and all boundaries alike. The effects of two such errors add up almost exactly, so that
 
     r(t) = r(0) + sum_j ( r(t_j along axis j) - r(0) ),      t in standard deviations, d of them
 
 and each term is a line or a spline through a few simulated nodes: r(t) = sum_k phi_k(t) r_k.
 
-Integration over d depths whose effects add up: a product rule that never forms its curves.
+The product rule over d depths never forms its curves.
 
 With r = r_0 + sum_j f_j(t_j), the square |r|^2 consists of products of pairs of f, so that a table over all
 d axes is a sum of tables over one axis and over two. The rule is the trapezoid's, whose error on Gaussian
@@ -46,7 +46,7 @@ MAX_ENTRIES_AT_ONCE = 1_000_000
 
 @dataclass(frozen=True)
 class QuadratureRule:
-    """A product rule over d axes of n points.
+    """A product quadrature rule over d axes of n points.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class QuadratureRule:
 
 @lru_cache
 def make_rule(axes: int) -> QuadratureRule:
-    """Return the rule for d axes, the nodes in the order: centre, then `QUADRATURE_NODES` of each axis.
+    """Return the rule for d axes; nodes in the order: centre, then `QUADRATURE_NODES` of each axis.
 
     Along each axis f is a natural cubic spline through its nodes, straight beyond them.
     """
@@ -76,13 +76,14 @@ def make_rule(axes: int) -> QuadratureRule:
     for j in range(axes):
         rows = slice(1 + j * count, 1 + (j + 1) * count)
         steps[rows, 1 + j * len(QUADRATURE_NODES) : 1 + (j + 1) * len(QUADRATURE_NODES)] = each
+        # f_j is a difference from the centre curve, which is node 0
         steps[rows, 0] = -each.sum(axis=1)
     log_weights = -0.5 * t**2
     return QuadratureRule(steps, log_weights - logsumexp(log_weights), axes)
 
 
 def log_means(products: Floats, rule: QuadratureRule) -> Floats:
-    """Return log of the mean of exp(-|r|^2 / 2) over the depths, (B,).
+    """Return the log of the mean of exp(-|r|^2 / 2) over the depths, (B,).
 
     Parameters
     ----------
@@ -94,13 +95,14 @@ def log_means(products: Floats, rule: QuadratureRule) -> Floats:
     for start in range(0, len(products), max(1, MAX_ENTRIES_AT_ONCE // size)):
         some = slice(start, start + max(1, MAX_ENTRIES_AT_ONCE // size))
         table = _log_table(products[some], rule).reshape(-1, size)
+        # log-sum-exp: exponentials of large squares would underflow to 0 together
         highest = table.max(axis=1)
         found[some] = highest + np.log(np.sum(np.exp(table - highest[:, None]), axis=1))
     return found
 
 
 def moments(products: Floats, rule: QuadratureRule) -> Floats:
-    """Return the mean (m, m) of phi phi^T over the depths that the data leave, r = sum_k phi_k r_k."""
+    """Return the posterior mean (m, m) of phi phi^T over the depths, where r = sum_k phi_k r_k."""
     count, axes = len(rule.log_weights), rule.axes
     table = _log_table(products[None], rule)[0]  # (n, ..., n)
     weights = np.exp(table - table.max())
@@ -124,6 +126,7 @@ def _spline_weights(t: Floats) -> Floats:
     order = np.argsort((0.0, *QUADRATURE_NODES))
     inner = np.array((0.0, *QUADRATURE_NODES))[order]
     spline = CubicSpline(inner, np.eye(len(inner))[order], bc_type="natural")
+    # beyond the outer nodes the spline goes on as a line: its cubic would run away
     held = np.clip(t, inner[0], inner[-1])
     each: Floats = (spline(held) + spline(held, 1) * (t - held)[:, None])[:, 1:]
     return each
@@ -156,12 +159,12 @@ NODE_POSITIONS_SD: dict[DepthTreatment, tuple[float, ...]] = {
 """Where each axis is simulated besides its centre, in standard deviations."""
 
 MIN_GAP_MM = 1e-3
-"""mm that moved boundaries keep from each other and from the entry."""
+"""Smallest distance, mm, of moved boundaries from each other and from the entry."""
 
 
 @dataclass(frozen=True)
 class Nodes:
-    """The m conditions under which one insertion is simulated, as measured first.
+    """The m conditions under which one insertion is simulated; the first is as measured.
 
     Attributes
     ----------
@@ -171,7 +174,7 @@ class Nodes:
         Beam coordinates of the measured points in each, mm.
     linear : (1 + d, m) array
         Takes the curves r_k to r(0) and the slopes by t along the d axes.
-    rule : Rule or None
+    rule : QuadratureRule or None
         How the depths are integrated over; None where they act linearly.
     """
 
@@ -182,19 +185,19 @@ class Nodes:
 
     @property
     def axes(self) -> int:
-        """d: how many depths are uncertain."""
+        """d: the number of uncertain depths."""
         return len(self.linear) - 1
 
     @cached_property
     def linear_only(self) -> "Nodes":
-        """The nodes of the linear dependence alone."""
+        """The nodes that a linear dependence on the depths needs."""
         used = np.flatnonzero(self.linear.any(axis=0))
         kept = tuple(self.insertions[k] for k in used)
         return Nodes(kept, self.s[used], self.linear[:, used], None)
 
 
 def make_nodes(insertion: Insertion, s: Floats, depths: DepthTreatment) -> Nodes:
-    """Return the nodes of an insertion whose measured points lie at `s` (K,) on the beam."""
+    """Return the nodes of an insertion whose measured points have beam coordinates `s` (K,)."""
     places = NODE_POSITIONS_SD[depths]
     moves = _list_depth_errors(insertion) if places else []
     found = [(insertion, s)]
@@ -205,6 +208,7 @@ def make_nodes(insertion: Insertion, s: Floats, depths: DepthTreatment) -> Nodes
     linear[0, 0] = 1.0
     for j in range(len(moves)):
         first = 1 + j * len(places)
+        # central difference over the first two nodes of the axis, at -places[1] and +places[1]
         linear[1 + j, first : first + 2] = np.array([-0.5, 0.5]) / places[1]
     integration = make_rule(len(moves)) if depths == "quadrature" and moves else None
     return Nodes(insertions, np.array(at), linear, integration)
@@ -224,13 +228,16 @@ def _list_depth_errors(insertion: Insertion) -> list[tuple[Floats, float]]:
 def shift_depths(
     insertion: Insertion, s: Floats, boundaries: Floats, depth: float
 ) -> tuple[Insertion, Floats]:
-    """Return the insertion with other depths, boundaries in order, and where its points then lie."""
+    """Return the insertion with shifted depths, boundaries kept in order, and its shifted beam
+    coordinates.
+    """
     found = enforce_order(insertion.boundaries + boundaries)
     return replace(insertion, boundaries=found, depth=insertion.depth + depth), s + depth
 
 
 def enforce_order(boundaries: Floats) -> Floats:
-    """Return depths of boundaries (n - 1,), mm, raised where they are out of order or above the entry."""
+    """Return boundary depths (n - 1,), mm, raised where they are out of order or above the entry."""
+    # subtracting the gaps first makes the running maximum keep them
     least = MIN_GAP_MM * np.arange(1, len(boundaries) + 1)
     raised: Floats = np.maximum.accumulate(np.maximum(boundaries - least, 0.0))
     return least + raised

@@ -1,4 +1,5 @@
-"""The density of whitened residuals, marginalised over uncertain depths; closed where curves depend linearly.
+"""Compute the density of whitened residuals, marginalised over uncertain depths; closed form where curves are
+linear.
 
 `white` (m, R) are the residuals at the m nodes of one insertion. All that is needed of them is their
 products G = white white^T, and how a density changes with them is -M white with an (m, m) matrix M: the
@@ -30,7 +31,7 @@ def log_marginals(white: Floats, nodes: Nodes, scale: Floats) -> Floats:
 
 
 def mixing_matrix(white: Floats, nodes: Nodes, scale: float) -> Floats:
-    """Return M (m, m), for residuals (m, R): the density's derivatives by them are -M white."""
+    """Return M (m, m) for residuals (m, R): the derivatives of the log density by them are -M white."""
     products = white @ white.T / scale**2
     if nodes.rule is not None:
         mixed: Floats = moments(products, nodes.rule) / scale**2
@@ -45,7 +46,7 @@ def mixing_matrix(white: Floats, nodes: Nodes, scale: float) -> Floats:
 
 
 def linear_residuals(white: Floats, nodes: Nodes, scale: float) -> tuple[Floats, float]:
-    """Return residuals (R + d,) and log det of the linear density: it is -(|residuals|^2 + log det) / 2.
+    """Return residuals (R + d,) and log det of the linear density, -(|residuals|^2 + log det) / 2.
 
     These are the residuals at the depths that fit best, and these depths' own, in standard deviations.
     """
@@ -66,6 +67,8 @@ def linear_residual_derivatives(
     best = -np.linalg.solve(stiff, slopes @ first)
     left = first + best @ slopes  # (R,)
     by_left = by_first + np.tensordot(best, by_slopes, axes=1)  # (R, P), depths held
+    # derivative of the normal equations stiff @ best = -slopes @ first; terms in by_slopes @ left are not
+    # zero off the optimum
     by_best = -np.linalg.solve(stiff, np.einsum("drp,r->dp", by_slopes, left) + slopes @ by_left)
     by_det = 2 * np.einsum("dr,drp->p", np.linalg.solve(stiff, slopes), by_slopes)
     return np.concatenate([by_left + slopes.T @ by_best, by_best]), by_det

@@ -1,11 +1,12 @@
-"""One insertion as an observation: its measured points, and the whitening that makes residuals independent.
+"""Turn one insertion into an observation: its measured points, and the whitening that makes residuals
+independent.
 
 Residuals are differences of deflection between the simulated and the measured curve at the same beam
 coordinates. The points are the measured ones (thinned, never interpolated), so that no error is counted
 twice. A known pose enters their covariance with its prior; a free one is projected off, as the limit of
 a prior that is flat. Equations: docs/inference.md.
 
-What a small error of the pose in the plane does to deflections, and how large it may be.
+Errors of the pose in the plane:
 
 A shift across moves all points alike, a turn about the entry moves them by their distance from it, and a
 shift along the entry axis moves the curve past itself: a point then differs by the slope.
@@ -35,18 +36,20 @@ SLOPE_DEGREE = 3
 
 
 def pose_modes(measured: Floats) -> Floats:
-    """Return what a unit shift across, turn, and shift along do to the deflections of points (K, 2): (K, 3).
+    """Return the change (K, 3) of deflections by a unit shift across, turn, and shift along; points are (K,
+    2).
 
     Per mm, per rad, per mm.
     """
     x = measured[:, 0] - measured[0, 0]
     degree = min(SLOPE_DEGREE, len(x) - 1)
+    # Polynomial.fit scales x to [-1, 1] itself: np.polyfit on mm would be badly conditioned
     slope = np.polynomial.Polynomial.fit(x, measured[:, 1], degree).deriv()(x)
     return np.column_stack([np.ones(len(x)), x, -slope])
 
 
 def pose_sds(insertion: Insertion, noise: Noise) -> Floats:
-    """Return the prior standard deviations (3,) of a pose that is known: mm, rad, mm, as `pose_modes`.
+    """Return the prior standard deviations (3,) of a known pose: mm, rad, mm, in the order of `pose_modes`.
 
     A registration error of mean length m, isotropic in space, has m / sqrt(8 / pi) per axis. It and the
     row's pose deviation are often one error stated twice: the larger one counts, as in the noise floor.
@@ -56,7 +59,7 @@ def pose_sds(insertion: Insertion, noise: Noise) -> Floats:
 
 
 def points_covariance(s: Floats, noise: Noise, sd: Floats | None = None) -> Floats:
-    """Return the covariance (K, K) of points at arc lengths `s` (K,), mm^2.
+    """Return the covariance (K, K), mm^2, of points at arc lengths `s` (K,).
 
     Parameters
     ----------
@@ -80,7 +83,7 @@ DEFAULT_LIKELIHOOD = LikelihoodRecord()
 
 @dataclass(frozen=True)
 class Observation:
-    """One insertion, ready to be compared.
+    """One insertion, prepared for comparison with simulated needles.
 
     Attributes
     ----------
@@ -105,7 +108,7 @@ class Observation:
 
     @property
     def rows(self) -> int:
-        """R: how many independent residuals there are."""
+        """R: the number of independent residuals."""
         return len(self.whitening)
 
 
@@ -115,7 +118,7 @@ def make_observation(
     noise: Noise | None = None,
     likelihood: LikelihoodRecord = DEFAULT_LIKELIHOOD,
 ) -> Observation:
-    """Return the observation of one insertion; `noise` replaces what the dataset states.
+    """Return the observation of one insertion; `noise` replaces the noise that the dataset states.
 
     Raises
     ------
@@ -147,7 +150,8 @@ def make_observation(
 
 
 def whiten(cov: Floats, free: Floats) -> tuple[Floats, float]:
-    """Return whitening (R, K) and log norm of a Gaussian of covariance (K, K), the columns `free` (K, f) off.
+    """Return whitening (R, K) and log norm of a Gaussian with covariance (K, K); columns `free` (K, f) are
+    projected out.
 
     The limit, for prior deviations S of the columns' coefficients that grow without end, of the Gaussian
     with covariance cov + free S^2 free^T, times (2 pi)^(f / 2) det S for f columns.
@@ -156,6 +160,8 @@ def whiten(cov: Floats, free: Floats) -> tuple[Floats, float]:
     inverse: Floats = solve_triangular(factor, np.eye(len(cov)), lower=True)
     log_norm = -float(np.sum(np.log(np.diag(factor))))
     if free.shape[1]:
+        # the columns of `basis` beyond f span what the free columns cannot reach; corner's diagonal is their
+        # volume
         basis, corner = qr(inverse @ free)  # (K, K), (K, f)
         log_norm -= float(np.sum(np.log(np.abs(np.diag(corner)))))
         inverse = basis[:, free.shape[1] :].T @ inverse
@@ -163,20 +169,20 @@ def whiten(cov: Floats, free: Floats) -> tuple[Floats, float]:
 
 
 def whiten_residuals(observation: Observation, simulated: Floats) -> Floats:
-    """Return the residuals (..., R) of points (..., K, 2): independent, of unit variance if all is right."""
+    """Return the whitened residuals (..., R) of points (..., K, 2), aligned first if the pose is free."""
     if observation.pose == "free":
         simulated = align_rigid(simulated, observation.measured)
     return whiten_deflections(observation, simulated[..., 1])
 
 
 def whiten_deflections(observation: Observation, deflections: Floats) -> Floats:
-    """Return the residuals (..., R) of deflections (..., K) that are compared as they are."""
+    """Return the whitened residuals (..., R) of deflections (..., K), without alignment."""
     white: Floats = (deflections - observation.measured[:, 1]) @ observation.whitening.T
     return white
 
 
 def whiten_derivatives(observation: Observation, simulated: Floats, slopes: Floats) -> Floats:
-    """Return the derivatives (R, P) of `whiten_residuals`, given those of the simulated points, (K, 2, P)."""
+    """Return the derivatives (R, P) of `whiten_residuals`, given those of the points, (K, 2, P)."""
     if observation.pose == "free":
         slopes = differentiate_align_rigid(simulated, observation.measured, slopes)
     white: Floats = observation.whitening @ slopes[:, 1]

@@ -1,4 +1,4 @@
-"""Search for the best fit: many starts, each by one algorithm or several in turn."""
+"""Search for the best fit: many starts, each by one algorithm or by several in turn."""
 
 from needlefit.inference.optimize.local_search import ALGORITHMS, search
 from needlefit.inference.optimize.multistart import minimize, starting_points

@@ -1,4 +1,4 @@
-"""One stage of a search by nonlinear least squares, with the exact Jacobian, in theta itself.
+"""Run one stage of a search by nonlinear least squares, with the exact Jacobian, in theta itself.
 
 SciPy's trust region method within the bounds. As with nlopt, the best point is the recorder's own.
 """
@@ -56,7 +56,7 @@ def _run_scipy(recorder: EvaluationRecorder, start: Floats) -> str:
 
 
 class _CachedJacobian:
-    """Residuals and Jacobian from one evaluation: most steps are taken, and then ask for both.
+    """Residuals and Jacobian from one evaluation: SciPy asks for both at almost every point.
 
     Attributes
     ----------
@@ -73,10 +73,11 @@ class _CachedJacobian:
         """Return (R,); a single infinite one where they failed."""
         found = self._recorder.jacobian(theta)
         self._theta, self._slopes = theta.copy(), None if found is None else found[1]
+        # one infinite residual is enough: SciPy rejects the step and shortens it
         return np.array([np.inf]) if found is None else found[0]
 
     def slopes(self, theta: Floats) -> Floats:
-        """Return (R, P); where it cannot be computed the search ends, its best point kept."""
+        """Return the Jacobian (R, P); where it cannot be computed the search ends with its best point."""
         if self._theta is None or not np.array_equal(theta, self._theta):
             self.residuals(theta)
         if self._slopes is None:
@@ -88,6 +89,7 @@ class _CachedJacobian:
 def _verify_sum(recorder: EvaluationRecorder, rounding: float, reason: str) -> str:
     """Compare the best sum of squares with the value that it stands for."""
     assert recorder.theta is not None
+    # the value is computed anew: residuals stand for it only if they are a complete sum of squares
     claimed, recorder.objective = recorder.objective, np.inf
     if abs(recorder.value(recorder.theta) - claimed) > SUM_TOLERANCE * (1 + abs(claimed)) + rounding:
         return "no sum of squares"

@@ -1,12 +1,8 @@
-"""The search from one start: the algorithms of a recipe in turn, then a check that the end is a minimum.
+"""Search from one start: the algorithms of a recipe in turn, then a check that the end is a minimum.
 
-Whether a search ended where it says: at a minimum, and one that every parameter affects.
-
-A search ends by its tolerance on a plateau and in a narrow valley as well as at a minimum. Where the goal is
-a sum of squares the exact Jacobian J tells them apart: the best step s within the bounds of the linear
-problem, min |r + J s|, would gain next to nothing at a minimum.
-
-The algorithms that a recipe may name, alone or one after the other.
+A search ends by its tolerance on a plateau and in a narrow valley as well as at a minimum. Where the
+objective is a sum of squares the exact Jacobian J distinguishes them: the best step s within the bounds of
+the linear problem, min |r + J s|, would gain next to nothing at a minimum.
 """
 
 import threading
@@ -34,7 +30,7 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Algorithm:
-    """One way to search from one point.
+    """One search algorithm that a recipe may name.
 
     Attributes
     ----------
@@ -137,12 +133,12 @@ NEGLIGIBLE_STEP = 1e-8
 """A further step that changes no parameter by more than this part of it promises nothing."""
 
 FLAT_FRACTION = 1e-8
-"""A parameter whose whole scale moves the residuals by less than this part of them has no say; neither has a
-combination of parameters whose effects cancel to this part of each."""
+"""A parameter whose whole scale moves the residuals by less than this part of them has no effect; neither
+has a combination of parameters whose effects cancel to this part of each."""
 
 
 def certify_minimum(recorder: EvaluationRecorder, reason: str) -> str:
-    """Return why a search ended, after a check of its best point: "tolerance" only at a minimum.
+    """Check the best point of a search, and return why the search ended: "tolerance" only at a minimum.
 
     "stalled" is no minimum, "flat" one in which some parameter or combination has no effect, "bound" one only
     because the box ends there. A function that is no sum of squares keeps the reason that the algorithm gave.
@@ -166,8 +162,11 @@ def _classify_minimum(recorder: EvaluationRecorder, residuals: Floats, jacobian:
     assert recorder.theta is not None
     objective_function, theta = recorder.objective_function, recorder.theta
     spans = objective_function.upper - objective_function.lower
+    # columns per whole range compare parameters of different units; without a range the value itself is the
+    # scale
     scales = np.where(np.isfinite(spans), spans, np.maximum(np.abs(theta), 1e-300))
     columns = jacobian * scales  # (R, P) per whole scale of each parameter
+    # the norms also scale the columns to length 1 below, so that the singular values measure directions alone
     lengths = np.linalg.norm(columns, axis=0)
     free = _find_free(recorder, residuals @ jacobian)
     if not np.any(free):
@@ -253,6 +252,7 @@ def _run_stages(
     total, reason = recorder.budget, ""
     for k, algorithm in enumerate(plan):
         remaining = total - recorder.evaluations
+        # -(-a // b) rounds up: the stages share the rest of the budget, the first ones get the odd evaluation
         recorder.budget, recorder.reason = recorder.evaluations + -(-remaining // (len(plan) - k)), ""
         reason = algorithm.run(recorder, theta0 if recorder.theta is None else recorder.theta, tolerance)
         if reason == INTERRUPTED:

@@ -1,9 +1,9 @@
 """Search from many starts spread over the box, in threads, resumable; the best end is the fit.
 
-The cheap way to where a search begins: down an easier goal first; starts that meet there go on as one.
+An easier objective is minimised first; starts that end at the same point there continue as one.
 
 With uncertain depths every needle is simulated many times. Depths taken as stated make a posterior whose
-hills lie next to those of the whole one, at a fraction of the cost.
+modes lie next to those of the whole one, at a fraction of the cost.
 """
 
 import math
@@ -29,8 +29,8 @@ SAME_OBJECTIVE, SAME_THETA = 1e-3, 1e-2
 
 
 def group_approaches(ends: Sequence[Start]) -> dict[int, int]:
-    """Return, by the index of each start, the start that continues for it: itself, or a better one it has
-    met.
+    """Map each start to the start that continues for it: itself, or a better one that ended at the same
+    point.
 
     An end without a finite value has met nobody.
     """
@@ -45,7 +45,9 @@ def group_approaches(ends: Sequence[Start]) -> dict[int, int]:
 
 
 def continue_start(end: Start, continued: Start) -> Start:
-    """Return the whole search of the start whose approach is `end`, given what came of its leader's."""
+    """Return the complete search of a start: its approach `end`, and the continuation of its group's
+    leader.
+    """
     alone = continued.index == end.index
     return replace(
         continued,
@@ -60,7 +62,7 @@ def continue_start(end: Start, continued: Start) -> Start:
 
 
 def interrupt_start(end: Start, value: float) -> Start:
-    """Return an approach as a search that was interrupted; `value` is the whole goal's at its end."""
+    """Return an approach as an interrupted search; `value` is the full objective at its end."""
     objective = value if math.isfinite(value) else math.inf
     return replace(end, objective=objective, evaluations=end.evaluations + 1, stopped=INTERRUPTED)
 
@@ -82,7 +84,7 @@ def minimize(
     rng: np.random.Generator,
     callbacks: Callbacks | None = None,
 ) -> Fit:
-    """Minimise what the recipe says from every one of its starts and return the best point of all.
+    """Minimise the recipe's objective from every start, and return the best point of all.
 
     The result depends on the problem, the recipe and `rng` alone: not on the number of threads, and not
     on whether some starts were computed by an earlier, interrupted run.
@@ -99,6 +101,7 @@ def minimize(
     select_algorithms(
         recipe.algorithm, objective_function
     )  # an unknown algorithm is an error before anything is computed
+    # the order of draws from `rng` is part of the result: first the points, then the seeds
     design = starting_points(problem.lower, problem.upper, recipe.starts, rng)  # (n, P)
     seeds = rng.integers(1, 2**31, size=len(design))
     done = _load_finished(callbacks, design)
@@ -140,6 +143,7 @@ def _search_by_approach(
     begin = [
         replace(p, theta=ends[p.index].theta)
         for p in start_points
+        # a group whose members are all stored needs no continuation
         if leader[p.index] == p.index and any(k not in done for k in leader if leader[k] == p.index)
     ]
     for continued in _search_in_threads(objective_function, half, begin, callbacks):
@@ -169,7 +173,7 @@ def _add_interrupted(
 
 
 def starting_points(lower: Floats, upper: Floats, count: int, rng: np.random.Generator) -> Floats:
-    """Return `count` starts (n, P) spread over the box: a scrambled Halton sequence.
+    """Return `count` starts (n, P) spread over the box by a scrambled Halton sequence.
 
     More starts extend fewer ones. Where nothing is free there is one start, without coordinates.
     """

@@ -1,4 +1,4 @@
-"""One stage of a search by one of nlopt's algorithms.
+"""Run one stage of a search by one of nlopt's algorithms.
 
 nlopt reports success on a NaN, forgets the best point when it is stopped, and breaks or crashes on values
 that are not finite. So nothing that it returns is used: every evaluation goes through an
@@ -39,7 +39,8 @@ VALUE_TOLERANCE = 0.1
 def run_nlopt(
     recorder: EvaluationRecorder, code: int, with_gradient: bool, tolerance: float, start: Floats
 ) -> str:
-    """Let nlopt's algorithm `code` search from theta `start` (P,), by slopes or not; return why it ended.
+    """Search with nlopt's algorithm `code` from theta `start` (P,), with or without gradients; return why it
+    ended.
 
     A search by slopes is begun anew where it ended until that gains nothing: some end in a narrow valley.
     """
@@ -83,6 +84,7 @@ def _run_once(
             value = math.inf
             bugs.append(error)
             optimizer.force_stop()
+        # above every finite value seen, so that nlopt moves away; 1 is added for values near 0
         worst = scale * (2 * abs(recorder.worst) + 1) if math.isfinite(recorder.worst) else PENALTY
         return value if math.isfinite(value) else worst
 
@@ -95,7 +97,7 @@ def _run_once(
 
 
 def seed_nlopt(number: int) -> None:
-    """Seed nlopt's generator; where it has no thread-local one, that of all threads."""
+    """Seed nlopt's generator; without a thread-local one this seeds that of all threads."""
     nlopt.srand(number)
 
 
@@ -116,6 +118,8 @@ def _evaluate(recorder: EvaluationRecorder, theta: Floats, slope: Floats, span: 
         return recorder.value(theta)
     slope[:] = 0.0
     value, gradient = recorder.gradient(theta)
+    # nlopt reads the gradient from this buffer: it must be filled in place; span is the chain rule of the
+    # unit cube
     slope[:] = gradient * span
     return value
 

@@ -1,1 +1,1 @@
-"""Markov chain Monte Carlo: ensembles of walkers sample a posterior until they converge, resumable."""
+"""Sample a posterior by Markov chain Monte Carlo: ensembles of walkers, until they converge; resumable."""

@@ -1,9 +1,9 @@
-"""Convergence of independent ensembles: R-hat, autocorrelation times and effective sample sizes.
+"""Diagnose the convergence of independent ensembles: R-hat, autocorrelation times, effective sample sizes.
 
 A chain is one ensemble: its draws are pooled over walkers step by step, and split in time. R-hat compares
 these halves; the autocorrelation time says how many steps of an ensemble count for one, so that S steps of
-W walkers are worth S W / tau draws. Both are of normal scores of the ranks, so that heavy tails and the scale
-do not matter, and are asked of every parameter, of the principal directions of the draws' covariance (the
+W walkers are worth S W / tau draws. Both use normal scores of the ranks, so that heavy tails and the scale
+do not matter, and are computed for every parameter, of the principal directions of the draws' covariance (the
 inverse of the posterior's information: stiff and sloppy ones), and of the log posterior.
 """
 
@@ -59,7 +59,7 @@ class Convergence:
 
     @property
     def faults(self) -> tuple[str, ...]:
-        """In what the rule is not met; empty if it is."""
+        """Which parts of the rule are not met; empty if all are."""
         return tuple(self._faults())
 
     def _faults(self) -> Iterator[str]:
@@ -86,7 +86,7 @@ class Convergence:
 
 
 def assess_convergence(thetas: Floats, log_density: Floats, names: Sequence[str]) -> Convergence:
-    """Return what the rule looks at.
+    """Return the convergence diagnostics of all quantities.
 
     Parameters
     ----------
@@ -146,6 +146,7 @@ def autocorrelation_times(series: Floats) -> Floats:
 def _autocorrelation_time(series: Floats) -> float:
     steps = len(series)
     centred = series - series.mean()
+    # padded to twice the length: the FFT's correlation is circular
     size = next_fast_len(2 * steps, real=True)
     spectrum = rfft(centred, n=size, axis=0)
     covariance = irfft(np.mean(np.abs(spectrum) ** 2, axis=1), n=size)[:steps]  # (S,)
@@ -178,6 +179,7 @@ def _along_directions(thetas: Floats) -> Floats:
 
 def _normal_scores(draws: Floats) -> Floats:
     ranks = rankdata(draws, axis=None).reshape(draws.shape)
+    # Blom's offsets 3/8 and 1/4, as in Vehtari et al.
     scores: Floats = norm.ppf((ranks - 0.375) / (draws.size + 0.25))
     return scores
 
@@ -192,6 +194,7 @@ def _split_r_hat(chains: Floats) -> float:
     halves = np.concatenate([chains[:, :n], chains[:, -n:]])  # (2 E, n)
     within = float(np.mean(np.var(halves, axis=1, ddof=1)))
     between = float(np.var(np.mean(halves, axis=1), ddof=1))
+    # walkers that never moved: equal halves agree, others disagree without bound
     if within == 0.0:
         return 1.0 if between == 0.0 else float("inf")
     return float(np.sqrt(((n - 1) / n * within + between) / within))

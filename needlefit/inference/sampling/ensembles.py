@@ -1,4 +1,4 @@
-"""The adapter around emcee: its moves, made in several independent ensembles side by side.
+"""Adapt emcee: make its moves in several independent ensembles side by side.
 
 A proposal of an ensemble looks at walkers of that ensemble only. They take their steps side by side so that
 the proposals of all are evaluated in one call, which costs no more than those of one ensemble.
@@ -36,7 +36,7 @@ _MOVE = re.compile(r"\s*(?:(?P<factor>[^*\s]+)\s*\*\s*)?(?P<name>[a-z]+)\s*")
 
 
 def parse_moves(moves: str) -> dict[str, float]:
-    """Return the part of the steps that each move named in `moves` gets: `"stretch"`, `"0.9*de+0.1*snooker"`.
+    """Return the share of the steps of each move in `moves`: `"stretch"`, `"0.9*de+0.1*snooker"`.
 
     Raises
     ------
@@ -68,7 +68,7 @@ def _moves_error(moves: str) -> ConfigError:
 
 @dataclass(frozen=True)
 class WalkerState:
-    """Where all walkers of E ensembles stand, and the random numbers to come.
+    """The positions of all walkers of E ensembles, and the state of the random generator.
 
     Attributes
     ----------
@@ -85,7 +85,7 @@ class WalkerState:
 
 @dataclass(frozen=True)
 class EnsembleStep:
-    """One step of all ensembles: where it led, and which walkers (E, W) took what they proposed."""
+    """One step of all ensembles: the new state, and which walkers (E, W) accepted their proposal."""
 
     state: WalkerState
     accepted: NDArray[np.bool_]
@@ -98,7 +98,7 @@ def run_ensembles(
     proposal_densities: Sequence[ProposalDensity],
     count: int,
 ) -> Iterator[EnsembleStep]:
-    """Yield `count` steps from `state`; `log_density` is asked for (E * n, P) coordinates at once.
+    """Yield `count` steps from `state`; `log_density` is called with (E * n, P) coordinates at once.
 
     These are ensemble by ensemble, n of each. The same state gives the same steps, however they are divided
     among calls. `proposal_densities` are what independent proposals are drawn from, one of each ensemble.
@@ -150,6 +150,7 @@ class _EnsembleMove:
     def propose(self, model: Any, state: Any) -> tuple[Any, NDArray[np.bool_]]:  # noqa: ANN401  (emcee has no types)
         """Move all walkers once; `state` is changed in place and returned with who moved (E * W,)."""
         coordinates = state.coords.reshape(self.ensembles, -1, state.coords.shape[1])  # (E, W, P), a view
+        # also a view: writing to it changes emcee's state
         density = state.log_prob.reshape(self.ensembles, -1)
         accepted = np.zeros(density.shape, dtype=bool)
         every = range(self.ensembles)
@@ -165,6 +166,8 @@ class _EnsembleMove:
             factor = np.stack([one for _, one in found])  # (E, n)
             new, _ = model.compute_log_prob_fn(proposed.reshape(-1, proposed.shape[2]))
             new = new.reshape(factor.shape)
+            # a column of ensemble numbers broadcasts against own (E, n): each ensemble indexes its own
+            # walkers
             rows = np.arange(self.ensembles)[:, None]
             accepted_now = np.log(model.random.uniform(size=factor.shape)) < factor + new - density[rows, own]
             coordinates[rows, own] = np.where(accepted_now[..., None], proposed, coordinates[rows, own])
@@ -195,6 +198,7 @@ def _propose_snooker(own: Floats, others: Sequence[Floats], random: RandomState)
     dimensions it finds 0.7 of the variances.
     """
     pool = np.concatenate(list(others))
+    # random keys, sorted: three different others for every walker
     three = np.argsort(random.uniform(size=(len(own), len(pool))), axis=1)[:, :3]
     at = pool[three]  # (N, 3, P)
     away = own - at[:, 0]
@@ -202,6 +206,8 @@ def _propose_snooker(own: Floats, others: Sequence[Floats], random: RandomState)
     unit = away / distance[:, None]
     moved = own + SNOOKER_LENGTH * unit * np.sum(unit * (at[:, 1] - at[:, 2]), axis=1)[:, None]
     stretched = np.linalg.norm(moved - at[:, 0], axis=1) / distance
+    # Jacobian of a move along a line through a fixed point: the volume grows by the stretch to the power P -
+    # 1
     return moved, (own.shape[1] - 1) * np.log(stretched)
 
 

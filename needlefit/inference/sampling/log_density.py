@@ -1,9 +1,11 @@
-"""The density that is sampled: its guarded evaluation, and its Laplace approximation.
+"""Evaluate the density that is sampled, guarded against failures, and approximate it by a Gaussian at its
+peak.
 
-The Gaussian that touches a density at its peak: in its coordinates ridges are round.
+The Laplace approximation is the Gaussian with the density's curvature at its peak; in its coordinates ridges
+are round.
 
-Curvatures are differences of the log density over steps that it answers itself: in each parameter the longest
-of a ladder over which it falls by no more than `MAX_LOG_DENSITY_DROP`. What it does not tell, the bounds do.
+Curvatures are differences of the log density over adaptive steps: in each parameter the longest
+of a list over which it falls by at most `MAX_LOG_DENSITY_DROP`. Where it is not finite the bounds decide.
 """
 
 import math
@@ -22,7 +24,7 @@ Floats = NDArray[np.float64]
 
 
 class LogDensity(SupportsValues, Protocol):
-    """A log density that can be sampled; `Problem` is one."""
+    """Interface of a log density that can be sampled; `Problem` is one."""
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -38,11 +40,11 @@ class LogDensity(SupportsValues, Protocol):
 
 @dataclass
 class Evaluator:
-    """The density of many thetas at once; whatever is no number or fails is counted and has density 0.
+    """Evaluate the density of many thetas at once; failures are counted and get density 0.
 
     Attributes
     ----------
-    problem : Density
+    problem : LogDensity
     jobs : int
         Threads.
     ensembles : int
@@ -108,7 +110,7 @@ BOUND_MARGIN = 1e-3
 
 @dataclass(frozen=True)
 class LaplaceApproximation:
-    """theta = centre + axes @ z, with z standard normal as far as the density is Gaussian.
+    """The Gaussian at the peak: theta = centre + axes @ z, with z standard normal.
 
     Attributes
     ----------
@@ -134,14 +136,16 @@ class LaplaceApproximation:
 def approximate_by_laplace(
     log_density: LogDensityFunction, centre: Floats, lower: Floats, upper: Floats
 ) -> LaplaceApproximation:
-    """Return the approximation about `centre` (P,), no wider in any direction than the bounds (P,) imply."""
+    """Return the Laplace approximation at `centre` (P,), no wider than a uniform density within the bounds
+    (P,).
+    """
     width = upper - lower
     inner = np.clip((centre - lower) / width, BOUND_MARGIN, 1 - BOUND_MARGIN)  # in the unit cube
 
     def at(points: Floats) -> Floats:
         return log_density(lower + points * width)
 
-    with np.errstate(invalid="ignore"):  # -inf less -inf: nothing is told there
+    with np.errstate(invalid="ignore"):  # -inf less -inf: no curvature is known there
         steps = _choose_steps(at, inner)
         information = _difference_information(at, inner, steps) / np.outer(steps, steps)
     precisions, directions = np.linalg.eigh(information)
@@ -156,6 +160,7 @@ def _choose_steps(at: LogDensityFunction, centre: Floats) -> Floats:
     ends = np.concatenate([[centre], *(centre + sign * moves.reshape(-1, len(centre)) for sign in (1, -1))])
     found = at(ends)
     falls = (found[0] - np.min(found[1:].reshape(2, *steps.shape), axis=0)) <= MAX_LOG_DENSITY_DROP  # (L, P)
+    # argmax finds the first True, the longest step; without any, the shortest is taken
     chosen = np.where(falls.any(axis=0), np.argmax(falls, axis=0), len(STEP_FRACTIONS) - 1)
     picked: Floats = steps[chosen, np.arange(len(centre))]
     return picked
@@ -171,6 +176,7 @@ def _difference_information(at: LogDensityFunction, centre: Floats, steps: Float
     plus, minus, four = np.split(found[1:], [dimensions, 2 * dimensions])
     information = np.diag(2 * found[0] - plus - minus)
     for (i, j), (pp, mm, pm, mp) in zip(pairs, four.reshape(-1, 4), strict=True):
+        # mixed second difference; its sign is that of the negative log density
         information[i, j] = information[j, i] = (pm + mp - pp - mm) / 4
     known: Floats = np.where(np.isfinite(information), information, 0.0)
     return known

@@ -1,4 +1,4 @@
-"""The posterior: draws, what they say, and their file (netCDF in the InferenceData layout)."""
+"""The sampled posterior: draws, diagnostics, and its file (netCDF in the InferenceData layout)."""
 
 import hashlib
 import json
@@ -26,7 +26,7 @@ NETCDF_ENGINE: Literal["h5netcdf"] = "h5netcdf"
 
 @dataclass(frozen=True)
 class Posterior:
-    """Draws of the free parameters; a chain is one independent ensemble of walkers.
+    """A sampled posterior: draws of the free parameters; a chain is one independent ensemble of walkers.
 
     Attributes
     ----------
@@ -67,12 +67,13 @@ class Posterior:
 
     @property
     def steps(self) -> int:
-        """Steps kept of each ensemble."""
+        """Number of steps kept of each ensemble."""
         return int(self.draws.shape[1]) // self.walkers
 
     @property
     def r_hat(self) -> Floats:
-        """Of the parameters, (P,)."""
+        """R-hat of each parameter, (P,)."""
+        # the quantities begin with the parameters; directions and log posterior follow
         return self.convergence.r_hat[: len(self.names)]
 
     @property
@@ -83,7 +84,7 @@ class Posterior:
 
     @property
     def converged(self) -> bool:
-        """Whether the rule is met."""
+        """Whether the rule of convergence is met."""
         return not self.faults
 
     def percentiles(self, at: Sequence[float] = PERCENTILES) -> dict[str, tuple[float, ...]]:
@@ -108,7 +109,7 @@ def save(posterior: Posterior, path: Path) -> None:
 
 
 def load(path: Path) -> Posterior:
-    """Read what `save` wrote; DataError if the file is not a posterior, or is damaged."""
+    """Read the posterior that `save` wrote; DataError if the file is not a posterior, or is damaged."""
     attributes, numbers = read_numbers(path)
     try:
         posterior = _parse_posterior(attributes, numbers)
@@ -177,6 +178,7 @@ def _digest(posterior: Posterior) -> str:
         rule.ess_bulk,
         rule.ess_tail,
     ):
+        # little endian on every machine, so that the digest does not depend on it
         found.update(np.ascontiguousarray(array, dtype="<f8").tobytes())
     return found.hexdigest()
 

@@ -1,4 +1,4 @@
-"""What a posterior's netCDF file holds, read in a limited child process.
+"""Read the netCDF file of a posterior in a sandboxed child process.
 
 netCDF files are HDF5 files. The library's reader of their dimensions does not end on some damaged ones; the
 numbers are therefore read by their names, without dimensions.
@@ -45,7 +45,7 @@ def read_numbers(path: Path) -> tuple[dict[str, Any], dict[str, NDArray[np.float
 
 
 def fill_numbers(results: SandboxArrays, path: str) -> dict[str, Any]:
-    """In the child: fill an array for every float64 variable of the file; return the attributes."""
+    """Fill an array for every float64 variable of the file, in the child process; return the attributes."""
     import h5py
 
     found: dict[str, Any] = {}

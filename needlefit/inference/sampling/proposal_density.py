@@ -1,4 +1,4 @@
-"""Independent proposals: a mixture of Student-t's fitted to where an ensemble has been.
+"""Independent proposals: a mixture of Student's t, fitted to the points that an ensemble visited.
 
 A walker that accepts one is independent of its last place, so a good fit mixes in a few steps. At first it is
 one Student-t, the Laplace approximation's; later many narrow ones about visited points, and a wide one about
@@ -31,7 +31,7 @@ MIN_VARIANCE = 1e-8
 
 @dataclass(frozen=True)
 class ProposalDensity:
-    """A mixture of Student-t's in P dimensions, all of one shape.
+    """A mixture of Student's t in P dimensions, all of one shape.
 
     Attributes
     ----------
@@ -52,15 +52,16 @@ class ProposalDensity:
 
     @property
     def dimensions(self) -> int:
-        """P."""
+        """P: the number of dimensions."""
         return len(self.mean)
 
     def draw(self, count: int, random: RandomState) -> Floats:
-        """Return as many independent points (count, P)."""
+        """Return `count` independent points (count, P)."""
         steps = random.normal(size=(count, self.dimensions)) @ self.factor.T
         steps = (
             steps * np.sqrt(DEGREES_OF_FREEDOM / random.chisquare(DEGREES_OF_FREEDOM, size=count))[:, None]
         )
+        # drawn even if there are no centres: the random numbers used do not depend on what was learned
         wide, chosen = random.uniform(size=(2, count))
         found: Floats = self.mean + WIDE_SCALE * steps
         if len(self.centres):
@@ -69,7 +70,7 @@ class ProposalDensity:
         return found
 
     def log_density(self, points: Floats) -> Floats:
-        """Return the logarithm (N,) of the density at points (N, P), but for a constant."""
+        """Return the logarithm (N,) of the density at points (N, P), up to a constant."""
         found = self._density(points, self.mean[None], WIDE_SCALE)
         if len(self.centres):
             found = WIDE_FRACTION * found + (1 - WIDE_FRACTION) * self._density(
@@ -93,7 +94,7 @@ class ProposalDensity:
 
 
 def make_initial_proposal(dimensions: int) -> ProposalDensity:
-    """Return the proposal density of an unfitted run: one Student-t of whitened coordinates."""
+    """Return the proposal before any adaptation: one Student's t in whitened coordinates."""
     return ProposalDensity(np.zeros(dimensions), np.eye(dimensions), np.empty((0, dimensions)), 1.0)
 
 

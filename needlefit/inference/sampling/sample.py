@@ -58,9 +58,9 @@ def sample(
     """Draw from the posterior with `settings.ensembles` independent ensembles.
 
     `ends` (P,) or (M, P) are points that a search ended at, the best first: the ensembles begin about them in
-    turn, so that a second hill that the search has seen is not overlooked. The result does not depend on
-    `watch.jobs`, nor on where a run was cut off that goes on from its `snapshots`. A stop ends it after the
-    step at hand.
+    turn, so that a second mode that the search found is not missed. The result does not depend on
+    `callbacks.jobs`, nor on where a run was interrupted that resumes from its `snapshots`. A stop ends it after
+    the present step.
 
     Raises
     ------
@@ -120,6 +120,7 @@ def _check_settings(problem: LogDensity, settings: SampleRecord) -> None:
     if not problem.names:
         raise ConfigError("nothing is free: there is no posterior to sample")
     parse_moves(settings.moves)
+    # refused before any work: the whole chain is kept in memory
     stored = settings.ensembles * settings.walkers * settings.steps * len(problem.names)
     if stored > MAX_STORED_NUMBERS:
         raise ConfigError(

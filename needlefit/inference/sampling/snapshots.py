@@ -1,4 +1,4 @@
-"""Snapshots of a sampler, one for each block of steps, so that a killed run resumes to the same bytes."""
+"""Store snapshots of a sampler, one per block of steps, so that a killed run resumes to the same bytes."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -25,7 +25,7 @@ Failed = tuple[tuple[tuple[float, ...], ...], ...]
 
 @dataclass(frozen=True)
 class Block:
-    """Some successive steps of all ensembles.
+    """Some successive steps of all ensembles, as they are stored.
 
     Attributes
     ----------
@@ -50,24 +50,24 @@ class Block:
 
     @property
     def steps(self) -> int:
-        """How many these are."""
+        """Number of steps."""
         return int(self.log_density.shape[1])
 
     @property
     def last(self) -> WalkerState:
-        """Where the next step begins."""
+        """The state from which the next step starts."""
         return WalkerState(self.coordinates[:, -1], self.log_density[:, -1], self.random)
 
 
 @dataclass(frozen=True)
 class Snapshots:
-    """A folder of files, one for each block of a run; None keeps nothing."""
+    """A folder with one file per block of a run; with folder None nothing is stored."""
 
     folder: Path | None = None
     note: Note = no_note
 
     def blocks(self) -> Iterator[Block]:
-        """Yield the blocks that are kept, from the first on, up to one that is damaged.
+        """Yield the stored blocks from the first on, up to one that is damaged.
 
         That one is set aside and those after it are removed: they would go on from a state that is lost.
         """
@@ -82,8 +82,10 @@ class Snapshots:
             yield block
 
     def keep(self, number: int, block: Block) -> None:
-        """Keep a block: written aside and renamed, so that a kill leaves it whole or not at all."""
+        """Store a block; it is written aside and renamed, so that a kill leaves a whole file or none."""
         if self.folder is not None:
+            # NumPy's legacy state: name, 624 words, position, has_gauss, cached_gaussian; only the words are
+            # an array
             kind, key, *rest = block.random
             values = {"random": [kind, *rest], "failures": block.failures, "failed": block.failed}
             arrays = {name: getattr(block, name) for name in _ARRAYS}

@@ -1,6 +1,6 @@
-"""Initial walkers, scattered wider than the posterior, and the adaptation of their proposals.
+"""Draw initial walkers, wider than the posterior, and decide when their proposals are adapted.
 
-When ensembles learn what to propose, and from which of their steps.
+Adaptation of the proposals:
 
 Each learns from its own steps alone, and only after a few fixed ones. Between these it walks by fixed rules,
 which have the density as their stationary one; what was walked before the last of them is burn-in. What an
@@ -38,7 +38,7 @@ def initialize_walkers(
     settings: SampleRecord,
     rng: np.random.Generator,
 ) -> WalkerState:
-    """Return where all walkers begin: each ensemble about one of the points `ends` (M, P), the best first.
+    """Return the initial walkers: each ensemble about one of the points `ends` (M, P), the best first.
 
     Raises
     ------
@@ -75,6 +75,7 @@ def _draw_walkers(
     middle = ENSEMBLE_SCATTER_SD * rng.normal(size=len(point))
     chosen, known = np.empty((0, len(point))), np.empty(0)
     for attempt in range(MAX_ATTEMPTS):
+        # the scatter is halved after every ten attempts without enough points
         shrink = 0.5 ** (attempt // 10)
         z = shrink * (middle + WALKER_SCATTER_SD * rng.normal(size=(count, len(point))))
         thetas = _reflect_at_bounds(
@@ -94,6 +95,7 @@ def _draw_walkers(
 
 def _reflect_at_bounds(thetas: Floats, lower: Floats, upper: Floats) -> Floats:
     """Return thetas reflected at the bounds: cut off there, many would lie on one bound and span nothing."""
+    # a triangle wave of period 2 in units of the range: reflection at both bounds, any number of times
     cube = np.abs((thetas - lower) / (upper - lower)) % 2
     folded: Floats = lower + (1 - np.abs(1 - cube)) * (upper - lower)
     return folded
@@ -104,19 +106,21 @@ ADAPTATION_STEPS = (50, 150, 500, 1200, 3000)
 
 
 def list_adaptation_steps(settings: SampleRecord) -> tuple[int, ...]:
-    """Return the steps after which ensembles learn; none with less than as many more in the budget."""
+    """Return the steps after which proposals are adapted, each within the first half of the budget."""
     if INDEPENDENT not in parse_moves(settings.moves):
         return ()
     return tuple(step for step in ADAPTATION_STEPS if 2 * step <= settings.steps)
 
 
 def last_adaptation_step(settings: SampleRecord, done: int) -> int:
-    """Return after how many of the `done` steps the ensembles have learned last; 0 if never."""
+    """Return the last of the first `done` steps after which proposals were adapted; 0 if there was none."""
     return max((step for step in list_adaptation_steps(settings) if step <= done), default=0)
 
 
 def block_length(settings: SampleRecord, done: int) -> int:
-    """Return how many steps follow until the next snapshot: an adaptation or the budget ends them."""
+    """Return the number of steps until the next snapshot; an adaptation or the end of the budget ends a
+    block.
+    """
     remaining = settings.steps - done
     return min(
         settings.check_interval,
@@ -126,7 +130,7 @@ def block_length(settings: SampleRecord, done: int) -> int:
 
 
 def make_proposal_densities(settings: SampleRecord, coordinates: Floats) -> Sequence[ProposalDensity]:
-    """Return what each ensemble draws independent proposals from, after the steps (E, S, W, P)."""
+    """Return the independent proposals of each ensemble after the steps (E, S, W, P)."""
     ensembles, done, _, dimensions = coordinates.shape
     last = last_adaptation_step(settings, done)
     if not last:

@@ -1,1 +1,1 @@
-"""Inference from tip tracks: one simulated insertion gives the tip at every depth that it passed."""
+"""Infer parameters from tip tracks: one simulated insertion gives the tip at every depth on its path."""

@@ -1,4 +1,4 @@
-"""Predict the later readings of a run from its first ones, by a model's draws or by curves as baselines.
+"""Predict the later readings of a run from its first ones, by draws of a model or by baseline curves.
 
 Given the deflections y of one draw of the parameters, the readings of a run are Gaussian,
 
@@ -8,7 +8,7 @@ with m and v from the runs fitted to: m the mean of the slopes that y leaves in 
 says of one more run, s^2 (1 + 1/k) (k - 1) / (k - 3), the variance of Student's t for k runs. Conditioned on
 the first readings this is Gaussian again. What the run does further on enters nowhere.
 
-What a model of tips must beat: curves that know neither tissue nor guide, fitted to the same runs.
+Baselines: curves without tissue or guide, fitted to the same runs.
 
 A straight line leaves nothing to fit but each run's shift and slope. A parabola has one curvature for all
 runs, toward the bevel. The scale of the noise is what they leave of the runs fitted to, so that what they
@@ -36,7 +36,7 @@ MIN_TUNED_RUNS = 4
 
 @dataclass(frozen=True)
 class TrackDraws:
-    """B draws of a model: what it makes of some runs, and the scale of the noise.
+    """B draws of a model: the deflections of some runs, and the scale of the noise.
 
     Attributes
     ----------
@@ -53,7 +53,7 @@ class TrackDraws:
 
 @dataclass(frozen=True)
 class SlopeMoments:
-    """Mean and variance (B,) of a further run's slope in the tracker's frame."""
+    """Mean and variance (B,) of the slope of a further run in the tracker's frame."""
 
     mean: Floats
     variance: Floats
@@ -90,7 +90,7 @@ def predict_readings(
     observed_count: int,
     rng: np.random.Generator,
 ) -> Floats:
-    """Return draws (B, n - placed) of the readings of a run after its first `observed_count` ones, mm.
+    """Return draws (B, n - observed_count) of the readings of a run after the first `observed_count`, mm.
 
     Parameters
     ----------
@@ -103,6 +103,7 @@ def predict_readings(
     noise = observation.covariance * scale[:, None, None] ** 2
     total = noise + design @ spread @ design.T  # (B, n, n)
     mean = deflection + slope.mean[:, None] * design[:, 1]
+    # conditioning of a joint Gaussian: gain^T takes the residuals of the first readings to the later ones
     gain = np.linalg.solve(
         total[:, :observed_count, :observed_count], total[:, :observed_count, observed_count:]
     )  # (B, k, n - k)
@@ -127,7 +128,7 @@ def fit_curve(
     count: int,
     rng: np.random.Generator,
 ) -> TrackDraws:
-    """Return `count` draws of the curve `name` given the runs `tuned`: Student's t about least squares."""
+    """Return `count` draws of the baseline `name` given the runs `tuned`: Student's t about least squares."""
     basis = np.concatenate(
         [observation.whitening @ _unit_deflection(observation.track) for observation in tuned]
     )
@@ -135,6 +136,7 @@ def fit_curve(
     fitted = name == "constant_curvature"
     best = float(basis @ measured / (basis @ basis)) if fitted else 0.0
     squares, free = float(np.sum((measured - best * basis) ** 2)), len(measured) - fitted
+    # the order of the draws matters for the result: scale first, then curvature
     scale = np.sqrt(squares / rng.chisquare(free, size=count))
     curvature = best + fitted * scale / np.linalg.norm(basis) * rng.normal(size=count)
     return TrackDraws(

@@ -1,6 +1,6 @@
-"""A fit to tip tracks, with the methods that searches and samplers need, and its observations.
+"""A fit to tip tracks: its observations, and the methods that searches and samplers need.
 
-One run made ready to be compared: what the tracker's frame leaves unknown is projected off.
+The unknown frame of the tracker is projected out of each run.
 
 A reading is t_i = y(d_i) + shift + slope d_i + noise. Shift and slope are of the tracker, not of the needle,
 and known of no run: the limit of a flat prior of both, as of a free pose (docs/inference.md, section 3).
@@ -29,11 +29,11 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class TrackObservation:
-    """One run, ready to be compared.
+    """One run, prepared for comparison with simulated tips.
 
     Attributes
     ----------
-    track : Track
+    track : TipTrack
     covariance : (n, n) array
         Of the noise of its readings, mm^2, at scale 1.
     whitening : (n - 2, n) array
@@ -48,12 +48,12 @@ class TrackObservation:
 
     @property
     def frame(self) -> Floats:
-        """What a unit shift (mm) and a unit slope of the tracker's frame do to the readings, (n, 2)."""
+        """The change (n, 2) of the readings by a unit shift (mm) and a unit slope of the tracker's frame."""
         return frame_columns(self.track.depth)
 
     @cached_property
     def estimator(self) -> Floats:
-        """Takes readings less deflections (n,) to the shift and slope (2,) that fit them best."""
+        """Matrix (2, n) that gives the best shift and slope for readings minus deflections (n,)."""
         weighted = np.linalg.solve(self.covariance, self.frame)  # (n, 2)
         return np.asarray(np.linalg.solve(self.frame.T @ weighted, weighted.T), dtype=np.float64)
 
@@ -89,12 +89,12 @@ SCALE_MARGIN = 0.99
 
 @dataclass(frozen=True)
 class TrackProblem:
-    """Some runs with one needle, a medium's model, and which of its parameters are searched.
+    """Some runs with one needle, the model of a medium, and the parameters that are searched.
 
     Attributes
     ----------
     needle : Needle
-    tracks : tuple of Track
+    tracks : tuple of TipTrack
         The ones fitted to.
     medium : MediumRecord
     parameters : Parameters
@@ -144,7 +144,7 @@ class TrackProblem:
 
     @cached_property
     def observations(self) -> tuple[TrackObservation, ...]:
-        """What each run is compared with; computed once."""
+        """The observation of each run; computed once."""
         return tuple(make_track_observation(track, self.noise) for track in self.tracks)
 
     def tips(self, sets: Sequence[Values], jobs: int = 1) -> tuple[Floats, ...]:
@@ -183,7 +183,7 @@ class TrackProblem:
         return found[0], (plus - minus).T / (2 * DIFFERENCE_STEP)
 
     def approach(self, minimized: ObjectiveName) -> None:
-        """Return None: nothing is easier than this posterior, in which no depth errs."""
+        """Return None: no depth is uncertain, so no easier posterior exists."""
 
     def _log_densities(self, sets: Sequence[Values], jobs: int) -> Floats:
         prior = np.array([self.parameters.prior.log_density(values) for values in sets])

@@ -33,7 +33,7 @@ MIN_CONSTRAINT_POINTS = 2
 
 @dataclass(frozen=True)
 class TrackInsertion:
-    """An insertion, and which tracks (by their number) are read off it."""
+    """An insertion to simulate, and the numbers of the tracks that are read from it."""
 
     track: TipTrack
     depth: float
@@ -57,6 +57,7 @@ def group_tracks(tracks: Sequence[TipTrack], spacing: float) -> tuple[TrackInser
     return tuple(
         TrackInsertion(
             tracks[numbers[0]],
+            # the insertion ends on a constraint point; the tolerance keeps rounding from adding one
             spacing * math.ceil(max(tracks[n].depth[-1] for n in numbers) / spacing - DEPTH_TOLERANCE_MM),
             tuple(numbers),
         )
@@ -94,12 +95,13 @@ def simulate_tips(
 
 
 def interpolate_tip(shapes: NeedleShapes, depth: Floats) -> Floats:
-    """Return where the tips (B, n) stood at depths (n,), mm: on from the two constraint points before each.
+    """Return the tips (B, n) at depths (n,), mm, extrapolated from the two constraint points before each.
 
     Within 0.002 mm of an insertion that stops there (tests). What stands at a constraint point where a guide
     was moved is the tip after the move, so that the points before a reading tell, and never the one at it.
     """
     passed, tip = shapes.constraints[0, :, 0], shapes.tip_track[:, :, 0]
+    # the last constraint point strictly before the reading, by more than rounding
     at = np.maximum(np.searchsorted(passed, depth - DEPTH_TOLERANCE_MM) - 1, 0)
     before = np.maximum(at - 1, 0)
     apart = np.where(at > before, passed[at] - passed[before], 1.0)
