@@ -59,8 +59,8 @@ def sample(
 
     `ends` (P,) or (M, P) are points that a search ended at, the best first: the ensembles begin about them in
     turn, so that a second mode that the search found is not missed. The result does not depend on
-    `callbacks.jobs`, nor on where a run was interrupted that resumes from its `snapshots`. A stop ends it after
-    the present step.
+    `callbacks.jobs`, nor on where a run was interrupted that resumes from its `snapshots`. A stop ends it
+    after the present step.
 
     Raises
     ------
